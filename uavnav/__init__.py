@@ -1,0 +1,78 @@
+"""uavnav: DQN against PPO, four activation functions, and a drone that must learn to avoid obstacles.
+
+`import uavnav` is cheap: every name below is loaded on first use.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+if TYPE_CHECKING:
+    from uavnav import dqn, layouts, metrics, ppo, render, rewards, sensing, simulator
+    from uavnav.config import ConfigError
+    from uavnav.env import DroneEnv
+    from uavnav.layouts import LayoutError
+    from uavnav.policies import Policy, PolicyError, load_policy
+    from uavnav.runs import Run, RunError
+    from uavnav.world import World
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "ConfigError": "config",
+    "DroneEnv": "env",
+    "LayoutError": "layouts",
+    "Policy": "policies",
+    "PolicyError": "policies",
+    "load_policy": "policies",
+    "Run": "runs",
+    "RunError": "runs",
+    "World": "world",
+}
+_MODULES = ("dqn", "layouts", "metrics", "ppo", "render", "rewards", "sensing", "simulator")
+
+__all__ = [
+    "ConfigError",
+    "DroneEnv",
+    "LayoutError",
+    "Policy",
+    "PolicyError",
+    "Run",
+    "RunError",
+    "World",
+    "dqn",
+    "layouts",
+    "load_policy",
+    "metrics",
+    "ppo",
+    "render",
+    "rewards",
+    "sensing",
+    "simulator",
+]
+
+os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, when it is imported
+warnings.filterwarnings("ignore", message=".*inline_inbuilt_nn_modules is deprecated", category=FutureWarning)
+
+gymnasium.register(
+    id="uavnav/Drone-v0",
+    entry_point="uavnav.gym:DroneGymEnv",
+    vector_entry_point="uavnav.gym:DroneVectorEnv",
+)
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(f"uavnav.{_HOMES[name]}"), name)
+    if name in _MODULES:
+        return importlib.import_module(f"uavnav.{name}")
+    raise AttributeError(f"module 'uavnav' has no attribute {name!r}; it has {', '.join(__all__)}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

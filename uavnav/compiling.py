@@ -1,0 +1,43 @@
+"""Whether a run compiles its world, policy and updates into graphs."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+
+import torch
+
+from uavnav.config import ConfigError, TrainConfig
+
+PAYS_FROM = 100_000
+"""Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
+
+
+def decide(config: TrainConfig) -> bool:
+    """Follow `compile=on` or `off`; with `auto`, compile runs long enough to pay for it where a compiler is at hand.
+
+    Raises:
+        ConfigError: `compile=on` where nothing can be compiled.
+    """
+    if config.compile == "off" or (config.compile == "auto" and config.total_frames < PAYS_FROM):
+        return False
+    problem = _problem(config.device)
+    if problem and config.compile == "on":
+        raise ConfigError(f"compile=on: no graph can be compiled here ({problem}); install g++ and Python's headers")
+    if problem:
+        warnings.warn(f"runs without compilation, several times slower: {problem}", stacklevel=2)
+    return problem is None
+
+
+def _problem(device: str) -> str | None:
+    """Compile something tiny: what a compiler, its headers or a driver lack shows only when they are used."""
+    logger = logging.getLogger("torch._inductor")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        torch.compile(torch.square, fullgraph=True)(torch.ones(8, device=device))
+    except Exception as error:  # whatever the tool chain raises: the run goes on without it
+        return str(error).strip().splitlines()[0]
+    finally:
+        logger.setLevel(level)
+    return None

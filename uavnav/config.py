@@ -1,0 +1,139 @@
+"""What a training run is configured by: the fields that both algorithms share, and the checks that answer back."""
+
+from __future__ import annotations
+
+import difflib
+import types
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
+
+import torch
+
+from uavnav.networks import ACTIVATIONS
+from uavnav.rewards import REWARDS
+from uavnav.world import World
+
+
+class ConfigError(ValueError):
+    """A key or a value of a configuration is wrong; the message is one line that names it and the choices."""
+
+
+def unknown(name: str, value: object, choices: Collection[str]) -> ConfigError:
+    """The error for a name that is not among the choices, with the nearest one suggested."""
+    near = difflib.get_close_matches(str(value), choices, n=1)
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    return ConfigError(f"{name}={value!s}; choose from {', '.join(sorted(choices))}{hint}")
+
+
+def one_of(default: str, choices: Collection[str]) -> Any:
+    """A field whose value is one of a table's names."""
+    return field(default=default, metadata={"choices": tuple(choices)})
+
+
+def at_least(default: float, least: float) -> Any:
+    """A numeric field with a smallest value."""
+    return field(default=default, metadata={"least": least})
+
+
+def within(default: float, least: float, most: float) -> Any:
+    """A numeric field with a smallest and a largest value."""
+    return field(default=default, metadata={"least": least, "most": most})
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """The fields that both algorithms have. Counts of frames are per seed.
+
+    Raises:
+        ConfigError: a value has the wrong type, is out of range, or is not among the choices.
+    """
+
+    preset: str = "paper"
+    activation: str = one_of("tanh", ACTIVATIONS)
+    seed: int = at_least(0, 0)  # seeds are seed ... seed + n_seeds - 1
+    n_seeds: int = at_least(1, 1)
+    total_frames: int = at_least(1_000_000, 1)
+    n_worlds: int = at_least(16, 1)  # parallel worlds per seed
+    hidden: tuple[int, ...] = (64, 64)
+    lr: float = at_least(3e-4, 0)
+    gamma: float = within(0.99, 0, 1)
+    max_grad_norm: float = at_least(0.5, 0)  # of each agent's gradient
+    init: Literal["orthogonal", "default"] = "default"
+    layouts: str = "train"
+    max_steps: int | None = field(default=None, metadata={"least": 1})
+    reward: str = one_of("eq14", REWARDS)
+    slots: Literal["nearest", "listed"] = World.slots
+    padding: Literal["far", "zeros"] = World.padding
+    start_heading: Literal["up", "random"] = World.start_heading
+    device: str = "cpu"
+    compile: Literal["auto", "on", "off"] = "auto"
+
+    def __post_init__(self) -> None:
+        hints = get_type_hints(type(self))
+        for item in fields(self):
+            value = _checked(item.name, getattr(self, item.name), hints[item.name], item.metadata)
+            object.__setattr__(self, item.name, value)
+        if not self.hidden or min(self.hidden) < 1:
+            raise ConfigError(f"hidden={list(self.hidden)}; give at least one layer, each of at least 1 unit")
+        try:
+            torch.empty(0, device=self.device)
+        except (RuntimeError, AssertionError, NotImplementedError) as error:
+            raise ConfigError(f"device={self.device}; choose cpu, or a device that this machine has") from error
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> Self:
+        """Build from plain keys and values, as of a command line or a run's config.yaml.
+
+        Raises:
+            ConfigError: there is no such key, or as for the constructor.
+        """
+        names = [item.name for item in fields(cls)]
+        for key in mapping:
+            if key not in names:
+                raise unknown("key", key, names)
+        return cls(**mapping)
+
+    @property
+    def seeds(self) -> list[int]:
+        """One seed an agent."""
+        return list(range(self.seed, self.seed + self.n_seeds))
+
+    @property
+    def world(self) -> World:
+        """The world with this configuration's switches."""
+        return World(slots=self.slots, padding=self.padding, start_heading=self.start_heading)
+
+
+def _checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any:
+    """The value in its declared type, or a ConfigError."""
+    if get_origin(hint) is Literal:
+        value = {True: "on", False: "off"}.get(value, value) if isinstance(value, bool) else value  # yaml's on and off
+        if value not in get_args(hint):
+            raise unknown(name, value, get_args(hint))
+        return value
+    if get_origin(hint) is types.UnionType:  # the one form in use: `int | None`
+        return None if value is None else _checked(name, value, get_args(hint)[0], limits)
+    if get_origin(hint) is tuple:
+        if not isinstance(value, (list, tuple)):
+            raise ConfigError(f"{name}={value!s}; give a list of whole numbers, such as [64,64]")
+        return tuple(_checked(name, entry, int, {}) for entry in value)
+    if hint is int:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value // 1:
+            raise ConfigError(f"{name}={value!s}; give a whole number")
+        value = int(value)
+    elif hint is float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) == float("inf"):
+            raise ConfigError(f"{name}={value!s}; give a number")
+        value = float(value)
+    elif hint is bool:
+        if not isinstance(value, bool):
+            raise ConfigError(f"{name}={value!s}; choose from false, true")
+    elif hint is str and not isinstance(value, str):
+        raise ConfigError(f"{name}={value!s}; give a name")
+    if "choices" in limits and value not in limits["choices"]:
+        raise unknown(name, value, limits["choices"])
+    if not limits.get("least", value) <= value <= limits.get("most", value):
+        bounds = f"at least {limits['least']}" + (f" and at most {limits['most']}" if "most" in limits else "")
+        raise ConfigError(f"{name}={value!s}; give a number of {bounds}")
+    return value

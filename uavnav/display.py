@@ -1,0 +1,91 @@
+"""What a run shows on the terminal: its progress, and at the end its six metrics beside the paper's."""
+
+from __future__ import annotations
+
+import statistics
+from types import TracebackType
+from typing import Self
+
+import pandas as pd
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from uavnav import paper
+from uavnav.config import TrainConfig
+from uavnav.metrics import LAST, METRICS, finished, last_episodes, per_seed
+from uavnav.runs import Run
+
+
+class Display:
+    """A progress bar: frames per seed, frames/s of all seeds, time left, reward of the last 100 episodes."""
+
+    def __init__(self, algorithm: str, config: TrainConfig, total_frames: int, quiet: bool) -> None:
+        self._n_seeds = config.n_seeds
+        self._progress = Progress(
+            TextColumn(f"{algorithm} {config.activation}"),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TextColumn("frames, {task.fields[rate]}, left"),
+            TimeRemainingColumn(),
+            TextColumn("reward {task.fields[reward]}"),
+            disable=quiet,
+        )
+        self._task = self._progress.add_task("", total=total_frames, rate="-", reward="-")
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def update(self, frames: int, rewards: list[float]) -> None:
+        """frames: per seed so far; rewards: each seed's mean over its last 100 episodes."""
+        task = self._progress.tasks[0]
+        rate = f"{task.speed * self._n_seeds:,.0f}/s" if task.speed else "-"
+        self._progress.update(self._task, completed=frames, rate=rate, reward=_with_spread(rewards, 2))
+
+
+def summary(run: Run) -> Table:
+    """The six metrics of a finished run in every reading of its training episodes, beside the paper's row."""
+    config, everything = run.config, finished(run.episodes)
+    readings = {"all training episodes": everything, f"last {LAST} of each seed": last_episodes(run.episodes)}
+    printed = paper.TABLES.get((run.algorithm, config["activation"]), {})
+    counts = ", ".join(f"{len(part):,}" for part in readings.values())
+    seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
+    worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
+    table = Table(
+        title=f"{run.algorithm} {config['activation']}, preset {config['preset']}, {worlds}",
+        caption=f"{run.frames:,} frames per seed; {seeds}; {counts} episodes",
+    )
+    table.add_column("metric")
+    for reading in readings:
+        table.add_column(reading, justify="right")
+    table.add_column("paper", justify="right")
+    for name, metric in METRICS.items():
+        for ratio_of_means in [False] if metric.scale is None else [False, True]:
+            cells = [_cell(per_seed(part, ratio_of_means)[name]) for part in readings.values()]
+            label = "  as ratio of means" if ratio_of_means else metric.label
+            table.add_row(label, *cells, f"{printed[name]:,.2f}" if name in printed and not ratio_of_means else "")
+    return table
+
+
+def report(run: Run, console: Console | None = None) -> None:
+    """Print the summary, how long the run took, and where it is."""
+    console = console or Console()
+    console.print(summary(run))
+    console.print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}", highlight=False, soft_wrap=True)
+
+
+def _cell(values: pd.Series[float]) -> str:
+    return _with_spread(values.dropna().tolist(), 2)
+
+
+def _with_spread(values: list[float], digits: int) -> str:
+    if not values:
+        return "-"
+    mean = f"{statistics.mean(values):,.{digits}f}"
+    return mean if len(values) == 1 else f"{mean} ± {statistics.stdev(values):,.{digits}f}"

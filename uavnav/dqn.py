@@ -1,0 +1,234 @@
+"""Deep Q-Network, sec. 3.2, from top to bottom: config, network, collector, buffer, loss, loop.
+
+    L(theta) = E[(R + gamma max_a' Q(s', a'; theta-) - Q(s, a; theta))^2]        eq. (1)
+
+over transitions (s, a, R, s') drawn uniformly from the buffer, with SB3's Huber loss in place of the square by default.
+theta- is a copy of theta, renewed every so many frames; where an episode terminated at s' the target is R alone.
+
+Everything has a leading axis of agents A, one a seed, that learn side by side and independently of each other.
+Letters: A agents, W worlds an agent.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.collectors import Collector
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.modules import QValueActor
+from torchrl.objectives import DQNLoss, HardUpdate
+
+from uavnav import compiling, policies
+from uavnav.config import ConfigError, TrainConfig, at_least, within
+from uavnav.display import Display
+from uavnav.env import DroneEnv
+from uavnav.learner import Learner
+from uavnav.networks import mlp
+from uavnav.runs import Recorder, Run, default_folder
+from uavnav.sampling import AgentSampler, epsilon_greedy
+from uavnav.seeding import draw, stream
+
+ALGORITHM = "dqn"
+LOG_FRAMES = 5_000
+"""Frames per seed between two rows of progress."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DQNConfig(TrainConfig):
+    """DQN's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
+
+    lr: float = at_least(1e-4, 0)
+    max_grad_norm: float = at_least(10.0, 0)
+    buffer_size: int = at_least(1_000_000, 1)  # frames per seed
+    learning_starts: int = at_least(50_000, 0)  # frames of uniformly random actions, without updates
+    batch_size: int = at_least(32, 1)
+    frames_per_update: int = at_least(4, 1)
+    target_update_frames: int = at_least(10_000, 1)
+    epsilon_start: float = within(1.0, 0, 1)
+    epsilon_end: float = within(0.05, 0, 1)
+    exploration_fraction: float = within(0.1, 0, 1)  # of total_frames, over which epsilon falls
+    adam_eps: float = at_least(1e-8, 0)
+    loss: Literal["huber", "squared"] = "huber"  # SB3's, or eq. (1)'s
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.n_worlds % self.frames_per_update:
+            raise ConfigError(
+                f"n_worlds={self.n_worlds}; give a multiple of frames_per_update={self.frames_per_update}"
+            )
+        if self.buffer_size < self.n_worlds:
+            raise ConfigError(f"buffer_size={self.buffer_size}; give at least n_worlds={self.n_worlds}")
+
+    @property
+    def iterations(self) -> int:
+        """Steps of all worlds at once."""
+        return -(-self.total_frames // self.n_worlds)
+
+    @property
+    def updates_per_step(self) -> int:
+        """Gradient steps after each step of all worlds."""
+        return self.n_worlds // self.frames_per_update
+
+    def epsilon(self, frames: int) -> float:
+        """The share of random actions after so many frames: all, until learning starts, then a linear fall."""
+        if frames < self.learning_starts:
+            return 1.0
+        decay = self.exploration_fraction * self.total_frames
+        progress = min(frames / decay, 1.0) if decay else 1.0
+        return self.epsilon_start + progress * (self.epsilon_end - self.epsilon_start)
+
+
+PRESETS = {
+    "paper": DQNConfig(),
+    "paper-2.3": DQNConfig(preset="paper-2.3", learning_starts=100),  # SB3's default since its version 2.3
+}
+
+
+def make_network(config: DQNConfig) -> nn.Sequential:
+    """The Q network: observation [A, ..., 30] -> [A, ..., 100] values."""
+    inputs, outputs = config.world.observation_size, config.world.n_actions
+    generators = [stream(seed, "value network") for seed in config.seeds]
+    return mlp([inputs, *config.hidden, outputs], config.activation, generators, config.init)
+
+
+class ExploringPolicy(nn.Module):
+    """Acts in training: observation [A, W, 30] -> action [A, W], epsilon-greedy, each agent's from its own stream."""
+
+    def __init__(self, network: nn.Module, config: DQNConfig, compile: bool) -> None:
+        super().__init__()
+        self.network = network
+        self.generators = [stream(seed, "actions") for seed in config.seeds]
+        self.epsilon = torch.tensor(config.epsilon(0), device=config.device)
+        self._choose = torch.compile(self._act, dynamic=False, fullgraph=True) if compile else self._act
+
+    def _act(self, observation: Tensor, coin: Tensor, choice: Tensor, epsilon: Tensor) -> Tensor:
+        return epsilon_greedy(self.network(observation), epsilon, coin, choice)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        uniform = draw(self.generators, torch.rand, 2, observation.shape[1], device=observation.device)
+        return self._choose(observation, uniform[:, 0], uniform[:, 1], self.epsilon)
+
+
+def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
+    """Equation (1) as TorchRL's DQNLoss with a target network, one loss a row."""
+    loss = DQNLoss(
+        QValueActor(network, in_keys=["observation"], spec=None, action_space="categorical"),
+        loss_function="smooth_l1" if config.loss == "huber" else "l2",
+        delay_value=True,
+        action_space="categorical",
+        reduction="none",
+    )
+    loss.make_value_estimator(gamma=config.gamma)
+    return loss
+
+
+def agent_losses(losses: TensorDictBase) -> dict[str, Tensor]:
+    """Each agent's mean over its rows: what DQNLoss returns with `reduction="none"` -> loss [A]."""
+    return {"loss": losses["loss"].flatten(1).mean(1)}
+
+
+def make_learner(loss: DQNLoss, config: DQNConfig, compile: bool) -> Learner:
+    """Adam as SB3 sets it."""
+    return Learner(
+        loss, agent_losses, lr=config.lr, eps=config.adam_eps, max_grad_norm=config.max_grad_norm, compile=compile
+    )
+
+
+def train(config: DQNConfig, out: str | Path | None = None, overwrite: bool = False, quiet: bool = False) -> Run:
+    """Train one agent a seed and keep the run in a folder.
+
+    Args:
+        config: the settings.
+        out: the run's folder; by default runs/dqn[-preset]/activation.
+        overwrite: start anew where the folder holds a run.
+        quiet: show no progress.
+
+    Returns:
+        The finished run; at once, where the folder already holds this very run.
+
+    Raises:
+        ConfigError, LayoutError, RunError: before anything is written.
+    """
+    recorder = Recorder(out or default_folder(ALGORITHM, config), ALGORITHM, config, overwrite)
+    if recorder.finished:
+        return recorder.read()
+    compile = compiling.decide(config)
+    env = DroneEnv(
+        [config.n_seeds, config.n_worlds],
+        layouts=config.layouts,
+        world=config.world,
+        max_steps=config.max_steps,
+        reward=config.reward,
+        device=config.device,
+        seeds=config.seeds,
+    )
+    if compile:
+        env.compile()
+    network = make_network(config).to(config.device)
+    policy = ExploringPolicy(network, config, compile)
+    collector = Collector(
+        env,
+        TensorDictModule(policy, in_keys=["observation"], out_keys=["action"]),
+        frames_per_batch=config.n_seeds * config.n_worlds,
+        total_frames=config.n_seeds * config.n_worlds * config.iterations,
+        auto_register_policy_transforms=False,
+        track_traj_ids=False,
+        trust_policy=True,
+        use_buffers=False,
+        return_same_td=True,
+    )
+    buffer = ReplayBuffer(
+        storage=LazyTensorStorage(min(config.buffer_size, config.iterations * config.n_worlds), device=config.device),
+        sampler=AgentSampler([stream(seed, "replay") for seed in config.seeds], replace=True),
+        batch_size=config.batch_size * config.updates_per_step,
+    )
+    loss = make_loss(network, config)
+    learner = make_learner(loss, config, compile)
+    steps_between_copies = max(config.target_update_frames // config.n_worlds, 1)
+    target = HardUpdate(loss, value_network_update_interval=steps_between_copies - 1)  # it copies on every n-th + 1
+
+    frames = 0
+    steps_between_rows = max(LOG_FRAMES // config.n_worlds, 1)
+    with recorder, Display(ALGORITHM, config, config.n_worlds * config.iterations, quiet) as display:
+        recorder.note(compiled=compile, threads=torch.get_num_threads())
+        began, logged, losses = time.perf_counter(), 0, {}
+        for step, batch in enumerate(collector, start=1):
+            recorder.add_episodes(batch["next"], frames)
+            frames += config.n_worlds
+            buffer.extend(rows(batch))
+            target.step()
+            if frames > config.learning_starts:
+                for minibatch in buffer.sample().reshape(config.n_seeds, -1, config.batch_size).unbind(1):
+                    losses = learner.step(minibatch)
+            policy.epsilon.fill_(config.epsilon(frames))
+            if step % steps_between_rows == 0 or step == config.iterations:
+                rate = (frames - logged) / (time.perf_counter() - began)
+                began, logged = time.perf_counter(), frames
+                with torch.no_grad():
+                    q_value = network(batch["observation"]).amax(-1).flatten(1).mean(1)
+                recorder.add_progress(
+                    frames, **losses, q_value=q_value, epsilon=policy.epsilon.item(), frames_per_second=rate
+                )
+                display.update(frames, recorder.recent_rewards())
+        recorder.add_open_episodes(env.state, frames)
+        facts = {
+            "algorithm": ALGORITHM,
+            "activation": config.activation,
+            "hidden": list(config.hidden),
+            "seeds": config.seeds,
+            "epsilon": config.epsilon_end,
+        }
+        return recorder.finish(policies.serialize({"policy": network}, facts), frames)
+
+
+def rows(batch: TensorDictBase) -> TensorDictBase:
+    """What the loss needs of a step [A, W, 1], as rows [W, A] of a buffer whose agents stay apart."""
+    following = [("next", name) for name in ("observation", "reward", "done", "terminated")]
+    return batch.select("observation", "action", *following).flatten(1, 2).transpose(0, 1)

@@ -1,0 +1,206 @@
+"""DroneEnv: the world as a native TorchRL environment. Wiring only; the arithmetic is in `simulator` and below it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from uavnav import layouts as banks
+from uavnav import seeding, simulator
+from uavnav.rewards import REWARDS
+from uavnav.simulator import COUNTS, UP, State
+from uavnav.world import World
+
+
+class DroneEnv(EnvBase):  # type: ignore[misc]
+    """A drone that must not hit anything, in a batch of independent worlds.
+
+    Action:
+        `action` [*B] int64 in 0..99: ten turns times ten distances, eqs (11) and (12).
+    Observation:
+        `observation` [*B, 30] float32: ten triplets (right, forward, distance), eq. (13).
+    Reward:
+        `reward` [*B, 1] float32: eq. (14), or another variant of `uavnav.rewards`.
+    Start:
+        The centre of the window, heading up; each row has a place of its own in the bank and takes the next set of
+        obstacles after each of its episodes.
+    End:
+        `terminated`: the drone touched an obstacle or the border. `truncated`: `max_steps` was reached (never both).
+    Episode:
+        `("next", "episode", ...)` holds the counts since the episode began (steps, stops, full_stops, turns,
+        distance [px], reward) and its layout: on the last step of an episode they describe all of it.
+    Version:
+        `uavnav.world.VERSION`.
+
+    Args:
+        batch_size: any shape B; a training run uses [agents, worlds].
+        layouts: `train`, `test`, a bank's path, or a tensor [n, k, 3].
+        world: constants and switches.
+        max_steps: a cap on steps, or None as in the paper.
+        reward: a name of `uavnav.rewards.REWARDS`.
+        device: where the tensors live.
+        seeds: one seed for all rows, or one for each entry of the first batch dimension. A row depends on its seed
+            and its index among that seed's rows, not on the other seeds.
+        compile: TorchRL's own keyword: run the step as one compiled graph (`env.compile()`, `env.eager()`).
+
+    Raises:
+        LayoutError: the bank cannot be read or is not valid.
+        ValueError: an unknown reward, a cap below 1, an action out of range, or seeds that do not fit the batch.
+    """
+
+    def __init__(
+        self,
+        batch_size: Sequence[int] = (),
+        layouts: str | Path | Tensor = "train",
+        world: World | None = None,
+        max_steps: int | None = None,
+        reward: str = "eq14",
+        device: str | torch.device = "cpu",
+        seeds: int | Sequence[int] = 0,
+    ) -> None:
+        super().__init__(device=torch.device(device), batch_size=torch.Size(batch_size))
+        if reward not in REWARDS:
+            raise ValueError(f"reward={reward!r}; choose from {', '.join(REWARDS)}")
+        if max_steps is not None and max_steps < 1:
+            raise ValueError(f"max_steps={max_steps}; choose None or a whole number from 1")
+        self.world = world or World()
+        self.max_steps = max_steps
+        self.reward = reward
+        if isinstance(layouts, Tensor):
+            banks.validate(layouts, self.world)
+            bank = layouts
+        else:
+            bank = banks.load(layouts)
+        self.bank = bank.to(self.device)
+        self._advance = self._advance_rows
+        self._make_specs()
+        self._seed(seeds)
+
+    def _make_specs(self) -> None:
+        shape, world = self.batch_size, self.world
+        low = torch.tensor([-1.0, 0.0, 0.0], device=self.device).repeat(world.n_slots)
+        kind: dict[str, Any] = {"shape": shape, "device": self.device}
+        episode = Composite({name: Unbounded(dtype=torch.int64, **kind) for name in ("layout", *COUNTS[:-1])}, **kind)
+        episode["reward"] = Unbounded(dtype=torch.float64, **kind)
+        self.observation_spec = Composite(
+            observation=Bounded(low.expand(*shape, -1), torch.ones_like(low).expand(*shape, -1), dtype=torch.float32),
+            episode=episode,
+            **kind,
+        )
+        self.action_spec = Categorical(world.n_actions, **kind)
+        self.reward_spec = Unbounded((*shape, 1), dtype=torch.float32, device=self.device)
+        flag = Categorical(2, shape=(*shape, 1), dtype=torch.bool, device=self.device)
+        self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), **kind)
+
+    # -- randomness: one stream of places and headings for each seed ------------------------------------------------
+
+    def _seed(self, seeds: int | Sequence[int]) -> None:
+        self.seeds = [seeds] if isinstance(seeds, int) else list(seeds)
+        if not isinstance(seeds, int) and (not self.batch_size or len(self.seeds) != self.batch_size[0]):
+            raise ValueError(
+                f"{len(self.seeds)} seeds for batch_size {list(self.batch_size)}; give one, or one per agent"
+            )
+        self._rows_per_seed = self.batch_size.numel() // len(self.seeds)
+        places = seeding.places(self.seeds, self._rows_per_seed, len(self.bank), self.device)
+        self._headings = [seeding.stream(seed, "headings") for seed in self.seeds]
+        self._never = torch.zeros((), dtype=torch.bool, device=self.device).expand(*self.batch_size, 1)
+        self._nothing = torch.zeros(self.batch_size, dtype=torch.int64, device=self.device)
+        self._started = False
+        self.state = simulator.start(places.reshape(self.batch_size), self._draw_headings(), self.world)
+
+    def _set_seed(self, seed: int | None) -> None:
+        """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... where there are agents."""
+        first = 0 if seed is None else seed
+        self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
+
+    def _draw_headings(self) -> Tensor:
+        """Start headings [*B] for every row, drawn whether needed or not: the stream does not depend on who resets."""
+        if self.world.start_heading == "up":
+            return self._nothing + UP
+        return seeding.headings(self._headings, self._rows_per_seed, self.device).reshape(self.batch_size)
+
+    # -- TorchRL's protocol -------------------------------------------------------------------------------------------
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        chosen = None if tensordict is None else tensordict.get("_reset", None)
+        if chosen is not None:
+            chosen = chosen.reshape(self.batch_size)
+        following = (self.state.layout + 1) % len(self.bank) if self._started else self.state.layout
+        fresh = simulator.start(following, self._draw_headings() if self._started else self.state.heading, self.world)
+        self.state = fresh if chosen is None else simulator.where(chosen, fresh, self.state)
+        self._started = True
+        observation, _ = simulator.observe(self.state, self.bank, self.world)
+        return self._root(observation, self.state)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = tensordict["action"]
+        self.state, outcome = simulator.step(self.state, action, self.bank, self.world, self.reward, self.max_steps)
+        return self._next(outcome, self.state)
+
+    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
+        final, outcome, self.state, observation = self._advance(
+            self.state, tensordict["action"], self._draw_headings(), self.bank
+        )
+        tensordict.set("next", self._next(outcome, final))
+        return tensordict, self._root(observation, self.state)
+
+    def compile(self, **kwargs: Any) -> DroneEnv:
+        """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it too."""
+        self._advance = torch.compile(self._advance_rows, dynamic=False, fullgraph=True, **kwargs)
+        return self
+
+    def eager(self) -> DroneEnv:
+        """Undo `compile`."""
+        self._advance = self._advance_rows
+        return self
+
+    def _advance_rows(
+        self, state: State, action: Tensor, heading: Tensor, bank: Tensor
+    ) -> tuple[State, simulator.Outcome, State, Tensor]:
+        final, outcome = simulator.step(state, action, bank, self.world, self.reward, self.max_steps)
+        done = outcome.terminated | outcome.truncated
+        fresh = simulator.start((final.layout + 1) % bank.shape[0], heading, self.world)
+        state = simulator.where(done, fresh, final)
+        observation, _ = simulator.observe(state, bank, self.world)
+        return final, outcome, state, observation
+
+    def _next(self, outcome: simulator.Outcome, final: State) -> TensorDict:
+        terminated, truncated = outcome.terminated[..., None], outcome.truncated[..., None]
+        return TensorDict(
+            {
+                "observation": outcome.observation,
+                "reward": outcome.reward[..., None].float(),
+                "done": terminated | truncated,
+                "terminated": terminated,
+                "truncated": truncated,
+                "episode": self._episode(final),
+            },
+            batch_size=self.batch_size,
+            device=self.device,
+        )
+
+    def _root(self, observation: Tensor, state: State) -> TensorDict:
+        return TensorDict(
+            {
+                "observation": observation,
+                "done": self._never,
+                "terminated": self._never,
+                "truncated": self._never,
+                "episode": self._episode(state),
+            },
+            batch_size=self.batch_size,
+            device=self.device,
+        )
+
+    def _episode(self, state: State) -> TensorDict:
+        return TensorDict(
+            {name: getattr(state, name) for name in ("layout", *COUNTS)}, batch_size=self.batch_size, device=self.device
+        )

@@ -1,0 +1,274 @@
+"""The world for Gymnasium: one drone (`DroneGymEnv`) or many at once (`DroneVectorEnv`), over the same simulator.
+
+Registered as `uavnav/Drone-v0`: `gymnasium.make` gives the one, `gymnasium.make_vec` the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from torch import Tensor
+
+from uavnav import layouts as banks
+from uavnav import seeding, simulator
+from uavnav.render import draw_state
+from uavnav.rewards import REWARDS
+from uavnav.simulator import UP, State
+from uavnav.world import World
+
+Observation = np.ndarray[Any, np.dtype[np.floating[Any] | np.integer[Any]]]
+Info = dict[str, Any]
+
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
+
+
+class _Flights:
+    """A batch of rows, each flying its own set of obstacles: what both adapters do, in tensors."""
+
+    def __init__(
+        self,
+        batch_size: Sequence[int],
+        layouts: str | Path | Tensor,
+        world: World | None,
+        max_steps: int | None,
+        reward: str,
+    ) -> None:
+        if reward not in REWARDS:
+            raise ValueError(f"reward={reward!r}; choose from {', '.join(REWARDS)}")
+        if max_steps is not None and max_steps < 1:
+            raise ValueError(f"max_steps={max_steps}; choose None or a whole number from 1")
+        self.world = world or World()
+        if isinstance(layouts, Tensor):
+            banks.validate(layouts, self.world)
+            self.bank = layouts.cpu()
+        else:
+            self.bank = banks.load(layouts)
+        self.max_steps, self.reward = max_steps, reward
+        self.shape = torch.Size(batch_size)
+        self.state: State | None = None
+
+    def observation_space(self) -> spaces.Box:
+        low = np.tile(np.array([-1, 0, 0], dtype=np.float32), self.world.n_slots)
+        return spaces.Box(low, np.ones_like(low), dtype=np.float32)
+
+    def seed(self, seeds: Sequence[int]) -> None:
+        """Put every row at its place: all rows are one seed's, or each row is a seed's first."""
+        rows = self.shape.numel() // len(seeds)
+        self._generators = [seeding.stream(seed, "headings") for seed in seeds]
+        self._first = seeding.places(seeds, rows, len(self.bank), "cpu").reshape(self.shape)
+        self.state = None
+
+    def reset(self, layout: Any = None) -> None:
+        """Start every row on its next set, or on the given ones."""
+        following = self._first if self.state is None else (self.state.layout + 1) % len(self.bank)
+        if layout is not None:
+            chosen = np.asarray(layout)
+            if chosen.dtype.kind not in "iu" or not ((chosen >= 0) & (chosen < len(self.bank))).all():
+                raise ValueError(f"options layout={layout}; give a whole number from 0 to {len(self.bank) - 1}")
+            following = torch.as_tensor(chosen, dtype=torch.int64).expand(self.shape).clone()
+        self.state = simulator.start(following, self._headings(), self.world)
+
+    def step(self, action: Any) -> simulator.Outcome:
+        if self.state is None:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        actions = torch.as_tensor(np.asarray(action), dtype=torch.int64)
+        if bool(((actions < 0) | (actions >= self.world.n_actions)).any()):
+            raise ValueError(f"action={action}; give a whole number from 0 to {self.world.n_actions - 1}")
+        self.state, outcome = simulator.step(
+            self.state, actions.reshape(self.shape), self.bank, self.world, self.reward, self.max_steps
+        )
+        return outcome
+
+    def restart(self, done: Tensor) -> None:
+        """Start the next episode where one ended."""
+        assert self.state is not None
+        fresh = simulator.start((self.state.layout + 1) % len(self.bank), self._headings(), self.world)
+        self.state = simulator.where(done, fresh, self.state)
+
+    def observe(self) -> tuple[Tensor, Tensor]:
+        assert self.state is not None
+        return simulator.observe(self.state, self.bank, self.world)
+
+    def _headings(self) -> Tensor:
+        if self.world.start_heading == "up":
+            return torch.full(self.shape, UP)
+        rows = self.shape.numel() // len(self._generators)
+        return seeding.headings(self._generators, rows, "cpu").reshape(self.shape)
+
+
+class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
+    """One drone that must not hit anything.
+
+    Action:
+        Discrete(100): ten turns times ten distances, eqs (11) and (12).
+    Observation:
+        Box of 30 float32: ten triplets (right, forward, distance), eq. (13).
+    Reward:
+        Eq. (14), or another variant of `uavnav.rewards`.
+    Start:
+        The centre of the window, heading up. `reset(seed=...)` fixes the place in the bank, every later reset takes
+        the next set, and `reset(options={"layout": 3})` picks one.
+    End:
+        `terminated`: the drone touched an obstacle or the border. `truncated`: `max_steps` was reached.
+    Info:
+        layout (index), x, y (px), heading (degrees), clearance (px to the nearest obstacle or border square).
+
+    Raises:
+        LayoutError, ValueError: a bad bank, reward, cap, layout or action.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        layouts: str | Path | Tensor = "train",
+        world: World | None = None,
+        max_steps: int | None = None,
+        reward: str = "eq14",
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode not in (None, *METADATA["render_modes"]):
+            raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
+        self._flight = _Flights((), layouts, world, max_steps, reward)
+        self.render_mode = render_mode
+        self.observation_space = self._flight.observation_space()
+        self.action_space = spaces.Discrete(self._flight.world.n_actions)
+        self._seeded = False
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+        super().reset(seed=seed)
+        if seed is not None or not self._seeded:
+            self._flight.seed([int(self.np_random.integers(2**31)) if seed is None else seed])
+            self._seeded = True
+        self._flight.reset((options or {}).get("layout"))
+        observation, clearance = self._flight.observe()
+        return observation.numpy(), self._info(clearance)
+
+    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, Info]:
+        outcome = self._flight.step(action)
+        return (
+            outcome.observation.numpy(),
+            float(outcome.reward),
+            bool(outcome.terminated),
+            bool(outcome.truncated),
+            self._info(outcome.clearance),
+        )
+
+    def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
+        """The picture [600, 800, 3] of the present state, with `render_mode="rgb_array"`."""
+        if self.render_mode is None:
+            gymnasium.logger.warn('render() shows nothing without render_mode="rgb_array"')
+            return None
+        if self._flight.state is None:
+            raise gymnasium.error.ResetNeeded("call reset() before render()")
+        return draw_state(self._flight.state, self._flight.bank, self._flight.world)
+
+    def _info(self, clearance: Tensor) -> Info:
+        state = self._flight.state
+        assert state is not None
+        return {
+            "layout": int(state.layout),
+            "x": float(state.x),
+            "y": float(state.y),
+            "heading": int(state.heading),
+            "clearance": float(clearance),
+        }
+
+
+class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]], Any]):
+    """Many drones in one batch, as `DroneGymEnv` each; an episode that ends is followed by the next in the same step.
+
+    `reset(seed=s)` makes the rows the parallel worlds of seed s, each at a place of its own; a list gives each row a
+    seed. At the end of an episode the observation is the next one's first, and the info's `final_obs` and
+    `final_info` hold the last of the one that ended. The layout of `reset(options={"layout": ...})` is one number or
+    one a row.
+    """
+
+    metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        layouts: str | Path | Tensor = "train",
+        world: World | None = None,
+        max_steps: int | None = None,
+        reward: str = "eq14",
+        render_mode: str | None = None,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs={num_envs}; give at least 1")
+        if render_mode not in (None, *METADATA["render_modes"]):
+            raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
+        self._flights = _Flights((num_envs,), layouts, world, max_steps, reward)
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.autoreset_mode = AutoresetMode.SAME_STEP
+        self.single_observation_space = self._flights.observation_space()
+        self.single_action_space = spaces.Discrete(self._flights.world.n_actions)
+        self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
+        self._seeded = False
+
+    def reset(
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, Info]:
+        if isinstance(seed, Sequence):
+            if len(seed) != self.num_envs:
+                raise ValueError(f"{len(seed)} seeds for {self.num_envs} environments; give one, or one for each")
+            self._flights.seed(list(seed))
+        elif seed is not None or not self._seeded:
+            super().reset(seed=seed)
+            self._flights.seed([int(self.np_random.integers(2**31)) if seed is None else seed])
+        self._seeded = True
+        self._flights.reset((options or {}).get("layout"))
+        observation, clearance = self._flights.observe()
+        return observation.numpy(), self._info(clearance)
+
+    def step(
+        self, actions: np.ndarray[Any, np.dtype[np.int64]]
+    ) -> tuple[Observation, np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any], Info]:
+        outcome = self._flights.step(actions)
+        observation, clearance = outcome.observation, outcome.clearance
+        done = outcome.terminated | outcome.truncated
+        final = self._info(clearance)
+        info = {}
+        if done.any():
+            ended = done.numpy()
+            final_observations = np.full(self.num_envs, None, dtype=object)
+            for row in np.flatnonzero(ended):
+                final_observations[row] = observation[row].numpy()
+            masked = {key: np.where(ended, value, 0) for key, value in final.items() if not key.startswith("_")}
+            masks = {f"_{key}": ended.copy() for key in masked}
+            info = {"final_obs": final_observations, "final_info": masked | masks}
+            info |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
+            self._flights.restart(done)
+            observation, clearance = self._flights.observe()
+        return (
+            observation.numpy(),
+            outcome.reward.numpy(),
+            outcome.terminated.numpy(),
+            outcome.truncated.numpy(),
+            self._info(clearance) | info,
+        )
+
+    def render(self) -> tuple[np.ndarray[Any, np.dtype[np.uint8]], ...] | None:
+        """One picture [600, 800, 3] a row, with `render_mode="rgb_array"`."""
+        state = self._flights.state
+        if self.render_mode is None or state is None:
+            return None
+        rows = [State(*(field[row] for field in state)) for row in range(self.num_envs)]
+        return tuple(draw_state(row, self._flights.bank, self._flights.world) for row in rows)
+
+    def _info(self, clearance: Tensor) -> Info:
+        state = self._flights.state
+        assert state is not None
+        values = {name: getattr(state, name).numpy() for name in ("layout", "x", "y", "heading")}
+        values["clearance"] = clearance.numpy()
+        return values | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in values}

@@ -1,0 +1,79 @@
+"""The six metrics of sec. 4.3, from rows of episodes, in every reading that the paper's words allow.
+
+A table of episodes has one row an episode and the columns of `EPISODE_COLUMNS`. To add a metric, add a line to
+`METRICS`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import pandas as pd
+
+EPISODE_COLUMNS = {
+    "seed": "int64",
+    "frame": "int64",  # of its seed, at the end of the episode
+    "world": "int64",  # which of the seed's parallel worlds
+    "layout": "int64",  # index of the obstacle set in the bank
+    "steps": "int64",
+    "stops": "int64",
+    "full_stops": "int64",
+    "turns": "int64",
+    "distance": "int64",
+    "reward": "float64",
+    "terminated": "bool",
+    "truncated": "bool",
+}
+
+LAST = 100
+"""Episodes in the second reading: what Stable-Baselines3 averages in its log."""
+
+
+class Metric(NamedTuple):
+    """A metric as printed: a count per episode, or scale x count / steps (of: the column, as a ratio to steps)."""
+
+    label: str
+    column: str
+    scale: float | None = None  # None: per episode; else a ratio to steps, times this
+
+
+METRICS: dict[str, Metric] = {
+    "steps": Metric("steps per episode", "steps"),
+    "stops": Metric("stops %", "stops", 100.0),
+    "full_stops": Metric("full stops %", "full_stops", 100.0),
+    "turns": Metric("turning %", "turns", 100.0),
+    "distance": Metric("distance per episode [px]", "distance"),
+    "speed": Metric("speed [px/step]", "distance", 1.0),
+    "reward": Metric("reward per episode", "reward"),
+}
+
+
+def finished(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The episodes that ended; those still open when a run stopped have neither flag."""
+    return episodes[episodes["terminated"] | episodes["truncated"]]
+
+
+def last_episodes(episodes: pd.DataFrame, n: int = LAST) -> pd.DataFrame:
+    """The last n episodes of each seed that ended."""
+    ended = finished(episodes).sort_values(["seed", "frame", "world"], kind="stable")
+    return ended.groupby("seed").tail(n)
+
+
+def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFrame:
+    """One row a seed, one column a metric, over the episodes that ended.
+
+    Ratios (stops, full stops, turns, speed) are the mean of each episode's ratio, or, with `ratio_of_means`, the ratio
+    of the sums (decision 13).
+    """
+    ended = finished(episodes)
+    result = {}
+    for name, metric in METRICS.items():
+        if metric.scale is None:
+            result[name] = ended.groupby("seed")[metric.column].mean()
+        elif ratio_of_means:
+            sums = ended.groupby("seed")[[metric.column, "steps"]].sum()
+            result[name] = metric.scale * sums.iloc[:, 0] / sums.iloc[:, 1]
+        else:
+            ratio = metric.scale * ended[metric.column] / ended["steps"]
+            result[name] = ratio.groupby(ended["seed"]).mean()
+    return pd.DataFrame(result, columns=list(METRICS))

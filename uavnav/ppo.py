@@ -1,0 +1,250 @@
+"""Proximal Policy Optimization, sec. 3.3, from top to bottom: config, networks, collector, buffer, loss, loop.
+
+    L_clip  = E[min(r A, clip(r, 1 - epsilon, 1 + epsilon) A)],  r = pi(a|s) / pi_old(a|s)        eq. (2)
+    A       = generalised advantage estimate of delta = R + gamma V(s') - V(s)                     eq. (3), lambda = 0
+    L_value = (V(s) - V_target)^2                                                                  eq. (4)
+
+Everything has a leading axis of agents A, one a seed, that learn side by side and independently of each other.
+Letters: A agents, W worlds an agent, T steps of a rollout.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torch.distributions import Categorical
+from torchrl.collectors import Collector
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.modules import ProbabilisticActor
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+from uavnav import compiling, policies
+from uavnav.config import ConfigError, TrainConfig, at_least, within
+from uavnav.display import Display
+from uavnav.env import DroneEnv
+from uavnav.learner import Learner
+from uavnav.networks import mlp
+from uavnav.runs import Recorder, Run, default_folder
+from uavnav.sampling import AgentSampler, sample_categorical
+from uavnav.seeding import draw, stream
+
+ALGORITHM = "ppo"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOConfig(TrainConfig):
+    """PPO's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
+
+    frames_per_batch: int = at_least(2048, 1)  # collected per seed and iteration, in n_worlds parallel worlds
+    minibatch_size: int = at_least(64, 2)
+    epochs: int = at_least(10, 1)
+    adam_eps: float = at_least(1e-5, 0)
+    gae_lambda: float = within(0.95, 0, 1)
+    clip_epsilon: float = within(0.2, 0, 1)
+    critic_coeff: float = at_least(0.5, 0)
+    entropy_coeff: float = at_least(0.0, 0)
+    init: Literal["orthogonal", "default"] = "orthogonal"  # gains sqrt(2), 0.01 policy, 1 value (decision 15)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frames_per_batch % self.n_worlds:
+            raise ConfigError(f"frames_per_batch={self.frames_per_batch}; give a multiple of n_worlds={self.n_worlds}")
+        if self.frames_per_batch % self.minibatch_size:
+            raise ConfigError(
+                f"minibatch_size={self.minibatch_size}; give a divisor of frames_per_batch={self.frames_per_batch}"
+            )
+
+    @property
+    def iterations(self) -> int:
+        """Whole iterations, as SB3 runs them: 489 of 2,048 frames for 1,000,000."""
+        return -(-self.total_frames // self.frames_per_batch)
+
+
+PRESETS = {"paper": PPOConfig()}
+
+
+def make_networks(config: PPOConfig) -> tuple[nn.Sequential, nn.Sequential]:
+    """Separate policy [A, ..., 30] -> [A, ..., 100] logits and value [A, ..., 30] -> [A, ..., 1] networks."""
+    inputs, outputs = config.world.observation_size, config.world.n_actions
+    policy = [stream(seed, "policy network") for seed in config.seeds]
+    value = [stream(seed, "value network") for seed in config.seeds]
+    return (
+        mlp([inputs, *config.hidden, outputs], config.activation, policy, config.init, output_gain=0.01),
+        mlp([inputs, *config.hidden, 1], config.activation, value, config.init, output_gain=1.0),
+    )
+
+
+class SampledPolicy(nn.Module):
+    """Acts in training: observation [A, W, 30] -> action [A, W], each agent's from its own stream."""
+
+    def __init__(self, network: nn.Module, config: PPOConfig, compile: bool) -> None:
+        super().__init__()
+        self.network = network
+        self.generators = [stream(seed, "actions") for seed in config.seeds]
+        self._sample = torch.compile(self._act, dynamic=False, fullgraph=True) if compile else self._act
+
+    def _act(self, observation: Tensor, uniform: Tensor) -> Tensor:
+        return sample_categorical(self.network(observation), uniform)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        uniform = draw(self.generators, torch.rand, observation.shape[1], device=observation.device)
+        return self._sample(observation, uniform)
+
+
+def make_loss(policy: nn.Module, value: nn.Module, config: PPOConfig) -> ClipPPOLoss:
+    """Equations (2) and (4) as TorchRL's ClipPPOLoss with SB3's settings, one loss a row."""
+    logits = TensorDictModule(policy, in_keys=["observation"], out_keys=["logits"])
+    return ClipPPOLoss(
+        ProbabilisticActor(
+            logits,
+            in_keys=["logits"],
+            distribution_class=Categorical,
+            distribution_kwargs={"validate_args": False},
+            return_log_prob=True,
+        ),
+        TensorDictModule(value, in_keys=["observation"], out_keys=["state_value"]),
+        clip_epsilon=config.clip_epsilon,
+        critic_coeff=config.critic_coeff,
+        loss_critic_type="l2",
+        entropy_bonus=config.entropy_coeff > 0,
+        entropy_coeff=config.entropy_coeff if config.entropy_coeff > 0 else None,
+        normalize_advantage=True,
+        normalize_advantage_exclude_dims=(0,),
+        log_explained_variance=False,
+        reduction="none",
+        functional=False,
+    )
+
+
+def agent_losses(losses: TensorDictBase) -> dict[str, Tensor]:
+    """Each agent's mean over its rows: what ClipPPOLoss returns with `reduction="none"` -> name: [A]."""
+    names = [name for name in ("loss_objective", "loss_critic", "loss_entropy") if name in losses]
+    return {name: losses[name].flatten(1).mean(1) for name in names}
+
+
+def make_learner(loss: ClipPPOLoss, config: PPOConfig, compile: bool) -> Learner:
+    """Adam as SB3 sets it."""
+    return Learner(
+        loss, agent_losses, lr=config.lr, eps=config.adam_eps, max_grad_norm=config.max_grad_norm, compile=compile
+    )
+
+
+@torch.no_grad()
+def estimate(batch: TensorDictBase, loss: ClipPPOLoss, advantage: GAE) -> None:
+    """Write into a rollout [A, W, T] the log-probabilities, values, advantages and value targets of its policy."""
+    batch["action_log_prob"] = loss.actor_network.get_dist(batch).log_prob(batch["action"])
+    loss.critic_network(batch)
+    loss.critic_network(batch["next"])
+    advantage(batch)
+
+
+@torch.no_grad()
+def diagnostics(batch: TensorDictBase, loss: ClipPPOLoss, clip_epsilon: float) -> dict[str, Tensor]:
+    """How far the policy moved in an iteration, and how good the values were before it; each [A]."""
+    distribution = loss.actor_network.get_dist(batch)
+    log_ratio = distribution.log_prob(batch["action"]) - batch["action_log_prob"]
+    ratio = log_ratio.exp()
+    target = batch["value_target"].flatten(1)
+    residual = target - batch["state_value"].flatten(1)
+    return {
+        "entropy": distribution.entropy().flatten(1).mean(1),
+        "kl_approx": (ratio - 1 - log_ratio).flatten(1).mean(1),
+        "clip_fraction": ((ratio - 1).abs() > clip_epsilon).float().flatten(1).mean(1),
+        "explained_variance": 1 - residual.var(1) / target.var(1),
+    }
+
+
+def train(config: PPOConfig, out: str | Path | None = None, overwrite: bool = False, quiet: bool = False) -> Run:
+    """Train one agent a seed and keep the run in a folder.
+
+    Args:
+        config: the settings.
+        out: the run's folder; by default runs/ppo[-preset]/activation.
+        overwrite: start anew where the folder holds a run.
+        quiet: show no progress.
+
+    Returns:
+        The finished run; at once, where the folder already holds this very run.
+
+    Raises:
+        ConfigError, LayoutError, RunError: before anything is written.
+    """
+    recorder = Recorder(out or default_folder(ALGORITHM, config), ALGORITHM, config, overwrite)
+    if recorder.finished:
+        return recorder.read()
+    compile = compiling.decide(config)
+    env = DroneEnv(
+        [config.n_seeds, config.n_worlds],
+        layouts=config.layouts,
+        world=config.world,
+        max_steps=config.max_steps,
+        reward=config.reward,
+        device=config.device,
+        seeds=config.seeds,
+    )
+    if compile:
+        env.compile()
+    policy, value = (network.to(config.device) for network in make_networks(config))
+    collector = Collector(
+        env,
+        TensorDictModule(SampledPolicy(policy, config, compile), in_keys=["observation"], out_keys=["action"]),
+        frames_per_batch=config.n_seeds * config.frames_per_batch,
+        total_frames=config.n_seeds * config.frames_per_batch * config.iterations,
+        auto_register_policy_transforms=False,
+        track_traj_ids=False,
+        trust_policy=True,
+        use_buffers=False,
+        return_same_td=True,
+    )
+    buffer = ReplayBuffer(
+        storage=LazyTensorStorage(config.frames_per_batch, device=config.device),
+        sampler=AgentSampler([stream(seed, "minibatches") for seed in config.seeds], replace=False),
+        batch_size=config.frames_per_batch,
+    )
+    advantage = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, vectorized=False)
+    loss = make_loss(policy, value, config)
+    learner = make_learner(loss, config, compile)
+
+    frames = 0
+    total = config.frames_per_batch * config.iterations
+    with recorder, Display(ALGORITHM, config, total, quiet) as display:
+        recorder.note(compiled=compile, threads=torch.get_num_threads())
+        began = time.perf_counter()
+        for batch in collector:
+            recorder.add_episodes(batch["next"], frames)
+            frames += config.frames_per_batch
+            estimate(batch, loss, advantage)
+            buffer.empty()
+            buffer.extend(rows(batch))
+            for _ in range(config.epochs):
+                epoch = buffer.sample().reshape(config.n_seeds, -1, config.minibatch_size)
+                for minibatch in epoch.unbind(1):
+                    losses = learner.step(minibatch)
+            rate = config.frames_per_batch / (time.perf_counter() - began)
+            began = time.perf_counter()
+            recorder.add_progress(
+                frames, **losses, **diagnostics(batch, loss, config.clip_epsilon), frames_per_second=rate
+            )
+            display.update(frames, recorder.recent_rewards())
+        recorder.add_open_episodes(env.state, frames)
+        facts = {
+            "algorithm": ALGORITHM,
+            "activation": config.activation,
+            "hidden": list(config.hidden),
+            "seeds": config.seeds,
+        }
+        return recorder.finish(policies.serialize({"policy": policy, "value": value}, facts), frames)
+
+
+def rows(batch: TensorDictBase) -> TensorDictBase:
+    """What the loss needs of a rollout [A, W, T], as rows [W T, A] of a buffer whose agents stay apart."""
+    needed = batch.select("observation", "action", "action_log_prob", "advantage", "value_target")
+    return needed.flatten(1, 2).transpose(0, 1)

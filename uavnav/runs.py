@@ -1,0 +1,338 @@
+"""A run's folder: what is in it, who may write it, and how it is read.
+
+    config.yaml         all that is needed to repeat the run
+    meta.json           versions, git commit, machine, threads, wall time, status, frames per seed
+    episodes.parquet    one row a training episode, the columns of `metrics.EPISODE_COLUMNS`
+    progress.parquet    one row an iteration and seed: losses and diagnostics
+    policy.safetensors  the networks of all seeds
+
+Files appear whole or not at all, and a folder is locked while a run writes it.
+"""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import io
+import json
+import os
+import platform
+import shutil
+import subprocess
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pandas as pd
+import torch
+import yaml
+from filelock import FileLock, Timeout
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from uavnav import policies
+from uavnav.config import TrainConfig
+from uavnav.metrics import EPISODE_COLUMNS, LAST
+from uavnav.simulator import COUNTS, State
+from uavnav.world import VERSION
+
+FINISHED = "finished"
+FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", policies.FILE_NAME)
+
+
+class RunError(RuntimeError):
+    """A run's folder cannot be used or read; the message says what is wrong and what would be right."""
+
+
+class Run:
+    """A finished run, read from its folder.
+
+    Raises:
+        RunError: the folder is missing, not a run's, not finished, or damaged.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if not self.path.is_dir():
+            raise RunError(f"{path}: no such run folder")
+        self.config: dict[str, Any] = _read_yaml(self.path / "config.yaml")
+        self.meta: dict[str, Any] = _read_json(self.path / "meta.json")
+        self.algorithm: str = self.config.pop("algorithm", "?")
+        if self.meta.get("status") != FINISHED:
+            raise RunError(f"{path}: the run is not finished; give the same command again to complete it")
+        self.episodes = self._table("episodes.parquet")
+        self.progress = self._table("progress.parquet")
+
+    @property
+    def frames(self) -> int:
+        """Frames per seed that were really run."""
+        return int(self.meta["frames"])
+
+    def _table(self, name: str) -> pd.DataFrame:
+        try:
+            return pd.read_parquet(self.path / name)
+        except (OSError, ValueError) as error:
+            raise RunError(
+                f"{self.path / name}: missing or damaged ({error}); run again with overwrite=true"
+            ) from error
+
+
+def default_folder(algorithm: str, config: TrainConfig) -> Path:
+    """runs/<algorithm>[-<preset>]/<activation>, below the current directory."""
+    suffix = "" if config.preset == "paper" else f"-{config.preset}"
+    return Path("runs") / f"{algorithm}{suffix}" / config.activation
+
+
+class Recorder:
+    """Collects a run's rows while it trains and writes its folder. Nothing is written before `with` begins.
+
+    Raises:
+        RunError: the folder belongs to something else, is in use, or cannot be written.
+    """
+
+    def __init__(self, path: str | Path, algorithm: str, config: TrainConfig, overwrite: bool = False) -> None:
+        self.path = Path(path)
+        self.algorithm = algorithm
+        self.config = config
+        self._overwrite = overwrite
+        self._episodes: list[dict[str, np.ndarray]] = []
+        self._progress: list[dict[str, np.ndarray]] = []
+        self._recent = [deque[float](maxlen=LAST) for _ in config.seeds]
+        self._lock = FileLock(self.path / ".lock")
+        self.finished = self._check_folder()
+
+    @property
+    def _described(self) -> dict[str, Any]:
+        plain = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self.config).items()}
+        return {"algorithm": self.algorithm, **plain}
+
+    def _check_folder(self) -> bool:
+        """Whether the very same run is already there and finished."""
+        path = self.path
+        for parent in path.parents:
+            if parent.exists():
+                if not parent.is_dir() or not os.access(parent, os.W_OK):
+                    raise RunError(f"out={path}: {parent} is not a folder that can be written")
+                break
+        if path.exists() and not path.is_dir():
+            raise RunError(f"out={path}: is a file; give a folder")
+        if not path.exists() or not any(path.iterdir()):
+            return False
+        if not os.access(path, os.W_OK):
+            raise RunError(f"out={path}: is not a folder that can be written")
+        if not (path / "config.yaml").is_file():
+            raise RunError(f"out={path}: holds other files and no run; give a new or empty folder")
+        if self._overwrite:
+            return False
+        there = _read_yaml(path / "config.yaml")
+        differing = sorted(key for key in {*there, *self._described} if there.get(key) != self._described.get(key))
+        if differing:
+            key = differing[0]
+            raise RunError(
+                f"out={path}: holds a run with {key}={there.get(key)}, not {self._described.get(key)};"
+                " give another folder, or overwrite=true"
+            )
+        meta = path / "meta.json"
+        return meta.is_file() and _read_json(meta).get("status") == FINISHED
+
+    def __enter__(self) -> Self:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._lock.acquire(blocking=False)
+        except Timeout:
+            raise RunError(
+                f"out={self.path}: another process is writing this run; wait for it, or give another folder"
+            ) from None
+        except OSError as error:
+            raise RunError(f"out={self.path}: cannot be written ({error})") from error
+        for name in FILES:
+            (self.path / name).unlink(missing_ok=True)
+        self._began = time.perf_counter()
+        self._meta = _facts() | {"status": "running", "started": _now()}
+        self._write("config.yaml", yaml.safe_dump(self._described, sort_keys=False).encode())
+        self._write_meta()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None:
+            self._meta |= {"status": "interrupted"}
+            self._write_meta()
+        self._lock.release()
+        (self.path / ".lock").unlink(missing_ok=True)
+
+    def read(self) -> Run:
+        """The finished run that is already there."""
+        return Run(self.path)
+
+    def note(self, **facts: Any) -> None:
+        """Add facts to meta.json."""
+        self._meta |= facts
+
+    def add_episodes(self, following: TensorDictBase, frame: int) -> None:
+        """Keep the episodes that end in a batch.
+
+        following: the ("next", ...) part of collected steps [A, W, T]; frame: per seed, before the batch.
+        """
+        done = following["done"].squeeze(-1)
+        agent, world, time_step = (index.cpu() for index in done.nonzero(as_tuple=True))
+        if not len(agent):
+            return
+        n_worlds = done.shape[1]
+        order = torch.argsort(time_step * n_worlds + world, stable=True)
+        agent, world, time_step = agent[order], world[order], time_step[order]
+        ended = following[agent, world, time_step]
+        self._append_episodes(
+            agent,
+            world,
+            frame + (time_step + 1) * n_worlds,
+            {name: ended["episode", name] for name in ("layout", *COUNTS)},
+            ended["terminated"].squeeze(-1),
+            ended["truncated"].squeeze(-1),
+        )
+        for seed_index, reward in zip(agent.tolist(), ended["episode", "reward"].tolist(), strict=True):
+            self._recent[seed_index].append(reward)
+
+    def add_open_episodes(self, state: State, frame: int) -> None:
+        """Keep the episodes that the end of training cut off: rows with neither flag."""
+        agent, world = (index.cpu() for index in (state.steps > 0).nonzero(as_tuple=True))
+        neither = torch.zeros(len(agent), dtype=torch.bool)
+        counts = {name: getattr(state, name)[agent, world] for name in ("layout", *COUNTS)}
+        self._append_episodes(agent, world, torch.full_like(agent, frame), counts, neither, neither)
+
+    def _append_episodes(
+        self,
+        agent: Tensor,
+        world: Tensor,
+        frame: Tensor,
+        counts: dict[str, Tensor],
+        terminated: Tensor,
+        truncated: Tensor,
+    ) -> None:
+        columns = {
+            "seed": agent + self.config.seed,
+            "frame": frame,
+            "world": world,
+            **counts,
+            "terminated": terminated,
+            "truncated": truncated,
+        }
+        self._episodes.append({name: columns[name].cpu().numpy() for name in EPISODE_COLUMNS})
+
+    def add_progress(self, frame: int, **values: Tensor | float) -> None:
+        """Keep one row a seed: the frame per seed, and values that are [A] or one number for all."""
+        n = self.config.n_seeds
+        row = {"seed": np.array(self.config.seeds), "frame": np.full(n, frame)}
+        for name, value in values.items():
+            row[name] = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.full(n, value)
+        self._progress.append(row)
+
+    def recent_rewards(self) -> list[float]:
+        """Each seed's mean reward over its last 100 episodes; seeds without any are left out."""
+        return [sum(recent) / len(recent) for recent in self._recent if recent]
+
+    def finish(self, policy: bytes, frames: int) -> Run:
+        """Write everything, the status last, and read it back."""
+        episodes = pd.DataFrame(_joined(self._episodes, list(EPISODE_COLUMNS))).astype(EPISODE_COLUMNS)
+        self._write("episodes.parquet", _parquet(episodes))
+        self._write("progress.parquet", _parquet(pd.DataFrame(_joined(self._progress, ["seed", "frame"]))))
+        self._write(policies.FILE_NAME, policy)
+        wall = time.perf_counter() - self._began
+        self._meta |= {"status": FINISHED, "frames": frames, "wall_seconds": round(wall, 3), "ended": _now()}
+        self._write_meta()
+        return Run(self.path)
+
+    def _write_meta(self) -> None:
+        self._write("meta.json", json.dumps(self._meta, indent=2).encode())
+
+    def _write(self, name: str, content: bytes) -> None:
+        """Write aside, then rename: the file is whole or not there."""
+        aside = self.path / f".{name}.aside"
+        try:
+            aside.write_bytes(content)
+            os.replace(aside, self.path / name)
+        except OSError as error:
+            raise RunError(f"{self.path / name}: cannot be written ({error})") from error
+
+
+def _joined(parts: list[dict[str, np.ndarray]], columns: list[str]) -> dict[str, np.ndarray]:
+    if not parts:
+        return {name: np.empty(0) for name in columns}
+    return {
+        name: np.concatenate([part.get(name, np.full(len(part["seed"]), np.nan)) for part in parts])
+        for name in dict.fromkeys(name for part in parts for name in part)
+    }
+
+
+def _parquet(table: pd.DataFrame) -> bytes:
+    buffer = io.BytesIO()
+    table.to_parquet(buffer, index=False, compression="zstd")
+    return buffer.getvalue()
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise RunError(f"{path}: missing or damaged; give a run's folder") from error
+    if not isinstance(content, Mapping):
+        raise RunError(f"{path}: not a run's configuration")
+    return dict(content)
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise RunError(f"{path}: missing or damaged; give a run's folder") from error
+    if not isinstance(content, dict):
+        raise RunError(f"{path}: not a run's facts")
+    return content
+
+
+def _facts() -> dict[str, Any]:
+    """What a repeat on another machine or version would have to know."""
+    return {
+        "versions": {
+            "python": platform.python_version(),
+            "world": VERSION,
+            **{
+                name: importlib.metadata.version(name) for name in ("uavnav", "torch", "torchrl", "tensordict", "numpy")
+            },
+        },
+        "git_commit": _git_commit(),
+        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
+    }
+
+
+def _git_commit() -> str | None:
+    """The commit of the code that runs, with `+` where the tree differs from it; None outside a checkout."""
+    if shutil.which("git") is None:
+        return None
+    here = Path(__file__).parent
+    commands = ["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"]
+    results = [
+        subprocess.run(["git", "-C", str(here), *command], capture_output=True, text=True, check=False)
+        for command in commands
+    ]
+    if any(result.returncode for result in results):
+        return None
+    return results[0].stdout.strip() + ("+" if results[1].stdout.strip() else "")
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

@@ -1,0 +1,84 @@
+"""Everything physical about the simulated world: one home for every constant, with its unit and its source.
+
+Section and equation numbers are the paper's ("Comparative Analysis of DQN and PPO Algorithms in UAV Obstacle Avoidance
+2D Simulation"). Where the paper is silent the choice is a row of docs/decisions.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any, Literal, get_args, get_type_hints
+
+VERSION = "1"
+"""Version of the world's semantics and of the distribution of obstacles; written into every bank, run and policy."""
+
+
+@dataclass(frozen=True)
+class World:
+    """The arena, the drone, its sensor and the reward's amounts.
+
+    The origin is the lower-left corner of the window, x to the right, y up; a heading counts whole degrees
+    counter-clockwise from +x. Changing a default is a new `VERSION`.
+
+    Raises:
+        ValueError: a switch has a value that is not among its choices, or the geometry makes no sense.
+    """
+
+    width: int = 800  # [px] sec. 3.6
+    height: int = 600  # [px] sec. 3.6
+    border: int = 20  # side of a border square [px], sec. 3.6
+    obstacle_radius_min: float = 30.0  # [px] sec. 3.6
+    obstacle_radius_max: float = 100.0  # [px] sec. 3.6
+    drone_radius: float = 30.0  # r_d [px], sec. 3.6
+    sensor_radius: float = 120.0  # R_s [px] from the drone's centre, sec. 3.6
+    sensor_arc: float = 180.0  # [degrees] centred on the heading, sec. 3.6
+    n_slots: int = 10  # obstacles sensed at once, sec. 3.6 and eq. (13)
+    safe_zone: float = 50.0  # [px] from the start to the edge of every obstacle, sec. 4.1
+    n_turns: int = 10  # eq. (11)
+    n_distances: int = 10  # eq. (12)
+    collision_reward: float = -10.0  # eq. (14)
+    penalty: float = -0.01  # a stop or a turn, eq. (14)
+    reward_per_pixel: float = 0.01  # eq. (14)
+    slots: Literal["nearest", "listed"] = "nearest"  # which ten obstacles are sensed (decision 3)
+    padding: Literal["far", "zeros"] = "far"  # what an empty slot holds: (0, 0, 1) or (0, 0, 0) (decision 6)
+    start_heading: Literal["up", "random"] = "up"  # 90 degrees, or uniform over whole degrees (decision 8)
+
+    def __post_init__(self) -> None:
+        hints = get_type_hints(type(self))
+        for field in fields(self):
+            choices = get_args(hints[field.name])
+            value: Any = getattr(self, field.name)
+            if choices and value not in choices:
+                raise ValueError(f"{field.name}={value!r}; choose from {', '.join(choices)}")
+        if self.border <= 0 or self.width % self.border or self.height % self.border:
+            raise ValueError(f"border={self.border} must divide width={self.width} and height={self.height}")
+        if min(self.width, self.height) // self.border < 2 * self.sensed_squares_each_way + 3:
+            raise ValueError("the sensor must never reach two opposite walls at once: enlarge the window")
+        if not 0 <= self.drone_radius < self.sensor_radius:
+            raise ValueError("drone_radius must lie between 0 and sensor_radius")
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """Where every episode starts: the centre of the window [px], sec. 4.1."""
+        return self.width / 2, self.height / 2
+
+    @property
+    def n_actions(self) -> int:
+        """Turns x distances, sec. 4.2."""
+        return self.n_turns * self.n_distances
+
+    @property
+    def observation_size(self) -> int:
+        """Three numbers a slot, eq. (13)."""
+        return 3 * self.n_slots
+
+    @property
+    def sensed_squares_each_way(self) -> int:
+        """How many squares of a wall, left and right of the one beside the drone, its sensor can reach."""
+        return math.ceil(self.sensor_radius / self.border)
+
+    @property
+    def view_cosine(self) -> float:
+        """Cosine of half the sensor's arc: the least forward component of a direction in view."""
+        return math.cos(math.radians(self.sensor_arc / 2))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from uavnav import dqn, layouts, metrics, ppo, render, rewards, sensing, simulator
     from uavnav.config import ConfigError
     from uavnav.env import DroneEnv
+    from uavnav.evaluate import evaluate_policy
     from uavnav.layouts import LayoutError
     from uavnav.policies import Policy, PolicyError, load_policy
     from uavnav.runs import Run, RunError
@@ -26,6 +27,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "ConfigError": "config",
     "DroneEnv": "env",
+    "evaluate_policy": "evaluate",
     "LayoutError": "layouts",
     "Policy": "policies",
     "PolicyError": "policies",
@@ -46,6 +48,7 @@ __all__ = [
     "RunError",
     "World",
     "dqn",
+    "evaluate_policy",
     "layouts",
     "load_policy",
     "metrics",

@@ -20,10 +20,19 @@ class ConfigError(ValueError):
 
 
 def unknown(name: str, value: object, choices: Collection[str]) -> ConfigError:
-    """The error for a name that is not among the choices, with the nearest one suggested."""
+    """The error for a value that is not among the choices, with the nearest one suggested."""
+    return ConfigError(f"{name}={value!s}; {_choose_from(value, choices)}")
+
+
+def unknown_key(key: str, choices: Collection[str]) -> ConfigError:
+    """The error for a key that is not among the choices, with the nearest one suggested."""
+    return ConfigError(f"there is no key {key!r}; {_choose_from(key, choices)}")
+
+
+def _choose_from(value: object, choices: Collection[str]) -> str:
     near = difflib.get_close_matches(str(value), choices, n=1)
     hint = f" (did you mean {near[0]}?)" if near else ""
-    return ConfigError(f"{name}={value!s}; choose from {', '.join(sorted(choices))}{hint}")
+    return f"choose from {', '.join(sorted(choices))}{hint}"
 
 
 def one_of(default: str, choices: Collection[str]) -> Any:
@@ -91,7 +100,7 @@ class TrainConfig:
         names = [item.name for item in fields(cls)]
         for key in mapping:
             if key not in names:
-                raise unknown("key", key, names)
+                raise unknown_key(key, names)
         return cls(**mapping)
 
     @property

@@ -52,14 +52,14 @@ class Display:
 def summary(run: Run) -> Table:
     """The six metrics of a finished run in every reading of its training episodes, beside the paper's row."""
     config, everything = run.config, finished(run.episodes)
-    readings = {"all training episodes": everything, f"last {LAST} of each seed": last_episodes(run.episodes)}
+    readings = {"all episodes": everything, f"last {LAST}": last_episodes(run.episodes)}
     printed = paper.TABLES.get((run.algorithm, config["activation"]), {})
     counts = ", ".join(f"{len(part):,}" for part in readings.values())
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
     table = Table(
         title=f"{run.algorithm} {config['activation']}, preset {config['preset']}, {worlds}",
-        caption=f"{run.frames:,} frames per seed; {seeds}; {counts} episodes",
+        caption=f"{run.frames:,} frames per seed; {seeds}; {counts} training episodes",
     )
     table.add_column("metric")
     for reading in readings:

@@ -42,8 +42,8 @@ METRICS: dict[str, Metric] = {
     "stops": Metric("stops %", "stops", 100.0),
     "full_stops": Metric("full stops %", "full_stops", 100.0),
     "turns": Metric("turning %", "turns", 100.0),
-    "distance": Metric("distance per episode [px]", "distance"),
-    "speed": Metric("speed [px/step]", "distance", 1.0),
+    "distance": Metric("distance per episode", "distance"),
+    "speed": Metric("speed", "distance", 1.0),
     "reward": Metric("reward per episode", "reward"),
 }
 

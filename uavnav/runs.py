@@ -42,6 +42,7 @@ from uavnav.simulator import COUNTS, State
 from uavnav.world import VERSION
 
 FINISHED = "finished"
+LOCK = ".lock"
 FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", policies.FILE_NAME)
 
 
@@ -52,12 +53,17 @@ class RunError(RuntimeError):
 class Run:
     """A finished run, read from its folder.
 
+    Args:
+        path: the folder.
+        fresh: this very call trained it; false where it was there before.
+
     Raises:
         RunError: the folder is missing, not a run's, not finished, or damaged.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, fresh: bool = False) -> None:
         self.path = Path(path)
+        self.fresh = fresh
         if not self.path.is_dir():
             raise RunError(f"{path}: no such run folder")
         self.config: dict[str, Any] = _read_yaml(self.path / "config.yaml")
@@ -103,7 +109,7 @@ class Recorder:
         self._episodes: list[dict[str, np.ndarray]] = []
         self._progress: list[dict[str, np.ndarray]] = []
         self._recent = [deque[float](maxlen=LAST) for _ in config.seeds]
-        self._lock = FileLock(self.path / ".lock")
+        self._lock = FileLock(self.path / LOCK)
         self.finished = self._check_folder()
 
     @property
@@ -121,7 +127,7 @@ class Recorder:
                 break
         if path.exists() and not path.is_dir():
             raise RunError(f"out={path}: is a file; give a folder")
-        if not path.exists() or not any(path.iterdir()):
+        if not path.exists() or all(entry.name == LOCK for entry in path.iterdir()):
             return False
         if not os.access(path, os.W_OK):
             raise RunError(f"out={path}: is not a folder that can be written")
@@ -164,8 +170,8 @@ class Recorder:
         if kind is not None:
             self._meta |= {"status": "interrupted"}
             self._write_meta()
+        Path(self._lock.lock_file).unlink(missing_ok=True)
         self._lock.release()
-        (self.path / ".lock").unlink(missing_ok=True)
 
     def read(self) -> Run:
         """The finished run that is already there."""
@@ -246,7 +252,7 @@ class Recorder:
         wall = time.perf_counter() - self._began
         self._meta |= {"status": FINISHED, "frames": frames, "wall_seconds": round(wall, 3), "ended": _now()}
         self._write_meta()
-        return Run(self.path)
+        return Run(self.path, fresh=True)
 
     def _write_meta(self) -> None:
         self._write("meta.json", json.dumps(self._meta, indent=2).encode())

@@ -1,0 +1,33 @@
+# Two commands do all the set-up: `make train` and `make test`. Both need Python 3.11 and a package index, no more.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+
+.PHONY: train test layouts picture clean
+
+train: .venv/.installed
+	$(BIN)/python recipes/ppo.py activation=relu
+
+test: .venv/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n 2
+
+.venv/.installed: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+.venv/.installed-dev: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	touch $@ .venv/.installed
+
+layouts: .venv/.installed # the banks that ship with the package, again
+	$(BIN)/python -m uavnav.layouts --out uavnav/banks
+
+picture: .venv/.installed # the flight in the README, from the run that `make train` left
+	$(BIN)/python -m uavnav.render runs/ppo/relu --sampled --layout 7 --steps 400 --out docs/flight.gif
+
+clean:
+	rm -rf .venv build *.egg-info

@@ -1,0 +1,108 @@
+"""From a command line to a training run: the one place where Hydra lives."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # let errors come here, to be said in one line
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from uavnav import layouts
+from uavnav.config import ConfigError, TrainConfig, unknown, unknown_key
+from uavnav.display import report
+from uavnav.runs import Recorder, Run, RunError, default_folder
+
+ERRORS = (ConfigError, layouts.LayoutError, RunError)
+
+
+def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[..., Run]) -> None:
+    """Run `train` once, or once for each combination of a `-m` sweep, after every one of them was checked."""
+    store = ConfigStore.instance()
+    for name, preset in presets.items():
+        store.store(group="preset", name=name, node=asdict(preset), package="_global_")
+    kind = type(next(iter(presets.values())))
+    folders: set[Path] = set()
+
+    def parse(settings: DictConfig) -> tuple[TrainConfig, Path, bool]:
+        values: dict[str, Any] = OmegaConf.to_container(settings, resolve=True)
+        out, overwrite = values.pop("out"), values.pop("overwrite")
+        if not isinstance(overwrite, bool):
+            raise ConfigError(f"overwrite={overwrite}; choose from false, true")
+        config = kind.from_mapping(values)
+        return config, default_folder(algorithm, config) if out is None else Path(str(out)), overwrite
+
+    def check(settings: DictConfig) -> None:
+        config, out, overwrite = parse(settings)
+        if out.resolve() in folders:
+            raise RunError(
+                f"out={out}: two runs of the sweep would share it; leave it out, or use out='runs/${{activation}}'"
+            )
+        folders.add(out.resolve())
+        layouts.load(config.layouts)
+        Recorder(out, algorithm, config, overwrite)
+
+    def run(settings: DictConfig) -> None:
+        config, out, overwrite = parse(settings)
+        finished = train(config, out=out, overwrite=overwrite)
+        if finished.fresh:
+            report(finished)
+        else:
+            print(f"{out}: this run is already finished; overwrite=true starts it anew")
+
+    with tempfile.TemporaryDirectory() as scratch:  # where Hydra may keep its own notes of a sweep
+        arguments = [*sys.argv[1:], f"hydra.sweep.dir={scratch}"]
+        try:
+            if {"-m", "--multirun"} & set(arguments):
+                _compose(algorithm, check, [*arguments, "hydra/launcher=basic"])
+            _compose(algorithm, run, arguments)
+        except ERRORS as error:
+            sys.exit(f"{algorithm}: {error}")
+        except (HydraException, OmegaConfBaseException) as error:
+            sys.exit(f"{algorithm}: {_one_line(error, presets)}")
+        except KeyboardInterrupt:
+            sys.exit(130)
+
+
+class _Stop(BaseException):
+    """Carries an error past Hydra, which would print more than it."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+
+def _compose(algorithm: str, task: Callable[[DictConfig], None], arguments: list[str]) -> None:
+    def guarded(settings: DictConfig) -> None:
+        try:
+            task(settings)
+        except ERRORS as error:
+            raise _Stop(error) from error
+
+    sys.argv[1:] = arguments
+    try:
+        hydra.main(version_base="1.3", config_path=str(Path(__file__).parent / "conf"), config_name=algorithm)(
+            guarded
+        )()
+    except _Stop as stop:
+        raise stop.error from None
+
+
+def _one_line(error: Exception, presets: Mapping[str, TrainConfig]) -> str:
+    """Hydra's complaint as one line with the choices."""
+    if isinstance(error, MissingConfigException) and (error.missing_cfg_file or "").startswith("preset/"):
+        return str(unknown("preset", error.missing_cfg_file.removeprefix("preset/"), presets))
+    key = re.match(r"Could not override '([^']+)'", str(error))
+    if key:
+        return str(unknown_key(key[1], [*asdict(next(iter(presets.values()))), "out", "overwrite"]))
+    return str(error).strip().splitlines()[0]

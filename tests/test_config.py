@@ -1,0 +1,105 @@
+"""Configurations answer back: a wrong key, type, name, count or device is one line with what would be right."""
+
+import pytest
+
+from uavnav.config import ConfigError
+from uavnav.dqn import PRESETS as DQN_PRESETS
+from uavnav.dqn import DQNConfig
+from uavnav.ppo import PRESETS as PPO_PRESETS
+from uavnav.ppo import PPOConfig
+
+WRONG = [
+    ({"activation": "rleu"}, "activation=rleu; choose from elu, .* (did you mean relu?)"),
+    ({"activation": 3}, "activation=3; give a name"),
+    ({"activation": None}, "activation=None; give a name"),
+    ({"activatoin": "relu"}, "there is no key 'activatoin'; choose from activation, .*(did you mean activation?)"),
+    ({"n_seeds": 0}, "n_seeds=0; give a number of at least 1"),
+    ({"n_seeds": "two"}, "n_seeds=two; give a whole number"),
+    ({"n_seeds": True}, "n_seeds=True; give a whole number"),
+    ({"seed": -1}, "seed=-1; give a number of at least 0"),
+    ({"total_frames": 0.5}, "total_frames=0.5; give a whole number"),
+    ({"total_frames": float("inf")}, "total_frames=inf; give a whole number"),
+    ({"total_frames": float("nan")}, "total_frames=nan; give a whole number"),
+    ({"max_steps": 0}, "max_steps=0; give a number of at least 1"),
+    ({"lr": -1.0}, "lr=-1.0; give a number of at least 0"),
+    ({"lr": "fast"}, "lr=fast; give a number"),
+    ({"lr": float("nan")}, "lr=nan; give a number of at least 0"),
+    ({"gamma": 1.1}, "gamma=1.1; give a number of at least 0 and at most 1"),
+    ({"hidden": 64}, "hidden=64; give a list of whole numbers, such as [64,64]"),
+    ({"hidden": []}, "hidden=[]; give at least one layer, each of at least 1 unit"),
+    ({"hidden": [64, 0]}, "hidden=[64, 0]; give at least one layer, each of at least 1 unit"),
+    ({"hidden": [64, "x"]}, "hidden=x; give a whole number"),
+    ({"reward": "eq15"}, "reward=eq15; choose from additive, eq14, initial (did you mean eq14?)"),
+    ({"slots": "first"}, "slots=first; choose from listed, nearest"),
+    ({"padding": "ones"}, "padding=ones; choose from far, zeros"),
+    ({"start_heading": "down"}, "start_heading=down; choose from random, up"),
+    ({"init": "xavier"}, "init=xavier; choose from default, orthogonal"),
+    ({"compile": "maybe"}, "compile=maybe; choose from auto, off, on"),
+    ({"device": "gpu"}, "device=gpu; choose cpu, or a device that this machine has"),
+    ({"n_worlds": 7}, "n_worlds=7; give a .*"),
+]
+
+
+@pytest.mark.parametrize("kind", [PPOConfig, DQNConfig])
+@pytest.mark.parametrize(("settings", "message"), WRONG, ids=[str(settings) for settings, _ in WRONG])
+def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
+    with pytest.raises(ConfigError) as caught:
+        kind.from_mapping(settings)
+    text = str(caught.value)
+    assert "\n" not in text
+    for part in message.split(".*"):
+        assert part.strip(" ") in text
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "message"),
+    [
+        (PPOConfig, {"minibatch_size": 100}, "minibatch_size=100; give a divisor of frames_per_batch=2048"),
+        (PPOConfig, {"batch_size": 3}, "there is no key 'batch_size'"),
+        (DQNConfig, {"loss": "l1"}, "loss=l1; choose from huber, squared"),
+        (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give at least n_worlds=16"),
+        (DQNConfig, {"epochs": 3}, "there is no key 'epochs'"),
+    ],
+)
+def test_each_algorithm_checks_its_own_keys(kind, settings, message):
+    with pytest.raises(ConfigError) as caught:
+        kind.from_mapping(settings)
+    assert message in str(caught.value)
+
+
+def test_whole_floats_and_lists_become_what_they_mean():
+    config = PPOConfig.from_mapping({"total_frames": 1e6, "hidden": [32, 32], "lr": 1, "compile": True})
+    assert config.total_frames == 1_000_000
+    assert isinstance(config.total_frames, int)
+    assert config.hidden == (32, 32)
+    assert isinstance(config.lr, float)
+    assert config.compile == "on"
+
+
+def test_seeds_are_counted_from_seed():
+    assert PPOConfig(seed=5, n_seeds=3).seeds == [5, 6, 7]
+
+
+def test_the_worlds_switches_reach_the_world():
+    world = DQNConfig(slots="listed", padding="zeros", start_heading="random").world
+    assert (world.slots, world.padding, world.start_heading) == ("listed", "zeros", "random")
+
+
+def test_the_preset_paper_of_ppo_is_sb3s_defaults():
+    p = PPO_PRESETS["paper"]
+    assert (p.lr, p.adam_eps, p.frames_per_batch, p.minibatch_size, p.epochs) == (3e-4, 1e-5, 2048, 64, 10)
+    assert (p.gamma, p.gae_lambda, p.clip_epsilon, p.critic_coeff, p.entropy_coeff) == (0.99, 0.95, 0.2, 0.5, 0.0)
+    assert (p.max_grad_norm, p.hidden, p.init, p.n_worlds, p.total_frames) == (0.5, (64, 64), "orthogonal", 16, 10**6)
+
+
+def test_the_preset_paper_of_dqn_is_sb3s_defaults_and_paper_2_3_learns_from_frame_100():
+    p = DQN_PRESETS["paper"]
+    assert (p.lr, p.adam_eps, p.buffer_size, p.learning_starts, p.batch_size) == (1e-4, 1e-8, 10**6, 50_000, 32)
+    assert (p.gamma, p.frames_per_update, p.target_update_frames, p.loss) == (0.99, 4, 10_000, "huber")
+    assert (p.epsilon_start, p.epsilon_end, p.exploration_fraction, p.max_grad_norm) == (1.0, 0.05, 0.1, 10.0)
+    assert (p.hidden, p.init, p.n_worlds, p.total_frames) == ((64, 64), "default", 16, 10**6)
+    newer = DQN_PRESETS["paper-2.3"]
+    assert {key: value for key, value in vars(newer).items() if vars(p)[key] != value} == {
+        "preset": "paper-2.3",
+        "learning_starts": 100,
+    }

@@ -1,0 +1,74 @@
+"""Both algorithms learn: greedy policies beat the random and the straight-ahead policy on sets never trained on."""
+
+import numpy as np
+import pytest
+
+import uavnav
+from uavnav import dqn, ppo
+from uavnav.evaluate import evaluate_policy, straight_ahead, uniform_random
+
+EPISODES = 100
+MAX_STEPS = 500
+
+PPO_SETTINGS = {
+    "n_seeds": 2,
+    "n_worlds": 64,
+    "total_frames": 80_000,
+    "minibatch_size": 256,
+    "epochs": 8,
+    "lr": 1e-3,
+    "compile": "off",
+}
+DQN_SETTINGS = {
+    "activation": "relu",
+    "n_seeds": 2,
+    "n_worlds": 32,
+    "total_frames": 60_000,
+    "learning_starts": 2_000,
+    "frames_per_update": 8,
+    "batch_size": 128,
+    "target_update_frames": 1_000,
+    "exploration_fraction": 0.2,
+    "lr": 5e-4,
+    "compile": "off",
+}
+
+
+def interval(policy):
+    """95 % interval of the mean reward over 100 test sets of 8 obstacles."""
+    rewards = evaluate_policy(policy, layouts="test", episodes=EPISODES, max_steps=MAX_STEPS).reward
+    half = 1.96 * rewards.std() / np.sqrt(EPISODES)
+    return rewards.mean() - half, rewards.mean() + half
+
+
+@pytest.fixture(scope="module")
+def best_baseline():
+    """The upper end of the better of the two baselines' intervals."""
+    return max(interval(policy)[1] for policy in (uniform_random, straight_ahead))
+
+
+def beats(run, best_baseline):
+    return [interval(uavnav.load_policy(run.path, seed=seed))[0] > best_baseline for seed in (0, 1)]
+
+
+def test_two_seeds_of_ppo_beat_random_and_straight_ahead(tmp_path, best_baseline):
+    run = ppo.train(ppo.PPOConfig(**PPO_SETTINGS), out=tmp_path / "run", quiet=True)
+    assert beats(run, best_baseline) == [True, True]
+
+
+def test_two_seeds_of_dqn_beat_random_and_straight_ahead(tmp_path, best_baseline):
+    run = dqn.train(dqn.DQNConfig(**DQN_SETTINGS), out=tmp_path / "run", quiet=True)
+    assert beats(run, best_baseline) == [True, True]
+
+
+# Without a learning rate a policy stays what it was at the start, so that these controls need few frames.
+
+
+def test_without_a_learning_rate_ppo_fails(tmp_path, best_baseline):
+    config = ppo.PPOConfig(**PPO_SETTINGS | {"lr": 0.0, "total_frames": 8_192})
+    assert beats(ppo.train(config, out=tmp_path / "run", quiet=True), best_baseline) == [False, False]
+
+
+def test_without_a_learning_rate_dqn_fails(tmp_path, best_baseline):
+    config = dqn.DQNConfig(**DQN_SETTINGS | {"lr": 0.0, "total_frames": 8_192})
+    assert beats(dqn.train(config, out=tmp_path / "run", quiet=True), best_baseline) == [False, False]

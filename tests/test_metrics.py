@@ -1,0 +1,52 @@
+"""The six metrics in each reading, by hand on three episodes."""
+
+import pandas as pd
+import pytest
+
+from uavnav import paper
+from uavnav.metrics import EPISODE_COLUMNS, METRICS, finished, last_episodes, per_seed
+
+
+def episode(seed, frame, steps, stops, full_stops, turns, distance, reward, terminated=True, truncated=False):
+    row = (seed, frame, 0, 0, steps, stops, full_stops, turns, distance, reward, terminated, truncated)
+    return dict(zip(EPISODE_COLUMNS, row, strict=True))
+
+
+@pytest.fixture
+def episodes():
+    return pd.DataFrame(
+        [
+            episode(0, 100, 100, 10, 1, 90, 450, -10.0),
+            episode(0, 400, 300, 0, 0, 150, 2700, 5.0),
+            episode(0, 500, 999, 999, 999, 0, 0, -9.99, terminated=False),  # still open: in no mean
+            episode(1, 50, 50, 5, 5, 45, 0, -10.0, terminated=False, truncated=True),
+        ]
+    ).astype(EPISODE_COLUMNS)
+
+
+def test_counts_are_means_over_each_seeds_episodes(episodes):
+    result = per_seed(episodes)
+    assert result.loc[0, ["steps", "distance", "reward"]].tolist() == [200, 1575, -2.5]
+    assert result.loc[1, ["steps", "distance", "reward"]].tolist() == [50, 0, -10]
+
+
+def test_a_mean_of_ratios_weighs_episodes_and_a_ratio_of_means_weighs_steps(episodes):
+    names = ["stops", "full_stops", "turns", "speed"]
+    assert per_seed(episodes).loc[0, names].tolist() == pytest.approx([5.0, 0.5, 70.0, 6.75])
+    assert per_seed(episodes, ratio_of_means=True).loc[0, names].tolist() == pytest.approx([2.5, 0.25, 60.0, 7.875])
+
+
+def test_open_episodes_are_in_no_reading(episodes):
+    assert len(finished(episodes)) == 3
+
+
+def test_the_last_episodes_are_each_seeds_own(episodes):
+    assert last_episodes(episodes, 1).frame.tolist() == [400, 50]
+    assert len(last_episodes(episodes, 100)) == 3
+
+
+def test_the_papers_tables_hold_8_cells_of_6_metrics_that_we_have_too():
+    assert len(paper.TABLES) == 8
+    assert all(set(row) == set(paper.COLUMNS) <= set(METRICS) for row in paper.TABLES.values())
+    assert paper.TABLES["ppo", "tanh"]["reward"] == 88.527
+    assert paper.TABLES["dqn", "sigmoid"]["speed"] == 4.984

@@ -1,0 +1,98 @@
+"""Networks over the agent axis: each agent is an ordinary MLP, initialised from its own generator."""
+
+import math
+
+import pytest
+import torch
+from torch import nn
+
+from uavnav.networks import ACTIVATIONS, PAPER_ACTIVATIONS, Activation, AgentLinear, mlp
+from uavnav.seeding import stream
+
+
+def generators(*seeds):
+    return [stream(seed, "test") for seed in seeds]
+
+
+def as_torch(network, agent):
+    """The agent's network as PyTorch's own layers."""
+    layers = []
+    for layer in network:
+        if isinstance(layer, AgentLinear):
+            linear = nn.Linear(layer.weight.shape[1], layer.weight.shape[2])
+            linear.weight.data = layer.weight[agent].detach().T.clone()
+            linear.bias.data = layer.bias[agent, 0].detach().clone()
+            layers.append(linear)
+        else:
+            layers.append(layer)
+    return nn.Sequential(*layers)
+
+
+@pytest.mark.parametrize("init", ["orthogonal", "default"])
+def test_each_of_three_agents_is_an_ordinary_mlp(init):
+    network = mlp([30, 64, 64, 100], "tanh", generators(0, 1, 2), init)
+    observation = torch.rand(3, 5, 7, 30)
+    result = network(observation)
+    assert result.shape == (3, 5, 7, 100)
+    for agent in range(3):
+        torch.testing.assert_close(result[agent], as_torch(network, agent)(observation[agent]), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("init", ["orthogonal", "default"])
+def test_an_agent_is_the_same_in_any_population(init):
+    alone = mlp([30, 64, 100], "relu", generators(4), init)
+    among = mlp([30, 64, 100], "relu", generators(9, 4, 7), init)
+    for a, b in zip(alone.parameters(), among.parameters(), strict=True):
+        assert torch.equal(a[0], b[1])
+        assert not torch.equal(b[0], b[1]) or not a.any()
+
+
+def test_orthogonal_weights_have_singular_values_of_their_gain_and_zero_biases():
+    network = mlp([30, 64, 64, 100], "tanh", generators(0, 1), "orthogonal", output_gain=0.01)
+    for layer, gain in zip(network[::2], [math.sqrt(2), math.sqrt(2), 0.01], strict=True):
+        singular = torch.linalg.svdvals(layer.weight.detach())
+        torch.testing.assert_close(singular, torch.full_like(singular, gain), rtol=1e-4, atol=1e-6)
+        assert not layer.bias.any()
+
+
+def test_default_weights_and_biases_are_uniform_within_one_over_the_root_of_the_inputs():
+    layer = AgentLinear(64, 4000, generators(0), "default")
+    bound = 1 / 8
+    for values in (layer.weight, layer.bias):
+        assert values.abs().max() <= bound
+        assert values.abs().max() > 0.99 * bound
+        assert abs(values.var().item() / (bound**2 / 3) - 1) < 0.1
+
+
+PLAIN = {
+    "relu": lambda x: max(0.0, x),
+    "leaky_relu": lambda x: x if x >= 0 else 0.01 * x,
+    "sigmoid": lambda x: 1 / (1 + math.exp(-x)),
+    "tanh": lambda x: (math.exp(x) - math.exp(-x)) / (math.exp(x) + math.exp(-x)),
+    "elu": lambda x: x if x > 0 else math.exp(x) - 1,
+    "gelu": lambda x: x * 0.5 * (1 + math.erf(x / math.sqrt(2))),
+    "silu": lambda x: x / (1 + math.exp(-x)),
+    "mish": lambda x: x * math.tanh(math.log1p(math.exp(x))),
+    "selu": lambda x: 1.0507009873554805 * (x if x > 0 else 1.6732632423543772 * (math.exp(x) - 1)),
+    "softplus": lambda x: math.log1p(math.exp(x)),
+    "softsign": lambda x: x / (1 + abs(x)),
+    "identity": lambda x: x,
+}
+
+
+def test_the_table_holds_the_papers_four_and_eight_more():
+    assert set(ACTIVATIONS) == set(PLAIN)
+    assert len(ACTIVATIONS) == 12
+    assert set(PAPER_ACTIVATIONS) == {"tanh", "sigmoid", "relu", "leaky_relu"}
+
+
+@pytest.mark.parametrize("name", sorted(ACTIVATIONS))
+def test_each_activation_is_its_formula(name):
+    x = torch.linspace(-5, 5, 101)
+    expected = torch.tensor([PLAIN[name](float(value)) for value in x])
+    torch.testing.assert_close(Activation(name)(x), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_an_unknown_activation_is_answered_with_the_choices():
+    with pytest.raises(ValueError, match=r"activation='rleu'; choose from elu, gelu, .*tanh"):
+        mlp([30, 64, 100], "rleu", generators(0), "default")

@@ -1,0 +1,113 @@
+"""A stored policy: the same numbers as in training, without unpickling, and damaged files are named."""
+
+import json
+import pickle
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+import uavnav
+from uavnav import dqn, ppo
+from uavnav.policies import FILE_NAME, PolicyError, serialize
+
+
+@pytest.fixture(scope="module", params=["ppo", "dqn"])
+def run(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("policies") / request.param
+    if request.param == "ppo":
+        return ppo.train(
+            ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off"), folder, quiet=True
+        )
+    return dqn.train(
+        dqn.DQNConfig(n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off"), folder, quiet=True
+    )
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 5)])
+def test_actions_and_values_have_the_batch_shape(run, shape):
+    policy = uavnav.load_policy(run.path, seed=5)
+    observation = torch.rand(*shape, 30)
+    assert policy.values(observation).shape == (*shape, 100)
+    action = policy(observation)
+    assert action.shape == shape
+    assert action.dtype == torch.int64
+    assert torch.equal(action, policy.values(observation).argmax(-1))
+
+
+def test_each_seed_has_weights_of_its_own_and_the_first_is_the_default(run):
+    observation = torch.rand(9, 30)
+    values = [uavnav.load_policy(run.path, seed=seed).values(observation) for seed in (4, 5, 6)]
+    assert not torch.equal(values[0], values[1])
+    assert not torch.equal(values[1], values[2])
+    assert torch.equal(uavnav.load_policy(run.path / FILE_NAME).values(observation), values[0])
+
+
+def test_sampling_follows_its_generator(run):
+    policy = uavnav.load_policy(run.path, greedy=False)
+    observation = torch.rand(1, 30).expand(4000, 30)
+    draws = [policy(observation, torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)]
+    assert torch.equal(draws[0], draws[1])
+    assert not torch.equal(draws[0], draws[2])
+    greedy = (draws[0] == policy.values(observation).argmax(-1)).float().mean()
+    if run.algorithm == "dqn":
+        assert abs(greedy - (0.95 + 0.05 / 100)) < 0.02  # epsilon = 0.05
+    else:
+        assert abs(greedy - torch.softmax(policy.values(observation[0]), -1).max()) < 0.03
+
+
+def tensors_and_header(path):
+    from safetensors import safe_open
+
+    with safe_open(path, framework="pt") as file:
+        return load_file(path), json.loads(file.metadata()["uavnav"])
+
+
+def damaged(run, tmp_path, change):
+    path = tmp_path / FILE_NAME
+    tensors, header = tensors_and_header(run.path / FILE_NAME)
+    change(tensors, header)
+    save_file(tensors, path, metadata={"uavnav": json.dumps(header)})
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t, h: h.update(world_version="0"), "trained in world version 0, this is 1"),
+        (lambda t, h: h.update(activation="rleu"), "unknown activation 'rleu'; choose from elu"),
+        (lambda t, h: h.pop("seeds"), "not a readable policy file"),
+        (lambda t, h: h.update(hidden=[64]), "its tensors do not fit its header"),
+        (lambda t, h: t.pop("policy.0.weight"), "its tensors do not fit its header"),
+    ],
+)
+def test_a_policy_that_does_not_fit_is_refused_in_one_line(run, tmp_path, change, message):
+    with pytest.raises(PolicyError, match=message) as caught:
+        uavnav.load_policy(damaged(run, tmp_path, change))
+    assert "\n" not in str(caught.value)
+
+
+class Bomb:
+    def __reduce__(self):
+        return pytest.fail, ("a pickle was executed",)
+
+
+@pytest.mark.parametrize("content", [b"", b"x" * 100, pickle.dumps(Bomb())])
+def test_files_of_another_kind_are_refused_and_never_unpickled(tmp_path, content):
+    (tmp_path / FILE_NAME).write_bytes(content)
+    with pytest.raises(PolicyError, match="not a readable policy file"):
+        uavnav.load_policy(tmp_path)
+
+
+def test_a_missing_policy_and_a_missing_seed_are_named(run, tmp_path):
+    with pytest.raises(PolicyError, match="give the folder of a finished run"):
+        uavnav.load_policy(tmp_path / "nowhere")
+    with pytest.raises(PolicyError, match=r"seed=3 is not there; choose from 4 \.\.\. 6"):
+        uavnav.load_policy(run.path, seed=3)
+
+
+def test_both_networks_of_ppo_are_kept():
+    policy, value = ppo.make_networks(ppo.PPOConfig())
+    content = serialize({"policy": policy, "value": value}, {"algorithm": "ppo"})
+    assert b"policy.0.weight" in content
+    assert b"value.4.bias" in content

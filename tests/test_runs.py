@@ -1,0 +1,187 @@
+"""A run's folder: complete, repeatable bit for bit, whole or not there, and never two writers."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+import yaml
+from filelock import FileLock
+from safetensors.torch import load_file
+
+import uavnav
+from uavnav import dqn, ppo
+from uavnav.metrics import EPISODE_COLUMNS
+from uavnav.runs import FILES, Run, RunError, default_folder
+
+ALGORITHMS = {
+    "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),
+    "dqn": (dqn.train, dqn.DQNConfig(total_frames=1024, learning_starts=256, n_seeds=2, compile="off")),
+}
+
+
+@pytest.fixture(scope="module", params=list(ALGORITHMS))
+def trained(request, tmp_path_factory):
+    train, config = ALGORITHMS[request.param]
+    return train, config, train(config, out=tmp_path_factory.mktemp(request.param) / "run", quiet=True)
+
+
+def contents(path):
+    """What must be the same in a repeat: rows, without the columns of time, and weights."""
+    progress = pd.read_parquet(path / "progress.parquet").drop(columns="frames_per_second")
+    return pd.read_parquet(path / "episodes.parquet"), progress, load_file(path / "policy.safetensors")
+
+
+def same(a, b):
+    (episodes_a, progress_a, weights_a), (episodes_b, progress_b, weights_b) = contents(a), contents(b)
+    weights = all(torch.equal(weights_a[key], weights_b[key]) for key in weights_a)
+    return episodes_a.equals(episodes_b) and progress_a.equals(progress_b) and weights
+
+
+def test_the_folder_holds_five_files_and_nothing_else(trained):
+    _, _, run = trained
+    assert sorted(path.name for path in run.path.iterdir()) == sorted(FILES)
+
+
+def test_every_world_step_belongs_to_exactly_one_episode_row(trained):
+    _, config, run = trained
+    episodes = run.episodes
+    assert dict(episodes.dtypes.astype(str)) == EPISODE_COLUMNS
+    assert episodes.groupby("seed").steps.sum().tolist() == [1024, 1024]
+    still_open = episodes[~episodes.terminated & ~episodes.truncated]
+    assert (still_open.groupby("seed").size() <= config.n_worlds).all()
+    assert (still_open.frame == 1024).all()
+    for (_, _), rows in episodes.groupby(["seed", "world"]):
+        ends = rows.sort_values("frame")
+        assert (ends.frame.diff().fillna(ends.frame.iloc[0]) == ends.steps * config.n_worlds).all()
+        assert (ends.layout.diff().dropna() == 1).all() or (ends.layout.diff() < -9000).any()
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_others(trained, tmp_path):
+    train, config, run = trained
+    again = train(config, out=tmp_path / "again", quiet=True)
+    assert same(run.path, again.path)
+    other = train(type(config)(**vars(config) | {"seed": 5}), out=tmp_path / "other", quiet=True)
+    assert not same(run.path, other.path)
+    assert len(other.episodes) != len(run.episodes) or not other.episodes.reward.equals(run.episodes.reward)
+
+
+def test_the_global_random_state_plays_no_part_and_is_left_alone(trained, tmp_path):
+    train, config, run = trained
+    torch.manual_seed(12345)
+    before = torch.get_rng_state()
+    again = train(config, out=tmp_path / "again", quiet=True)
+    assert torch.equal(before, torch.get_rng_state())
+    assert same(run.path, again.path)
+
+
+def test_config_yaml_alone_repeats_the_run(trained, tmp_path):
+    _, config, run = trained
+    settings = yaml.safe_load((run.path / "config.yaml").read_text())
+    assert settings.pop("algorithm") in ALGORITHMS
+    assert type(config).from_mapping(settings) == config
+
+
+def test_meta_names_versions_machine_threads_and_frames(trained):
+    _, _, run = trained
+    meta = json.loads((run.path / "meta.json").read_text())
+    assert meta["status"] == "finished"
+    assert meta["frames"] == run.frames == 1024
+    assert meta["compiled"] is False
+    assert meta["threads"] >= 1
+    assert set(meta["versions"]) >= {"python", "torch", "torchrl", "tensordict", "numpy", "uavnav", "world"}
+    assert set(meta["machine"]) == {"system", "processor", "cores"}
+    assert "git_commit" in meta
+
+
+def test_a_finished_run_is_returned_at_once_and_untouched(trained):
+    train, config, run = trained
+    times = {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()}
+    again = train(config, out=run.path, quiet=True)
+    assert run.fresh
+    assert not again.fresh
+    assert {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()} == times
+
+
+def test_another_configuration_is_refused_and_nothing_is_lost(trained):
+    train, config, run = trained
+    with pytest.raises(RunError, match="holds a run with lr="):
+        train(type(config)(**vars(config) | {"lr": 0.123}), out=run.path, quiet=True)
+    assert same(run.path, run.path)
+    assert json.loads((run.path / "meta.json").read_text())["status"] == "finished"
+
+
+def test_overwrite_starts_anew(trained, tmp_path):
+    train, config, run = trained
+    other = type(config)(**vars(config) | {"seed": 9})
+    train(other, out=tmp_path / "run", quiet=True)
+    again = train(config, out=tmp_path / "run", overwrite=True, quiet=True)
+    assert again.fresh
+    assert same(again.path, run.path)
+
+
+def test_a_folder_in_use_is_refused(tmp_path):
+    train, config = ALGORITHMS["ppo"]
+    (tmp_path / "run").mkdir()
+    with FileLock(tmp_path / "run" / ".lock"), pytest.raises(RunError, match="another process is writing this run"):
+        train(config, out=tmp_path / "run", quiet=True)
+
+
+def test_an_interrupted_run_says_so_and_can_be_run_again(tmp_path, monkeypatch):
+    train, config = ALGORITHMS["ppo"]
+
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ppo, "diagnostics", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            train(config, out=tmp_path / "run", quiet=True)
+    assert json.loads((tmp_path / "run" / "meta.json").read_text())["status"] == "interrupted"
+    with pytest.raises(RunError, match="not finished"):
+        Run(tmp_path / "run")
+    assert train(config, out=tmp_path / "run", quiet=True).frames == 1024
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda p: (p / "run").write_text("x"), "is a file"),
+        (lambda p: (p / "run").mkdir() or (p / "run" / "thesis.txt").write_text("x"), "holds other files and no run"),
+        (lambda p: (p / "run").mkdir() or (p / "run" / "config.yaml").write_text("[1"), "missing or damaged"),
+        (lambda p: (p / "run").mkdir() or (p / "run" / "config.yaml").write_text("7"), "not a run's configuration"),
+    ],
+)
+def test_a_folder_of_something_else_is_refused_in_one_line(tmp_path, make, message):
+    train, config = ALGORITHMS["dqn"]
+    make(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(RunError, match=message) as caught:
+        train(config, out=tmp_path / "run", quiet=True)
+    assert "\n" not in str(caught.value)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_bad_bank_or_device_leaves_no_folder(tmp_path):
+    train, _ = ALGORITHMS["ppo"]
+    with pytest.raises(uavnav.LayoutError):
+        train(ppo.PPOConfig(layouts="nowhere"), out=tmp_path / "run", quiet=True)
+    assert not (tmp_path / "run").exists()
+
+
+def test_missing_parts_of_a_run_are_named(trained, tmp_path):
+    _, _, run = trained
+    for name in FILES[:4]:
+        copy = tmp_path / name / "run"
+        copy.mkdir(parents=True)
+        for path in run.path.iterdir():
+            if path.name != name:
+                (copy / path.name).write_bytes(path.read_bytes())
+        with pytest.raises(RunError, match=name.replace(".", r"\.")):
+            Run(copy)
+
+
+def test_runs_go_to_a_folder_of_their_algorithm_preset_and_activation():
+    assert default_folder("ppo", ppo.PPOConfig(activation="relu")) == Path("runs/ppo/relu")
+    assert default_folder("dqn", dqn.PRESETS["paper-2.3"]) == Path("runs/dqn-paper-2.3/tanh")

@@ -1,0 +1,111 @@
+"""Random choices: the right distribution, and each agent's from its own stream."""
+
+import pytest
+import torch
+from scipy import stats
+from tensordict import TensorDict
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+
+from uavnav.sampling import AgentSampler, epsilon_greedy, sample_categorical
+from uavnav.seeding import draw, headings, places, stream
+
+
+def test_sampled_actions_follow_the_softmax_of_their_logits():
+    logits = torch.tensor([0.0, 1.0, -2.0, 3.0, -60.0])
+    uniform = torch.rand(200_000, generator=torch.Generator().manual_seed(0))
+    actions = sample_categorical(logits.expand(200_000, 5), uniform)
+    counts = torch.bincount(actions, minlength=5)
+    assert counts[4] == 0
+    expected = torch.softmax(logits.double(), 0)[:4]
+    assert stats.chisquare(counts[:4].numpy(), (expected / expected.sum() * 200_000).numpy()).pvalue > 1e-3
+
+
+def test_the_ends_of_the_unit_interval_give_the_first_and_the_last_action():
+    logits = torch.zeros(2, 100)
+    assert sample_categorical(logits, torch.tensor([0.0, 1 - 2**-24])).tolist() == [0, 99]
+
+
+def test_epsilon_greedy_explores_uniformly_with_probability_epsilon():
+    generator = torch.Generator().manual_seed(0)
+    coin, choice = torch.rand(2, 100_000, generator=generator)
+    values = torch.zeros(100_000, 100)
+    values[:, 42] = 1
+    actions = epsilon_greedy(values, 0.3, coin, choice)
+    explored = actions[coin < 0.3]
+    assert (actions[coin >= 0.3] == 42).all()
+    assert abs(len(explored) / 100_000 - 0.3) < 0.006
+    assert stats.chisquare(torch.bincount(explored, minlength=100).numpy()).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 1.0])
+def test_epsilon_of_0_never_explores_and_of_1_always_does(epsilon):
+    coin, choice = torch.rand(2, 1000)
+    actions = epsilon_greedy(torch.zeros(1000, 100), epsilon, coin, choice)
+    assert torch.equal(actions, (choice * 100).long() if epsilon else torch.zeros(1000, dtype=torch.int64))
+
+
+def buffer(seeds, replace, batch_size):
+    """Rows [10, agents] whose value says which row and which agent's they are."""
+    replay = ReplayBuffer(
+        storage=LazyTensorStorage(10),
+        sampler=AgentSampler([stream(seed, "rows") for seed in seeds], replace),
+        batch_size=batch_size,
+    )
+    rows, agents = torch.arange(10)[:, None], torch.tensor(seeds)[None, :]
+    replay.extend(TensorDict({"row": (rows + 0 * agents), "agent": (agents + 0 * rows)}, [10, len(seeds)]))
+    return replay
+
+
+def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():
+    alone, among = buffer([5], True, 64), buffer([3, 5, 8], True, 64)
+    for _ in range(3):
+        a, b = alone.sample(), among.sample()
+        assert b.batch_size == (3, 64)
+        assert (b["agent"] == torch.tensor([[3], [5], [8]])).all()
+        assert torch.equal(a["row"][0], b["row"][1])
+        assert not torch.equal(b["row"][0], b["row"][1])
+
+
+def test_without_replacement_an_epoch_sees_each_of_10_rows_once():
+    replay = buffer([1, 2], False, 10)
+    first, second = replay.sample()["row"], replay.sample()["row"]
+    for rows in (*first, *second):
+        assert sorted(rows.tolist()) == list(range(10))
+    assert not torch.equal(first, second)
+
+
+def test_a_restored_sampler_draws_the_same_rows_again():
+    replay = buffer([1, 2], True, 32)
+    state = replay.sampler.state_dict()
+    first = replay.sample()["row"]
+    replay.sampler.load_state_dict(state)
+    assert torch.equal(first, replay.sample()["row"])
+
+
+def test_streams_differ_by_seed_and_by_purpose():
+    numbers = {
+        (seed, purpose): torch.rand(4, generator=stream(seed, purpose)).tolist()
+        for seed in (0, 1)
+        for purpose in ("actions", "places")
+    }
+    assert len({tuple(values) for values in numbers.values()}) == 4
+    assert numbers[0, "actions"] == torch.rand(4, generator=stream(0, "actions")).tolist()
+
+
+def test_a_place_depends_on_its_seed_and_index_alone():
+    few, many = places([3], 4, 10_000, "cpu"), places([1, 3, 2], 64, 10_000, "cpu")
+    assert torch.equal(few[0], many[1, :4])
+    assert places([3], 500, 7, "cpu").unique().tolist() == list(range(7))
+
+
+def test_headings_are_whole_degrees_of_a_full_turn():
+    drawn = headings([stream(0, "headings")], 20_000, "cpu")
+    assert drawn.min() == 0
+    assert drawn.max() == 359
+    assert drawn.dtype == torch.int64
+
+
+def test_draws_are_stacked_by_agent():
+    generators = [torch.Generator().manual_seed(seed) for seed in (1, 2)]
+    drawn = draw(generators, torch.rand, 3, device="cpu")
+    assert torch.equal(drawn[1], torch.rand(3, generator=torch.Generator().manual_seed(2)))

@@ -27,7 +27,7 @@ layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/python -m uavnav.layouts --out uavnav/banks
 
 picture: .venv/.installed # the flight in the README, from the run that `make train` left
-	$(BIN)/python -m uavnav.render runs/ppo/relu --sampled --layout 7 --steps 400 --out docs/flight.gif
+	$(BIN)/python -m uavnav.render runs/ppo/relu --sampled --layout 20 --steps 400 --out docs/flight.gif
 
 clean:
 	rm -rf .venv build *.egg-info

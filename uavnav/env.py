@@ -52,7 +52,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     Raises:
         LayoutError: the bank cannot be read or is not valid.
-        ValueError: an unknown reward, a cap below 1, an action out of range, or seeds that do not fit the batch.
+        ValueError: an unknown reward, a cap below 1, or seeds that do not fit the batch; in `step`, an action out of
+            range (`step_and_maybe_reset`, the path of collectors and rollouts, trusts its policy).
     """
 
     def __init__(
@@ -141,9 +142,12 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict["action"]
+        if bool(((action < 0) | (action >= self.world.n_actions)).any()):
+            raise ValueError(f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}")
         self.state, outcome = simulator.step(self.state, action, self.bank, self.world, self.reward, self.max_steps)
         return self._next(outcome, self.state)
 
+    @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
         final, outcome, self.state, observation = self._advance(

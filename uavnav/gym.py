@@ -70,7 +70,8 @@ class _Flights:
         following = self._first if self.state is None else (self.state.layout + 1) % len(self.bank)
         if layout is not None:
             chosen = np.asarray(layout)
-            if chosen.dtype.kind not in "iu" or not ((chosen >= 0) & (chosen < len(self.bank))).all():
+            fits = chosen.dtype.kind in "iu" and chosen.shape in ((), tuple(self.shape))
+            if not fits or not ((chosen >= 0) & (chosen < len(self.bank))).all():
                 raise ValueError(f"options layout={layout}; give a whole number from 0 to {len(self.bank) - 1}")
             following = torch.as_tensor(chosen, dtype=torch.int64).expand(self.shape).clone()
         self.state = simulator.start(following, self._headings(), self.world)

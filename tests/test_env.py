@@ -1,0 +1,370 @@
+"""DroneEnv: TorchRL's protocol, whole episodes against the oracle, seeds, resets and counts."""
+
+import itertools
+import math
+
+import oracle
+import pytest
+import torch
+from torchrl.envs.utils import check_env_specs, step_mdp
+
+import uavnav
+from uavnav import layouts
+
+COUNTS = ("steps", "stops", "full_stops", "turns", "distance")
+STRAIGHT = 9  # no turn, 9 px
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return layouts.load("test")
+
+
+def actions_of(env, steps, seed=0):
+    """Uniform random actions [steps, *B]."""
+    return torch.randint(100, (steps, *env.batch_size), generator=torch.Generator().manual_seed(seed))
+
+
+def step_then_reset(env, now):
+    env.step(now)
+    after = now["next"], env.state
+    return *after, env.maybe_reset(step_mdp(now))
+
+
+def at_once(env, now):
+    now, following = env.step_and_maybe_reset(now)
+    return now["next"], None, following
+
+
+DRIVERS = [step_then_reset, at_once]
+
+
+def drive(env, actions, driver=at_once):
+    """Yield what each step led to, the state there (None where the driver hides it), and what follows."""
+    now = env.reset()
+    for action in actions:
+        after, state, now = driver(env, now.set("action", action))
+        yield after, state, now
+
+
+def close(got, expected):
+    torch.testing.assert_close(got, torch.tensor(expected), rtol=0, atol=1e-4)
+
+
+def flights_of(env, **how):
+    bank = env.bank.tolist()
+    state = env.state
+    return [
+        oracle.Flight(bank, layout, heading, max_steps=env.max_steps, **how)
+        for layout, heading in zip(state.layout.tolist(), state.heading.tolist(), strict=True)
+    ]
+
+
+def judge(flight, after, row):
+    """One row's step against the oracle's; whether it was too near a threshold to compare what is sensed."""
+    assert after["terminated"][row].item() == flight.terminated
+    assert after["truncated"][row].item() == flight.truncated
+    assert after["done"][row].item() == (flight.terminated or flight.truncated)
+    assert after["reward"][row].item() == pytest.approx(flight.reward, abs=1e-6)
+    episode = after["episode"][row]
+    assert {name: episode[name].item() for name in COUNTS} == {name: getattr(flight, name) for name in COUNTS}
+    assert episode["layout"].item() == flight.layout
+    assert episode["reward"].item() == pytest.approx(flight.total, abs=1e-9)
+    doubtful = oracle.doubtful(flight.found)
+    if not doubtful:
+        close(after["observation"][row], sum(flight.slots, ()))
+    return doubtful
+
+
+@pytest.mark.parametrize("shape", [[], [3], [2, 3]])
+def test_torchrl_finds_no_fault_in_the_specs_of_three_batch_shapes(shape):
+    env = uavnav.DroneEnv(shape)
+    check_env_specs(env)
+    assert env.observation_spec["observation"].shape == (*shape, 30)
+    assert env.action_spec.n == 100
+
+
+@pytest.mark.parametrize("max_steps", [None, 40])
+@pytest.mark.parametrize("variant", ["eq14", "additive", "initial"])
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_300_steps_of_4_rows_equal_the_oracle_through_collisions_and_caps(bank, driver, variant, max_steps):
+    env = uavnav.DroneEnv([4], layouts=bank, reward=variant, max_steps=max_steps, seeds=7)
+    flights = flights_of(env, variant=variant)
+    collisions, caps, doubts = 0, 0, 0
+    actions = actions_of(env, 300)
+    for action, (after, state, following) in zip(actions, drive(env, actions, driver), strict=True):
+        places = state or env.state
+        for row, flight in enumerate(flights):
+            flight.step(action[row].item())
+            done = flight.terminated or flight.truncated
+            if state is not None or not done:
+                flight.at(places.x[row].item(), places.y[row].item())
+                assert places.heading[row].item() == flight.heading
+            doubts += judge(flight, after, row)
+            collisions, caps = collisions + flight.terminated, caps + flight.truncated
+            if done:
+                flight.next_episode()
+                close(following["observation"][row], sum(flight.slots, ()))
+                assert following["episode", "steps"][row] == 0
+                assert following["episode", "layout"][row] == flight.layout
+            assert env.state.layout[row] == flight.layout
+            assert env.state.steps[row] == flight.steps
+            assert not following["done"][row]
+    assert collisions >= 5
+    assert (caps >= 5) == (max_steps is not None)
+    assert doubts < 12
+
+
+def test_a_rollout_of_500_steps_equals_the_oracle_through_all_its_episodes(bank):
+    env = uavnav.DroneEnv([3], layouts=bank, seeds=11)
+    flights = flights_of(env)
+    actions = iter(actions_of(env, 500, seed=1))
+    rollout = env.rollout(500, lambda td: td.set("action", next(actions)), break_when_any_done=False)
+    assert rollout.shape == (3, 500)
+    doubts = 0
+    for row, flight in enumerate(flights):
+        for now in rollout[row].unbind(0):
+            if not oracle.doubtful(flight.found):
+                close(now["observation"], sum(flight.slots, ()))
+            flight.step(now["action"].item())
+            doubts += judge(flight, now["next"][None], 0)
+            if flight.terminated:
+                flight.next_episode()
+    assert rollout["next", "terminated"].sum() >= 10
+    assert doubts < 30
+
+
+def test_both_ways_to_step_are_bit_identical_over_200_steps(bank):
+    for max_steps in (None, 30):
+        envs = [uavnav.DroneEnv([5], layouts=bank, max_steps=max_steps) for _ in DRIVERS]
+        actions = actions_of(envs[0], 200)
+        for (after, _, now), (also, _, then) in zip(
+            *(drive(env, actions, driver) for env, driver in zip(envs, DRIVERS, strict=True)), strict=True
+        ):
+            assert (after == also).all()
+            assert (now["observation"] == then["observation"]).all()
+            assert all(torch.equal(a, b) for a, b in zip(envs[0].state, envs[1].state, strict=True))
+
+
+def same_rows(env, rows, other, actions):
+    """Rows of one environment and the whole of another, under the same actions, bit by bit."""
+    for (after, _, now), (also, _, then) in zip(drive(env, actions), drive(other, actions[:, rows]), strict=True):
+        assert (after[rows] == also).all()
+        assert (now[rows] == then).all()
+    assert all(torch.equal(a[rows], b) for a, b in zip(env.state, other.state, strict=True))
+
+
+def test_one_world_alone_is_world_0_of_16(bank):
+    many, one = uavnav.DroneEnv([16], layouts=bank, seeds=5), uavnav.DroneEnv([1], layouts=bank, seeds=5)
+    same_rows(many, slice(0, 1), one, actions_of(many, 200))
+
+
+def test_each_of_3_seeds_flies_as_it_would_alone(bank):
+    for heading in ("up", "random"):
+        world = uavnav.World(start_heading=heading)
+        together = uavnav.DroneEnv([3, 4], layouts=bank, world=world, seeds=[7, 8, 9])
+        actions = actions_of(together, 150)
+        for agent, seed in enumerate(together.seeds):
+            together.set_seed(7)
+            alone = uavnav.DroneEnv([1, 4], layouts=bank, world=world, seeds=[seed])
+            same_rows(together, slice(agent, agent + 1), alone, actions)
+
+
+def test_adding_worlds_up_to_64_keeps_the_places_of_the_earlier_ones():
+    places = uavnav.DroneEnv([2, 64], seeds=[3, 4]).state.layout
+    for worlds in (1, 2, 15, 16, 17, 32):
+        assert torch.equal(uavnav.DroneEnv([2, worlds], seeds=[3, 4]).state.layout, places[:, :worlds])
+        assert torch.equal(uavnav.DroneEnv([worlds], seeds=4).state.layout, places[1, :worlds])
+    assert torch.equal(uavnav.DroneEnv([], seeds=3).state.layout, places[0, 0])
+    assert len(set(places.flatten().tolist())) > 120
+
+
+def test_setting_seed_6_again_repeats_the_flight(bank):
+    env = uavnav.DroneEnv([4], layouts=bank, world=uavnav.World(start_heading="random"), seeds=2)
+    actions = actions_of(env, 100)
+    flights = []
+    for _ in range(2):
+        env.set_seed(6)
+        flights.append(torch.stack([after for after, _, _ in drive(env, actions)]))
+    fresh = uavnav.DroneEnv([4], layouts=bank, world=uavnav.World(start_heading="random"), seeds=6)
+    flights.append(torch.stack([after for after, _, _ in drive(fresh, actions)]))
+    assert (flights[0] == flights[1]).all()
+    assert (flights[0] == flights[2]).all()
+
+
+def test_a_masked_reset_restarts_2_of_5_rows_and_leaves_the_others_bit_identical(bank):
+    env = uavnav.DroneEnv([5], layouts=bank)
+    for _, _, now in drive(env, actions_of(env, 20)):
+        before, seen = env.state, now.clone()
+    mask = torch.tensor([False, True, False, False, True])
+    after = env.reset(now.set("_reset", mask[:, None]))
+    for old, new in zip(before, env.state, strict=True):
+        assert torch.equal(old[~mask], new[~mask])
+    assert torch.equal(after["observation"][~mask], seen["observation"][~mask])
+    assert torch.equal(env.state.layout[mask], before.layout[mask] + 1)
+    assert env.state.steps[mask].tolist() == [0, 0]
+    assert env.state.x[mask].tolist() == [400, 400]
+
+
+def test_after_an_episode_the_drone_is_at_the_centre_in_the_next_of_3_sets_and_the_last_is_followed_by_the_first():
+    env = uavnav.DroneEnv([1], layouts=layouts.generate(3, 8, seed=1))
+    order = [env.state.layout.item()]
+    for after, _, following in drive(env, actions_of(env, 600)):
+        if after["done"]:
+            x, y, heading = env.state.x.item(), env.state.y.item(), env.state.heading.item()
+            assert (x, y, heading) == (400, 300, 90)
+            assert after["episode", "layout"].item() == order[-1]
+            order.append(following["episode", "layout"].item())
+    assert len(order) > 6
+    assert all(following == (earlier + 1) % 3 for earlier, following in itertools.pairwise(order))
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_the_terminal_observation_is_of_the_contact_and_the_next_of_the_start_280_px_away(driver):
+    env = uavnav.DroneEnv([2], layouts=layouts.generate(2, 0), seeds=1)
+    *_, (after, _, following) = drive(env, [torch.tensor([STRAIGHT] * 2)] * 28, driver)
+    assert after["terminated"].all()
+    assert after["observation"].reshape(2, 10, 3)[:, 0].tolist() == [[0, 1, 0]] * 2
+    assert following["observation"].reshape(2, 10, 3).tolist() == [[[0, 0, 1]] * 10] * 2
+
+
+@pytest.mark.parametrize("distance", range(1, 10))
+def test_a_straight_flight_ends_30_px_from_the_wall_and_earns_a_hundredth_a_pixel_and_minus_10(distance):
+    # From y = 300 px to 550 px, where the wall at 580 px touches the drone.
+    steps = math.ceil(250 / distance)
+    env = uavnav.DroneEnv([1], layouts=layouts.generate(1, 0))
+    rows = [after for after, _, _ in drive(env, torch.full((steps, 1), distance))]
+    assert [row["terminated"].item() for row in rows] == [False] * (steps - 1) + [True]
+    assert rows[-1]["episode", "reward"].item() == pytest.approx(0.01 * distance * (steps - 1) - 10, abs=1e-9)
+    assert rows[-1]["episode", "steps"].item() == steps
+    assert rows[-1]["episode", "distance"].item() == distance * steps
+
+
+def test_action_9_earns_7_57_less_than_nothing_in_28_steps():
+    env = uavnav.DroneEnv([1], layouts=layouts.generate(1, 0))
+    *_, (after, _, _) = drive(env, torch.full((28, 1), STRAIGHT))
+    assert after["terminated"]
+    assert after["episode", "reward"].item() == pytest.approx(0.09 * 27 - 10, abs=1e-9)
+
+
+@pytest.mark.parametrize(("cap", "terminated", "truncated"), [(27, False, True), (28, True, False), (29, True, False)])
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_a_cap_of_27_truncates_and_the_collision_in_step_28_terminates_even_at_the_cap(
+    driver, cap, terminated, truncated
+):
+    env = uavnav.DroneEnv([1], layouts=layouts.generate(1, 0), max_steps=cap)
+    *early, (last, _, following) = drive(env, torch.full((min(cap, 28), 1), STRAIGHT), driver)
+    assert not any(after["done"].item() for after, _, _ in early)
+    assert last["done"].item()
+    assert last["terminated"].item() == terminated
+    assert last["truncated"].item() == truncated
+    assert last["reward"].item() == pytest.approx(-10 if terminated else 0.09)
+    assert env.state.steps.item() == 0
+    assert not following["truncated"].item()
+
+
+def test_turning_in_place_for_400_steps_never_ends_without_a_cap():
+    env = uavnav.DroneEnv([1])
+    rows = [after for after, _, _ in drive(env, torch.full((400, 1), 50))]
+    assert not any(row["done"].item() for row in rows)
+    assert env.state.heading.item() == (90 + 5 * 400) % 360
+    assert rows[-1]["episode", "reward"].item() == pytest.approx(-4, abs=1e-9)
+
+
+def test_random_start_headings_are_whole_degrees_from_0_to_359_and_reproducible():
+    world = uavnav.World(start_heading="random")
+    envs = [uavnav.DroneEnv([2, 500], world=world, seeds=seeds) for seeds in ([1, 2], [1, 2], [3, 4])]
+    for _ in range(3):
+        for env in envs:
+            env.reset()
+        first, again, other = (env.state.heading for env in envs)
+        assert torch.equal(first, again)
+        assert (first == other).float().mean() < 0.02
+        assert (first[0] == first[1]).float().mean() < 0.02
+        assert first.dtype == torch.int64
+        assert 0 <= first.min() < 5
+        assert 354 < first.max() <= 359
+        assert first.double().mean().item() == pytest.approx(179.5, abs=4 * 104 / math.sqrt(1000))
+
+
+def test_with_random_headings_the_next_episode_starts_in_a_new_one_and_the_same_seed_repeats_it():
+    world = uavnav.World(start_heading="random")
+    starts = []
+    for _ in range(2):
+        env = uavnav.DroneEnv([8], layouts=layouts.generate(5, 0), world=world, max_steps=3, seeds=4)
+        starts.append([env.state.heading.tolist() for _ in drive(env, torch.zeros(9, 8, dtype=torch.int64))])
+    assert starts[0] == starts[1]
+    assert len({tuple(headings) for headings in starts[0]}) == 4  # the first and three new ones
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_no_tensor_of_the_first_40_steps_is_changed_by_later_ones(bank, driver):
+    env = uavnav.DroneEnv([4], layouts=bank, max_steps=15)
+    flight = drive(env, actions_of(env, 120), driver)
+    kept = []
+    for after, _, now in flight:
+        if len(kept) < 40:
+            kept.append([part for td in (after, now) for part in (td, td.clone())] + [env.state])
+            kept[-1].append([field.clone() for field in env.state])
+    for after, after_then, now, now_then, state, state_then in kept:
+        assert (after == after_then).all()
+        assert all(
+            (now[key] == now_then[key]).all() for key in now_then.keys(True, True) if key in now.keys(True, True)
+        )
+        assert all(torch.equal(a, b) for a, b in zip(state, state_then, strict=True))
+
+
+def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_flies_4_5_px_a_step(bank):
+    env = uavnav.DroneEnv([100], layouts=bank)
+    totals, n = dict.fromkeys(COUNTS, 0), 100 * 200
+    for after, _, _ in drive(env, actions_of(env, 200, seed=3)):
+        ended = after["done"].squeeze(-1)
+        for name in COUNTS:
+            totals[name] += after["episode", name][ended].sum().item()
+    for name in COUNTS:
+        totals[name] += after["episode", name][~ended].sum().item()
+    assert totals["steps"] == n
+    for name, share in (("turns", 0.9), ("stops", 0.1), ("full_stops", 0.01)):
+        assert totals[name] / n == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / n))
+    assert totals["distance"] / n == pytest.approx(4.5, abs=4 * math.sqrt(8.25 / n))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "says"),
+    [
+        ({"reward": "eq41"}, ValueError, "reward='eq41'; choose from eq14, additive, initial"),
+        ({"max_steps": 0}, ValueError, "max_steps=0; choose None or a whole number from 1"),
+        (
+            {"batch_size": [3, 2], "seeds": [1, 2]},
+            ValueError,
+            "2 seeds for batch_size [3, 2]; give one, or one per agent",
+        ),
+        ({"seeds": [1, 2]}, ValueError, "2 seeds for batch_size []"),
+        ({"layouts": "trian"}, uavnav.LayoutError, "layouts='trian': no such bank; choose from train, test"),
+        ({"layouts": torch.zeros(2, 8, 3)}, uavnav.LayoutError, "radius outside 30 ... 100 px"),
+    ],
+)
+def test_each_of_6_bad_arguments_is_refused_with_the_choices(arguments, error, says):
+    with pytest.raises(error) as refused:
+        uavnav.DroneEnv(**arguments)
+    assert says in str(refused.value)
+
+
+@pytest.mark.parametrize("action", [-1, 100])
+def test_step_refuses_an_action_outside_0_to_99(action):
+    env = uavnav.DroneEnv([2])
+    with pytest.raises(ValueError, match="0 to 99"):
+        env.step(env.reset().set("action", torch.tensor([5, action])))
+
+
+def test_50_compiled_steps_equal_the_eager_ones(bank):
+    eager, compiled = (uavnav.DroneEnv([2, 3], layouts=bank, max_steps=20, seeds=[1, 2]) for _ in range(2))
+    assert compiled.compile() is compiled
+    actions = actions_of(eager, 50)
+    for (after, _, now), (also, _, then) in zip(drive(eager, actions), drive(compiled, actions), strict=True):
+        for key in after.keys(True, True):
+            torch.testing.assert_close(also[key], after[key], rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(then["observation"], now["observation"], rtol=1e-5, atol=1e-6)
+    assert compiled.eager() is compiled
+    compiled.set_seed(1)
+    same_rows(uavnav.DroneEnv([2, 3], layouts=bank, max_steps=20, seeds=[1, 2]), slice(None), compiled, actions)

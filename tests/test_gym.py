@@ -1,0 +1,349 @@
+"""Gymnasium's and Stable-Baselines3's views of the world: the same flights, info, autoreset and pictures."""
+
+import itertools
+import math
+import warnings
+
+import gymnasium
+import numpy as np
+import oracle
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+
+import uavnav
+from uavnav import layouts
+
+STRAIGHT = 9  # no turn, 9 px
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return layouts.load("test").tolist()
+
+
+def make(**how):
+    return gymnasium.make("uavnav/Drone-v0", layouts="test", **how)
+
+
+def make_vec(num_envs, **how):
+    return gymnasium.make_vec("uavnav/Drone-v0", num_envs=num_envs, **{"layouts": "test"} | how)
+
+
+def random_actions(*shape, seed=0):
+    return np.random.default_rng(seed).integers(100, size=shape)
+
+
+def test_gymnasiums_checker_has_nothing_to_warn_about_in_both_render_modes():
+    for render_mode in (None, "rgb_array"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            check_env(make(render_mode=render_mode).unwrapped)
+
+
+def test_sb3s_checker_has_nothing_to_warn_about():
+    env_checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env_checker.check_env(make().unwrapped)
+
+
+def test_the_spaces_are_30_numbers_and_100_actions():
+    env = make()
+    assert env.action_space == gymnasium.spaces.Discrete(100)
+    assert env.observation_space.shape == (30,)
+    assert env.observation_space.dtype == np.float32
+    assert env.observation_space.low[:3].tolist() == [-1, 0, 0]
+    assert env.observation_space.high.tolist() == [1] * 30
+
+
+def agree(observation, info, flight):
+    """Info, and the observation unless too near a threshold; takes over the place that float32 rounded."""
+    assert (info["layout"], info["heading"]) == (flight.layout, flight.heading)
+    assert info["clearance"] == pytest.approx(flight.clearance, abs=1e-4)
+    flight.at(info["x"], info["y"])
+    if not oracle.doubtful(flight.found):
+        np.testing.assert_allclose(observation, sum(flight.slots, ()), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("variant", ["eq14", "additive", "initial"])
+def test_ten_episodes_equal_the_oracle_step_by_step(bank, variant):
+    env = make(reward=variant)
+    observation, info = env.reset(seed=3)
+    flight = oracle.Flight(bank, info["layout"], variant=variant)
+    agree(observation, info, flight)
+    ended, actions = 0, random_actions(3000)
+    for action in actions:
+        observation, reward, terminated, truncated, info = env.step(action)
+        flight.step(int(action))
+        agree(observation, info, flight)
+        assert (terminated, truncated) == (flight.terminated, False)
+        assert reward == pytest.approx(flight.reward, abs=1e-12)
+        if terminated:
+            ended += 1
+            flight.next_episode()
+            agree(*env.reset(), flight)
+        if ended == 10:
+            break
+    assert ended == 10
+
+
+def test_info_has_5_plain_numbers():
+    _, info = make().reset(seed=0)
+    assert {name: type(value) for name, value in info.items()} == {
+        "layout": int,
+        "x": float,
+        "y": float,
+        "heading": int,
+        "clearance": float,
+    }
+
+
+def test_a_seed_fixes_the_place_and_each_of_3_later_resets_advances_by_one():
+    env, other = make(), make()
+    place = env.reset(seed=5)[1]["layout"]
+    assert [env.reset()[1]["layout"] for _ in range(3)] == [(place + i) % 1000 for i in (1, 2, 3)]
+    assert env.reset(seed=5)[1]["layout"] == other.reset(seed=5)[1]["layout"] == place
+    assert len({env.reset(seed=seed)[1]["layout"] for seed in range(20)}) > 15
+
+
+def test_options_pick_layout_3_and_the_next_reset_takes_4_and_after_999_comes_0():
+    env = make()
+    assert env.reset(options={"layout": 3})[1]["layout"] == 3
+    assert env.reset()[1]["layout"] == 4
+    assert env.reset(seed=1, options={"layout": 999})[1]["layout"] == 999
+    assert env.reset()[1]["layout"] == 0
+
+
+@pytest.mark.parametrize("layout", [-1, 1000, 2.5, "3", [1, 2]])
+def test_layouts_outside_0_to_999_are_refused(layout):
+    with pytest.raises(ValueError, match="whole number from 0 to 999"):
+        make().reset(options={"layout": layout})
+
+
+@pytest.mark.parametrize("action", [-1, 100])
+def test_actions_outside_0_to_99_are_refused(action):
+    for env, wrong in ((make().unwrapped, action), (make_vec(2), np.array([5, action]))):
+        env.reset(seed=0)
+        with pytest.raises(ValueError, match="whole number from 0 to 99"):
+            env.step(wrong)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"layouts": "trian"}, "choose from train, test"),
+        ({"reward": "eq41"}, "choose from eq14, additive, initial"),
+        ({"max_steps": 0}, "max_steps=0"),
+        ({"render_mode": "human"}, "rgb_array"),
+        ({"num_envs": 0}, "num_envs=0"),
+    ],
+)
+def test_each_of_5_bad_arguments_is_refused_with_the_choices(arguments, says):
+    kinds = (
+        [uavnav.gym.DroneVectorEnv] if "num_envs" in arguments else [uavnav.gym.DroneGymEnv, uavnav.gym.DroneVectorEnv]
+    )
+    for kind in kinds:
+        with pytest.raises(ValueError, match=says):
+            kind(**arguments)
+
+
+def test_stepping_before_a_reset_is_refused_by_both_kinds():
+    for env, action in ((make().unwrapped, 0), (make_vec(2), np.zeros(2, dtype=int))):
+        with pytest.raises(gymnasium.error.ResetNeeded):
+            env.step(action)
+
+
+def test_the_straight_flight_earns_0_09_in_27_steps_and_minus_10_in_the_28th():
+    env = gymnasium.make("uavnav/Drone-v0", layouts=layouts.generate(1, 0))
+    env.reset(seed=0)
+    steps = [env.step(STRAIGHT) for _ in range(math.ceil(250 / 9))]
+    assert [terminated for _, _, terminated, _, _ in steps] == [False] * 27 + [True]
+    assert sum(reward for _, reward, _, _, _ in steps) == pytest.approx(0.09 * 27 - 10, abs=1e-9)
+    assert [info["y"] for *_, info in steps] == [300 + 9 * step for step in range(1, 29)]
+    assert steps[-1][4]["clearance"] == 28
+
+
+@pytest.mark.parametrize(("cap", "terminated", "truncated"), [(27, False, True), (28, True, False)])
+def test_a_cap_of_27_truncates_and_a_collision_at_the_cap_of_28_only_terminates(cap, terminated, truncated):
+    env = gymnasium.make("uavnav/Drone-v0", layouts=layouts.generate(1, 0), max_steps=cap)
+    env.reset(seed=0)
+    *early, last = [env.step(STRAIGHT) for _ in range(cap)]
+    assert not any(step[2] or step[3] for step in early)
+    assert last[2:4] == (terminated, truncated)
+    vector = make_vec(2, layouts=layouts.generate(1, 0), max_steps=cap)
+    vector.reset(seed=0)
+    *_, last = [vector.step(np.full(2, STRAIGHT)) for _ in range(cap)]
+    assert last[2].tolist() == [terminated] * 2
+    assert last[3].tolist() == [truncated] * 2
+
+
+def test_8_rows_of_make_vec_equal_8_single_environments_through_their_autoresets():
+    max_steps, picks = 60, np.arange(100, 900, 100)
+    vector = make_vec(8, max_steps=max_steps)
+    singles = [make(max_steps=max_steps) for _ in picks]
+    observation, info = vector.reset(seed=0, options={"layout": picks})
+    assert vector.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
+    for row, (env, pick) in enumerate(zip(singles, picks, strict=True)):
+        alone, alone_info = env.reset(seed=0, options={"layout": int(pick)})
+        np.testing.assert_array_equal(observation[row], alone)
+        assert {name: info[name][row] for name in alone_info} == alone_info
+    ends = {"terminated": 0, "truncated": 0}
+    for action in random_actions(200, 8, seed=1):
+        observation, reward, terminated, truncated, info = vector.step(action)
+        assert ("final_obs" in info) == (terminated | truncated).any()
+        for row, env in enumerate(singles):
+            alone, alone_reward, *alone_ends, alone_info = env.step(action[row])
+            assert (reward[row], [terminated[row], truncated[row]]) == (alone_reward, alone_ends)
+            if any(alone_ends):
+                ends["terminated"], ends["truncated"] = (
+                    ends["terminated"] + alone_ends[0],
+                    ends["truncated"] + alone_ends[1],
+                )
+                assert info["_final_obs"][row]
+                assert info["_final_info"][row]
+                np.testing.assert_array_equal(info["final_obs"][row], alone)
+                assert {name: info["final_info"][name][row] for name in alone_info} == alone_info
+                assert all(info["final_info"][f"_{name}"][row] for name in alone_info)
+                alone, alone_info = env.reset()
+            elif "final_obs" in info:
+                assert not info["_final_obs"][row]
+                assert info["final_obs"][row] is None
+            np.testing.assert_array_equal(observation[row], alone)
+            assert {name: info[name][row] for name in alone_info} == alone_info
+    assert min(ends.values()) > 5
+
+
+def test_the_vectors_spaces_hold_its_8_observations_and_actions():
+    vector = make_vec(8)
+    observation, _ = vector.reset(seed=0)
+    assert vector.observation_space.contains(observation)
+    assert vector.single_observation_space == make().observation_space
+    assert vector.action_space.contains(vector.action_space.sample())
+    assert vector.num_envs == 8
+
+
+def test_one_seed_gives_8_rows_places_of_their_own_and_8_seeds_one_each():
+    vector = make_vec(8)
+    together = vector.reset(seed=4)[1]["layout"]
+    assert len(set(together.tolist())) == 8
+    assert together.tolist() == vector.reset(seed=4)[1]["layout"].tolist()
+    assert together[:3].tolist() == make_vec(3).reset(seed=4)[1]["layout"].tolist()
+    assert vector.reset()[1]["layout"].tolist() == ((together + 1) % 1000).tolist()
+    each = vector.reset(seed=list(range(8)))[1]["layout"].tolist()
+    assert each == [make().reset(seed=seed)[1]["layout"] for seed in range(8)]
+    with pytest.raises(ValueError, match="7 seeds for 8"):
+        vector.reset(seed=list(range(7)))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+def test_row_0_of_droneenv_and_both_gymnasium_environments_begin_at_the_same_layout(seed):
+    place = uavnav.DroneEnv([4], layouts="test", seeds=seed).state.layout
+    assert make().reset(seed=seed)[1]["layout"] == place[0].item()
+    assert make_vec(4).reset(seed=seed)[1]["layout"].tolist() == place.tolist()
+
+
+def test_100_steps_through_gymnasium_are_bit_identical_to_droneenvs():
+    env, vector = uavnav.DroneEnv([4], layouts="test", seeds=2), make_vec(4)
+    now, observation = env.reset(), vector.reset(seed=2)[0]
+    for action in random_actions(100, 4, seed=2):
+        np.testing.assert_array_equal(now["observation"].numpy(), observation)
+        after, now = env.step_and_maybe_reset(now.set("action", torch.as_tensor(action)))
+        observation, reward, terminated, _, _ = vector.step(action)
+        np.testing.assert_array_equal(after["next", "reward"].squeeze(-1).numpy(), reward.astype(np.float32))
+        np.testing.assert_array_equal(after["next", "terminated"].squeeze(-1).numpy(), terminated)
+
+
+def test_random_start_headings_are_reproducible_and_differ_over_20_resets():
+    world = uavnav.World(start_heading="random")
+    runs = []
+    for _ in range(2):
+        env = make(world=world)
+        runs.append([env.reset(seed=seed)[1]["heading"] for seed in (8, *[None] * 19)])
+    assert runs[0] == runs[1]
+    assert len(set(runs[0])) > 15
+    assert all(0 <= heading <= 359 for heading in runs[0])
+
+
+def test_no_array_of_the_first_20_steps_is_changed_by_later_ones():
+    vector = make_vec(4, max_steps=9)
+    kept = [(vector.reset(seed=0)[0], {})]
+    for action in random_actions(20, 4):
+        observation, *_, info = vector.step(action)
+        kept.append((observation, {name: info[name] for name in ("layout", "x", "y", "heading", "clearance")}))
+    copies = [(observation.copy(), {name: value.copy() for name, value in info.items()}) for observation, info in kept]
+    for action in random_actions(40, 4):
+        vector.step(action)
+    for (observation, info), (observation_then, info_then) in zip(kept, copies, strict=True):
+        np.testing.assert_array_equal(observation, observation_then)
+        assert all((info[name] == info_then[name]).all() for name in info)
+
+
+def test_pictures_are_600_by_800_and_show_the_drone_move():
+    env = make(render_mode="rgb_array")
+    env.reset(seed=0, options={"layout": 1})
+    pictures = [env.render()]
+    for action in (STRAIGHT, 50):
+        env.step(action)
+        pictures.append(env.render())
+    env.reset(options={"layout": 2})
+    pictures.append(env.render())
+    assert all(picture.shape == (600, 800, 3) and picture.dtype == np.uint8 for picture in pictures)
+    assert not any((one == other).all() for one, other in itertools.combinations(pictures, 2))
+
+
+def test_the_picture_has_the_drone_30_px_wide_where_info_says_with_y_upwards():
+    env = gymnasium.make("uavnav/Drone-v0", layouts=layouts.generate(1, 0), render_mode="rgb_array")
+    env.reset(seed=0)
+    for _ in range(10):
+        *_, info = env.step(STRAIGHT)
+    rows, columns = np.nonzero((env.render() == uavnav.render.DRONE).all(-1))
+    assert (columns.min() + columns.max() + 1) / 2 == pytest.approx(info["x"], abs=2)
+    assert 600 - (rows.min() + rows.max() + 1) / 2 == pytest.approx(info["y"], abs=2)
+    assert (columns.max() - columns.min() + 1) / 2 == pytest.approx(30, abs=2)
+
+
+def test_the_vector_renders_one_picture_for_each_of_3_rows():
+    vector = make_vec(3, render_mode="rgb_array")
+    vector.reset(seed=0)
+    pictures = vector.render()
+    assert [picture.shape for picture in pictures] == [(600, 800, 3)] * 3
+    assert not (pictures[0] == pictures[1]).all()
+
+
+def test_sb3s_ppo_learns_256_steps_on_4_rows_and_goes_on_from_there():
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    from uavnav.sb3 import DroneVecEnv
+
+    env = DroneVecEnv(4, seed=0, layouts="test")
+    model = stable_baselines3.PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
+    assert model.learn(256).num_timesteps == 256
+
+
+def test_sb3s_rows_equal_the_vectors_and_name_the_end_of_each_of_their_episodes():
+    pytest.importorskip("stable_baselines3")
+    from uavnav.sb3 import DroneVecEnv
+
+    env, vector = DroneVecEnv(4, seed=6, layouts="test", max_steps=40), make_vec(4, max_steps=40)
+    np.testing.assert_array_equal(env.reset(), vector.reset(seed=6)[0])
+    ends = {True: 0, False: 0}
+    for action in random_actions(150, 4):
+        observation, reward, done, infos = env.step(action)
+        expected, earned, terminated, truncated, info = vector.step(action)
+        np.testing.assert_array_equal(observation, expected)
+        np.testing.assert_array_equal(reward, earned.astype(np.float32))
+        np.testing.assert_array_equal(done, terminated | truncated)
+        for row in range(4):
+            assert ("terminal_observation" in infos[row]) == done[row]
+            assert infos[row]["layout"] == info["layout"][row]
+            if done[row]:
+                assert infos[row]["TimeLimit.truncated"] == truncated[row]
+                np.testing.assert_array_equal(infos[row]["terminal_observation"], info["final_obs"][row])
+                ends[infos[row]["TimeLimit.truncated"]] += 1
+    assert min(ends.values()) > 3
+
+
+def test_sb3_takes_the_single_environment_too_for_64_steps():
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    model = stable_baselines3.DQN("MlpPolicy", make(), learning_starts=10, buffer_size=100, seed=0, device="cpu")
+    assert model.learn(64).num_timesteps == 64

@@ -1,0 +1,84 @@
+"""Eq. (14) and its two other readings: every amount of every action, exactly."""
+
+import oracle
+import pytest
+import torch
+
+import uavnav
+from uavnav.dynamics import decode
+from uavnav.rewards import REWARDS
+
+WORLD = uavnav.World()
+NAMES = {
+    "eq14": {"collision", "penalty", "progress"},
+    "additive": {"collision", "progress", "stop", "turn"},
+    "initial": {"collision", "progress"},
+}
+
+
+def terms_of(variant, world=WORLD):
+    """The terms of all 100 actions, first without and then with a collision: each [2, 100]."""
+    angle, distance = decode(torch.arange(100).expand(2, 100), world)
+    collided = torch.tensor([[False], [True]]).expand(2, 100)
+    return REWARDS[variant](collided, distance, angle, world)
+
+
+def total(terms):
+    return sum(terms.values())
+
+
+def test_there_are_three_variants_and_eq14_is_the_first():
+    assert list(REWARDS) == ["eq14", "additive", "initial"]
+
+
+@pytest.mark.parametrize("variant", NAMES)
+def test_the_terms_of_200_cases_add_up_to_the_oracles_reward(variant):
+    terms = terms_of(variant)
+    assert set(terms) == NAMES[variant]
+    assert all(term.dtype == torch.float64 and term.shape == (2, 100) for term in terms.values())
+    expected = [[oracle.reward(*oracle.decode(a), hit, variant) for a in range(100)] for hit in (False, True)]
+    torch.testing.assert_close(total(terms), torch.tensor(expected, dtype=torch.float64), rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("variant", NAMES)
+def test_rewards_lie_between_minus_10_and_0_09_px(variant):
+    reward = total(terms_of(variant))
+    assert reward.min() == -10
+    assert reward.max() == 0.09
+
+
+@pytest.mark.parametrize("variant", NAMES)
+def test_a_collision_is_minus_10_whatever_the_action_and_the_only_term(variant):
+    terms = terms_of(variant)
+    assert (terms["collision"] == torch.tensor([[0.0], [-10.0]])).all()
+    assert all((term[1] == 0).all() for name, term in terms.items() if name != "collision")
+
+
+@pytest.mark.parametrize(
+    ("action", "eq14", "additive", "initial"),
+    [
+        (9, 0.09, 0.09, 0.09),  # straight, 9 px
+        (1, 0.01, 0.01, 0.01),  # straight, 1 px
+        (0, -0.01, -0.01, 0),  # a full stop
+        (10, -0.01, -0.02, 0),  # a turn in place
+        (59, -0.01, 0.08, 0.09),  # 5 degrees left, 9 px
+        (91, -0.01, 0, 0.01),  # 1 degree right, 1 px
+    ],
+)
+def test_six_actions_earn_what_section_4_2_says_in_three_readings(action, eq14, additive, initial):
+    earned = [total(terms_of(variant))[0, action].item() for variant in ("eq14", "additive", "initial")]
+    assert earned == pytest.approx([eq14, additive, initial], abs=1e-15)
+
+
+def test_eq14_pays_in_9_of_100_actions_and_fines_the_other_91():
+    reward = total(terms_of("eq14"))[0]
+    assert (reward > 0).sum() == 9
+    assert (reward == -0.01).sum() == 91
+
+
+def test_the_amounts_are_the_worlds():
+    world = uavnav.World(collision_reward=-3.0, penalty=-0.5, reward_per_pixel=2.0)
+    reward = total(terms_of("eq14", world))
+    assert (reward[1] == -3).all()
+    assert reward[0, [0, 9, 59]].tolist() == [-0.5, 18, -0.5]
+    assert total(terms_of("additive", world))[0, [0, 9, 59, 10]].tolist() == [-0.5, 18, 17.5, -1]

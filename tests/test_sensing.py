@@ -1,0 +1,247 @@
+"""Eqs (9), (10), (13): the sensor against a slow loop over all 136 squares, and against closed forms."""
+
+import math
+
+import oracle
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import uavnav
+from uavnav import layouts
+from uavnav.sensing import sense
+
+WORLD = uavnav.World()
+EMPTY = torch.zeros(0, 3)
+
+
+def random_poses(n, seed, k=8):
+    """Positions anywhere in the window, whole-degree headings, a layout each: x, y, heading, obstacles."""
+    generator = torch.Generator().manual_seed(seed)
+    x = torch.rand(n, generator=generator) * 800
+    y = torch.rand(n, generator=generator) * 600
+    heading = torch.randint(360, (n,), generator=generator)
+    return x, y, heading, layouts.generate(n, k, seed=seed)
+
+
+def near_walls(n, generator):
+    x, y, heading, circles = random_poses(n, 11)
+    gap = 20 + 40 * torch.rand(n, generator=generator)
+    x[0::4], x[1::4] = gap[0::4], 800 - gap[1::4]
+    y[2::4], y[3::4] = gap[2::4], 600 - gap[3::4]
+    return x, y, heading, circles
+
+
+def near_corners(n, generator):
+    _, _, heading, circles = random_poses(n, 12)
+    x, y = 20 + 130 * torch.rand(2, n, generator=generator)
+    x[0::2], y[1::4], y[2::4] = 800 - x[0::2], 600 - y[1::4], 600 - y[2::4]
+    return x, y, heading, circles
+
+
+def around_a_circle(n, generator, gap, seed):
+    """The first circle's edge is gap [n] px away."""
+    x, y, heading, circles = random_poses(n, seed)
+    angle = 2 * math.pi * torch.rand(n, generator=generator)
+    circles[:, 0, 0] = x + (circles[:, 0, 2] + gap) * torch.cos(angle)
+    circles[:, 0, 1] = y + (circles[:, 0, 2] + gap) * torch.sin(angle)
+    return x, y, heading, circles
+
+
+def in_contact(n, generator):
+    return around_a_circle(n, generator, 29.5 + torch.rand(n, generator=generator), 13)
+
+
+def at_the_edge_of_view(n, generator):
+    return around_a_circle(n, generator, 119.5 + torch.rand(n, generator=generator), 14)
+
+
+def axis_headings(n, generator):
+    """On whole pixels, so that directions at right angles and equal distances are exact in float32 too.
+
+    Not inside the border, where no flight gets: there, exactly on the edge of two squares, `sense` leaves out the
+    square whose nearest point is exactly 120 px along the wall (the eighth from the drone's).
+    """
+    x, y, heading, circles = random_poses(n, 15)
+    x, y = 21 + x * 758 / 800, 21 + y * 558 / 600
+    circles[:, 0] = torch.stack([x.round() + 90, y.round(), torch.full_like(x, 45)], -1)
+    return x.round(), y.round(), heading // 90 * 90, circles
+
+
+def inside_a_square(n, generator):
+    _, _, heading, circles = random_poses(n, 16)
+    left, bottom = torch.tensor(oracle.SQUARES)[torch.randint(136, (n,), generator=generator)].T
+    return (
+        left + 20 * torch.rand(n, generator=generator),
+        bottom + 20 * torch.rand(n, generator=generator),
+        heading,
+        circles,
+    )
+
+
+def on_a_circles_centre(n, generator):
+    _, _, heading, circles = random_poses(n, 17)
+    return circles[:, 3, 0].clone(), circles[:, 3, 1].clone(), heading, circles
+
+
+def agree_with_the_oracle(poses, **switches):
+    """Compare every pose that is not doubtful; the share of the doubtful ones."""
+    slots, clearance = sense(*poses, uavnav.World(**switches))
+    x, y, heading, circles = (part.tolist() for part in poses)
+    expected, kept = [], []
+    for row in range(len(x)):
+        found = oracle.look(x[row], y[row], heading[row], circles[row])
+        if not oracle.doubtful(found):
+            kept.append(row)
+            expected.append([oracle.clearance_of(found), *sum(oracle.slots_of(found, **switches), ())])
+    got = torch.cat([clearance[:, None], slots.flatten(1)], -1)[kept]
+    torch.testing.assert_close(got, torch.tensor(expected), rtol=0, atol=1e-4)
+    return 1 - len(kept) / len(x)
+
+
+def test_ten_thousand_random_poses_equal_a_loop_over_136_squares():
+    assert agree_with_the_oracle(random_poses(10_000, 1)) < 0.01
+
+
+@pytest.mark.parametrize(
+    "group",
+    [near_walls, near_corners, in_contact, at_the_edge_of_view, axis_headings, inside_a_square, on_a_circles_centre],
+)
+def test_a_thousand_difficult_poses_equal_a_loop_over_136_squares(group):
+    assert agree_with_the_oracle(group(1000, torch.Generator().manual_seed(2))) < 0.05
+
+
+@pytest.mark.parametrize(
+    "switches", [{"slots": "listed"}, {"padding": "zeros"}, {"slots": "listed", "padding": "zeros"}]
+)
+def test_both_switches_equal_the_loop_on_a_thousand_poses_among_24_circles(switches):
+    assert agree_with_the_oracle(random_poses(1000, 3, k=24), **switches) < 0.05
+
+
+def sense_at(x, y, heading, circles=EMPTY, world=WORLD):
+    slots, clearance = sense(
+        torch.tensor(float(x)), torch.tensor(float(y)), torch.tensor(heading), torch.as_tensor(circles), world
+    )
+    return slots.tolist(), clearance.item()
+
+
+def test_the_empty_arena_shows_ten_far_slots_at_the_start_and_280_px_of_room():
+    assert sense_at(400, 300, 90) == ([[0, 0, 1]] * 10, 280)
+    assert sense_at(400, 300, 90, world=uavnav.World(padding="zeros")) == ([[0, 0, 0]] * 10, 280)
+
+
+def test_a_circle_60_px_ahead_left_and_right_reads_one_third():
+    for dx, dy, direction in ((0, 1, [0, 1]), (-1, 0, [-1, 0]), (1, 0, [1, 0])):
+        slots, clearance = sense_at(400, 300, 90, [[400.0 + 100 * dx, 300.0 + 100 * dy, 40.0]])
+        assert slots[0] == pytest.approx([*direction, 1 / 3], abs=1e-6)
+        assert slots[1:] == [[0, 0, 1]] * 9
+        assert clearance == 60
+
+
+def test_a_circle_one_degree_behind_is_not_sensed_but_counts_for_the_clearance():
+    angle = math.radians(179)
+    behind = [[400 + 80 * math.cos(angle), 300 + 80 * math.sin(angle), 45.0]]
+    slots, clearance = sense_at(400, 300, 88, behind)
+    assert slots == [[0, 0, 1]] * 10
+    assert clearance == pytest.approx(35, abs=1e-4)
+    assert sense_at(400, 300, 90, behind)[0][0][1] == pytest.approx(math.sin(math.radians(1)), abs=1e-6)
+
+
+def test_a_wall_is_in_view_at_120_px_and_not_at_120_001_px():
+    assert sense_at(140, 300, 180)[0] == [[0, 1, 1]] * 2 + [[0, 0, 1]] * 8
+    assert sense_at(140.001, 300, 180)[0] == [[0, 0, 1]] * 10
+
+
+def test_at_30_px_the_distance_reads_0_and_stays_0_inside():
+    for y in (50, 40, 20, 10):
+        slots, clearance = sense_at(400, y, 270)
+        assert slots[0][2] == 0
+        assert clearance == max(y - 20, 0)
+
+
+def test_inside_a_square_and_on_a_circles_centre_the_direction_is_0():
+    slots, clearance = sense_at(410, 10, 37)
+    assert (slots[0], clearance) == ([0, 0, 0], 0)
+    slots, clearance = sense_at(200, 200, 37, [[200.0, 200.0, 64.0]])
+    assert (slots[0], clearance) == ([0, 0, 0], -64)
+
+
+def test_equal_distances_are_listed_by_index_left_square_before_right():
+    # On x = 400 squares 20 px to the left and to the right are equally far; the left one has the lower index.
+    for y, heading, left in ((520, 90, -1), (80, 270, 1)):
+        slots, _ = sense_at(400, y, heading)
+        assert slots[0] == slots[1] == pytest.approx([0, 1, 1 / 3], abs=1e-6)
+        assert [math.copysign(1, slot[0]) for slot in slots[2:10]] == [left, -left] * 4
+        assert all(abs(slots[i][0] + slots[i + 1][0]) < 1e-6 for i in (2, 4, 6, 8))
+
+
+def test_two_circles_at_64_px_are_listed_in_the_order_of_the_file():
+    left, right = [300.0, 300.0, 36.0], [500.0, 300.0, 36.0]
+    assert [slot[0] for slot in sense_at(400, 300, 90, [left, right])[0][:2]] == pytest.approx([-1, 1], abs=1e-6)
+    assert [slot[0] for slot in sense_at(400, 300, 90, [right, left])[0][:2]] == pytest.approx([1, -1], abs=1e-6)
+
+
+def test_a_circle_is_listed_before_a_square_at_the_same_60_px():
+    slots, _ = sense_at(400, 520, 90, [[300.0, 520.0, 40.0]])
+    assert slots[0] == pytest.approx([-1, 0, 1 / 3], abs=1e-6)
+
+
+def test_of_12_circles_nearest_drops_the_farthest_and_listed_the_last():
+    ahead = [[400.0, 300 + 150 - 5.0 * i, 40.0] for i in range(12)]  # the last is the nearest: 55 px
+    distances = [(110 - 5 * i - 30) / 90 for i in range(12)]
+    nearest, _ = sense_at(400, 300, 90, ahead)
+    listed, _ = sense_at(400, 300, 90, ahead, uavnav.World(slots="listed"))
+    assert [slot[2] for slot in nearest] == pytest.approx(distances[::-1][:10], abs=1e-6)
+    assert [slot[2] for slot in listed] == pytest.approx(distances[:10], abs=1e-6)
+
+
+def test_each_of_500_rows_is_bit_identical_alone_and_permuted():
+    poses = random_poses(500, 4)
+    slots, clearance = sense(*poses, WORLD)
+    order = torch.randperm(500, generator=torch.Generator().manual_seed(0))
+    permuted = sense(*(part[order] for part in poses), WORLD)
+    assert torch.equal(permuted[0], slots[order])
+    assert torch.equal(permuted[1], clearance[order])
+    for row in range(500):
+        alone = sense(*(part[row] for part in poses), WORLD)
+        assert torch.equal(alone[0], slots[row])
+        assert torch.equal(alone[1], clearance[row])
+
+
+@pytest.mark.parametrize("shape", [(), (6,), (2, 3), (3, 1, 2)])
+@pytest.mark.parametrize("k", [0, 1, 8])
+def test_every_batch_shape_gives_ten_triples_and_one_clearance(shape, k):
+    n = math.prod(shape)
+    x, y, heading, circles = random_poses(n, 5, k)
+    slots, clearance = sense(
+        x.reshape(shape), y.reshape(shape), heading.reshape(shape), circles.reshape(*shape, k, 3), WORLD
+    )
+    assert slots.shape == (*shape, 10, 3)
+    assert clearance.shape == shape
+    assert slots.dtype == clearance.dtype == torch.float32
+    flat = sense(x, y, heading, circles, WORLD)
+    assert torch.equal(slots.reshape(n, 10, 3), flat[0])
+    assert torch.equal(clearance.reshape(n), flat[1])
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    x=st.floats(0, 800, width=32),
+    y=st.floats(0, 600, width=32),
+    heading=st.integers(0, 359),
+    seed=st.integers(0, 1000),
+    k=st.integers(0, 30),
+)
+def test_any_observation_is_within_bounds_nearest_first_with_the_empty_slots_last(x, y, heading, seed, k):
+    circles = layouts.generate(1, k, seed)[0]
+    slots, clearance = sense(torch.tensor(x), torch.tensor(y), torch.tensor(heading), circles, WORLD)
+    right, forward, distance = slots.unbind(-1)
+    assert right.abs().max() <= 1
+    assert 0 <= forward.min() <= forward.max() <= 1
+    assert 0 <= distance.min() <= distance.max() <= 1
+    assert (distance.diff() >= 0).all()
+    length = torch.hypot(right, forward)
+    assert (torch.minimum(length, (length - 1).abs()) < 2e-6).all()  # a direction, or none
+    assert (length[1:] <= length[:-1] + 2e-6).all() or clearance <= 0
+    assert clearance <= 280

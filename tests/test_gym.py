@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 import uavnav
 from uavnav import layouts
+from uavnav.gym import DroneGymEnv, DroneVectorEnv
 
 STRAIGHT = 9  # no turn, 9 px
 
@@ -140,9 +141,7 @@ def test_actions_outside_0_to_99_are_refused(action):
     ],
 )
 def test_each_of_5_bad_arguments_is_refused_with_the_choices(arguments, says):
-    kinds = (
-        [uavnav.gym.DroneVectorEnv] if "num_envs" in arguments else [uavnav.gym.DroneGymEnv, uavnav.gym.DroneVectorEnv]
-    )
+    kinds = [DroneVectorEnv] if "num_envs" in arguments else [DroneGymEnv, DroneVectorEnv]
     for kind in kinds:
         with pytest.raises(ValueError, match=says):
             kind(**arguments)

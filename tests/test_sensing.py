@@ -148,6 +148,15 @@ def test_a_circle_one_degree_behind_is_not_sensed_but_counts_for_the_clearance()
     assert sense_at(400, 300, 90, behind)[0][0][1] == pytest.approx(math.sin(math.radians(1)), abs=1e-6)
 
 
+def test_a_circle_at_a_right_angle_is_sensed_in_all_360_headings_with_forward_never_below_0():
+    for heading in range(360):
+        for side in (-1, 1):
+            angle = math.radians(heading + 90 * side)
+            slots, _ = sense_at(400, 300, heading, [[400 + 100 * math.cos(angle), 300 + 100 * math.sin(angle), 40.0]])
+            assert slots[0] == pytest.approx([-side, 0, 1 / 3], abs=1e-5)
+            assert slots[0][1] >= 0
+
+
 def test_a_wall_is_in_view_at_120_px_and_not_at_120_001_px():
     assert sense_at(140, 300, 180)[0] == [[0, 1, 1]] * 2 + [[0, 0, 1]] * 8
     assert sense_at(140.001, 300, 180)[0] == [[0, 0, 1]] * 10

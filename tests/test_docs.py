@@ -1,0 +1,47 @@
+"""What the README shows runs."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from uavnav.networks import ACTIVATIONS
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
+
+
+def blocks(language):
+    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("code", [code for code in blocks("python") if "import" in code])
+def test_each_snippet_of_the_readme_runs(code, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+
+
+def test_the_line_that_adds_an_activation_fits_the_table(monkeypatch):
+    (line,) = [code for code in blocks("python") if "import" not in code]
+    from torch.nn import functional as F
+
+    added = eval("{" + line + "}", {"F": F})
+    assert len(added) == 1
+    assert not set(added) & set(ACTIVATIONS)
+
+
+def test_every_file_that_the_readme_links_to_exists():
+    for target in re.findall(r"\]\(([^)#:]+)\)", README):
+        assert (ROOT / target).is_file(), target
+
+
+def test_every_recipe_command_of_the_readme_names_a_recipe_and_keys_that_exist():
+    from uavnav.config import TrainConfig
+
+    commands = [line for code in blocks("console") for line in code.splitlines() if line.startswith("python recipes/")]
+    assert len(commands) >= 3
+    for command in commands:
+        _, recipe, *words = command.split()
+        assert (ROOT / recipe).is_file()
+        for word in words:
+            assert word == "-m" or word.split("=")[0] in TrainConfig.__dataclass_fields__

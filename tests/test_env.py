@@ -368,3 +368,30 @@ def test_50_compiled_steps_equal_the_eager_ones(bank):
     assert compiled.eager() is compiled
     compiled.set_seed(1)
     same_rows(uavnav.DroneEnv([2, 3], layouts=bank, max_steps=20, seeds=[1, 2]), slice(None), compiled, actions)
+
+
+@pytest.mark.parametrize("start_heading", ["up", "random"])
+def test_a_restored_environment_flies_the_same_200_steps_again(bank, start_heading):
+    def make():
+        return uavnav.DroneEnv([2, 4], layouts=bank, seeds=[1, 2], world=uavnav.World(start_heading=start_heading))
+
+    def fly(env, root, steps):
+        g = torch.Generator().manual_seed(0)
+        seen = []
+        for _ in range(steps):
+            root.set("action", torch.randint(100, (2, 4), generator=g))
+            after, root = env.step_and_maybe_reset(root)
+            seen.append(after["next"].clone())
+        return torch.stack(seen)
+
+    env = make()
+    fly(env, env.reset(), 150)
+    saved = env.state_dict()
+    expected = fly(env, env.root(), 200)
+    assert expected["done"].sum() > 8
+    other = make()
+    other.reset()
+    other.load_state_dict(saved)
+    assert (fly(other, other.root(), 200) == expected).all()
+    env.load_state_dict(saved)
+    assert (fly(env, env.root(), 200) == expected).all()

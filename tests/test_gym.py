@@ -130,6 +130,13 @@ def test_actions_outside_0_to_99_are_refused(action):
             env.step(wrong)
 
 
+def test_three_actions_for_two_rows_and_an_action_of_2_7_are_refused():
+    for env, wrong in ((make().unwrapped, 2.7), (make_vec(2), np.array([1, 2, 3]))):
+        env.reset(seed=0)
+        with pytest.raises(ValueError, match="whole number from 0 to 99"):
+            env.step(wrong)
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

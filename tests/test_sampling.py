@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from uavnav.sampling import AgentSampler, epsilon_greedy, sample_categorical
-from uavnav.seeding import draw, headings, places, stream
+from uavnav.seeding import Streams, headings, places, stream
 
 
 def test_sampled_actions_follow_the_softmax_of_their_logits():
@@ -48,7 +48,7 @@ def buffer(seeds, replace, batch_size):
     """Rows [10, agents] whose value says which row and which agent's they are."""
     replay = ReplayBuffer(
         storage=LazyTensorStorage(10),
-        sampler=AgentSampler([stream(seed, "rows") for seed in seeds], replace),
+        sampler=AgentSampler(seeds, "rows", replace),
         batch_size=batch_size,
     )
     rows, agents = torch.arange(10)[:, None], torch.tensor(seeds)[None, :]
@@ -99,13 +99,12 @@ def test_a_place_depends_on_its_seed_and_index_alone():
 
 
 def test_headings_are_whole_degrees_of_a_full_turn():
-    drawn = headings([stream(0, "headings")], 20_000, "cpu")
+    drawn = headings(Streams([0], "headings"), 20_000, "cpu")
     assert drawn.min() == 0
     assert drawn.max() == 359
     assert drawn.dtype == torch.int64
 
 
 def test_draws_are_stacked_by_agent():
-    generators = [torch.Generator().manual_seed(seed) for seed in (1, 2)]
-    drawn = draw(generators, torch.rand, 3, device="cpu")
-    assert torch.equal(drawn[1], torch.rand(3, generator=torch.Generator().manual_seed(2)))
+    drawn = Streams([1, 2], "test").draw(torch.rand, 3, device="cpu")
+    assert torch.equal(drawn[1], torch.rand(3, generator=stream(2, "test")))

@@ -33,7 +33,7 @@ from uavnav.learner import Learner
 from uavnav.networks import mlp
 from uavnav.runs import Recorder, Run, default_folder
 from uavnav.sampling import AgentSampler, epsilon_greedy
-from uavnav.seeding import draw, stream
+from uavnav.seeding import Streams, stream
 
 ALGORITHM = "dqn"
 LOG_FRAMES = 5_000
@@ -104,7 +104,7 @@ class ExploringPolicy(nn.Module):
     def __init__(self, network: nn.Module, config: DQNConfig, compile: bool) -> None:
         super().__init__()
         self.network = network
-        self.generators = [stream(seed, "actions") for seed in config.seeds]
+        self.streams = Streams(config.seeds, "actions")
         self.epsilon = torch.tensor(config.epsilon(0), device=config.device)
         self._choose = torch.compile(self._act, dynamic=False, fullgraph=True) if compile else self._act
 
@@ -112,7 +112,7 @@ class ExploringPolicy(nn.Module):
         return epsilon_greedy(self.network(observation), epsilon, coin, choice)
 
     def forward(self, observation: Tensor) -> Tensor:
-        uniform = draw(self.generators, torch.rand, 2, observation.shape[1], device=observation.device)
+        uniform = self.streams.draw(torch.rand, 2, observation.shape[1], device=observation.device)
         return self._choose(observation, uniform[:, 0], uniform[:, 1], self.epsilon)
 
 
@@ -186,7 +186,7 @@ def train(config: DQNConfig, out: str | Path | None = None, overwrite: bool = Fa
     )
     buffer = ReplayBuffer(
         storage=LazyTensorStorage(min(config.buffer_size, config.iterations * config.n_worlds), device=config.device),
-        sampler=AgentSampler([stream(seed, "replay") for seed in config.seeds], replace=True),
+        sampler=AgentSampler(config.seeds, "replay", replace=True),
         batch_size=config.batch_size * config.updates_per_step,
     )
     loss = make_loss(network, config)

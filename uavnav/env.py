@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,18 +103,19 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     # -- randomness: one stream of places and headings for each seed ------------------------------------------------
 
     def _seed(self, seeds: int | Sequence[int]) -> None:
-        self.seeds = [seeds] if isinstance(seeds, int) else list(seeds)
-        if not isinstance(seeds, int) and (not self.batch_size or len(self.seeds) != self.batch_size[0]):
+        self.seeds = list(seeds) if isinstance(seeds, Sequence) else [int(seeds)]
+        if isinstance(seeds, Sequence) and (not self.batch_size or len(seeds) != self.batch_size[0]):
             raise ValueError(
                 f"{len(self.seeds)} seeds for batch_size {list(self.batch_size)}; give one, or one per agent"
             )
         self._rows_per_seed = self.batch_size.numel() // len(self.seeds)
         places = seeding.places(self.seeds, self._rows_per_seed, len(self.bank), self.device)
-        self._headings = [seeding.stream(seed, "headings") for seed in self.seeds]
+        self._headings = seeding.Streams(self.seeds, "headings")
         self._never = torch.zeros((), dtype=torch.bool, device=self.device).expand(*self.batch_size, 1)
         self._nothing = torch.zeros(self.batch_size, dtype=torch.int64, device=self.device)
         self._started = False
         self.state = simulator.start(places.reshape(self.batch_size), self._draw_headings(), self.world)
+        self._observation, _ = simulator.observe(self.state, self.bank, self.world)
 
     def _set_seed(self, seed: int | None) -> None:
         """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... where there are agents."""
@@ -127,6 +128,18 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             return self._nothing + UP
         return seeding.headings(self._headings, self._rows_per_seed, self.device).reshape(self.batch_size)
 
+    def state_dict(self) -> dict[str, Any]:
+        """All that the future depends on: each row's state and observation, and the streams of headings."""
+        state = {name: value.clone() for name, value in self.state._asdict().items()}
+        return {"state": state, "observation": self._observation.clone(), "headings": self._headings.state_dict()}
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Go on from where `state_dict` was taken, in an environment that was built alike; `root()` is where."""
+        self.state = State(**{name: value.to(self.device).clone() for name, value in state_dict["state"].items()})
+        self._observation = state_dict["observation"].to(self.device).clone()
+        self._headings.load_state_dict(state_dict["headings"])
+        self._started = True
+
     # -- TorchRL's protocol -------------------------------------------------------------------------------------------
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
@@ -137,24 +150,25 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         fresh = simulator.start(following, self._draw_headings() if self._started else self.state.heading, self.world)
         self.state = fresh if chosen is None else simulator.where(chosen, fresh, self.state)
         self._started = True
-        observation, _ = simulator.observe(self.state, self.bank, self.world)
-        return self._root(observation, self.state)
+        self._observation, _ = simulator.observe(self.state, self.bank, self.world)
+        return self.root()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict["action"]
         if bool(((action < 0) | (action >= self.world.n_actions)).any()):
             raise ValueError(f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}")
         self.state, outcome = simulator.step(self.state, action, self.bank, self.world, self.reward, self.max_steps)
+        self._observation = outcome.observation
         return self._next(outcome, self.state)
 
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
-        final, outcome, self.state, observation = self._advance(
+        final, outcome, self.state, self._observation = self._advance(
             self.state, tensordict["action"], self._draw_headings(), self.bank
         )
         tensordict.set("next", self._next(outcome, final))
-        return tensordict, self._root(observation, self.state)
+        return tensordict, self.root()
 
     def compile(self, **kwargs: Any) -> DroneEnv:
         """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it too."""
@@ -191,14 +205,15 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             device=self.device,
         )
 
-    def _root(self, observation: Tensor, state: State) -> TensorDict:
+    def root(self) -> TensorDict:
+        """What the next step starts from: the observation, flags and counts of now."""
         return TensorDict(
             {
-                "observation": observation,
+                "observation": self._observation,
                 "done": self._never,
                 "terminated": self._never,
                 "truncated": self._never,
-                "episode": self._episode(state),
+                "episode": self._episode(self.state),
             },
             batch_size=self.batch_size,
             device=self.device,

@@ -61,7 +61,7 @@ class _Flights:
     def seed(self, seeds: Sequence[int]) -> None:
         """Put every row at its place: all rows are one seed's, or each row is a seed's first."""
         rows = self.shape.numel() // len(seeds)
-        self._generators = [seeding.stream(seed, "headings") for seed in seeds]
+        self._n_seeds, self._streams = len(seeds), seeding.Streams(seeds, "headings")
         self._first = seeding.places(seeds, rows, len(self.bank), "cpu").reshape(self.shape)
         self.state = None
 
@@ -79,12 +79,13 @@ class _Flights:
     def step(self, action: Any) -> simulator.Outcome:
         if self.state is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        actions = torch.as_tensor(np.asarray(action), dtype=torch.int64)
-        if bool(((actions < 0) | (actions >= self.world.n_actions)).any()):
-            raise ValueError(f"action={action}; give a whole number from 0 to {self.world.n_actions - 1}")
-        self.state, outcome = simulator.step(
-            self.state, actions.reshape(self.shape), self.bank, self.world, self.reward, self.max_steps
-        )
+        given = np.asarray(action)
+        fits = given.dtype.kind in "iu" and given.size == self.shape.numel()
+        if not fits or not ((given >= 0) & (given < self.world.n_actions)).all():
+            each = "" if self.shape == () else f" for each of the {self.shape.numel()} rows"
+            raise ValueError(f"action={action}; give a whole number from 0 to {self.world.n_actions - 1}{each}")
+        actions = torch.as_tensor(given, dtype=torch.int64).reshape(self.shape)
+        self.state, outcome = simulator.step(self.state, actions, self.bank, self.world, self.reward, self.max_steps)
         return outcome
 
     def restart(self, done: Tensor) -> None:
@@ -100,8 +101,8 @@ class _Flights:
     def _headings(self) -> Tensor:
         if self.world.start_heading == "up":
             return torch.full(self.shape, UP)
-        rows = self.shape.numel() // len(self._generators)
-        return seeding.headings(self._generators, rows, "cpu").reshape(self.shape)
+        rows = self.shape.numel() // self._n_seeds
+        return seeding.headings(self._streams, rows, "cpu").reshape(self.shape)
 
 
 class DroneGymEnv(gymnasium.Env[Observation, np.int64]):

@@ -34,7 +34,7 @@ from uavnav.learner import Learner
 from uavnav.networks import mlp
 from uavnav.runs import Recorder, Run, default_folder
 from uavnav.sampling import AgentSampler, sample_categorical
-from uavnav.seeding import draw, stream
+from uavnav.seeding import Streams, stream
 
 ALGORITHM = "ppo"
 
@@ -88,14 +88,14 @@ class SampledPolicy(nn.Module):
     def __init__(self, network: nn.Module, config: PPOConfig, compile: bool) -> None:
         super().__init__()
         self.network = network
-        self.generators = [stream(seed, "actions") for seed in config.seeds]
+        self.streams = Streams(config.seeds, "actions")
         self._sample = torch.compile(self._act, dynamic=False, fullgraph=True) if compile else self._act
 
     def _act(self, observation: Tensor, uniform: Tensor) -> Tensor:
         return sample_categorical(self.network(observation), uniform)
 
     def forward(self, observation: Tensor) -> Tensor:
-        uniform = draw(self.generators, torch.rand, observation.shape[1], device=observation.device)
+        uniform = self.streams.draw(torch.rand, observation.shape[1], device=observation.device)
         return self._sample(observation, uniform)
 
 
@@ -206,7 +206,7 @@ def train(config: PPOConfig, out: str | Path | None = None, overwrite: bool = Fa
     )
     buffer = ReplayBuffer(
         storage=LazyTensorStorage(config.frames_per_batch, device=config.device),
-        sampler=AgentSampler([stream(seed, "minibatches") for seed in config.seeds], replace=False),
+        sampler=AgentSampler(config.seeds, "minibatches", replace=False),
         batch_size=config.frames_per_batch,
     )
     advantage = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, vectorized=False)

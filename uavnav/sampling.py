@@ -15,7 +15,7 @@ from torch import Tensor
 from torchrl.data import Storage
 from torchrl.data.replay_buffers import Sampler
 
-from uavnav.seeding import draw
+from uavnav.seeding import Streams
 
 
 def sample_categorical(logits: Tensor, uniform: Tensor) -> Tensor:
@@ -41,27 +41,27 @@ class AgentSampler(Sampler):  # type: ignore[misc]
     """Indices (row, agent) into a storage of rows [A, ...]: every agent draws its own rows, and gets a batch [A, N].
 
     Args:
-        generators: one for each agent.
+        seeds: one for each agent.
+        purpose: names its streams.
         replace: uniform draws as for replay, or a permutation of all rows as for an epoch of minibatches.
     """
 
-    def __init__(self, generators: Sequence[torch.Generator], replace: bool) -> None:
-        self.generators = list(generators)
+    def __init__(self, seeds: Sequence[int], purpose: str, replace: bool) -> None:
+        self.streams = Streams(seeds, purpose)
         self.replace = replace
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[tuple[Tensor, Tensor], dict[str, Any]]:
         if self.replace:
-            rows = draw(self.generators, torch.randint, len(storage), (batch_size,), device=storage.device)
+            rows = self.streams.draw(torch.randint, len(storage), (batch_size,), device=storage.device)
         else:
-            rows = draw(self.generators, torch.randperm, len(storage), device=storage.device)[:, :batch_size]
+            rows = self.streams.draw(torch.randperm, len(storage), device=storage.device)[:, :batch_size]
         return (rows, torch.arange(len(rows), device=rows.device)[:, None]), {}
 
     def state_dict(self) -> dict[str, Any]:
-        return {"generators": [generator.get_state() for generator in self.generators]}
+        return self.streams.state_dict()
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        for generator, state in zip(self.generators, state_dict["generators"], strict=True):
-            generator.set_state(state)
+        self.streams.load_state_dict(state_dict)
 
     def _empty(self) -> None:
         """Nothing is kept between draws."""

@@ -15,15 +15,28 @@ def stream(seed: int, purpose: str) -> torch.Generator:
     return torch.Generator().manual_seed(int.from_bytes(digest[:4], "little"))
 
 
-def draw(
-    generators: Sequence[torch.Generator], function: Callable[..., Tensor], *args: object, device: torch.device | str
-) -> Tensor:
-    """One draw from every generator, stacked along a leading axis of agents.
+class Streams:
+    """A stream for each seed, drawn from side by side: what one seed gets does not depend on the others."""
 
-    `draw(generators, torch.rand, 16, device="cpu")` -> [agents, 16]. Numbers are always drawn on the CPU, so that a
-    run on another device sees the same ones.
-    """
-    return torch.stack([function(*args, generator=generator) for generator in generators]).to(device)
+    def __init__(self, seeds: Sequence[int], purpose: str) -> None:
+        self._generators = [stream(seed, purpose) for seed in seeds]
+
+    def draw(self, function: Callable[..., Tensor], *args: object, device: torch.device | str) -> Tensor:
+        """One draw from every stream: `draw(torch.rand, 16, device="cpu")` -> [seeds, 16].
+
+        Numbers are always drawn on the CPU, so that a run on another device sees the same ones.
+        """
+        drawn = [function(*args, generator=generator) for generator in self._generators]
+        return torch.stack(drawn).to(device)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Where each stream is: [seeds, bytes] uint8."""
+        return {"generators": torch.stack([generator.get_state() for generator in self._generators])}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Go on from where `state_dict` was taken."""
+        for generator, saved in zip(self._generators, state["generators"], strict=True):
+            generator.set_state(saved.clone())  # it reads the storage from its beginning
 
 
 def places(seeds: Sequence[int], rows: int, n_layouts: int, device: torch.device | str) -> Tensor:
@@ -31,9 +44,9 @@ def places(seeds: Sequence[int], rows: int, n_layouts: int, device: torch.device
 
     A row's place follows from its seed and its index among that seed's rows, not from how many there are of either.
     """
-    return draw([stream(seed, "places") for seed in seeds], torch.randint, n_layouts, (rows,), device=device)
+    return Streams(seeds, "places").draw(torch.randint, n_layouts, (rows,), device=device)
 
 
-def headings(generators: Sequence[torch.Generator], rows: int, device: torch.device | str) -> Tensor:
+def headings(streams: Streams, rows: int, device: torch.device | str) -> Tensor:
     """Random start headings of each seed's rows: [seeds, rows] whole degrees."""
-    return draw(generators, torch.randint, 360, (rows,), device=device)
+    return streams.draw(torch.randint, 360, (rows,), device=device)

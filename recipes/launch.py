@@ -22,7 +22,10 @@ from omegaconf.errors import OmegaConfBaseException
 from uavnav import layouts
 from uavnav.config import ConfigError, TrainConfig, unknown, unknown_key
 from uavnav.display import report
-from uavnav.runs import Recorder, Run, RunError, default_folder
+from uavnav.runs import Interrupted, Recorder, Run, RunError, default_folder
+
+HERE = ("out", "overwrite", "checkpoint_seconds")
+"""The keys of the recipes themselves; all others are fields of the algorithm's configuration."""
 
 ERRORS = (ConfigError, layouts.LayoutError, RunError)
 
@@ -35,16 +38,18 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
     kind = type(next(iter(presets.values())))
     folders: set[Path] = set()
 
-    def parse(settings: DictConfig) -> tuple[TrainConfig, Path, bool]:
+    def parse(settings: DictConfig) -> tuple[TrainConfig, Path, bool, float]:
         values: dict[str, Any] = OmegaConf.to_container(settings, resolve=True)
-        out, overwrite = values.pop("out"), values.pop("overwrite")
+        out, overwrite, seconds = (values.pop(key) for key in HERE)
         if not isinstance(overwrite, bool):
             raise ConfigError(f"overwrite={overwrite}; choose from false, true")
+        if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not seconds >= 0:
+            raise ConfigError(f"checkpoint_seconds={seconds}; give a number of at least 0")
         config = kind.from_mapping(values)
-        return config, default_folder(algorithm, config) if out is None else Path(str(out)), overwrite
+        return config, default_folder(algorithm, config) if out is None else Path(str(out)), overwrite, seconds
 
     def check(settings: DictConfig) -> None:
-        config, out, overwrite = parse(settings)
+        config, out, overwrite, _ = parse(settings)
         if out.resolve() in folders:
             raise RunError(
                 f"out={out}: two runs of the sweep would share it; leave it out, or use out='runs/${{activation}}'"
@@ -54,8 +59,8 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
         Recorder(out, algorithm, config, overwrite)
 
     def run(settings: DictConfig) -> None:
-        config, out, overwrite = parse(settings)
-        finished = train(config, out=out, overwrite=overwrite)
+        config, out, overwrite, seconds = parse(settings)
+        finished = train(config, out=out, overwrite=overwrite, checkpoint_seconds=seconds)
         if finished.fresh:
             report(finished)
         else:
@@ -67,6 +72,9 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
             if {"-m", "--multirun"} & set(arguments):
                 _compose(algorithm, check, [*arguments, "hydra/launcher=basic"])
             _compose(algorithm, run, arguments)
+        except Interrupted as stop:
+            print(stop, file=sys.stderr)
+            sys.exit(128 + stop.signum)
         except ERRORS as error:
             sys.exit(f"{algorithm}: {error}")
         except (HydraException, OmegaConfBaseException) as error:
@@ -104,5 +112,5 @@ def _one_line(error: Exception, presets: Mapping[str, TrainConfig]) -> str:
         return str(unknown("preset", error.missing_cfg_file.removeprefix("preset/"), presets))
     key = re.match(r"Could not override '([^']+)'", str(error))
     if key:
-        return str(unknown_key(key[1], [*asdict(next(iter(presets.values()))), "out", "overwrite"]))
+        return str(unknown_key(key[1], [*asdict(next(iter(presets.values()))), *HERE]))
     return str(error).strip().splitlines()[0]

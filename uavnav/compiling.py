@@ -1,8 +1,9 @@
-"""Whether a run compiles its world, policy and updates into graphs."""
+"""How a run uses the machine: compiled or not, and in how many threads; by its configuration, never by a clock."""
 
 from __future__ import annotations
 
 import logging
+import os
 import warnings
 
 import torch
@@ -27,6 +28,11 @@ def decide(config: TrainConfig) -> bool:
     if problem:
         warnings.warn(f"runs without compilation, several times slower: {problem}", stacklevel=2)
     return problem is None
+
+
+def threads(config: TrainConfig) -> int:
+    """Two threads are slower than one on the networks of fewer than 4 agents, and faster from there on."""
+    return 1 if config.n_seeds < 4 else os.cpu_count() or 1
 
 
 def _problem(device: str) -> str | None:

@@ -26,12 +26,13 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
 from uavnav import compiling, policies
+from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
 from uavnav.env import DroneEnv
 from uavnav.learner import Learner
 from uavnav.networks import mlp
-from uavnav.runs import Recorder, Run, default_folder
+from uavnav.runs import CHECKPOINT_SECONDS, Recorder, Run, default_folder
 from uavnav.sampling import AgentSampler, epsilon_greedy
 from uavnav.seeding import Streams, stream
 
@@ -141,7 +142,13 @@ def make_learner(loss: DQNLoss, config: DQNConfig, compile: bool) -> Learner:
     )
 
 
-def train(config: DQNConfig, out: str | Path | None = None, overwrite: bool = False, quiet: bool = False) -> Run:
+def train(
+    config: DQNConfig,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    quiet: bool = False,
+    checkpoint_seconds: float = CHECKPOINT_SECONDS,
+) -> Run:
     """Train one agent a seed and keep the run in a folder.
 
     Args:
@@ -149,17 +156,20 @@ def train(config: DQNConfig, out: str | Path | None = None, overwrite: bool = Fa
         out: the run's folder; by default runs/dqn[-preset]/activation.
         overwrite: start anew where the folder holds a run.
         quiet: show no progress.
+        checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
 
     Returns:
         The finished run; at once, where the folder already holds this very run.
 
     Raises:
         ConfigError, LayoutError, RunError: before anything is written.
+        Interrupted: by SIGINT or SIGTERM, and saved.
     """
-    recorder = Recorder(out or default_folder(ALGORITHM, config), ALGORITHM, config, overwrite)
+    recorder = Recorder(out or default_folder(ALGORITHM, config), ALGORITHM, config, overwrite, checkpoint_seconds)
     if recorder.finished:
         return recorder.read()
     compile = compiling.decide(config)
+    torch.set_num_threads(compiling.threads(config))
     env = DroneEnv(
         [config.n_seeds, config.n_worlds],
         layouts=config.layouts,
@@ -177,16 +187,18 @@ def train(config: DQNConfig, out: str | Path | None = None, overwrite: bool = Fa
         env,
         TensorDictModule(policy, in_keys=["observation"], out_keys=["action"]),
         frames_per_batch=config.n_seeds * config.n_worlds,
-        total_frames=config.n_seeds * config.n_worlds * config.iterations,
+        total_frames=-1,
         auto_register_policy_transforms=False,
         track_traj_ids=False,
         trust_policy=True,
         use_buffers=False,
         return_same_td=True,
     )
+    total = config.n_worlds * config.iterations
+    sampler = AgentSampler(config.seeds, "replay", replace=True)
     buffer = ReplayBuffer(
-        storage=LazyTensorStorage(min(config.buffer_size, config.iterations * config.n_worlds), device=config.device),
-        sampler=AgentSampler(config.seeds, "replay", replace=True),
+        storage=LazyTensorStorage(min(config.buffer_size, total), device=config.device),
+        sampler=sampler,
         batch_size=config.batch_size * config.updates_per_step,
     )
     loss = make_loss(network, config)
@@ -194,12 +206,18 @@ def train(config: DQNConfig, out: str | Path | None = None, overwrite: bool = Fa
     steps_between_copies = max(config.target_update_frames // config.n_worlds, 1)
     target = HardUpdate(loss, value_network_update_interval=steps_between_copies - 1)  # it copies on every n-th + 1
 
-    frames = 0
+    parts: dict[str, Stateful] = {"env": env, "actions": policy.streams, "replay": sampler, "learner": learner}
+
     steps_between_rows = max(LOG_FRAMES // config.n_worlds, 1)
-    with recorder, Display(ALGORITHM, config, config.n_worlds * config.iterations, quiet) as display:
+    with recorder, Display(ALGORITHM, config, total, quiet) as display:
         recorder.note(compiled=compile, threads=torch.get_num_threads())
-        began, logged, losses = time.perf_counter(), 0, {}
-        for step, batch in enumerate(collector, start=1):
+        frames = recorder.resume(parts, buffer)
+        if frames:
+            collector._carrier = env.root()  # the collector has no public way to go on from there
+            policy.epsilon.fill_(config.epsilon(frames))
+            target.counter = frames // config.n_worlds % steps_between_copies
+        began, logged, losses = time.perf_counter(), frames, {}
+        for step, batch in zip(range(frames // config.n_worlds + 1, config.iterations + 1), collector, strict=False):
             recorder.add_episodes(batch["next"], frames)
             frames += config.n_worlds
             buffer.extend(rows(batch))
@@ -217,6 +235,7 @@ def train(config: DQNConfig, out: str | Path | None = None, overwrite: bool = Fa
                     frames, **losses, q_value=q_value, epsilon=policy.epsilon.item(), frames_per_second=rate
                 )
                 display.update(frames, recorder.recent_rewards())
+            recorder.checkpoint(frames, parts, buffer)
         recorder.add_open_episodes(env.state, frames)
         facts = {
             "algorithm": ALGORITHM,

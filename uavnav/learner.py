@@ -7,7 +7,7 @@ parameter.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import torch
 from tensordict import TensorDictBase
@@ -71,6 +71,28 @@ class Learner:
         """One update of every agent from a minibatch [A, N]; returns each agent's losses and gradient norm, [A]."""
         with torch.no_grad():
             return self._step(batch)
+
+    def state_dict(self) -> dict[str, dict[str, Tensor]]:
+        """Weights, targets, Adam's moments and steps."""
+        return {
+            "network": {name: value.detach().clone() for name, value in self._tensors()},
+            "first_moments": {str(index): value.clone() for index, value in enumerate(self.first_moments)},
+            "second_moments": {str(index): value.clone() for index, value in enumerate(self.second_moments)},
+            "steps": {str(index): value.clone() for index, value in enumerate(self.steps)},
+        }
+
+    def load_state_dict(self, state_dict: dict[str, dict[str, Tensor]]) -> None:
+        """Write in place what `state_dict` returned, so that the networks elsewhere follow."""
+        with torch.no_grad():
+            for name, value in self._tensors():
+                value.copy_(state_dict["network"][name])
+            for kind in ("first_moments", "second_moments", "steps"):
+                for index, value in enumerate(getattr(self, kind)):
+                    value.copy_(state_dict[kind][str(index)])
+
+    def _tensors(self) -> Iterator[tuple[str, Tensor]]:
+        yield from self.objective.named_parameters()
+        yield from self.objective.named_buffers()
 
     def gradient(self, batch: TensorDictBase) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The gradient by parameter, unclipped, and each agent's losses [A]."""

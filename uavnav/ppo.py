@@ -27,12 +27,13 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from uavnav import compiling, policies
+from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
 from uavnav.env import DroneEnv
 from uavnav.learner import Learner
 from uavnav.networks import mlp
-from uavnav.runs import Recorder, Run, default_folder
+from uavnav.runs import CHECKPOINT_SECONDS, Recorder, Run, default_folder
 from uavnav.sampling import AgentSampler, sample_categorical
 from uavnav.seeding import Streams, stream
 
@@ -162,7 +163,13 @@ def diagnostics(batch: TensorDictBase, loss: ClipPPOLoss, clip_epsilon: float) -
     }
 
 
-def train(config: PPOConfig, out: str | Path | None = None, overwrite: bool = False, quiet: bool = False) -> Run:
+def train(
+    config: PPOConfig,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    quiet: bool = False,
+    checkpoint_seconds: float = CHECKPOINT_SECONDS,
+) -> Run:
     """Train one agent a seed and keep the run in a folder.
 
     Args:
@@ -170,17 +177,20 @@ def train(config: PPOConfig, out: str | Path | None = None, overwrite: bool = Fa
         out: the run's folder; by default runs/ppo[-preset]/activation.
         overwrite: start anew where the folder holds a run.
         quiet: show no progress.
+        checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
 
     Returns:
         The finished run; at once, where the folder already holds this very run.
 
     Raises:
         ConfigError, LayoutError, RunError: before anything is written.
+        Interrupted: by SIGINT or SIGTERM, and saved.
     """
-    recorder = Recorder(out or default_folder(ALGORITHM, config), ALGORITHM, config, overwrite)
+    recorder = Recorder(out or default_folder(ALGORITHM, config), ALGORITHM, config, overwrite, checkpoint_seconds)
     if recorder.finished:
         return recorder.read()
     compile = compiling.decide(config)
+    torch.set_num_threads(compiling.threads(config))
     env = DroneEnv(
         [config.n_seeds, config.n_worlds],
         layouts=config.layouts,
@@ -193,32 +203,38 @@ def train(config: PPOConfig, out: str | Path | None = None, overwrite: bool = Fa
     if compile:
         env.compile()
     policy, value = (network.to(config.device) for network in make_networks(config))
+    actor = SampledPolicy(policy, config, compile)
     collector = Collector(
         env,
-        TensorDictModule(SampledPolicy(policy, config, compile), in_keys=["observation"], out_keys=["action"]),
+        TensorDictModule(actor, in_keys=["observation"], out_keys=["action"]),
         frames_per_batch=config.n_seeds * config.frames_per_batch,
-        total_frames=config.n_seeds * config.frames_per_batch * config.iterations,
+        total_frames=-1,
         auto_register_policy_transforms=False,
         track_traj_ids=False,
         trust_policy=True,
         use_buffers=False,
         return_same_td=True,
     )
+    sampler = AgentSampler(config.seeds, "minibatches", replace=False)
     buffer = ReplayBuffer(
         storage=LazyTensorStorage(config.frames_per_batch, device=config.device),
-        sampler=AgentSampler(config.seeds, "minibatches", replace=False),
+        sampler=sampler,
         batch_size=config.frames_per_batch,
     )
     advantage = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, vectorized=False)
     loss = make_loss(policy, value, config)
     learner = make_learner(loss, config, compile)
 
-    frames = 0
+    parts: dict[str, Stateful] = {"env": env, "actions": actor.streams, "minibatches": sampler, "learner": learner}
+
     total = config.frames_per_batch * config.iterations
     with recorder, Display(ALGORITHM, config, total, quiet) as display:
         recorder.note(compiled=compile, threads=torch.get_num_threads())
+        frames = recorder.resume(parts)
+        if frames:
+            collector._carrier = env.root()  # the collector has no public way to go on from there
         began = time.perf_counter()
-        for batch in collector:
+        for _, batch in zip(range(frames, total, config.frames_per_batch), collector, strict=False):
             recorder.add_episodes(batch["next"], frames)
             frames += config.frames_per_batch
             estimate(batch, loss, advantage)
@@ -234,6 +250,7 @@ def train(config: PPOConfig, out: str | Path | None = None, overwrite: bool = Fa
                 frames, **losses, **diagnostics(batch, loss, config.clip_epsilon), frames_per_second=rate
             )
             display.update(frames, recorder.recent_rewards())
+            recorder.checkpoint(frames, parts)
         recorder.add_open_episodes(env.state, frames)
         facts = {
             "algorithm": ALGORITHM,

@@ -5,6 +5,7 @@
     episodes.parquet    one row a training episode, the columns of `metrics.EPISODE_COLUMNS`
     progress.parquet    one row an iteration and seed: losses and diagnostics
     policy.safetensors  the networks of all seeds
+    checkpoint/         while the run is under way: what it goes on from (see `checkpoints`)
 
 Files appear whole or not at all, and a folder is locked while a run writes it.
 """
@@ -18,7 +19,9 @@ import json
 import os
 import platform
 import shutil
+import signal
 import subprocess
+import threading
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -34,20 +37,37 @@ import yaml
 from filelock import FileLock, Timeout
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.data import ReplayBuffer
 
 from uavnav import policies
+from uavnav.checkpoints import CheckpointError, Checkpoints, Stateful, collect, restore
 from uavnav.config import TrainConfig
 from uavnav.metrics import EPISODE_COLUMNS, LAST
 from uavnav.simulator import COUNTS, State
 from uavnav.world import VERSION
 
+Columns = dict[str, np.ndarray[Any, Any]]
+
 FINISHED = "finished"
+STOPS = (signal.SIGINT, signal.SIGTERM)
 LOCK = ".lock"
+CHECKPOINT_SECONDS = 60.0
+"""The time between two snapshots."""
+CHECKPOINT_SHARE = 0.04
+"""What snapshots may take of a run's time: where writing one takes long, the next comes later."""
 FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", policies.FILE_NAME)
 
 
 class RunError(RuntimeError):
     """A run's folder cannot be used or read; the message says what is wrong and what would be right."""
+
+
+class Interrupted(RunError):
+    """SIGINT or SIGTERM stopped a run, which was saved and can go on."""
+
+    def __init__(self, message: str, signum: int) -> None:
+        super().__init__(message)
+        self.signum = signum
 
 
 class Run:
@@ -95,22 +115,44 @@ def default_folder(algorithm: str, config: TrainConfig) -> Path:
 
 
 class Recorder:
-    """Collects a run's rows while it trains and writes its folder. Nothing is written before `with` begins.
+    """Collects a run's rows while it trains, saves snapshots, and writes its folder. Nothing is written before `with`.
+
+    Args:
+        path: the run's folder.
+        algorithm: `ppo` or `dqn`.
+        config: of the run.
+        overwrite: start anew where the folder holds a run.
+        checkpoint_seconds: the least time between two snapshots.
 
     Raises:
         RunError: the folder belongs to something else, is in use, or cannot be written.
     """
 
-    def __init__(self, path: str | Path, algorithm: str, config: TrainConfig, overwrite: bool = False) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        algorithm: str,
+        config: TrainConfig,
+        overwrite: bool = False,
+        checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    ) -> None:
         self.path = Path(path)
         self.algorithm = algorithm
         self.config = config
         self._overwrite = overwrite
-        self._episodes: list[dict[str, np.ndarray]] = []
-        self._progress: list[dict[str, np.ndarray]] = []
+        self._checkpoint_seconds = checkpoint_seconds
+        self._episodes: list[Columns] = []
+        self._progress: list[Columns] = []
         self._recent = [deque[float](maxlen=LAST) for _ in config.seeds]
+        self._meta = _facts()
         self._lock = FileLock(self.path / LOCK)
+        identity = {**self._described, **{f"version of {name}": v for name, v in self._meta["versions"].items()}}
+        self._checkpoints = Checkpoints(self.path / "checkpoint", identity)
         self.finished = self._check_folder()
+
+    @property
+    def _tables(self) -> dict[str, list[Columns]]:
+        return {"episodes": self._episodes, "progress": self._progress}
 
     @property
     def _described(self) -> dict[str, Any]:
@@ -156,22 +198,91 @@ class Recorder:
             ) from None
         except OSError as error:
             raise RunError(f"out={self.path}: cannot be written ({error})") from error
-        for name in FILES:
-            (self.path / name).unlink(missing_ok=True)
-        self._began = time.perf_counter()
-        self._meta = _facts() | {"status": "running", "started": _now()}
+        if self._overwrite:
+            self._checkpoints.remove()
+            for name in FILES:
+                (self.path / name).unlink(missing_ok=True)
+        self._began = self._saved = time.perf_counter()
+        self._meta |= {"status": "running", "started": _now()}
         self._write("config.yaml", yaml.safe_dump(self._described, sort_keys=False).encode())
         self._write_meta()
+        self._stop: int | None = None
+        self._handlers: dict[int, Any] = {}
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, self._note_stop) for number in STOPS}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
         if kind is not None:
             self._meta |= {"status": "interrupted"}
             self._write_meta()
         Path(self._lock.lock_file).unlink(missing_ok=True)
         self._lock.release()
+
+    def _note_stop(self, number: int, frame: object) -> None:
+        """The first signal waits for the end of the iteration, a second one does what it would have done."""
+        self._stop = number
+        signal.signal(number, self._handlers[number])
+
+    def resume(self, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> int:
+        """Set the parts to the newest usable snapshot, where there is one; the frames per seed that it has behind it.
+
+        Raises:
+            RunError: there are snapshots and none can be used.
+        """
+        try:
+            snapshot = self._checkpoints.load(replay)
+        except CheckpointError as error:
+            raise RunError(str(error)) from error
+        if snapshot is None:
+            return 0
+        restore(parts, {name.removeprefix("parts/"): v for name, v in snapshot.tensors.items() if "parts/" in name})
+        for table, rows in self._tables.items():
+            columns = snapshot.facts["columns"][table]
+            if columns:
+                rows.append({name: snapshot.tensors[f"{table}/{name}"].numpy() for name in columns})
+        for part in self._episodes:
+            for seed, reward in zip(part["seed"].tolist(), part["reward"].tolist(), strict=True):
+                self._recent[seed - self.config.seed].append(reward)
+        self._began -= snapshot.facts["wall_seconds"]
+        return int(snapshot.facts["frames"])
+
+    def checkpoint(self, frames: int, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> None:
+        """Save a snapshot if one is due, or if a signal asks to stop.
+
+        Raises:
+            Interrupted: after SIGINT or SIGTERM, and saved.
+        """
+        now = time.perf_counter()
+        if self._stop is None and now - self._saved < self._checkpoint_seconds:
+            return
+        joined = {table: _joined(rows, []) for table, rows in self._tables.items()}
+        tables = {
+            table: {name: torch.from_numpy(values) for name, values in columns.items()}
+            for table, columns in joined.items()
+        }
+        facts = {
+            "frames": frames,
+            "wall_seconds": now - self._began,
+            "columns": {table: list(columns) for table, columns in joined.items()},
+        }
+        try:
+            self._checkpoints.save(frames, {"parts": collect(parts), **tables}, facts, replay)
+        except OSError as error:
+            raise RunError(f"{self._checkpoints.folder}: cannot be written ({error})") from error
+        self._saved = time.perf_counter()
+        self._checkpoint_seconds = max(self._checkpoint_seconds, (self._saved - now) / CHECKPOINT_SHARE)
+        if self._stop is not None:
+            name = signal.Signals(self._stop).name
+            raise Interrupted(
+                f"{self.path}: stopped by {name} and saved at {frames:,} of {self.config.total_frames:,} frames;"
+                " the same command goes on from there",
+                self._stop,
+            )
 
     def read(self) -> Run:
         """The finished run that is already there."""
@@ -180,6 +291,7 @@ class Recorder:
     def note(self, **facts: Any) -> None:
         """Add facts to meta.json."""
         self._meta |= facts
+        self._write_meta()
 
     def add_episodes(self, following: TensorDictBase, frame: int) -> None:
         """Keep the episodes that end in a batch.
@@ -252,6 +364,7 @@ class Recorder:
         wall = time.perf_counter() - self._began
         self._meta |= {"status": FINISHED, "frames": frames, "wall_seconds": round(wall, 3), "ended": _now()}
         self._write_meta()
+        self._checkpoints.remove()
         return Run(self.path, fresh=True)
 
     def _write_meta(self) -> None:
@@ -267,7 +380,7 @@ class Recorder:
             raise RunError(f"{self.path / name}: cannot be written ({error})") from error
 
 
-def _joined(parts: list[dict[str, np.ndarray]], columns: list[str]) -> dict[str, np.ndarray]:
+def _joined(parts: list[Columns], columns: list[str]) -> Columns:
     if not parts:
         return {name: np.empty(0) for name in columns}
     return {

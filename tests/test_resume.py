@@ -1,0 +1,281 @@
+"""Stopped at any moment and resumed, a run ends as if it had never stopped, bit for bit."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from uavnav import checkpoints, dqn, ppo
+from uavnav.runs import FILES, Interrupted, Recorder, RunError
+
+ALGORITHMS = {
+    "ppo": (
+        ppo.train,
+        ppo.PPOConfig(n_seeds=2, total_frames=3072, frames_per_batch=512, epochs=2, compile="off"),
+    ),
+    "dqn": (
+        dqn.train,
+        dqn.DQNConfig(
+            n_seeds=2, total_frames=2048, learning_starts=256, target_update_frames=512, lr=1e-3, compile="off"
+        ),
+    ),
+    "dqn, a small ring": (
+        dqn.train,
+        dqn.DQNConfig(
+            n_seeds=2, total_frames=2048, learning_starts=64, buffer_size=200, start_heading="random", compile="off"
+        ),
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=list(ALGORITHMS))
+def whole(request, tmp_path_factory):
+    """An uninterrupted run."""
+    train, config = ALGORITHMS[request.param]
+    return train, config, train(config, out=tmp_path_factory.mktemp("whole") / "run", quiet=True)
+
+
+def same(a, b):
+    for name in ("episodes.parquet", "progress.parquet"):
+        tables = [pd.read_parquet(path / name).drop(columns="frames_per_second", errors="ignore") for path in (a, b)]
+        pd.testing.assert_frame_equal(*tables, check_exact=True)
+    weights = [load_file(path / "policy.safetensors") for path in (a, b)]
+    assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
+    assert sorted(path.name for path in b.iterdir()) == sorted(FILES)
+
+
+def stop_at(monkeypatch, frames, how):
+    """Let `how(recorder)` happen when a run has so many frames behind it."""
+    original = Recorder.checkpoint
+
+    def checkpoint(self, now, parts, replay=None):
+        if now >= frames:
+            how(self)
+        original(self, now, parts, replay)
+
+    monkeypatch.setattr(Recorder, "checkpoint", checkpoint)
+
+
+def interrupted(whole, folder, frames, number=signal.SIGINT):
+    """A copy of the run, stopped by a signal after so many frames."""
+    train, config, _ = whole
+    with pytest.MonkeyPatch.context() as patch:
+        stop_at(patch, frames, lambda recorder: os.kill(os.getpid(), number))
+        with pytest.raises(Interrupted, match="the same command goes on from there") as stop:
+            train(config, out=folder, quiet=True)
+    assert stop.value.signum == number
+    assert json.loads((folder / "meta.json").read_text())["status"] == "interrupted"
+
+
+@pytest.mark.parametrize(("number", "frames"), [(signal.SIGINT, 16), (signal.SIGTERM, 1000), (signal.SIGINT, 1600)])
+def test_a_run_stopped_by_a_signal_and_resumed_ends_the_same(whole, tmp_path, number, frames):
+    train, config, run = whole
+    interrupted(whole, tmp_path / "run", frames, number)
+    resumed = train(config, out=tmp_path / "run", quiet=True)
+    same(run.path, resumed.path)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_run_stopped_four_times_ends_the_same(whole, tmp_path):
+    train, config, run = whole
+    for frames in (300, 800, 1100, 1900):
+        interrupted(whole, tmp_path / "run", frames)
+    same(run.path, train(config, out=tmp_path / "run", quiet=True).path)
+
+
+class Killed(BaseException):
+    """Stands for kill -9: nothing after it is run by the code under test."""
+
+
+@pytest.mark.parametrize("survives", ["nothing", "a chunk", "half a file"])
+def test_a_run_killed_while_it_saves_goes_on_from_the_snapshot_before(whole, tmp_path, monkeypatch, survives):
+    train, config, run = whole
+    folder = tmp_path / "run"
+    interrupted(whole, folder, 700)
+    before = sorted(path.name for path in (folder / "checkpoint").iterdir())
+    replace = os.replace
+
+    def kill(source, target):
+        name = Path(target).name
+        if survives == "a chunk" and name.startswith("replay"):
+            return replace(source, target)
+        if name.startswith(("state", "replay")):
+            if survives == "half a file":
+                content = Path(source).read_bytes()
+                Path(source).write_bytes(content[: len(content) // 2])
+            raise Killed
+        return replace(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", kill)
+        with pytest.raises(Killed):
+            train(config, out=folder, quiet=True, checkpoint_seconds=0)
+    assert set(before) <= {path.name for path in (folder / "checkpoint").iterdir()}
+    same(run.path, train(config, out=folder, quiet=True).path)
+
+
+@pytest.fixture
+def two_states(whole, tmp_path):
+    """A run stopped at 1000 and again at 1600 frames: two states in its checkpoint."""
+    interrupted(whole, tmp_path / "run", 1000)
+    interrupted(whole, tmp_path / "run", 1600)
+    states = sorted((tmp_path / "run" / "checkpoint").glob("state-*"))
+    assert len(states) == 2
+    return tmp_path / "run", states
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def flip(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def empty(path):
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize("damage", [cut, flip, empty])
+def test_a_damaged_snapshot_is_named_and_the_older_one_is_used(whole, two_states, damage):
+    train, config, run = whole
+    folder, states = two_states
+    damage(states[-1])
+    with pytest.warns(UserWarning, match="its checksum does not match; going on from the one before") as warned:
+        resumed = train(config, out=folder, quiet=True)
+    assert states[-1].name in str(warned[0].message)
+    same(run.path, resumed.path)
+
+
+@pytest.mark.parametrize("damage", [cut, flip, empty])
+def test_with_every_snapshot_damaged_the_run_is_refused_in_one_line_and_nothing_is_lost(whole, two_states, damage):
+    train, config, run = whole
+    folder, states = two_states
+    for path in states:
+        damage(path)
+    before = {path.name: path.read_bytes() for path in (folder / "checkpoint").iterdir()}
+    with pytest.warns(UserWarning), pytest.raises(RunError, match="overwrite=true starts the run anew") as refused:  # noqa: PT030
+        train(config, out=folder, quiet=True)
+    assert "\n" not in str(refused.value)
+    assert {path.name: path.read_bytes() for path in (folder / "checkpoint").iterdir()} == before
+    same(run.path, train(config, out=folder, overwrite=True, quiet=True).path)
+
+
+def test_a_missing_or_damaged_chunk_of_the_newest_snapshot_falls_back_to_the_older(whole, two_states):
+    train, config, run = whole
+    folder, _ = two_states
+    chunks = sorted((folder / "checkpoint").glob("replay-*"))
+    if not chunks:
+        assert train is ppo.train
+        return
+    chunks[-1].unlink()
+    with pytest.warns(UserWarning, match="missing or not readable; going on from the one before"):
+        resumed = train(config, out=folder, quiet=True)
+    same(run.path, resumed.path)
+
+
+def test_a_snapshot_of_another_version_is_refused_in_one_line(whole, tmp_path, monkeypatch):
+    train, config, run = whole
+    interrupted(whole, tmp_path / "run", 1000)
+    from uavnav import runs
+
+    facts = runs._facts()
+    facts["versions"]["torch"] = "9.9.9"
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "_facts", lambda: facts)
+        with pytest.raises(RunError, match=r"saved with version of torch=2\.13.*, not 9\.9\.9") as refused:
+            train(config, out=tmp_path / "run", quiet=True)
+    assert "\n" not in str(refused.value)
+    same(run.path, train(config, out=tmp_path / "run", quiet=True).path)
+
+
+def test_a_snapshot_of_another_configuration_is_refused_in_one_line(whole, two_states):
+    train, config, _ = whole
+    folder, _ = two_states
+    other = type(config)(**vars(config) | {"seed": 7})
+    with pytest.raises(RunError, match="holds a run with seed=0, not 7"):
+        train(other, out=folder, quiet=True)
+    (folder / "config.yaml").write_text((folder / "config.yaml").read_text().replace("seed: 0", "seed: 7"))
+    with pytest.warns(UserWarning), pytest.raises(RunError, match="saved with seed=0, not 7"):  # noqa: PT030
+        train(other, out=folder, quiet=True)
+
+
+def test_only_two_states_are_kept_and_a_chunk_is_written_once(whole, tmp_path, monkeypatch):
+    train, config, _ = whole
+    written = []
+    original = checkpoints.Checkpoints._write
+
+    def write(self, stem, tensors, header):
+        written.append(stem)
+        return original(self, stem, tensors, header)
+
+    monkeypatch.setattr(checkpoints.Checkpoints, "_write", write)
+    kept = []
+    stop_at(monkeypatch, 0, lambda recorder: kept.append(len(list(recorder.path.glob("checkpoint/state-*")))))
+    monkeypatch.setattr("uavnav.runs.CHECKPOINT_SHARE", 1e9)  # a snapshot after every iteration
+    train(config, out=tmp_path / "run", quiet=True, checkpoint_seconds=0)
+    assert max(kept) == 2
+    chunks = [stem for stem in written if stem.startswith("replay")]
+    assert len(chunks) == len(set(chunks))
+    assert bool(chunks) == (train is dqn.train)
+
+
+RECIPES = Path(__file__).parent.parent / "recipes"
+COMMANDS = {
+    "ppo": ["total_frames=12288", "frames_per_batch=512", "epochs=4", "n_seeds=2", "compile=off"],
+    "dqn": ["total_frames=10240", "learning_starts=512", "n_seeds=2", "compile=off"],
+}
+
+
+def start(algorithm, folder):
+    words = [*COMMANDS[algorithm], f"out={folder}", "checkpoint_seconds=0.2"]
+    return subprocess.Popen(
+        [sys.executable, RECIPES / f"{algorithm}.py", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def wait_for(condition, process):
+    deadline = time.monotonic() + 120
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("algorithm", list(COMMANDS))
+def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algorithm, tmp_path):
+    folder = tmp_path / "run"
+    seen = set()
+    for number in (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM):
+        process = start(algorithm, folder)
+        states = lambda: {path.name for path in folder.glob("checkpoint/state-*")}  # noqa: E731
+        wait_for(lambda: len(states() - seen) >= 2, process)  # noqa: B023
+        process.send_signal(number)
+        _, err = process.communicate(timeout=60)
+        seen = states()
+        if number == signal.SIGTERM:
+            assert process.returncode == 128 + signal.SIGTERM
+            assert "stopped by SIGTERM and saved at" in err
+            assert err.count("\n") == 1
+        else:
+            assert process.returncode == -signal.SIGKILL
+    process = start(algorithm, folder)
+    out, err = process.communicate(timeout=120)
+    assert (process.returncode, err) == (0, "")
+    assert f"the run is in {folder}" in out
+    process = start(algorithm, tmp_path / "whole")
+    assert process.wait(timeout=120) == 0, process.communicate()
+    process.communicate()
+    same(tmp_path / "whole", folder)
+    shutil.rmtree(folder)

@@ -1,0 +1,203 @@
+"""Snapshots of a run that is under way: whole or not there, checked when read, never unpickled.
+
+A folder holds the two newest states and, for DQN, the replay buffer as a chain of chunks to which each snapshot adds
+what is new. A file's name ends in the first half of its SHA-256, so that a cut or a flipped byte shows.
+
+    state-<frames>-<sha>.safetensors    tensors by dotted path; facts and the names of the chunks in its header
+    replay-<first row>-<sha>.safetensors
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from tensordict import TensorDict
+from torch import Tensor
+from torchrl.data import ReplayBuffer
+
+KEPT = 2
+"""States that are kept: the newest, and the one before in case that the newest is damaged."""
+
+Nested = Mapping[str, Any]
+"""Tensors and further such mappings by name."""
+
+
+class CheckpointError(RuntimeError):
+    """No snapshot of a run can be used; the message says why and how to go on."""
+
+
+class Stateful(Protocol):
+    """What a snapshot is made of."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Tensors by name, nested."""
+
+    def load_state_dict(self, state_dict: Any, /) -> Any:
+        """Go on from there."""
+
+
+class Snapshot(NamedTuple):
+    """What a state file holds."""
+
+    tensors: dict[str, Tensor]
+    facts: dict[str, Any]
+    chunks: list[str]
+
+
+class Checkpoints:
+    """The snapshots in a folder.
+
+    Args:
+        folder: where they are; made when the first one is saved.
+        identity: what a snapshot must share with the run that resumes from it (configuration, versions).
+    """
+
+    def __init__(self, folder: Path, identity: Nested) -> None:
+        self.folder = folder
+        self.identity = json.loads(json.dumps(identity))
+        self._chunks: list[str] = []
+        self._rows_saved = 0
+
+    def save(self, frames: int, state: Nested, facts: Nested, replay: ReplayBuffer | None = None) -> None:
+        """Write a state and what the buffer has gained since the last one; then drop the states before the last two."""
+        self.folder.mkdir(exist_ok=True)
+        if replay is not None:
+            self._save_new_rows(replay, frames)
+        header = {"facts": dict(facts), "chunks": self._chunks, "identity": self.identity}
+        self._write(f"state-{frames:012d}", dict(_flat(state)), header)
+        for old in self._states()[KEPT:]:
+            old.unlink()
+
+    def _save_new_rows(self, replay: ReplayBuffer, rows: int) -> None:
+        capacity = replay.storage.max_size
+        first = max(self._rows_saved, rows - capacity)
+        if first < rows:
+            positions = [row % capacity for row in range(first, rows)]
+            tensors = dict(_flat(replay[positions].to_dict()))
+            self._chunks = [*self._chunks, self._write(f"replay-{first:012d}", tensors, {})]
+            self._rows_saved = rows
+
+    def _write(self, stem: str, tensors: dict[str, Tensor], header: Nested) -> str:
+        content = save({name: value.contiguous() for name, value in tensors.items()}, {"uavnav": json.dumps(header)})
+        name = f"{stem}-{_digest(content)}.safetensors"
+        aside = self.folder / f".{name}"
+        aside.write_bytes(content)
+        os.replace(aside, self.folder / name)
+        return name
+
+    def load(self, replay: ReplayBuffer | None = None) -> Snapshot | None:
+        """The newest snapshot that is whole; the buffer is filled from it. None where there is no snapshot at all.
+
+        Raises:
+            CheckpointError: there are snapshots, and none can be used.
+        """
+        states = self._states()
+        for path in states:
+            try:
+                snapshot = self._read_state(path)
+                chunks = [self._read(self.folder / name)[0] for name in snapshot.chunks]
+            except CheckpointError as error:
+                problem = error
+                if path is not states[-1]:
+                    warnings.warn(f"{error}; going on from the one before", stacklevel=2)
+                continue
+            for name, chunk in zip(snapshot.chunks, chunks, strict=True):
+                _refill(replay, int(name.split("-")[1]), chunk)
+            self._chunks = snapshot.chunks
+            self._rows_saved = snapshot.facts.get("frames", 0)
+            self._drop_strays()
+            return snapshot
+        if states:
+            raise CheckpointError(f"{problem}, and there is no other; overwrite=true starts the run anew")
+        return None
+
+    def _read_state(self, path: Path) -> Snapshot:
+        tensors, header = self._read(path)
+        theirs = header.get("identity", {})
+        for key in self.identity:
+            if theirs.get(key) != self.identity[key]:
+                raise CheckpointError(f"{path}: saved with {key}={theirs.get(key)}, not {self.identity[key]}")
+        return Snapshot(tensors, header["facts"], header["chunks"])
+
+    def _read(self, path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise CheckpointError(f"{path}: missing or not readable") from error
+        if _digest(content) != path.stem.rsplit("-", 1)[-1]:
+            raise CheckpointError(f"{path}: damaged, its checksum does not match")
+        try:
+            size = int.from_bytes(content[:8], "little")
+            header = json.loads(json.loads(content[8 : 8 + size])["__metadata__"]["uavnav"])
+            return load(content), header
+        except (SafetensorError, ValueError, KeyError) as error:
+            raise CheckpointError(f"{path}: not a snapshot") from error
+
+    def _states(self) -> list[Path]:
+        """Newest first."""
+        return sorted(self.folder.glob("state-*.safetensors"), reverse=True)
+
+    def _drop_strays(self) -> None:
+        """Remove what a killed process left: files half-written, and chunks that no kept state knows."""
+        for path in [*self.folder.glob(".*"), *self.folder.glob("replay-*.safetensors")]:
+            if path.name not in self._chunks:
+                path.unlink()
+
+    def remove(self) -> None:
+        """Delete all snapshots: the run is finished, or starts anew."""
+        if self.folder.is_dir():
+            for path in self.folder.iterdir():
+                path.unlink()
+            self.folder.rmdir()
+
+
+def collect(parts: Mapping[str, Stateful]) -> dict[str, Any]:
+    """The state of each part, by its name."""
+    return {name: part.state_dict() for name, part in parts.items()}
+
+
+def restore(parts: Mapping[str, Stateful], tensors: Mapping[str, Tensor]) -> None:
+    """Set each part to what `collect` took and a snapshot kept."""
+    state = _nested(tensors)
+    for name, part in parts.items():
+        part.load_state_dict(state[name])
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+def _flat(state: Nested, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
+    for name, value in state.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}/")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _nested(tensors: Mapping[str, Tensor]) -> dict[str, Any]:
+    state: dict[str, Any] = {}
+    for path, value in tensors.items():
+        *parents, name = path.split("/")
+        place = state
+        for parent in parents:
+            place = place.setdefault(parent, {})
+        place[name] = value
+    return state
+
+
+def _refill(replay: ReplayBuffer, first: int, chunk: Mapping[str, Tensor]) -> None:
+    """Append rows to a buffer so that they come to lie where they were: row `first` at its place in the ring."""
+    rows = TensorDict(_nested(chunk), batch_size=chunk["action"].shape)
+    skipped = (first - replay.write_count) % replay.storage.max_size
+    if skipped:  # more than the whole ring was written between two snapshots: these will be overwritten
+        replay.extend(rows[:skipped])
+    replay.extend(rows)

@@ -21,10 +21,11 @@ from omegaconf.errors import OmegaConfBaseException
 
 from uavnav import layouts
 from uavnav.config import ConfigError, TrainConfig, unknown, unknown_key
-from uavnav.display import report
+from uavnav.display import evaluation_summary, print_table, report
+from uavnav.evaluate import evaluate_run
 from uavnav.runs import Interrupted, Recorder, Run, RunError, default_folder
 
-HERE = ("out", "overwrite", "checkpoint_seconds")
+HERE = ("out", "overwrite", "checkpoint_seconds", "evaluate")
 """The keys of the recipes themselves; all others are fields of the algorithm's configuration."""
 
 ERRORS = (ConfigError, layouts.LayoutError, RunError)
@@ -38,33 +39,39 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
     kind = type(next(iter(presets.values())))
     folders: set[Path] = set()
 
-    def parse(settings: DictConfig) -> tuple[TrainConfig, Path, bool, float]:
+    def parse(settings: DictConfig) -> tuple[TrainConfig, Path, dict[str, Any]]:
         values: dict[str, Any] = OmegaConf.to_container(settings, resolve=True)
-        out, overwrite, seconds = (values.pop(key) for key in HERE)
-        if not isinstance(overwrite, bool):
-            raise ConfigError(f"overwrite={overwrite}; choose from false, true")
+        here = {key: values.pop(key) for key in HERE}
+        out, seconds = here["out"], here["checkpoint_seconds"]
+        for key in ("overwrite", "evaluate"):
+            if not isinstance(here[key], bool):
+                raise ConfigError(f"{key}={here[key]}; choose from false, true")
         if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not seconds >= 0:
             raise ConfigError(f"checkpoint_seconds={seconds}; give a number of at least 0")
         config = kind.from_mapping(values)
-        return config, default_folder(algorithm, config) if out is None else Path(str(out)), overwrite, seconds
+        return config, default_folder(algorithm, config) if out is None else Path(str(out)), here
 
     def check(settings: DictConfig) -> None:
-        config, out, overwrite, _ = parse(settings)
+        config, out, here = parse(settings)
         if out.resolve() in folders:
             raise RunError(
                 f"out={out}: two runs of the sweep would share it; leave it out, or use out='runs/${{activation}}'"
             )
         folders.add(out.resolve())
         layouts.load(config.layouts)
-        Recorder(out, algorithm, config, overwrite)
+        Recorder(out, algorithm, config, here["overwrite"])
 
     def run(settings: DictConfig) -> None:
-        config, out, overwrite, seconds = parse(settings)
-        finished = train(config, out=out, overwrite=overwrite, checkpoint_seconds=seconds)
+        config, out, here = parse(settings)
+        finished = train(config, out=out, overwrite=here["overwrite"], checkpoint_seconds=here["checkpoint_seconds"])
         if finished.fresh:
             report(finished)
         else:
             print(f"{out}: this run is already finished; overwrite=true starts it anew")
+        if here["evaluate"] and finished.evaluation() is None:
+            print("evaluating on the test split; evaluate=false skips this", flush=True)
+            rows = evaluate_run(finished)
+            print_table(evaluation_summary(rows, algorithm, config.activation))
 
     with tempfile.TemporaryDirectory() as scratch:  # where Hydra may keep its own notes of a sweep
         arguments = [*sys.argv[1:], f"hydra.sweep.dir={scratch}"]

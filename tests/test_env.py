@@ -112,7 +112,7 @@ def test_300_steps_of_4_rows_equal_the_oracle_through_collisions_and_caps(bank, 
             assert not following["done"][row]
     assert collisions >= 5
     assert (caps >= 5) == (max_steps is not None)
-    assert doubts < 12
+    assert doubts < 24  # of 1,200 poses, which a flight strings together
 
 
 def test_a_rollout_of_500_steps_equals_the_oracle_through_all_its_episodes(bank):

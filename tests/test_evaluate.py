@@ -4,7 +4,8 @@ import pytest
 import torch
 
 import uavnav
-from uavnav.evaluate import evaluate_policy, straight_ahead, uniform_random
+from uavnav.baselines import straight_ahead, uniform_random
+from uavnav.evaluate import evaluate_policy
 from uavnav.metrics import EPISODE_COLUMNS
 
 

@@ -5,7 +5,8 @@ import pytest
 
 import uavnav
 from uavnav import dqn, ppo
-from uavnav.evaluate import evaluate_policy, straight_ahead, uniform_random
+from uavnav.baselines import straight_ahead, uniform_random
+from uavnav.evaluate import evaluate_policy
 
 EPISODES = 100
 MAX_STEPS = 500

@@ -11,8 +11,8 @@ from uavnav.runs import Run
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 SHORT = {
-    "ppo": ["total_frames=1e3", "frames_per_batch=512", "epochs=1"],
-    "dqn": ["total_frames=1e3", "learning_starts=500"],
+    "ppo": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "evaluate=false"],
+    "dqn": ["total_frames=1e3", "learning_starts=500", "evaluate=false"],
 }
 
 

@@ -239,7 +239,7 @@ COMMANDS = {
 
 
 def start(algorithm, folder):
-    words = [*COMMANDS[algorithm], f"out={folder}", "checkpoint_seconds=0.2"]
+    words = [*COMMANDS[algorithm], f"out={folder}", "checkpoint_seconds=0.2", "evaluate=false"]
     return subprocess.Popen(
         [sys.executable, RECIPES / f"{algorithm}.py", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

@@ -13,7 +13,28 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from uavnav import dqn, layouts, metrics, ppo, render, rewards, sensing, simulator
+    from uavnav import (
+        baselines,
+        dqn,
+        dynamics,
+        env,
+        evaluate,
+        gym,
+        layouts,
+        metrics,
+        networks,
+        paper,
+        policies,
+        ppo,
+        render,
+        rewards,
+        runs,
+        sb3,
+        sensing,
+        simulator,
+        verify,
+        world,
+    )
     from uavnav.config import ConfigError
     from uavnav.env import DroneEnv
     from uavnav.evaluate import evaluate_policy
@@ -36,28 +57,30 @@ _HOMES = {
     "RunError": "runs",
     "World": "world",
 }
-_MODULES = ("dqn", "layouts", "metrics", "ppo", "render", "rewards", "sensing", "simulator")
-
-__all__ = [
-    "ConfigError",
-    "DroneEnv",
-    "LayoutError",
-    "Policy",
-    "PolicyError",
-    "Run",
-    "RunError",
-    "World",
+_MODULES = (
+    "baselines",
     "dqn",
-    "evaluate_policy",
+    "dynamics",
+    "env",
+    "evaluate",
+    "gym",
     "layouts",
-    "load_policy",
     "metrics",
+    "networks",
+    "paper",
+    "policies",
     "ppo",
     "render",
     "rewards",
+    "runs",
+    "sb3",
     "sensing",
     "simulator",
-]
+    "verify",
+    "world",
+)
+
+__all__ = [*_HOMES, *_MODULES]
 
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, when it is imported
 warnings.filterwarnings("ignore", message=".*inline_inbuilt_nn_modules is deprecated", category=FutureWarning)

@@ -15,13 +15,15 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.data import ReplayBuffer
+
+if TYPE_CHECKING:
+    from torchrl.data import ReplayBuffer
 
 KEPT = 2
 """States that are kept: the newest, and the one before in case that the newest is damaged."""

@@ -57,27 +57,56 @@ def summary(run: Run) -> Table:
     counts = ", ".join(f"{len(part):,}" for part in readings.values())
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
-    table = Table(
-        title=f"{run.algorithm} {config['activation']}, preset {config['preset']}, {worlds}",
-        caption=f"{run.frames:,} frames per seed; {seeds}; {counts} training episodes",
+    return _metric_table(
+        f"{run.algorithm} {config['activation']}, preset {config['preset']}, {worlds}",
+        f"{run.frames:,} frames per seed; {seeds}; {counts} training episodes",
+        readings,
+        printed,
     )
+
+
+def _metric_table(title: str, caption: str, readings: dict[str, pd.DataFrame], printed: dict[str, float]) -> Table:
+    table = Table(title=title, caption=caption)
     table.add_column("metric")
     for reading in readings:
         table.add_column(reading, justify="right")
-    table.add_column("paper", justify="right")
+    if printed:
+        table.add_column("paper", justify="right")
     for name, metric in METRICS.items():
         for ratio_of_means in [False] if metric.scale is None else [False, True]:
             cells = [_cell(per_seed(part, ratio_of_means)[name]) for part in readings.values()]
             label = "  as ratio of means" if ratio_of_means else metric.label
-            table.add_row(label, *cells, f"{printed[name]:,.2f}" if name in printed and not ratio_of_means else "")
+            beside = f"{printed[name]:,.2f}" if name in printed and not ratio_of_means else ""
+            table.add_row(label, *cells, *([beside] if printed else []))
     return table
 
 
-def report(run: Run, console: Console | None = None) -> None:
+def evaluation_summary(rows: pd.DataFrame, algorithm: str, activation: str = "") -> Table:
+    """The six metrics of an evaluation in each of its modes, beside the paper's row where there is one.
+
+    rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`.
+    """
+    modes = {mode: rows[rows["mode"] == mode] for mode in rows["mode"].unique()}
+    censored = ", ".join(f"{part['truncated'].mean():.0%} {mode}" for mode, part in modes.items())
+    n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
+    seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
+    return _metric_table(
+        f"{algorithm} {activation} on {n_layouts} test sets",
+        f"{seeds}; cut off at the cap on steps: {censored}",
+        modes,
+        paper.TABLES.get((algorithm, activation), {}),
+    )
+
+
+def report(run: Run) -> None:
     """Print the summary, how long the run took, and where it is."""
-    console = console or Console()
-    console.print(summary(run))
-    console.print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}", highlight=False, soft_wrap=True)
+    print_table(summary(run))
+    print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}")
+
+
+def print_table(table: Table) -> None:
+    """Print a table on the terminal."""
+    Console().print(table)
 
 
 def _cell(values: pd.Series[float]) -> str:

@@ -148,6 +148,7 @@ def train(
     overwrite: bool = False,
     quiet: bool = False,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    until: int | None = None,
 ) -> Run:
     """Train one agent a seed and keep the run in a folder.
 
@@ -157,6 +158,7 @@ def train(
         overwrite: start anew where the folder holds a run.
         quiet: show no progress.
         checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
+        until: stop after so many frames per seed, as if by a signal.
 
     Returns:
         The finished run; at once, where the folder already holds this very run.
@@ -165,7 +167,8 @@ def train(
         ConfigError, LayoutError, RunError: before anything is written.
         Interrupted: by SIGINT or SIGTERM, and saved.
     """
-    recorder = Recorder(out or default_folder(ALGORITHM, config), ALGORITHM, config, overwrite, checkpoint_seconds)
+    out = out or default_folder(ALGORITHM, config)
+    recorder = Recorder(out, ALGORITHM, config, overwrite, checkpoint_seconds, until)
     if recorder.finished:
         return recorder.read()
     compile = compiling.decide(config)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from torchrl.envs import EnvBase
 
 from uavnav import layouts as banks
 from uavnav import seeding, simulator
-from uavnav.rewards import REWARDS
+from uavnav.config import TrainConfig
 from uavnav.simulator import COUNTS, UP, State
 from uavnav.world import World
 
@@ -67,19 +68,11 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         seeds: int | Sequence[int] = 0,
     ) -> None:
         super().__init__(device=torch.device(device), batch_size=torch.Size(batch_size))
-        if reward not in REWARDS:
-            raise ValueError(f"reward={reward!r}; choose from {', '.join(REWARDS)}")
-        if max_steps is not None and max_steps < 1:
-            raise ValueError(f"max_steps={max_steps}; choose None or a whole number from 1")
+        simulator.check_rules(reward, max_steps)
         self.world = world or World()
         self.max_steps = max_steps
         self.reward = reward
-        if isinstance(layouts, Tensor):
-            banks.validate(layouts, self.world)
-            bank = layouts
-        else:
-            bank = banks.load(layouts)
-        self.bank = bank.to(self.device)
+        self.bank = banks.resolve(layouts, self.world).to(self.device)
         self._advance = self._advance_rows
         self._make_specs()
         self._seed(seeds)
@@ -103,8 +96,9 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     # -- randomness: one stream of places and headings for each seed ------------------------------------------------
 
     def _seed(self, seeds: int | Sequence[int]) -> None:
-        self.seeds = list(seeds) if isinstance(seeds, Sequence) else [int(seeds)]
-        if isinstance(seeds, Sequence) and (not self.batch_size or len(seeds) != self.batch_size[0]):
+        one = isinstance(seeds, numbers.Integral)
+        self.seeds = [int(seeds)] if one else [int(seed) for seed in seeds]  # type: ignore[arg-type, union-attr]
+        if not one and (not self.batch_size or len(self.seeds) != self.batch_size[0]):
             raise ValueError(
                 f"{len(self.seeds)} seeds for batch_size {list(self.batch_size)}; give one, or one per agent"
             )
@@ -223,3 +217,17 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return TensorDict(
             {name: getattr(state, name) for name in ("layout", *COUNTS)}, batch_size=self.batch_size, device=self.device
         )
+
+
+def make_env(config: TrainConfig, compile: bool) -> DroneEnv:
+    """The environment of a training run: [n_seeds, n_worlds] rows of the configured world."""
+    env = DroneEnv(
+        [config.n_seeds, config.n_worlds],
+        layouts=config.layouts,
+        world=config.world,
+        max_steps=config.max_steps,
+        reward=config.reward,
+        device=config.device,
+        seeds=config.seeds,
+    )
+    return env.compile() if compile else env

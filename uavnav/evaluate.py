@@ -1,34 +1,64 @@
-"""Fly a policy on sets of obstacles that it never trained on: one row an episode."""
+"""Fly policies on sets of obstacles that they never trained on: one row an episode.
+
+`python -m uavnav.evaluate RUN...` evaluates every seed of finished runs, greedy and sampled, into their folders.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import argparse
+import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 import torch
 from torch import Tensor
 
 from uavnav import layouts as banks
-from uavnav import simulator
-from uavnav.metrics import EPISODE_COLUMNS
+from uavnav import policies, simulator
+from uavnav.baselines import BASELINES, AnyPolicy
+from uavnav.display import evaluation_summary, print_table
+from uavnav.metrics import EPISODE_COLUMNS, MODES
+from uavnav.runs import BEHAVIOUR, EVALUATION, Run, RunError, write_table
 from uavnav.simulator import COUNTS, UP, State
 from uavnav.world import World
 
-AnyPolicy = Callable[[Tensor, torch.Generator | None], Tensor]
-"""observation [N, 30], generator -> action [N] int64 in 0..99."""
+EPISODES = 200
+MAX_STEPS = 10_000
+WATCHED_LAYOUTS = 10
+WATCHED_STEPS = 500
+"""Behaviour is kept of so many sets of obstacles, and of so many steps of each."""
+
+BEHAVIOUR_COLUMNS = {
+    "seed": "int64",
+    "layout": "int64",
+    "step": "int64",
+    "x": "float32",  # [px], after the step
+    "y": "float32",  # [px]
+    "heading": "int16",  # [degrees]
+    "clearance": "float32",  # [px] to the nearest obstacle or border square
+    "action": "int16",
+}
+
+
+class Flights(NamedTuple):
+    """What an evaluation leaves."""
+
+    episodes: pd.DataFrame  # one row an episode, `metrics.EPISODE_COLUMNS`
+    behaviour: pd.DataFrame  # one row a watched step, `BEHAVIOUR_COLUMNS`
 
 
 def evaluate_policy(
     policy: AnyPolicy,
     layouts: str | Path | Tensor = "test",
-    episodes: int = 200,
-    max_steps: int = 10_000,
+    episodes: int = EPISODES,
+    max_steps: int = MAX_STEPS,
     world: World | None = None,
     reward: str = "eq14",
     seed: int = 0,
 ) -> pd.DataFrame:
-    """One episode on each of the first sets of a bank, all in one batch, each starting upwards from the centre.
+    """One episode on each of the first sets of a bank, each starting upwards from the centre.
 
     Args:
         policy: what `uavnav.load_policy` returns, or any callable of that form.
@@ -44,46 +74,129 @@ def evaluate_policy(
 
     Raises:
         LayoutError: the bank cannot be read.
-        ValueError: more episodes than the bank has sets, or a count below 1.
+        ValueError: an unknown reward, more episodes than the bank has sets, or a count below 1.
+    """
+    return fly({seed: policy}, layouts, episodes, max_steps, world, reward).episodes
+
+
+def fly(
+    population: dict[int, AnyPolicy],
+    layouts: str | Path | Tensor = "test",
+    episodes: int = EPISODES,
+    max_steps: int = MAX_STEPS,
+    world: World | None = None,
+    reward: str = "eq14",
+) -> Flights:
+    """Evaluate one policy a seed, the flights of all of them in one batch; arguments as of `evaluate_policy`.
+
+    What one seed does depends neither on the others nor on anything but its policy and a generator of its own.
     """
     world = world or World()
-    bank = layouts if isinstance(layouts, Tensor) else banks.load(layouts)
+    simulator.check_rules(reward, max_steps if max_steps >= 1 else None)
+    bank = banks.resolve(layouts, world)
     if not 1 <= episodes <= len(bank) or max_steps < 1:
         raise ValueError(
             f"episodes={episodes}, max_steps={max_steps}; give 1 to {len(bank)} episodes of at least 1 step"
         )
-    generator = torch.Generator().manual_seed(seed)
-    row = torch.arange(episodes)
-    state = simulator.start(row, torch.full_like(row, UP), world)
+    generators = {seed: torch.Generator().manual_seed(seed) for seed in population}
+    layout = torch.arange(episodes).repeat(len(population))
+    seed = torch.tensor(list(population)).repeat_interleave(episodes)
+    state = simulator.start(layout, torch.full_like(layout, UP), world)
     ended: list[dict[str, Tensor]] = []
+    watched: list[dict[str, Tensor]] = []
     with torch.no_grad():
         observation, _ = simulator.observe(state, bank, world)
-        for _ in range(max_steps):
-            action = policy(observation, generator)
+        for step in range(1, max_steps + 1):
+            rows = [observation[seed == one] for one in population]
+            chosen = zip(population.items(), rows, strict=True)
+            action = torch.cat([policy(seen, generators[one]) for (one, policy), seen in chosen if len(seen)])
             state, outcome = simulator.step(state, action, bank, world, reward, max_steps)
+            if step <= WATCHED_STEPS:
+                watched.append(_watch(seed, state, outcome, action))
             done = outcome.terminated | outcome.truncated
             observation = outcome.observation
             if done.any():
-                ended.append(_rows(state, outcome, row, done))
-                row, state, observation = row[~done], State(*(field[~done] for field in state)), observation[~done]
-            if not len(row):
+                ended.append(_end(seed, state, outcome, done))
+                seed, state = seed[~done], State(*(field[~done] for field in state))
+                observation = observation[~done]
+            if not len(seed):
                 break
-    columns = {name: torch.cat([part[name] for part in ended]).numpy() for name in ended[0]}
-    table = pd.DataFrame({"seed": seed, **columns}).astype(EPISODE_COLUMNS)
-    return table[list(EPISODE_COLUMNS)].sort_values("world", ignore_index=True)
+    return Flights(
+        _table(ended, EPISODE_COLUMNS).sort_values(["seed", "layout"], ignore_index=True),
+        _table(watched, BEHAVIOUR_COLUMNS).sort_values(["seed", "layout", "step"], ignore_index=True),
+    )
 
 
-def _rows(state: State, outcome: simulator.Outcome, row: Tensor, done: Tensor) -> dict[str, Tensor]:
+def _end(seed: Tensor, state: State, outcome: simulator.Outcome, done: Tensor) -> dict[str, Tensor]:
     counts = {name: getattr(state, name)[done] for name in ("layout", *COUNTS)}
     flags = {"terminated": outcome.terminated[done], "truncated": outcome.truncated[done]}
-    return {"frame": state.steps[done], "world": row[done], **counts, **flags}
+    return {"seed": seed[done], "frame": state.steps[done], "world": state.layout[done], **counts, **flags}
 
 
-def uniform_random(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """Every action equally likely: the free check of the world (90 % turns, 10 % stops, 4.5 px a step)."""
-    return torch.randint(World().n_actions, observation.shape[:-1], generator=generator)
+def _watch(seed: Tensor, state: State, outcome: simulator.Outcome, action: Tensor) -> dict[str, Tensor]:
+    kept = state.layout < WATCHED_LAYOUTS
+    fields = {name: getattr(state, name)[kept] for name in ("layout", "x", "y", "heading")}
+    return {
+        "seed": seed[kept],
+        "step": state.steps[kept],
+        "clearance": outcome.clearance[kept],
+        "action": action[kept],
+        **fields,
+    }
 
 
-def straight_ahead(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
-    """Nine pixels a step and never a turn, whatever is in the way."""
-    return torch.full(observation.shape[:-1], World().n_distances - 1)
+def _table(parts: list[dict[str, Tensor]], columns: dict[str, str]) -> pd.DataFrame:
+    return pd.DataFrame({name: torch.cat([part[name] for part in parts]).numpy() for name in columns}).astype(columns)
+
+
+def evaluate_run(run: Run, episodes: int = EPISODES, max_steps: int = MAX_STEPS) -> pd.DataFrame:
+    """Evaluate every seed of a run on the test split, greedy and sampled, and keep the rows in its folder.
+
+    Training's generators play no part, and nothing else in the folder changes.
+
+    Returns:
+        What `evaluation.parquet` holds: the columns of `metrics.EPISODE_COLUMNS` and `mode`.
+
+    Raises:
+        PolicyError, RunError: the run's policy cannot be read, or its folder cannot be written.
+    """
+    world = World(**{name: run.config[name] for name in ("slots", "padding", "start_heading")})
+    flights = {}
+    for mode in MODES:
+        population: dict[int, AnyPolicy] = {
+            seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds
+        }
+        flights[mode] = fly(population, "test", episodes, max_steps, world, run.config["reward"])
+    rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
+    behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
+    write_table(run.path / EVALUATION, rows)
+    write_table(run.path / BEHAVIOUR, behaviour)
+    return rows
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Evaluate finished runs, or scripted baselines, on the test split: greedy and sampled, one row an episode."""
+    parser = argparse.ArgumentParser(prog="python -m uavnav.evaluate", description=main.__doc__)
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=f"a run's folder, or {', '.join(BASELINES)}")
+    parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
+    parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    try:
+        found = {name: name if name in BASELINES else Run(name) for name in arguments.runs}
+        for name, run in found.items():
+            if isinstance(run, Run):
+                rows = evaluate_run(run, arguments.episodes, arguments.max_steps)
+                print_table(evaluation_summary(rows, run.algorithm, run.config["activation"]))
+                print(f"the rows are in {run.path / EVALUATION}")
+            else:
+                flights = fly({0: BASELINES[name]}, "test", arguments.episodes, arguments.max_steps)
+                print_table(evaluation_summary(flights.episodes.assign(mode="scripted"), name))
+    except (RunError, ValueError) as error:
+        print(f"uavnav.evaluate: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -19,7 +19,6 @@ from torch import Tensor
 from uavnav import layouts as banks
 from uavnav import seeding, simulator
 from uavnav.render import draw_state
-from uavnav.rewards import REWARDS
 from uavnav.simulator import UP, State
 from uavnav.world import World
 
@@ -40,16 +39,9 @@ class _Flights:
         max_steps: int | None,
         reward: str,
     ) -> None:
-        if reward not in REWARDS:
-            raise ValueError(f"reward={reward!r}; choose from {', '.join(REWARDS)}")
-        if max_steps is not None and max_steps < 1:
-            raise ValueError(f"max_steps={max_steps}; choose None or a whole number from 1")
+        simulator.check_rules(reward, max_steps)
         self.world = world or World()
-        if isinstance(layouts, Tensor):
-            banks.validate(layouts, self.world)
-            self.bank = layouts.cpu()
-        else:
-            self.bank = banks.load(layouts)
+        self.bank = banks.resolve(layouts, self.world).cpu()
         self.max_steps, self.reward = max_steps, reward
         self.shape = torch.Size(batch_size)
         self.state: State | None = None
@@ -271,6 +263,6 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
     def _info(self, clearance: Tensor) -> Info:
         state = self._flights.state
         assert state is not None
-        values = {name: getattr(state, name).numpy() for name in ("layout", "x", "y", "heading")}
-        values["clearance"] = clearance.numpy()
+        values = {name: getattr(state, name).numpy().copy() for name in ("layout", "x", "y", "heading")}
+        values["clearance"] = clearance.numpy().copy()
         return values | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in values}

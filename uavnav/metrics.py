@@ -25,6 +25,9 @@ EPISODE_COLUMNS = {
     "truncated": "bool",
 }
 
+MODES = ("greedy", "sampled")
+"""How a trained policy is evaluated: its best action always, or as in training (sampled DQN means epsilon = 0.05)."""
+
 LAST = 100
 """Episodes in the second reading: what Stable-Baselines3 averages in its log."""
 

@@ -59,8 +59,8 @@ class AgentLinear(nn.Module):
         self.bias = nn.Parameter(bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        rows = x.reshape(x.shape[0], -1, x.shape[-1])
-        return torch.baddbmm(self.bias, rows, self.weight).reshape(*x.shape[:-1], -1)
+        rows = x[:, None] if x.ndim == 2 else x.flatten(1, -2)
+        return torch.baddbmm(self.bias, rows, self.weight).reshape(*x.shape[:-1], self.weight.shape[-1])
 
 
 class Activation(nn.Module):

@@ -5,6 +5,8 @@
     episodes.parquet    one row a training episode, the columns of `metrics.EPISODE_COLUMNS`
     progress.parquet    one row an iteration and seed: losses and diagnostics
     policy.safetensors  the networks of all seeds
+    evaluation.parquet  one row a test episode, the same columns and `mode`: greedy or sampled
+    behaviour.parquet   poses, clearances and actions of some of those flights, step by step
     checkpoint/         while the run is under way: what it goes on from (see `checkpoints`)
 
 Files appear whole or not at all, and a folder is locked while a run writes it.
@@ -28,7 +30,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pandas as pd
@@ -37,14 +39,16 @@ import yaml
 from filelock import FileLock, Timeout
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import ReplayBuffer
 
 from uavnav import policies
-from uavnav.checkpoints import CheckpointError, Checkpoints, Stateful, collect, restore
+from uavnav.checkpoints import CheckpointError, Checkpoints, Snapshot, Stateful, collect, restore
 from uavnav.config import TrainConfig
 from uavnav.metrics import EPISODE_COLUMNS, LAST
 from uavnav.simulator import COUNTS, State
 from uavnav.world import VERSION
+
+if TYPE_CHECKING:
+    from torchrl.data import ReplayBuffer
 
 Columns = dict[str, np.ndarray[Any, Any]]
 
@@ -55,6 +59,8 @@ CHECKPOINT_SECONDS = 60.0
 """The time between two snapshots."""
 CHECKPOINT_SHARE = 0.04
 """What snapshots may take of a run's time: where writing one takes long, the next comes later."""
+EVALUATION = "evaluation.parquet"
+BEHAVIOUR = "behaviour.parquet"
 FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", policies.FILE_NAME)
 
 
@@ -99,6 +105,15 @@ class Run:
         """Frames per seed that were really run."""
         return int(self.meta["frames"])
 
+    @property
+    def seeds(self) -> list[int]:
+        """The training seeds."""
+        return list(range(self.config["seed"], self.config["seed"] + self.config["n_seeds"]))
+
+    def evaluation(self) -> pd.DataFrame | None:
+        """The rows of its evaluation on the test split, with their mode; None where it was not evaluated."""
+        return self._table(EVALUATION) if (self.path / EVALUATION).is_file() else None
+
     def _table(self, name: str) -> pd.DataFrame:
         try:
             return pd.read_parquet(self.path / name)
@@ -123,6 +138,7 @@ class Recorder:
         config: of the run.
         overwrite: start anew where the folder holds a run.
         checkpoint_seconds: the least time between two snapshots.
+        until: stop after so many frames per seed, as if by a signal.
 
     Raises:
         RunError: the folder belongs to something else, is in use, or cannot be written.
@@ -135,18 +151,20 @@ class Recorder:
         config: TrainConfig,
         overwrite: bool = False,
         checkpoint_seconds: float = CHECKPOINT_SECONDS,
+        until: int | None = None,
     ) -> None:
         self.path = Path(path)
         self.algorithm = algorithm
         self.config = config
         self._overwrite = overwrite
         self._checkpoint_seconds = checkpoint_seconds
+        self._until = until
         self._episodes: list[Columns] = []
         self._progress: list[Columns] = []
         self._recent = [deque[float](maxlen=LAST) for _ in config.seeds]
-        self._meta = _facts()
+        self.meta = _facts()
         self._lock = FileLock(self.path / LOCK)
-        identity = {**self._described, **{f"version of {name}": v for name, v in self._meta["versions"].items()}}
+        identity = {**self._described, **{f"version of {name}": v for name, v in self.meta["versions"].items()}}
         self._checkpoints = Checkpoints(self.path / "checkpoint", identity)
         self.finished = self._check_folder()
 
@@ -200,10 +218,10 @@ class Recorder:
             raise RunError(f"out={self.path}: cannot be written ({error})") from error
         if self._overwrite:
             self._checkpoints.remove()
-            for name in FILES:
+            for name in (*FILES, EVALUATION, BEHAVIOUR):
                 (self.path / name).unlink(missing_ok=True)
         self._began = self._saved = time.perf_counter()
-        self._meta |= {"status": "running", "started": _now()}
+        self.meta |= {"status": "running", "started": _now()}
         self._write("config.yaml", yaml.safe_dump(self._described, sort_keys=False).encode())
         self._write_meta()
         self._stop: int | None = None
@@ -218,7 +236,7 @@ class Recorder:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         if kind is not None:
-            self._meta |= {"status": "interrupted"}
+            self.meta |= {"status": "interrupted"}
             self._write_meta()
         Path(self._lock.lock_file).unlink(missing_ok=True)
         self._lock.release()
@@ -241,10 +259,9 @@ class Recorder:
         if snapshot is None:
             return 0
         restore(parts, {name.removeprefix("parts/"): v for name, v in snapshot.tensors.items() if "parts/" in name})
-        for table, rows in self._tables.items():
-            columns = snapshot.facts["columns"][table]
+        for table, columns in _snapshot_columns(snapshot).items():
             if columns:
-                rows.append({name: snapshot.tensors[f"{table}/{name}"].numpy() for name in columns})
+                self._tables[table].append(columns)
         for part in self._episodes:
             for seed, reward in zip(part["seed"].tolist(), part["reward"].tolist(), strict=True):
                 self._recent[seed - self.config.seed].append(reward)
@@ -258,6 +275,8 @@ class Recorder:
             Interrupted: after SIGINT or SIGTERM, and saved.
         """
         now = time.perf_counter()
+        if self._until is not None and frames >= self._until:
+            self._stop = self._stop or signal.SIGTERM
         if self._stop is None and now - self._saved < self._checkpoint_seconds:
             return
         joined = {table: _joined(rows, []) for table, rows in self._tables.items()}
@@ -284,13 +303,24 @@ class Recorder:
                 self._stop,
             )
 
+    def snapshot_tables(self) -> dict[str, pd.DataFrame]:
+        """The rows of episodes and of progress in the newest snapshot of an unfinished run.
+
+        Raises:
+            RunError: there is none.
+        """
+        snapshot = self._checkpoints.load()
+        if snapshot is None:
+            raise RunError(f"{self.path}: has no snapshot")
+        return {table: pd.DataFrame(columns) for table, columns in _snapshot_columns(snapshot).items()}
+
     def read(self) -> Run:
         """The finished run that is already there."""
         return Run(self.path)
 
     def note(self, **facts: Any) -> None:
         """Add facts to meta.json."""
-        self._meta |= facts
+        self.meta |= facts
         self._write_meta()
 
     def add_episodes(self, following: TensorDictBase, frame: int) -> None:
@@ -362,22 +392,45 @@ class Recorder:
         self._write("progress.parquet", _parquet(pd.DataFrame(_joined(self._progress, ["seed", "frame"]))))
         self._write(policies.FILE_NAME, policy)
         wall = time.perf_counter() - self._began
-        self._meta |= {"status": FINISHED, "frames": frames, "wall_seconds": round(wall, 3), "ended": _now()}
+        self.meta |= {"status": FINISHED, "frames": frames, "wall_seconds": round(wall, 3), "ended": _now()}
         self._write_meta()
         self._checkpoints.remove()
         return Run(self.path, fresh=True)
 
     def _write_meta(self) -> None:
-        self._write("meta.json", json.dumps(self._meta, indent=2).encode())
+        self._write("meta.json", json.dumps(self.meta, indent=2).encode())
 
     def _write(self, name: str, content: bytes) -> None:
         """Write aside, then rename: the file is whole or not there."""
-        aside = self.path / f".{name}.aside"
+        _write(self.path / name, content)
+
+
+def write_table(path: Path, table: pd.DataFrame) -> None:
+    """Write a table as Parquet; it is whole or not there.
+
+    Raises:
+        RunError: it cannot be written.
+    """
+    _write(path, _parquet(table))
+
+
+def _write(path: Path, content: bytes) -> None:
+    aside = path.with_name(f".{path.name}.aside")
+    try:
         try:
             aside.write_bytes(content)
-            os.replace(aside, self.path / name)
-        except OSError as error:
-            raise RunError(f"{self.path / name}: cannot be written ({error})") from error
+            os.replace(aside, path)
+        finally:
+            aside.unlink(missing_ok=True)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error})") from error
+
+
+def _snapshot_columns(snapshot: Snapshot) -> dict[str, Columns]:
+    return {
+        table: {name: snapshot.tensors[f"{table}/{name}"].numpy() for name in names}
+        for table, names in snapshot.facts["columns"].items()
+    }
 
 
 def _joined(parts: list[Columns], columns: list[str]) -> Columns:

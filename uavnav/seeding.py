@@ -42,9 +42,11 @@ class Streams:
 def places(seeds: Sequence[int], rows: int, n_layouts: int, device: torch.device | str) -> Tensor:
     """Where in a bank of n_layouts sets the rows of each seed begin: [seeds, rows] int64.
 
-    A row's place follows from its seed and its index among that seed's rows, not from how many there are of either.
+    A row's place follows from its seed and its index among that seed's rows, not from how many there are of either:
+    the seed shuffles the sets, and its rows take the first ones in turn, each another while there are enough.
     """
-    return Streams(seeds, "places").draw(torch.randint, n_layouts, (rows,), device=device)
+    shuffled = Streams(seeds, "places").draw(torch.randperm, n_layouts, device=device)
+    return shuffled[:, torch.arange(rows, device=device) % n_layouts]
 
 
 def headings(streams: Streams, rows: int, device: torch.device | str) -> Tensor:

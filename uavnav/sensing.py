@@ -1,6 +1,6 @@
 """What the drone perceives: equations (9), (10) and (13). Pure functions of tensors of any batch shape.
 
-Letters: K obstacles of a layout, S = 26 border squares that can matter, N = K + S candidates.
+Letters: K obstacles of a layout, S = 28 border squares that can matter, N = K + S candidates.
 """
 
 from __future__ import annotations
@@ -60,19 +60,20 @@ def _offsets_to_squares(x: Tensor, y: Tensor, world: World) -> tuple[Tensor, Ten
     """Offsets to the nearest points of the border squares that can be in view or nearest: dx, dy [..., S] px.
 
     Of two opposite walls only the nearer can be in view, and of a wall only the squares within the sensor's radius of
-    the drone: 13 and 13 stand for all 136. They come in index order: the bottom or top row from left to right with
+    the drone: 14 and 14 stand for all 136 (13 would do, but for a drone whose centre lies on a line between two squares
+    and in the wall itself). They come in index order: the bottom or top row from left to right with
     its corners, then the left or right column from bottom to top without them.
     """
     columns, rows, side = world.width // world.border, world.height // world.border, float(world.border)
-    reach = world.sensed_squares_each_way
+    reach, count = world.sensed_squares_each_way, world.sensed_squares_of_a_wall
 
-    first = (torch.floor(x / side) - reach).clamp(0, columns - (2 * reach + 1))
-    along = (first[..., None] + torch.arange(2 * reach + 1, device=x.device)) * side
+    first = (torch.ceil(x / side) - 1 - reach).clamp(0, columns - count)
+    along = (first[..., None] + torch.arange(count, device=x.device)) * side
     wall = torch.where(y < world.height / 2, 0.0, world.height - side)[..., None].expand_as(along)
     row_dx, row_dy = _offset_to_square(x, y, along, wall, side)
 
-    first = (torch.floor(y / side) - reach).clamp(1, rows - 1 - (2 * reach + 1))
-    along = (first[..., None] + torch.arange(2 * reach + 1, device=x.device)) * side
+    first = (torch.ceil(y / side) - 1 - reach).clamp(1, rows - 1 - count)
+    along = (first[..., None] + torch.arange(count, device=x.device)) * side
     wall = torch.where(x < world.width / 2, 0.0, world.width - side)[..., None].expand_as(along)
     column_dx, column_dy = _offset_to_square(x, y, wall, along, side)
     return torch.cat([row_dx, column_dx], -1), torch.cat([row_dy, column_dy], -1)

@@ -49,6 +49,18 @@ class Outcome(NamedTuple):
     truncated: Tensor  # [*B] bool: the cap on steps, and no collision
 
 
+def check_rules(reward: str, max_steps: int | None) -> None:
+    """Refuse an unknown reward and a cap that is no whole number from 1.
+
+    Raises:
+        ValueError: naming the choices.
+    """
+    if reward not in REWARDS:
+        raise ValueError(f"reward={reward!r}; choose from {', '.join(REWARDS)}")
+    if max_steps is not None and (not isinstance(max_steps, int) or max_steps < 1):
+        raise ValueError(f"max_steps={max_steps}; choose None or a whole number from 1")
+
+
 def start(layout: Tensor, heading: Tensor, world: World) -> State:
     """The state at the beginning of an episode: layout [*B] index, heading [*B] whole degrees."""
     x, y = world.start

@@ -53,8 +53,10 @@ class World:
                 raise ValueError(f"{field.name}={value!r}; choose from {', '.join(choices)}")
         if self.border <= 0 or self.width % self.border or self.height % self.border:
             raise ValueError(f"border={self.border} must divide width={self.width} and height={self.height}")
-        if min(self.width, self.height) // self.border < 2 * self.sensed_squares_each_way + 3:
+        if min(self.width, self.height) // self.border < self.sensed_squares_of_a_wall + 2:
             raise ValueError("the sensor must never reach two opposite walls at once: enlarge the window")
+        if not 1 <= self.n_slots <= 2 * self.sensed_squares_of_a_wall:
+            raise ValueError(f"n_slots={self.n_slots}; give 1 to {2 * self.sensed_squares_of_a_wall}")
         if not 0 <= self.drone_radius < self.sensor_radius:
             raise ValueError("drone_radius must lie between 0 and sensor_radius")
 
@@ -77,6 +79,11 @@ class World:
     def sensed_squares_each_way(self) -> int:
         """How many squares of a wall, left and right of the one beside the drone, its sensor can reach."""
         return math.ceil(self.sensor_radius / self.border)
+
+    @property
+    def sensed_squares_of_a_wall(self) -> int:
+        """How many neighbouring squares of a wall hold all that its sensor can reach, wherever the drone is."""
+        return 2 * self.sensed_squares_each_way + 2
 
     @property
     def view_cosine(self) -> float:

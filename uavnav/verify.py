@@ -1,0 +1,160 @@
+"""Repeat a run from its config.yaml and say whether the rows and weights are the same, bit for bit.
+
+`python -m uavnav.verify RUN [--frames N]`
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+import torch
+from safetensors.torch import load_file
+
+from uavnav import dqn, policies, ppo
+from uavnav.config import ConfigError, TrainConfig
+from uavnav.layouts import LayoutError
+from uavnav.runs import Interrupted, Recorder, Run, RunError
+
+TIMING = ["frames_per_second"]
+"""Columns that two equal runs may differ in."""
+
+
+class Verdict(NamedTuple):
+    """What a repeat showed."""
+
+    same: bool
+    lines: list[str]
+
+
+def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
+    """Repeat a run, or its first `frames` frames per seed, in a scratch folder and compare.
+
+    Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights.
+
+    Raises:
+        ConfigError, LayoutError, RunError: the run cannot be repeated.
+    """
+    config, train = _recipe(run)
+    whole = frames is None or frames >= run.frames
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "again"
+        if whole:
+            again = train(config, out=folder, quiet=quiet)
+            tables, weights, meta = (
+                {"episodes": again.episodes, "progress": again.progress},
+                _weights(folder),
+                again.meta,
+            )
+        else:
+            tables, meta = _beginning(config, train, run.algorithm, folder, frames, quiet)
+            weights = None
+    reached = min(int(tables["progress"]["frame"].max()), run.frames)
+    originals = {"episodes": run.episodes, "progress": run.progress}
+    if not whole:
+        originals = {name: table[table["frame"] <= reached] for name, table in originals.items()}
+        originals["episodes"] = originals["episodes"][
+            originals["episodes"]["terminated"] | originals["episodes"]["truncated"]
+        ]
+    partings = [_parting(name, originals[name], tables[name]) for name in originals]
+    if weights is not None:
+        partings.append(_weights_parting(_weights(run.path), weights))
+    lines = [line for line in partings if line]
+    if lines:
+        lines += [f"  {fact}: {there} then, {here} now" for fact, there, here in _differing(run.meta, meta)]
+        return Verdict(False, [f"{run.path}: not the same", *lines])
+    compared = f"{len(originals['episodes']):,} episodes, {len(originals['progress']):,} rows of progress"
+    compared += f" and {len(weights)} tensors" if weights is not None else ""
+    return Verdict(True, [f"{run.path}: the same, bit for bit: {compared} at {reached:,} frames per seed"])
+
+
+def _recipe(run: Run) -> tuple[Any, Any]:
+    algorithms: dict[str, tuple[type[TrainConfig], Any]] = {
+        ppo.ALGORITHM: (ppo.PPOConfig, ppo.train),
+        dqn.ALGORITHM: (dqn.DQNConfig, dqn.train),
+    }
+    if run.algorithm not in algorithms:
+        raise RunError(f"{run.path}: algorithm={run.algorithm}; choose from {', '.join(algorithms)}")
+    kind, train = algorithms[run.algorithm]
+    return kind.from_mapping(run.config), train
+
+
+def _beginning(
+    config: TrainConfig, train: Any, algorithm: str, folder: Path, frames: int | None, quiet: bool
+) -> tuple[dict[str, pd.DataFrame], dict[str, Any]]:
+    """The rows of the first frames of a run: it is stopped there, and its snapshot is read."""
+    with contextlib.suppress(Interrupted):
+        train(config, out=folder, quiet=quiet, until=frames)
+    recorder = Recorder(folder, algorithm, config)
+    return recorder.snapshot_tables(), recorder.meta
+
+
+def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
+    """Where two tables part first, in words; empty where they do not."""
+    there, here = (table.drop(columns=TIMING, errors="ignore").reset_index(drop=True) for table in (there, here))
+    if list(there.columns) != list(here.columns):
+        return f"  {name}: other columns"
+    rows = min(len(there), len(here))
+    equal = (there[:rows] == here[:rows]) | (there[:rows].isna() & here[:rows].isna())
+    wrong = ~equal.all(axis=1)
+    if wrong.any():
+        index = int(wrong.idxmax())
+        column = equal.columns[~equal.iloc[index].to_numpy(dtype=bool)][0]
+        was, now = there.iloc[index].to_dict(), here.iloc[index].to_dict()
+        where = f"row {index} (seed {was['seed']:.0f}, frame {was['frame']:,.0f})"
+        return f"  {name}: {where} is the first with another {column}: {was[column]} then, {now[column]} now"
+    return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
+
+
+def _weights(folder: Path) -> dict[str, torch.Tensor]:
+    try:
+        tensors: dict[str, torch.Tensor] = load_file(folder / policies.FILE_NAME)
+    except (OSError, ValueError) as error:
+        raise RunError(f"{folder / policies.FILE_NAME}: missing or damaged") from error
+    return tensors
+
+
+def _weights_parting(there: dict[str, torch.Tensor], here: dict[str, torch.Tensor]) -> str:
+    if there.keys() != here.keys():
+        return "  weights: other tensors"
+    for name, tensor in there.items():
+        if not torch.equal(tensor, here[name]):
+            return f"  weights: {name} differs by up to {(tensor - here[name]).abs().max():.2g}"
+    return ""
+
+
+def _differing(there: dict[str, Any], here: dict[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Facts of version and machine in which two runs differ."""
+    pairs = [("git_commit", there.get("git_commit"), here.get("git_commit"))]
+    pairs += [(key, there.get(key), here.get(key)) for key in ("threads", "compiled")]
+    for group in ("versions", "machine"):
+        old, new = there.get(group, {}), here.get(group, {})
+        pairs += [(f"{group}.{key}", old.get(key), new.get(key)) for key in sorted({*old, *new})]
+    return [pair for pair in pairs if pair[1] != pair[2]]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit."""
+    parser = argparse.ArgumentParser(prog="python -m uavnav.verify", description=main.__doc__)
+    parser.add_argument("run", type=Path, metavar="RUN", help="a finished run's folder")
+    parser.add_argument("--frames", type=int, help="repeat only the first so many frames per seed")
+    arguments = parser.parse_args(argv)
+    try:
+        if arguments.frames is not None and arguments.frames < 1:
+            raise ConfigError(f"--frames {arguments.frames}: give a number of at least 1")
+        verdict = verify(Run(arguments.run), arguments.frames)
+    except (ConfigError, LayoutError, RunError) as error:
+        print(f"uavnav.verify: {error}", file=sys.stderr)
+        return 2
+    print("\n".join(verdict.lines))
+    return 0 if verdict.same else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -19,16 +19,19 @@ from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from uavnav import layouts
 from uavnav.config import ConfigError, TrainConfig, unknown, unknown_key
 from uavnav.display import evaluation_summary, print_table, report
 from uavnav.evaluate import evaluate_run
+from uavnav.layouts import LayoutError
 from uavnav.runs import Interrupted, Recorder, Run, RunError, default_folder
 
 HERE = ("out", "overwrite", "checkpoint_seconds", "evaluate")
 """The keys of the recipes themselves; all others are fields of the algorithm's configuration."""
 
-ERRORS = (ConfigError, layouts.LayoutError, RunError)
+SHOWS = {"--cfg", "-c", "--info", "-i", "--help", "-h"}
+"""Flags of Hydra that show something and run nothing."""
+
+ERRORS = (ConfigError, LayoutError, RunError)
 
 
 def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[..., Run]) -> None:
@@ -58,7 +61,6 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
                 f"out={out}: two runs of the sweep would share it; leave it out, or use out='runs/${{activation}}'"
             )
         folders.add(out.resolve())
-        layouts.load(config.layouts)
         Recorder(out, algorithm, config, here["overwrite"])
 
     def run(settings: DictConfig) -> None:
@@ -74,9 +76,10 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
             print_table(evaluation_summary(rows, algorithm, config.activation))
 
     with tempfile.TemporaryDirectory() as scratch:  # where Hydra may keep its own notes of a sweep
-        arguments = [*sys.argv[1:], f"hydra.sweep.dir={scratch}"]
+        os.environ["UAVNAV_SCRATCH"] = scratch
+        arguments = sys.argv[1:]
         try:
-            if {"-m", "--multirun"} & set(arguments):
+            if {"-m", "--multirun"} & set(arguments) and not SHOWS & set(arguments):
                 _compose(algorithm, check, [*arguments, "hydra/launcher=basic"])
             _compose(algorithm, run, arguments)
         except Interrupted as stop:
@@ -101,7 +104,7 @@ def _compose(algorithm: str, task: Callable[[DictConfig], None], arguments: list
     def guarded(settings: DictConfig) -> None:
         try:
             task(settings)
-        except ERRORS as error:
+        except Exception as error:
             raise _Stop(error) from error
 
     sys.argv[1:] = arguments
@@ -110,7 +113,9 @@ def _compose(algorithm: str, task: Callable[[DictConfig], None], arguments: list
             guarded
         )()
     except _Stop as stop:
-        raise stop.error from None
+        raise stop.error from stop.error.__cause__
+    except ValueError as error:  # of Hydra's own: flags that do not go together
+        raise HydraException(str(error)) from error
 
 
 def _one_line(error: Exception, presets: Mapping[str, TrainConfig]) -> str:
@@ -120,4 +125,7 @@ def _one_line(error: Exception, presets: Mapping[str, TrainConfig]) -> str:
     key = re.match(r"Could not override '([^']+)'", str(error))
     if key:
         return str(unknown_key(key[1], [*asdict(next(iter(presets.values()))), *HERE]))
+    several = re.match(r"Ambiguous value for argument '([^']+)'", str(error))
+    if several:
+        return f"{several[1]}: give one value, or -m to train with each in turn"
     return str(error).strip().splitlines()[0]

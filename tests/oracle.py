@@ -45,6 +45,15 @@ def look(x, y, heading, circles):
     return found
 
 
+def distances(x, y, circles):
+    """From a place to the edge of every circle, then of every border square [px]."""
+    return [c[0] for c in look(x, y, 90, circles)]
+
+
+def clearance(x, y, circles):
+    return min(distances(x, y, circles))
+
+
 def in_view(candidate):
     return candidate[0] <= SENSOR and candidate[2] >= BEHIND
 

@@ -200,7 +200,9 @@ def test_the_target_is_copied_every_64_frames(tmp_path, monkeypatch):
 def test_four_updates_follow_each_step_of_16_worlds():
     assert DQNConfig().updates_per_step == 4
     assert DQNConfig().iterations * 4 == 250_000
-    with pytest.raises(ConfigError, match=r"n_worlds=6; give a multiple of frames_per_update=4"):
+    assert DQNConfig(n_worlds=1).updates_per_step == 1
+    assert DQNConfig(n_worlds=1).steps_between_updates == 4
+    with pytest.raises(ConfigError, match=r"n_worlds=6; give a multiple or a divisor of frames_per_update=4"):
         DQNConfig(n_worlds=6)
 
 
@@ -227,6 +229,7 @@ def test_the_buffer_forgets_the_oldest_frames_beyond_its_size(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.compiled
 def test_a_compiled_run_equals_an_eager_one_to_rounding(tmp_path):
     settings = {"n_seeds": 2, "total_frames": 160, "learning_starts": 32}
     runs = [train(DQNConfig(compile=c, **settings), out=tmp_path / c, quiet=True) for c in ("on", "off")]

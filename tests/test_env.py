@@ -357,6 +357,7 @@ def test_step_refuses_an_action_outside_0_to_99(action):
         env.step(env.reset().set("action", torch.tensor([5, action])))
 
 
+@pytest.mark.compiled
 def test_50_compiled_steps_equal_the_eager_ones(bank):
     eager, compiled = (uavnav.DroneEnv([2, 3], layouts=bank, max_steps=20, seeds=[1, 2]) for _ in range(2))
     assert compiled.compile() is compiled

@@ -108,6 +108,6 @@ def test_a_missing_policy_and_a_missing_seed_are_named(run, tmp_path):
 
 def test_both_networks_of_ppo_are_kept():
     policy, value = ppo.make_networks(ppo.PPOConfig())
-    content = serialize({"policy": policy, "value": value}, {"algorithm": "ppo"})
+    content = serialize({"policy": policy, "value": value}, "ppo", ppo.PPOConfig())
     assert b"policy.0.weight" in content
     assert b"value.4.bias" in content

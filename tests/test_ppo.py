@@ -225,6 +225,7 @@ def test_one_million_frames_are_489_whole_iterations():
 
 
 @pytest.mark.slow
+@pytest.mark.compiled
 def test_a_compiled_run_equals_an_eager_one_to_rounding(tmp_path):
     settings = {"n_seeds": 2, "total_frames": 256, "frames_per_batch": 128, "epochs": 2, "n_worlds": 8}
     runs = [train(PPOConfig(compile=c, **settings), out=tmp_path / c, quiet=True) for c in ("on", "off")]

@@ -96,7 +96,7 @@ class Checkpoints:
         return name
 
     def load(self, replay: ReplayBuffer | None = None) -> Snapshot | None:
-        """The newest snapshot that is whole; the buffer is filled from it. None where there is no snapshot at all.
+        """The newest snapshot that is whole; the buffer, if one is given, is filled from it. None where there is none.
 
         Raises:
             CheckpointError: there are snapshots, and none can be used.
@@ -111,8 +111,9 @@ class Checkpoints:
                 if path is not states[-1]:
                     warnings.warn(f"{error}; going on from the one before", stacklevel=2)
                 continue
-            for name, chunk in zip(snapshot.chunks, chunks, strict=True):
-                _refill(replay, int(name.split("-")[1]), chunk)
+            if replay is not None:
+                for name, chunk in zip(snapshot.chunks, chunks, strict=True):
+                    _refill(replay, int(name.split("-")[1]), chunk)
             self._chunks = snapshot.chunks
             self._rows_saved = snapshot.facts.get("frames", 0)
             self._drop_strays()

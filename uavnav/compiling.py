@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import logging
 import os
 import warnings
+from collections.abc import Callable, Iterator
+from typing import Concatenate, ParamSpec, TypeVar
 
 import torch
 
 from uavnav.config import ConfigError, TrainConfig
+
+C = TypeVar("C", bound=TrainConfig)
+P = ParamSpec("P")
+R = TypeVar("R")
 
 PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
@@ -32,7 +40,29 @@ def decide(config: TrainConfig) -> bool:
 
 def threads(config: TrainConfig) -> int:
     """Two threads are slower than one on the networks of fewer than 4 agents, and faster from there on."""
-    return 1 if config.n_seeds < 4 else os.cpu_count() or 1
+    return 1 if config.n_seeds < 4 else min(2, len(os.sched_getaffinity(0)))
+
+
+@contextlib.contextmanager
+def use_threads(number: int) -> Iterator[None]:
+    """Let torch use so many threads, and then as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def in_threads(train: Callable[Concatenate[C, P], R]) -> Callable[Concatenate[C, P], R]:
+    """Give a training function the threads of its configuration, and its caller the old number back."""
+
+    @functools.wraps(train)
+    def limited(config: C, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        with use_threads(threads(config)):
+            return train(config, *args, **kwargs)
+
+    return limited
 
 
 def _problem(device: str) -> str | None:

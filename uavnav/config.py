@@ -5,14 +5,17 @@ from __future__ import annotations
 import difflib
 import types
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import torch
 
-from uavnav.networks import ACTIVATIONS
+from uavnav.networks import ACTIVATIONS, Init
 from uavnav.rewards import REWARDS
 from uavnav.world import World
+
+SWITCHES = ("slots", "padding", "start_heading")
+"""The fields of `World` that a run may set."""
 
 
 class ConfigError(ValueError):
@@ -60,7 +63,7 @@ class TrainConfig:
 
     preset: str = "paper"
     activation: str = one_of("tanh", ACTIVATIONS)
-    seed: int = at_least(0, 0)  # seeds are seed ... seed + n_seeds - 1
+    seed: int = within(0, 0, 2**31 - 1)  # seeds are seed ... seed + n_seeds - 1
     n_seeds: int = at_least(1, 1)
     total_frames: int = at_least(1_000_000, 1)
     n_worlds: int = at_least(16, 1)  # parallel worlds per seed
@@ -68,7 +71,7 @@ class TrainConfig:
     lr: float = at_least(3e-4, 0)
     gamma: float = within(0.99, 0, 1)
     max_grad_norm: float = at_least(0.5, 0)  # of each agent's gradient
-    init: Literal["orthogonal", "default"] = "default"
+    init: Init = "default"
     layouts: str = "train"
     max_steps: int | None = field(default=None, metadata={"least": 1})
     reward: str = one_of("eq14", REWARDS)
@@ -86,7 +89,7 @@ class TrainConfig:
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError(f"hidden={list(self.hidden)}; give at least one layer, each of at least 1 unit")
         try:
-            torch.empty(0, device=self.device)
+            torch.ones(1, device=self.device).item()  # `meta`, say, has no numbers
         except (RuntimeError, AssertionError, NotImplementedError) as error:
             raise ConfigError(f"device={self.device}; choose cpu, or a device that this machine has") from error
 
@@ -103,6 +106,12 @@ class TrainConfig:
                 raise unknown_key(key, names)
         return cls(**mapping)
 
+    def beyond(self, preset: Self) -> dict[str, Any]:
+        """The settings in which this configuration differs from its preset, apart from what every table names."""
+        named = ("preset", "activation", "seed", "n_seeds", "total_frames", "n_worlds", "device", "compile")
+        mine, theirs = plain(self), plain(preset)
+        return {name: value for name, value in mine.items() if name not in named and value != theirs[name]}
+
     @property
     def seeds(self) -> list[int]:
         """One seed an agent."""
@@ -111,7 +120,12 @@ class TrainConfig:
     @property
     def world(self) -> World:
         """The world with this configuration's switches."""
-        return World(slots=self.slots, padding=self.padding, start_heading=self.start_heading)
+        return World(**{name: getattr(self, name) for name in SWITCHES})
+
+
+def plain(config: TrainConfig) -> dict[str, Any]:
+    """Its settings as YAML and JSON hold them, with lists for tuples."""
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(config).items()}
 
 
 def _checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any:

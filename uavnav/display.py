@@ -8,7 +8,7 @@ from typing import Self
 
 import pandas as pd
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from uavnav import paper
@@ -24,14 +24,13 @@ class Display:
         self._n_seeds = config.n_seeds
         self._progress = Progress(
             TextColumn(f"{algorithm} {config.activation}"),
-            BarColumn(bar_width=24),
-            MofNCompleteColumn(),
-            TextColumn("frames, {task.fields[rate]}, left"),
+            BarColumn(bar_width=12),
+            TextColumn("{task.fields[done]} {task.fields[rate]} frames/s"),
             TimeRemainingColumn(),
-            TextColumn("reward {task.fields[reward]}"),
+            TextColumn("left, reward {task.fields[reward]}"),
             disable=quiet,
         )
-        self._task = self._progress.add_task("", total=total_frames, rate="-", reward="-")
+        self._task = self._progress.add_task("", total=total_frames, done="-", rate="-", reward="-")
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -45,8 +44,9 @@ class Display:
     def update(self, frames: int, rewards: list[float]) -> None:
         """frames: per seed so far; rewards: each seed's mean over its last 100 episodes."""
         task = self._progress.tasks[0]
-        rate = f"{task.speed * self._n_seeds:,.0f}/s" if task.speed else "-"
-        self._progress.update(self._task, completed=frames, rate=rate, reward=_with_spread(rewards, 2))
+        rate = f"{task.speed * self._n_seeds / 1000:,.1f}k" if task.speed else "-"
+        done = f"{frames // 1000:,}k/{(task.total or 0) // 1000:,.0f}k"
+        self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=_with_spread(rewards, 1))
 
 
 def summary(run: Run) -> Table:
@@ -57,16 +57,19 @@ def summary(run: Run) -> Table:
     counts = ", ".join(f"{len(part):,}" for part in readings.values())
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
+    changes = [f"{name}={value}" for name, value in run.meta.get("beyond_preset", {}).items()]
+    preset = " with ".join([f"preset {config['preset']}", *([", ".join(changes)] if changes else [])])
     return _metric_table(
-        f"{run.algorithm} {config['activation']}, preset {config['preset']}, {worlds}",
-        f"{run.frames:,} frames per seed; {seeds}; {counts} training episodes",
+        f"{run.algorithm} {config['activation']}, {preset}, {worlds}",
+        f"{run.frames:,} frames per seed; {seeds}; {counts} training episodes; {run.meta['bank']['k']} obstacles a set;"
+        f" reward {config['reward']}; init {config['init']}",
         readings,
         printed,
     )
 
 
 def _metric_table(title: str, caption: str, readings: dict[str, pd.DataFrame], printed: dict[str, float]) -> Table:
-    table = Table(title=title, caption=caption)
+    table = Table(title=title, caption=caption, min_width=79)
     table.add_column("metric")
     for reading in readings:
         table.add_column(reading, justify="right")

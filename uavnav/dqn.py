@@ -11,6 +11,7 @@ Letters: A agents, W worlds an agent.
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,7 @@ from uavnav import compiling, policies
 from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
-from uavnav.env import DroneEnv
+from uavnav.env import make_env
 from uavnav.learner import Learner
 from uavnav.networks import mlp
 from uavnav.runs import CHECKPOINT_SECONDS, Recorder, Run, default_folder
@@ -39,12 +40,15 @@ from uavnav.seeding import Streams, stream
 ALGORITHM = "dqn"
 LOG_FRAMES = 5_000
 """Frames per seed between two rows of progress."""
+FRAME_BYTES = 14
+"""Of a transition beside its two observations: action, reward and two flags."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DQNConfig(TrainConfig):
     """DQN's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
 
+    preset: Literal["paper", "paper-2.3"] = "paper"
     lr: float = at_least(1e-4, 0)
     max_grad_norm: float = at_least(10.0, 0)
     buffer_size: int = at_least(1_000_000, 1)  # frames per seed
@@ -60,9 +64,9 @@ class DQNConfig(TrainConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.n_worlds % self.frames_per_update:
+        if self.n_worlds % self.frames_per_update and self.frames_per_update % self.n_worlds:
             raise ConfigError(
-                f"n_worlds={self.n_worlds}; give a multiple of frames_per_update={self.frames_per_update}"
+                f"n_worlds={self.n_worlds}; give a multiple or a divisor of frames_per_update={self.frames_per_update}"
             )
         if self.buffer_size < self.n_worlds:
             raise ConfigError(f"buffer_size={self.buffer_size}; give at least n_worlds={self.n_worlds}")
@@ -73,9 +77,14 @@ class DQNConfig(TrainConfig):
         return -(-self.total_frames // self.n_worlds)
 
     @property
+    def steps_between_updates(self) -> int:
+        """Steps of all worlds from one round of gradient steps to the next."""
+        return max(self.frames_per_update // self.n_worlds, 1)
+
+    @property
     def updates_per_step(self) -> int:
-        """Gradient steps after each step of all worlds."""
-        return self.n_worlds // self.frames_per_update
+        """Gradient steps in such a round."""
+        return max(self.n_worlds // self.frames_per_update, 1)
 
     def epsilon(self, frames: int) -> float:
         """The share of random actions after so many frames: all, until learning starts, then a linear fall."""
@@ -142,6 +151,41 @@ def make_learner(loss: DQNLoss, config: DQNConfig, compile: bool) -> Learner:
     )
 
 
+def make_buffer(sampler: AgentSampler, config: DQNConfig, total: int) -> ReplayBuffer:
+    """A ring of transitions with a draw of its own for each agent: all minibatches of a round at once.
+
+    Raises:
+        ConfigError: it would not fit into the machine's memory.
+    """
+    capacity = min(config.buffer_size, total)
+    needed = config.n_seeds * capacity * (2 * 4 * config.world.observation_size + FRAME_BYTES) / 2**30
+    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    if config.device == "cpu" and needed > available:
+        raise ConfigError(
+            f"buffer_size={config.buffer_size}, n_seeds={config.n_seeds}: the buffer would take {needed:.1f} GiB of the"
+            f" machine's {available:.1f}; give a smaller buffer_size or fewer seeds"
+        )
+    return ReplayBuffer(
+        storage=LazyTensorStorage(capacity, device=config.device),
+        sampler=sampler,
+        batch_size=config.batch_size * config.updates_per_step,
+    )
+
+
+def rows(batch: TensorDictBase) -> TensorDictBase:
+    """What the loss needs of a step [A, W, 1], as rows [W, A] of a buffer whose agents stay apart."""
+    following = [("next", name) for name in ("observation", "reward", "done", "terminated")]
+    return batch.select("observation", "action", *following).flatten(1, 2).transpose(0, 1)
+
+
+def learn(buffer: ReplayBuffer, learner: Learner, config: DQNConfig) -> dict[str, Tensor]:
+    """A round of gradient steps, each on a batch of its own; each agent's loss and gradient norm, their mean, [A]."""
+    batches = buffer.sample().reshape(config.n_seeds, -1, config.batch_size)
+    steps = [learner.step(minibatch) for minibatch in batches.unbind(1)]
+    return {name: torch.stack([losses[name] for losses in steps]).mean(0) for name in steps[0]}
+
+
+@compiling.in_threads
 def train(
     config: DQNConfig,
     out: str | Path | None = None,
@@ -171,19 +215,11 @@ def train(
     recorder = Recorder(out, ALGORITHM, config, overwrite, checkpoint_seconds, until)
     if recorder.finished:
         return recorder.read()
+    total = config.n_worlds * config.iterations
+    sampler = AgentSampler(config.seeds, "replay", replace=True)
+    buffer = make_buffer(sampler, config, total)
     compile = compiling.decide(config)
-    torch.set_num_threads(compiling.threads(config))
-    env = DroneEnv(
-        [config.n_seeds, config.n_worlds],
-        layouts=config.layouts,
-        world=config.world,
-        max_steps=config.max_steps,
-        reward=config.reward,
-        device=config.device,
-        seeds=config.seeds,
-    )
-    if compile:
-        env.compile()
+    env = make_env(config, compile)
     network = make_network(config).to(config.device)
     policy = ExploringPolicy(network, config, compile)
     collector = Collector(
@@ -197,13 +233,6 @@ def train(
         use_buffers=False,
         return_same_td=True,
     )
-    total = config.n_worlds * config.iterations
-    sampler = AgentSampler(config.seeds, "replay", replace=True)
-    buffer = ReplayBuffer(
-        storage=LazyTensorStorage(min(config.buffer_size, total), device=config.device),
-        sampler=sampler,
-        batch_size=config.batch_size * config.updates_per_step,
-    )
     loss = make_loss(network, config)
     learner = make_learner(loss, config, compile)
     steps_between_copies = max(config.target_update_frames // config.n_worlds, 1)
@@ -211,23 +240,26 @@ def train(
 
     parts: dict[str, Stateful] = {"env": env, "actions": policy.streams, "replay": sampler, "learner": learner}
 
-    steps_between_rows = max(LOG_FRAMES // config.n_worlds, 1)
+    steps_between_rows = (
+        max(LOG_FRAMES // (config.n_worlds * config.steps_between_updates), 1) * config.steps_between_updates
+    )
     with recorder, Display(ALGORITHM, config, total, quiet) as display:
-        recorder.note(compiled=compile, threads=torch.get_num_threads())
+        recorder.note(
+            compiled=compile, threads=torch.get_num_threads(), beyond_preset=config.beyond(PRESETS[config.preset])
+        )
         frames = recorder.resume(parts, buffer)
         if frames:
             collector._carrier = env.root()  # the collector has no public way to go on from there
             policy.epsilon.fill_(config.epsilon(frames))
             target.counter = frames // config.n_worlds % steps_between_copies
-        began, logged, losses = time.perf_counter(), frames, {}
+        began, logged = time.perf_counter(), frames
         for step, batch in zip(range(frames // config.n_worlds + 1, config.iterations + 1), collector, strict=False):
             recorder.add_episodes(batch["next"], frames)
             frames += config.n_worlds
             buffer.extend(rows(batch))
             target.step()
-            if frames > config.learning_starts:
-                for minibatch in buffer.sample().reshape(config.n_seeds, -1, config.batch_size).unbind(1):
-                    losses = learner.step(minibatch)
+            learning = frames > config.learning_starts and step % config.steps_between_updates == 0
+            losses = learn(buffer, learner, config) if learning else {}
             policy.epsilon.fill_(config.epsilon(frames))
             if step % steps_between_rows == 0 or step == config.iterations:
                 rate = (frames - logged) / (time.perf_counter() - began)
@@ -240,17 +272,4 @@ def train(
                 display.update(frames, recorder.recent_rewards())
             recorder.checkpoint(frames, parts, buffer)
         recorder.add_open_episodes(env.state, frames)
-        facts = {
-            "algorithm": ALGORITHM,
-            "activation": config.activation,
-            "hidden": list(config.hidden),
-            "seeds": config.seeds,
-            "epsilon": config.epsilon_end,
-        }
-        return recorder.finish(policies.serialize({"policy": network}, facts), frames)
-
-
-def rows(batch: TensorDictBase) -> TensorDictBase:
-    """What the loss needs of a step [A, W, 1], as rows [W, A] of a buffer whose agents stay apart."""
-    following = [("next", name) for name in ("observation", "reward", "done", "terminated")]
-    return batch.select("observation", "action", *following).flatten(1, 2).transpose(0, 1)
+        return recorder.finish(policies.serialize({"policy": network}, ALGORITHM, config, config.epsilon_end), frames)

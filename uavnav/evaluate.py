@@ -15,12 +15,13 @@ import pandas as pd
 import torch
 from torch import Tensor
 
+from uavnav import compiling, policies, simulator
 from uavnav import layouts as banks
-from uavnav import policies, simulator
 from uavnav.baselines import BASELINES, AnyPolicy
 from uavnav.display import evaluation_summary, print_table
 from uavnav.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs import BEHAVIOUR, EVALUATION, Run, RunError, write_table
+from uavnav.seeding import stream
 from uavnav.simulator import COUNTS, UP, State
 from uavnav.world import World
 
@@ -29,6 +30,8 @@ MAX_STEPS = 10_000
 WATCHED_LAYOUTS = 10
 WATCHED_STEPS = 500
 """Behaviour is kept of so many sets of obstacles, and of so many steps of each."""
+
+DEFAULT = World()
 
 BEHAVIOUR_COLUMNS = {
     "seed": "int64",
@@ -55,18 +58,18 @@ def evaluate_policy(
     episodes: int = EPISODES,
     max_steps: int = MAX_STEPS,
     world: World | None = None,
-    reward: str = "eq14",
+    reward: str | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """One episode on each of the first sets of a bank, each starting upwards from the centre.
+    """One episode on each of the first sets of a bank, each starting at the centre.
 
     Args:
         policy: what `uavnav.load_policy` returns, or any callable of that form.
         layouts: `train`, `test`, a bank's path, or a tensor [n, k, 3].
         episodes: how many sets, from the first.
         max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no collision.
-        world: constants and switches.
-        reward: a name of `uavnav.rewards.REWARDS`.
+        world: constants and switches; by default those that the policy was trained in, if it has any.
+        reward: a name of `uavnav.rewards.REWARDS`; by default the policy's, or eq14.
         seed: of the generator that the policy is given; also written into the column `seed`.
 
     Returns:
@@ -76,6 +79,8 @@ def evaluate_policy(
         LayoutError: the bank cannot be read.
         ValueError: an unknown reward, more episodes than the bank has sets, or a count below 1.
     """
+    world = world or getattr(policy, "world", None) or World()
+    reward = reward or getattr(policy, "reward", None) or "eq14"
     return fly({seed: policy}, layouts, episodes, max_steps, world, reward).episodes
 
 
@@ -84,14 +89,14 @@ def fly(
     layouts: str | Path | Tensor = "test",
     episodes: int = EPISODES,
     max_steps: int = MAX_STEPS,
-    world: World | None = None,
+    world: World = DEFAULT,
     reward: str = "eq14",
 ) -> Flights:
     """Evaluate one policy a seed, the flights of all of them in one batch; arguments as of `evaluate_policy`.
 
-    What one seed does depends neither on the others nor on anything but its policy and a generator of its own.
+    What one seed does depends neither on the others nor on anything but its policy and a generator of its own. Random
+    start headings, where the world has them, are those of the set of obstacles, the same for every policy.
     """
-    world = world or World()
     simulator.check_rules(reward, max_steps if max_steps >= 1 else None)
     bank = banks.resolve(layouts, world)
     if not 1 <= episodes <= len(bank) or max_steps < 1:
@@ -101,7 +106,10 @@ def fly(
     generators = {seed: torch.Generator().manual_seed(seed) for seed in population}
     layout = torch.arange(episodes).repeat(len(population))
     seed = torch.tensor(list(population)).repeat_interleave(episodes)
-    state = simulator.start(layout, torch.full_like(layout, UP), world)
+    heading = torch.full((episodes,), UP)
+    if world.start_heading == "random":
+        heading = torch.randint(360, (episodes,), generator=stream(0, "headings in evaluation"))
+    state = simulator.start(layout, heading.repeat(len(population)), world)
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
     with torch.no_grad():
@@ -149,7 +157,9 @@ def _table(parts: list[dict[str, Tensor]], columns: dict[str, str]) -> pd.DataFr
     return pd.DataFrame({name: torch.cat([part[name] for part in parts]).numpy() for name in columns}).astype(columns)
 
 
-def evaluate_run(run: Run, episodes: int = EPISODES, max_steps: int = MAX_STEPS) -> pd.DataFrame:
+def evaluate_run(
+    run: Run, episodes: int = EPISODES, max_steps: int = MAX_STEPS, layouts: str | Path = "test"
+) -> pd.DataFrame:
     """Evaluate every seed of a run on the test split, greedy and sampled, and keep the rows in its folder.
 
     Training's generators play no part, and nothing else in the folder changes.
@@ -158,15 +168,14 @@ def evaluate_run(run: Run, episodes: int = EPISODES, max_steps: int = MAX_STEPS)
         What `evaluation.parquet` holds: the columns of `metrics.EPISODE_COLUMNS` and `mode`.
 
     Raises:
-        PolicyError, RunError: the run's policy cannot be read, or its folder cannot be written.
+        LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
     """
-    world = World(**{name: run.config[name] for name in ("slots", "padding", "start_heading")})
     flights = {}
-    for mode in MODES:
-        population: dict[int, AnyPolicy] = {
-            seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds
-        }
-        flights[mode] = fly(population, "test", episodes, max_steps, world, run.config["reward"])
+    with compiling.use_threads(1):
+        for mode in MODES:
+            population = {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
+            own = population[run.seeds[0]]
+            flights[mode] = fly({**population}, layouts, episodes, max_steps, own.world, own.reward)
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
     write_table(run.path / EVALUATION, rows)
@@ -180,17 +189,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("runs", nargs="+", metavar="RUN", help=f"a run's folder, or {', '.join(BASELINES)}")
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
     parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
+    parser.add_argument("--layouts", default="test", help="test, train or a bank's path (default: test)")
     arguments = parser.parse_args(argv)
-    torch.set_num_threads(1)
     try:
         found = {name: name if name in BASELINES else Run(name) for name in arguments.runs}
         for name, run in found.items():
             if isinstance(run, Run):
-                rows = evaluate_run(run, arguments.episodes, arguments.max_steps)
+                rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts)
                 print_table(evaluation_summary(rows, run.algorithm, run.config["activation"]))
                 print(f"the rows are in {run.path / EVALUATION}")
             else:
-                flights = fly({0: BASELINES[name]}, "test", arguments.episodes, arguments.max_steps)
+                with compiling.use_threads(1):
+                    flights = fly({0: BASELINES[name]}, arguments.layouts, arguments.episodes, arguments.max_steps)
                 print_table(evaluation_summary(flights.episodes.assign(mode="scripted"), name))
     except (RunError, ValueError) as error:
         print(f"uavnav.evaluate: {error}", file=sys.stderr)

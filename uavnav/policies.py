@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
+from uavnav.config import SWITCHES, TrainConfig
 from uavnav.networks import ACTIVATIONS, mlp
+from uavnav.rewards import REWARDS
 from uavnav.sampling import epsilon_greedy, sample_categorical
-from uavnav.world import VERSION
+from uavnav.world import VERSION, World
 
 FILE_NAME = "policy.safetensors"
+ALGORITHMS = ("ppo", "dqn")
 
 
 class PolicyError(ValueError):
@@ -24,13 +26,20 @@ class PolicyError(ValueError):
 
 
 class Policy:
-    """One seed's network with a way to act: greedy, or as in training (PPO samples, DQN explores with `epsilon`)."""
+    """One seed's network with a way to act: greedy, or as in training (PPO samples, DQN explores with `epsilon`).
 
-    def __init__(self, network: nn.Module, algorithm: str, greedy: bool, epsilon: float) -> None:
+    `world` and `reward` are those that it was trained in.
+    """
+
+    def __init__(
+        self, network: nn.Module, algorithm: str, greedy: bool, epsilon: float, world: World, reward: str
+    ) -> None:
         self.network = network
         self.algorithm = algorithm
         self.greedy = greedy
         self.epsilon = epsilon
+        self.world = world
+        self.reward = reward
 
     @torch.no_grad()
     def values(self, observation: Tensor) -> Tensor:
@@ -50,17 +59,24 @@ class Policy:
         return epsilon_greedy(values, self.epsilon, coin, choice)
 
 
-def serialize(networks: Mapping[str, nn.Module], facts: Mapping[str, Any]) -> bytes:
-    """The bytes of a policy file: the networks of all seeds, and the facts that rebuild them as its header.
-
-    facts: algorithm, activation, hidden, seeds and, for DQN, epsilon.
-    """
+def serialize(networks: Mapping[str, nn.Module], algorithm: str, config: TrainConfig, epsilon: float = 0.0) -> bytes:
+    """The bytes of a policy file: the networks of all seeds, and in its header what rebuilds them and their world."""
+    facts = {
+        "algorithm": algorithm,
+        "activation": config.activation,
+        "hidden": list(config.hidden),
+        "seeds": config.seeds,
+        "epsilon": epsilon,
+        "reward": config.reward,
+        "world": {name: getattr(config, name) for name in SWITCHES},
+        "world_version": VERSION,
+    }
     tensors = {
         f"{name}.{key}": value.detach().cpu().contiguous()
         for name, network in networks.items()
         for key, value in network.state_dict().items()
     }
-    return save(tensors, metadata={"uavnav": json.dumps({"world_version": VERSION, **facts}, sort_keys=True)})
+    return save(tensors, metadata={"uavnav": json.dumps(facts, sort_keys=True)})
 
 
 def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True) -> Policy:
@@ -82,14 +98,22 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True) -
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {}).get("uavnav", "{}"))
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        seeds, hidden, algorithm = header["seeds"], header["hidden"], header["algorithm"]
-        activation, version = header["activation"], header["world_version"]
-    except (OSError, SafetensorError, ValueError, KeyError) as error:
-        raise PolicyError(f"{path}: not a readable policy file ({error})") from error
+        seeds, hidden, algorithm = list(header["seeds"]), list(header["hidden"]), str(header["algorithm"])
+        activation, version, reward = header["activation"], header["world_version"], header["reward"]
+        epsilon, world = float(header["epsilon"]), World(**header["world"])
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
     if version != VERSION:
         raise PolicyError(f"{path}: trained in world version {version}, this is {VERSION}")
-    if activation not in ACTIVATIONS:
-        raise PolicyError(f"{path}: unknown activation {activation!r}; choose from {', '.join(sorted(ACTIVATIONS))}")
+    for name, value, choices in (
+        ("activation", activation, ACTIVATIONS),
+        ("reward", reward, REWARDS),
+        ("algorithm", algorithm, ALGORITHMS),
+    ):
+        if value not in list(choices):
+            raise PolicyError(f"{path}: unknown {name} {value!r}; choose from {', '.join(sorted(choices))}")
+    if not seeds:
+        raise PolicyError(f"{path}: holds no seed; give the policy of a finished run")
     seed = seeds[0] if seed is None else seed
     if seed not in seeds:
         raise PolicyError(f"{path}: seed={seed} is not there; choose from {seeds[0]} ... {seeds[-1]}")
@@ -103,6 +127,8 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True) -
         inputs, outputs = policy["0.weight"].shape[1], policy[f"{2 * len(hidden)}.weight"].shape[2]
         network = mlp([inputs, *hidden, outputs], activation, [torch.Generator()], "default")
         network.load_state_dict(policy)
-    except (KeyError, IndexError, RuntimeError) as error:
-        raise PolicyError(f"{path}: its tensors do not fit its header") from error
-    return Policy(network, algorithm, greedy, header.get("epsilon", 0.0))
+    except (KeyError, IndexError, RuntimeError, TypeError) as error:
+        raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
+    if inputs != world.observation_size or outputs != world.n_actions:
+        raise PolicyError(f"{path}: sees {inputs} numbers and chooses from {outputs} actions, not those of this world")
+    return Policy(network, algorithm, greedy, epsilon, world, reward)

@@ -30,9 +30,9 @@ from uavnav import compiling, policies
 from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
-from uavnav.env import DroneEnv
+from uavnav.env import make_env
 from uavnav.learner import Learner
-from uavnav.networks import mlp
+from uavnav.networks import Init, mlp
 from uavnav.runs import CHECKPOINT_SECONDS, Recorder, Run, default_folder
 from uavnav.sampling import AgentSampler, sample_categorical
 from uavnav.seeding import Streams, stream
@@ -52,7 +52,8 @@ class PPOConfig(TrainConfig):
     clip_epsilon: float = within(0.2, 0, 1)
     critic_coeff: float = at_least(0.5, 0)
     entropy_coeff: float = at_least(0.0, 0)
-    init: Literal["orthogonal", "default"] = "orthogonal"  # gains sqrt(2), 0.01 policy, 1 value (decision 15)
+    preset: Literal["paper"] = "paper"
+    init: Init = "orthogonal"  # gains sqrt(2), 0.01 policy, 1 value (decision 15)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -138,6 +139,17 @@ def make_learner(loss: ClipPPOLoss, config: PPOConfig, compile: bool) -> Learner
     )
 
 
+def make_buffer(sampler: AgentSampler, config: PPOConfig) -> ReplayBuffer:
+    """Holds one rollout, and gives it back in an order of its own for each agent: an epoch a draw."""
+    storage = LazyTensorStorage(config.frames_per_batch, device=config.device)
+    return ReplayBuffer(storage=storage, sampler=sampler, batch_size=config.frames_per_batch)
+
+
+def make_advantage(config: PPOConfig) -> GAE:
+    """Generalised advantage estimation over the time of a rollout; a collision and a cap end its sums."""
+    return GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, vectorized=False)
+
+
 @torch.no_grad()
 def estimate(batch: TensorDictBase, loss: ClipPPOLoss, advantage: GAE) -> None:
     """Write into a rollout [A, W, T] the log-probabilities, values, advantages and value targets of its policy."""
@@ -145,6 +157,23 @@ def estimate(batch: TensorDictBase, loss: ClipPPOLoss, advantage: GAE) -> None:
     loss.critic_network(batch)
     loss.critic_network(batch["next"])
     advantage(batch)
+
+
+def rows(batch: TensorDictBase) -> TensorDictBase:
+    """What the loss needs of a rollout [A, W, T], as rows [W T, A] of a buffer whose agents stay apart."""
+    needed = batch.select("observation", "action", "action_log_prob", "advantage", "value_target")
+    return needed.flatten(1, 2).transpose(0, 1)
+
+
+def learn(batch: TensorDictBase, buffer: ReplayBuffer, learner: Learner, config: PPOConfig) -> dict[str, Tensor]:
+    """Epochs of minibatches over a rollout [A, W, T] with its advantages; each agent's losses, their mean, [A]."""
+    buffer.empty()
+    buffer.extend(rows(batch))
+    steps = []
+    for _ in range(config.epochs):
+        epoch = buffer.sample().reshape(config.n_seeds, -1, config.minibatch_size)
+        steps += [learner.step(minibatch) for minibatch in epoch.unbind(1)]
+    return {name: torch.stack([losses[name] for losses in steps]).mean(0) for name in steps[0]}
 
 
 @torch.no_grad()
@@ -163,6 +192,7 @@ def diagnostics(batch: TensorDictBase, loss: ClipPPOLoss, clip_epsilon: float) -
     }
 
 
+@compiling.in_threads
 def train(
     config: PPOConfig,
     out: str | Path | None = None,
@@ -193,18 +223,7 @@ def train(
     if recorder.finished:
         return recorder.read()
     compile = compiling.decide(config)
-    torch.set_num_threads(compiling.threads(config))
-    env = DroneEnv(
-        [config.n_seeds, config.n_worlds],
-        layouts=config.layouts,
-        world=config.world,
-        max_steps=config.max_steps,
-        reward=config.reward,
-        device=config.device,
-        seeds=config.seeds,
-    )
-    if compile:
-        env.compile()
+    env = make_env(config, compile)
     policy, value = (network.to(config.device) for network in make_networks(config))
     actor = SampledPolicy(policy, config, compile)
     collector = Collector(
@@ -219,12 +238,8 @@ def train(
         return_same_td=True,
     )
     sampler = AgentSampler(config.seeds, "minibatches", replace=False)
-    buffer = ReplayBuffer(
-        storage=LazyTensorStorage(config.frames_per_batch, device=config.device),
-        sampler=sampler,
-        batch_size=config.frames_per_batch,
-    )
-    advantage = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, vectorized=False)
+    buffer = make_buffer(sampler, config)
+    advantage = make_advantage(config)
     loss = make_loss(policy, value, config)
     learner = make_learner(loss, config, compile)
 
@@ -232,7 +247,9 @@ def train(
 
     total = config.frames_per_batch * config.iterations
     with recorder, Display(ALGORITHM, config, total, quiet) as display:
-        recorder.note(compiled=compile, threads=torch.get_num_threads())
+        recorder.note(
+            compiled=compile, threads=torch.get_num_threads(), beyond_preset=config.beyond(PRESETS[config.preset])
+        )
         frames = recorder.resume(parts)
         if frames:
             collector._carrier = env.root()  # the collector has no public way to go on from there
@@ -241,12 +258,7 @@ def train(
             recorder.add_episodes(batch["next"], frames)
             frames += config.frames_per_batch
             estimate(batch, loss, advantage)
-            buffer.empty()
-            buffer.extend(rows(batch))
-            for _ in range(config.epochs):
-                epoch = buffer.sample().reshape(config.n_seeds, -1, config.minibatch_size)
-                for minibatch in epoch.unbind(1):
-                    losses = learner.step(minibatch)
+            losses = learn(batch, buffer, learner, config)
             rate = config.frames_per_batch / (time.perf_counter() - began)
             began = time.perf_counter()
             recorder.add_progress(
@@ -255,16 +267,4 @@ def train(
             display.update(frames, recorder.recent_rewards())
             recorder.checkpoint(frames, parts)
         recorder.add_open_episodes(env.state, frames)
-        facts = {
-            "algorithm": ALGORITHM,
-            "activation": config.activation,
-            "hidden": list(config.hidden),
-            "seeds": config.seeds,
-        }
-        return recorder.finish(policies.serialize({"policy": policy, "value": value}, facts), frames)
-
-
-def rows(batch: TensorDictBase) -> TensorDictBase:
-    """What the loss needs of a rollout [A, W, T], as rows [W T, A] of a buffer whose agents stay apart."""
-    needed = batch.select("observation", "action", "action_log_prob", "advantage", "value_target")
-    return needed.flatten(1, 2).transpose(0, 1)
+        return recorder.finish(policies.serialize({"policy": policy, "value": value}, ALGORITHM, config), frames)

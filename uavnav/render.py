@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import argparse
+import io
+import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -95,17 +97,39 @@ def pictures(states: Sequence[State], bank: Tensor, world: World, every: int = 1
         yield draw_state(states[index], bank, world, positions[: index + 1])
 
 
+def check_name(path: Path) -> None:
+    """Raises ValueError for the name of a file that is neither a GIF nor a PNG."""
+    if path.suffix not in (".gif", ".png"):
+        raise ValueError(f"{path}: choose a .gif or .png file")
+
+
 def save(frames: Iterable[Picture], path: Path, fps: float, width: int) -> None:
-    """Write an animated GIF, or the last picture as PNG, scaled to a width in px."""
+    """Write an animated GIF, or the last picture as PNG, scaled to a width in px; the file is whole or not there.
+
+    Raises:
+        ValueError: the file is neither, or cannot be written.
+    """
+    check_name(path)
     images = [Image.fromarray(frame) for frame in frames]
     size = (width, round(images[0].height * width / images[0].width))
     images = [image.resize(size, Image.Resampling.LANCZOS) for image in images]
+    content = io.BytesIO()
     if path.suffix == ".gif":
         palette = images[-1].quantize(64)
         indexed = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-        indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=round(1000 / fps), loop=0)
+        kind: dict[str, Any] = {"save_all": True, "append_images": indexed[1:], "duration": round(1000 / fps), "loop": 0}
+        indexed[0].save(content, "GIF", **kind)
     else:
-        images[-1].save(path)
+        images[-1].save(content, "PNG")
+    aside = path.with_name(f".{path.name}.aside")
+    try:
+        try:
+            aside.write_bytes(content.getvalue())
+            os.replace(aside, path)
+        finally:
+            aside.unlink(missing_ok=True)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written ({error}); give a file in a folder that can be written") from error
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -124,19 +148,18 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--width", type=int, default=480, help="width in px (default: 480)")
     arguments = parser.parse_args(argv)
     try:
-        if arguments.out.suffix not in (".gif", ".png"):
-            raise ValueError(f"--out {arguments.out}: choose a .gif or .png file")
+        check_name(arguments.out)
         if min(arguments.steps, arguments.every, arguments.width) < 1:
             raise ValueError("--steps, --every and --width are at least 1")
         policy = policies.load_policy(arguments.run, arguments.seed, greedy=not arguments.sampled)
         bank = banks.load(arguments.layouts)
         if not 0 <= arguments.layout < len(bank):
             raise ValueError(f"--layout {arguments.layout}: choose from 0 to {len(bank) - 1}")
-        world = World()
+        world = policy.world
         generator = torch.Generator().manual_seed(0)
         states = fly(lambda observation: policy(observation, generator), bank, arguments.layout, arguments.steps, world)
         save(pictures(states, bank, world, arguments.every), arguments.out, 30, arguments.width)
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         print(f"uavnav.render: {error}", file=sys.stderr)
         return 2
     last = states[-1]

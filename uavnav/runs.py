@@ -27,7 +27,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -40,9 +39,9 @@ from filelock import FileLock, Timeout
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from uavnav import policies
+from uavnav import layouts, policies
 from uavnav.checkpoints import CheckpointError, Checkpoints, Snapshot, Stateful, collect, restore
-from uavnav.config import TrainConfig
+from uavnav.config import TrainConfig, plain
 from uavnav.metrics import EPISODE_COLUMNS, LAST
 from uavnav.simulator import COUNTS, State
 from uavnav.world import VERSION
@@ -61,6 +60,7 @@ CHECKPOINT_SHARE = 0.04
 """What snapshots may take of a run's time: where writing one takes long, the next comes later."""
 EVALUATION = "evaluation.parquet"
 BEHAVIOUR = "behaviour.parquet"
+BANK_FACTS = ("n", "k", "split", "generator_seed", "sha256")
 FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", policies.FILE_NAME)
 
 
@@ -141,6 +141,7 @@ class Recorder:
         until: stop after so many frames per seed, as if by a signal.
 
     Raises:
+        LayoutError: the bank that the run trains on cannot be read.
         RunError: the folder belongs to something else, is in use, or cannot be written.
     """
 
@@ -162,9 +163,11 @@ class Recorder:
         self._episodes: list[Columns] = []
         self._progress: list[Columns] = []
         self._recent = [deque[float](maxlen=LAST) for _ in config.seeds]
-        self.meta = _facts()
+        _, bank = layouts.read(config.layouts)
+        self.meta = _facts() | {"bank": {name: bank.get(name) for name in BANK_FACTS}}
         self._lock = FileLock(self.path / LOCK)
         identity = {**self._described, **{f"version of {name}": v for name, v in self.meta["versions"].items()}}
+        identity["bank"] = self.meta["bank"]["sha256"]
         self._checkpoints = Checkpoints(self.path / "checkpoint", identity)
         self.finished = self._check_folder()
 
@@ -174,8 +177,7 @@ class Recorder:
 
     @property
     def _described(self) -> dict[str, Any]:
-        plain = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self.config).items()}
-        return {"algorithm": self.algorithm, **plain}
+        return {"algorithm": self.algorithm, **plain(self.config)}
 
     def _check_folder(self) -> bool:
         """Whether the very same run is already there and finished."""
@@ -193,9 +195,11 @@ class Recorder:
             raise RunError(f"out={path}: is not a folder that can be written")
         if not (path / "config.yaml").is_file():
             raise RunError(f"out={path}: holds other files and no run; give a new or empty folder")
+        there = _read_yaml(path / "config.yaml")
+        if "algorithm" not in there:
+            raise RunError(f"out={path}: its config.yaml is not a run's; give a new or empty folder")
         if self._overwrite:
             return False
-        there = _read_yaml(path / "config.yaml")
         differing = sorted(key for key in {*there, *self._described} if there.get(key) != self._described.get(key))
         if differing:
             key = differing[0]
@@ -203,8 +207,15 @@ class Recorder:
                 f"out={path}: holds a run with {key}={there.get(key)}, not {self._described.get(key)};"
                 " give another folder, or overwrite=true"
             )
-        meta = path / "meta.json"
-        return meta.is_file() and _read_json(meta).get("status") == FINISHED
+        if not (path / "meta.json").is_file():
+            return False
+        meta = _read_json(path / "meta.json")
+        if meta.get("bank", self.meta["bank"]) != self.meta["bank"]:
+            raise RunError(
+                f"out={path}: the bank layouts={self.config.layouts} has changed since this run began; give another"
+                " folder, or overwrite=true"
+            )
+        return bool(meta.get("status") == FINISHED)
 
     def __enter__(self) -> Self:
         try:
@@ -303,8 +314,8 @@ class Recorder:
                 self._stop,
             )
 
-    def snapshot_tables(self) -> dict[str, pd.DataFrame]:
-        """The rows of episodes and of progress in the newest snapshot of an unfinished run.
+    def snapshot_tables(self) -> tuple[int, dict[str, pd.DataFrame]]:
+        """The newest snapshot of an unfinished run: its frames per seed, and the rows of episodes and of progress.
 
         Raises:
             RunError: there is none.
@@ -312,15 +323,17 @@ class Recorder:
         snapshot = self._checkpoints.load()
         if snapshot is None:
             raise RunError(f"{self.path}: has no snapshot")
-        return {table: pd.DataFrame(columns) for table, columns in _snapshot_columns(snapshot).items()}
+        tables = {table: pd.DataFrame(columns) for table, columns in _snapshot_columns(snapshot).items()}
+        return int(snapshot.facts["frames"]), tables
 
     def read(self) -> Run:
         """The finished run that is already there."""
         return Run(self.path)
 
     def note(self, **facts: Any) -> None:
-        """Add facts to meta.json."""
+        """Add how the run is carried out to meta.json, and to what a snapshot must share with the run that resumes."""
         self.meta |= facts
+        self._checkpoints.identity |= facts
         self._write_meta()
 
     def add_episodes(self, following: TensorDictBase, frame: int) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -47,15 +48,11 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
         folder = Path(scratch) / "again"
         if whole:
             again = train(config, out=folder, quiet=quiet)
-            tables, weights, meta = (
-                {"episodes": again.episodes, "progress": again.progress},
-                _weights(folder),
-                again.meta,
-            )
+            reached, meta, weights = again.frames, again.meta, _weights(folder)
+            tables = {"episodes": again.episodes, "progress": again.progress}
         else:
-            tables, meta = _beginning(config, train, run.algorithm, folder, frames, quiet)
+            reached, tables, meta = _beginning(config, train, run.algorithm, folder, frames, quiet)
             weights = None
-    reached = min(int(tables["progress"]["frame"].max()), run.frames)
     originals = {"episodes": run.episodes, "progress": run.progress}
     if not whole:
         originals = {name: table[table["frame"] <= reached] for name, table in originals.items()}
@@ -82,25 +79,30 @@ def _recipe(run: Run) -> tuple[Any, Any]:
     if run.algorithm not in algorithms:
         raise RunError(f"{run.path}: algorithm={run.algorithm}; choose from {', '.join(algorithms)}")
     kind, train = algorithms[run.algorithm]
-    return kind.from_mapping(run.config), train
+    try:
+        return kind.from_mapping(run.config), train
+    except ConfigError as error:
+        raise ConfigError(f"{run.path / 'config.yaml'}: {error}") from error
 
 
 def _beginning(
     config: TrainConfig, train: Any, algorithm: str, folder: Path, frames: int | None, quiet: bool
-) -> tuple[dict[str, pd.DataFrame], dict[str, Any]]:
-    """The rows of the first frames of a run: it is stopped there, and its snapshot is read."""
+) -> tuple[int, dict[str, pd.DataFrame], dict[str, Any]]:
+    """The first frames of a run: it is stopped there, and its snapshot is read. How many there are, rows and facts."""
     with contextlib.suppress(Interrupted):
         train(config, out=folder, quiet=quiet, until=frames)
-    recorder = Recorder(folder, algorithm, config)
-    return recorder.snapshot_tables(), recorder.meta
+    reached, tables = Recorder(folder, algorithm, config).snapshot_tables()
+    return reached, tables, json.loads((folder / "meta.json").read_text())
 
 
 def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
     """Where two tables part first, in words; empty where they do not."""
     there, here = (table.drop(columns=TIMING, errors="ignore").reset_index(drop=True) for table in (there, here))
+    rows = min(len(there), len(here))
+    if not rows:  # a table without rows need not have columns
+        return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
     if list(there.columns) != list(here.columns):
         return f"  {name}: other columns"
-    rows = min(len(there), len(here))
     equal = (there[:rows] == here[:rows]) | (there[:rows].isna() & here[:rows].isna())
     wrong = ~equal.all(axis=1)
     if wrong.any():
@@ -124,16 +126,23 @@ def _weights_parting(there: dict[str, torch.Tensor], here: dict[str, torch.Tenso
     if there.keys() != here.keys():
         return "  weights: other tensors"
     for name, tensor in there.items():
-        if not torch.equal(tensor, here[name]):
-            return f"  weights: {name} differs by up to {(tensor - here[name]).abs().max():.2g}"
+        other = here[name]
+        if (tensor.shape, tensor.dtype) != (other.shape, other.dtype):
+            return f"  weights: {name} is {_kind(tensor)} then, {_kind(other)} now"
+        if tensor.numpy().tobytes() != other.numpy().tobytes():
+            return f"  weights: {name} differs by up to {(tensor - other).abs().max():.2g}"
     return ""
 
 
+def _kind(tensor: torch.Tensor) -> str:
+    return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
+
+
 def _differing(there: dict[str, Any], here: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-    """Facts of version and machine in which two runs differ."""
+    """Facts of version, machine and bank in which two runs differ."""
     pairs = [("git_commit", there.get("git_commit"), here.get("git_commit"))]
     pairs += [(key, there.get(key), here.get(key)) for key in ("threads", "compiled")]
-    for group in ("versions", "machine"):
+    for group in ("versions", "machine", "bank"):
         old, new = there.get(group, {}), here.get(group, {})
         pairs += [(f"{group}.{key}", old.get(key), new.get(key)) for key in sorted({*old, *new})]
     return [pair for pair in pairs if pair[1] != pair[2]]

@@ -6,7 +6,8 @@ from scipy import stats
 from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
-from uavnav.sampling import AgentSampler, epsilon_greedy, sample_categorical
+from uavnav.replay import AgentSampler
+from uavnav.sampling import epsilon_greedy, sample_categorical
 from uavnav.seeding import Streams, headings, places, stream
 
 

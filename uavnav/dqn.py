@@ -33,8 +33,9 @@ from uavnav.display import Display
 from uavnav.env import make_env
 from uavnav.learner import Learner
 from uavnav.networks import mlp
+from uavnav.replay import AgentSampler
 from uavnav.runs import CHECKPOINT_SECONDS, Recorder, Run, default_folder
-from uavnav.sampling import AgentSampler, epsilon_greedy
+from uavnav.sampling import epsilon_greedy
 from uavnav.seeding import Streams, stream
 
 ALGORITHM = "dqn"

@@ -165,7 +165,8 @@ def evaluate_run(
     Training's generators play no part, and nothing else in the folder changes.
 
     Returns:
-        What `evaluation.parquet` holds: the columns of `metrics.EPISODE_COLUMNS` and `mode`.
+        What `evaluation.parquet` holds: the columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs`, and in the
+        file's header, the bank and the cap.
 
     Raises:
         LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
@@ -177,6 +178,7 @@ def evaluate_run(
             own = population[run.seeds[0]]
             flights[mode] = fly({**population}, layouts, episodes, max_steps, own.world, own.reward)
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
+    rows.attrs = {"layouts": str(layouts), "max_steps": max_steps}  # kept in the file's header
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
     write_table(run.path / EVALUATION, rows)
     write_table(run.path / BEHAVIOUR, behaviour)

@@ -91,7 +91,7 @@ def save(bank: Tensor, path: str | Path, *, seed: int, split: str) -> None:
         finally:
             aside.unlink(missing_ok=True)
     except (OSError, SafetensorError) as error:
-        raise LayoutError(f"{path}: cannot be written ({error}); give a file in a folder that can be written") from error
+        raise LayoutError(f"{path}: cannot be written ({error}); give a path that can be written") from error
 
 
 def load(layouts: str | Path) -> Tensor:
@@ -127,7 +127,7 @@ def read(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     except (OSError, SafetensorError) as error:
         raise LayoutError(f"{path}: not a readable bank ({error}); make one with python -m uavnav.layouts") from error
     if bank is None:
-        raise LayoutError(f"{path}: holds no tensor `obstacles`; make a bank with python -m uavnav.layouts")
+        raise LayoutError(f"{path}: holds no tensor `obstacles`; make one with python -m uavnav.layouts")
     if header.get("world_version") != VERSION:
         raise LayoutError(
             f"{path}: made for world version {header.get('world_version')}, this is {VERSION}; generate it anew"
@@ -154,8 +154,8 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
         LayoutError: it is not, or as `load` does.
     """
     bank, header = read(layouts)
-    seed = header.get("generator_seed", "")
-    if not seed.isdecimal() or not torch.equal(bank, generate(*bank.shape[:2], int(seed))):
+    n, k, seed = *bank.shape[:2], header.get("generator_seed", "")
+    if not seed.isdecimal() or not torch.equal(bank, generate(n, k, int(seed))):
         raise LayoutError(f"{layouts}: is not what seed {seed} generates; generate it anew")
     return bank, header
 

@@ -33,8 +33,9 @@ from uavnav.display import Display
 from uavnav.env import make_env
 from uavnav.learner import Learner
 from uavnav.networks import Init, mlp
+from uavnav.replay import AgentSampler
 from uavnav.runs import CHECKPOINT_SECONDS, Recorder, Run, default_folder
-from uavnav.sampling import AgentSampler, sample_categorical
+from uavnav.sampling import sample_categorical
 from uavnav.seeding import Streams, stream
 
 ALGORITHM = "ppo"

@@ -117,8 +117,8 @@ def save(frames: Iterable[Picture], path: Path, fps: float, width: int) -> None:
     if path.suffix == ".gif":
         palette = images[-1].quantize(64)
         indexed = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-        kind: dict[str, Any] = {"save_all": True, "append_images": indexed[1:], "duration": round(1000 / fps), "loop": 0}
-        indexed[0].save(content, "GIF", **kind)
+        pause = round(1000 / fps)
+        indexed[0].save(content, "GIF", save_all=True, append_images=indexed[1:], duration=pause, loop=0)
     else:
         images[-1].save(content, "PNG")
     aside = path.with_name(f".{path.name}.aside")
@@ -129,7 +129,7 @@ def save(frames: Iterable[Picture], path: Path, fps: float, width: int) -> None:
         finally:
             aside.unlink(missing_ok=True)
     except OSError as error:
-        raise ValueError(f"{path}: cannot be written ({error}); give a file in a folder that can be written") from error
+        raise ValueError(f"{path}: cannot be written ({error}); give a path that can be written") from error
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -118,9 +118,8 @@ class Run:
         try:
             return pd.read_parquet(self.path / name)
         except (OSError, ValueError) as error:
-            raise RunError(
-                f"{self.path / name}: missing or damaged ({error}); run again with overwrite=true"
-            ) from error
+            again = "evaluate the run again" if name == EVALUATION else "run again with overwrite=true"
+            raise RunError(f"{self.path / name}: missing or damaged ({error}); {again}") from error
 
 
 def default_folder(algorithm: str, config: TrainConfig) -> Path:

@@ -77,9 +77,10 @@ def _metric_table(title: str, caption: str, readings: dict[str, pd.DataFrame], p
         table.add_column("paper", justify="right")
     for name, metric in METRICS.items():
         for ratio_of_means in [False] if metric.scale is None else [False, True]:
-            cells = [_cell(per_seed(part, ratio_of_means)[name]) for part in readings.values()]
+            digits = min(metric.digits, 2)
+            cells = [_cell(per_seed(part, ratio_of_means)[name], digits) for part in readings.values()]
             label = "  as ratio of means" if ratio_of_means else metric.label
-            beside = f"{printed[name]:,.2f}" if name in printed and not ratio_of_means else ""
+            beside = f"{printed[name]:,.{digits}f}" if name in printed and not ratio_of_means else ""
             table.add_row(label, *cells, *([beside] if printed else []))
     return table
 
@@ -112,8 +113,8 @@ def print_table(table: Table) -> None:
     Console().print(table)
 
 
-def _cell(values: pd.Series[float]) -> str:
-    return _with_spread(values.dropna().tolist(), 2)
+def _cell(values: pd.Series[float], digits: int) -> str:
+    return _with_spread(values.dropna().tolist(), digits)
 
 
 def _with_spread(values: list[float], digits: int) -> str:

@@ -38,14 +38,15 @@ class Metric(NamedTuple):
     label: str
     column: str
     scale: float | None = None  # None: per episode; else a ratio to steps, times this
+    digits: int = 3  # decimals in a report, at most
 
 
 METRICS: dict[str, Metric] = {
-    "steps": Metric("steps per episode", "steps"),
+    "steps": Metric("steps per episode", "steps", digits=1),
     "stops": Metric("stops %", "stops", 100.0),
     "full_stops": Metric("full stops %", "full_stops", 100.0),
     "turns": Metric("turning %", "turns", 100.0),
-    "distance": Metric("distance per episode", "distance"),
+    "distance": Metric("distance per episode", "distance", digits=1),
     "speed": Metric("speed", "distance", 1.0),
     "reward": Metric("reward per episode", "reward"),
 }

@@ -36,8 +36,6 @@ from uavnav.runs import Run, RunError
 BINS = 25
 """Of a run's frames, along a learning curve."""
 CURVES = {"reward": "reward per episode", "steps": "steps per episode"}
-DIGITS = {"steps": 1, "distance": 1}
-"""Decimals of a metric; three for the others, as the paper prints."""
 COLOURS = {"tanh": "#0072B2", "sigmoid": "#D55E00", "relu": "#009E73", "leaky_relu": "#CC79A7"}
 OTHER_COLOURS = ("#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's, without the yellow."""
@@ -256,7 +254,7 @@ def _values(part: pd.DataFrame, metrics: list[str], ratio_of_means: bool) -> lis
         return ["0", "0", *["-"] * (len(metrics) + 1)]
     seeds, cut = per_seed(part, ratio_of_means), part[part["truncated"]]
     share = f"{len(cut) / len(part):.1%}" + (f" at {cut['steps'].max():,} steps" if len(cut) else "")
-    return [str(len(seeds)), f"{len(part):,}", share, *(_spread(seeds[name], DIGITS.get(name, 3)) for name in metrics)]
+    return [str(len(seeds)), f"{len(part):,}", share, *(_spread(seeds[name], METRICS[name].digits) for name in metrics)]
 
 
 def _spread(values: pd.Series[float], digits: int) -> str:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file
 
 from uavnav import dqn, policies, ppo
@@ -43,6 +44,7 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
         ConfigError, LayoutError, RunError: the run cannot be repeated.
     """
     config, train = _recipe(run)
+    original = _weights(run.path)
     whole = frames is None or frames >= run.frames
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "again"
@@ -61,7 +63,7 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
         ]
     partings = [_parting(name, originals[name], tables[name]) for name in originals]
     if weights is not None:
-        partings.append(_weights_parting(_weights(run.path), weights))
+        partings.append(_weights_parting(original, weights))
     lines = [line for line in partings if line]
     if lines:
         lines += [f"  {fact}: {there} then, {here} now" for fact, there, here in _differing(run.meta, meta)]
@@ -117,8 +119,9 @@ def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
 def _weights(folder: Path) -> dict[str, torch.Tensor]:
     try:
         tensors: dict[str, torch.Tensor] = load_file(folder / policies.FILE_NAME)
-    except (OSError, ValueError) as error:
-        raise RunError(f"{folder / policies.FILE_NAME}: missing or damaged") from error
+    except (OSError, SafetensorError) as error:
+        name = folder / policies.FILE_NAME
+        raise RunError(f"{name}: missing or damaged ({error}); run again with overwrite=true") from error
     return tensors
 
 

@@ -23,6 +23,7 @@ from uavnav.config import ConfigError, TrainConfig, unknown, unknown_key
 from uavnav.display import evaluation_summary, print_table, report
 from uavnav.evaluate import evaluate_run
 from uavnav.layouts import LayoutError
+from uavnav.policies import PolicyError
 from uavnav.runs import Interrupted, Recorder, Run, RunError, default_folder
 
 HERE = ("out", "overwrite", "checkpoint_seconds", "evaluate")
@@ -31,7 +32,7 @@ HERE = ("out", "overwrite", "checkpoint_seconds", "evaluate")
 SHOWS = {"--cfg", "-c", "--info", "-i", "--help", "-h"}
 """Flags of Hydra that show something and run nothing."""
 
-ERRORS = (ConfigError, LayoutError, RunError)
+ERRORS = (ConfigError, LayoutError, PolicyError, RunError)
 
 
 def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[..., Run]) -> None:
@@ -66,11 +67,12 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
     def run(settings: DictConfig) -> None:
         config, out, here = parse(settings)
         finished = train(config, out=out, overwrite=here["overwrite"], checkpoint_seconds=here["checkpoint_seconds"])
+        evaluating = here["evaluate"] and finished.evaluation() is None
         if finished.fresh:
             report(finished)
         else:
             print(f"{out}: this run is already finished; overwrite=true starts it anew")
-        if here["evaluate"] and finished.evaluation() is None:
+        if evaluating:
             print("evaluating on the test split; evaluate=false skips this", flush=True)
             rows = evaluate_run(finished)
             print_table(evaluation_summary(rows, algorithm, config.activation))

@@ -1,12 +1,42 @@
 """Evaluation: one row a set of obstacles, repeatable, censored where it was cut off."""
 
+import math
+import shutil
+import subprocess
+import sys
+
+import pandas as pd
 import pytest
 import torch
 
 import uavnav
+from uavnav import dqn, evaluate, ppo
 from uavnav.baselines import straight_ahead, uniform_random
-from uavnav.evaluate import evaluate_policy
+from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, fly
 from uavnav.metrics import EPISODE_COLUMNS
+from uavnav.runs import Run
+
+RUNS = {
+    "ppo": (ppo.train, ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off")),
+    "dqn": (dqn.train, dqn.DQNConfig(n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off")),
+}
+
+
+@pytest.fixture(scope="module", params=list(RUNS))
+def trained(request, tmp_path_factory):
+    """A finished run of the seeds 4, 5 and 6 that was not evaluated."""
+    train, config = RUNS[request.param]
+    return train(config, out=tmp_path_factory.mktemp("evaluate") / "run", quiet=True)
+
+
+@pytest.fixture
+def run(trained, tmp_path):
+    """A copy of it to write in."""
+    return Run(shutil.copytree(trained.path, tmp_path / "run"))
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def test_straight_ahead_in_an_empty_arena_hits_the_wall_at_step_28():
@@ -48,3 +78,114 @@ def test_the_uniform_policy_turns_in_90_stops_in_10_and_fully_stops_in_1_percent
 def test_counts_out_of_range_are_refused(wrong):
     with pytest.raises(ValueError, match="give 1 to 1000 episodes of at least 1 step"):
         evaluate_policy(straight_ahead, **wrong)
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+def test_a_trained_policy_evaluated_twice_gives_the_same_20_rows(trained, greedy):
+    policy = uavnav.load_policy(trained.path, seed=5, greedy=greedy)
+    first, second = (evaluate_policy(policy, episodes=20, max_steps=100) for _ in range(2))
+    pd.testing.assert_frame_equal(first, second, check_exact=True)
+    other = evaluate_policy(policy, episodes=20, max_steps=100, seed=1)
+    same = first.drop(columns="seed").equals(other.drop(columns="seed"))
+    assert same == greedy  # only sampling asks the generator
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+def test_3_seeds_in_one_batch_fly_as_each_does_alone(trained, greedy):
+    # Exactly so, though they share a batch: each policy is called on its own rows alone, so that its products have the
+    # same shape and round alike, and the world's arithmetic is elementwise.
+    population = {seed: uavnav.load_policy(trained.path, seed, greedy) for seed in trained.seeds}
+    together = fly(population, episodes=12, max_steps=80)
+    assert together.episodes.seed.tolist() == [4] * 12 + [5] * 12 + [6] * 12
+    for seed, policy in population.items():
+        alone = fly({seed: policy}, episodes=12, max_steps=80)
+        for all_rows, rows in zip(together, alone, strict=True):
+            mine = all_rows[all_rows.seed == seed].reset_index(drop=True)
+            pd.testing.assert_frame_equal(mine, rows, check_exact=True)
+
+
+def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(run, tmp_path):
+    before, state = contents(run.path), torch.get_rng_state()
+    evaluate_run(run, episodes=5, max_steps=50)
+    assert torch.equal(torch.get_rng_state(), state)
+    after = contents(run.path)
+    assert {name: after.pop(name) for name in before} == before
+    assert sorted(after) == ["behaviour.parquet", "evaluation.parquet"]
+    train, config = RUNS[run.algorithm]
+    again = train(config, out=tmp_path / "again", quiet=True)
+    assert (again.path / "policy.safetensors").read_bytes() == before["policy.safetensors"]
+    assert again.episodes.equals(run.episodes)
+
+
+@pytest.mark.parametrize("cap", [1, 27, 28])
+def test_an_episode_that_the_cap_cuts_off_is_truncated_and_one_that_hits_in_that_step_terminated(cap):
+    rows = evaluate_policy(straight_ahead, uavnav.layouts.generate(2, k=0), episodes=2, max_steps=cap)
+    assert rows.steps.tolist() == [cap] * 2
+    assert rows.truncated.tolist() == [cap < 28] * 2
+    assert rows.terminated.tolist() == [cap == 28] * 2
+
+
+def test_each_seed_and_mode_of_a_run_has_a_row_a_test_set_and_the_run_reads_them_back(run):
+    assert run.evaluation() is None
+    rows = evaluate_run(run, episodes=7, max_steps=50)
+    assert list(rows.columns) == [*EPISODE_COLUMNS, "mode"]
+    assert rows.groupby(["mode", "seed"]).layout.apply(list).tolist() == [list(range(7))] * 6
+    assert rows["mode"].unique().tolist() == ["greedy", "sampled"]
+    pd.testing.assert_frame_equal(Run(run.path).evaluation(), rows, check_exact=True)
+    assert (rows.truncated == ((rows.steps == 50) & ~rows.terminated)).all()
+    assert (rows.truncated | rows.terminated).all()
+
+
+def test_behaviour_is_the_flight_step_by_step_whose_counts_are_the_episodes(run):
+    episodes = evaluate_run(run, episodes=12, max_steps=90)
+    behaviour = pd.read_parquet(run.path / "behaviour.parquet")
+    assert list(behaviour.columns) == [*BEHAVIOUR_COLUMNS, "mode"]
+    flights = {key: steps.sort_values("step") for key, steps in behaviour.groupby(["mode", "seed", "layout"])}
+    assert len(flights) == 2 * 3 * 10  # of the first ten sets
+    collisions = 0
+    for row in episodes[episodes.layout < 10].itertuples():
+        flight = flights[row.mode, row.seed, row.layout]
+        assert flight.step.tolist() == list(range(1, row.steps + 1))
+        distance, turn = flight.action % 10, flight.action // 10
+        assert (distance.sum(), (turn != 0).sum(), (distance == 0).sum()) == (row.distance, row.turns, row.stops)
+        assert (flight.action == 0).sum() == row.full_stops
+        headings = [90, *flight.heading.tolist()]
+        places = [(400, 300), *zip(flight.x.tolist(), flight.y.tolist(), strict=True)]
+        for index, (pixels, quotient) in enumerate(zip(distance, turn, strict=True)):
+            assert headings[index + 1] == (headings[index] + (quotient if quotient <= 5 else quotient - 10)) % 360
+            angle, (x, y) = math.radians(headings[index + 1]), places[index]
+            ahead = (x + pixels * math.cos(angle), y + pixels * math.sin(angle))
+            assert places[index + 1] == pytest.approx(ahead, abs=1e-3)
+        assert (flight.clearance.iloc[:-1] > 30).all()
+        assert (flight.clearance.iloc[-1] <= 30) == row.terminated
+        collisions += row.terminated
+    assert collisions >= 5
+
+
+def test_of_a_flight_of_600_steps_500_are_watched():
+    flights = fly({0: lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64)}, max_steps=600)
+    assert (flights.episodes.steps == 600).all()
+    assert (
+        flights.behaviour.groupby("layout").step.agg(["min", "max", "size"]).to_numpy().tolist() == [[1, 500, 500]] * 10
+    )
+
+
+def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_ends_with_0(run):
+    command = [sys.executable, "-m", "uavnav.evaluate", run.path, "reactive", "--episodes", "5", "--max-steps", "50"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+    for words in (f"{run.algorithm} tanh on 5 test sets", "reactive", "3 seeds", "1 seed", "greedy", "sampled"):
+        assert words in result.stdout, words
+    assert result.stdout.count("reward per episode") == 2
+    rows = Run(run.path).evaluation()
+    assert rows.groupby(["mode", "seed"]).size().tolist() == [5] * 6
+    assert (run.path / "behaviour.parquet").is_file()
+
+
+def test_the_command_evaluates_nothing_where_one_of_two_runs_is_not_there(run, capsys):
+    assert evaluate.main([str(run.path), str(run.path.parent / "nowhere"), "--episodes", "2"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.endswith("nowhere: no such run folder; give a run's folder\n")
+    assert err.count("\n") == 1
+    assert Run(run.path).evaluation() is None

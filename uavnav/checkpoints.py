@@ -91,8 +91,12 @@ class Checkpoints:
         content = save({name: value.contiguous() for name, value in tensors.items()}, {"uavnav": json.dumps(header)})
         name = f"{stem}-{_digest(content)}.safetensors"
         aside = self.folder / f".{name}"
-        aside.write_bytes(content)
-        os.replace(aside, self.folder / name)
+        try:
+            aside.write_bytes(content)
+            os.replace(aside, self.folder / name)
+        except OSError:
+            aside.unlink(missing_ok=True)
+            raise
         return name
 
     def load(self, replay: ReplayBuffer | None = None) -> Snapshot | None:

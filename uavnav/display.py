@@ -39,7 +39,11 @@ class Display:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._progress.stop()
+        if error is None or self._progress.tasks[0].completed:
+            self._progress.stop()
+        else:  # nothing was done: leave no empty bar
+            self._progress.live.transient = True
+            self._progress.live.stop()
 
     def update(self, frames: int, rewards: list[float]) -> None:
         """frames: per seed so far; rewards: each seed's mean over its last 100 episodes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -91,8 +92,8 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True) -
         PolicyError: the file is missing or damaged, or has no such seed.
     """
     path = Path(run)
-    path = path / FILE_NAME if path.is_dir() else path
-    if not path.is_file():
+    path = path / FILE_NAME if os.path.isdir(path) else path
+    if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
         raise PolicyError(f"{run}: no {FILE_NAME} there; give the folder of a finished run")
     try:
         with safe_open(path, framework="pt") as file:
@@ -101,6 +102,8 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True) -
         seeds, hidden, algorithm = list(header["seeds"]), list(header["hidden"]), str(header["algorithm"])
         activation, version, reward = header["activation"], header["world_version"], header["reward"]
         epsilon, world = float(header["epsilon"]), World(**header["world"])
+        if not all(type(one) is int for one in seeds):
+            raise TypeError("its seeds are no whole numbers")
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
     if version != VERSION:
@@ -127,8 +130,16 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True) -
         inputs, outputs = policy["0.weight"].shape[1], policy[f"{2 * len(hidden)}.weight"].shape[2]
         network = mlp([inputs, *hidden, outputs], activation, [torch.Generator()], "default")
         network.load_state_dict(policy)
+        if any(len(tensor) != len(seeds) for tensor in tensors.values()):
+            raise RuntimeError(f"not {len(seeds)} networks for {len(seeds)} seeds")
     except (KeyError, IndexError, RuntimeError, TypeError) as error:
         raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
     if inputs != world.observation_size or outputs != world.n_actions:
-        raise PolicyError(f"{path}: sees {inputs} numbers and chooses from {outputs} actions, not those of this world")
+        raise PolicyError(
+            f"{path}: sees {inputs} numbers and chooses from {outputs} actions, not"
+            f" {world.observation_size} and {world.n_actions} as in this world"
+        )
+    for key, tensor in policy.items():
+        if not tensor.isfinite().all():
+            raise PolicyError(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
     return Policy(network, algorithm, greedy, epsilon, world, reward)

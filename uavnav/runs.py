@@ -14,6 +14,7 @@ Files appear whole or not at all, and a folder is locked while a run writes it.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import importlib.metadata
 import io
@@ -26,7 +27,7 @@ import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -90,15 +91,18 @@ class Run:
     def __init__(self, path: str | Path, fresh: bool = False) -> None:
         self.path = Path(path)
         self.fresh = fresh
-        if not self.path.is_dir():
-            raise RunError(f"{path}: no such run folder")
+        if not os.path.isdir(path):  # as Path.is_dir, which raises for a name that is too long
+            raise RunError(f"{path}: no such run folder; give a run's folder")
         self.config: dict[str, Any] = _read_yaml(self.path / "config.yaml")
         self.meta: dict[str, Any] = _read_json(self.path / "meta.json")
-        self.algorithm: str = self.config.pop("algorithm", "?")
+        self.algorithm: str = self.config.get("algorithm", "?")
         if self.meta.get("status") != FINISHED:
             raise RunError(f"{path}: the run is not finished; give the same command again to complete it")
-        self.episodes = self._table("episodes.parquet")
-        self.progress = self._table("progress.parquet")
+        self._check("config.yaml", self.config, {"algorithm": str, "activation": str, "seed": int, "n_seeds": int})
+        self._check("meta.json", self.meta, {"frames": int})
+        del self.config["algorithm"]
+        self.episodes = self._table("episodes.parquet", EPISODE_COLUMNS)
+        self.progress = self._table("progress.parquet", {"seed": "int64", "frame": "int64"})
 
     @property
     def frames(self) -> int:
@@ -112,14 +116,25 @@ class Run:
 
     def evaluation(self) -> pd.DataFrame | None:
         """The rows of its evaluation on the test split, with their mode; None where it was not evaluated."""
-        return self._table(EVALUATION) if (self.path / EVALUATION).is_file() else None
+        there = (self.path / EVALUATION).exists()
+        return self._table(EVALUATION, EPISODE_COLUMNS | {"mode": "object"}) if there else None
 
-    def _table(self, name: str) -> pd.DataFrame:
+    def _check(self, name: str, there: Mapping[str, Any], kinds: Mapping[str, type]) -> None:
+        for key, kind in kinds.items():
+            if type(there.get(key)) is not kind or (key == "n_seeds" and there[key] < 1):
+                raise RunError(f"{self.path / name}: not a run's, its {key}={there.get(key)}; give a run's folder")
+
+    def _table(self, name: str, columns: Mapping[str, str]) -> pd.DataFrame:
+        path = self.path / name
+        again = "evaluate the run again" if name == EVALUATION else "run again with overwrite=true"
         try:
-            return pd.read_parquet(self.path / name)
-        except (OSError, ValueError) as error:
-            again = "evaluate the run again" if name == EVALUATION else "run again with overwrite=true"
-            raise RunError(f"{self.path / name}: missing or damaged ({error}); {again}") from error
+            table = pd.read_parquet(io.BytesIO(path.read_bytes()), page_checksum_verification=True)
+        except Exception as error:  # pyarrow raises nearly every kind for a damaged file, in any number of lines
+            raise RunError(f"{path}: missing or damaged; {again}") from error
+        for column, kind in columns.items():
+            if str(table.dtypes.get(column)) != kind:
+                raise RunError(f"{path}: its columns are not a run's, {column} is no {kind}; {again}")
+        return table
 
 
 def default_folder(algorithm: str, config: TrainConfig) -> Path:
@@ -168,7 +183,10 @@ class Recorder:
         identity = {**self._described, **{f"version of {name}": v for name, v in self.meta["versions"].items()}}
         identity["bank"] = self.meta["bank"]["sha256"]
         self._checkpoints = Checkpoints(self.path / "checkpoint", identity)
-        self.finished = self._check_folder()
+        try:
+            self.finished = self._check_folder()
+        except OSError as error:
+            raise self._unwritable(error) from error
 
     @property
     def _tables(self) -> dict[str, list[Columns]]:
@@ -178,28 +196,32 @@ class Recorder:
     def _described(self) -> dict[str, Any]:
         return {"algorithm": self.algorithm, **plain(self.config)}
 
+    def _unwritable(self, error: OSError) -> RunError:
+        return RunError(f"out={self.path}: cannot be written ({error}); give a folder that can be written")
+
     def _check_folder(self) -> bool:
         """Whether the very same run is already there and finished."""
         path = self.path
         for parent in path.parents:
             if parent.exists():
                 if not parent.is_dir() or not os.access(parent, os.W_OK):
-                    raise RunError(f"out={path}: {parent} is not a folder that can be written")
+                    raise RunError(f"out={path}: {parent} is not a folder that can be written; give one that is")
                 break
         if path.exists() and not path.is_dir():
             raise RunError(f"out={path}: is a file; give a folder")
         if not path.exists() or all(entry.name == LOCK for entry in path.iterdir()):
             return False
         if not os.access(path, os.W_OK):
-            raise RunError(f"out={path}: is not a folder that can be written")
+            raise RunError(f"out={path}: is not a folder that can be written; give one that is")
         if not (path / "config.yaml").is_file():
             raise RunError(f"out={path}: holds other files and no run; give a new or empty folder")
         there = _read_yaml(path / "config.yaml")
-        if "algorithm" not in there:
+        if there.get("algorithm") not in policies.ALGORITHMS:
             raise RunError(f"out={path}: its config.yaml is not a run's; give a new or empty folder")
         if self._overwrite:
             return False
-        differing = sorted(key for key in {*there, *self._described} if there.get(key) != self._described.get(key))
+        keys = sorted({*there, *self._described}, key=str)
+        differing = [key for key in keys if there.get(key) != self._described.get(key)]
         if differing:
             key = differing[0]
             raise RunError(
@@ -214,7 +236,12 @@ class Recorder:
                 f"out={path}: the bank layouts={self.config.layouts} has changed since this run began; give another"
                 " folder, or overwrite=true"
             )
-        return bool(meta.get("status") == FINISHED)
+        if meta.get("status") != FINISHED:
+            return False
+        for name in FILES:
+            if not (path / name).is_file():
+                raise RunError(f"{path / name}: missing; give another folder, or overwrite=true to run again")
+        return True
 
     def __enter__(self) -> Self:
         try:
@@ -225,7 +252,19 @@ class Recorder:
                 f"out={self.path}: another process is writing this run; wait for it, or give another folder"
             ) from None
         except OSError as error:
-            raise RunError(f"out={self.path}: cannot be written ({error})") from error
+            raise self._unwritable(error) from error
+        try:
+            self._begin()
+        except BaseException:
+            self._release()
+            raise
+        self._stop: int | None = None
+        self._handlers: dict[int, Any] = {}
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {number: signal.signal(number, self._note_stop) for number in STOPS}
+        return self
+
+    def _begin(self) -> None:
         if self._overwrite:
             self._checkpoints.remove()
             for name in (*FILES, EVALUATION, BEHAVIOUR):
@@ -234,11 +273,6 @@ class Recorder:
         self.meta |= {"status": "running", "started": _now()}
         self._write("config.yaml", yaml.safe_dump(self._described, sort_keys=False).encode())
         self._write_meta()
-        self._stop: int | None = None
-        self._handlers: dict[int, Any] = {}
-        if threading.current_thread() is threading.main_thread():
-            self._handlers = {number: signal.signal(number, self._note_stop) for number in STOPS}
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -247,7 +281,11 @@ class Recorder:
             signal.signal(number, handler)
         if kind is not None:
             self.meta |= {"status": "interrupted"}
-            self._write_meta()
+            with contextlib.suppress(RunError):  # on a full disk the error under way says more
+                self._write_meta()
+        self._release()
+
+    def _release(self) -> None:
         Path(self._lock.lock_file).unlink(missing_ok=True)
         self._lock.release()
 
@@ -456,27 +494,25 @@ def _joined(parts: list[Columns], columns: list[str]) -> Columns:
 
 def _parquet(table: pd.DataFrame) -> bytes:
     buffer = io.BytesIO()
-    table.to_parquet(buffer, index=False, compression="zstd")
+    table.to_parquet(buffer, index=False, compression="zstd", write_page_checksum=True)
     return buffer.getvalue()
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RunError(f"{path}: missing or damaged; give a run's folder") from error
-    if not isinstance(content, Mapping):
-        raise RunError(f"{path}: not a run's configuration")
-    return dict(content)
+    return _read(path, yaml.safe_load, "a run's configuration")
 
 
 def _read_json(path: Path) -> dict[str, Any]:
+    return _read(path, json.loads, "a run's facts")
+
+
+def _read(path: Path, parse: Callable[[str], Any], what: str) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+        content = parse(path.read_text())
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise RunError(f"{path}: missing or damaged; give a run's folder") from error
     if not isinstance(content, dict):
-        raise RunError(f"{path}: not a run's facts")
+        raise RunError(f"{path}: not {what}; give a run's folder")
     return content
 
 

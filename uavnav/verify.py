@@ -79,7 +79,8 @@ def _recipe(run: Run) -> tuple[Any, Any]:
         dqn.ALGORITHM: (dqn.DQNConfig, dqn.train),
     }
     if run.algorithm not in algorithms:
-        raise RunError(f"{run.path}: algorithm={run.algorithm}; choose from {', '.join(algorithms)}")
+        choices = ", ".join(algorithms)
+        raise RunError(f"{run.path / 'config.yaml'}: algorithm={run.algorithm}; choose from {choices}")
     kind, train = algorithms[run.algorithm]
     try:
         return kind.from_mapping(run.config), train
@@ -146,7 +147,7 @@ def _differing(there: dict[str, Any], here: dict[str, Any]) -> list[tuple[str, A
     pairs = [("git_commit", there.get("git_commit"), here.get("git_commit"))]
     pairs += [(key, there.get(key), here.get(key)) for key in ("threads", "compiled")]
     for group in ("versions", "machine", "bank"):
-        old, new = there.get(group, {}), here.get(group, {})
+        old, new = (facts[group] if isinstance(facts.get(group), dict) else {} for facts in (there, here))
         pairs += [(f"{group}.{key}", old.get(key), new.get(key)) for key in sorted({*old, *new})]
     return [pair for pair in pairs if pair[1] != pair[2]]
 

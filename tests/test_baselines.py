@@ -1,0 +1,89 @@
+"""Scripted policies, whose flights are known: by chance, by arithmetic, or by a proof that they never collide."""
+
+import math
+
+import pytest
+import torch
+
+import uavnav
+from uavnav.baselines import BASELINES, reactive, straight_ahead, uniform_random
+from uavnav.evaluate import evaluate_policy
+
+EMPTY = uavnav.layouts.generate(3, k=0)
+LEFT_IN_PLACE = 50  # 5 degrees, 0 px
+
+
+def test_the_uniform_policy_turns_in_90_stops_in_10_and_fully_stops_in_1_percent_of_its_steps_at_4_5_px_each():
+    rows = evaluate_policy(uniform_random, episodes=200)
+    total = rows[["steps", "stops", "full_stops", "turns", "distance"]].sum()
+    n = total.steps
+    assert n > 5_000
+    for count, share in ((total.turns, 0.9), (total.stops, 0.1), (total.full_stops, 0.01)):
+        assert count / n == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / n))
+    assert total.distance / n == pytest.approx(4.5, abs=4 * math.sqrt(8.25 / n))  # (10^2 - 1) / 12 px^2 a step
+    assert rows.terminated.all()
+
+
+def test_the_uniform_policy_takes_all_100_actions_by_its_generator_alone():
+    draws = [uniform_random(torch.zeros(2000, 30), torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)]
+    assert torch.equal(draws[0], draws[1])
+    assert not torch.equal(draws[0], draws[2])
+    assert set(draws[0].tolist()) == set(range(100))
+
+
+def test_straight_ahead_in_an_empty_arena_earns_27_times_0_09_less_10():
+    rows = evaluate_policy(straight_ahead, EMPTY, episodes=3)  # contact at 580 - 30 px: ceil(250 / 9) = 28 steps
+    assert rows[["steps", "distance", "turns", "stops", "full_stops"]].to_numpy().tolist() == [[28, 252, 0, 0, 0]] * 3
+    assert rows.reward.tolist() == pytest.approx([27 * 0.09 - 10] * 3, abs=1e-9)
+    assert rows.terminated.all()
+    capped = evaluate_policy(straight_ahead, EMPTY, episodes=3, max_steps=27)
+    assert capped.reward.tolist() == pytest.approx([27 * 0.09] * 3, abs=1e-9)
+    assert capped.truncated.all()
+
+
+@pytest.mark.parametrize(("edge", "steps"), [(50, 3), (57, 3), (57.5, 4), (150, 14)])
+def test_straight_ahead_hits_a_circle_above_it_after_its_edges_distance_less_30_px_in_steps_of_9(edge, steps):
+    rows = evaluate_policy(straight_ahead, torch.tensor([[[400, 300 + edge + 40, 40.0]]]), episodes=1)
+    assert rows.steps.item() == steps == math.ceil((edge - 30) / 9)
+    assert rows.reward.item() == pytest.approx(0.09 * (steps - 1) - 10, abs=1e-9)
+
+
+def test_reactive_flies_10000_steps_and_over_3000_px_on_each_of_200_test_sets_without_a_collision():
+    rows = evaluate_policy(reactive, episodes=200, max_steps=10_000)
+    assert rows.truncated.all()
+    assert rows.steps.mean() == 10_000
+    assert rows.distance.mean() > 3_000
+    assert rows.distance.min() > 3_000
+    assert rows.full_stops.sum() == 0  # where it stops it turns
+    assert (rows.distance == 9 * (rows.steps - rows.turns)).all()
+    assert rows.reward.tolist() == pytest.approx((0.01 * rows.distance - 0.01 * rows.turns).tolist(), abs=1e-8)
+
+
+def observation(right, forward, distance):
+    """One obstacle `distance` px away, and nine empty slots."""
+    slots = torch.tensor([[0.0, 0.0, 1.0]] * 10)
+    slots[0] = torch.tensor([right, forward, (distance - 30) / 90])
+    return slots.flatten()
+
+
+@pytest.mark.parametrize(
+    ("right", "forward", "distance", "action"),
+    [
+        (0.0, 1.0, 39.1, 9),  # ahead: 0.1 px are left after a step
+        (0.0, 1.0, 38.9, LEFT_IN_PLACE),
+        (1.0, 0.0, 30.1, 9),  # beside: comes no nearer
+        (0.8, 0.6, 35.5, 9),  # 9 x 0.6 = 5.4 px nearer at the most
+        (0.8, 0.6, 35.3, LEFT_IN_PLACE),
+    ],
+)
+def test_reactive_goes_straight_as_long_as_9_px_towards_the_obstacle_leave_30(right, forward, distance, action):
+    assert reactive(observation(right, forward, distance)).item() == action
+
+
+@pytest.mark.parametrize("name", BASELINES)
+@pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
+def test_each_of_3_baselines_answers_every_batch_shape_with_whole_numbers_below_100(name, shape):
+    action = BASELINES[name](torch.rand(*shape, 30), torch.Generator().manual_seed(0))
+    assert action.shape == shape
+    assert action.dtype == torch.int64
+    assert ((action >= 0) & (action < 100)).all()

@@ -1,0 +1,189 @@
+"""Runs are repeated and compared: the same bit for bit, or told where they part first."""
+
+import json
+import shutil
+
+import pandas as pd
+import pytest
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from uavnav import dqn, ppo, verify
+from uavnav.policies import FILE_NAME
+from uavnav.runs import Run
+
+ALGORITHMS = {
+    "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),
+    "dqn": (dqn.train, dqn.DQNConfig(total_frames=1024, learning_starts=256, n_seeds=2, compile="off")),
+}
+
+
+@pytest.fixture(scope="module", params=list(ALGORITHMS))
+def trained(request, tmp_path_factory):
+    train, config = ALGORITHMS[request.param]
+    return train(config, out=tmp_path_factory.mktemp(request.param) / "run", quiet=True)
+
+
+@pytest.fixture
+def run(trained, tmp_path):
+    """The folder of a copy, to be doctored."""
+    return shutil.copytree(trained.path, tmp_path / "run")
+
+
+@pytest.fixture
+def verdict(capsys):
+    """What the command says of a folder: status and lines."""
+
+    def judge(folder, *arguments):
+        status = verify.main([str(folder), *arguments])
+        out, err = capsys.readouterr()
+        assert err == ""
+        lines = out.splitlines()
+        return status, lines[next(i for i, line in enumerate(lines) if line.startswith(str(folder))) :]
+
+    return judge
+
+
+def edit(path, change):
+    """Doctor a table or a JSON file."""
+    if path.suffix == ".json":
+        content = json.loads(path.read_text())
+        change(content)
+        path.write_text(json.dumps(content))
+    else:
+        table = pd.read_parquet(path)
+        change(table)
+        table.to_parquet(path, index=False)
+
+
+def edit_weights(folder, change):
+    with safe_open(folder / FILE_NAME, framework="pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        header = file.metadata()
+    change(tensors)
+    save_file(tensors, folder / FILE_NAME, metadata=header)
+
+
+def test_a_repeat_of_the_whole_run_is_the_same_bit_for_bit_and_ends_with_0(trained, verdict):
+    before = {path.name: path.read_bytes() for path in trained.path.iterdir()}
+    status, lines = verdict(trained.path)
+    n = len(trained.episodes)
+    tensors = {"ppo": 12, "dqn": 6}[trained.algorithm]  # three layers of weights and biases a network
+    assert lines == [
+        f"{trained.path}: the same, bit for bit: {n} episodes, {len(trained.progress)} rows of progress"
+        f" and {tensors} tensors at 1,024 frames per seed"
+    ]
+    assert status == 0
+    assert {path.name: path.read_bytes() for path in trained.path.iterdir()} == before
+
+
+@pytest.mark.parametrize(("frames", "reached"), [(1, {"ppo": 512, "dqn": 16}), (500, {"ppo": 512, "dqn": 512})])
+def test_a_repeat_of_the_first_frames_compares_the_episodes_that_ended_by_then(trained, verdict, frames, reached):
+    reached = reached[trained.algorithm]
+    status, lines = verdict(trained.path, "--frames", str(frames))
+    ended = trained.episodes[trained.episodes.terminated & (trained.episodes.frame <= reached)]
+    progress = trained.progress[trained.progress.frame <= reached]
+    assert lines == [
+        f"{trained.path}: the same, bit for bit: {len(ended)} episodes, {len(progress)} rows of progress"
+        f" at {reached} frames per seed"
+    ]
+    assert status == 0
+
+
+@pytest.mark.parametrize("frames", ["1024", "5000"])
+def test_the_frames_of_the_whole_run_and_more_are_the_whole_run(trained, verdict, frames):
+    status, lines = verdict(trained.path, "--frames", frames)
+    assert status == 0
+    assert lines[0].endswith("tensors at 1,024 frames per seed")
+
+
+@pytest.mark.parametrize("arguments", [[], ["--frames", "512"]])
+def test_one_changed_reward_is_not_the_same_and_named_by_row_seed_frame_and_column(run, verdict, arguments):
+    def double(table):
+        table.loc[3, "reward"] = -20.5
+
+    row = Run(run).episodes.iloc[3]
+    edit(run / "episodes.parquet", double)
+    status, lines = verdict(run, *arguments)
+    assert status == 1
+    assert lines == [
+        f"{run}: not the same",
+        f"  episodes: row 3 (seed {row.seed}, frame {row.frame}) is the first with another reward:"
+        f" -20.5 then, {row.reward} now",
+    ]
+
+
+def test_a_row_too_few_is_not_the_same(run, verdict):
+    n = len(Run(run).episodes)
+    edit(run / "episodes.parquet", lambda table: table.drop(index=n - 1, inplace=True))
+    assert verdict(run) == (1, [f"{run}: not the same", f"  episodes: {n - 1} rows then, {n} now"])
+
+
+def test_a_changed_loss_of_the_last_row_is_named(run, verdict):
+    last = len(Run(run).progress) - 1
+
+    def change(table):
+        table.loc[last, "grad_norm"] += 1e-6
+
+    edit(run / "progress.parquet", change)
+    status, lines = verdict(run)
+    assert status == 1
+    assert f"  progress: row {last} (seed 1, frame 1,024) is the first with another grad_norm: " in lines[1]
+    assert len(lines) == 2
+
+
+def test_one_changed_weight_is_named_with_its_difference(run, verdict):
+    def change(tensors):
+        tensors["policy.2.weight"][1, 5, 7] += 0.5
+
+    edit_weights(run, change)
+    assert verdict(run) == (1, [f"{run}: not the same", "  weights: policy.2.weight differs by up to 0.5"])
+
+
+def test_a_weight_of_another_shape_or_a_missing_one_is_told(run, verdict):
+    def cut(tensors):
+        tensors["policy.0.bias"] = tensors["policy.0.bias"][..., :9].contiguous()
+
+    edit_weights(run, cut)
+    assert verdict(run)[1][1:] == ["  weights: policy.0.bias is float32 [2, 1, 9] then, float32 [2, 1, 64] now"]
+    edit_weights(run, lambda tensors: tensors.pop("policy.0.bias"))
+    assert verdict(run)[1][1:] == ["  weights: other tensors"]
+
+
+def test_another_seed_in_config_yaml_is_another_run_from_row_0_on_in_rows_and_weights(run, verdict):
+    path = run / "config.yaml"
+    path.write_text(path.read_text().replace("\nseed: 0\n", "\nseed: 3\n"))
+    status, lines = verdict(run)
+    assert status == 1
+    assert lines[0] == f"{run}: not the same"
+    assert [line.split(":")[0] for line in lines[1:]] == ["  episodes", "  progress", "  weights"]
+    assert "row 0 (seed 0, " in lines[1]
+    assert "is the first with another seed: 0 then, 3 now" in lines[1]
+
+
+@pytest.mark.parametrize("arguments", [[], ["--frames", "512"]])
+def test_where_a_run_parts_the_versions_that_differ_are_named_and_no_others(run, verdict, arguments):
+    def reward(table):
+        table.loc[0, "steps"] += 1
+
+    edit(run / "episodes.parquet", reward)
+    assert len(verdict(run, *arguments)[1]) == 2
+    edit(run / "meta.json", lambda meta: meta["versions"].update(torch="1.0.0"))
+    status, lines = verdict(run, *arguments)
+    assert status == 1
+    assert "is the first with another steps: " in lines[1]
+    now = json.loads((run / "meta.json").read_text())["versions"]["torchrl"]
+    assert now  # the other versions are as they were
+    assert len(lines) == 3
+    assert lines[2].startswith("  versions.torch: 1.0.0 then, 2.")
+
+
+def test_another_version_alone_leaves_the_same_run_the_same(run, verdict):
+    edit(run / "meta.json", lambda meta: meta["versions"].update(torch="1.0.0"))
+    assert verdict(run, "--frames", "512")[0] == 0
+
+
+@pytest.mark.parametrize("frames", ["0", "-5"])
+def test_a_number_of_frames_below_1_is_refused_with_status_2(trained, capsys, frames):
+    assert verify.main([str(trained.path), "--frames", frames]) == 2
+    assert capsys.readouterr().err == f"uavnav.verify: --frames {frames}: give a number of at least 1\n"

@@ -6,6 +6,7 @@ import os
 import re
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -77,6 +78,7 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
             rows = evaluate_run(finished)
             print_table(evaluation_summary(rows, algorithm, config.activation))
 
+    warnings.formatwarning = lambda message, *where, **more: f"{algorithm}: {message}\n"
     with tempfile.TemporaryDirectory() as scratch:  # where Hydra may keep its own notes of a sweep
         os.environ["UAVNAV_SCRATCH"] = scratch
         arguments = sys.argv[1:]

@@ -1,0 +1,202 @@
+"""Whatever the bank, the batch and the actions: what must hold in every step of every flight."""
+
+import math
+
+import oracle
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torchrl.envs.utils import step_mdp
+
+import uavnav
+from uavnav import layouts, simulator
+
+ROUNDING = 1e-3  # [px] of float32 positions and distances
+PENALTIES = {"eq14": (-0.01, 0.09), "additive": (-0.02, 0.09), "initial": (0.0, 0.09)}  # all that no collision earns
+
+
+@st.composite
+def banks(draw):
+    """[n, k, 3] px: up to 3 sets of 0 to 20 obstacles anywhere in the window, pushed out of the safe zone."""
+    n, k = draw(st.integers(1, 3)), draw(st.just(0) | st.integers(0, 20))
+    number = lambda low, high: st.floats(low, high, width=32)  # noqa: E731
+    rows = draw(st.lists(st.tuples(number(0, 800), number(0, 600), number(30, 100)), min_size=n * k, max_size=n * k))
+    bank = torch.tensor([pushed(*row) for row in rows], dtype=torch.float32).reshape(n, k, 3)
+    layouts.validate(bank)
+    return bank
+
+
+def pushed(x, y, radius):
+    dx, dy = x - 400, y - 300
+    distance = math.hypot(dx, dy)
+    if distance - radius >= 50.01:
+        return x, y, radius
+    dx, dy = (dx / distance, dy / distance) if distance > 0 else (1.0, 0.0)
+    return 400 + (radius + 50.01) * dx, 300 + (radius + 50.01) * dy, radius
+
+
+@st.composite
+def flights(draw):
+    """An environment, and actions [T, *B] for it: stretches of one action each, other rows begin elsewhere in them."""
+    bank = draw(banks())
+    shape = draw(st.sampled_from([[], [1], [3], [2, 2]]))
+    action = st.just(9) | st.integers(0, 99)  # far enough straight ahead to meet every wall
+    stretches = draw(st.lists(st.tuples(action, st.integers(1, 40)), min_size=1, max_size=4))
+    actions = torch.tensor([action for action, times in stretches for _ in range(times)])
+    rows = [actions.roll(-11 * row) for row in range(math.prod(shape))]
+    actions = torch.stack(rows, 1).reshape(len(actions), *shape)
+    env = uavnav.DroneEnv(
+        shape,
+        layouts=bank,
+        reward=draw(st.sampled_from(sorted(PENALTIES))),
+        world=uavnav.World(
+            start_heading=draw(st.sampled_from(["random", "up"])),
+            slots=draw(st.sampled_from(["nearest", "listed"])),
+            padding=draw(st.sampled_from(["far", "zeros"])),
+        ),
+        seeds=(seed := draw(st.integers(0, 2**31 - 1))),
+    )
+    cap = draw(st.sampled_from([None, "a collision", 1, 7, 30]))
+    env.max_steps = first_collision(env, actions) if cap == "a collision" else cap
+    env.set_seed(seed)
+    return env, actions
+
+
+def first_collision(env, actions):
+    """The steps of the first episode that ends, where one does: at this cap, the collision comes in the last step."""
+    for _, _, state, after in drive(env, actions):
+        if after["terminated"].any():
+            return state.steps[after["terminated"].squeeze(-1)].min().item()
+    return None
+
+
+def drive(env, actions):
+    """Yield of each step its action, the states before and after it, and what it led to."""
+    now = env.reset()
+    for action in actions:
+        before = env.state
+        env.step(now.set("action", action))
+        yield action, before, env.state, now["next"]
+        now = env.maybe_reset(step_mdp(now))
+
+
+def rows_of(*tensors):
+    return zip(*(tensor.flatten().tolist() for tensor in tensors), strict=True)
+
+
+@settings(max_examples=70, deadline=None, derandomize=True)
+@given(flights())
+def test_observations_are_finite_and_within_their_spec_and_rewards_within_minus_10_and_0_09(flight):
+    env, actions = flight
+    low, high = PENALTIES[env.reward]
+    spec = env.observation_spec["observation"]
+    assert spec.is_in(env.reset()["observation"])
+    for _, _, _, after in drive(env, actions):
+        assert after["observation"].isfinite().all()
+        assert spec.is_in(after["observation"])
+        for reward, terminated in rows_of(after["reward"].double(), after["terminated"]):
+            assert reward == -10 if terminated else low - 1e-8 <= reward <= high + 1e-8
+
+
+@settings(max_examples=70, deadline=None, derandomize=True)
+@given(flights())
+def test_a_flight_terminates_where_the_oracles_clearance_is_at_most_30_px_and_never_also_at_the_cap(flight):
+    env, actions = flight
+    for _, _, state, after in drive(env, actions):
+        flags = rows_of(after["terminated"], after["truncated"], after["done"])
+        for (x, y, layout, steps), (terminated, truncated, done) in zip(
+            rows_of(state.x, state.y, state.layout, state.steps), flags, strict=True
+        ):
+            clearance = oracle.clearance(x, y, env.bank[layout].tolist())
+            if abs(clearance - 30) > ROUNDING:
+                assert terminated == (clearance <= 30)
+            assert truncated == (steps == env.max_steps and not terminated)
+            assert done == (terminated or truncated)
+            assert terminated or (50 < x < 750 and 50 < y < 550)  # the border squares' 20 px and the drone's 30
+
+
+@settings(max_examples=70, deadline=None, derandomize=True)
+@given(flights())
+def test_no_step_leads_through_an_obstacle(flight):
+    """Let A and B be the drone's centre before and after a step of s px that ends free, P any place between them, and
+    Q the point of some body that is nearest to P. Bodies are closed, so A and B are 30 px or more from Q, and for
+    P = (1 - t) A + t B: |QP|^2 = (1 - t) |QA|^2 + t |QB|^2 - t (1 - t) s^2 >= 30^2 - (s / 2)^2. At 9 px a step no
+    body comes nearer than 29.66 px. For a circle of radius R the same with its centre, R + 30 px from A and B, gives
+    sqrt((R + 30)^2 - (s / 2)^2) - R: 29.83 px at the least.
+    """
+    env, actions = flight
+    for action, before, state, after in drive(env, actions):
+        for x, y, to_x, to_y, layout, distance, terminated in rows_of(
+            before.x, before.y, state.x, state.y, state.layout, action % 10, after["terminated"]
+        ):
+            assert math.hypot(to_x - x, to_y - y) == pytest.approx(distance, abs=ROUNDING)
+            if not distance or terminated:
+                continue
+            circles = env.bank[layout].tolist()
+            radii = [radius for _, _, radius in circles]
+            bounds = [math.sqrt((r + 30) ** 2 - distance**2 / 4) - r for r in radii]
+            assert min(bounds, default=30) >= 29.83
+            for part in range(1, 10):
+                place = (x + (to_x - x) * part / 10, y + (to_y - y) * part / 10)
+                found = oracle.distances(*place, circles)
+                assert min(found) >= math.sqrt(900 - distance**2 / 4) - ROUNDING
+                assert all(d >= bound - ROUNDING for d, bound in zip(found, bounds, strict=False))
+
+
+@pytest.mark.parametrize(("gap", "hit"), [(59.84, False), (59.82, True)])
+def test_the_bound_is_attained_a_circle_of_30_px_may_be_passed_0_16_px_too_near_and_not_0_18(gap, hit):
+    # Straight up at x = 400, 9 px a step: the circle's centre is beside the middle of step 15, `gap` px to the right.
+    bank = torch.tensor([[[400 + gap, 300 + 14.5 * 9, 30.0]]])
+    state = simulator.start(torch.tensor([0]), torch.tensor([90]), uavnav.World())
+    collisions = []
+    for _ in range(19):
+        state, outcome = simulator.step(state, torch.tensor([9]), bank, uavnav.World(), "eq14", None)
+        collisions.append(outcome.terminated.item())
+    assert collisions == [hit and step in (14, 15) for step in range(1, 20)]
+
+
+@settings(max_examples=70, deadline=None, derandomize=True)
+@given(flights())
+def test_counts_and_rewards_are_what_the_actions_add_up_to_in_whole_numbers(flight):
+    env, actions = flight
+    rows = math.prod(env.batch_size)
+    flown = [[] for _ in range(rows)]
+    for action, _, _, after in drive(env, actions):
+        episode = after["episode"].flatten() if env.batch_size else after["episode"][None]
+        done = after["done"].flatten().tolist()
+        terminated = after["terminated"].flatten().tolist()
+        for row, taken in enumerate(action.flatten().tolist()):
+            flown[row].append((*oracle.decode(taken), terminated[row]))
+            counts = {name: episode[name][row].item() for name in episode.keys()}  # noqa: SIM118
+            earned = counts.pop("reward")
+            layout = counts.pop("layout")
+            assert 0 <= layout < len(env.bank)
+            assert counts == counted(flown[row])
+            assert earned == pytest.approx(hundredths(flown[row], env.reward) / 100, abs=1e-9)
+            if done[row]:
+                flown[row] = []
+
+
+def counted(flown):
+    return {
+        "steps": len(flown),
+        "stops": sum(distance == 0 for _, distance, _ in flown),
+        "full_stops": sum(distance == turn == 0 for turn, distance, _ in flown),
+        "turns": sum(turn != 0 for turn, _, _ in flown),
+        "distance": sum(distance for _, distance, _ in flown),
+    }
+
+
+def hundredths(flown, variant):
+    """The reward of an episode in whole hundredths: pixels less fines less 1,000 a collision."""
+    free = [(turn, distance) for turn, distance, hit in flown if not hit]
+    pixels, stops = sum(distance for _, distance in free), sum(distance == 0 for _, distance in free)
+    turns = sum(turn != 0 for turn, _ in free)
+    straight = [distance for turn, distance in free if turn == 0 and distance > 0]
+    earned = {
+        "eq14": sum(straight) - (len(free) - len(straight)),
+        "additive": pixels - stops - turns,
+        "initial": pixels,
+    }
+    return earned[variant] - 1000 * (len(flown) - len(free))

@@ -271,6 +271,28 @@ def test_random_start_headings_are_reproducible_and_differ_over_20_resets():
     assert all(0 <= heading <= 359 for heading in runs[0])
 
 
+def test_the_stream_of_headings_follows_the_seed_through_resets_and_autoresets_and_begins_as_droneenvs():
+    world = uavnav.World(start_heading="random")
+
+    def flights(seed):
+        """Headings of 10 resets of one drone, and of 3 resets and 10 autoresets of four: all after one another."""
+        env, vector = make(world=world), make_vec(4, world=world, max_steps=1)
+        single = [env.reset(seed=how)[1]["heading"] for how in (seed, *[None] * 9)]
+        many = [vector.reset(seed=how)[1]["heading"].tolist() for how in (seed, None, None)]
+        many += [vector.step(np.full(4, STRAIGHT))[-1]["heading"].tolist() for _ in range(10)]
+        return single, many
+
+    by_seed = {seed: flights(seed) for seed in range(20)}
+    assert all(flights(seed) == by_seed[seed] for seed in (0, 7))
+    assert len({single[0] for single, _ in by_seed.values()}) > 15
+    assert len({tuple(single[1:]) for single, _ in by_seed.values()}) == 20
+    assert len({tuple(rows) for _, many in by_seed.values() for rows in many}) == 20 * 13
+    for seed, (_, many) in by_seed.items():
+        assert many[0] == uavnav.DroneEnv([4], layouts="test", world=world, seeds=seed).state.heading.tolist()
+    each = make_vec(4, world=world).reset(seed=[0, 7, 8, 9])[1]["heading"].tolist()
+    assert each == [by_seed[seed][0][0] for seed in (0, 7, 8, 9)]
+
+
 def test_no_array_of_the_first_20_steps_is_changed_by_later_ones():
     vector = make_vec(4, max_steps=9)
     kept = [(vector.reset(seed=0)[0], {})]

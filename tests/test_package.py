@@ -21,5 +21,5 @@ def test_every_public_name_resolves(name):
 
 
 def test_a_name_that_is_not_there_is_answered_with_those_that_are():
-    with pytest.raises(AttributeError, match="no attribute 'DroneEnvironment'; it has .*DroneEnv"):
+    with pytest.raises(AttributeError, match=r"no attribute 'DroneEnvironment'; it has .*DroneEnv"):
         uavnav.DroneEnvironment  # noqa: B018

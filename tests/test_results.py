@@ -50,3 +50,20 @@ def test_the_committed_report_is_what_the_rows_give(tmp_path, monkeypatch):
     shutil.copytree(RESULTS, tmp_path / "results", ignore=shutil.ignore_patterns("report.md", "figures"))
     monkeypatch.chdir(tmp_path)
     assert report().path.read_text() == (RESULTS / "report.md").read_text()
+
+
+def world_row(folder, algorithm):
+    """A line of the table on parallel worlds: the first 300,000 frames of tanh."""
+    run = Run(RESULTS / folder / algorithm / "tanh")
+    episodes = run.episodes[run.episodes["frame"] <= 300_000]
+    everything, last = per_seed(episodes), per_seed(last_episodes(episodes))
+    entries = [f"{algorithm.upper()}, {run.config['n_worlds']}"]
+    for name, digits in (("steps", 0), ("reward", 1)):
+        entries += [spread(table[name], digits) for table in (everything, last)]
+    return f"| {' | '.join(entries)} |"
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
+@pytest.mark.parametrize("folder", [".", "one-world"])
+def test_each_row_on_parallel_worlds_is_what_the_run_says(folder, algorithm):
+    assert world_row(folder, algorithm) in (ROOT / "docs" / "decisions.md").read_text().splitlines()

@@ -15,6 +15,12 @@ import gymnasium
 if TYPE_CHECKING:
     from uavnav import (
         baselines,
+        bench,
+        bench_growth,
+        bench_jobs,
+        bench_parity,
+        bench_peers,
+        bench_report,
         dqn,
         dynamics,
         env,
@@ -23,6 +29,7 @@ if TYPE_CHECKING:
         layouts,
         metrics,
         networks,
+        numpy_world,
         paper,
         policies,
         ppo,
@@ -61,6 +68,12 @@ _HOMES = {
 }
 _MODULES = (
     "baselines",
+    "bench",
+    "bench_growth",
+    "bench_jobs",
+    "bench_parity",
+    "bench_peers",
+    "bench_report",
     "dqn",
     "dynamics",
     "env",
@@ -69,6 +82,7 @@ _MODULES = (
     "layouts",
     "metrics",
     "networks",
+    "numpy_world",
     "paper",
     "policies",
     "ppo",

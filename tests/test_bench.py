@@ -1,0 +1,410 @@
+"""The benchmarks' arithmetic on known numbers, their file, and a small run of them; no test judges a speed."""
+
+import itertools
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from uavnav import bench, bench_growth, bench_jobs, bench_parity, bench_peers, bench_report
+from uavnav.bench_jobs import Clock, Job, JobError, Mark, Stages, rate, whole_run
+from uavnav.bench_report import Results, Target, number, ratio, read_sections, write_file
+
+
+def results_of(**rounds):
+    """Results whose measurements found these in their rounds, one process each; `__` stands for a slash."""
+    results = Results()
+    for name, found in rounds.items():
+        results.found[name.replace("__", "/")] = [[one] for one in found]
+    return results
+
+
+# -- rates and whole runs ---------------------------------------------------------------------------------------------
+
+
+def test_the_rate_is_100_frames_a_second_though_the_first_interval_took_60_seconds():
+    marks = [Mark(0, 3.0), *(Mark(100 * n, 63.0 + n) for n in range(1, 9))]
+    assert rate(marks) == pytest.approx(100)
+
+
+def test_a_run_with_a_start_up_of_12_s_at_500_frames_a_second_takes_2012_s_for_a_million():
+    found = whole_run([Mark(1000 * n, 12 + 2.0 * n) for n in range(9)], 0, 0)
+    assert found == pytest.approx({"startup": 12, "rate": 500, "whole": 2012, "frames": 8000})
+
+
+def test_dqns_whole_run_counts_50_000_frames_at_the_rate_before_learning_and_the_rest_after():
+    before = [Mark(100 * n, 10 + 0.02 * n) for n in range(21)]  # 5,000 frames/s up to frame 2,000
+    marks = before + [Mark(2000 + 10 * n, before[-1].at + 5 + 0.02 * n) for n in range(1, 41)]  # 5 s to compile, 500/s
+    found = whole_run(marks, 2000, 50_000)
+    assert (found["rate_before"], found["rate"]) == pytest.approx((5000, 500))
+    assert found["startup"] == pytest.approx(15)
+    assert found["whole"] == pytest.approx(15 + 10 + 1900)
+
+
+def test_the_clock_stops_after_2_steady_seconds_or_500_frames_but_never_before_3_steady_marks(monkeypatch):
+    now = itertools.count(100.0)
+    monkeypatch.setattr(bench_jobs.time, "time", lambda: next(now))
+    slow = Clock(launched=100.0, warm=50, frames=10**6, seconds=2.0)
+    assert [slow(frames) for frames in (0, 20, 50, 60, 70)] == [True, True, True, True, False]
+    assert slow.marks[0] == Mark(0, 0.0)
+    short = Clock(launched=100.0, warm=0, frames=500, seconds=1e9)
+    assert [short(frames) for frames in (400, 600, 800)] == [True, True, False]
+
+
+def test_stages_count_what_is_called_inside_another_once_and_the_rest_as_other(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(bench_jobs.time, "perf_counter", lambda: now[0])
+
+    class Work:
+        def outer(self):
+            now[0] += 3
+            self.inner()
+            now[0] += 1
+
+        def inner(self):
+            now[0] += 4
+
+    stages, work = Stages(), Work()
+    stages.wrap(Work, "outer", "update")
+    stages.wrap(Work, "inner", "buffer")
+    stages.wrap(Work, "gone", "advantage")
+    work.outer()
+    stages.restart()
+    work.outer()
+    now[0] += 2
+    assert stages.shares() == pytest.approx({"update": 0.4, "buffer": 0.4, "other": 0.2})
+
+
+@pytest.mark.parametrize(("n", "first"), [(20, 0), (20, 5), (20, 7), (20, 19), (3, 1), (0, 0), (20, 99)])
+def test_the_first_of_n_good_policies_is_found_where_all_later_ones_are_good(n, first):
+    assert bench_jobs._first(n, lambda index: index >= first) == (first if first < n else None)
+
+
+# -- medians, ratios, targets -----------------------------------------------------------------------------------------
+
+
+def test_ratios_are_the_median_over_rounds_and_of_medians_where_rounds_differ_in_number():
+    assert ratio([10, 40, 30], [10, 10, 15]) == 2
+    assert ratio([10, 40, 30], [10, 20]) == 2
+    assert ratio([], [1]) is ratio([1], []) is None
+
+
+def test_results_are_the_mean_over_processes_and_the_median_over_rounds():
+    results = Results()
+    results.found["training/ppo/sb3/two"] = [
+        [{"whole": 1}, {"whole": 3}],
+        [{"whole": 9}, {"whole": 9}],
+        [{"whole": 5}] * 2,
+    ]
+    assert results.values("training/ppo/sb3/two", "whole") == [2, 9, 5]
+    assert results.median("training/ppo/sb3/two", "whole") == 5
+    assert results.median("nothing", "whole") is None
+
+
+def test_ten_seeds_in_100_s_are_40_times_faster_each_than_one_of_400_s():
+    results = results_of(
+        training__ppo__sb3__numpy=[{"whole": 400.0}] * 2, training__ppo__uavnav__10=[{"whole": 100.0}] * 2
+    )
+    assert bench_report.against_sb3("ppo", 10)(results) == 40
+    assert bench_report.against_sb3("dqn", 10)(results) is None
+
+
+@pytest.mark.parametrize(
+    ("value", "at_most", "verdict"),
+    [
+        (8, False, "reached"),
+        (20, False, "aim reached"),
+        (7.9, False, "**not reached**"),
+        (None, False, "not measured"),
+        (20, True, "**not reached**"),
+        (8, True, "aim reached"),
+    ],
+)
+def test_the_verdict_of_a_least_of_8_and_an_aim_of_20_and_the_other_way_round(value, at_most, verdict):
+    assert Target("", "", 8, 8 if at_most else 20, lambda _: None, at_most).verdict(value) == verdict
+
+
+def test_the_table_of_targets_says_what_was_reached_and_what_was_not(tmp_path):
+    worlds = {f"world/compiled/{bench.CORES}": [[{"1": 1e3, "1024": 1.2e6}]], "world/eager/1": [[{"1024": 9e9}]]}
+    results = results_of(gymnasium__numpy=[{"rate": 20_000.0}], gymnasium__uavnav=[{"rate": 10_000.0}])
+    results.found |= worlds
+    results.found["memory/10"] = [[{"peak": 2.5, "tree": 3.0}]]
+    text = "\n".join(bench_report.write_targets(results, tmp_path))
+    assert "| world, best batch size, two cores | M steps/s | 0.9 | 3 | 1.2 | reached |" in text
+    assert "| the same, against the NumPy world | times | 80 | - | 60 | **not reached** |" in text
+    assert "against the NumPy world | times | 1 | 3 | 0.5 | **not reached** |" in text
+    assert "| memory, DQN, ten seeds of 1 M frames | GB | 4 | 2 | 3 | reached |" in text
+    assert text.count("not measured") == 5
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(None, "-"), (1234567.8, "1,234,568"), (12.345, "12.3"), (0.01234, "0.0123")]
+)
+def test_numbers_have_three_digits_that_count(value, text):
+    assert number(value) == text
+
+
+# -- parity -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_curve_is_the_mean_reward_by_stretch_and_a_line_over_stretches_in_which_no_episode_ends():
+    episodes = pd.DataFrame({"frame": [1, 10, 11, 31, 40, 41], "reward": [-8.0, -4.0, 0.0, 6.0, 6.0, 99.0]})
+    assert bench_parity.curve(episodes, 40, bins=4).tolist() == [-6, 0, 3, 6]
+    with pytest.raises(ValueError, match="no episode"):
+        bench_parity.curve(episodes[:0], 40)
+
+
+def test_the_area_of_a_curve_from_minus_10_to_10_is_10():
+    assert bench_parity.areas(np.array([[-10.0, 0.0, 10.0], [-10.0, -10.0, -10.0]])).tolist() == [10, 0]
+
+
+def test_the_interval_of_a_ratio_is_a_point_without_spread_and_covers_1_in_about_90_percent_of_200_draws():
+    assert bench_parity.ratio(np.full(8, 6.0), np.full(4, 5.0)) == pytest.approx((1.2, 1.2, 1.2))
+    rng = np.random.default_rng(0)
+    pairs = [(rng.normal(5, 0.5, 30), rng.normal(5, 0.5, 30)) for _ in range(200)]
+    found = [bench_parity.ratio(*pair) for pair in pairs]
+    assert 0.8 < np.mean([one.low <= 1 <= one.high for one in found]) < 0.97
+    assert all(one.low < one.value < one.high for one in found)
+
+
+def test_intervals_are_the_same_only_within_0_8_to_1_25():
+    assert bench_parity.Ratio(1, 0.8, 1.25).same
+    assert not bench_parity.Ratio(1, 0.79, 1.0).same
+    assert not bench_parity.Ratio(1, 1.0, 1.26).same
+
+
+def keep_curves(store, cell, arm, seeds, level):
+    for seed in range(seeds):
+        path = store.path(cell, arm, seed)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        frames = np.arange(100, store.frames + 1, 100)
+        pd.DataFrame({"frame": frames, "reward": level + 0.01 * seed + 0.0 * frames}).to_parquet(path)
+
+
+def test_parity_runs_what_is_missing_and_compares_what_is_there(tmp_path):
+    store, seeds, cells = bench_parity.Store(tmp_path, 10_000), {"uavnav": 3, "sb3": 2}, bench_parity.CELLS[:1]
+    mine, same, alone = bench_parity.arms(16)
+    todo = store.jobs(cells, 16, seeds)
+    assert [job for _, job, _ in todo] == ["curves_ours"] + ["curves_sb3"] * 4
+    assert todo[0][2]["seeds"] == [0, 1, 2]
+    keep_curves(store, cells[0], mine, 2, level=-4)
+    keep_curves(store, cells[0], same, 2, level=-4)
+    keep_curves(store, cells[0], alone, 1, level=-7)
+    todo = store.jobs(cells, 16, seeds)
+    assert [job for _, job, _ in todo] == ["curves_ours", "curves_sb3"]
+    assert todo[0][2]["seeds"] == [2]
+    assert (todo[1][2]["seed"], todo[1][2]["n_envs"]) == (1, 1)
+    assert "not enough seeds" in "\n".join(bench_parity.section(store, 16, "x.png", cells, seeds))
+    keep_curves(store, cells[0], alone, 2, level=-7)
+    row = next(line for line in bench_parity.section(store, 16, "x.png", cells, seeds) if "ppo tanh" in line)
+    assert row.split("|")[5].strip() == "1.00 (1.00 ... 1.00)"
+    assert row.split("|")[6].strip() == "yes"
+    assert row.split("|")[7].strip().startswith("2.00 (")
+    (panel,) = bench_parity.draw(store, 16, cells, seeds).axes
+    assert len(panel.lines) == 3
+    assert panel.get_xlabel() == "frames per seed [thousand]"
+
+
+def test_a_seed_that_cannot_be_trained_is_named_and_the_others_are_kept(tmp_path):
+    store, said = bench_parity.Store(tmp_path, 300), []
+    cell = bench_parity.Cell("ppo", "tanhh")
+    failed = bench_parity.train(store, 16, tmp_path, said.append, [cell], {"uavnav": 1, "sb3": 0}, at_once=1)
+    assert len(failed) == 1
+    assert "did you mean tanh?" in failed[0]
+    assert len(said) == 1
+    assert "\n" not in said[0]
+
+
+# -- growth -----------------------------------------------------------------------------------------------------------
+
+
+def test_growth_of_x_to_the_1_5_between_two_neighbours_is_named_and_both_panels_have_units():
+    assert bench_growth.steepest([(1, 1.0), (2, 1.5), (8, 12.0)]) == pytest.approx(1.5)
+    assert math.isnan(bench_growth.steepest([(1, 1.0)]))
+    rows = {point: {"rate": 1e6 / point.x, "peak": 0.5} for point in bench_growth.points()}
+    text = "\n".join(bench_growth.section(rows, "benchmarks.png"))
+    assert "| PPO | seeds: 1, 2, 5, 10, 20, 40 | 0.0, 0.0, 0.1, 0.2, 0.3, 0.7 | 1.00 |" in text
+    labels = [panel.get_ylabel() for panel in bench_growth.draw(rows).axes]
+    assert [label for label in labels if label] == ["time for 1 M frames a seed [min]", "peak memory [GB]"]
+
+
+# -- the file ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_run_replaces_its_own_sections_keeps_the_others_and_leaves_no_file_aside(tmp_path):
+    path = tmp_path / "docs" / "benchmarks.md"
+    write_file(path, {"parity": ["equal"], "world": ["slow"]}, 60.0)
+    write_file(path, {"world": ["fast"], "targets": ["reached"]}, 61.0)
+    sections = read_sections(path)
+    assert list(sections) == ["machine", "targets", "world", "parity"]
+    assert sections["parity"].endswith("equal")
+    assert sections["world"].endswith("fast")
+    assert "in 0:01:01" in sections["machine"]
+    assert "torch" in sections["parity"].splitlines()[2]
+    text = path.read_text()
+    assert "slow" not in text
+    assert text.startswith("# Benchmarks\n")
+    assert os.listdir(path.parent) == ["benchmarks.md"]
+
+
+def test_a_file_that_cannot_be_finished_stays_as_it_was(tmp_path):
+    path = tmp_path / "benchmarks.md"
+    path.write_text("before")
+
+    def write(aside):
+        aside.write_text("half")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        bench_report.save(path, write)
+    assert path.read_text() == "before"
+    assert os.listdir(tmp_path) == ["benchmarks.md"]
+
+
+# -- jobs and the command ---------------------------------------------------------------------------------------------
+
+
+def test_a_job_that_fails_says_why_in_one_line_and_one_that_takes_too_long_is_ended(tmp_path):
+    job = Job("single", {"which": "numpy", "seconds": "soon"}, 1, tmp_path)
+    slow = Job("single", {"which": "numpy", "seconds": 600}, 1, tmp_path)
+    with pytest.raises(JobError, match="it took longer than 0 s"):
+        slow.result(timeout=0.1)
+    assert slow._process.returncode is not None
+    with pytest.raises(JobError, match="TypeError") as failed:
+        job.result(timeout=60)
+    assert "\n" not in str(failed.value)
+    job.stop()
+
+
+def test_the_command_measures_two_things_one_thread_each_and_writes_the_file(tmp_path, monkeypatch, capsys):
+    def tiny(quick):
+        return [
+            bench.Measurement("gymnasium/numpy", "single", {"which": "numpy", "seconds": 0.05}),
+            bench.Measurement("world/eager/1", "world", {"batches": [4], "compiled": False, "seconds": 0.05}),
+            bench.Measurement("training/ppo/sbx/numpy", "sb3", {}, needs="sbx"),
+        ]
+
+    monkeypatch.setattr(bench, "plan", lambda quick: [bench.replace(one, rounds=1, expected=1) for one in tiny(quick)])
+    real = bench.importlib.util.find_spec
+    monkeypatch.setattr(bench.importlib.util, "find_spec", lambda name: None if name == "sbx" else real(name))
+    out = tmp_path / "benchmarks.md"
+    assert bench.main(["--quick", "--out", str(out), "--store", str(tmp_path / "store")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert "gymnasium/numpy: rate" in lines[0]
+    assert "training/ppo/sbx/numpy: SBX is not installed: pip install -e '.[bench]'" in lines[2]
+    assert lines[3] == f"wrote {out}"
+    sections = read_sections(out)
+    assert list(sections) == ["machine", "world", "gymnasium", "training"]
+    assert "| batch size | eager, 1 thread | times NumPy |" in sections["world"]
+    assert "SBX is not installed: pip install -e '.[bench]'" in sections["training"]
+
+
+def test_measurements_that_would_end_too_late_are_left_out_and_named(tmp_path):
+    one = bench.Measurement("world/eager/1", "world", {}, expected=61)
+    results = bench.Runner(tmp_path, lambda line: None, minutes=1).run([one])
+    assert results.missing == {"world/eager/1": "no time was left for it"}
+    assert "no time was left" in "\n".join(bench_report.write_sections(results, tmp_path)["world"])
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--only", "wrld"], "'world'"),
+        (["--parity", "--only", "world"], "leave it out with --parity"),
+        (["--parity", "--growth"], "not allowed with"),
+        (["--quik"], "--quik"),
+        (["--out", "."], "is a folder"),
+    ],
+)
+def test_each_of_5_bad_arguments_ends_in_one_line_and_status_2(words, says, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    try:
+        status = bench.main(words)
+    except SystemExit as stop:
+        status = stop.code
+    errors = capsys.readouterr().err
+    assert status == 2
+    assert errors.startswith("uavnav.bench: ")
+    assert errors.count("\n") == 1
+    assert says in errors
+
+
+def test_every_measurement_of_the_plan_names_a_job_and_arguments_that_it_takes():
+    import inspect
+
+    for quick in (False, True):
+        every = bench.plan(quick)
+        assert len({one.name for one in every}) == len(every)
+        assert {one.section for one in every} == set(bench.SECTIONS)
+        for one in every:
+            inspect.signature(getattr(bench_jobs, one.job)).bind(0.0, **one.arguments)
+    for point in bench_growth.points():
+        inspect.signature(bench_jobs.ours).bind(0.0, **point.arguments)
+
+
+@pytest.mark.parametrize(("algorithm", "frames", "more"), [("ppo", 8192, {}), ("dqn", 400, {"learning_starts": 200})])
+def test_a_watched_run_of_ours_is_stopped_and_names_its_rates(algorithm, frames, more):
+    settings = {"frames_per_batch": 256, "epochs": 1} if algorithm == "ppo" else {}
+    found = bench_jobs.ours(0.0, algorithm, 1, 0.0, stages=True, compile="off", **settings, **more)
+    assert found["frames"] <= frames
+    assert found["rate"] > 0
+    assert 0.99 < sum(found["shares"].values()) < 1.01
+    assert found["shares"]["collection"] > 0
+    assert found["shares"]["update"] > 0
+
+
+# -- peers ------------------------------------------------------------------------------------------------------------
+
+
+def test_stable_baselines3_is_given_the_preset_paper_with_1_and_with_16_parallel_worlds():
+    pytest.importorskip("stable_baselines3")
+    from uavnav.sb3 import DroneVecEnv
+
+    env = DroneVecEnv(16, seed=0)
+    ppo = bench_jobs.make_sb3("stable_baselines3", "ppo", env, 0, 16)
+    assert (ppo.n_steps, ppo.batch_size, ppo.n_epochs, ppo.gae_lambda) == (128, 64, 10, 0.95)
+    assert (ppo.clip_range(1), ppo.ent_coef, ppo.vf_coef, ppo.max_grad_norm, ppo.learning_rate) == (
+        0.2,
+        0,
+        0.5,
+        0.5,
+        3e-4,
+    )
+    dqn = bench_jobs.make_sb3("stable_baselines3", "dqn", env, 0, 16, activation="relu")
+    assert (dqn.train_freq.frequency, dqn.gradient_steps, dqn.target_update_interval) == (1, 4, 10_000)
+    assert (dqn.learning_starts, dqn.batch_size, dqn.max_grad_norm, dqn.learning_rate) == (50_000, 32, 10, 1e-4)
+    alone = bench_jobs.make_sb3("stable_baselines3", "dqn", bench_jobs._make_env("numpy"), 0, buffer_size=100)
+    assert (alone.train_freq.frequency, alone.gradient_steps, alone.target_update_interval) == (4, 1, 10_000)
+    assert "in_features=30, out_features=64" in repr(dqn.q_net)
+    assert "ReLU" in repr(dqn.q_net)
+    assert "Tanh" in repr(alone.q_net)
+
+
+def test_the_single_file_peers_learn_until_they_are_told_to_stop():
+    from uavnav.numpy_world import NumpyDroneEnv
+
+    seen = []
+
+    def keep_on(frames):
+        seen.append(frames)
+        return frames < 128
+
+    bench_peers.ppo(NumpyDroneEnv, 0, keep_on, num_steps=64)
+    assert seen == [0, 64, 128]
+    seen.clear()
+    bench_peers.dqn(NumpyDroneEnv, 0, keep_on, learning_starts=100, buffer_size=120)
+    assert seen == list(range(129))
+
+
+def test_the_benchmarks_start_without_any_peer_installed():
+    code = (
+        "import sys; sys.modules.update({'stable_baselines3': None, 'sbx': None, 'jax': None});"
+        "from uavnav import bench; print(len(bench.plan(True)))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(result.stdout) > 20

@@ -1,0 +1,134 @@
+"""The plain NumPy world is the world: equal to the oracle over whole episodes, and to DroneGymEnv step by step."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import oracle
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from uavnav import layouts
+from uavnav.gym import DroneGymEnv
+from uavnav.numpy_world import NumpyDroneEnv, border_squares
+from uavnav.world import World
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return layouts.load("test").tolist()
+
+
+def wandering(steps, seed=0):
+    """Random actions that mostly fly on, so that walls and circles are met."""
+    rng = np.random.default_rng(seed)
+    return np.where(rng.random(steps) < 0.5, rng.integers(5, 10, steps), rng.integers(100, size=steps))
+
+
+def test_its_136_squares_are_the_oracles_in_the_same_order():
+    assert border_squares(World()).tolist() == [list(corner) for corner in oracle.SQUARES]
+
+
+def test_gymnasiums_checker_has_nothing_to_warn_about():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(NumpyDroneEnv(), skip_render_check=True)
+
+
+def test_its_spaces_are_those_of_the_gymnasium_environment():
+    mine, other = NumpyDroneEnv(), DroneGymEnv()
+    assert mine.observation_space == other.observation_space
+    assert mine.action_space == other.action_space
+
+
+@pytest.mark.parametrize("max_steps", [None, 25])
+def test_30_whole_episodes_equal_the_oracle(bank, max_steps):
+    env = NumpyDroneEnv("test", max_steps)
+    observation, info = env.reset(seed=3)
+    flight = oracle.Flight(bank, info["layout"], max_steps=max_steps)
+    actions, ended, doubts, steps = iter(wandering(10_000)), 0, 0, 0
+    while ended < 30:
+        assert (info["layout"], info["heading"]) == (flight.layout, flight.heading)
+        assert (info["x"], info["y"]) == pytest.approx((flight.x, flight.y), abs=1e-9)
+        assert info["clearance"] == pytest.approx(flight.clearance, abs=1e-9)
+        if oracle.doubtful(flight.found):
+            doubts += 1
+        else:
+            np.testing.assert_allclose(observation, sum(flight.slots, ()), rtol=0, atol=1e-6)
+        action = int(next(actions))
+        observation, reward, terminated, truncated, info = env.step(action)
+        flight.step(action)
+        steps += 1
+        assert (terminated, truncated) == (flight.terminated, flight.truncated)
+        assert reward == pytest.approx(flight.reward, abs=1e-12)
+        if terminated or truncated:
+            ended += 1
+            flight.next_episode()
+            observation, info = env.reset()
+    assert steps > 500
+    assert doubts < 0.03 * steps
+
+
+def test_1500_steps_equal_droneenvs_gymnasium_form_within_1e_4(bank):
+    mine, other = NumpyDroneEnv("test", 30), DroneGymEnv("test", max_steps=30)
+    (seen, info), (expected, expected_info) = mine.reset(seed=9), other.reset(seed=9)
+    ends = {"terminated": 0, "truncated": 0}
+    doubts = 0
+    for action in wandering(1500, seed=1):
+        assert info == pytest.approx(expected_info, abs=1e-4)
+        pose = info["x"], info["y"], info["heading"], bank[info["layout"]]
+        if oracle.doubtful(oracle.look(*pose)):
+            doubts += 1
+        else:
+            np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-4)
+        mine.x, mine.y = expected_info["x"], expected_info["y"]  # float32's error must not build up
+        seen, reward, *flags, info = mine.step(action)
+        expected, expected_reward, *expected_flags, expected_info = other.step(action)
+        assert flags == expected_flags
+        assert reward == pytest.approx(expected_reward, abs=1e-9)
+        for name, flag in zip(ends, flags, strict=True):
+            ends[name] += flag
+        if any(flags):
+            (seen, info), (expected, expected_info) = mine.reset(), other.reset()
+    assert min(ends.values()) >= 5
+    assert doubts < 45
+
+
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+def test_a_seed_begins_at_the_place_where_droneenvs_gymnasium_form_begins(seed):
+    mine, other = NumpyDroneEnv("test"), DroneGymEnv("test")
+    assert mine.reset(seed=seed)[1] == pytest.approx(other.reset(seed=seed)[1], abs=1e-4)
+    assert mine.reset()[1]["layout"] == other.reset()[1]["layout"]
+
+
+def test_options_pick_layout_999_and_the_next_reset_takes_0():
+    env = NumpyDroneEnv("test")
+    assert env.reset(options={"layout": 999})[1]["layout"] == 999
+    assert env.reset()[1]["layout"] == 0
+
+
+def test_wrong_layouts_actions_caps_and_banks_are_refused_and_a_step_before_the_reset():
+    env = NumpyDroneEnv("test")
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(0)
+    for layout in (-1, 1000, 2.5, "3", [1, 2]):
+        with pytest.raises(ValueError, match="whole number from 0 to 999"):
+            env.reset(options={"layout": layout})
+    env.reset()
+    for action in (-1, 100):
+        with pytest.raises(ValueError, match="whole number from 0 to 99"):
+            env.step(action)
+    with pytest.raises(ValueError, match="max_steps=0"):
+        NumpyDroneEnv(max_steps=0)
+    with pytest.raises(layouts.LayoutError, match="choose from train, test"):
+        NumpyDroneEnv("trian")
+
+
+def test_an_observation_is_not_changed_by_the_next_20_steps():
+    env = NumpyDroneEnv("test")
+    kept = env.reset(seed=0)[0]
+    copy = kept.copy()
+    for action in wandering(20):
+        if env.step(action)[2]:
+            env.reset()
+    np.testing.assert_array_equal(kept, copy)

@@ -1,0 +1,353 @@
+"""Benchmarks: the world, training and its peers, side by side on this machine, into one Markdown file.
+
+`python -m uavnav.bench` measures everything in at most 45 minutes, `--quick` a first impression in 3. What takes longer
+has a flag of its own (`--growth`, `--fast`, `--whole`, `--parity`) and a section of its own in the file, which later
+runs keep. Each measurement is a fresh process with a fixed number of threads (`uavnav.bench_jobs`); measurements are
+interleaved over several rounds, and medians and ratios of the same round are what is reported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NoReturn
+
+import pandas as pd
+from rich.console import Console
+
+from uavnav import bench_growth, bench_parity, runs
+from uavnav.bench_jobs import WHOLE, Job, JobError, Result
+from uavnav.bench_report import (
+    CORES,
+    TARGET_REWARD,
+    VALIDATION,
+    WHO,
+    WRITERS,
+    Results,
+    clock,
+    fast_median,
+    fast_rows,
+    number,
+    save_figure,
+    table,
+    write_file,
+    write_sections,
+)
+
+MINUTES = {"full": 44.0, "quick": 2.8}
+BATCHES = [1, 16, 256, 1024, 4096, 16_384, 32_768]
+SECTIONS = tuple(WRITERS)
+"""What a plain run measures, and `--only` chooses from."""
+PEERS = {"stable_baselines3": "Stable-Baselines3", "sbx": "SBX"}
+INSTALL = "pip install -e '.[bench]'"
+
+
+# -- the table of measurements ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One thing to measure: a job of `bench_jobs` and how it is run."""
+
+    name: str  # section/...
+    job: str
+    arguments: Result
+    threads: int = 1
+    copies: int = 1  # processes side by side
+    rounds: int = 3
+    expected: float = 60.0  # [s] a round, to begin with
+    needs: str = ""  # a module that may not be there
+    cache: str = "graphs"  # which folder of compiled graphs
+    cold: bool = False  # empty it first
+    sample: bool = False  # note the memory of the tree of processes
+
+    @property
+    def section(self) -> str:
+        return self.name.split("/")[0]
+
+
+def plan(quick: bool) -> list[Measurement]:
+    """What a plain run measures, the most important first."""
+    every = [*_plan_gymnasium(quick), *_plan_training(quick), *_plan_world(quick), *_plan_rest(quick)]
+    return [replace(one, rounds=1) for one in every] if quick else every
+
+
+def _plan_world(quick: bool) -> list[Measurement]:
+    batches, seconds = ([1, 1024], 0.3) if quick else (BATCHES, 0.7)
+    return [
+        Measurement(
+            f"world/{'compiled' if compiled else 'eager'}/{threads}",
+            "world",
+            {"batches": batches, "compiled": compiled, "seconds": seconds},
+            threads=threads,
+            expected=(15 if quick else 60) if compiled else 12,
+        )
+        for compiled in (True, False)
+        for threads in ([CORES] if quick else dict.fromkeys([CORES, 1]))
+    ]
+
+
+def _plan_gymnasium(quick: bool) -> list[Measurement]:
+    seconds = 0.5 if quick else 2.0
+    vector = {"batches": [16, 256], "seconds": seconds}
+    return [
+        Measurement("gymnasium/numpy", "single", {"which": "numpy", "seconds": seconds}, rounds=5, expected=8),
+        Measurement("gymnasium/uavnav", "single", {"which": "uavnav", "seconds": seconds}, rounds=5, expected=8),
+        Measurement("gymnasium/vector", "vector", vector, expected=10),
+    ]
+
+
+def _plan_training(quick: bool) -> list[Measurement]:
+    watched: Result = {"frames": 20_000, "seconds": 5.0} if quick else {"frames": 200_000, "seconds": 25.0}
+    took = 20 if quick else 40
+    found = {}
+    for algorithm in ("ppo", "dqn"):
+        own = {"algorithm": algorithm, **watched}
+        peer = own | {"learning_starts": 2_000 if quick else 10_000}
+        if algorithm == "dqn" and quick:
+            own |= {"learning_starts": 2_000}
+        alone = peer | {"which": "numpy"}
+        sb3 = Measurement("sb3/numpy", "sb3", alone, needs="stable_baselines3", expected=took)
+        rows = [
+            sb3,
+            Measurement("uavnav/1", "ours", own, threads=CORES, expected=took),
+            Measurement("uavnav/10", "ours", own | {"n_seeds": 10}, threads=CORES, expected=2 * took),
+            replace(sb3, name="sb3/two", copies=2, rounds=2),
+            Measurement("cleanrl/numpy", "cleanrl", peer, rounds=2, expected=took),
+            replace(sb3, name="sb3/uavnav", arguments=peer | {"which": "uavnav"}, rounds=2),
+            replace(sb3, name="sbx/numpy", arguments=alone | {"library": "sbx"}, threads=CORES, rounds=2, needs="sbx"),
+        ]
+        found[algorithm] = [replace(row, name=f"training/{algorithm}/{row.name}") for row in rows]
+    return [row for both in zip(*found.values(), strict=True) for row in both]
+
+
+def _plan_rest(quick: bool) -> list[Measurement]:
+    seconds, starts = (3.0, 1_000) if quick else (12.0, 5_000)
+    found = []
+    for algorithm in ("ppo", "dqn"):
+        learning = {"learning_starts": starts} if algorithm == "dqn" else {}
+        run: Result = {"algorithm": algorithm, "frames": WHOLE, "seconds": seconds, **learning}
+        for n_seeds in (1, 10):
+            arguments = run | {"n_seeds": n_seeds, "stages": True}
+            found.append(Measurement(f"stages/{algorithm}/{n_seeds}", "ours", arguments, threads=CORES, rounds=1))
+        short = run | {"seconds": 2.0}
+        for kind in ("cold", "warm", "off"):
+            arguments = short | {"compile": "off" if kind == "off" else "on"}
+            name, cold = f"compile/{algorithm}/{kind}", kind == "cold"
+            cache = f"compile-{algorithm}"
+            found.append(
+                Measurement(name, "ours", arguments, threads=CORES, rounds=2, expected=40, cache=cache, cold=cold)
+            )
+    full = {"n_seeds": 10, "frames": WHOLE}
+    found.append(Measurement("memory/10", "buffer_memory", full, threads=CORES, rounds=1, sample=True))
+    return sorted(found, key=lambda one: ["memory", "stages", "compile"].index(one.section))
+
+
+# -- running it -------------------------------------------------------------------------------------------------------
+
+
+class Runner:
+    """Runs measurements one after the other.
+
+    Args:
+        store: the folder for graphs and rows.
+        say: shows a line.
+        minutes: no measurement is begun that would not end in this time.
+    """
+
+    def __init__(self, store: Path, say: Callable[[str], None], minutes: float = float("inf")) -> None:
+        self.store, self.say = store, say
+        self.began = time.monotonic()
+        self.end = self.began + 60 * minutes
+
+    def run(self, measurements: Sequence[Measurement]) -> Results:
+        """All of them, round by round."""
+        results, expected = Results(), {one.name: one.expected for one in measurements}
+        rounds = [(turn, one) for turn in range(9) for one in measurements if turn < one.rounds]
+        for count, (turn, one) in enumerate(rounds, 1):
+            if one.needs and importlib.util.find_spec(one.needs) is None:
+                if turn == 0:
+                    results.missing[one.name] = f"{PEERS[one.needs]} is not installed: {INSTALL}"
+                    self.say(f"{one.name}: {results.missing[one.name]}")
+                continue
+            left = self.end - time.monotonic()
+            if expected[one.name] > left:
+                results.missing.setdefault(one.name, "no time was left for it") if turn == 0 else None
+                continue
+            start = time.monotonic()
+            try:
+                found = self.measure(one, min(left + 5, 4 * 3600))
+                results.found[one.name].append(found)
+                said = _short(found)
+            except JobError as error:
+                results.missing[one.name] = said = f"failed: {error}"
+            expected[one.name] = time.monotonic() - start
+            self.say(f"{clock(time.monotonic() - self.began)} {count}/{len(rounds)} {one.name}: {said}")
+        return results
+
+    def measure(self, one: Measurement, timeout: float) -> list[Result]:
+        """One round: what each of its processes found."""
+        cache = self.store / one.cache
+        if one.cold:
+            shutil.rmtree(cache, ignore_errors=True)
+        cache.mkdir(parents=True, exist_ok=True)
+        running = [Job(one.job, one.arguments, one.threads, cache) for _ in range(one.copies)]
+        try:
+            return [job.result(timeout, one.sample) for job in running]
+        finally:
+            for job in running:
+                job.stop()
+
+
+def _short(found: list[Result]) -> str:
+    """What a measurement found, in a few words."""
+    pairs = [(key, value) for key, value in found[0].items() if type(value) in (int, float)]
+    return ", ".join(f"{key} {number(value)}" for key, value in pairs)
+
+
+# -- what has a flag of its own ---------------------------------------------------------------------------------------
+
+
+def measure_growth(runner: Runner, out: Path) -> dict[str, list[str]]:
+    """Time and memory against seeds, worlds and hidden width."""
+    points = bench_growth.points()
+    measurements = [
+        Measurement(point.name, "ours", point.arguments, threads=CORES, rounds=1, sample=True) for point in points
+    ]
+    results = runner.run(measurements)
+    rows = {point: results.found[point.name][0][0] for point in points if results.found.get(point.name)}
+    picture = out.with_suffix(".png")
+    save_figure(picture, bench_growth.draw(rows))
+    return {"growth": bench_growth.section(rows, picture.name)}
+
+
+def measure_whole(runner: Runner, out: Path) -> dict[str, list[str]]:
+    """Whole runs of 1 M frames, to their end, SB3's two algorithms and ours."""
+    peer: Result = {"which": "numpy", "frames": WHOLE, "seconds": 1e9, "learning_starts": 50_000, "whole": True}
+    measurements, rows = [], []
+    for algorithm in ("ppo", "dqn"):
+        own: Result = {"algorithm": algorithm}
+        measurements += [
+            Measurement(f"{algorithm}/uavnav/1", "ours_whole", own, threads=CORES, rounds=1),
+            Measurement(f"{algorithm}/uavnav/10", "ours_whole", own | {"n_seeds": 10}, threads=CORES, rounds=1),
+            Measurement(f"{algorithm}/sb3/numpy", "sb3", own | peer, rounds=1, needs="stable_baselines3"),
+        ]
+    results = runner.run(measurements)
+    for one in measurements:
+        algorithm, key = one.name.split("/", 1)
+        whole, sb3 = results.median(one.name, "whole"), results.median(f"{algorithm}/sb3/numpy", "whole")
+        shorter = number(WHO[key][2] * sb3 / whole) if whole and sb3 else "-"
+        peak = number(results.median(one.name, "peak"))
+        rows.append([f"{algorithm.upper()}, {WHO[key][0]}", clock(whole), shorter, peak])
+    head = ["", "from the command to the end", "times SB3, per seed", "peak [GB]"]
+    return {"whole": [f"Whole runs of {WHOLE:,} frames a seed, snapshots included, one each.", "", *table(head, rows)]}
+
+
+def measure_fast(runner: Runner, out: Path) -> dict[str, list[str]]:
+    """How soon the preset `fast` of PPO gives a good policy: five seeds, each kept once it is there."""
+    from uavnav import ppo
+
+    if "fast" not in ppo.PRESETS:
+        runner.say("--fast: PPO has no preset `fast` yet")
+        return {}
+    arguments = {"preset": "fast", "target": TARGET_REWARD, "held_out": VALIDATION, "patience": 240.0}
+    for seed in range(5):
+        path = runner.store / "fast" / f"{seed}.parquet"
+        if not path.is_file():
+            one = Measurement(f"fast/{seed}", "reach", arguments | {"seed": seed}, threads=CORES, rounds=1)
+            found = runner.run([one]).found[one.name]
+            if found:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                runs.write_table(path, pd.DataFrame(found[0]).astype({"seconds": "float64", "frames": "float64"}))
+    rows = fast_rows(runner.store)
+    shown = [[str(int(seed)), number(seconds), number(frames)] for seed, seconds, frames in rows.to_numpy().tolist()]
+    text = (
+        f"Seconds from the command (caches warm) to PPO's first policy whose mean reward is at least {TARGET_REWARD} on"
+        f" {VALIDATION} sets that were held out of training, sampled, at most 10,000 steps an episode; policies are set"
+        f" aside once a second and judged afterwards. Median: {number(fast_median(runner.store))} s."
+    )
+    return {"fast": [text, "", *table(["seed", "seconds", "frames"], shown)]}
+
+
+def measure_parity(runner: Runner, out: Path) -> dict[str, list[str]]:
+    """Learning curves of ours and of SB3; what is there already is not run again."""
+    from uavnav.ppo import PPOConfig
+
+    seeds = bench_parity.SEEDS
+    if importlib.util.find_spec("stable_baselines3") is None:
+        runner.say(f"parity: {PEERS['stable_baselines3']} is not installed: {INSTALL}")
+        seeds = seeds | {"sb3": 0}
+    store, n_worlds = bench_parity.Store(runner.store, bench_parity.FRAMES), PPOConfig().n_worlds
+    failed = bench_parity.train(store, n_worlds, runner.store / "graphs", runner.say, seeds=seeds, at_once=CORES)
+    picture = out.with_name(f"{out.stem}-parity.png")
+    save_figure(picture, bench_parity.draw(store, n_worlds))
+    lines = bench_parity.section(store, n_worlds, picture.name)
+    return {"parity": [*lines, *(["", "Not measured:", "", *(f"- {why}" for why in failed)] if failed else [])]}
+
+
+FLAGS: dict[str, Callable[[Runner, Path], dict[str, list[str]]]] = {
+    "growth": measure_growth,
+    "fast": measure_fast,
+    "whole": measure_whole,
+    "parity": measure_parity,
+}
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"uavnav.bench: {message}\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure the world, training and its peers on this machine, and write it down; at most 45 minutes."""
+    parser = _Parser(prog="python -m uavnav.bench", description=main.__doc__)
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--quick", action="store_true", help="a first impression, in at most 3 minutes")
+    for flag, function in FLAGS.items():
+        kind.add_argument(f"--{flag}", dest="flag", action="store_const", const=flag, help=function.__doc__)
+    sections = ", ".join(SECTIONS)
+    parser.add_argument("--only", nargs="+", choices=SECTIONS, metavar="SECTION", help=f"of {sections}")
+    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks.md"), help="default: docs/benchmarks.md")
+    parser.add_argument("--store", type=Path, default=Path("bench"), help="folder for graphs and rows (default: bench)")
+    arguments = parser.parse_args(argv)
+    if arguments.flag and arguments.only:
+        parser.error(f"--only: chooses from a plain run's sections; leave it out with --{arguments.flag}")
+    console = Console(highlight=False, soft_wrap=True)
+    minutes = float("inf") if arguments.flag else MINUTES["quick" if arguments.quick else "full"]
+    try:
+        for folder in (arguments.out.parent, arguments.store):
+            folder.mkdir(parents=True, exist_ok=True)
+            if not os.access(folder, os.W_OK):
+                raise PermissionError(f"{folder}: cannot be written; give a folder that can")
+        if arguments.out.is_dir():
+            raise IsADirectoryError(f"{arguments.out}: is a folder; give a file")
+        runner = Runner(arguments.store, lambda line: console.print(line, markup=False), minutes)
+        if arguments.flag:
+            found = FLAGS[arguments.flag](runner, arguments.out)
+        else:
+            chosen = [one for one in plan(arguments.quick) if one.section in (arguments.only or SECTIONS)]
+            found = write_sections(runner.run(chosen), arguments.store)
+        if found:
+            write_file(arguments.out, found, time.monotonic() - runner.began)
+            print(f"wrote {arguments.out}")
+    except (OSError, runs.RunError) as error:
+        print(f"uavnav.bench: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("uavnav.bench: stopped; nothing was written", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,257 @@
+"""Is the learning the same? Learning curves of this code and of Stable-Baselines3 at the same settings, compared.
+
+Each seed's episodes are kept as a Parquet file of their frame (at its end, of its seed) and reward, so that a run that
+was stopped goes on with what is missing. Letters: S seeds, B bins of frames.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy import stats
+
+from uavnav.bench_jobs import Job, JobError, Result
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+FRAMES = 200_000
+BINS = 20
+FLOOR = -10.0
+"""Rewards are negative at first: the area is that above this line, the reward of a collision in the first step."""
+CONFIDENCE = 0.9
+SAME = (0.8, 1.25)
+"""Where the interval of the ratio of two areas lies if they are taken for equal."""
+SEEDS = {"uavnav": 8, "sb3": 4}
+LABELS = {"uavnav": "uavnav", "sb3": "SB3"}
+COLOURS = {"uavnav": "#0072B2", "sb3": "#D55E00"}
+HOURS = 3.0
+"""After which a run is given up."""
+
+
+class Arm(NamedTuple):
+    """What is compared: who trains, and in how many parallel worlds a seed."""
+
+    library: str
+    n_worlds: int
+
+    @property
+    def label(self) -> str:
+        return f"{LABELS[self.library]}, {self.n_worlds} world{'' if self.n_worlds == 1 else 's'}"
+
+
+class Cell(NamedTuple):
+    """One learning problem."""
+
+    algorithm: str
+    activation: str
+
+
+CELLS = [Cell(*cell) for cell in itertools.product(("ppo", "dqn"), ("tanh", "relu"))]
+
+
+def arms(n_worlds: int) -> list[Arm]:
+    """Ours, Stable-Baselines3 with as many parallel worlds, and as it is by default, with one."""
+    return list(dict.fromkeys([Arm("uavnav", n_worlds), Arm("sb3", n_worlds), Arm("sb3", 1)]))
+
+
+class Store:
+    """The folder in which the episodes of every seed are kept."""
+
+    def __init__(self, folder: Path, frames: int) -> None:
+        self.folder = folder / f"parity-{frames}"
+        self.frames = frames
+
+    def path(self, cell: Cell, arm: Arm, seed: int) -> Path:
+        return self.folder / f"{cell.algorithm}-{cell.activation}-{arm.library}-{arm.n_worlds}-{seed}.parquet"
+
+    def missing(self, cell: Cell, arm: Arm, seeds: int) -> list[int]:
+        """The seeds that are still to be run."""
+        return [seed for seed in range(seeds) if not self.path(cell, arm, seed).is_file()]
+
+    def curves(self, cell: Cell, arm: Arm, seeds: int) -> Array:
+        """The learning curves of the seeds that are there: [S, B]."""
+        there = sorted(set(range(seeds)) - set(self.missing(cell, arm, seeds)))
+        found = [curve(pd.read_parquet(self.path(cell, arm, seed)), self.frames) for seed in there]
+        return np.array(found).reshape(len(found), BINS)
+
+    def jobs(self, cells: Sequence[Cell], n_worlds: int, seeds: dict[str, int]) -> list[tuple[str, str, Result]]:
+        """What is still to be done: what to call it, the job, and its arguments."""
+        found: list[tuple[str, str, Result]] = []
+        for cell, arm in itertools.product(cells, arms(n_worlds)):
+            missing = self.missing(cell, arm, seeds[arm.library])
+            title = f"{cell.algorithm} {cell.activation}, {arm.label}"
+            common: Result = {"algorithm": cell.algorithm, "activation": cell.activation}
+            if arm.library == "uavnav" and missing:
+                run = list(range(missing[0], missing[-1] + 1))
+                paths = [str(self.path(cell, arm, seed)) for seed in run]
+                settings = {"seeds": run, "paths": paths, "total_frames": self.frames, "n_worlds": arm.n_worlds}
+                found.append((f"{title}, {len(run)} seeds", "curves_ours", common | settings))
+            elif arm.library == "sb3":
+                for seed in missing:
+                    how = {"seed": seed, "n_envs": arm.n_worlds, "frames": self.frames}
+                    path = str(self.path(cell, arm, seed))
+                    found.append((f"{title}, seed {seed}", "curves_sb3", common | how | {"path": path}))
+        return found
+
+
+def train(
+    store: Store,
+    n_worlds: int,
+    cache: Path,
+    say: Callable[[str], None],
+    cells: Sequence[Cell] = CELLS,
+    seeds: dict[str, int] = SEEDS,
+    at_once: int = 2,
+) -> list[str]:
+    """Run what is missing, so many processes at once; what failed, and why."""
+    todo, failed = store.jobs(cells, n_worlds, seeds), []
+    running: set[Job] = set()
+
+    def run(job: str, arguments: Result) -> Result:
+        process = Job(job, arguments, 1, cache)
+        running.add(process)
+        try:
+            return process.result(3600 * HOURS)
+        finally:
+            running.discard(process)
+            process.stop()
+
+    with ThreadPoolExecutor(at_once) as pool:
+        titles = {pool.submit(run, job, arguments): title for title, job, arguments in todo}
+        try:
+            for count, future in enumerate(as_completed(titles), 1):
+                title = titles[future]
+                try:
+                    took = f"{future.result()['seconds']:.0f} s"
+                except JobError as error:
+                    took = f"failed: {error}"
+                    failed.append(f"{title}: {error}")
+                say(f"{count}/{len(todo)} {title}: {took}")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in list(running):
+                process.stop()
+            raise
+    return failed
+
+
+def curve(episodes: pd.DataFrame, frames: int, bins: int = BINS) -> Array:
+    """Mean reward of the episodes that end in each of so many equal stretches of frames: [B].
+
+    A stretch in which none ends lies on the line between its neighbours.
+
+    Raises:
+        ValueError: no episode ended in all the frames.
+    """
+    which = ((episodes["frame"].to_numpy() - 1) * bins // frames).astype(int)
+    means = episodes["reward"].groupby(which).mean()
+    means = means[means.index < bins]  # PPO runs whole iterations, and so a few frames more
+    if means.empty:
+        raise ValueError("no episode ended")
+    result: Array = np.interp(np.arange(bins), means.index.to_numpy(), means.to_numpy())
+    return result
+
+
+def areas(curves: Array) -> Array:
+    """The area between each curve and the reward -10, a frame: curves [S, B] -> [S]."""
+    result: Array = (curves - FLOOR).mean(1)
+    return result
+
+
+class Ratio(NamedTuple):
+    """Of two means, with its bootstrap interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def same(self) -> bool:
+        """Whether the whole interval lies where two areas are taken for equal."""
+        return SAME[0] <= self.low and self.high <= SAME[1]
+
+    def __str__(self) -> str:
+        return f"{self.value:.2f} ({self.low:.2f} ... {self.high:.2f})"
+
+
+def ratio(mine: Array, theirs: Array, seed: int = 0) -> Ratio:
+    """Mean of mine [S] over mean of theirs [S'], with the 90 % percentile interval of resampled seeds."""
+
+    def statistic(a: Array, b: Array, axis: int = -1) -> Array:
+        result: Array = a.mean(axis) / b.mean(axis)
+        return result
+
+    found = stats.bootstrap(
+        (mine, theirs),
+        statistic,
+        paired=False,
+        vectorized=True,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    )
+    low, high = found.confidence_interval
+    return Ratio(float(mine.mean() / theirs.mean()), float(low), float(high))
+
+
+def section(
+    store: Store, n_worlds: int, figure: str, cells: Sequence[Cell] = CELLS, seeds: dict[str, int] = SEEDS
+) -> list[str]:
+    """The comparison in Markdown: one row a cell; `figure` is the name of its picture."""
+    mine, same, alone = Arm("uavnav", n_worlds), Arm("sb3", n_worlds), Arm("sb3", 1)
+    rows = []
+    for cell in cells:
+        found = {arm: areas(store.curves(cell, arm, seeds[arm.library])) for arm in dict.fromkeys([mine, same, alone])}
+        if any(len(values) < 2 for values in found.values()):
+            rows.append(f"| {cell.algorithm} {cell.activation} | not enough seeds yet |" + " |" * 6)
+            continue
+        means = [f"{found[arm].mean():.2f} ± {found[arm].std(ddof=1):.2f}" for arm in (mine, same, alone)]
+        like, default = ratio(found[mine], found[same]), ratio(found[mine], found[alone])
+        worlds = ratio(found[same], found[alone])
+        verdict = "yes" if like.same else "no"
+        cells_of_row = [*means, str(like), verdict, str(default), str(worlds)]
+        rows.append(f"| {cell.algorithm} {cell.activation} | {' | '.join(cells_of_row)} |")
+    return [
+        f"Learning curves over {store.frames:,} frames: mean reward of the episodes that end in each of {BINS}"
+        f" stretches. The area is that between the curve and a reward of {FLOOR:g}, divided by the frames: the mean of"
+        f" reward + {-FLOOR:g} (± standard deviation over seeds). In brackets the {CONFIDENCE:.0%} percentile bootstrap"
+        f" interval over seeds ({seeds['uavnav']} of ours, {seeds['sb3']} of SB3's) of the ratio of mean areas."
+        " Like for like means as many parallel worlds and updates a frame; SB3's default is one world.",
+        "",
+        f"| | {mine.label} | {same.label} | {alone.label} | ratio, like for like | within {SAME[0]} ... {SAME[1]} |"
+        f" ratio to SB3 with 1 world | SB3: {n_worlds} worlds to 1 |",
+        "|---|---|---|---|---|---|---|---|",
+        *rows,
+        "",
+        f"![Learning curves of uavnav and Stable-Baselines3]({figure})",
+    ]
+
+
+def draw(store: Store, n_worlds: int, cells: Sequence[Cell] = CELLS, seeds: dict[str, int] = SEEDS) -> Figure:
+    """The learning curves: mean and range over seeds, one panel a cell."""
+    figure = Figure(figsize=(9, 6.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    columns = 2 if len(cells) > 1 else 1
+    panels = figure.subplots(-(-len(cells) // columns), columns, sharex=True, squeeze=False).flat
+    at = (np.arange(BINS) + 0.5) * store.frames / BINS / 1000
+    for panel, cell in zip(panels, cells, strict=False):
+        for arm in arms(n_worlds):
+            curves = store.curves(cell, arm, seeds[arm.library])
+            if len(curves):
+                style = "--" if arm.library == "sb3" and arm.n_worlds == 1 else "-"
+                label = f"{arm.label} ({len(curves)} seeds)"
+                panel.plot(at, curves.mean(0), style, color=COLOURS[arm.library], label=label)
+                panel.fill_between(at, curves.min(0), curves.max(0), color=COLOURS[arm.library], alpha=0.15, lw=0)
+        panel.set_title(f"{cell.algorithm.upper()} {cell.activation}")
+        panel.set_xlabel("frames per seed [thousand]")
+        panel.set_ylabel("mean reward per episode")
+        panel.legend(fontsize=8)
+    return figure

@@ -698,7 +698,7 @@ CASES = [
     config({"activatoin": "relu"}, "did you mean activation?", "there is no key 'activatoin'"),
     config({"batch_size": 3}, "choose from", "there is no key 'batch_size'"),
     config({"epochs": 3}, "choose from", "there is no key 'epochs'", "dqn"),
-    config({"preset": "papr"}, "choose from paper"),
+    config({"preset": "papr"}, "did you mean paper?"),
     config({"activation": "rleu"}, "choose from elu, gelu"),
     config({"activation": 3}, "give a name"),
     config({"activation": None}, "give a name"),

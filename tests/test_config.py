@@ -1,5 +1,7 @@
 """Configurations answer back: a wrong key, type, name, count or device is one line with what would be right."""
 
+from typing import get_args, get_type_hints
+
 import pytest
 
 from uavnav.config import ConfigError
@@ -103,3 +105,16 @@ def test_the_preset_paper_of_dqn_is_sb3s_defaults_and_paper_2_3_learns_from_fram
         "preset": "paper-2.3",
         "learning_starts": 100,
     }
+
+
+@pytest.mark.parametrize(("kind", "presets"), [(PPOConfig, PPO_PRESETS), (DQNConfig, DQN_PRESETS)])
+def test_each_preset_bears_its_own_name_and_no_other_name_is_taken(kind, presets):
+    assert {name: preset.preset for name, preset in presets.items()} == {name: name for name in presets}
+    with pytest.raises(ConfigError, match="preset=quick; choose from"):
+        kind(preset="quick")
+    assert get_args(get_type_hints(kind)["preset"]) == tuple(presets)
+
+
+def test_what_a_run_changes_of_its_preset_is_named_but_for_what_every_table_says():
+    changed = PPOConfig(lr=1e-3, hidden=[32], n_worlds=32, activation="relu", seed=3)
+    assert changed.beyond(PPO_PRESETS["paper"]) == {"lr": 1e-3, "hidden": [32]}

@@ -100,7 +100,7 @@ WRONG = {
     "activation=rleu": "ppo: activation=rleu; choose from elu, .* (did you mean relu?)",
     "activatoin=relu": "ppo: there is no key 'activatoin'; choose from activation, .*out.* (did you mean activation?)",
     "+speed=3": "ppo: there is no key 'speed'; choose from ",
-    "preset=papr": "ppo: preset=papr; choose from paper (did you mean paper?)",
+    "preset=papr": "ppo: preset=papr; choose from fast, paper (did you mean paper?)",
     "total_frames=1.5": "ppo: total_frames=1.5; give a whole number",
     "n_seeds=two": "ppo: n_seeds=two; give a whole number",
     "n_seeds=0": "ppo: n_seeds=0; give a number of at least 1",

@@ -53,7 +53,7 @@ class PPOConfig(TrainConfig):
     clip_epsilon: float = within(0.2, 0, 1)
     critic_coeff: float = at_least(0.5, 0)
     entropy_coeff: float = at_least(0.0, 0)
-    preset: Literal["paper"] = "paper"
+    preset: Literal["paper", "fast"] = "paper"
     init: Init = "orthogonal"  # gains sqrt(2), 0.01 policy, 1 value (decision 15)
 
     def __post_init__(self) -> None:
@@ -71,7 +71,18 @@ class PPOConfig(TrainConfig):
         return -(-self.total_frames // self.frames_per_batch)
 
 
-PRESETS = {"paper": PPOConfig()}
+PRESETS = {
+    "paper": PPOConfig(),
+    "fast": PPOConfig(  # a good drone soon: few, large steps of both collection and learning
+        preset="fast",
+        total_frames=400_000,
+        n_worlds=128,
+        frames_per_batch=4096,
+        minibatch_size=512,
+        epochs=8,
+        lr=1e-3,
+    ),
+}
 
 
 def make_networks(config: PPOConfig) -> tuple[nn.Sequential, nn.Sequential]:

@@ -127,7 +127,7 @@ def memory(results: Results) -> float | None:
 
 
 def targets(store: Path) -> list[Target]:
-    """The issue's table: what the least is, what the aim is, and how it follows from what was measured."""
+    """What is to be reached: the least, the aim, and how each follows from what was measured."""
 
     def world(results: Results) -> float | None:
         return statistics.median(best_world(results)) if best_world(results) else None

@@ -1,10 +1,11 @@
-"""The world for Gymnasium: one drone (`DroneGymEnv`) or many at once (`DroneVectorEnv`), over the same simulator.
+"""The world for Gymnasium: one drone (`DroneGymEnv`, in plain numbers) or many at once (`DroneVectorEnv`, in tensors).
 
 Registered as `uavnav/Drone-v0`: `gymnasium.make` gives the one, `gymnasium.make_vec` the other.
 """
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from torch import Tensor
 from uavnav import layouts as banks
 from uavnav import seeding, simulator
 from uavnav.render import draw_state
+from uavnav.scalar import Flight
 from uavnav.simulator import UP, State
 from uavnav.world import World
 
@@ -28,12 +30,31 @@ Info = dict[str, Any]
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
 
 
+def observation_space(world: World) -> spaces.Box:
+    """Ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13)."""
+    low = np.tile(np.array([-1, 0, 0], dtype=np.float32), world.n_slots)
+    return spaces.Box(low, np.ones_like(low), dtype=np.float32)
+
+
+def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any, Any]:
+    """The layout that a reset's options name: one index, or one for each row of `shape`.
+
+    Raises:
+        ValueError: it is not one of the bank's.
+    """
+    chosen = np.asarray(layout)
+    fits = chosen.dtype.kind in "iu" and chosen.shape in ((), shape)
+    if not fits or not ((chosen >= 0) & (chosen < n_layouts)).all():
+        raise ValueError(f"options layout={layout}; give a whole number from 0 to {n_layouts - 1}")
+    return chosen
+
+
 class _Flights:
-    """A batch of rows, each flying its own set of obstacles: what both adapters do, in tensors."""
+    """A batch of rows, each flying its own set of obstacles: the vector environment in tensors."""
 
     def __init__(
         self,
-        batch_size: Sequence[int],
+        num_envs: int,
         layouts: str | Path | Tensor,
         world: World | None,
         max_steps: int | None,
@@ -43,12 +64,8 @@ class _Flights:
         self.world = world or World()
         self.bank = banks.resolve(layouts, self.world).cpu()
         self.max_steps, self.reward = max_steps, reward
-        self.shape = torch.Size(batch_size)
+        self.shape = torch.Size([num_envs])
         self.state: State | None = None
-
-    def observation_space(self) -> spaces.Box:
-        low = np.tile(np.array([-1, 0, 0], dtype=np.float32), self.world.n_slots)
-        return spaces.Box(low, np.ones_like(low), dtype=np.float32)
 
     def seed(self, seeds: Sequence[int]) -> None:
         """Put every row at its place: all rows are one seed's, or each row is a seed's first."""
@@ -61,11 +78,8 @@ class _Flights:
         """Start every row on its next set, or on the given ones."""
         following = self._first if self.state is None else (self.state.layout + 1) % len(self.bank)
         if layout is not None:
-            chosen = np.asarray(layout)
-            fits = chosen.dtype.kind in "iu" and chosen.shape in ((), tuple(self.shape))
-            if not fits or not ((chosen >= 0) & (chosen < len(self.bank))).all():
-                raise ValueError(f"options layout={layout}; give a whole number from 0 to {len(self.bank) - 1}")
-            following = torch.as_tensor(chosen, dtype=torch.int64).expand(self.shape).clone()
+            chosen = torch.as_tensor(pick(layout, tuple(self.shape), len(self.bank)), dtype=torch.int64)
+            following = chosen.expand(self.shape).clone()
         self.state = simulator.start(following, self._headings(), self.world)
 
     def step(self, action: Any) -> simulator.Outcome:
@@ -74,8 +88,10 @@ class _Flights:
         given = np.asarray(action)
         fits = given.dtype.kind in "iu" and given.size == self.shape.numel()
         if not fits or not ((given >= 0) & (given < self.world.n_actions)).all():
-            each = "" if self.shape == () else f" for each of the {self.shape.numel()} rows"
-            raise ValueError(f"action={action}; give a whole number from 0 to {self.world.n_actions - 1}{each}")
+            raise ValueError(
+                f"action={action}; give a whole number from 0 to {self.world.n_actions - 1} for each of the"
+                f" {self.shape.numel()} rows"
+            )
         actions = torch.as_tensor(given, dtype=torch.int64).reshape(self.shape)
         self.state, outcome = simulator.step(self.state, actions, self.bank, self.world, self.reward, self.max_steps)
         return outcome
@@ -130,50 +146,55 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
     ) -> None:
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        self._flight = _Flights((), layouts, world, max_steps, reward)
+        simulator.check_rules(reward, max_steps)
+        self.world = world or World()
+        self.bank = banks.resolve(layouts, self.world).cpu()
         self.render_mode = render_mode
-        self.observation_space = self._flight.observation_space()
-        self.action_space = spaces.Discrete(self._flight.world.n_actions)
-        self._seeded = False
+        self.observation_space = observation_space(self.world)
+        self.action_space = spaces.Discrete(self.world.n_actions)
+        self._flight = Flight(self.bank, self.world, reward, max_steps)
+        self._layout: int | None = None  # of the present episode
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
         super().reset(seed=seed)
-        if seed is not None or not self._seeded:
-            self._flight.seed([int(self.np_random.integers(2**31)) if seed is None else seed])
-            self._seeded = True
-        self._flight.reset((options or {}).get("layout"))
-        observation, clearance = self._flight.observe()
-        return observation.numpy(), self._info(clearance)
+        if seed is not None or self._layout is None:
+            seeds = [int(self.np_random.integers(2**31)) if seed is None else seed]
+            self._streams = seeding.Streams(seeds, "headings")
+            following = int(seeding.places(seeds, 1, len(self.bank), "cpu"))
+        else:
+            following = (self._layout + 1) % len(self.bank)
+        chosen = (options or {}).get("layout")
+        self._layout = following if chosen is None else int(pick(chosen, (), len(self.bank)))
+        random = self.world.start_heading == "random"
+        heading = int(seeding.headings(self._streams, 1, "cpu")) if random else UP
+        return self._flight.start(self._layout, heading), self._info()
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, Info]:
-        outcome = self._flight.step(action)
-        return (
-            outcome.observation.numpy(),
-            float(outcome.reward),
-            bool(outcome.terminated),
-            bool(outcome.truncated),
-            self._info(outcome.clearance),
-        )
+        if self._layout is None:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        try:
+            index = operator.index(np.asarray(action).reshape(())[()])
+        except (TypeError, ValueError):
+            index = -1
+        if not 0 <= index < self.world.n_actions:
+            raise ValueError(f"action={action}; give a whole number from 0 to {self.world.n_actions - 1}")
+        return *self._flight.step(index), self._info()
 
     def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
         """The picture [600, 800, 3] of the present state, with `render_mode="rgb_array"`."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() shows nothing without render_mode="rgb_array"')
             return None
-        if self._flight.state is None:
+        if self._layout is None:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
-        return draw_state(self._flight.state, self._flight.bank, self._flight.world)
+        flight = self._flight
+        state = simulator.start(torch.tensor(flight.layout), torch.tensor(flight.heading), self.world)
+        state = state._replace(x=torch.tensor(flight.x), y=torch.tensor(flight.y))
+        return draw_state(state, self.bank, self.world)
 
-    def _info(self, clearance: Tensor) -> Info:
-        state = self._flight.state
-        assert state is not None
-        return {
-            "layout": int(state.layout),
-            "x": float(state.x),
-            "y": float(state.y),
-            "heading": int(state.heading),
-            "clearance": float(clearance),
-        }
+    def _info(self) -> Info:
+        flight = self._flight
+        return {name: getattr(flight, name) for name in ("layout", "x", "y", "heading", "clearance")}
 
 
 class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]], Any]):
@@ -200,11 +221,11 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
             raise ValueError(f"num_envs={num_envs}; give at least 1")
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        self._flights = _Flights((num_envs,), layouts, world, max_steps, reward)
+        self._flights = _Flights(num_envs, layouts, world, max_steps, reward)
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode.SAME_STEP
-        self.single_observation_space = self._flights.observation_space()
+        self.single_observation_space = observation_space(self._flights.world)
         self.single_action_space = spaces.Discrete(self._flights.world.n_actions)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)

@@ -1,6 +1,7 @@
 """Configurations answer back: a wrong key, type, name, count or device is one line with what would be right."""
 
-from typing import get_args, get_type_hints
+import dataclasses
+import pickle
 
 import pytest
 
@@ -112,7 +113,16 @@ def test_each_preset_bears_its_own_name_and_no_other_name_is_taken(kind, presets
     assert {name: preset.preset for name, preset in presets.items()} == {name: name for name in presets}
     with pytest.raises(ConfigError, match="preset=quick; choose from"):
         kind(preset="quick")
-    assert get_args(get_type_hints(kind)["preset"]) == tuple(presets)
+    assert tuple(kind.PRESETS) == tuple(presets)
+
+
+def test_a_preset_named_in_python_sets_its_values_and_a_given_one_goes_before():
+    assert PPOConfig(preset="fast") == PPO_PRESETS["fast"]
+    assert PPOConfig(preset="fast").n_worlds == 128
+    assert PPOConfig(preset="fast", n_worlds=64).n_worlds == 64
+    assert DQNConfig(preset="paper-2.3").learning_starts == 100
+    assert dataclasses.replace(PPO_PRESETS["fast"], lr=0.5).beyond(PPO_PRESETS["fast"]) == {"lr": 0.5}
+    assert pickle.loads(pickle.dumps(PPO_PRESETS["fast"])) == PPO_PRESETS["fast"]
 
 
 def test_what_a_run_changes_of_its_preset_is_named_but_for_what_every_table_says():

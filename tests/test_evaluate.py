@@ -189,3 +189,29 @@ def test_the_command_evaluates_nothing_where_one_of_two_runs_is_not_there(run, c
     assert err.endswith("nowhere: no such run folder; give a run's folder\n")
     assert err.count("\n") == 1
     assert Run(run.path).evaluation() is None
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        lambda n: torch.full((n,), 150),
+        lambda n: torch.full((n,), -1),
+        lambda n: torch.zeros(n),
+        lambda n: torch.zeros(n, 1, dtype=torch.int64),
+        lambda n: [0] * n,
+        lambda n: 3,
+    ],
+)
+def test_a_policy_that_gives_no_actions_is_refused_in_one_line(action):
+    with pytest.raises(ValueError, match=r"a policy chose .*; it must give int64 \[4\] from 0 to 99") as refused:
+        evaluate_policy(lambda observation, generator: action(len(observation)), episodes=4, max_steps=5)
+    assert "\n" not in str(refused.value)
+
+
+def test_rows_of_another_bank_are_shown_and_not_kept(tmp_path):
+    config = ppo.PPOConfig(total_frames=64, frames_per_batch=64, hidden=[8], compile="off")
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    assert len(evaluate_run(run, episodes=2, max_steps=5, layouts="train")) == 4
+    assert run.evaluation() is None
+    evaluate_run(run, episodes=2, max_steps=5)
+    assert run.evaluation().attrs == {"layouts": "test", "max_steps": 5}

@@ -279,3 +279,15 @@ def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algo
     process.communicate()
     same(tmp_path / "whole", folder)
     shutil.rmtree(folder)
+
+
+def test_a_resume_repeats_the_threads_that_the_run_began_with(tmp_path, monkeypatch):
+    config = ppo.PPOConfig(n_seeds=4, total_frames=1024, frames_per_batch=256, epochs=1, compile="off")
+    monkeypatch.setattr("uavnav.compiling.threads", lambda config: 2)
+    with pytest.raises(Interrupted):
+        ppo.train(config, out=tmp_path / "run", quiet=True, until=512)
+    monkeypatch.setattr("uavnav.compiling.threads", lambda config: 1)
+    before = torch.get_num_threads()
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    assert run.meta["threads"] == 2
+    assert torch.get_num_threads() == before

@@ -1,7 +1,9 @@
 """Runs are repeated and compared: the same bit for bit, or told where they part first."""
 
 import json
+import os
 import shutil
+import signal
 
 import pandas as pd
 import pytest
@@ -10,7 +12,7 @@ from safetensors.torch import save_file
 
 from uavnav import dqn, ppo, verify
 from uavnav.policies import FILE_NAME
-from uavnav.runs import Run
+from uavnav.runs import Recorder, Run
 
 ALGORITHMS = {
     "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),
@@ -187,3 +189,21 @@ def test_another_version_alone_leaves_the_same_run_the_same(run, verdict):
 def test_a_number_of_frames_below_1_is_refused_with_status_2(trained, capsys, frames):
     assert verify.main([str(trained.path), "--frames", frames]) == 2
     assert capsys.readouterr().err == f"uavnav.verify: --frames {frames}: give a number of at least 1\n"
+
+
+@pytest.mark.parametrize("arguments", [[], ["--frames", "900"]])
+def test_an_interrupted_repeat_compares_nothing_and_ends_with_130(tmp_path, monkeypatch, capsys, arguments):
+    config = ppo.PPOConfig(total_frames=1024, frames_per_batch=256, epochs=1, compile="off")
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    original = Recorder.checkpoint
+
+    def interrupt(self, frames, *parts):
+        if frames == 512:
+            os.kill(os.getpid(), signal.SIGINT)
+        original(self, frames, *parts)
+
+    monkeypatch.setattr(Recorder, "checkpoint", interrupt)
+    assert verify.main([str(run.path), *arguments]) == 130
+    out, err = capsys.readouterr()
+    assert "same" not in out
+    assert err == "uavnav.verify: stopped, nothing was compared\n"

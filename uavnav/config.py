@@ -6,7 +6,7 @@ import difflib
 import types
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_hints
 
 import torch
 
@@ -61,6 +61,9 @@ class TrainConfig:
         ConfigError: a value has the wrong type, is out of range, or is not among the choices.
     """
 
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}}
+    """What each preset sets, where it is not given, instead of the defaults."""
+
     preset: str = "paper"
     activation: str = one_of("tanh", ACTIVATIONS)
     seed: int = within(0, 0, 2**31 - 1)  # seeds are seed ... seed + n_seeds - 1
@@ -81,7 +84,18 @@ class TrainConfig:
     device: str = "cpu"
     compile: Literal["auto", "on", "off"] = "auto"
 
+    def __new__(cls, **given: Any) -> Self:
+        self = super().__new__(cls)
+        object.__setattr__(self, "_given", frozenset(given))  # until __post_init__
+        return self
+
     def __post_init__(self) -> None:
+        if self.preset not in self.PRESETS:
+            raise unknown("preset", self.preset, self.PRESETS)
+        for name, value in self.PRESETS[self.preset].items():
+            if name not in self.__dict__["_given"]:
+                object.__setattr__(self, name, value)
+        object.__delattr__(self, "_given")
         hints = get_type_hints(type(self))
         for item in fields(self):
             value = _checked(item.name, getattr(self, item.name), hints[item.name], item.metadata)

@@ -18,10 +18,9 @@ from uavnav.runs import Run
 
 
 class Display:
-    """A progress bar: frames per seed, frames/s of all seeds, time left, reward of the last 100 episodes."""
+    """A progress bar: frames per seed, frames/s per seed, time left, reward of the last 100 episodes."""
 
     def __init__(self, algorithm: str, config: TrainConfig, total_frames: int, quiet: bool) -> None:
-        self._n_seeds = config.n_seeds
         self._progress = Progress(
             TextColumn(f"{algorithm} {config.activation}"),
             BarColumn(bar_width=12),
@@ -48,7 +47,7 @@ class Display:
     def update(self, frames: int, rewards: list[float]) -> None:
         """frames: per seed so far; rewards: each seed's mean over its last 100 episodes."""
         task = self._progress.tasks[0]
-        rate = f"{task.speed * self._n_seeds / 1000:,.1f}k" if task.speed else "-"
+        rate = f"{task.speed / 1000:,.1f}k" if task.speed else "-"
         done = f"{frames // 1000:,}k/{(task.total or 0) // 1000:,.0f}k"
         self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=_with_spread(rewards, 1))
 
@@ -99,7 +98,7 @@ def evaluation_summary(rows: pd.DataFrame, algorithm: str, activation: str = "")
     n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
     seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
     return _metric_table(
-        f"{algorithm} {activation} on {n_layouts} test sets",
+        f"{f'{algorithm} {activation}'.strip()} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
         f"{seeds}; cut off at the cap on steps: {censored}",
         modes,
         paper.TABLES.get((algorithm, activation), {}),

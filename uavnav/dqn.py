@@ -15,7 +15,7 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDictBase
@@ -49,7 +49,11 @@ FRAME_BYTES = 14
 class DQNConfig(TrainConfig):
     """DQN's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
 
-    preset: Literal["paper", "paper-2.3"] = "paper"
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
+        "paper": {},
+        "paper-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
+    }
+
     lr: float = at_least(1e-4, 0)
     max_grad_norm: float = at_least(10.0, 0)
     buffer_size: int = at_least(1_000_000, 1)  # frames per seed
@@ -96,10 +100,7 @@ class DQNConfig(TrainConfig):
         return self.epsilon_start + progress * (self.epsilon_end - self.epsilon_start)
 
 
-PRESETS = {
-    "paper": DQNConfig(),
-    "paper-2.3": DQNConfig(preset="paper-2.3", learning_starts=100),  # SB3's default since its version 2.3
-}
+PRESETS = {name: DQNConfig(preset=name) for name in DQNConfig.PRESETS}
 
 
 def make_network(config: DQNConfig) -> nn.Sequential:
@@ -219,7 +220,7 @@ def train(
     total = config.n_worlds * config.iterations
     sampler = AgentSampler(config.seeds, "replay", replace=True)
     buffer = make_buffer(sampler, config, total)
-    compile = compiling.decide(config)
+    compile = recorder.repeat(compiling.decide(config))
     env = make_env(config, compile)
     network = make_network(config).to(config.device)
     policy = ExploringPolicy(network, config, compile)

@@ -20,7 +20,7 @@ from uavnav import layouts as banks
 from uavnav.baselines import BASELINES, AnyPolicy
 from uavnav.display import evaluation_summary, print_table
 from uavnav.metrics import EPISODE_COLUMNS, MODES
-from uavnav.runs import BEHAVIOUR, EVALUATION, Run, RunError, write_table
+from uavnav.runs import BEHAVIOUR, EVALUATION, Run, RunError, lock, write_table
 from uavnav.seeding import stream
 from uavnav.simulator import COUNTS, UP, State
 from uavnav.world import World
@@ -97,6 +97,8 @@ def fly(
     What one seed does depends neither on the others nor on anything but its policy and a generator of its own. Random
     start headings, where the world has them, are those of the set of obstacles, the same for every policy.
     """
+    if not isinstance(episodes, int) or not isinstance(max_steps, int):
+        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give whole numbers")
     simulator.check_rules(reward, max_steps if max_steps >= 1 else None)
     bank = banks.resolve(layouts, world)
     if not 1 <= episodes <= len(bank) or max_steps < 1:
@@ -116,8 +118,9 @@ def fly(
         observation, _ = simulator.observe(state, bank, world)
         for step in range(1, max_steps + 1):
             rows = [observation[seed == one] for one in population]
-            chosen = zip(population.items(), rows, strict=True)
-            action = torch.cat([policy(seen, generators[one]) for (one, policy), seen in chosen if len(seen)])
+            flying = [(one, seen) for one, seen in zip(population, rows, strict=True) if len(seen)]
+            chosen = [_checked(population[one](seen, generators[one]), len(seen), world) for one, seen in flying]
+            action = torch.cat(chosen)
             state, outcome = simulator.step(state, action, bank, world, reward, max_steps)
             if step <= WATCHED_STEPS:
                 watched.append(_watch(seed, state, outcome, action))
@@ -133,6 +136,15 @@ def fly(
         _table(ended, EPISODE_COLUMNS).sort_values(["seed", "layout"], ignore_index=True),
         _table(watched, BEHAVIOUR_COLUMNS).sort_values(["seed", "layout", "step"], ignore_index=True),
     )
+
+
+def _checked(action: Tensor, n: int, world: World) -> Tensor:
+    """A policy's actions, if they are some."""
+    fits = isinstance(action, Tensor) and action.shape == (n,) and action.dtype in (torch.int64, torch.int32)
+    if not fits or not 0 <= int(action.min()) <= int(action.max()) < world.n_actions:
+        shown = f"{action.dtype} {list(action.shape)}" if isinstance(action, Tensor) and not fits else repr(action)
+        raise ValueError(f"a policy chose {shown}; it must give int64 [{n}] from 0 to {world.n_actions - 1}")
+    return action
 
 
 def _end(seed: Tensor, state: State, outcome: simulator.Outcome, done: Tensor) -> dict[str, Tensor]:
@@ -160,7 +172,7 @@ def _table(parts: list[dict[str, Tensor]], columns: dict[str, str]) -> pd.DataFr
 def evaluate_run(
     run: Run, episodes: int = EPISODES, max_steps: int = MAX_STEPS, layouts: str | Path = "test"
 ) -> pd.DataFrame:
-    """Evaluate every seed of a run on the test split, greedy and sampled, and keep the rows in its folder.
+    """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder if it is on the test split.
 
     Training's generators play no part, and nothing else in the folder changes.
 
@@ -180,8 +192,10 @@ def evaluate_run(
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
     rows.attrs = {"layouts": str(layouts), "max_steps": max_steps}  # kept in the file's header
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
-    write_table(run.path / EVALUATION, rows)
-    write_table(run.path / BEHAVIOUR, behaviour)
+    if layouts == "test":
+        with lock(run.path):
+            write_table(run.path / EVALUATION, rows)
+            write_table(run.path / BEHAVIOUR, behaviour)
     return rows
 
 
@@ -199,7 +213,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             if isinstance(run, Run):
                 rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts)
                 print_table(evaluation_summary(rows, run.algorithm, run.config["activation"]))
-                print(f"the rows are in {run.path / EVALUATION}")
+                kept = arguments.layouts == "test"
+                print(f"the rows are in {run.path / EVALUATION}" if kept else "rows of the test split alone are kept")
             else:
                 with compiling.use_threads(1):
                     flights = fly({0: BASELINES[name]}, arguments.layouts, arguments.episodes, arguments.max_steps)

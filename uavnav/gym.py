@@ -156,6 +156,9 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
         self._layout: int | None = None  # of the present episode
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+        chosen = (options or {}).get("layout")
+        if chosen is not None:
+            chosen = int(pick(chosen, (), len(self.bank)))
         super().reset(seed=seed)
         if seed is not None or self._layout is None:
             seeds = [int(self.np_random.integers(2**31)) if seed is None else seed]
@@ -163,8 +166,7 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
             following = int(seeding.places(seeds, 1, len(self.bank), "cpu"))
         else:
             following = (self._layout + 1) % len(self.bank)
-        chosen = (options or {}).get("layout")
-        self._layout = following if chosen is None else int(pick(chosen, (), len(self.bank)))
+        self._layout = following if chosen is None else chosen
         random = self.world.start_heading == "random"
         heading = int(seeding.headings(self._streams, 1, "cpu")) if random else UP
         return self._flight.start(self._layout, heading), self._info()

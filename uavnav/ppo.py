@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -45,6 +45,18 @@ ALGORITHM = "ppo"
 class PPOConfig(TrainConfig):
     """PPO's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
 
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
+        "paper": {},
+        "fast": {  # a good drone soon: few, large steps of both collection and learning
+            "total_frames": 400_000,
+            "n_worlds": 128,
+            "frames_per_batch": 4096,
+            "minibatch_size": 512,
+            "epochs": 8,
+            "lr": 1e-3,
+        },
+    }
+
     frames_per_batch: int = at_least(2048, 1)  # collected per seed and iteration, in n_worlds parallel worlds
     minibatch_size: int = at_least(64, 2)
     epochs: int = at_least(10, 1)
@@ -53,7 +65,6 @@ class PPOConfig(TrainConfig):
     clip_epsilon: float = within(0.2, 0, 1)
     critic_coeff: float = at_least(0.5, 0)
     entropy_coeff: float = at_least(0.0, 0)
-    preset: Literal["paper", "fast"] = "paper"
     init: Init = "orthogonal"  # gains sqrt(2), 0.01 policy, 1 value (decision 15)
 
     def __post_init__(self) -> None:
@@ -71,18 +82,7 @@ class PPOConfig(TrainConfig):
         return -(-self.total_frames // self.frames_per_batch)
 
 
-PRESETS = {
-    "paper": PPOConfig(),
-    "fast": PPOConfig(  # a good drone soon: few, large steps of both collection and learning
-        preset="fast",
-        total_frames=400_000,
-        n_worlds=128,
-        frames_per_batch=4096,
-        minibatch_size=512,
-        epochs=8,
-        lr=1e-3,
-    ),
-}
+PRESETS = {name: PPOConfig(preset=name) for name in PPOConfig.PRESETS}
 
 
 def make_networks(config: PPOConfig) -> tuple[nn.Sequential, nn.Sequential]:
@@ -234,7 +234,7 @@ def train(
     recorder = Recorder(out, ALGORITHM, config, overwrite, checkpoint_seconds, until)
     if recorder.finished:
         return recorder.read()
-    compile = compiling.decide(config)
+    compile = recorder.repeat(compiling.decide(config))
     env = make_env(config, compile)
     policy, value = (network.to(config.device) for network in make_networks(config))
     actor = SampledPolicy(policy, config, compile)

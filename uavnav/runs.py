@@ -27,7 +27,7 @@ import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -72,9 +72,10 @@ class RunError(RuntimeError):
 class Interrupted(RunError):
     """SIGINT or SIGTERM stopped a run, which was saved and can go on."""
 
-    def __init__(self, message: str, signum: int) -> None:
+    def __init__(self, message: str, signum: int, wanted: bool) -> None:
         super().__init__(message)
         self.signum = signum
+        self.wanted = wanted  # by `until`
 
 
 class Run:
@@ -176,6 +177,7 @@ class Recorder:
         self._until = until
         self._episodes: list[Columns] = []
         self._progress: list[Columns] = []
+        self._before: dict[str, Any] = {}
         self._recent = [deque[float](maxlen=LAST) for _ in config.seeds]
         _, bank = layouts.read(config.layouts)
         self.meta = _facts() | {"bank": {name: bank.get(name) for name in BANK_FACTS}}
@@ -237,6 +239,7 @@ class Recorder:
                 " folder, or overwrite=true"
             )
         if meta.get("status") != FINISHED:
+            self._before = meta if (path / "checkpoint").is_dir() else {}
             return False
         for name in FILES:
             if not (path / name).is_file():
@@ -280,7 +283,7 @@ class Recorder:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         if kind is not None:
-            self.meta |= {"status": "interrupted"}
+            self.meta |= {"status": "interrupted" if issubclass(kind, (Interrupted, KeyboardInterrupt)) else "failed"}
             with contextlib.suppress(RunError):  # on a full disk the error under way says more
                 self._write_meta()
         self._release()
@@ -323,8 +326,9 @@ class Recorder:
             Interrupted: after SIGINT or SIGTERM, and saved.
         """
         now = time.perf_counter()
-        if self._until is not None and frames >= self._until:
-            self._stop = self._stop or signal.SIGTERM
+        wanted = self._stop is None and self._until is not None and frames >= self._until
+        if wanted:
+            self._stop = signal.SIGTERM
         if self._stop is None and now - self._saved < self._checkpoint_seconds:
             return
         joined = {table: _joined(rows, []) for table, rows in self._tables.items()}
@@ -349,6 +353,7 @@ class Recorder:
                 f"{self.path}: stopped by {name} and saved at {frames:,} of {self.config.total_frames:,} frames;"
                 " the same command goes on from there",
                 self._stop,
+                wanted,
             )
 
     def snapshot_tables(self) -> tuple[int, dict[str, pd.DataFrame]]:
@@ -366,6 +371,19 @@ class Recorder:
     def read(self) -> Run:
         """The finished run that is already there."""
         return Run(self.path)
+
+    def repeat(self, compile: bool) -> bool:
+        """Whether to compile, and in how many threads torch works: as the unfinished run began, where there is one.
+
+        Raises:
+            RunError: it was compiled, and here that cannot be done.
+        """
+        before = self._before
+        if isinstance(before.get("threads"), int):
+            torch.set_num_threads(before["threads"])
+        if before.get("compiled") and not compile:
+            raise RunError(f"out={self.path}: the run began compiled, and nothing can be compiled here; see compile=on")
+        return bool(before.get("compiled", compile))
 
     def note(self, **facts: Any) -> None:
         """Add how the run is carried out to meta.json, and to what a snapshot must share with the run that resumes."""
@@ -453,6 +471,27 @@ class Recorder:
     def _write(self, name: str, content: bytes) -> None:
         """Write aside, then rename: the file is whole or not there."""
         _write(self.path / name, content)
+
+
+@contextlib.contextmanager
+def lock(path: Path) -> Iterator[None]:
+    """Keep others from writing into a run's folder meanwhile.
+
+    Raises:
+        RunError: another process writes there now, or it cannot be written.
+    """
+    held = FileLock(path / LOCK)
+    try:
+        held.acquire(blocking=False)
+    except Timeout:
+        raise RunError(f"{path}: another process is writing this run; wait for it") from None
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error}); give a folder that can be written") from error
+    try:
+        yield
+    finally:
+        Path(held.lock_file).unlink(missing_ok=True)
+        held.release()
 
 
 def write_table(path: Path, table: pd.DataFrame) -> None:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import sys
 import tempfile
@@ -92,8 +91,11 @@ def _beginning(
     config: TrainConfig, train: Any, algorithm: str, folder: Path, frames: int | None, quiet: bool
 ) -> tuple[int, dict[str, pd.DataFrame], dict[str, Any]]:
     """The first frames of a run: it is stopped there, and its snapshot is read. How many there are, rows and facts."""
-    with contextlib.suppress(Interrupted):
+    try:
         train(config, out=folder, quiet=quiet, until=frames)
+    except Interrupted as stop:
+        if not stop.wanted:
+            raise
     reached, tables = Recorder(folder, algorithm, config).snapshot_tables()
     return reached, tables, json.loads((folder / "meta.json").read_text())
 
@@ -162,6 +164,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.frames is not None and arguments.frames < 1:
             raise ConfigError(f"--frames {arguments.frames}: give a number of at least 1")
         verdict = verify(Run(arguments.run), arguments.frames)
+    except Interrupted as stop:
+        print("uavnav.verify: stopped, nothing was compared", file=sys.stderr)
+        return 128 + stop.signum
     except (ConfigError, LayoutError, RunError) as error:
         print(f"uavnav.verify: {error}", file=sys.stderr)
         return 2

@@ -284,3 +284,14 @@ def test_it_imports_nothing_that_trains():
         env=os.environ | {"OMP_NUM_THREADS": "1"},
     )
     assert run.stdout.strip() == "[]"
+
+
+def test_cells_of_other_settings_have_a_figure_of_their_own(tmp_path):
+    write_run(tmp_path / "usual", two(0, -1.0))
+    write_run(tmp_path / "again", two(0, -1.0), activation="relu")
+    write_run(tmp_path / "other", two(0, -1.0), n_worlds=1)
+    text = report([tmp_path]).path.read_text()
+    assert "](figures/ppo.png)" in text or "](figures/dqn.png)" in text
+    assert text.count("-other-settings.png)") == 1
+    assert len(list(tmp_path.glob("figures/*-other-settings.png"))) == 1
+    assert "Cells with other settings are in the second figure." in text

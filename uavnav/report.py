@@ -74,13 +74,17 @@ def report(folders: Sequence[str | Path] = ("results",), out: str | Path | None 
     cells, left_out = collect([Path(folder) for folder in folders])
     there = {(cell.algorithm, cell.activation) for cell in cells}
     algorithms = dict.fromkeys([*(name for name, _ in paper.TABLES), *sorted(name for name, _ in there)])
-    sections, figures = [], {}
+    sections: list[dict[str, Any]] = []
+    figures: dict[str, bytes] = {}
     for name in algorithms:
         part, usual = label([cell for cell in cells if cell.algorithm == name])
-        if part:
-            figures[f"figures/{name}.png"] = draw(part)
+        apart = {name: [cell for cell in part if cell.label == cell.activation]}  # of its usual settings, and others
+        apart[f"{name}-other-settings"] = [cell for cell in part if cell.label != cell.activation]
+        drawn = {f"figures/{stem}.png": members for stem, members in apart.items() if members}
+        figures |= {file: draw(members) for file, members in drawn.items()}
+        pictures = [{"file": file, "alt": describe(members)} for file, members in drawn.items()]
         tables = [_markdown(table(part, name, ratio_of_means)) for ratio_of_means in (False, True)]
-        sections.append({"name": name, "usual": usual, "alt": describe(part), "tables": tables})
+        sections.append({"name": name, "usual": usual, "pictures": pictures, "tables": tables})
     text = _TEMPLATE.render(
         missing=[" ".join(cell) for cell in paper.TABLES if cell not in there],
         sections=sections,
@@ -402,10 +406,15 @@ are steps of distance 0, *full stops* those without a turn too: what the paper's
 {% if section.usual %}
 Unless a row says otherwise: {{ section.usual }} (frames and n_worlds per seed, obstacles a set).
 
-![{{ section.name }}: {{ section.alt }}](figures/{{ section.name }}.png)
+{% for picture in section.pictures %}
+![{{ section.name }}: {{ picture.alt }}]({{ picture.file }})
 
+{% endfor %}
 Lines are means over seeds of each seed's mean over the episodes that ended in each of {{ bins }} bins of frames; a seed
 with none is not in that bin. Bands are from the lowest to the highest seed. Dashed: the paper's mean over its run.
+{% if section.pictures | length > 1 %}
+Cells with other settings are in the second figure.
+{% endif %}
 {% else %}
 No finished run.
 {% endif %}

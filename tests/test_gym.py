@@ -245,6 +245,11 @@ def test_one_seed_gives_8_rows_places_of_their_own_and_8_seeds_one_each():
     assert each == [make().reset(seed=seed)[1]["layout"] for seed in range(8)]
     with pytest.raises(ValueError, match="7 seeds for 8"):
         vector.reset(seed=list(range(7)))
+    with pytest.raises(ValueError, match="whole numbers of at least 0, or None"):
+        vector.reset(seed=[*range(7), -1])
+    drawn = [vector.reset(seed=[None, *range(7)])[1]["layout"].tolist() for _ in range(20)]
+    assert len({first for first, *_ in drawn}) > 10
+    assert {tuple(rest) for _, *rest in drawn} == {tuple(each[:7])}
 
 
 @pytest.mark.parametrize("seed", [0, 1, 12345])

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -291,3 +292,44 @@ def test_a_resume_repeats_the_threads_that_the_run_began_with(tmp_path, monkeypa
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     assert run.meta["threads"] == 2
     assert torch.get_num_threads() == before
+
+
+def test_a_damaged_snapshot_is_put_aside_and_does_not_count_among_the_two_that_are_kept(whole, two_states):
+    folder, states = two_states
+    flip(states[-1])
+    with pytest.warns(UserWarning, match="going on from the one before"):
+        interrupted(whole, folder, 1200)
+    kept = sorted(path.name for path in (folder / "checkpoint").glob("state-*"))
+    assert [int(name.split("-")[1]) >= 1000 for name in kept] == [True, True]
+    assert states[-1].name not in kept
+    assert (folder / "checkpoint" / f"damaged-{states[-1].name}").is_file()
+    train, config, run = whole
+    flip(folder / "checkpoint" / kept[-1])
+    with pytest.warns(UserWarning, match="going on from the one before"):
+        same(run.path, train(config, out=folder, quiet=True).path)
+
+
+def test_a_start_that_another_process_overtook_leaves_the_finished_run_as_it_is(whole, tmp_path):
+    train, config, run = whole
+    late = Recorder(tmp_path / "run", run.algorithm, config)
+    finished = train(config, out=tmp_path / "run", quiet=True)
+    with pytest.raises(RunError, match="was finished by another process meanwhile"), late:
+        pass
+    same(run.path, finished.path)
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
+def test_a_compiled_run_stopped_and_resumed_ends_the_same_bit_for_bit(algorithm, tmp_path):
+    train, config = {
+        "ppo": (ppo.train, ppo.PPOConfig(n_seeds=2, total_frames=256, frames_per_batch=128, epochs=2, n_worlds=8)),
+        "dqn": (dqn.train, dqn.DQNConfig(n_seeds=2, total_frames=160, learning_starts=32)),
+    }[algorithm]
+    config = replace(config, compile="on")
+    whole = train(config, out=tmp_path / "whole", quiet=True)
+    with pytest.raises(Interrupted):
+        train(config, out=tmp_path / "run", quiet=True, until=128)
+    resumed = train(config, out=tmp_path / "run", quiet=True)
+    assert resumed.meta["compiled"]
+    same(whole.path, resumed.path)

@@ -118,6 +118,8 @@ class Checkpoints:
             if replay is not None:
                 for name, chunk in zip(snapshot.chunks, chunks, strict=True):
                     _refill(replay, int(name.split("-")[1]), chunk)
+            for damaged in states[: states.index(path)]:  # they would count among the two that are kept
+                damaged.rename(damaged.with_name(f"damaged-{damaged.name}"))
             self._chunks = snapshot.chunks
             self._rows_saved = snapshot.facts.get("frames", 0)
             self._drop_strays()

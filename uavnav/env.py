@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+import operator
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -97,7 +98,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     def _seed(self, seeds: int | Sequence[int]) -> None:
         one = isinstance(seeds, numbers.Integral)
-        self.seeds = [int(seeds)] if one else [int(seed) for seed in seeds]  # type: ignore[arg-type, union-attr]
+        self.seeds = [int(seeds)] if one else [operator.index(seed) for seed in seeds]  # type: ignore[arg-type, union-attr]
         if not one and (not self.batch_size or len(self.seeds) != self.batch_size[0]):
             raise ValueError(
                 f"{len(self.seeds)} seeds for batch_size {list(self.batch_size)}; give one, or one per agent"

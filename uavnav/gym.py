@@ -239,7 +239,10 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         if isinstance(seed, Sequence):
             if len(seed) != self.num_envs:
                 raise ValueError(f"{len(seed)} seeds for {self.num_envs} environments; give one, or one for each")
-            self._flights.seed(list(seed))
+            draws = [int(self.np_random.integers(2**31)) if one is None else operator.index(one) for one in seed]
+            if min(draws) < 0:
+                raise ValueError(f"seed={list(seed)}; give whole numbers of at least 0, or None")
+            self._flights.seed(draws)
         elif seed is not None or not self._seeded:
             super().reset(seed=seed)
             self._flights.seed([int(self.np_random.integers(2**31)) if seed is None else seed])

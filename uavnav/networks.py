@@ -29,9 +29,6 @@ ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "identity": lambda x: x,
 }
 
-PAPER_ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
-"""The four that the paper compares, in the order of its tables."""
-
 Init = Literal["orthogonal", "default"]
 
 

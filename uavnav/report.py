@@ -341,13 +341,14 @@ def _facts(runs: list[Run]) -> list[str]:
 
 
 def _run_table(cells: list[Cell]) -> list[list[str]]:
-    rows = [["run", "cell", "seeds", "frames per seed", "wall time", "threads", "compiled"]]
+    rows = [["run", "cell", "seeds", "frames per seed", "ended", "wall time", "threads", "compiled"]]
     for run, name in [(run, f"{cell.algorithm} {cell.activation}") for cell in cells for run in cell.runs]:
         seconds, first, last = run.meta.get("wall_seconds"), run.seeds[0], run.seeds[-1]
         wall = str(datetime.timedelta(seconds=round(seconds))) if isinstance(seconds, (int, float)) else "not known"
         how = [_show(run.meta.get(fact, "not known")) for fact in ("threads", "compiled")]
         seeds = str(first) if first == last else f"{first} ... {last}"
-        rows.append([str(run.path), name, seeds, f"{run.frames:,}", wall, *how])
+        ended = str(run.meta.get("ended", "not known")).partition("T")[0]
+        rows.append([str(run.path), name, seeds, f"{run.frames:,}", ended, wall, *how])
     return rows
 
 

@@ -257,6 +257,8 @@ class Recorder:
         except OSError as error:
             raise self._unwritable(error) from error
         try:
+            if self._check_folder():
+                raise RunError(f"out={self.path}: was finished by another process meanwhile; give the command again")
             self._begin()
         except BaseException:
             self._release()
@@ -382,7 +384,7 @@ class Recorder:
         if isinstance(before.get("threads"), int):
             torch.set_num_threads(before["threads"])
         if before.get("compiled") and not compile:
-            raise RunError(f"out={self.path}: the run began compiled, and nothing can be compiled here; see compile=on")
+            raise RunError(f"out={self.path}: the run began compiled, and nothing can be compiled here; install g++")
         return bool(before.get("compiled", compile))
 
     def note(self, **facts: Any) -> None:

@@ -101,11 +101,11 @@ def test_the_gradient_of_3_agents_is_each_ones_own():
     batch = transitions(3, 32, dtype=torch.float64)
     population_config = DQNConfig(n_seeds=3)
     loss = make_loss(make_network(population_config).double(), population_config)
-    population, _ = make_learner(loss, population_config, compile=False).gradient(batch)
+    population = make_learner(loss, population_config, compile=False).gradient(batch)
     for agent in range(3):
         config = DQNConfig(seed=agent)
         learner = make_learner(make_loss(make_network(config).double(), config), config, compile=False)
-        own, _ = learner.gradient(batch[agent : agent + 1])
+        own = learner.gradient(batch[agent : agent + 1])
         for name, part in own.items():
             assert part.abs().max() > 0
             torch.testing.assert_close(population[name][agent], part[0], rtol=1e-12, atol=1e-12)

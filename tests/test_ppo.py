@@ -20,7 +20,6 @@ from uavnav.learner import Learner
 from uavnav.ppo import (
     PPOConfig,
     SampledPolicy,
-    agent_losses,
     estimate,
     learn,
     make_advantage,
@@ -134,7 +133,7 @@ def test_the_gradient_of_3_agents_is_each_ones_own():
     batch = rollout(3, 64, dtype=torch.float64)
 
     def gradient(policy, value, rows):
-        return make_learner(make_loss(policy, value, config), config, compile=False).gradient(rows)[0]
+        return make_learner(make_loss(policy, value, config), config, compile=False).gradient(rows)
 
     policy, value = (network.double() for network in make_networks(config))
     population = gradient(policy, value, batch)
@@ -501,13 +500,6 @@ def test_train_takes_one_thread_and_gives_its_callers_3_back(tmp_path):
         assert torch.get_num_threads() == 3
     finally:
         torch.set_num_threads(1)
-
-
-def test_agent_losses_are_means_over_each_agents_rows():
-    losses = TensorDict({"loss_objective": torch.arange(6.0).reshape(2, 3), "loss_critic": torch.ones(2, 3, 1)}, [])
-    result = agent_losses(losses)
-    assert result["loss_objective"].tolist() == [1.0, 4.0]
-    assert result["loss_critic"].tolist() == [1.0, 1.0]
 
 
 def test_one_million_frames_are_489_whole_iterations():

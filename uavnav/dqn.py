@@ -141,15 +141,10 @@ def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
     return loss
 
 
-def agent_losses(losses: TensorDictBase) -> dict[str, Tensor]:
-    """Each agent's mean over its rows: what DQNLoss returns with `reduction="none"` -> loss [A]."""
-    return {"loss": losses["loss"].flatten(1).mean(1)}
-
-
 def make_learner(loss: DQNLoss, config: DQNConfig, compile: bool) -> Learner:
     """Adam as SB3 sets it."""
     return Learner(
-        loss, agent_losses, lr=config.lr, eps=config.adam_eps, max_grad_norm=config.max_grad_norm, compile=compile
+        loss, ["loss"], lr=config.lr, eps=config.adam_eps, max_grad_norm=config.max_grad_norm, compile=compile
     )
 
 
@@ -182,9 +177,7 @@ def rows(batch: TensorDictBase) -> TensorDictBase:
 
 def learn(buffer: ReplayBuffer, learner: Learner, config: DQNConfig) -> dict[str, Tensor]:
     """A round of gradient steps, each on a batch of its own; each agent's loss and gradient norm, their mean, [A]."""
-    batches = buffer.sample().reshape(config.n_seeds, -1, config.batch_size)
-    steps = [learner.step(minibatch) for minibatch in batches.unbind(1)]
-    return {name: torch.stack([losses[name] for losses in steps]).mean(0) for name in steps[0]}
+    return learner.learn(buffer.sample().reshape(config.n_seeds, -1, config.batch_size))
 
 
 @compiling.in_threads
@@ -234,6 +227,7 @@ def train(
         trust_policy=True,
         use_buffers=False,
         return_same_td=True,
+        device=config.device,
     )
     loss = make_loss(network, config)
     learner = make_learner(loss, config, compile)

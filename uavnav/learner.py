@@ -1,124 +1,194 @@
-"""One gradient step of a whole population: TorchRL's loss, the gradient of each agent, its norm clipped, Adam.
+"""Gradient steps of a whole population: TorchRL's loss, the gradient of each agent, its norm clipped, Adam.
 
 Agents share no parameter, so the gradient of the sum of their losses is, agent by agent, the gradient of each one's
-own loss; Adam is elementwise; only the norm must be taken per agent. Letter: A agents, the leading axis of every
-parameter.
+own loss; Adam is elementwise; only the norm must be taken per agent. Letters: A agents, the leading axis of every
+parameter; M minibatches of N rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torch.optim.adam import adam
+from torch.fx.experimental.proxy_tensor import make_fx
 from torchrl.objectives import LossModule
 
-AgentLosses = Callable[[TensorDictBase], dict[str, Tensor]]
-"""From what a loss module returned with `reduction="none"`: name -> [A], each agent's mean. The loss is their sum."""
+BETA1, BETA2 = 0.9, 0.999
+"""Adam's, as everywhere."""
+
+Tensors = Sequence[Tensor]
 
 
 class _Objective(nn.Module):
-    """A loss module as a plain module from a batch to the population's scalar and each agent's parts.
+    """A loss module as a plain module from a batch to the population's scalar and each agent's parts [losses, A]."""
 
-    The tracer needs a plain `nn.Module` outermost: a `LossModule` has a `named_parameters` of its own.
-    """
-
-    def __init__(self, loss: LossModule, agent_losses: AgentLosses) -> None:
+    def __init__(self, loss: LossModule, losses: Sequence[str]) -> None:
         super().__init__()
         self.loss = loss
-        self.agent_losses = agent_losses
+        self.losses = tuple(losses)
 
-    def forward(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        losses = self.agent_losses(self.loss(batch))
-        return sum(losses.values(), torch.zeros(())).sum(), {name: part.detach() for name, part in losses.items()}
+    def forward(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
+        found = self.loss(batch.clone(False))  # DQNLoss writes its errors into what it is given
+        parts = torch.stack([found[name].flatten(1).mean(1) for name in self.losses])
+        return parts.sum(), parts.detach()
 
 
 class Learner:
-    """Adam on the parameters of a TorchRL loss module, in place, one minibatch a call.
+    """Adam on the parameters of a TorchRL loss module, in place, any number of minibatches a call.
 
     Args:
         loss: built with `reduction="none"` on networks whose parameters lead with the agent axis.
-        agent_losses: how each agent's losses follow from what the module returns.
+        losses: names of what it returns; an agent's loss is the sum of their means over the agent's rows.
         lr, eps: Adam's.
         max_grad_norm: each agent's gradient is scaled down to this norm.
-        compile: run loss, gradient, clipping and Adam as one compiled graph.
+        compile: run all minibatches of a call as one compiled graph.
     """
 
     def __init__(
-        self,
-        loss: LossModule,
-        agent_losses: AgentLosses,
-        *,
-        lr: float,
-        eps: float,
-        max_grad_norm: float,
-        compile: bool,
+        self, loss: LossModule, losses: Sequence[str], *, lr: float, eps: float, max_grad_norm: float, compile: bool
     ) -> None:
         self.lr, self.eps, self.max_grad_norm = lr, eps, max_grad_norm
-        self.objective = _Objective(loss, agent_losses)
+        self.compile = compile
+        self.names = (*losses, "grad_norm")
+        self.objective = _Objective(loss, losses)
         self.parameters = dict(self.objective.named_parameters())
-        self.first_moments = [torch.zeros_like(value) for value in self.parameters.values()]
-        self.second_moments = [torch.zeros_like(value) for value in self.parameters.values()]
-        self.steps = [torch.zeros((), device=value.device) for value in self.parameters.values()]
-        self._step = self._update
-        if compile:
-            torch._dynamo.config.trace_autograd_ops = True  # let the gradient be a part of the graph
-            self._step = torch.compile(self._update, dynamic=False, fullgraph=True)
+        self.buffers = dict(self.objective.named_buffers())
+        self.moments = [torch.zeros_like(value) for value in (*self.parameters.values(), *self.parameters.values())]
+        self.steps = torch.zeros((), dtype=torch.float64, device=self.moments[0].device)
+        self._compiled: Callable[..., Tensor] | None = None
+
+    def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
+        """Updates from minibatches [A, M, N], one after the other; each agent's mean losses and gradient norm, [A]."""
+        if not self.compile:
+            steps = [self.step(batch) for batch in batches.unbind(1)]
+            return {name: torch.stack([losses[name] for losses in steps]).mean(0) for name in self.names}
+        with torch.no_grad():
+            leaves = list(batches.values(include_nested=True, leaves_only=True))
+            if self._compiled is None:
+                self._compiled = self._compile(list(batches.keys(include_nested=True, leaves_only=True)), leaves)
+            found = self._compiled(self._rates(batches.shape[1]), self._state, list(self.buffers.values()), leaves)
+            self.steps += batches.shape[1]
+        return dict(zip(self.names, found, strict=True))
 
     def step(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """One update of every agent from a minibatch [A, N]; returns each agent's losses and gradient norm, [A]."""
         with torch.no_grad():
-            return self._step(batch)
+            found, state = self._update(self._rates(1)[0], self._state, batch)
+            for value, new in zip(self._state, state, strict=True):
+                value.copy_(new)
+            self.steps += 1
+        return dict(zip(self.names, found, strict=True))
+
+    def gradient(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        """The gradient by parameter, unclipped."""
+        gradient, _ = self._gradient(list(self.parameters.values()), batch)
+        return dict(zip(self.parameters, gradient, strict=True))
 
     def state_dict(self) -> dict[str, dict[str, Tensor]]:
         """Weights, targets, Adam's moments and steps."""
-        return {
-            "network": {name: value.detach().clone() for name, value in self._tensors()},
-            "first_moments": {str(index): value.clone() for index, value in enumerate(self.first_moments)},
-            "second_moments": {str(index): value.clone() for index, value in enumerate(self.second_moments)},
-            "steps": {str(index): value.clone() for index, value in enumerate(self.steps)},
-        }
+        network = {name: value.detach().clone() for name, value in (self.parameters | self.buffers).items()}
+        moments = {str(index): value.clone() for index, value in enumerate(self.moments)}
+        return {"network": network, "moments": moments, "steps": {"all": self.steps.clone()}}
 
     def load_state_dict(self, state_dict: dict[str, dict[str, Tensor]]) -> None:
         """Write in place what `state_dict` returned, so that the networks elsewhere follow."""
         with torch.no_grad():
-            for name, value in self._tensors():
+            for name, value in (self.parameters | self.buffers).items():
                 value.copy_(state_dict["network"][name])
-            for kind in ("first_moments", "second_moments", "steps"):
-                for index, value in enumerate(getattr(self, kind)):
-                    value.copy_(state_dict[kind][str(index)])
+            for index, value in enumerate(self.moments):
+                value.copy_(state_dict["moments"][str(index)])
+            self.steps.copy_(state_dict["steps"]["all"])
 
-    def _tensors(self) -> Iterator[tuple[str, Tensor]]:
-        yield from self.objective.named_parameters()
-        yield from self.objective.named_buffers()
+    @property
+    def _state(self) -> list[Tensor]:
+        """What an update changes: the parameters, then Adam's first moments, then the second."""
+        return [*self.parameters.values(), *self.moments]
 
-    def gradient(self, batch: TensorDictBase) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The gradient by parameter, unclipped, and each agent's losses [A]."""
-        with torch.enable_grad():
-            total, losses = self.objective(batch.clone(False))  # DQNLoss writes its errors into what it is given
-            gradient = torch.autograd.grad(total, list(self.parameters.values()))
-        return dict(zip(self.parameters, gradient, strict=True)), losses
+    def _rates(self, n: int) -> Tensor:
+        """Adam's step size and epsilon of the next n steps, with the corrections of the moments' bias: [n, 2]."""
+        step = self.steps + torch.arange(1, n + 1, device=self.steps.device)
+        correction = (1 - BETA2**step).sqrt()
+        rates = torch.stack([self.lr * correction / (1 - BETA1**step), self.eps * correction], -1)
+        return rates.to(self.moments[0].dtype)
 
-    def _update(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        gradient, losses = self.gradient(batch)
-        norm = torch.stack([part.flatten(1).square().sum(1) for part in gradient.values()]).sum(0).sqrt()
+    def _gradient(self, parameters: Tensors, batch: TensorDictBase) -> tuple[Tensors, Tensor]:
+        """By parameter, and the losses [losses, A]."""
+
+        def objective(parameters: Tensors) -> tuple[Tensor, Tensor]:
+            with _nested(zip(self.parameters, parameters, strict=True)).to_module(self.objective):
+                found: tuple[Tensor, Tensor] = self.objective(batch)
+            return found
+
+        result: tuple[Tensors, Tensor] = torch.func.grad(objective, has_aux=True)(tuple(parameters))
+        return result
+
+    def _update(self, rate: Tensor, state: Tensors, batch: TensorDictBase) -> tuple[Tensor, list[Tensor]]:
+        """One step: the losses and the gradient's norm [losses + 1, A], and the next state.
+
+        Adam as at the end of section 2 of Kingma and Ba (2015), the moments' bias corrected in the rate [2]: fewer
+        divisions for every parameter.
+        """
+        n = len(self.parameters)
+        values, first, second = state[:n], state[n : 2 * n], state[2 * n :]
+        gradient, losses = self._gradient(values, batch)
+        norm = torch.stack([part.flatten(1).square().sum(1) for part in gradient]).sum(0).sqrt()
         scale = (self.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)  # as torch.nn.utils.clip_grad_norm_
-        adam(
-            list(self.parameters.values()),
-            [part * scale.reshape(-1, *[1] * (part.ndim - 1)) for part in gradient.values()],
-            self.first_moments,
-            self.second_moments,
-            [],
-            self.steps,
-            foreach=False,
-            amsgrad=False,
-            beta1=0.9,
-            beta2=0.999,
-            lr=self.lr,
-            weight_decay=0.0,
-            eps=self.eps,
-            maximize=False,
-        )
-        return losses | {"grad_norm": norm}
+        clipped = [part * scale.reshape(-1, *[1] * (part.ndim - 1)) for part in gradient]
+        first = [torch.lerp(m, g, 1 - BETA1) for m, g in zip(first, clipped, strict=True)]
+        second = [v * BETA2 + (1 - BETA2) * g * g for v, g in zip(second, clipped, strict=True)]
+        lr, eps = rate.unbind()
+        values = [value - lr * m / (v.sqrt() + eps) for value, m, v in zip(values, first, second, strict=True)]
+        return torch.cat([losses, norm[None]]), [*values, *first, *second]
+
+    def _compile(self, keys: Sequence[Any], leaves: Tensors) -> Callable[..., Tensor]:
+        """All updates of a call as one graph: one update, traced, is the body of its loop, however many there are.
+
+        keys and leaves: of minibatches [A, M, N]. `torch.compile` cannot look into a loss module inside of a loop, and
+        so it gets one update as the tensor operations that it comes down to.
+        """
+        n_state, n_buffers = len(self._state), len(self.buffers)
+
+        def update(rate: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+            state, buffers, leaves = (
+                tensors[:n_state],
+                tensors[n_state : n_state + n_buffers],
+                tensors[n_state + n_buffers :],
+            )
+            batch = _nested(zip(keys, leaves, strict=True), leaves[0].shape[:2])
+            with _nested(zip(self.buffers, buffers, strict=True)).to_module(self.objective):
+                found, state = self._update(rate, state, batch)
+            return found, *state
+
+        first = [leaf[:, 0] for leaf in leaves]
+        traced = make_fx(update)(self._rates(1)[0], *self._state, *self.buffers.values(), *first)
+
+        def loop(rates: Tensor, state: list[Tensor], buffers: list[Tensor], leaves: list[Tensor]) -> Tensor:
+            def unfinished(index: Tensor, *carried: Tensor) -> Tensor:
+                return index < len(rates)
+
+            def body(index: Tensor, total: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
+                rate = rates.index_select(0, index[None]).squeeze(0)
+                batch = [leaf.index_select(1, index[None]).squeeze(1) for leaf in leaves]
+                found, *state = traced(rate, *state, *buffers, *batch)
+                return index + 1, total + found, *state
+
+            index = torch.zeros((), dtype=torch.int64, device=rates.device)
+            total = torch.zeros(len(self.names), len(state[0]), device=rates.device)
+            _, total, *after = torch.while_loop(unfinished, body, (index, total, *state))
+            for value, new in zip(state, after, strict=True):
+                value.copy_(new)
+            return total / len(rates)
+
+        inductor = torch._inductor.config  # it keeps a graph with a loop on disk, as any other, if the loop is named
+        inductor.unsafe_marked_cacheable_functions["torch.ops.higher_order.while_loop"] = "1"
+        return torch.compile(loop, dynamic=False, fullgraph=True, options={"cpp_wrapper": True})
+
+
+def _nested(items: Iterable[tuple[Any, Tensor]], batch_size: Sequence[int] = ()) -> TensorDict:
+    """A TensorDict of tensors by nested key, or by a name with dots."""
+    return TensorDict(
+        {tuple(key.split(".")) if isinstance(key, str) else key: value for key, value in items}, batch_size
+    )

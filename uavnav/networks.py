@@ -52,7 +52,7 @@ class AgentLinear(nn.Module):
             else:
                 nn.init.uniform_(weight[agent], -bound, bound, generator=generator)
                 nn.init.uniform_(bias[agent], -bound, bound, generator=generator)
-        self.weight = nn.Parameter(weight.transpose(1, 2).contiguous())
+        self.weight = nn.Parameter(weight.transpose(1, 2).clone(memory_format=torch.contiguous_format))
         self.bias = nn.Parameter(bias)
 
     def forward(self, x: Tensor) -> Tensor:

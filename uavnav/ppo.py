@@ -138,17 +138,10 @@ def make_loss(policy: nn.Module, value: nn.Module, config: PPOConfig) -> ClipPPO
     )
 
 
-def agent_losses(losses: TensorDictBase) -> dict[str, Tensor]:
-    """Each agent's mean over its rows: what ClipPPOLoss returns with `reduction="none"` -> name: [A]."""
-    names = [name for name in ("loss_objective", "loss_critic", "loss_entropy") if name in losses]
-    return {name: losses[name].flatten(1).mean(1) for name in names}
-
-
 def make_learner(loss: ClipPPOLoss, config: PPOConfig, compile: bool) -> Learner:
     """Adam as SB3 sets it."""
-    return Learner(
-        loss, agent_losses, lr=config.lr, eps=config.adam_eps, max_grad_norm=config.max_grad_norm, compile=compile
-    )
+    losses = ["loss_objective", "loss_critic", *(["loss_entropy"] if config.entropy_coeff > 0 else [])]
+    return Learner(loss, losses, lr=config.lr, eps=config.adam_eps, max_grad_norm=config.max_grad_norm, compile=compile)
 
 
 def make_buffer(sampler: AgentSampler, config: PPOConfig) -> ReplayBuffer:
@@ -181,11 +174,9 @@ def learn(batch: TensorDictBase, buffer: ReplayBuffer, learner: Learner, config:
     """Epochs of minibatches over a rollout [A, W, T] with its advantages; each agent's losses, their mean, [A]."""
     buffer.empty()
     buffer.extend(rows(batch))
-    steps = []
-    for _ in range(config.epochs):
-        epoch = buffer.sample().reshape(config.n_seeds, -1, config.minibatch_size)
-        steps += [learner.step(minibatch) for minibatch in epoch.unbind(1)]
-    return {name: torch.stack([losses[name] for losses in steps]).mean(0) for name in steps[0]}
+    minibatches = (config.n_seeds, -1, config.minibatch_size)
+    epochs = [learner.learn(buffer.sample().reshape(minibatches)) for _ in range(config.epochs)]
+    return {name: torch.stack([losses[name] for losses in epochs]).mean(0) for name in epochs[0]}
 
 
 @torch.no_grad()
@@ -248,6 +239,7 @@ def train(
         trust_policy=True,
         use_buffers=False,
         return_same_td=True,
+        device=config.device,
     )
     sampler = AgentSampler(config.seeds, "minibatches", replace=False)
     buffer = make_buffer(sampler, config)

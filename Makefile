@@ -11,7 +11,7 @@ test: .venv/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 -m ""
 
 .venv/.installed: pyproject.toml
 	$(PYTHON) -m venv .venv

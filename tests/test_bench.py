@@ -172,9 +172,11 @@ def test_the_interval_of_a_ratio_is_a_point_without_spread_and_covers_1_in_about
 
 
 def test_intervals_are_the_same_only_within_0_8_to_1_25():
-    assert bench_parity.Ratio(1, 0.8, 1.25).same
-    assert not bench_parity.Ratio(1, 0.79, 1.0).same
-    assert not bench_parity.Ratio(1, 1.0, 1.26).same
+    assert bench_parity.Ratio(1, 0.8, 1.25).verdict == "equal"
+    assert bench_parity.Ratio(1, 0.79, 1.0).verdict == "open"
+    assert bench_parity.Ratio(1, 1.0, 1.26).verdict == "open"
+    assert bench_parity.Ratio(1.3, 1.01, 1.6).verdict == "different"
+    assert bench_parity.Ratio(0.8, 0.7, 0.99).verdict == "different"
 
 
 def keep_curves(store, cell, arm, seeds, level):
@@ -187,32 +189,38 @@ def keep_curves(store, cell, arm, seeds, level):
 
 def test_parity_runs_what_is_missing_and_compares_what_is_there(tmp_path):
     store, seeds, cells = bench_parity.Store(tmp_path, 10_000), {"uavnav": 3, "sb3": 2}, bench_parity.CELLS[:1]
-    mine, same, alone = bench_parity.arms(16)
-    todo = store.jobs(cells, 16, seeds)
-    assert [job for _, job, _ in todo] == ["curves_ours"] + ["curves_sb3"] * 4
+    worlds = {"ppo": 16, "dqn": 64}
+    mine, theirs, mine_alone, theirs_alone = bench_parity.arms(16)
+    todo = store.jobs(cells, worlds, seeds)
+    assert [job for _, job, _ in todo] == ["curves_ours", *["curves_sb3"] * 2] * 2
+    assert [todo[index][2]["n_worlds"] for index in (0, 3)] == [16, 1]
     assert todo[0][2]["seeds"] == [0, 1, 2]
     keep_curves(store, cells[0], mine, 2, level=-4)
-    keep_curves(store, cells[0], same, 2, level=-4)
-    keep_curves(store, cells[0], alone, 1, level=-7)
-    todo = store.jobs(cells, 16, seeds)
+    keep_curves(store, cells[0], theirs, 2, level=-4)
+    keep_curves(store, cells[0], mine_alone, 3, level=-1)
+    keep_curves(store, cells[0], theirs_alone, 1, level=-7)
+    todo = store.jobs(cells, worlds, seeds)
     assert [job for _, job, _ in todo] == ["curves_ours", "curves_sb3"]
     assert todo[0][2]["seeds"] == [2]
     assert (todo[1][2]["seed"], todo[1][2]["n_envs"]) == (1, 1)
-    assert "not enough seeds" in "\n".join(bench_parity.section(store, 16, "x.png", cells, seeds))
-    keep_curves(store, cells[0], alone, 2, level=-7)
-    row = next(line for line in bench_parity.section(store, 16, "x.png", cells, seeds) if "ppo tanh" in line)
-    assert row.split("|")[5].strip() == "1.00 (1.00 ... 1.00)"
-    assert row.split("|")[6].strip() == "yes"
-    assert row.split("|")[7].strip().startswith("2.00 (")
-    (panel,) = bench_parity.draw(store, 16, cells, seeds).axes
-    assert len(panel.lines) == 3
+    assert "not enough seeds" in "\n".join(bench_parity.section(store, worlds, "x.png", cells, seeds))
+    keep_curves(store, cells[0], theirs_alone, 2, level=-7)
+    lines = [line for line in bench_parity.section(store, worlds, "x.png", cells, seeds) if "PPO tanh" in line]
+    like, alone, ours, sb3 = ([cell.strip() for cell in line.split("|")] for line in lines)
+    assert like[2:] == ["16", "6.01 ± 0.01 (2)", "6.01 ± 0.01 (2)", "1.00 (1.00 ... 1.00)", "equal", ""]
+    assert alone[5].startswith("3.00 (")
+    assert alone[6] == "different"
+    assert ours[4].startswith("0.67 (")
+    assert sb3[4].startswith("2.00 (")
+    (panel,) = bench_parity.draw(store, worlds, cells, seeds).axes
+    assert len(panel.lines) == 4
     assert panel.get_xlabel() == "frames per seed [thousand]"
 
 
 def test_a_seed_that_cannot_be_trained_is_named_and_the_others_are_kept(tmp_path):
     store, said = bench_parity.Store(tmp_path, 300), []
     cell = bench_parity.Cell("ppo", "tanhh")
-    failed = bench_parity.train(store, 16, tmp_path, said.append, [cell], {"uavnav": 1, "sb3": 0}, at_once=1)
+    failed = bench_parity.train(store, {"ppo": 1}, tmp_path, said.append, [cell], {"uavnav": 1, "sb3": 0}, at_once=1)
     assert len(failed) == 1
     assert "did you mean tanh?" in failed[0]
     assert len(said) == 1
@@ -347,7 +355,10 @@ def test_every_measurement_of_the_plan_names_a_job_and_arguments_that_it_takes()
         inspect.signature(bench_jobs.ours).bind(0.0, **point.arguments)
 
 
-@pytest.mark.parametrize(("algorithm", "frames", "more"), [("ppo", 8192, {}), ("dqn", 400, {"learning_starts": 200})])
+@pytest.mark.parametrize(
+    ("algorithm", "frames", "more"),
+    [("ppo", 8192, {}), ("dqn", 40_000, {"learning_starts": 10_000, "frames_per_update": 64})],
+)
 def test_a_watched_run_of_ours_is_stopped_and_names_its_rates(algorithm, frames, more):
     settings = {"frames_per_batch": 256, "epochs": 1} if algorithm == "ppo" else {}
     found = bench_jobs.ours(0.0, algorithm, 1, 0.0, stages=True, compile="off", **settings, **more)

@@ -60,7 +60,7 @@ def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
         (PPOConfig, {"minibatch_size": 100}, "minibatch_size=100; give a divisor of frames_per_batch=2048"),
         (PPOConfig, {"batch_size": 3}, "there is no key 'batch_size'"),
         (DQNConfig, {"loss": "l1"}, "loss=l1; choose from huber, squared"),
-        (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give at least n_worlds=16"),
+        (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give at least n_worlds=64"),
         (DQNConfig, {"epochs": 3}, "there is no key 'epochs'"),
     ],
 )
@@ -100,7 +100,7 @@ def test_the_preset_paper_of_dqn_is_sb3s_defaults_and_paper_2_3_learns_from_fram
     assert (p.lr, p.adam_eps, p.buffer_size, p.learning_starts, p.batch_size) == (1e-4, 1e-8, 10**6, 50_000, 32)
     assert (p.gamma, p.frames_per_update, p.target_update_frames, p.loss) == (0.99, 4, 10_000, "huber")
     assert (p.epsilon_start, p.epsilon_end, p.exploration_fraction, p.max_grad_norm) == (1.0, 0.05, 0.1, 10.0)
-    assert (p.hidden, p.init, p.n_worlds, p.total_frames) == ((64, 64), "default", 16, 10**6)
+    assert (p.hidden, p.init, p.n_worlds, p.total_frames) == ((64, 64), "default", 64, 10**6)
     newer = DQN_PRESETS["paper-2.3"]
     assert {key: value for key, value in vars(newer).items() if vars(p)[key] != value} == {
         "preset": "paper-2.3",

@@ -157,7 +157,7 @@ def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s(acti
         buffer_size=100,
         seed=0,
     )
-    config = DQNConfig(activation=activation, max_grad_norm=cap, lr=1e-3)
+    config = DQNConfig(activation=activation, max_grad_norm=cap, lr=1e-3, n_worlds=16)
     network = make_network(config)
     loss = make_loss(network, config)
     other = make_network(DQNConfig(activation=activation, seed=7))
@@ -403,6 +403,7 @@ def test_the_run_flew_in_the_world_that_its_settings_and_its_cap_describe(watche
 
 def test_half_of_4000_actions_at_epsilon_one_half_are_explored_and_q_value_is_the_mean_of_the_best(tmp_path):
     config = DQNConfig(
+        n_worlds=16,
         total_frames=4_000,
         learning_starts=0,
         frames_per_update=1_600,
@@ -470,7 +471,9 @@ def test_epsilon_falls_from_1_to_5_percent_over_a_tenth_of_the_frames_once_learn
 
 
 def test_before_learning_starts_every_action_is_random_and_no_weight_moves(tmp_path):
-    run = train(DQNConfig(total_frames=4_000, learning_starts=4_000, compile="off"), out=tmp_path / "r", quiet=True)
+    run = train(
+        DQNConfig(total_frames=4_000, learning_starts=4_000, n_worlds=16, compile="off"), out=tmp_path / "r", quiet=True
+    )
     counts = run.episodes.sum()
     assert abs(counts.turns / counts.steps - 0.9) < 0.02
     observation = torch.rand(5, 30)
@@ -480,7 +483,8 @@ def test_before_learning_starts_every_action_is_random_and_no_weight_moves(tmp_p
 
 def test_the_target_is_copied_every_64_frames(tmp_path, monkeypatch):
     """At 16 worlds: after steps 4, 8 and 12, and what was copied are the weights of that moment."""
-    config = DQNConfig(total_frames=16 * 13, learning_starts=16, target_update_frames=64, lr=1e-2, compile="off")
+    settings = {"learning_starts": 16, "target_update_frames": 64, "n_worlds": 16}
+    config = DQNConfig(total_frames=16 * 13, lr=1e-2, compile="off", **settings)
     kept = {}
     monkeypatch.setattr(
         "uavnav.dqn.make_loss", lambda network, config: kept.setdefault("loss", make_loss(network, config))
@@ -501,9 +505,10 @@ def test_the_target_is_copied_every_64_frames(tmp_path, monkeypatch):
         assert torch.equal(targets[step], online[step - 1])  # before that step's own updates
 
 
-def test_four_updates_follow_each_step_of_16_worlds():
-    assert DQNConfig().updates_per_step == 4
-    assert DQNConfig().iterations * 4 == 250_000
+def test_sixteen_updates_follow_each_step_of_64_worlds_and_four_of_16():
+    assert DQNConfig().updates_per_step == 16
+    assert DQNConfig().iterations * 16 == 250_000
+    assert DQNConfig(n_worlds=16).updates_per_step == 4
     assert DQNConfig(n_worlds=1).updates_per_step == 1
     assert DQNConfig(n_worlds=1).steps_between_updates == 4
     with pytest.raises(ConfigError, match=r"n_worlds=6; give a multiple or a divisor of frames_per_update=4"):
@@ -525,7 +530,7 @@ def test_explored_actions_of_a_seed_do_not_depend_on_the_other_seeds():
 
 
 def test_a_buffer_of_48_keeps_the_newest_48_of_80_frames(tmp_path):
-    settings = {"total_frames": 80, "learning_starts": 16, "lr": 0.0, "batch_size": 4, "compile": "off"}
+    settings = {"total_frames": 80, "learning_starts": 16, "lr": 0.0, "batch_size": 4, "n_worlds": 16, "compile": "off"}
     ring, everything = (
         watch(DQNConfig(buffer_size=size, **settings), tmp_path / str(size)).buffer[:] for size in (48, 80)
     )

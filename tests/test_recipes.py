@@ -59,7 +59,7 @@ def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, 
         "last 100",
         "paper",
         "ratio of means",
-        "16 parallel worlds",
+        {"ppo": "16 parallel worlds", "dqn": "64 parallel worlds"}[algorithm],
         "2 seeds",
     ):
         assert words in out, words

@@ -21,8 +21,8 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,6 +30,7 @@ import numpy as np
 import pandas as pd
 
 Result = dict[str, Any]
+KeepOn = Callable[[int], bool]
 
 WHOLE = 1_000_000
 """Frames per seed of a whole run."""
@@ -328,37 +329,31 @@ def _time_stages(algorithm: str) -> Stages:
     return stages
 
 
-@contextmanager
-def _watched(keep_on: Callable[[int], bool]) -> Iterator[None]:
-    """Call `keep_on` with the frames so far at every batch that a run collects, and stop the run when it says so."""
-    from uavnav.runs import Recorder
-
-    add_episodes = Recorder.add_episodes
-
-    def watch(self: Recorder, following: Any, frame: int, *more: Any, **others: Any) -> None:
-        if not keep_on(frame):
-            raise Enough
-        add_episodes(self, following, frame, *more, **others)
-
-    Recorder.add_episodes = watch  # type: ignore[method-assign]
-    try:
-        yield
-    finally:
-        Recorder.add_episodes = add_episodes  # type: ignore[method-assign]
-
-
 def _config(algorithm: str, settings: Result) -> Any:
     module = importlib.import_module(f"uavnav.{algorithm}")
     kind = {"ppo": "PPOConfig", "dqn": "DQNConfig"}[algorithm]
     return getattr(module, kind)(**{"activation": ACTIVATION, "total_frames": WHOLE} | settings)
 
 
-def _train(algorithm: str, config: Any, out: str) -> Any:
-    return importlib.import_module(f"uavnav.{algorithm}").train(config, out=out, quiet=True)
+def _train(
+    algorithm: str, config: Any, out: str, keep_on: KeepOn = lambda frames: True, in_one_process: bool = False
+) -> Any:
+    """Train for as long as `keep_on`, called with the frames so far, says so; None where it was stopped."""
+    train = importlib.import_module(f"uavnav.{algorithm}").train
+
+    def tell(frames: int, rewards: list[float]) -> None:
+        if not keep_on(frames):
+            raise Enough
+
+    with suppress(Enough):
+        return (train.__wrapped__ if in_one_process else train)(config, out, quiet=True, tell=tell)
 
 
 def ours(launched: float, algorithm: str, frames: int, seconds: float, stages: bool = False, **settings: Any) -> Result:
-    """A run of ours, watched for a while; settings are fields of the configuration."""
+    """A run of ours, watched for a while; settings are fields of the configuration.
+
+    With `stages` the time of each is taken, in one process on one core: what one of the processes of a run does.
+    """
     config = _config(algorithm, settings)
     starts = getattr(config, "learning_starts", 0)
     warm = starts + 10 * config.n_worlds if starts else 3 * config.frames_per_batch
@@ -372,10 +367,9 @@ def ours(launched: float, algorithm: str, frames: int, seconds: float, stages: b
         return clock(frame)
 
     with tempfile.TemporaryDirectory() as scratch:
-        with suppress(Enough), _watched(keep_on):
-            _train(algorithm, config, f"{scratch}/run")
+        _train(algorithm, config, f"{scratch}/run", keep_on, in_one_process=stages)
         meta = json.loads(Path(scratch, "run", "meta.json").read_text())
-    how = {"compiled": meta.get("compiled"), "threads": meta.get("threads")}
+    how = {name: meta.get(name) for name in ("compiled", "threads", "processes")}
     shares = {} if timer is None else {"shares": timer.shares()}
     return _timed(clock.marks, starts, algorithm) | how | shares
 
@@ -604,8 +598,7 @@ def reach(launched: float, preset: str, seed: int, target: float, held_out: int,
     with tempfile.TemporaryDirectory() as scratch:
         layouts.save(bank[:-held_out], f"{scratch}/train.safetensors", seed=0, split="train")
         config = replace(ppo.PRESETS[preset], seed=seed, n_seeds=1, layouts=f"{scratch}/train.safetensors")
-        with suppress(Enough), _watched(keep_on):
-            _train("ppo", config, f"{scratch}/run")
+        _train("ppo", config, f"{scratch}/run", keep_on)
     found = _first(len(kept), lambda index: reward(index) >= target)
     seconds, frames = (None, None) if found is None else kept[found][:2]
     return {"seed": seed, "seconds": seconds, "frames": frames}

@@ -21,6 +21,8 @@ from scipy import stats
 from uavnav.bench_jobs import Job, JobError, Result
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
+Worlds = dict[str, int]
+"""How many parallel worlds a seed has in the preset, by algorithm."""
 
 FRAMES = 200_000
 BINS = 20
@@ -29,7 +31,7 @@ FLOOR = -10.0
 CONFIDENCE = 0.9
 SAME = (0.8, 1.25)
 """Where the interval of the ratio of two areas lies if they are taken for equal."""
-SEEDS = {"uavnav": 8, "sb3": 4}
+SEEDS = {"uavnav": 24, "sb3": 8}
 LABELS = {"uavnav": "uavnav", "sb3": "SB3"}
 COLOURS = {"uavnav": "#0072B2", "sb3": "#D55E00"}
 HOURS = 3.0
@@ -58,8 +60,8 @@ CELLS = [Cell(*cell) for cell in itertools.product(("ppo", "dqn"), ("tanh", "rel
 
 
 def arms(n_worlds: int) -> list[Arm]:
-    """Ours, Stable-Baselines3 with as many parallel worlds, and as it is by default, with one."""
-    return list(dict.fromkeys([Arm("uavnav", n_worlds), Arm("sb3", n_worlds), Arm("sb3", 1)]))
+    """Both libraries with as many parallel worlds as the preset has, and with one, as Stable-Baselines3 has."""
+    return list(dict.fromkeys(Arm(library, worlds) for worlds in (n_worlds, 1) for library in ("uavnav", "sb3")))
 
 
 class Store:
@@ -82,10 +84,11 @@ class Store:
         found = [curve(pd.read_parquet(self.path(cell, arm, seed)), self.frames) for seed in there]
         return np.array(found).reshape(len(found), BINS)
 
-    def jobs(self, cells: Sequence[Cell], n_worlds: int, seeds: dict[str, int]) -> list[tuple[str, str, Result]]:
-        """What is still to be done: what to call it, the job, and its arguments."""
+    def jobs(self, cells: Sequence[Cell], worlds: Worlds, seeds: dict[str, int]) -> list[tuple[str, str, Result]]:
+        """What is still to be done: what to call it, the job, and its arguments; the preset's worlds come first."""
         found: list[tuple[str, str, Result]] = []
-        for cell, arm in itertools.product(cells, arms(n_worlds)):
+        pairs = [(cell, arm) for cell in cells for arm in arms(worlds[cell.algorithm])]
+        for cell, arm in sorted(pairs, key=lambda pair: (pair[1].n_worlds == 1, pair[1].library == "sb3")):
             missing = self.missing(cell, arm, seeds[arm.library])
             title = f"{cell.algorithm} {cell.activation}, {arm.label}"
             common: Result = {"algorithm": cell.algorithm, "activation": cell.activation}
@@ -104,7 +107,7 @@ class Store:
 
 def train(
     store: Store,
-    n_worlds: int,
+    worlds: Worlds,
     cache: Path,
     say: Callable[[str], None],
     cells: Sequence[Cell] = CELLS,
@@ -112,7 +115,7 @@ def train(
     at_once: int = 2,
 ) -> list[str]:
     """Run what is missing, so many processes at once; what failed, and why."""
-    todo, failed = store.jobs(cells, n_worlds, seeds), []
+    todo, failed = store.jobs(cells, worlds, seeds), []
     running: set[Job] = set()
 
     def run(job: str, arguments: Result) -> Result:
@@ -174,9 +177,11 @@ class Ratio(NamedTuple):
     high: float
 
     @property
-    def same(self) -> bool:
-        """Whether the whole interval lies where two areas are taken for equal."""
-        return SAME[0] <= self.low and self.high <= SAME[1]
+    def verdict(self) -> str:
+        """Whether two areas are equal, different, or neither can be said from so many seeds."""
+        if SAME[0] <= self.low and self.high <= SAME[1]:
+            return "equal"
+        return "different" if self.low > 1 or self.high < 1 else "open"
 
     def __str__(self) -> str:
         return f"{self.value:.2f} ({self.low:.2f} ... {self.high:.2f})"
@@ -203,39 +208,53 @@ def ratio(mine: Array, theirs: Array, seed: int = 0) -> Ratio:
 
 
 def section(
-    store: Store, n_worlds: int, figure: str, cells: Sequence[Cell] = CELLS, seeds: dict[str, int] = SEEDS
+    store: Store, worlds: Worlds, figure: str, cells: Sequence[Cell] = CELLS, seeds: dict[str, int] = SEEDS
 ) -> list[str]:
-    """The comparison in Markdown: one row a cell; `figure` is the name of its picture."""
-    mine, same, alone = Arm("uavnav", n_worlds), Arm("sb3", n_worlds), Arm("sb3", 1)
-    rows = []
+    """The comparison in Markdown: one row a cell and number of worlds; `figure` is the name of its picture."""
+    rows, effects = [], []
     for cell in cells:
-        found = {arm: areas(store.curves(cell, arm, seeds[arm.library])) for arm in dict.fromkeys([mine, same, alone])}
-        if any(len(values) < 2 for values in found.values()):
-            rows.append(f"| {cell.algorithm} {cell.activation} | not enough seeds yet |" + " |" * 6)
-            continue
-        means = [f"{found[arm].mean():.2f} ± {found[arm].std(ddof=1):.2f}" for arm in (mine, same, alone)]
-        like, default = ratio(found[mine], found[same]), ratio(found[mine], found[alone])
-        worlds = ratio(found[same], found[alone])
-        verdict = "yes" if like.same else "no"
-        cells_of_row = [*means, str(like), verdict, str(default), str(worlds)]
-        rows.append(f"| {cell.algorithm} {cell.activation} | {' | '.join(cells_of_row)} |")
+        name, n_worlds = f"{cell.algorithm.upper()} {cell.activation}", worlds[cell.algorithm]
+        found = {arm: areas(store.curves(cell, arm, seeds[arm.library])) for arm in arms(n_worlds)}
+        for count in dict.fromkeys((n_worlds, 1)):
+            mine, theirs = (found[Arm(library, count)] for library in ("uavnav", "sb3"))
+            if min(len(mine), len(theirs)) < 2:
+                rows.append(f"| {name} | {count} | not enough seeds yet |" + " |" * 3)
+                continue
+            like = ratio(mine, theirs)
+            row = [name, str(count), _spread(mine), _spread(theirs), str(like), like.verdict]
+            rows.append(f"| {' | '.join(row)} |")
+        for library in ("uavnav", "sb3"):
+            many, one = found[Arm(library, n_worlds)], found[Arm(library, 1)]
+            if n_worlds > 1 and min(len(many), len(one)) > 1:
+                effects.append(f"| {name} | {LABELS[library]} | {n_worlds} to 1 | {ratio(many, one)} |")
     return [
         f"Learning curves over {store.frames:,} frames: mean reward of the episodes that end in each of {BINS}"
         f" stretches. The area is that between the curve and a reward of {FLOOR:g}, divided by the frames: the mean of"
-        f" reward + {-FLOOR:g} (± standard deviation over seeds). In brackets the {CONFIDENCE:.0%} percentile bootstrap"
-        f" interval over seeds ({seeds['uavnav']} of ours, {seeds['sb3']} of SB3's) of the ratio of mean areas."
-        " Like for like means as many parallel worlds and updates a frame; SB3's default is one world.",
+        f" reward + {-FLOOR:g} (mean ± standard deviation over seeds, their number). In brackets the {CONFIDENCE:.0%}"
+        " percentile bootstrap interval over seeds of the ratio of mean areas, ours to SB3's, at the same number of"
+        " parallel worlds and of updates a frame. The areas are taken for equal if that interval lies within"
+        f" {SAME[0]} ... {SAME[1]}, for different if it excludes 1.",
         "",
-        f"| | {mine.label} | {same.label} | {alone.label} | ratio, like for like | within {SAME[0]} ... {SAME[1]} |"
-        f" ratio to SB3 with 1 world | SB3: {n_worlds} worlds to 1 |",
-        "|---|---|---|---|---|---|---|---|",
+        "| | parallel worlds | uavnav | SB3 | ratio, like for like | verdict |",
+        "|---|--:|--:|--:|--:|---|",
         *rows,
+        "",
+        "What the number of parallel worlds does to the same measure, in either library. An episode counts where it"
+        " ends, and where a seed's frames are dealt out to many worlds, a long flight ends late or not at all:",
+        "",
+        "| | library | parallel worlds | ratio of areas |",
+        "|---|---|---|--:|",
+        *effects,
         "",
         f"![Learning curves of uavnav and Stable-Baselines3]({figure})",
     ]
 
 
-def draw(store: Store, n_worlds: int, cells: Sequence[Cell] = CELLS, seeds: dict[str, int] = SEEDS) -> Figure:
+def _spread(values: Array) -> str:
+    return f"{values.mean():.2f} ± {values.std(ddof=1):.2f} ({len(values)})"
+
+
+def draw(store: Store, worlds: Worlds, cells: Sequence[Cell] = CELLS, seeds: dict[str, int] = SEEDS) -> Figure:
     """The learning curves: mean and range over seeds, one panel a cell."""
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
@@ -243,10 +262,10 @@ def draw(store: Store, n_worlds: int, cells: Sequence[Cell] = CELLS, seeds: dict
     panels = figure.subplots(-(-len(cells) // columns), columns, sharex=True, squeeze=False).flat
     at = (np.arange(BINS) + 0.5) * store.frames / BINS / 1000
     for panel, cell in zip(panels, cells, strict=False):
-        for arm in arms(n_worlds):
+        for arm in arms(worlds[cell.algorithm]):
             curves = store.curves(cell, arm, seeds[arm.library])
             if len(curves):
-                style = "--" if arm.library == "sb3" and arm.n_worlds == 1 else "-"
+                style = "--" if arm.n_worlds == 1 else "-"
                 label = f"{arm.label} ({len(curves)} seeds)"
                 panel.plot(at, curves.mean(0), style, color=COLOURS[arm.library], label=label)
                 panel.fill_between(at, curves.min(0), curves.max(0), color=COLOURS[arm.library], alpha=0.15, lw=0)

@@ -245,6 +245,7 @@ def write_training(results: Results) -> list[str]:
             )
             how = results.found[name][0][0]
             threads = f"{how['threads']}" if how.get("threads") else str(CORES if key.startswith("sbx") else 1)
+            threads = f"{how['processes']} × {threads}" if how.get("processes") else threads
             watched = results.median(name, "frames")
             rows.append(
                 [
@@ -257,7 +258,7 @@ def write_training(results: Results) -> list[str]:
                     clock(statistics.median(whole)),
                     clock(statistics.median(whole) / seeds),
                     number(shorter),
-                    number(results.median(name, "peak")),
+                    number(results.median(name, "tree") or results.median(name, "peak")),
                 ]
             )
         before = ["frames/s before learning"] if algorithm == "dqn" else []
@@ -266,7 +267,8 @@ def write_training(results: Results) -> list[str]:
     return [
         *lines,
         "",
-        "Peak memory is that of one process while it was watched: DQN's buffers were not yet full. SBX does not clip"
+        "Peak memory is that of one run while it was watched, all its processes together: DQN's buffers were not yet"
+        " full. SBX does not clip"
         " DQN's gradient, and may use all cores; the other peers have one thread a process.",
     ]
 

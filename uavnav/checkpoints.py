@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -163,9 +164,7 @@ class Checkpoints:
     def remove(self) -> None:
         """Delete all snapshots: the run is finished, or starts anew."""
         if self.folder.is_dir():
-            for path in self.folder.iterdir():
-                path.unlink()
-            self.folder.rmdir()
+            shutil.rmtree(self.folder)
 
 
 def collect(parts: Mapping[str, Stateful]) -> dict[str, Any]:

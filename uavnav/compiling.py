@@ -1,22 +1,21 @@
-"""How a run uses the machine: compiled or not, and in how many threads; by its configuration, never by a clock."""
+"""How a run uses the machine, by its configuration and never by a clock: compiled or not, processes, threads."""
 
 from __future__ import annotations
 
 import contextlib
-import functools
 import logging
 import os
 import warnings
-from collections.abc import Callable, Iterator
-from typing import Concatenate, ParamSpec, TypeVar
+from collections.abc import Iterator
 
 import torch
 
 from uavnav.config import ConfigError, TrainConfig
+from uavnav.networks import ACTIVATIONS
+from uavnav.rewards import REWARDS
 
-C = TypeVar("C", bound=TrainConfig)
-P = ParamSpec("P")
-R = TypeVar("R")
+BUILT_IN = {**ACTIVATIONS, **REWARDS}
+"""What every process has."""
 
 PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
@@ -28,8 +27,9 @@ def decide(config: TrainConfig) -> bool:
     Raises:
         ConfigError: `compile=on` where nothing can be compiled.
     """
-    if config.compile == "off" or (config.compile == "auto" and config.total_frames < PAYS_FROM):
+    if not _wanted(config):
         return False
+    torch.compiler.reset()  # graphs of earlier runs in this process would count towards a limit on how many there are
     problem = _problem(config.device)
     if problem and config.compile == "on":
         raise ConfigError(f"compile=on: no graph can be compiled here ({problem}); install g++ and Python's headers")
@@ -38,8 +38,20 @@ def decide(config: TrainConfig) -> bool:
     return problem is None
 
 
+def processes(config: TrainConfig) -> int:
+    """A process a core, each with its share of the seeds, where a run is long enough to be compiled.
+
+    An activation or a reward that the caller has added is not there in another process.
+    """
+    own = ACTIVATIONS[config.activation] is not BUILT_IN.get(config.activation)
+    own |= REWARDS[config.reward] is not BUILT_IN.get(config.reward)
+    if own or torch.device(config.device).type != "cpu" or not _wanted(config):
+        return 1
+    return min(config.n_seeds, len(os.sched_getaffinity(0)))
+
+
 def threads(config: TrainConfig) -> int:
-    """Two threads are slower than one on the networks of fewer than 4 agents, and faster from there on."""
+    """Within one process, two threads are slower than one for fewer than 4 agents, and faster from there on."""
     return 1 if config.n_seeds < 4 else min(2, len(os.sched_getaffinity(0)))
 
 
@@ -54,15 +66,8 @@ def use_threads(number: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def in_threads(train: Callable[Concatenate[C, P], R]) -> Callable[Concatenate[C, P], R]:
-    """Give a training function the threads of its configuration, and its caller the old number back."""
-
-    @functools.wraps(train)
-    def limited(config: C, /, *args: P.args, **kwargs: P.kwargs) -> R:
-        with use_threads(threads(config)):
-            return train(config, *args, **kwargs)
-
-    return limited
+def _wanted(config: TrainConfig) -> bool:
+    return config.compile == "on" or (config.compile == "auto" and config.total_frames >= PAYS_FROM)
 
 
 def _problem(device: str) -> str | None:

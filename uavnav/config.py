@@ -40,7 +40,7 @@ def _choose_from(value: object, choices: Collection[str]) -> str:
 
 def one_of(default: str, choices: Collection[str]) -> Any:
     """A field whose value is one of a table's names."""
-    return field(default=default, metadata={"choices": tuple(choices)})
+    return field(default=default, metadata={"choices": choices})
 
 
 def at_least(default: float, least: float) -> Any:

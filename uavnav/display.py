@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -18,9 +19,20 @@ from uavnav.runs import Run
 
 
 class Display:
-    """A progress bar: frames per seed, frames/s per seed, time left, reward of the last 100 episodes."""
+    """A progress bar: frames per seed, frames/s per seed, time left, reward of the last 100 episodes.
 
-    def __init__(self, algorithm: str, config: TrainConfig, total_frames: int, quiet: bool) -> None:
+    tell: is told as well what the bar shows: frames per seed, and each seed's reward.
+    """
+
+    def __init__(
+        self,
+        algorithm: str,
+        config: TrainConfig,
+        total_frames: int,
+        quiet: bool,
+        tell: Callable[[int, list[float]], None] | None = None,
+    ) -> None:
+        self._tell = tell
         self._progress = Progress(
             TextColumn(f"{algorithm} {config.activation}"),
             BarColumn(bar_width=12),
@@ -50,6 +62,8 @@ class Display:
         rate = f"{task.speed / 1000:,.1f}k" if task.speed else "-"
         done = f"{frames // 1000:,}k/{(task.total or 0) // 1000:,.0f}k"
         self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=_with_spread(rewards, 1))
+        if self._tell is not None:
+            self._tell(frames, rewards)
 
 
 def summary(run: Run) -> Table:

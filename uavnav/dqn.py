@@ -26,7 +26,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
-from uavnav import compiling, policies
+from uavnav import compiling, policies, shares
 from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
@@ -54,6 +54,7 @@ class DQNConfig(TrainConfig):
         "paper-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
     }
 
+    n_worlds: int = at_least(64, 1)  # parallel worlds per seed, 16 updates after each step of all of them
     lr: float = at_least(1e-4, 0)
     max_grad_norm: float = at_least(10.0, 0)
     buffer_size: int = at_least(1_000_000, 1)  # frames per seed
@@ -148,13 +149,9 @@ def make_learner(loss: DQNLoss, config: DQNConfig, compile: bool) -> Learner:
     )
 
 
-def make_buffer(sampler: AgentSampler, config: DQNConfig, total: int) -> ReplayBuffer:
-    """A ring of transitions with a draw of its own for each agent: all minibatches of a round at once.
-
-    Raises:
-        ConfigError: it would not fit into the machine's memory.
-    """
-    capacity = min(config.buffer_size, total)
+def check_memory(config: DQNConfig) -> None:
+    """Raise a ConfigError where the buffers of all seeds would not fit into the machine's memory."""
+    capacity = min(config.buffer_size, config.n_worlds * config.iterations)
     needed = config.n_seeds * capacity * (2 * 4 * config.world.observation_size + FRAME_BYTES) / 2**30
     available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     if config.device == "cpu" and needed > available:
@@ -162,8 +159,12 @@ def make_buffer(sampler: AgentSampler, config: DQNConfig, total: int) -> ReplayB
             f"buffer_size={config.buffer_size}, n_seeds={config.n_seeds}: the buffer would take {needed:.1f} GiB of the"
             f" machine's {available:.1f}; give a smaller buffer_size or fewer seeds"
         )
+
+
+def make_buffer(sampler: AgentSampler, config: DQNConfig, total: int) -> ReplayBuffer:
+    """A ring of transitions with a draw of its own for each agent: all minibatches of a round at once."""
     return ReplayBuffer(
-        storage=LazyTensorStorage(capacity, device=config.device),
+        storage=LazyTensorStorage(min(config.buffer_size, total), device=config.device),
         sampler=sampler,
         batch_size=config.batch_size * config.updates_per_step,
     )
@@ -180,7 +181,7 @@ def learn(buffer: ReplayBuffer, learner: Learner, config: DQNConfig) -> dict[str
     return learner.learn(buffer.sample().reshape(config.n_seeds, -1, config.batch_size))
 
 
-@compiling.in_threads
+@shares.spread(check=check_memory)
 def train(
     config: DQNConfig,
     out: str | Path | None = None,
@@ -188,6 +189,7 @@ def train(
     quiet: bool = False,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
     until: int | None = None,
+    tell: shares.Tell | None = None,
 ) -> Run:
     """Train one agent a seed and keep the run in a folder.
 
@@ -198,6 +200,9 @@ def train(
         quiet: show no progress.
         checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
         until: stop after so many frames per seed, as if by a signal.
+        tell: called now and then with the frames per seed so far and each seed's mean reward over its last 100
+            episodes.
+        processes: how many share the seeds; by default one for each core, where that pays.
 
     Returns:
         The finished run; at once, where the folder already holds this very run.
@@ -239,7 +244,7 @@ def train(
     steps_between_rows = (
         max(LOG_FRAMES // (config.n_worlds * config.steps_between_updates), 1) * config.steps_between_updates
     )
-    with recorder, Display(ALGORITHM, config, total, quiet) as display:
+    with recorder, Display(ALGORITHM, config, total, quiet, tell) as display:
         recorder.note(
             compiled=compile, threads=torch.get_num_threads(), beyond_preset=config.beyond(PRESETS[config.preset])
         )

@@ -115,15 +115,10 @@ class Learner:
         return rates.to(self.moments[0].dtype)
 
     def _gradient(self, parameters: Tensors, batch: TensorDictBase) -> tuple[Tensors, Tensor]:
-        """By parameter, and the losses [losses, A]."""
-
-        def objective(parameters: Tensors) -> tuple[Tensor, Tensor]:
-            with _nested(zip(self.parameters, parameters, strict=True)).to_module(self.objective):
-                found: tuple[Tensor, Tensor] = self.objective(batch)
-            return found
-
-        result: tuple[Tensors, Tensor] = torch.func.grad(objective, has_aux=True)(tuple(parameters))
-        return result
+        """By parameter, of those that the objective holds now; and the losses [losses, A]."""
+        with torch.enable_grad():
+            total, losses = self.objective(batch)
+            return torch.autograd.grad(total, parameters), losses
 
     def _update(self, rate: Tensor, state: Tensors, batch: TensorDictBase) -> tuple[Tensor, list[Tensor]]:
         """One step: the losses and the gradient's norm [losses + 1, A], and the next state.
@@ -152,15 +147,14 @@ class Learner:
         n_state, n_buffers = len(self._state), len(self.buffers)
 
         def update(rate: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
-            state, buffers, leaves = (
-                tensors[:n_state],
-                tensors[n_state : n_state + n_buffers],
-                tensors[n_state + n_buffers :],
-            )
+            values = [value.detach().requires_grad_() for value in tensors[: len(self.parameters)]]
+            moments, buffers = tensors[len(values) : n_state], tensors[n_state : n_state + n_buffers]
+            leaves = tensors[n_state + n_buffers :]
             batch = _nested(zip(keys, leaves, strict=True), leaves[0].shape[:2])
-            with _nested(zip(self.buffers, buffers, strict=True)).to_module(self.objective):
-                found, state = self._update(rate, state, batch)
-            return found, *state
+            here = _nested(zip([*self.parameters, *self.buffers], [*values, *buffers], strict=True))
+            with here.to_module(self.objective):
+                found, following = self._update(rate, [*values, *moments], batch)
+            return found, *following
 
         first = [leaf[:, 0] for leaf in leaves]
         traced = make_fx(update)(self._rates(1)[0], *self._state, *self.buffers.values(), *first)
@@ -172,15 +166,16 @@ class Learner:
             def body(index: Tensor, total: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
                 rate = rates.index_select(0, index[None]).squeeze(0)
                 batch = [leaf.index_select(1, index[None]).squeeze(1) for leaf in leaves]
-                found, *state = traced(rate, *state, *buffers, *batch)
-                return index + 1, total + found, *state
+                found, *following = traced(rate, *state, *buffers, *batch)
+                return index + 1, total + found, *following
 
             index = torch.zeros((), dtype=torch.int64, device=rates.device)
             total = torch.zeros(len(self.names), len(state[0]), device=rates.device)
-            _, total, *after = torch.while_loop(unfinished, body, (index, total, *state))
+            _, total, *after = torch.while_loop(unfinished, body, (index, total, *state))  # type: ignore[no-untyped-call]
             for value, new in zip(state, after, strict=True):
                 value.copy_(new)
-            return total / len(rates)
+            mean: Tensor = total / len(rates)
+            return mean
 
         inductor = torch._inductor.config  # it keeps a graph with a loop on disk, as any other, if the loop is named
         inductor.unsafe_marked_cacheable_functions["torch.ops.higher_order.while_loop"] = "1"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -78,6 +78,18 @@ def serialize(networks: Mapping[str, nn.Module], algorithm: str, config: TrainCo
         for key, value in network.state_dict().items()
     }
     return save(tensors, metadata={"uavnav": json.dumps(facts, sort_keys=True)})
+
+
+def join(paths: Sequence[Path]) -> bytes:
+    """The bytes of one policy file from those of runs that differ in nothing but their seeds, in that order."""
+    parts, seeds = [], []
+    for path in paths:
+        with safe_open(path, framework="pt") as file:
+            facts = json.loads(file.metadata()["uavnav"])
+            parts.append({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118
+        seeds += facts["seeds"]
+    tensors = {key: torch.cat([part[key] for part in parts]) for key in parts[0]}
+    return save(tensors, metadata={"uavnav": json.dumps(facts | {"seeds": seeds}, sort_keys=True)})
 
 
 def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True) -> Policy:

@@ -26,7 +26,7 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from uavnav import compiling, policies
+from uavnav import compiling, policies, shares
 from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
@@ -195,7 +195,7 @@ def diagnostics(batch: TensorDictBase, loss: ClipPPOLoss, clip_epsilon: float) -
     }
 
 
-@compiling.in_threads
+@shares.spread()
 def train(
     config: PPOConfig,
     out: str | Path | None = None,
@@ -203,6 +203,7 @@ def train(
     quiet: bool = False,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
     until: int | None = None,
+    tell: shares.Tell | None = None,
 ) -> Run:
     """Train one agent a seed and keep the run in a folder.
 
@@ -213,6 +214,9 @@ def train(
         quiet: show no progress.
         checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
         until: stop after so many frames per seed, as if by a signal.
+        tell: called now and then with the frames per seed so far and each seed's mean reward over its last 100
+            episodes.
+        processes: how many share the seeds; by default one for each core, where that pays.
 
     Returns:
         The finished run; at once, where the folder already holds this very run.
@@ -250,7 +254,7 @@ def train(
     parts: dict[str, Stateful] = {"env": env, "actions": actor.streams, "minibatches": sampler, "learner": learner}
 
     total = config.frames_per_batch * config.iterations
-    with recorder, Display(ALGORITHM, config, total, quiet) as display:
+    with recorder, Display(ALGORITHM, config, total, quiet, tell) as display:
         recorder.note(
             compiled=compile, threads=torch.get_num_threads(), beyond_preset=config.beyond(PRESETS[config.preset])
         )

@@ -72,9 +72,10 @@ class RunError(RuntimeError):
 class Interrupted(RunError):
     """SIGINT or SIGTERM stopped a run, which was saved and can go on."""
 
-    def __init__(self, message: str, signum: int, wanted: bool) -> None:
+    def __init__(self, message: str, signum: int, frames: int, wanted: bool) -> None:
         super().__init__(message)
         self.signum = signum
+        self.frames = frames  # per seed, as saved
         self.wanted = wanted  # by `until`
 
 
@@ -263,7 +264,7 @@ class Recorder:
         except BaseException:
             self._release()
             raise
-        self._stop: int | None = None
+        self.stop: int | None = None
         self._handlers: dict[int, Any] = {}
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._note_stop) for number in STOPS}
@@ -296,7 +297,7 @@ class Recorder:
 
     def _note_stop(self, number: int, frame: object) -> None:
         """The first signal waits for the end of the iteration, a second one does what it would have done."""
-        self._stop = number
+        self.stop = number
         signal.signal(number, self._handlers[number])
 
     def resume(self, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> int:
@@ -328,10 +329,10 @@ class Recorder:
             Interrupted: after SIGINT or SIGTERM, and saved.
         """
         now = time.perf_counter()
-        wanted = self._stop is None and self._until is not None and frames >= self._until
+        wanted = self.stop is None and self._until is not None and frames >= self._until
         if wanted:
-            self._stop = signal.SIGTERM
-        if self._stop is None and now - self._saved < self._checkpoint_seconds:
+            self.stop = signal.SIGTERM
+        if self.stop is None and now - self._saved < self._checkpoint_seconds:
             return
         joined = {table: _joined(rows, []) for table, rows in self._tables.items()}
         tables = {
@@ -349,14 +350,19 @@ class Recorder:
             raise RunError(f"{self._checkpoints.folder}: cannot be written ({error})") from error
         self._saved = time.perf_counter()
         self._checkpoint_seconds = max(self._checkpoint_seconds, (self._saved - now) / CHECKPOINT_SHARE)
-        if self._stop is not None:
-            name = signal.Signals(self._stop).name
-            raise Interrupted(
-                f"{self.path}: stopped by {name} and saved at {frames:,} of {self.config.total_frames:,} frames;"
-                " the same command goes on from there",
-                self._stop,
-                wanted,
-            )
+        if self.stop is not None:
+            raise self.interrupted(frames, wanted)
+
+    def interrupted(self, frames: int, wanted: bool) -> Interrupted:
+        """What to raise when the run was saved after so many frames per seed; wanted: by `until`."""
+        number = self.stop or signal.SIGTERM
+        return Interrupted(
+            f"{self.path}: stopped by {signal.Signals(number).name} and saved at {frames:,} of"
+            f" {self.config.total_frames:,} frames; the same command goes on from there",
+            number,
+            frames,
+            wanted,
+        )
 
     def snapshot_tables(self) -> tuple[int, dict[str, pd.DataFrame]]:
         """The newest snapshot of an unfinished run: its frames per seed, and the rows of episodes and of progress.
@@ -386,6 +392,10 @@ class Recorder:
         if before.get("compiled") and not compile:
             raise RunError(f"out={self.path}: the run began compiled, and nothing can be compiled here; install g++")
         return bool(before.get("compiled", compile))
+
+    def processes(self, number: int) -> int:
+        """In how many processes to train: as the unfinished run began, where there is one."""
+        return int(self._before.get("processes", 1)) if self._before else number
 
     def note(self, **facts: Any) -> None:
         """Add how the run is carried out to meta.json, and to what a snapshot must share with the run that resumes."""
@@ -442,6 +452,11 @@ class Recorder:
             "truncated": truncated,
         }
         self._episodes.append({name: columns[name].cpu().numpy() for name in EPISODE_COLUMNS})
+
+    def add_rows(self, episodes: pd.DataFrame, progress: pd.DataFrame) -> None:
+        """Keep whole tables of another run's rows."""
+        self._episodes.append({str(name): column.to_numpy() for name, column in episodes.items()})
+        self._progress.append({str(name): column.to_numpy() for name, column in progress.items()})
 
     def add_progress(self, frame: int, **values: Tensor | float) -> None:
         """Keep one row a seed: the frame per seed, and values that are [A] or one number for all."""

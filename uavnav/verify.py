@@ -18,10 +18,10 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from uavnav import dqn, policies, ppo
+from uavnav import dqn, policies, ppo, shares
 from uavnav.config import ConfigError, TrainConfig
 from uavnav.layouts import LayoutError
-from uavnav.runs import Interrupted, Recorder, Run, RunError
+from uavnav.runs import Interrupted, Run, RunError
 
 TIMING = ["frames_per_second"]
 """Columns that two equal runs may differ in."""
@@ -45,14 +45,15 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     config, train = _recipe(run)
     original = _weights(run.path)
     whole = frames is None or frames >= run.frames
+    processes = int(run.meta.get("processes", 1))
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "again"
         if whole:
-            again = train(config, out=folder, quiet=quiet)
+            again = train(config, out=folder, quiet=quiet, processes=processes)
             reached, meta, weights = again.frames, again.meta, _weights(folder)
             tables = {"episodes": again.episodes, "progress": again.progress}
         else:
-            reached, tables, meta = _beginning(config, train, run.algorithm, folder, frames, quiet)
+            reached, tables, meta = _beginning(config, train, run.algorithm, folder, frames, quiet, processes)
             weights = None
     originals = {"episodes": run.episodes, "progress": run.progress}
     if not whole:
@@ -88,15 +89,15 @@ def _recipe(run: Run) -> tuple[Any, Any]:
 
 
 def _beginning(
-    config: TrainConfig, train: Any, algorithm: str, folder: Path, frames: int | None, quiet: bool
+    config: TrainConfig, train: Any, algorithm: str, folder: Path, frames: int | None, quiet: bool, processes: int
 ) -> tuple[int, dict[str, pd.DataFrame], dict[str, Any]]:
     """The first frames of a run: it is stopped there, and its snapshot is read. How many there are, rows and facts."""
     try:
-        train(config, out=folder, quiet=quiet, until=frames)
+        train(config, out=folder, quiet=quiet, until=frames, processes=processes)
     except Interrupted as stop:
         if not stop.wanted:
             raise
-    reached, tables = Recorder(folder, algorithm, config).snapshot_tables()
+    reached, tables = shares.snapshot_tables(folder, algorithm, config)
     return reached, tables, json.loads((folder / "meta.json").read_text())
 
 
@@ -147,7 +148,7 @@ def _kind(tensor: torch.Tensor) -> str:
 def _differing(there: dict[str, Any], here: dict[str, Any]) -> list[tuple[str, Any, Any]]:
     """Facts of version, machine and bank in which two runs differ."""
     pairs = [("git_commit", there.get("git_commit"), here.get("git_commit"))]
-    pairs += [(key, there.get(key), here.get(key)) for key in ("threads", "compiled")]
+    pairs += [(key, there.get(key), here.get(key)) for key in ("threads", "processes", "compiled")]
     for group in ("versions", "machine", "bank"):
         old, new = (facts[group] if isinstance(facts.get(group), dict) else {} for facts in (there, here))
         pairs += [(f"{group}.{key}", old.get(key), new.get(key)) for key in sorted({*old, *new})]

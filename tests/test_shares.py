@@ -1,0 +1,192 @@
+"""Seeds spread over processes: the same rows and weights as each share by itself, however often it is stopped."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pandas as pd
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from uavnav import compiling, networks
+from uavnav.config import ConfigError
+from uavnav.dqn import DQNConfig
+from uavnav.dqn import train as train_dqn
+from uavnav.policies import FILE_NAME, load_policy
+from uavnav.ppo import PPOConfig, train
+from uavnav.runs import Interrupted, RunError
+from uavnav.shares import split
+from uavnav.verify import verify
+
+SMALL = {"total_frames": 1024, "frames_per_batch": 256, "epochs": 2, "compile": "off"}
+
+
+def rows(run):
+    return run.progress.drop(columns="frames_per_second")
+
+
+def assert_same(one, other):
+    pd.testing.assert_frame_equal(one.episodes, other.episodes)
+    pd.testing.assert_frame_equal(rows(one), rows(other))
+    theirs = load_file(other.path / FILE_NAME)
+    for name, tensor in load_file(one.path / FILE_NAME).items():
+        assert torch.equal(tensor, theirs[name])
+
+
+def test_ten_seeds_from_5_in_4_processes_are_3_3_2_2(tmp_path):
+    shares = split(PPOConfig(seed=5, n_seeds=10), tmp_path, 4)
+    assert [config.seeds for config in shares.values()] == [[5, 6, 7], [8, 9, 10], [11, 12], [13, 14]]
+    assert [path.name for path in shares] == ["seeds-5-7", "seeds-8-10", "seeds-11-12", "seeds-13-14"]
+
+
+@pytest.fixture(scope="module")
+def spread_run(tmp_path_factory):
+    told = []
+    config = PPOConfig(n_seeds=3, **SMALL)
+    run = train(
+        config, tmp_path_factory.mktemp("spread") / "run", quiet=True, processes=2, tell=lambda *now: told.append(now)
+    )
+    return run, told
+
+
+def test_a_spread_run_holds_the_rows_and_weights_of_its_shares(spread_run, tmp_path):
+    run, _ = spread_run
+    first = train(PPOConfig(n_seeds=2, **SMALL), tmp_path / "first", quiet=True)
+    last = train(PPOConfig(seed=2, **SMALL), tmp_path / "last", quiet=True)
+    for seed, share in ((0, first), (1, first), (2, last)):
+        for name in ("episodes", "progress"):
+            mine, theirs = (getattr(one, name).query(f"seed == {seed}").reset_index(drop=True) for one in (run, share))
+            assert len(mine) > 0
+            pd.testing.assert_frame_equal(
+                mine.drop(columns="frames_per_second", errors="ignore"),
+                theirs.drop(columns="frames_per_second", errors="ignore"),
+            )
+        observation = torch.rand(5, 30)
+        assert torch.equal(
+            load_policy(run.path, seed).values(observation), load_policy(share.path, seed).values(observation)
+        )
+    assert run.meta["processes"] == 2
+    assert run.seeds == [0, 1, 2]
+    assert not (run.path / "checkpoint").exists()
+
+
+@pytest.mark.slow
+def test_its_rows_are_in_the_order_in_which_one_process_would_have_noted_them(spread_run, tmp_path):
+    run, _ = spread_run
+    whole = train(PPOConfig(n_seeds=3, **SMALL), tmp_path / "whole", quiet=True)
+    n = len(whole.episodes[whole.episodes["frame"] <= 256])  # until the first update they fly alike
+    columns = ["seed", "frame", "world", "layout"]
+    pd.testing.assert_frame_equal(run.episodes[columns][:n], whole.episodes[columns][:n])
+    assert run.progress["seed"].tolist() == whole.progress["seed"].tolist()
+    assert run.progress["frame"].tolist() == whole.progress["frame"].tolist()
+
+
+def test_it_tells_how_far_all_seeds_are(spread_run):
+    _, told = spread_run
+    frames = [frames for frames, _ in told]
+    assert frames == sorted(frames)
+    assert frames[-1] == 1024
+    assert len(told[-1][1]) == 3
+
+
+def test_a_spread_run_that_is_stopped_and_resumed_is_the_run_that_was_not(spread_run, tmp_path):
+    config = PPOConfig(n_seeds=3, **SMALL)
+    with pytest.raises(Interrupted, match="saved at 512 of 1,024 frames") as stop:
+        train(config, tmp_path / "run", quiet=True, processes=2, until=512)
+    assert stop.value.wanted
+    assert sorted(path.name for path in (tmp_path / "run" / "checkpoint").iterdir()) == ["seeds-0-1", "seeds-2-2"]
+    assert_same(train(config, tmp_path / "run", quiet=True), spread_run[0])
+
+
+@pytest.mark.slow
+def test_verify_repeats_it_in_as_many_processes(spread_run):
+    run = spread_run[0]
+    assert verify(run, quiet=True).same
+    verdict = verify(run, frames=300, quiet=True)
+    assert verdict.same
+    assert "at 512 frames per seed" in verdict.lines[0]
+
+
+COMMAND = """
+from uavnav.ppo import PPOConfig, train
+config = PPOConfig(n_seeds=3, total_frames=400_000, frames_per_batch=256, epochs=2, compile="off")
+train(config, {out!r}, quiet=True, processes=2, checkpoint_seconds=0)
+"""
+
+
+def started(out):
+    process = subprocess.Popen([sys.executable, "-c", COMMAND.format(out=str(out))], stderr=subprocess.PIPE, text=True)
+    while len(list(out.glob("checkpoint/seeds-*/checkpoint/state-*"))) < 2:
+        assert process.poll() is None
+        time.sleep(0.05)
+    return process
+
+
+def locked(out):
+    """Whether a process still writes a share."""
+    return bool(list(out.glob("checkpoint/seeds-*/.lock")))
+
+
+def test_a_signal_is_passed_on_and_every_share_is_saved(tmp_path):
+    process = started(tmp_path / "run")
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=60)
+    assert "Interrupted" in said
+    assert "stopped by SIGTERM and saved at" in said
+    assert not locked(tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_no_share_outlives_a_run_that_was_killed(tmp_path):
+    process = started(tmp_path / "run")
+    process.kill()
+    process.communicate(timeout=60)
+    for _ in range(600):
+        if not locked(tmp_path / "run"):
+            break
+        time.sleep(0.1)
+    assert not locked(tmp_path / "run")
+    assert len(list((tmp_path / "run").glob("checkpoint/seeds-*/checkpoint/state-*"))) >= 2
+
+
+@pytest.mark.slow
+def test_what_ails_one_share_ends_the_run_in_one_line(spread_run, tmp_path):
+    config = PPOConfig(n_seeds=3, **SMALL)
+    with pytest.raises(Interrupted):
+        train(config, tmp_path / "run", quiet=True, processes=2, until=512)
+    for state in (tmp_path / "run").glob("checkpoint/seeds-2-2/checkpoint/state-*"):
+        state.write_bytes(state.read_bytes()[:-1])
+    with pytest.raises(RunError, match=r"seeds-2-2.*damaged.*overwrite=true") as error:
+        train(config, tmp_path / "run", quiet=True)
+    assert "\n" not in str(error.value)
+    assert_same(train(config, tmp_path / "run", quiet=True, overwrite=True, processes=2), spread_run[0])
+
+
+@pytest.mark.slow
+def test_dqn_spreads_as_well_and_its_memory_is_counted_for_all_seeds(tmp_path):
+    settings = {"n_seeds": 2, "total_frames": 640, "learning_starts": 128, "compile": "off"}
+    run = train_dqn(DQNConfig(**settings), tmp_path / "run", quiet=True, processes=2)
+    assert run.progress["seed"].unique().tolist() == [0, 1]
+    with pytest.raises(ConfigError, match="n_seeds=1000: the buffer would take"):
+        train_dqn(DQNConfig(n_seeds=1000, compile="off"), tmp_path / "large", quiet=True, processes=2)
+    assert not (tmp_path / "large").exists()
+
+
+def test_only_runs_that_are_compiled_are_spread_by_themselves(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(4)))
+    assert compiling.processes(PPOConfig(n_seeds=10)) == 4
+    assert compiling.processes(PPOConfig(n_seeds=3)) == 3
+    assert compiling.processes(PPOConfig(n_seeds=10, compile="off")) == 1
+    assert compiling.processes(PPOConfig(n_seeds=10, total_frames=1000)) == 1
+    assert compiling.processes(PPOConfig(n_seeds=10, total_frames=1000, compile="on")) == 4
+
+
+def test_an_activation_of_ones_own_stays_in_the_process_that_knows_it(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setitem(networks.ACTIVATIONS, "mine", torch.sin)
+    assert compiling.processes(PPOConfig(n_seeds=10, activation="mine")) == 1
+    monkeypatch.setitem(networks.ACTIVATIONS, "tanh", torch.sin)
+    assert compiling.processes(PPOConfig(n_seeds=10, activation="tanh")) == 1

@@ -1,0 +1,274 @@
+"""A run's seeds spread over processes: each trains its share of them as a run of its own.
+
+The shares lie in `checkpoint/` below the run's folder, every one with its own snapshots, and are put together when all
+have finished. A process gets its settings as JSON and tells its progress as lines of JSON; it saves and ends when the
+one that started it is gone.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pandas as pd
+
+from uavnav import compiling, policies
+from uavnav.config import ConfigError, TrainConfig, plain
+from uavnav.display import Display
+from uavnav.layouts import LayoutError
+from uavnav.runs import CHECKPOINT_SECONDS, Interrupted, Recorder, Run, RunError, default_folder
+
+C = TypeVar("C", bound=TrainConfig)
+
+Tell = Callable[[int, list[float]], None]
+"""Is told the frames per seed so far, and each seed's mean reward over its last 100 episodes."""
+
+EXPECTED = (ConfigError, LayoutError, RunError)
+SILENT = "{}: its process ended without a word; the same command goes on from the last snapshot"
+POLL_SECONDS = 0.2
+
+
+def spread(check: Callable[[Any], None] | None = None) -> Callable[[Callable[..., Run]], Callable[..., Run]]:
+    """Let a training function of an algorithm's module use as many processes as pay, and its caller's threads be.
+
+    check: of the configuration of all seeds, before anything is written.
+    """
+
+    def decorate(train: Callable[..., Run]) -> Callable[..., Run]:
+        @functools.wraps(train)
+        def spread_train(
+            config: C,
+            out: str | Path | None = None,
+            overwrite: bool = False,
+            quiet: bool = False,
+            checkpoint_seconds: float = CHECKPOINT_SECONDS,
+            until: int | None = None,
+            tell: Tell | None = None,
+            processes: int | None = None,
+        ) -> Run:
+            module = importlib.import_module(train.__module__)
+            folder = Path(out or default_folder(module.ALGORITHM, config))
+            recorder = Recorder(folder, module.ALGORITHM, config, overwrite, checkpoint_seconds, until)
+            if recorder.finished:
+                return recorder.read()
+            if check is not None:
+                check(config)
+            n = recorder.processes(processes or compiling.processes(config))
+            if n > 1:
+                compile = recorder.repeat(compiling.decide(config))
+                beyond = config.beyond(module.PRESETS[config.preset])
+                with recorder, Display(module.ALGORITHM, config, config.total_frames, quiet, tell) as display:
+                    recorder.note(compiled=compile, threads=1, processes=n, beyond_preset=beyond)
+                    shares = Shares(recorder, config, n, checkpoint_seconds, until)
+                    for frames, rewards in shares.progress():
+                        display.update(frames, rewards)
+                    return shares.join()
+            with compiling.use_threads(compiling.threads(config)):
+                return train(config, folder, overwrite, quiet, checkpoint_seconds, until, tell)
+
+        return spread_train
+
+    return decorate
+
+
+def split(config: C, folder: Path, n: int) -> dict[Path, C]:
+    """Each share's folder and configuration: n runs of consecutive seeds, as even as can be."""
+    sizes = [len(range(share, config.n_seeds, n)) for share in range(n)]
+    firsts = [config.seed + sum(sizes[:share]) for share in range(n)]
+    return {
+        folder / "checkpoint" / f"seeds-{first}-{first + size - 1}": replace(config, seed=first, n_seeds=size)
+        for first, size in zip(firsts, sizes, strict=True)
+    }
+
+
+def snapshot_tables(folder: Path, algorithm: str, config: TrainConfig) -> tuple[int, dict[str, pd.DataFrame]]:
+    """The newest snapshot of an unfinished run, of all its shares: frames per seed, rows of episodes and of progress.
+
+    Raises:
+        RunError: there is none.
+    """
+    recorder = Recorder(folder, algorithm, config)
+    n = recorder.processes(1)
+    if n == 1:
+        return recorder.snapshot_tables()
+    found = [Recorder(path, algorithm, share).snapshot_tables() for path, share in split(config, folder, n).items()]
+    tables = {name: [tables[name] for _, tables in found] for name in ("episodes", "progress")}
+    return min(frames for frames, _ in found), {
+        "episodes": _in_order(tables["episodes"]),
+        "progress": _by_frame(tables["progress"]),
+    }
+
+
+class Shares:
+    """The processes of a run that is being recorded.
+
+    Args:
+        recorder: of the whole run, already entered.
+        config: of the whole run.
+        n: how many processes.
+        checkpoint_seconds, until: as for training.
+    """
+
+    def __init__(
+        self, recorder: Recorder, config: TrainConfig, n: int, checkpoint_seconds: float, until: int | None
+    ) -> None:
+        self.recorder, self.config = recorder, config
+        self.shares = split(config, recorder.path, n)
+        self.how = {"algorithm": recorder.algorithm, "checkpoint_seconds": checkpoint_seconds, "until": until}
+
+    def progress(self) -> Iterator[tuple[int, list[float]]]:
+        """Train all shares, and yield where the whole run is: what `Tell` is told.
+
+        Raises:
+            Interrupted: by a signal or as `until` says, and saved.
+            RunError: a share cannot go on; the others were stopped and saved.
+        """
+        said: queue.SimpleQueue[tuple[Path, dict[str, Any] | None]] = queue.SimpleQueue()
+        latest: dict[Path, tuple[int, list[float]]] = dict.fromkeys(self.shares, (0, []))
+        ended: dict[Path, dict[str, Any]] = {}
+        with self._running(said) as processes:
+            told_to_stop = False
+            while len(ended) < len(self.shares):
+                if self.recorder.stop is not None and not told_to_stop:
+                    told_to_stop = True
+                    _stop(processes)
+                try:
+                    path, message = said.get(timeout=POLL_SECONDS)
+                except queue.Empty:
+                    continue
+                if message is not None and "frames" in message:
+                    latest[path] = message["frames"], message["rewards"]
+                    rewards = [reward for _, part in latest.values() for reward in part]
+                    yield min(frames for frames, _ in latest.values()), rewards
+                elif path not in ended:
+                    silent = (
+                        {"stopped": latest[path][0], "wanted": False}
+                        if told_to_stop
+                        else {"error": SILENT.format(path)}
+                    )
+                    ended[path] = message or silent
+                    if "error" in ended[path]:
+                        _stop(processes)
+        errors = [message["error"] for message in ended.values() if "error" in message]
+        if errors:
+            raise RunError(errors[0])
+        stops = [message for message in ended.values() if "stopped" in message]
+        if stops:
+            frames = min(message["stopped"] for message in stops)
+            raise self.recorder.interrupted(frames, wanted=all(message["wanted"] for message in stops))
+
+    @contextmanager
+    def _running(self, said: queue.SimpleQueue[Any]) -> Iterator[list[subprocess.Popen[str]]]:
+        processes = []
+        try:
+            for path, config in self.shares.items():
+                process = subprocess.Popen(
+                    [sys.executable, "-m", __name__],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    process_group=0,  # signals of the terminal come to this process alone, and go on from here
+                )
+                processes.append(process)
+                assert process.stdin is not None
+                process.stdin.write(json.dumps({**self.how, "out": str(path), "config": plain(config)}) + "\n")
+                process.stdin.flush()
+                threading.Thread(target=_listen, args=(process, path, said), daemon=True).start()
+            yield processes
+        finally:
+            for process in processes:
+                assert process.stdin is not None
+                process.stdin.close()  # where it still runs, it saves and ends
+            for process in processes:
+                process.wait()
+
+    def join(self) -> Run:
+        """Put the finished shares together into the whole run."""
+        runs = [Run(path) for path in self.shares]
+        self.recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
+        policy = policies.join([run.path / policies.FILE_NAME for run in runs])
+        return self.recorder.finish(policy, runs[0].frames)
+
+
+def _listen(process: subprocess.Popen[str], path: Path, said: queue.SimpleQueue[Any]) -> None:
+    assert process.stdout is not None
+    with process.stdout:
+        for line in process.stdout:
+            said.put((path, json.loads(line)))
+    said.put((path, None))
+
+
+def _stop(processes: Sequence[subprocess.Popen[str]]) -> None:
+    for process in processes:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+
+
+def _in_order(episodes: list[pd.DataFrame]) -> pd.DataFrame:
+    """Episodes as one process would have noted them: in the order of their ends, then those cut off, seed by seed."""
+    table = pd.concat(episodes, ignore_index=True)
+    open_at_the_end = ~(table["terminated"] | table["truncated"])
+    ended = table[~open_at_the_end].sort_values(["frame", "world", "seed"], kind="stable")
+    return pd.concat([ended, table[open_at_the_end].sort_values(["seed", "world"])], ignore_index=True)
+
+
+def _by_frame(progress: list[pd.DataFrame]) -> pd.DataFrame:
+    return pd.concat(progress, ignore_index=True).sort_values(["frame", "seed"], kind="stable", ignore_index=True)
+
+
+# -- in the process of a share ----------------------------------------------------------------------------------------
+
+
+def _say(**message: Any) -> None:
+    try:
+        print(json.dumps(message), flush=True)
+    except BrokenPipeError:  # the one that listened is gone: a stop is on its way
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _end_with_parent() -> None:
+    """Ask for a stop as soon as the one that holds the other end of the standard input is gone."""
+    while os.read(sys.stdin.fileno(), 1):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def main() -> None:
+    """Train the share that is described on the standard input."""
+    described = json.loads(sys.stdin.readline())
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    module = importlib.import_module(f"uavnav.{described['algorithm']}")
+    kind = type(next(iter(module.PRESETS.values())))
+    try:
+        with compiling.use_threads(1):
+            run = module.train.__wrapped__(
+                kind.from_mapping(described["config"]),
+                Path(described["out"]),
+                quiet=True,
+                checkpoint_seconds=described["checkpoint_seconds"],
+                until=described["until"],
+                tell=lambda frames, rewards: _say(frames=frames, rewards=rewards),
+            )
+        last = {"finished": run.frames}
+    except Interrupted as stop:
+        last = {"stopped": stop.frames, "wanted": stop.wanted}
+    except EXPECTED as error:
+        last = {"error": str(error)}
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # there is nothing left to save
+    _say(**last)
+
+
+if __name__ == "__main__":
+    main()

@@ -23,7 +23,8 @@ def direction(heading: Tensor) -> tuple[Tensor, Tensor]:
 
     heading [...] whole degrees in 0..359 -> cos, sin [...] float32.
     """
-    return COSINE.to(heading.device)[heading], SINE.to(heading.device)[heading]
+    cosine, sine = torch.stack([COSINE.to(heading.device)[heading], SINE.to(heading.device)[heading]])
+    return cosine, sine  # stacked, they are looked up once a row in a compiled step, and not for each candidate again
 
 
 def decode(action: Tensor, world: World) -> tuple[Tensor, Tensor]:

@@ -74,6 +74,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self.max_steps = max_steps
         self.reward = reward
         self.bank = banks.resolve(layouts, self.world).to(self.device)
+        self._first_observations = self._observe_starts()
         self._advance = self._advance_rows
         self._make_specs()
         self._seed(seeds)
@@ -116,6 +117,14 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... where there are agents."""
         first = 0 if seed is None else seed
         self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
+
+    def _observe_starts(self) -> Tensor | None:
+        """What is seen at the beginning of an episode, by layout: [L, 30]; None where the heading is random."""
+        if self.world.start_heading != "up":
+            return None
+        layout = torch.arange(len(self.bank), device=self.device)
+        observation, _ = simulator.observe(simulator.start(layout, 0 * layout + UP, self.world), self.bank, self.world)
+        return observation
 
     def _draw_headings(self) -> Tensor:
         """Start headings [*B] for every row, drawn whether needed or not: the stream does not depend on who resets."""
@@ -160,7 +169,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
         final, outcome, self.state, self._observation = self._advance(
-            self.state, tensordict["action"], self._draw_headings(), self.bank
+            self.state, tensordict["action"], self._draw_headings(), self.bank, self._first_observations
         )
         tensordict.set("next", self._next(outcome, final))
         return tensordict, self.root()
@@ -176,13 +185,16 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self
 
     def _advance_rows(
-        self, state: State, action: Tensor, heading: Tensor, bank: Tensor
+        self, state: State, action: Tensor, heading: Tensor, bank: Tensor, first_observations: Tensor | None
     ) -> tuple[State, simulator.Outcome, State, Tensor]:
         final, outcome = simulator.step(state, action, bank, self.world, self.reward, self.max_steps)
         done = outcome.terminated | outcome.truncated
         fresh = simulator.start((final.layout + 1) % bank.shape[0], heading, self.world)
         state = simulator.where(done, fresh, final)
-        observation, _ = simulator.observe(state, bank, self.world)
+        if first_observations is None:
+            observation, _ = simulator.observe(state, bank, self.world)
+        else:
+            observation = torch.where(done[..., None], first_observations[fresh.layout], outcome.observation)
         return final, outcome, state, observation
 
     def _next(self, outcome: simulator.Outcome, final: State) -> TensorDict:

@@ -64,18 +64,19 @@ def check_rules(reward: str, max_steps: int | None) -> None:
 def start(layout: Tensor, heading: Tensor, world: World) -> State:
     """The state at the beginning of an episode: layout [*B] index, heading [*B] whole degrees."""
     x, y = world.start
-    zero = torch.zeros_like(layout)
+    # five tensors: one in five places would be a graph of its own to the compiler
+    steps, stops, full_stops, turns, distance = (torch.zeros_like(layout) for _ in range(5))
     return State(
         x=torch.full_like(layout, x, dtype=torch.float32),
         y=torch.full_like(layout, y, dtype=torch.float32),
         heading=heading,
         layout=layout,
-        steps=zero,
-        stops=zero,
-        full_stops=zero,
-        turns=zero,
-        distance=zero,
-        reward=zero.double(),
+        steps=steps,
+        stops=stops,
+        full_stops=full_stops,
+        turns=turns,
+        distance=distance,
+        reward=torch.zeros_like(layout, dtype=torch.float64),
     )
 
 

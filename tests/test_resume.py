@@ -254,6 +254,7 @@ def wait_for(condition, process):
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", list(COMMANDS))
 def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algorithm, tmp_path):
     folder = tmp_path / "run"

@@ -26,7 +26,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
-from uavnav import compiling, policies, shares
+from uavnav import compiling, policies, probes, shares
 from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
@@ -236,6 +236,7 @@ def train(
     )
     loss = make_loss(network, config)
     learner = make_learner(loss, config, compile)
+    probe = probes.poses(config.world).to(config.device)
     steps_between_copies = max(config.target_update_frames // config.n_worlds, 1)
     target = HardUpdate(loss, value_network_update_interval=steps_between_copies - 1)  # it copies on every n-th + 1
 
@@ -267,9 +268,8 @@ def train(
                 began, logged = time.perf_counter(), frames
                 with torch.no_grad():
                     q_value = network(batch["observation"]).amax(-1).flatten(1).mean(1)
-                recorder.add_progress(
-                    frames, **losses, q_value=q_value, epsilon=policy.epsilon.item(), frames_per_second=rate
-                )
+                facts = {"q_value": q_value, "epsilon": policy.epsilon.item(), **probes.units(network, probe)}
+                recorder.add_progress(frames, **losses, **facts, frames_per_second=rate)
                 display.update(frames, recorder.recent_rewards())
             recorder.checkpoint(frames, parts, buffer)
         recorder.add_open_episodes(env.state, frames)

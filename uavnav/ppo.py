@@ -26,7 +26,7 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from uavnav import compiling, policies, shares
+from uavnav import compiling, policies, probes, shares
 from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
@@ -250,6 +250,7 @@ def train(
     advantage = make_advantage(config)
     loss = make_loss(policy, value, config)
     learner = make_learner(loss, config, compile)
+    probe = probes.poses(config.world).to(config.device)
 
     parts: dict[str, Stateful] = {"env": env, "actions": actor.streams, "minibatches": sampler, "learner": learner}
 
@@ -269,9 +270,8 @@ def train(
             losses = learn(batch, buffer, learner, config)
             rate = config.frames_per_batch / (time.perf_counter() - began)
             began = time.perf_counter()
-            recorder.add_progress(
-                frames, **losses, **diagnostics(batch, loss, config.clip_epsilon), frames_per_second=rate
-            )
+            moved, hidden = diagnostics(batch, loss, config.clip_epsilon), probes.units(policy, probe)
+            recorder.add_progress(frames, **losses, **moved, **hidden, frames_per_second=rate)
             display.update(frames, recorder.recent_rewards())
             recorder.checkpoint(frames, parts)
         recorder.add_open_episodes(env.state, frames)

@@ -1,0 +1,62 @@
+"""The probes of hidden units on networks whose answer is known."""
+
+import pytest
+import torch
+
+from uavnav import probes
+from uavnav.networks import mlp
+from uavnav.seeding import stream
+from uavnav.world import World
+
+
+def network(activation, agents=2, hidden=4):
+    return mlp([3, hidden, hidden, 5], activation, [stream(seed, "probe test") for seed in range(agents)], "default")
+
+
+def test_poses_are_512_observations_that_never_change_and_differ_from_each_other():
+    first, again = probes.poses(World()), probes.poses(World())
+    assert torch.equal(first, again)
+    assert first.shape == (512, 30)
+    assert len(first.unique(dim=0)) > 400
+
+
+def test_a_unit_that_is_always_zero_is_dormant_and_its_agent_alone_has_it():
+    net = network("relu")
+    with torch.no_grad():
+        net[0].bias[:] = 1.0
+        net[2].bias[:] = 1.0
+        net[0].weight[:] = 0.1
+        net[2].weight[:] = 0.1
+        net[0].bias[1, 0, 2] = -100.0
+    found = probes.units(net, torch.rand(50, 3))
+    assert found["dormant"].tolist() == pytest.approx([0, 1 / 8])
+    assert found["saturated"].tolist() == pytest.approx([0, 1 / 8])  # a ReLU below zero has no slope
+
+
+@pytest.mark.parametrize(
+    ("activation", "bias", "expected"), [("tanh", 5.0, 1.0), ("sigmoid", 0.0, 0.0), ("identity", 9.0, 0.0)]
+)
+def test_saturated_is_the_share_of_flat_activations(activation, bias, expected):
+    net = network(activation)
+    with torch.no_grad():
+        for layer in (net[0], net[2]):
+            layer.weight[:] = 0.0
+            layer.bias[:] = bias
+    assert probes.units(net, torch.rand(50, 3))["saturated"].tolist() == [expected] * 2
+
+
+@pytest.mark.parametrize(
+    ("activation", "slope"), [("relu", 1.0), ("tanh", 1.0), ("sigmoid", 0.25), ("leaky_relu", 1.0)]
+)
+def test_the_steepest_slope(activation, slope):
+    assert probes.steepest(activation) == pytest.approx(slope)
+
+
+def test_the_effective_rank_of_orthogonal_features_is_their_number_and_of_one_direction_1():
+    eye = torch.eye(6)[:, :4].expand(2, 6, 4).clone()
+    eye[1] = torch.ones(6, 4)
+    assert probes._effective_rank(eye).tolist() == pytest.approx([4.0, 1.0], abs=1e-4)
+    assert probes._effective_rank(torch.zeros(1, 6, 4)).tolist() == [0.0]
+    uneven = torch.diag(torch.tensor([2.0, 1.0]))[None]
+    entropy = -(2 / 3 * torch.tensor(2 / 3).log() + 1 / 3 * torch.tensor(1 / 3).log())
+    assert probes._effective_rank(uneven).item() == pytest.approx(entropy.exp().item(), rel=1e-5)

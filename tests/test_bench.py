@@ -10,9 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uavnav import bench, bench_growth, bench_jobs, bench_parity, bench_peers, bench_report
-from uavnav.bench_jobs import Clock, Job, JobError, Mark, Stages, rate, whole_run
-from uavnav.bench_report import Results, Target, number, ratio, read_sections, write_file
+from uavnav.bench import __main__ as bench
+from uavnav.bench import growth, jobs, parity, peers
+from uavnav.bench import report as bench_report
+from uavnav.bench.jobs import Clock, Job, JobError, Mark, Stages, rate, whole_run
+from uavnav.bench.report import Results, Target, number, ratio, read_sections, write_file
 
 
 def results_of(**rounds):
@@ -47,7 +49,7 @@ def test_dqns_whole_run_counts_50_000_frames_at_the_rate_before_learning_and_the
 
 def test_the_clock_stops_after_2_steady_seconds_or_500_frames_but_never_before_3_steady_marks(monkeypatch):
     now = itertools.count(100.0)
-    monkeypatch.setattr(bench_jobs.time, "time", lambda: next(now))
+    monkeypatch.setattr(jobs.time, "time", lambda: next(now))
     slow = Clock(launched=100.0, warm=50, frames=10**6, seconds=2.0)
     assert [slow(frames) for frames in (0, 20, 50, 60, 70)] == [True, True, True, True, False]
     assert slow.marks[0] == Mark(0, 0.0)
@@ -57,7 +59,7 @@ def test_the_clock_stops_after_2_steady_seconds_or_500_frames_but_never_before_3
 
 def test_stages_count_what_is_called_inside_another_once_and_the_rest_as_other(monkeypatch):
     now = [0.0]
-    monkeypatch.setattr(bench_jobs.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(jobs.time, "perf_counter", lambda: now[0])
 
     class Work:
         def outer(self):
@@ -81,7 +83,7 @@ def test_stages_count_what_is_called_inside_another_once_and_the_rest_as_other(m
 
 @pytest.mark.parametrize(("n", "first"), [(20, 0), (20, 5), (20, 7), (20, 19), (3, 1), (0, 0), (20, 99)])
 def test_the_first_of_n_good_policies_is_found_where_all_later_ones_are_good(n, first):
-    assert bench_jobs._first(n, lambda index: index >= first) == (first if first < n else None)
+    assert jobs._first(n, lambda index: index >= first) == (first if first < n else None)
 
 
 # -- medians, ratios, targets -----------------------------------------------------------------------------------------
@@ -153,30 +155,30 @@ def test_numbers_have_three_digits_that_count(value, text):
 
 def test_a_curve_is_the_mean_reward_by_stretch_and_a_line_over_stretches_in_which_no_episode_ends():
     episodes = pd.DataFrame({"frame": [1, 10, 11, 31, 40, 41], "reward": [-8.0, -4.0, 0.0, 6.0, 6.0, 99.0]})
-    assert bench_parity.curve(episodes, 40, bins=4).tolist() == [-6, 0, 3, 6]
+    assert parity.curve(episodes, 40, bins=4).tolist() == [-6, 0, 3, 6]
     with pytest.raises(ValueError, match="no episode"):
-        bench_parity.curve(episodes[:0], 40)
+        parity.curve(episodes[:0], 40)
 
 
 def test_the_area_of_a_curve_from_minus_10_to_10_is_10():
-    assert bench_parity.areas(np.array([[-10.0, 0.0, 10.0], [-10.0, -10.0, -10.0]])).tolist() == [10, 0]
+    assert parity.areas(np.array([[-10.0, 0.0, 10.0], [-10.0, -10.0, -10.0]])).tolist() == [10, 0]
 
 
 def test_the_interval_of_a_ratio_is_a_point_without_spread_and_covers_1_in_about_90_percent_of_200_draws():
-    assert bench_parity.ratio(np.full(8, 6.0), np.full(4, 5.0)) == pytest.approx((1.2, 1.2, 1.2))
+    assert parity.ratio(np.full(8, 6.0), np.full(4, 5.0)) == pytest.approx((1.2, 1.2, 1.2))
     rng = np.random.default_rng(0)
     pairs = [(rng.normal(5, 0.5, 30), rng.normal(5, 0.5, 30)) for _ in range(200)]
-    found = [bench_parity.ratio(*pair) for pair in pairs]
+    found = [parity.ratio(*pair) for pair in pairs]
     assert 0.8 < np.mean([one.low <= 1 <= one.high for one in found]) < 0.97
     assert all(one.low < one.value < one.high for one in found)
 
 
 def test_intervals_are_the_same_only_within_0_8_to_1_25():
-    assert bench_parity.Ratio(1, 0.8, 1.25).verdict == "equal"
-    assert bench_parity.Ratio(1, 0.79, 1.0).verdict == "open"
-    assert bench_parity.Ratio(1, 1.0, 1.26).verdict == "open"
-    assert bench_parity.Ratio(1.3, 1.01, 1.6).verdict == "different"
-    assert bench_parity.Ratio(0.8, 0.7, 0.99).verdict == "different"
+    assert parity.Ratio(1, 0.8, 1.25).verdict == "equal"
+    assert parity.Ratio(1, 0.79, 1.0).verdict == "open"
+    assert parity.Ratio(1, 1.0, 1.26).verdict == "open"
+    assert parity.Ratio(1.3, 1.01, 1.6).verdict == "different"
+    assert parity.Ratio(0.8, 0.7, 0.99).verdict == "different"
 
 
 def keep_curves(store, cell, arm, seeds, level):
@@ -188,9 +190,9 @@ def keep_curves(store, cell, arm, seeds, level):
 
 
 def test_parity_runs_what_is_missing_and_compares_what_is_there(tmp_path):
-    store, seeds, cells = bench_parity.Store(tmp_path, 10_000), {"uavnav": 3, "sb3": 2}, bench_parity.CELLS[:1]
+    store, seeds, cells = parity.Store(tmp_path, 10_000), {"uavnav": 3, "sb3": 2}, parity.CELLS[:1]
     worlds = {"ppo": 16, "dqn": 64}
-    mine, theirs, mine_alone, theirs_alone = bench_parity.arms(16)
+    mine, theirs, mine_alone, theirs_alone = parity.arms(16)
     todo = store.jobs(cells, worlds, seeds)
     assert [job for _, job, _ in todo] == ["curves_ours", *["curves_sb3"] * 2] * 2
     assert [todo[index][2]["n_worlds"] for index in (0, 3)] == [16, 1]
@@ -203,24 +205,24 @@ def test_parity_runs_what_is_missing_and_compares_what_is_there(tmp_path):
     assert [job for _, job, _ in todo] == ["curves_ours", "curves_sb3"]
     assert todo[0][2]["seeds"] == [2]
     assert (todo[1][2]["seed"], todo[1][2]["n_envs"]) == (1, 1)
-    assert "not enough seeds" in "\n".join(bench_parity.section(store, worlds, "x.png", cells, seeds))
+    assert "not enough seeds" in "\n".join(parity.section(store, worlds, "x.png", cells, seeds))
     keep_curves(store, cells[0], theirs_alone, 2, level=-7)
-    lines = [line for line in bench_parity.section(store, worlds, "x.png", cells, seeds) if "PPO tanh" in line]
+    lines = [line for line in parity.section(store, worlds, "x.png", cells, seeds) if "PPO tanh" in line]
     like, alone, ours, sb3 = ([cell.strip() for cell in line.split("|")] for line in lines)
     assert like[2:] == ["16", "6.01 ± 0.01 (2)", "6.01 ± 0.01 (2)", "1.00 (1.00 ... 1.00)", "equal", ""]
     assert alone[5].startswith("3.00 (")
     assert alone[6] == "different"
     assert ours[4].startswith("0.67 (")
     assert sb3[4].startswith("2.00 (")
-    (panel,) = bench_parity.draw(store, worlds, cells, seeds).axes
+    (panel,) = parity.draw(store, worlds, cells, seeds).axes
     assert len(panel.lines) == 4
     assert panel.get_xlabel() == "frames per seed [thousand]"
 
 
 def test_a_seed_that_cannot_be_trained_is_named_and_the_others_are_kept(tmp_path):
-    store, said = bench_parity.Store(tmp_path, 300), []
-    cell = bench_parity.Cell("ppo", "tanhh")
-    failed = bench_parity.train(store, {"ppo": 1}, tmp_path, said.append, [cell], {"uavnav": 1, "sb3": 0}, at_once=1)
+    store, said = parity.Store(tmp_path, 300), []
+    cell = parity.Cell("ppo", "tanhh")
+    failed = parity.train(store, {"ppo": 1}, tmp_path, said.append, [cell], {"uavnav": 1, "sb3": 0}, at_once=1)
     assert len(failed) == 1
     assert "did you mean tanh?" in failed[0]
     assert len(said) == 1
@@ -231,12 +233,12 @@ def test_a_seed_that_cannot_be_trained_is_named_and_the_others_are_kept(tmp_path
 
 
 def test_growth_of_x_to_the_1_5_between_two_neighbours_is_named_and_both_panels_have_units():
-    assert bench_growth.steepest([(1, 1.0), (2, 1.5), (8, 12.0)]) == pytest.approx(1.5)
-    assert math.isnan(bench_growth.steepest([(1, 1.0)]))
-    rows = {point: {"rate": 1e6 / point.x, "peak": 0.5} for point in bench_growth.points()}
-    text = "\n".join(bench_growth.section(rows, "benchmarks.png"))
+    assert growth.steepest([(1, 1.0), (2, 1.5), (8, 12.0)]) == pytest.approx(1.5)
+    assert math.isnan(growth.steepest([(1, 1.0)]))
+    rows = {point: {"rate": 1e6 / point.x, "peak": 0.5} for point in growth.points()}
+    text = "\n".join(growth.section(rows, "benchmarks.png"))
     assert "| PPO | seeds: 1, 2, 5, 10, 20, 40 | 0.0, 0.0, 0.1, 0.2, 0.3, 0.7 | 1.00 |" in text
-    labels = [panel.get_ylabel() for panel in bench_growth.draw(rows).axes]
+    labels = [panel.get_ylabel() for panel in growth.draw(rows).axes]
     assert [label for label in labels if label] == ["time for 1 M frames a seed [min]", "peak memory [GB]"]
 
 
@@ -350,9 +352,9 @@ def test_every_measurement_of_the_plan_names_a_job_and_arguments_that_it_takes()
         assert len({one.name for one in every}) == len(every)
         assert {one.section for one in every} == set(bench.SECTIONS)
         for one in every:
-            inspect.signature(getattr(bench_jobs, one.job)).bind(0.0, **one.arguments)
-    for point in bench_growth.points():
-        inspect.signature(bench_jobs.ours).bind(0.0, **point.arguments)
+            inspect.signature(getattr(jobs, one.job)).bind(0.0, **one.arguments)
+    for point in growth.points():
+        inspect.signature(jobs.ours).bind(0.0, **point.arguments)
 
 
 @pytest.mark.parametrize(
@@ -361,7 +363,7 @@ def test_every_measurement_of_the_plan_names_a_job_and_arguments_that_it_takes()
 )
 def test_a_watched_run_of_ours_is_stopped_and_names_its_rates(algorithm, frames, more):
     settings = {"frames_per_batch": 256, "epochs": 1} if algorithm == "ppo" else {}
-    found = bench_jobs.ours(0.0, algorithm, 1, 0.0, stages=True, compile="off", **settings, **more)
+    found = jobs.ours(0.0, algorithm, 1, 0.0, stages=True, compile="off", **settings, **more)
     assert found["frames"] <= frames
     assert found["rate"] > 0
     assert 0.99 < sum(found["shares"].values()) < 1.01
@@ -377,7 +379,7 @@ def test_stable_baselines3_is_given_the_preset_paper_with_1_and_with_16_parallel
     from uavnav.sb3 import DroneVecEnv
 
     env = DroneVecEnv(16, seed=0)
-    ppo = bench_jobs.make_sb3("stable_baselines3", "ppo", env, 0, 16)
+    ppo = jobs.make_sb3("stable_baselines3", "ppo", env, 0, 16)
     assert (ppo.n_steps, ppo.batch_size, ppo.n_epochs, ppo.gae_lambda) == (128, 64, 10, 0.95)
     assert (ppo.clip_range(1), ppo.ent_coef, ppo.vf_coef, ppo.max_grad_norm, ppo.learning_rate) == (
         0.2,
@@ -386,10 +388,10 @@ def test_stable_baselines3_is_given_the_preset_paper_with_1_and_with_16_parallel
         0.5,
         3e-4,
     )
-    dqn = bench_jobs.make_sb3("stable_baselines3", "dqn", env, 0, 16, activation="relu")
+    dqn = jobs.make_sb3("stable_baselines3", "dqn", env, 0, 16, activation="relu")
     assert (dqn.train_freq.frequency, dqn.gradient_steps, dqn.target_update_interval) == (1, 4, 10_000)
     assert (dqn.learning_starts, dqn.batch_size, dqn.max_grad_norm, dqn.learning_rate) == (50_000, 32, 10, 1e-4)
-    alone = bench_jobs.make_sb3("stable_baselines3", "dqn", bench_jobs._make_env("numpy"), 0, buffer_size=100)
+    alone = jobs.make_sb3("stable_baselines3", "dqn", jobs._make_env("numpy"), 0, buffer_size=100)
     assert (alone.train_freq.frequency, alone.gradient_steps, alone.target_update_interval) == (4, 1, 10_000)
     assert "in_features=30, out_features=64" in repr(dqn.q_net)
     assert "ReLU" in repr(dqn.q_net)
@@ -397,7 +399,7 @@ def test_stable_baselines3_is_given_the_preset_paper_with_1_and_with_16_parallel
 
 
 def test_the_single_file_peers_learn_until_they_are_told_to_stop():
-    from uavnav.numpy_world import NumpyDroneEnv
+    from uavnav.bench.numpy_world import NumpyDroneEnv
 
     seen = []
 
@@ -405,17 +407,17 @@ def test_the_single_file_peers_learn_until_they_are_told_to_stop():
         seen.append(frames)
         return frames < 128
 
-    bench_peers.ppo(NumpyDroneEnv, 0, keep_on, num_steps=64)
+    peers.ppo(NumpyDroneEnv, 0, keep_on, num_steps=64)
     assert seen == [0, 64, 128]
     seen.clear()
-    bench_peers.dqn(NumpyDroneEnv, 0, keep_on, learning_starts=100, buffer_size=120)
+    peers.dqn(NumpyDroneEnv, 0, keep_on, learning_starts=100, buffer_size=120)
     assert seen == list(range(129))
 
 
 def test_the_benchmarks_start_without_any_peer_installed():
     code = (
         "import sys; sys.modules.update({'stable_baselines3': None, 'sbx': None, 'jax': None});"
-        "from uavnav import bench; print(len(bench.plan(True)))"
+        "from uavnav.bench.__main__ import plan; print(len(plan(True)))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert int(result.stdout) > 20

@@ -9,8 +9,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from uavnav import layouts
+from uavnav.bench.numpy_world import NumpyDroneEnv, border_squares
 from uavnav.gym import DroneGymEnv
-from uavnav.numpy_world import NumpyDroneEnv, border_squares
 from uavnav.world import World
 
 

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 KEPT = 2
 """States that are kept: the newest, and the one before in case that the newest is damaged."""
 
+CHUNK_BYTES = 8 * 2**20
+"""Of the replay buffer that one file holds at most: what is written is copied twice on its way."""
+
 Nested = Mapping[str, Any]
 """Tensors and further such mappings by name."""
 
@@ -82,11 +85,13 @@ class Checkpoints:
     def _save_new_rows(self, replay: ReplayBuffer, rows: int) -> None:
         capacity = replay.storage.max_size
         first = max(self._rows_saved, rows - capacity)
-        if first < rows:
-            positions = [row % capacity for row in range(first, rows)]
+        step = max(CHUNK_BYTES // _bytes(replay[:1]), 1) if first < rows else 1
+        for begin in range(first, rows, step):
+            end = min(begin + step, rows)
+            positions = [row % capacity for row in range(begin, end)]
             tensors = dict(_flat(replay[positions].to_dict()))
-            self._chunks = [*self._chunks, self._write(f"replay-{first:012d}", tensors, {})]
-            self._rows_saved = rows
+            self._chunks = [*self._chunks, self._write(f"replay-{begin:012d}", tensors, {})]
+            self._rows_saved = end
 
     def _write(self, stem: str, tensors: dict[str, Tensor], header: Nested) -> str:
         content = save({name: value.contiguous() for name, value in tensors.items()}, {"uavnav": json.dumps(header)})
@@ -110,15 +115,16 @@ class Checkpoints:
         for path in states:
             try:
                 snapshot = self._read_state(path)
-                chunks = [self._read(self.folder / name)[0] for name in snapshot.chunks]
+                for name in snapshot.chunks:
+                    self._read(self.folder / name)  # is it whole? they are read again one by one: all would fill memory
             except CheckpointError as error:
                 problem = error
                 if path is not states[-1]:
                     warnings.warn(f"{error}; going on from the one before", stacklevel=2)
                 continue
             if replay is not None:
-                for name, chunk in zip(snapshot.chunks, chunks, strict=True):
-                    _refill(replay, int(name.split("-")[1]), chunk)
+                for name in snapshot.chunks:
+                    _refill(replay, int(name.split("-")[1]), self._read(self.folder / name)[0])
             for damaged in states[: states.index(path)]:  # they would count among the two that are kept
                 damaged.rename(damaged.with_name(f"damaged-{damaged.name}"))
             self._chunks = snapshot.chunks
@@ -177,6 +183,10 @@ def restore(parts: Mapping[str, Stateful], tensors: Mapping[str, Tensor]) -> Non
     state = _nested(tensors)
     for name, part in parts.items():
         part.load_state_dict(state[name])
+
+
+def _bytes(rows: TensorDict) -> int:
+    return sum(value.nbytes for value in rows.values(include_nested=True, leaves_only=True))
 
 
 def _digest(content: bytes) -> str:

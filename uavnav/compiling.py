@@ -29,6 +29,7 @@ def decide(config: TrainConfig) -> bool:
     """
     if not _wanted(config):
         return False
+    torch._inductor.config.compile_threads = 1  # a pool of processes takes longer to start than these few kernels
     torch.compiler.reset()  # graphs of earlier runs in this process would count towards a limit on how many there are
     problem = _problem(config.device)
     if problem and config.compile == "on":

@@ -18,7 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy import stats
 
-from uavnav.bench_jobs import Job, JobError, Result
+from uavnav.bench.jobs import Job, JobError, Result
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Worlds = dict[str, int]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from uavnav.bench_jobs import WHOLE, Result
+from uavnav.bench.jobs import WHOLE, Result
 
 AXES = {
     "seeds": [1, 2, 5, 10, 20, 40],

@@ -1,6 +1,6 @@
 """What `uavnav.bench` measures, one function a job: each runs in a process of its own and returns plain numbers.
 
-`python -m uavnav.bench_jobs NAME '{"argument": ...}' LAUNCHED` prints the result as the last line, as JSON. LAUNCHED is
+`python -m uavnav.bench.jobs NAME '{"argument": ...}' LAUNCHED` prints the result as the last line, as JSON. LAUNCHED is
 the time at which the process was started, so that start-up counts.
 
 Frames are per seed. A training job runs until it has seen `seconds` of steady work or `frames`, whichever is first.
@@ -57,7 +57,7 @@ class Job:
 
     def __init__(self, name: str, arguments: Result, threads: int, cache: Path) -> None:
         env = os.environ | dict.fromkeys(THREADS, str(threads)) | {"TORCHINDUCTOR_CACHE_DIR": str(cache.resolve())}
-        command = [sys.executable, "-m", "uavnav.bench_jobs", name, json.dumps(arguments), str(time.time())]
+        command = [sys.executable, "-m", "uavnav.bench.jobs", name, json.dumps(arguments), str(time.time())]
         self.tree = 0.0
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the job
         self._process = subprocess.Popen(
@@ -251,7 +251,7 @@ def _make_env(which: str) -> Any:
 
     if which == "uavnav":
         return gymnasium.make("uavnav/Drone-v0")
-    gymnasium.register(id="uavnav/NumpyDrone-v0", entry_point="uavnav.numpy_world:NumpyDroneEnv")
+    gymnasium.register(id="uavnav/NumpyDrone-v0", entry_point="uavnav.bench.numpy_world:NumpyDroneEnv")
     return gymnasium.make("uavnav/NumpyDrone-v0")
 
 
@@ -383,16 +383,16 @@ def ours_whole(launched: float, algorithm: str, **settings: Any) -> Result:
 
 
 def buffer_memory(launched: float, n_seeds: int, frames: int) -> Result:
-    """Peak memory of DQN with a full buffer of so many frames a seed, and a few updates from it.
+    """Peak memory of DQN until its buffer is full with so many frames a seed, and a few updates on the way.
 
-    It is filled in many parallel worlds, so that it takes seconds; the buffer is that of a run with 16.
+    It is filled in many parallel worlds, so that it takes seconds, and saved every few.
     """
     n_worlds = max(frames // 625, 4)
-    settings = {"n_worlds": n_worlds, "frames_per_update": n_worlds, "learning_starts": frames - 4 * n_worlds}
+    settings = {"n_worlds": n_worlds, "frames_per_update": n_worlds, "learning_starts": 4 * n_worlds}
     config = _config("dqn", settings | {"n_seeds": n_seeds, "total_frames": frames})
     with tempfile.TemporaryDirectory() as scratch:
         run = importlib.import_module("uavnav.dqn").train(
-            config, out=f"{scratch}/run", quiet=True, checkpoint_seconds=1e9
+            config, out=f"{scratch}/run", quiet=True, checkpoint_seconds=5
         )
     return {"frames": run.frames, "peak": peak_memory(), "seconds": time.time() - launched}
 
@@ -497,16 +497,16 @@ def sb3(
 
 
 def cleanrl(launched: float, algorithm: str, frames: int, seconds: float, learning_starts: int) -> Result:
-    """A run of the single-file PPO or DQN of `bench_peers` on the NumPy world, watched for a while."""
-    from uavnav import bench_peers
+    """A run of the single-file PPO or DQN of `peers` on the NumPy world, watched for a while."""
+    from uavnav.bench import peers
 
     make_env = functools.partial(_make_env, "numpy")
     starts = learning_starts if algorithm == "dqn" else 0
     clock = Clock(launched, starts + 100 if starts else 2048, frames, seconds)
     if algorithm == "ppo":
-        bench_peers.ppo(make_env, 0, clock)
+        peers.ppo(make_env, 0, clock)
     else:
-        bench_peers.dqn(make_env, 0, clock, learning_starts)
+        peers.dqn(make_env, 0, clock, learning_starts)
     return _timed(clock.marks, starts, algorithm)
 
 

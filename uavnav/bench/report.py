@@ -17,7 +17,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from uavnav import runs
-from uavnav.bench_jobs import WHOLE, Result
+from uavnav.bench.jobs import WHOLE, Result
 
 CORES = min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 TARGET_REWARD = 88.5
@@ -38,6 +38,10 @@ class Results:
         """One number a round, the mean over its processes."""
         rounds = self.found.get(name, [])
         return [statistics.mean(one[key] for one in group) for group in rounds if all(key in one for one in group)]
+
+    def sums(self, name: str, key: str) -> list[float]:
+        """One number a round, the sum over its processes."""
+        return [value * len(group) for value, group in zip(self.values(name, key), self.found[name], strict=True)]
 
     def median(self, name: str, key: str) -> float | None:
         values = self.values(name, key)
@@ -101,10 +105,9 @@ class Target(NamedTuple):
 def best_world(results: Results) -> list[float]:
     """Steps/s at the best batch size on all cores, one number a round."""
     best: tuple[float, list[float]] = (0.0, [])
-    for mode in ("eager", "compiled"):
-        name = f"world/{mode}/{CORES}"
+    for name in (f"world/eager/{CORES}", f"world/compiled/{CORES}", f"world/compiled/{CORES} × 1"):
         for batch in {key for group in results.found.get(name, []) for one in group for key in one}:
-            values = results.values(name, batch)
+            values = results.sums(name, batch)
             best = max(best, (statistics.median(values), values))
     return best[1]
 
@@ -177,17 +180,23 @@ def write_targets(results: Results, store: Path) -> list[str]:
 def write_world(results: Results) -> list[str]:
     columns = [one for one in results.found if one.startswith("world/")]
     batches = sorted({int(key) for name in columns for key in results.found[name][0][0]})
+    processes = {name: name.split("/")[2].partition(" × ") for name in columns}
     numpy = results.median("gymnasium/numpy", "rate")
     rows = []
     for batch in batches:
-        medians = [results.median(name, str(batch)) for name in columns]
+        sums = [results.sums(name, str(batch)) for name in columns]
+        medians = [statistics.median(values) if values else None for values in sums]
         best = max((value for value in medians if value is not None), default=None)
         times = number(best / numpy) if best and numpy else "-"
         rows.append([f"{batch:,}", *(number(value) for value in medians), times])
-    head = [f"{name.split('/')[1]}, {_threads(int(name.split('/')[2]))}" for name in columns]
+    head = [
+        f"{name.split('/')[1]}, " + (f"{first} processes of 1 thread" if second else _threads(int(first)))
+        for name, (first, _, second) in processes.items()
+    ]
     return [
-        "Steps/s of `DroneEnv` by batch size, with random actions, through the call that collectors make; the last"
-        " column is the best of the row against the NumPy world in one environment.",
+        "Steps/s of `DroneEnv` by batch size, with random actions, through the call that collectors make."
+        " Processes side by side have a batch of that size each, and their steps are added. The last column is the best"
+        " of the row against the NumPy world in one environment.",
         "",
         *table(["batch size", *head, "times NumPy"], rows),
     ]
@@ -205,7 +214,7 @@ def write_gymnasium(results: Results) -> list[str]:
         if values
     ]
     return [
-        "Steps/s with random actions and resets, one thread. The NumPy world is `uavnav/numpy_world.py`, one"
+        "Steps/s with random actions and resets, one thread. The NumPy world is `uavnav/bench/numpy_world.py`, one"
         " environment as one would write it for Stable-Baselines3; tests hold it to the same oracle.",
         "",
         *table(["", "steps/s", "times NumPy", "rounds"], rows),

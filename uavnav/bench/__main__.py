@@ -1,8 +1,8 @@
 """Benchmarks: the world, training and its peers, side by side on this machine, into one Markdown file.
 
-`python -m uavnav.bench` measures everything in at most 45 minutes, `--quick` a first impression in 3. What takes longer
+`python -m uavnav.bench` measures everything in half an hour, `--quick` a first impression in 3. What takes longer
 has a flag of its own (`--growth`, `--fast`, `--whole`, `--parity`) and a section of its own in the file, which later
-runs keep. Each measurement is a fresh process with a fixed number of threads (`uavnav.bench_jobs`); measurements are
+runs keep. Each measurement is a fresh process with a fixed number of threads (`uavnav.bench.jobs`); measurements are
 interleaved over several rounds, and medians and ratios of the same round are what is reported.
 """
 
@@ -22,9 +22,10 @@ from typing import NoReturn
 import pandas as pd
 from rich.console import Console
 
-from uavnav import bench_growth, bench_parity, runs
-from uavnav.bench_jobs import WHOLE, Job, JobError, Result
-from uavnav.bench_report import (
+from uavnav import runs
+from uavnav.bench import growth, parity
+from uavnav.bench.jobs import WHOLE, Job, JobError, Result
+from uavnav.bench.report import (
     CORES,
     TARGET_REWARD,
     VALIDATION,
@@ -41,7 +42,7 @@ from uavnav.bench_report import (
     write_sections,
 )
 
-MINUTES = {"full": 44.0, "quick": 2.8}
+MINUTES = {"full": 26.0, "quick": 2.8}
 BATCHES = [1, 16, 256, 1024, 4096, 16_384, 32_768]
 SECTIONS = tuple(WRITERS)
 """What a plain run measures, and `--only` chooses from."""
@@ -54,7 +55,7 @@ INSTALL = "pip install -e '.[bench]'"
 
 @dataclass(frozen=True)
 class Measurement:
-    """One thing to measure: a job of `bench_jobs` and how it is run."""
+    """One thing to measure: a job of `jobs` and how it is run."""
 
     name: str  # section/...
     job: str
@@ -81,16 +82,23 @@ def plan(quick: bool) -> list[Measurement]:
 
 def _plan_world(quick: bool) -> list[Measurement]:
     batches, seconds = ([1, 1024], 0.3) if quick else (BATCHES, 0.7)
+    beside = {"batches": [1024] if quick else [256, 512, 1024, 2048, 4096], "compiled": True, "seconds": 3 * seconds}
+    side_by_side = Measurement(
+        f"world/compiled/{CORES} × 1", "world", beside, copies=CORES, expected=15 if quick else 60
+    )
     return [
-        Measurement(
-            f"world/{'compiled' if compiled else 'eager'}/{threads}",
-            "world",
-            {"batches": batches, "compiled": compiled, "seconds": seconds},
-            threads=threads,
-            expected=(15 if quick else 60) if compiled else 12,
-        )
-        for compiled in (True, False)
-        for threads in ([CORES] if quick else dict.fromkeys([CORES, 1]))
+        side_by_side,
+        *(
+            Measurement(
+                f"world/{'compiled' if compiled else 'eager'}/{threads}",
+                "world",
+                {"batches": batches, "compiled": compiled, "seconds": seconds},
+                threads=threads,
+                expected=(15 if quick else 60) if compiled else 12,
+            )
+            for compiled in (True, False)
+            for threads in ([CORES] if quick else dict.fromkeys([CORES, 1]))
+        ),
     ]
 
 
@@ -105,12 +113,12 @@ def _plan_gymnasium(quick: bool) -> list[Measurement]:
 
 
 def _plan_training(quick: bool) -> list[Measurement]:
-    watched: Result = {"frames": 20_000, "seconds": 5.0} if quick else {"frames": 200_000, "seconds": 25.0}
+    watched: Result = {"frames": 20_000, "seconds": 5.0} if quick else {"frames": 200_000, "seconds": 15.0}
     took = 20 if quick else 40
     found = {}
     for algorithm in ("ppo", "dqn"):
         own = {"algorithm": algorithm, **watched}
-        peer = own | {"learning_starts": 2_000 if quick else 10_000}
+        peer = own | {"learning_starts": 2_000 if quick else 10_000} | ({} if quick else {"seconds": 32.0})
         if algorithm == "dqn" and quick:
             own |= {"learning_starts": 12_000}
         alone = peer | {"which": "numpy"}
@@ -129,7 +137,7 @@ def _plan_training(quick: bool) -> list[Measurement]:
 
 
 def _plan_rest(quick: bool) -> list[Measurement]:
-    seconds, starts = (3.0, 1_000) if quick else (12.0, 5_000)
+    seconds, starts = (3.0 if quick else 12.0), 12_000  # frames: two rows of progress before
     found = []
     for algorithm in ("ppo", "dqn"):
         learning = {"learning_starts": starts} if algorithm == "dqn" else {}
@@ -217,15 +225,15 @@ def _short(found: list[Result]) -> str:
 
 def measure_growth(runner: Runner, out: Path) -> dict[str, list[str]]:
     """Time and memory against seeds, worlds and hidden width."""
-    points = bench_growth.points()
+    points = growth.points()
     measurements = [
         Measurement(point.name, "ours", point.arguments, threads=CORES, rounds=1, sample=True) for point in points
     ]
     results = runner.run(measurements)
     rows = {point: results.found[point.name][0][0] for point in points if results.found.get(point.name)}
     picture = out.with_suffix(".png")
-    save_figure(picture, bench_growth.draw(rows))
-    return {"growth": bench_growth.section(rows, picture.name)}
+    save_figure(picture, growth.draw(rows))
+    return {"growth": growth.section(rows, picture.name)}
 
 
 def measure_whole(runner: Runner, out: Path) -> dict[str, list[str]]:
@@ -281,16 +289,16 @@ def measure_parity(runner: Runner, out: Path) -> dict[str, list[str]]:
     from uavnav.dqn import DQNConfig
     from uavnav.ppo import PPOConfig
 
-    seeds = bench_parity.SEEDS
+    seeds = parity.SEEDS
     if importlib.util.find_spec("stable_baselines3") is None:
         runner.say(f"parity: {PEERS['stable_baselines3']} is not installed: {INSTALL}")
         seeds = seeds | {"sb3": 0}
-    store = bench_parity.Store(runner.store, bench_parity.FRAMES)
+    store = parity.Store(runner.store, parity.FRAMES)
     worlds = {"ppo": PPOConfig().n_worlds, "dqn": DQNConfig().n_worlds}
-    failed = bench_parity.train(store, worlds, runner.store / "graphs", runner.say, seeds=seeds, at_once=CORES)
+    failed = parity.train(store, worlds, runner.store / "graphs", runner.say, seeds=seeds, at_once=CORES)
     picture = out.with_name(f"{out.stem}-parity.png")
-    save_figure(picture, bench_parity.draw(store, worlds))
-    lines = bench_parity.section(store, worlds, picture.name)
+    save_figure(picture, parity.draw(store, worlds))
+    lines = parity.section(store, worlds, picture.name)
     return {"parity": [*lines, *(["", "Not measured:", "", *(f"- {why}" for why in failed)] if failed else [])]}
 
 
@@ -311,7 +319,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measure the world, training and its peers on this machine, and write it down; at most 45 minutes."""
+    """Measure the world, training and its peers on this machine, and write it down; half an hour."""
     parser = _Parser(prog="python -m uavnav.bench", description=main.__doc__)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--quick", action="store_true", help="a first impression, in at most 3 minutes")

@@ -1,0 +1,136 @@
+"""The statistics on data whose answer is known: coverage by simulation, Holm by hand, interactions, censoring."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from uavnav import stats
+
+
+def test_three_p_values_adjusted_by_hand():
+    assert stats.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+
+
+def test_a_missing_p_value_counts_for_none():
+    assert stats.holm([0.02, np.nan, 0.03]) == pytest.approx([0.04, np.nan, 0.04], nan_ok=True)
+
+
+def test_one_seed_has_a_mean_and_no_interval_and_none_has_neither():
+    one = stats.interval([3.0])
+    assert (one.value, one.n) == (3.0, 1)
+    assert np.isnan([one.low, one.high]).all()
+    assert not one.inside(0, 10)
+    assert not one.outside(5, 10)
+    assert np.isnan(stats.interval([np.nan]).value)
+    assert stats.interval([np.nan]).n == 0
+
+
+def test_equal_seeds_have_an_interval_of_one_point():
+    assert stats.interval([2.0] * 5) == (2.0, 2.0, 2.0, 5)
+
+
+def test_the_95_percent_interval_of_20_normal_seeds_covers_the_mean_in_about_95_percent_of_200_draws():
+    rng = np.random.default_rng(0)
+    found = [stats.interval(rng.normal(7.0, 2.0, 20), seed=draw) for draw in range(200)]
+    covered = np.mean([one.low <= 7.0 <= one.high for one in found])
+    assert 0.89 <= covered <= 0.98
+
+
+def test_the_interval_of_a_difference_covers_it_and_excludes_what_is_far_away():
+    rng = np.random.default_rng(1)
+
+    def difference(a, b, axis=-1):
+        return a.mean(axis) - b.mean(axis)
+
+    found = [
+        stats.contrast([rng.normal(3.0, 1.0, 20), rng.normal(1.0, 2.0, 20)], difference, seed=draw)
+        for draw in range(200)
+    ]
+    assert 0.88 <= np.mean([one.low <= 2.0 <= one.high for one in found]) <= 0.98
+    assert np.mean([one.outside(-np.inf, 0.0) for one in found]) > 0.9
+    assert found[0].n == 20
+
+
+def test_the_interquartile_mean_leaves_out_the_outer_quarters():
+    assert stats.interquartile_mean(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0])) == 3.5
+
+
+def test_episodes_within_seeds_widen_the_interval_and_a_seed_of_many_episodes_weighs_no_more():
+    rng = np.random.default_rng(2)
+    noisy = {seed: rng.normal(0.0, 5.0, 10) for seed in range(8)}
+    exact = {seed: np.full(10, values.mean()) for seed, values in noisy.items()}
+    wide, narrow = stats.nested_interval(noisy), stats.nested_interval(exact)
+    assert wide.value == pytest.approx(narrow.value)
+    assert wide.high - wide.low > 1.2 * (narrow.high - narrow.low)
+    uneven = {0: np.zeros(1000), 1: np.ones(2)}
+    assert stats.nested_interval(uneven).value == 0.5
+
+
+def test_probability_of_improvement_of_known_cells():
+    table = stats.improvement(
+        {"high": np.array([3.0, 4.0, 5.0]), "low": np.array([0.0, 1.0, 2.0]), "one": np.array([2.0])}
+    )
+    by_pair = {(row.a, row.b): row for row in table.itertuples()}
+    assert by_pair["high", "low"].probability == 1.0
+    assert by_pair["low", "one"].probability == pytest.approx(0.5 / 3)  # a tie is half a win
+    assert np.isnan(by_pair["low", "one"].p)
+    assert by_pair["high", "low"].p == pytest.approx(0.1)  # 2 of the 20 orders are as extreme
+    assert by_pair["high", "low"].p_holm == pytest.approx(0.1)
+
+
+def table_of(means, n=12, scale=None, seed=0):
+    rng = np.random.default_rng(seed)
+    rows = [
+        {"algorithm": algorithm, "activation": activation, "value": scale[algorithm] * (mean + rng.normal(0, 0.5))}
+        for (algorithm, activation), mean in means.items()
+        for _ in range(n)
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_the_same_order_of_activations_at_another_scale_is_no_interaction_of_ranks():
+    means = {
+        (algorithm, name): mean for algorithm in ("ppo", "dqn") for name, mean in zip("abcd", range(4), strict=True)
+    }
+    found = stats.interaction(table_of(means, scale={"ppo": 50.0, "dqn": 1.0}))
+    assert found.p_ranks > 0.2
+    assert found.p_raw < 0.001  # on the raw scale the differences are 50 times as large
+    assert found.n == 12
+
+
+def test_a_reversed_order_of_activations_is_an_interaction_of_ranks():
+    means = {("ppo", name): mean for name, mean in zip("abcd", range(4), strict=True)}
+    means |= {("dqn", name): -mean for name, mean in zip("abcd", range(4), strict=True)}
+    assert stats.interaction(table_of(means, scale={"ppo": 50.0, "dqn": 1.0})).p_ranks < 0.01
+
+
+def test_without_an_interaction_one_in_twenty_tests_finds_one():
+    means = {(algorithm, name): 0.0 for algorithm in ("ppo", "dqn") for name in "abcd"}
+    found = [stats.interaction(table_of(means, n=6, scale={"ppo": 1, "dqn": 1}, seed=s), s).p_ranks for s in range(60)]
+    assert np.mean(np.array(found) < 0.05) < 0.15
+
+
+def test_one_seed_a_cell_gives_no_test():
+    means = {(algorithm, name): 0.0 for algorithm in ("ppo", "dqn") for name in "ab"}
+    found = stats.interaction(table_of(means, n=1, scale={"ppo": 1, "dqn": 1}))
+    assert np.isnan([found.p_ranks, found.p_raw]).all()
+    assert found.n == 1
+
+
+def test_survival_and_restricted_mean_with_and_without_censoring():
+    steps = np.array([10.0, 20.0, 30.0, 40.0])
+    assert stats.restricted_mean(steps, np.array([True] * 4), 100) == pytest.approx(25.0)
+    censored = stats.restricted_mean(steps, np.array([True, True, False, False]), 100)
+    assert censored == pytest.approx(10 + 0.75 * 10 + 0.5 * 80)  # half of them never end
+    curve = stats.survival(steps, np.array([True, True, False, False]))
+    assert curve.loc[20.0] == pytest.approx(0.5)
+    assert curve.loc[40.0] == pytest.approx(0.5)
+
+
+def test_seeds_needed_for_a_difference_of_one_standard_deviation_are_17_and_for_none_infinitely_many():
+    rng = np.random.default_rng(3)
+    values = rng.normal(0, 1, 50)
+    values = (values - values.mean()) / values.std(ddof=1)
+    assert stats.seeds_needed(values + 1, values) == 17  # Cohen's table
+    assert stats.seeds_needed(values, values) == np.inf
+    assert np.isnan(stats.seeds_needed(values[:1], values))

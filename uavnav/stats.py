@@ -1,0 +1,208 @@
+"""Intervals and tests over training seeds. Seeds are resampled, never episodes alone; every number has its n.
+
+Thin over scipy, statsmodels and lifelines: what is here is which question is asked of which rows. Letters: S seeds of a
+cell, E episodes of a seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import statsmodels.formula.api as smf
+from lifelines import KaplanMeierFitter
+from lifelines.utils import restricted_mean_survival_time
+from scipy import stats
+from statsmodels.stats.multitest import multipletests
+from statsmodels.stats.power import TTestIndPower
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+CONFIDENCE = 0.95
+RESAMPLES = 2_000
+
+
+class Interval(NamedTuple):
+    """An estimate with its interval; a single seed has none."""
+
+    value: float
+    low: float
+    high: float
+    n: int
+
+    def inside(self, low: float = -np.inf, high: float = np.inf) -> bool:
+        """Whether the whole interval lies in a region."""
+        return bool(low <= self.low and self.high <= high)
+
+    def outside(self, low: float = -np.inf, high: float = np.inf) -> bool:
+        """Whether no point of the interval lies in a region."""
+        return bool(self.high < low or high < self.low)
+
+
+def interquartile_mean(values: Array, axis: int = -1) -> Any:
+    """The mean of the middle half."""
+    return stats.trim_mean(values, 0.25, axis=axis)
+
+
+def interval(
+    values: Sequence[float] | Array,
+    statistic: Callable[..., Any] = np.mean,
+    confidence: float = CONFIDENCE,
+    seed: int = 0,
+) -> Interval:
+    """A statistic of one number a seed [S], with its bootstrap interval over seeds (BCa).
+
+    NaN (a seed without an episode) is left out; from fewer than two seeds the interval is NaN.
+    """
+    seeds = np.asarray(values, dtype=np.float64)
+    seeds = seeds[~np.isnan(seeds)]
+    if not len(seeds):
+        return Interval(np.nan, np.nan, np.nan, 0)
+    value = float(statistic(seeds, axis=-1))
+    if len(seeds) < 2:
+        return Interval(value, np.nan, np.nan, len(seeds))
+    if np.ptp(seeds) == 0:
+        return Interval(value, value, value, len(seeds))
+    found = stats.bootstrap(
+        (seeds,),
+        statistic,
+        n_resamples=RESAMPLES,
+        confidence_level=confidence,
+        method="BCa",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return Interval(value, float(found.low), float(found.high), len(seeds))
+
+
+def contrast(
+    values: Sequence[Array], statistic: Callable[..., Any], confidence: float = CONFIDENCE, seed: int = 0
+) -> Interval:
+    """A statistic of several cells' seeds, `statistic(a, b, ..., axis=-1)`, with its percentile bootstrap interval.
+
+    Each cell's seeds are resampled by themselves; n is that of the smallest cell.
+    """
+    samples = [np.asarray(one, dtype=np.float64) for one in values]
+    n = min(len(one) for one in samples)
+    value = float(statistic(*samples, axis=-1)) if n else np.nan
+    if n < 2:
+        return Interval(value, np.nan, np.nan, n)
+    rng = np.random.default_rng(seed)
+    drawn = [one[rng.integers(len(one), size=(RESAMPLES, len(one)))] for one in samples]
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(statistic(*drawn, axis=-1), [tail, 1 - tail])
+    return Interval(value, float(low), float(high), n)
+
+
+def nested_interval(episodes: Mapping[int, Array], confidence: float = CONFIDENCE, seed: int = 0) -> Interval:
+    """The mean over seeds of each seed's mean episode: seeds resampled, then episodes within each; seed -> [E]."""
+    rng = np.random.default_rng(seed)
+    means = [float(np.mean(values)) for values in episodes.values()]
+    if len(means) < 2:
+        return Interval(means[0] if means else np.nan, np.nan, np.nan, len(means))
+    drawn = np.stack(
+        [values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(1) for values in episodes.values()], 1
+    )  # each seed's mean over its episodes drawn anew
+    picked = np.take_along_axis(drawn, rng.integers(len(means), size=drawn.shape), 1).mean(1)
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(picked, [tail, 1 - tail])
+    return Interval(float(np.mean(means)), float(low), float(high), len(means))
+
+
+def holm(p_values: Sequence[float]) -> Array:
+    """Holm's adjustment; NaN stays NaN and counts for none."""
+    p = np.asarray(p_values, dtype=np.float64)
+    there = ~np.isnan(p)
+    adjusted = np.full(len(p), np.nan)
+    if there.any():
+        adjusted[there] = multipletests(p[there], method="holm")[1]
+    return adjusted
+
+
+def improvement(cells: Mapping[str, Array]) -> pd.DataFrame:
+    """For every pair of cells, [S] a cell: the probability that a seed of `a` beats one of `b`, and whether it is 1/2.
+
+    Columns a, b, n_a, n_b, probability (Mann and Whitney's U over n_a n_b, ties half), p, p_holm.
+    """
+    names, rows = list(cells), []
+    for index, a in enumerate(names):
+        for b in names[index + 1 :]:
+            mine, theirs = cells[a], cells[b]
+            probability = p = np.nan
+            if len(mine) and len(theirs):
+                found = stats.mannwhitneyu(mine, theirs, alternative="two-sided")
+                probability = found.statistic / (len(mine) * len(theirs))
+                p = found.pvalue if min(len(mine), len(theirs)) > 1 else np.nan
+            rows.append({"a": a, "b": b, "n_a": len(mine), "n_b": len(theirs), "probability": probability, "p": p})
+    table = pd.DataFrame(rows, columns=["a", "b", "n_a", "n_b", "probability", "p"])
+    return table.assign(p_holm=holm(table["p"].tolist()))
+
+
+class Interaction(NamedTuple):
+    """Whether the activations rank alike under both algorithms."""
+
+    p_ranks: float
+    p_raw: float
+    n: int
+
+
+def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
+    """Of algorithm and activation on one number a seed; columns algorithm, activation, value.
+
+    p_ranks: values become ranks within their algorithm, so that scale alone is no interaction; the statistic is the sum
+    over activations of the squared difference of the algorithms' mean ranks; under no interaction the ranks of an
+    activation's seeds are the same whichever the algorithm, and are dealt out to the two anew. p_raw: Wald's test of
+    the interaction in least squares on the values themselves, with HC3 errors.
+    """
+    counts = table.groupby(["algorithm", "activation"]).size()
+    n = int(counts.min()) if len(counts) else 0
+    algorithms = sorted(table["algorithm"].unique())
+    activations = sorted(table["activation"].unique())
+    if len(algorithms) != 2 or len(activations) < 2 or len(counts) != 2 * len(activations) or n < 2:
+        return Interaction(np.nan, np.nan, n)
+    ranks = table.groupby("algorithm")["value"].rank(pct=True)
+    rng = np.random.default_rng(seed)
+    observed, dealt = 0.0, np.zeros(RESAMPLES)
+    for activation in activations:
+        mine = table["activation"] == activation
+        first = (table.loc[mine, "algorithm"] == algorithms[0]).to_numpy()
+        pooled = ranks[mine].to_numpy()
+        observed += (pooled[first].mean() - pooled[~first].mean()) ** 2
+        shuffled = rng.permuted(np.tile(pooled, (RESAMPLES, 1)), axis=1)
+        dealt += (shuffled[:, first].mean(1) - shuffled[:, ~first].mean(1)) ** 2
+    p_ranks = (1 + int((dealt >= observed - 1e-12).sum())) / (1 + RESAMPLES)
+    fit = smf.ols("value ~ C(algorithm) * C(activation)", table).fit(cov_type="HC3")
+    terms = [name for name in fit.params.index if ":" in name]
+    p_raw = float(fit.f_test(np.eye(len(fit.params))[[fit.params.index.get_loc(name) for name in terms]]).pvalue)
+    return Interaction(p_ranks, p_raw, n)
+
+
+def survival(steps: Array, ended: Array) -> pd.Series[float]:
+    """Kaplan and Meier's estimate: share of flights that are still up after so many steps (the index).
+
+    ended [E]: false where a cap on steps or the end of training cut a flight off.
+    """
+    curve = KaplanMeierFitter().fit(steps, event_observed=ended).survival_function_
+    result: pd.Series[float] = curve.iloc[:, 0]
+    return result
+
+
+def restricted_mean(steps: Array, ended: Array, limit: float) -> float:
+    """Mean steps up to a limit, censoring allowed for: the area below the survival curve."""
+    fitted = KaplanMeierFitter().fit(steps, event_observed=ended)
+    return float(restricted_mean_survival_time(fitted, t=limit))
+
+
+def seeds_needed(mine: Array, theirs: Array, power: float = 0.8, alpha: float = 0.05) -> float:
+    """Seeds a cell with which a difference as large as this one would be found by a t test; NaN where none is known."""
+    if min(len(mine), len(theirs)) < 2:
+        return float("nan")
+    spread = np.sqrt((np.var(mine, ddof=1) + np.var(theirs, ddof=1)) / 2)
+    difference = abs(np.mean(mine) - np.mean(theirs))
+    if difference == 0:
+        return float("inf")
+    if spread == 0 or difference / spread > 10:
+        return 2.0
+    found = TTestIndPower().solve_power(effect_size=difference / spread, power=power, alpha=alpha)
+    return float(max(np.ceil(found), 2.0))

@@ -1,8 +1,10 @@
 # Two commands do all the set-up: `make train` and `make test`. Both need Python 3.11 and a package index, no more.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
+SEEDS ?= 20
+RESULTS ?= results
 
-.PHONY: train test layouts picture clean
+.PHONY: train test study layouts picture clean
 
 train: .venv/.installed
 	$(BIN)/python recipes/ppo.py activation=relu
@@ -22,6 +24,12 @@ test: .venv/.installed-dev
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@ .venv/.installed
+
+study: .venv/.installed # the paper's eight cells, cell by cell; what is finished is skipped, what is not goes on
+	for algorithm in ppo dqn; do \
+	    $(BIN)/python recipes/$$algorithm.py -m activation=tanh,sigmoid,relu,leaky_relu n_seeds=$(SEEDS) \
+	        "out='$(RESULTS)/$$algorithm/\$${activation}'" || exit; \
+	done
 
 layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/python -m uavnav.layouts --out uavnav/banks

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from uavnav import probes
-from uavnav.networks import mlp
+from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.seeding import stream
 from uavnav.world import World
 
@@ -49,7 +49,7 @@ def test_saturated_is_the_share_of_flat_activations(activation, bias, expected):
     ("activation", "slope"), [("relu", 1.0), ("tanh", 1.0), ("sigmoid", 0.25), ("leaky_relu", 1.0)]
 )
 def test_the_steepest_slope(activation, slope):
-    assert probes.steepest(activation) == pytest.approx(slope)
+    assert probes.steepest(ACTIVATIONS[activation]) == pytest.approx(slope)
 
 
 def test_the_effective_rank_of_orthogonal_features_is_their_number_and_of_one_direction_1():
@@ -60,3 +60,11 @@ def test_the_effective_rank_of_orthogonal_features_is_their_number_and_of_one_di
     uneven = torch.diag(torch.tensor([2.0, 1.0]))[None]
     entropy = -(2 / 3 * torch.tensor(2 / 3).log() + 1 / 3 * torch.tensor(1 / 3).log())
     assert probes._effective_rank(uneven).item() == pytest.approx(entropy.exp().item(), rel=1e-5)
+
+
+def test_a_network_that_diverged_has_no_rank_and_does_not_end_the_run():
+    net = network("tanh")
+    with torch.no_grad():
+        net[0].weight[1] = float("nan")
+    rank = probes.units(net, torch.rand(50, 3))["effective_rank"]
+    assert rank.isnan().tolist() == [False, True]

@@ -334,3 +334,18 @@ def test_a_compiled_run_stopped_and_resumed_ends_the_same_bit_for_bit(algorithm,
     resumed = train(config, out=tmp_path / "run", quiet=True)
     assert resumed.meta["compiled"]
     same(whole.path, resumed.path)
+
+
+def test_a_ring_written_in_many_small_chunks_and_overwritten_between_snapshots_is_refilled_as_it_was(
+    tmp_path, monkeypatch
+):
+    """A chunk of one row is shorter than the gap to where the ring begins."""
+    monkeypatch.setattr(checkpoints, "CHUNK_BYTES", 1)
+    train, config = ALGORITHMS["dqn, a small ring"]
+    whole = train(config, out=tmp_path / "whole", quiet=True)
+    for frames in (192, 1024):  # the first snapshot is at 192, the second after more than four rings
+        with pytest.raises(Interrupted):
+            train(config, out=tmp_path / "run", quiet=True, until=frames)
+    assert len(list((tmp_path / "run" / "checkpoint").glob("replay-*"))) > 200
+    train(config, out=tmp_path / "run", quiet=True)
+    same(whole.path, tmp_path / "run")

@@ -17,6 +17,7 @@ from uavnav.dqn import DQNConfig
 from uavnav.dqn import train as train_dqn
 from uavnav.policies import FILE_NAME, load_policy
 from uavnav.ppo import PPOConfig, train
+from uavnav.report import run_folders
 from uavnav.runs import Interrupted, RunError
 from uavnav.shares import split
 from uavnav.verify import verify
@@ -112,6 +113,7 @@ def test_verify_repeats_it_in_as_many_processes(spread_run):
 
 COMMAND = """
 from uavnav.ppo import PPOConfig, train
+from uavnav.report import run_folders
 config = PPOConfig(n_seeds=3, total_frames=400_000, frames_per_batch=256, epochs=2, compile="off")
 train(config, {out!r}, quiet=True, processes=2, checkpoint_seconds=0)
 """
@@ -190,3 +192,31 @@ def test_an_activation_of_ones_own_stays_in_the_process_that_knows_it(monkeypatc
     assert compiling.processes(PPOConfig(n_seeds=10, activation="mine")) == 1
     monkeypatch.setitem(networks.ACTIVATIONS, "tanh", torch.sin)
     assert compiling.processes(PPOConfig(n_seeds=10, activation="tanh")) == 1
+
+
+@pytest.mark.parametrize("processes", [0, -1, 4, 2.5, True])
+def test_processes_are_a_whole_number_up_to_the_number_of_seeds(processes, tmp_path):
+    with pytest.raises(ConfigError, match=r"processes=.*; give a whole number from 1 to n_seeds=3"):
+        train(PPOConfig(n_seeds=3, **SMALL), tmp_path / "run", quiet=True, processes=processes)
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_activation_of_ones_own_in_two_processes_is_refused_before_anything_is_written(tmp_path, monkeypatch):
+    monkeypatch.setitem(networks.ACTIVATIONS, "mine", torch.sin)
+    with pytest.raises(ConfigError, match="activation=mine is known to this process alone; give processes=1"):
+        train(PPOConfig(n_seeds=2, activation="mine", **SMALL), tmp_path / "run", quiet=True, processes=2)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+def test_a_snapshot_without_any_row_yet_is_two_empty_tables(tmp_path):
+    """DQN's first row of progress comes at 4,992 frames."""
+    run = train_dqn(DQNConfig(n_seeds=2, total_frames=640, compile="off"), tmp_path / "run", quiet=True, processes=2)
+    verdict = verify(run, frames=64, quiet=True)
+    assert verdict.same
+
+
+def test_a_report_beside_a_run_under_way_does_not_take_its_shares_for_runs(tmp_path):
+    with pytest.raises(Interrupted):
+        train(PPOConfig(n_seeds=3, **SMALL), tmp_path / "run", quiet=True, processes=2, until=512)
+    assert run_folders(tmp_path) == [tmp_path / "run"]

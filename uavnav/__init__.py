@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         scalar,
         sensing,
         simulator,
+        stats,
         verify,
         world,
     )
@@ -84,6 +85,7 @@ _MODULES = (
     "scalar",
     "sensing",
     "simulator",
+    "stats",
     "verify",
     "world",
 )

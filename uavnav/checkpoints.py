@@ -215,7 +215,6 @@ def _nested(tensors: Mapping[str, Tensor]) -> dict[str, Any]:
 def _refill(replay: ReplayBuffer, first: int, chunk: Mapping[str, Tensor]) -> None:
     """Append rows to a buffer so that they come to lie where they were: row `first` at its place in the ring."""
     rows = TensorDict(_nested(chunk), batch_size=chunk["action"].shape)
-    skipped = (first - replay.write_count) % replay.storage.max_size
-    if skipped:  # more than the whole ring was written between two snapshots: these will be overwritten
-        replay.extend(rows[:skipped])
+    while skipped := (first - replay.write_count) % replay.storage.max_size:
+        replay.extend(rows[:skipped])  # more than the whole ring was written between two snapshots: no row counts yet
     replay.extend(rows)

@@ -10,12 +10,8 @@ from collections.abc import Iterator
 
 import torch
 
+from uavnav import networks, rewards
 from uavnav.config import ConfigError, TrainConfig
-from uavnav.networks import ACTIVATIONS
-from uavnav.rewards import REWARDS
-
-BUILT_IN = {**ACTIVATIONS, **REWARDS}
-"""What every process has."""
 
 PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
@@ -44,16 +40,29 @@ def processes(config: TrainConfig) -> int:
 
     An activation or a reward that the caller has added is not there in another process.
     """
-    own = ACTIVATIONS[config.activation] is not BUILT_IN.get(config.activation)
-    own |= REWARDS[config.reward] is not BUILT_IN.get(config.reward)
-    if own or torch.device(config.device).type != "cpu" or not _wanted(config):
+    if own_parts(config) or torch.device(config.device).type != "cpu" or not _wanted(config):
         return 1
-    return min(config.n_seeds, len(os.sched_getaffinity(0)))
+    return min(config.n_seeds, cores())
+
+
+def own_parts(config: TrainConfig) -> str:
+    """The activation and the reward that the caller has added or changed, which no other process knows; often none."""
+    activation, reward = config.activation, config.reward
+    own = {
+        f"activation={activation}": networks.ACTIVATIONS[activation] is not networks.BUILT_IN.get(activation),
+        f"reward={reward}": rewards.REWARDS[reward] is not rewards.BUILT_IN.get(reward),
+    }
+    return ", ".join(part for part, added in own.items() if added)
+
+
+def cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def threads(config: TrainConfig) -> int:
     """Within one process, two threads are slower than one for fewer than 4 agents, and faster from there on."""
-    return 1 if config.n_seeds < 4 else min(2, len(os.sched_getaffinity(0)))
+    return 1 if config.n_seeds < 4 else min(2, cores())
 
 
 @contextlib.contextmanager

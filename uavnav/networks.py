@@ -29,6 +29,9 @@ ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "identity": lambda x: x,
 }
 
+BUILT_IN = dict(ACTIVATIONS)
+"""Those that every process has, whatever its caller adds to the table."""
+
 Init = Literal["orthogonal", "default"]
 
 

@@ -6,12 +6,14 @@ Letters: A agents, P poses, H units of a layer.
 from __future__ import annotations
 
 import functools
+import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
 
 from uavnav import layouts, simulator
-from uavnav.networks import Activation
+from uavnav.networks import ACTIVATIONS, Activation
 from uavnav.seeding import stream
 from uavnav.world import World
 
@@ -33,6 +35,7 @@ def poses(world: World) -> Tensor:
     return observation
 
 
+@torch.no_grad()
 def units(network: nn.Sequential, observation: Tensor) -> dict[str, Tensor]:
     """Of the hidden units of each agent's network, on observation [P, 30]; each [A].
 
@@ -47,7 +50,7 @@ def units(network: nn.Sequential, observation: Tensor) -> dict[str, Tensor]:
             hidden, slope = _with_slope(layer, hidden)
             mean = hidden.abs().mean(1)
             dormant.append(mean <= DORMANT * mean.mean(1, keepdim=True))
-            saturated.append(slope.abs() <= SATURATED * steepest(layer.name))
+            saturated.append(slope.abs() <= SATURATED * steepest(ACTIVATIONS[layer.name]))
         else:
             hidden = layer(hidden)
     return {
@@ -58,13 +61,13 @@ def units(network: nn.Sequential, observation: Tensor) -> dict[str, Tensor]:
 
 
 @functools.cache
-def steepest(activation: str) -> float:
+def steepest(activation: Callable[[Tensor], Tensor]) -> float:
     """The largest |slope| of an activation between -10 and 10."""
-    _, slope = _with_slope(Activation(activation), torch.linspace(-10, 10, 2001))
+    _, slope = _with_slope(activation, torch.linspace(-10, 10, 2001))
     return slope.abs().max().item()
 
 
-def _with_slope(activation: nn.Module, x: Tensor) -> tuple[Tensor, Tensor]:
+def _with_slope(activation: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
     """An activation's values at x and its derivatives there."""
     with torch.enable_grad():
         x = x.detach().requires_grad_()
@@ -74,8 +77,11 @@ def _with_slope(activation: nn.Module, x: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _effective_rank(x: Tensor) -> Tensor:
-    """Of matrices [A, P, H] -> [A]; 0 for a matrix of zeros."""
-    values = torch.linalg.eigvalsh((x.mT @ x).double()).clamp(min=0).sqrt()
+    """Of matrices [A, P, H] -> [A]; 0 for a matrix of zeros, NaN for one that is not finite."""
+    gram = (x.mT @ x).double()
+    finite = gram.isfinite().flatten(1).all(1)
+    values = torch.linalg.eigvalsh(torch.where(finite[:, None, None], gram, 0.0)).clamp(min=0).sqrt()
     shares = values / values.sum(-1, keepdim=True).clamp(min=torch.finfo(values.dtype).tiny)
     entropy = -torch.xlogy(shares, shares).sum(-1)
-    return torch.where(values.sum(-1) > 0, entropy.exp(), 0.0).float()
+    rank = torch.where(values.sum(-1) > 0, entropy.exp(), 0.0)
+    return torch.where(finite, rank, math.nan).float()

@@ -113,7 +113,7 @@ def run_folders(folder: Path) -> list[Path]:
         raise RunError(f"{folder}: {problem}; give a folder that holds runs")
     found = []
     for path, names, files in os.walk(folder):
-        names[:] = sorted(name for name in names if not name.startswith("."))
+        names[:] = sorted(name for name in names if not name.startswith(".") and name != "checkpoint")
         if "config.yaml" in files:
             found.append(Path(path))
     if not found:

@@ -53,3 +53,6 @@ REWARDS: dict[str, Callable[[Tensor, Tensor, Tensor, World], Terms]] = {
     "additive": additive,
     "initial": initial,
 }
+
+BUILT_IN = dict(REWARDS)
+"""Those that every process has, whatever its caller adds to the table."""

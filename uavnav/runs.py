@@ -55,6 +55,8 @@ Columns = dict[str, np.ndarray[Any, Any]]
 FINISHED = "finished"
 STOPS = (signal.SIGINT, signal.SIGTERM)
 LOCK = ".lock"
+SNAPSHOT_FORMAT = 2
+"""Raised when what a snapshot holds of a learner changes."""
 CHECKPOINT_SECONDS = 60.0
 """The time between two snapshots."""
 CHECKPOINT_SHARE = 0.04
@@ -185,6 +187,7 @@ class Recorder:
         self._lock = FileLock(self.path / LOCK)
         identity = {**self._described, **{f"version of {name}": v for name, v in self.meta["versions"].items()}}
         identity["bank"] = self.meta["bank"]["sha256"]
+        identity["format"] = SNAPSHOT_FORMAT
         self._checkpoints = Checkpoints(self.path / "checkpoint", identity)
         try:
             self.finished = self._check_folder()
@@ -276,7 +279,7 @@ class Recorder:
             for name in (*FILES, EVALUATION, BEHAVIOUR):
                 (self.path / name).unlink(missing_ok=True)
         self._began = self._saved = time.perf_counter()
-        self.meta |= {"status": "running", "started": _now()}
+        self.meta = self._before | self.meta | {"status": "running", "started": _now()}
         self._write("config.yaml", yaml.safe_dump(self._described, sort_keys=False).encode())
         self._write_meta()
 
@@ -470,13 +473,13 @@ class Recorder:
         """Each seed's mean reward over its last 100 episodes; seeds without any are left out."""
         return [sum(recent) / len(recent) for recent in self._recent if recent]
 
-    def finish(self, policy: bytes, frames: int) -> Run:
-        """Write everything, the status last, and read it back."""
+    def finish(self, policy: bytes, frames: int, wall_seconds: float | None = None) -> Run:
+        """Write everything, the status last, and read it back; wall_seconds: that it took, if others took it."""
         episodes = pd.DataFrame(_joined(self._episodes, list(EPISODE_COLUMNS))).astype(EPISODE_COLUMNS)
         self._write("episodes.parquet", _parquet(episodes))
         self._write("progress.parquet", _parquet(pd.DataFrame(_joined(self._progress, ["seed", "frame"]))))
         self._write(policies.FILE_NAME, policy)
-        wall = time.perf_counter() - self._began
+        wall = time.perf_counter() - self._began if wall_seconds is None else wall_seconds
         self.meta |= {"status": FINISHED, "frames": frames, "wall_seconds": round(wall, 3), "ended": _now()}
         self._write_meta()
         self._checkpoints.remove()

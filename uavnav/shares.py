@@ -7,6 +7,7 @@ one that started it is gone.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import json
@@ -16,8 +17,9 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import traceback
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -65,22 +67,32 @@ def spread(check: Callable[[Any], None] | None = None) -> Callable[[Callable[...
                 return recorder.read()
             if check is not None:
                 check(config)
-            n = recorder.processes(processes or compiling.processes(config))
+            n = recorder.processes(compiling.processes(config) if processes is None else _checked(processes, config))
+            if n > 1 and (own := compiling.own_parts(config)):
+                raise ConfigError(f"processes={n}: {own} is known to this process alone; give processes=1")
             if n > 1:
-                compile = recorder.repeat(compiling.decide(config))
-                beyond = config.beyond(module.PRESETS[config.preset])
-                with recorder, Display(module.ALGORITHM, config, config.total_frames, quiet, tell) as display:
-                    recorder.note(compiled=compile, threads=1, processes=n, beyond_preset=beyond)
-                    shares = Shares(recorder, config, n, checkpoint_seconds, until)
-                    for frames, rewards in shares.progress():
-                        display.update(frames, rewards)
-                    return shares.join()
+                with compiling.use_threads(1):
+                    compile = recorder.repeat(compiling.decide(config))
+                    beyond = config.beyond(module.PRESETS[config.preset])
+                    with recorder, Display(module.ALGORITHM, config, config.total_frames, quiet, tell) as display:
+                        recorder.note(compiled=compile, threads=1, processes=n, beyond_preset=beyond)
+                        shares = Shares(recorder, config, n, checkpoint_seconds, until)
+                        with contextlib.closing(shares.progress()) as steps:
+                            for frames, rewards in steps:
+                                display.update(frames, rewards)
+                        return shares.join()
             with compiling.use_threads(compiling.threads(config)):
                 return train(config, folder, overwrite, quiet, checkpoint_seconds, until, tell)
 
         return spread_train
 
     return decorate
+
+
+def _checked(processes: int, config: TrainConfig) -> int:
+    if type(processes) is not int or not 1 <= processes <= config.n_seeds:
+        raise ConfigError(f"processes={processes}; give a whole number from 1 to n_seeds={config.n_seeds}")
+    return processes
 
 
 def split(config: C, folder: Path, n: int) -> dict[Path, C]:
@@ -128,7 +140,7 @@ class Shares:
         self.shares = split(config, recorder.path, n)
         self.how = {"algorithm": recorder.algorithm, "checkpoint_seconds": checkpoint_seconds, "until": until}
 
-    def progress(self) -> Iterator[tuple[int, list[float]]]:
+    def progress(self) -> Generator[tuple[int, list[float]]]:
         """Train all shares, and yield where the whole run is: what `Tell` is told.
 
         Raises:
@@ -153,6 +165,8 @@ class Shares:
                     rewards = [reward for _, part in latest.values() for reward in part]
                     yield min(frames for frames, _ in latest.values()), rewards
                 elif path not in ended:
+                    if message is not None and "finished" in message:
+                        latest[path] = message["finished"], latest[path][1]
                     silent = (
                         {"stopped": latest[path][0], "wanted": False}
                         if told_to_stop
@@ -169,13 +183,17 @@ class Shares:
             frames = min(message["stopped"] for message in stops)
             raise self.recorder.interrupted(frames, wanted=all(message["wanted"] for message in stops))
 
-    @contextmanager
+    @contextlib.contextmanager
     def _running(self, said: queue.SimpleQueue[Any]) -> Iterator[list[subprocess.Popen[str]]]:
         processes = []
         try:
             for path, config in self.shares.items():
                 process = subprocess.Popen(
-                    [sys.executable, "-m", __name__],
+                    [
+                        sys.executable,
+                        "-c",
+                        f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main()",
+                    ],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     text=True,
@@ -188,9 +206,7 @@ class Shares:
                 threading.Thread(target=_listen, args=(process, path, said), daemon=True).start()
             yield processes
         finally:
-            for process in processes:
-                assert process.stdin is not None
-                process.stdin.close()  # where it still runs, it saves and ends
+            _stop(processes)
             for process in processes:
                 process.wait()
 
@@ -199,43 +215,50 @@ class Shares:
         runs = [Run(path) for path in self.shares]
         self.recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
         policy = policies.join([run.path / policies.FILE_NAME for run in runs])
-        return self.recorder.finish(policy, runs[0].frames)
+        return self.recorder.finish(policy, runs[0].frames, max(run.meta["wall_seconds"] for run in runs))
 
 
 def _listen(process: subprocess.Popen[str], path: Path, said: queue.SimpleQueue[Any]) -> None:
     assert process.stdout is not None
-    with process.stdout:
-        for line in process.stdout:
-            said.put((path, json.loads(line)))
-    said.put((path, None))
+    try:
+        with process.stdout:
+            for line in process.stdout:
+                said.put((path, json.loads(line)))
+    finally:
+        said.put((path, None))
 
 
 def _stop(processes: Sequence[subprocess.Popen[str]]) -> None:
+    """Ask all to save and end, by closing what they listen to: however often it is said, they hear it once."""
     for process in processes:
-        if process.poll() is None:
-            process.send_signal(signal.SIGTERM)
+        if process.stdin is not None:
+            process.stdin.close()
 
 
 def _in_order(episodes: list[pd.DataFrame]) -> pd.DataFrame:
     """Episodes as one process would have noted them: in the order of their ends, then those cut off, seed by seed."""
-    table = pd.concat(episodes, ignore_index=True)
+    there = [table for table in episodes if len(table)]
+    if not there:
+        return episodes[0]
+    table = pd.concat(there, ignore_index=True)
     open_at_the_end = ~(table["terminated"] | table["truncated"])
     ended = table[~open_at_the_end].sort_values(["frame", "world", "seed"], kind="stable")
     return pd.concat([ended, table[open_at_the_end].sort_values(["seed", "world"])], ignore_index=True)
 
 
 def _by_frame(progress: list[pd.DataFrame]) -> pd.DataFrame:
-    return pd.concat(progress, ignore_index=True).sort_values(["frame", "seed"], kind="stable", ignore_index=True)
+    there = [table for table in progress if len(table)]
+    if not there:
+        return progress[0]
+    return pd.concat(there, ignore_index=True).sort_values(["frame", "seed"], kind="stable", ignore_index=True)
 
 
 # -- in the process of a share ----------------------------------------------------------------------------------------
 
 
-def _say(**message: Any) -> None:
-    try:
-        print(json.dumps(message), flush=True)
-    except BrokenPipeError:  # the one that listened is gone: a stop is on its way
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _say(channel: int, **message: Any) -> None:
+    with contextlib.suppress(BrokenPipeError):  # the one that listened is gone: a stop is on its way
+        os.write(channel, (json.dumps(message) + "\n").encode())
 
 
 def _end_with_parent() -> None:
@@ -247,6 +270,9 @@ def _end_with_parent() -> None:
 
 def main() -> None:
     """Train the share that is described on the standard input."""
+    channel = os.dup(sys.stdout.fileno())
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no message
+    warnings.formatwarning = lambda message, *where, **more: f"{message}\n"
     described = json.loads(sys.stdin.readline())
     threading.Thread(target=_end_with_parent, daemon=True).start()
     module = importlib.import_module(f"uavnav.{described['algorithm']}")
@@ -259,16 +285,15 @@ def main() -> None:
                 quiet=True,
                 checkpoint_seconds=described["checkpoint_seconds"],
                 until=described["until"],
-                tell=lambda frames, rewards: _say(frames=frames, rewards=rewards),
+                tell=lambda frames, rewards: _say(channel, frames=frames, rewards=rewards),
             )
         last = {"finished": run.frames}
     except Interrupted as stop:
         last = {"stopped": stop.frames, "wanted": stop.wanted}
     except EXPECTED as error:
         last = {"error": str(error)}
+    except Exception as error:
+        traceback.print_exc()
+        last = {"error": f"{described['out']}: {type(error).__name__}, see above"}
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # there is nothing left to save
-    _say(**last)
-
-
-if __name__ == "__main__":
-    main()
+    _say(channel, **last)

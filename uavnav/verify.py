@@ -103,7 +103,10 @@ def _beginning(
 
 def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
     """Where two tables part first, in words; empty where they do not."""
-    there, here = (table.drop(columns=TIMING, errors="ignore").reset_index(drop=True) for table in (there, here))
+    there, here = (
+        table.drop(columns=TIMING, errors="ignore").dropna(axis=1, how="all").reset_index(drop=True)
+        for table in (there, here)
+    )
     rows = min(len(there), len(here))
     if not rows:  # a table without rows need not have columns
         return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import pandas as pd
 from matplotlib.figure import Figure
 
-from uavnav import runs
+from uavnav import compiling, runs
 from uavnav.bench.jobs import WHOLE, Result
 
-CORES = min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+CORES = min(2, compiling.cores())
 TARGET_REWARD = 88.5
 """The paper's best: PPO with tanh."""
 VALIDATION = 200
@@ -41,7 +41,9 @@ class Results:
 
     def sums(self, name: str, key: str) -> list[float]:
         """One number a round, the sum over its processes."""
-        return [value * len(group) for value, group in zip(self.values(name, key), self.found[name], strict=True)]
+        return [
+            sum(one[key] for one in group) for group in self.found.get(name, []) if all(key in one for one in group)
+        ]
 
     def median(self, name: str, key: str) -> float | None:
         values = self.values(name, key)

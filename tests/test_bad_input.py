@@ -742,7 +742,7 @@ CASES = [
     config({"n_worlds": 6}, "give a multiple or a divisor of frames_per_update=4", algorithm="dqn"),
     config({"minibatch_size": 100}, "give a divisor of frames_per_batch=2048"),
     config({"minibatch_size": 1}, "at least 2"),
-    config({"buffer_size": 8}, "give at least n_worlds=64", algorithm="dqn"),
+    config({"buffer_size": 8}, "give more than n_worlds=64", algorithm="dqn"),
     word("overwrite", "overwrite=2; ", "choose from false, true", "ppo", "overwrite=2"),
     word("evaluate", "evaluate=maybe; ", "choose from false, true", "dqn", "evaluate=maybe"),
     word("checkpoint_seconds", "checkpoint_seconds=-1; ", "at least 0", "ppo", "checkpoint_seconds=-1"),

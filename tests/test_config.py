@@ -60,7 +60,7 @@ def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
         (PPOConfig, {"minibatch_size": 100}, "minibatch_size=100; give a divisor of frames_per_batch=2048"),
         (PPOConfig, {"batch_size": 3}, "there is no key 'batch_size'"),
         (DQNConfig, {"loss": "l1"}, "loss=l1; choose from huber, squared"),
-        (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give at least n_worlds=64"),
+        (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give more than n_worlds=64"),
         (DQNConfig, {"epochs": 3}, "there is no key 'epochs'"),
     ],
 )

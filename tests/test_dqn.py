@@ -1,6 +1,8 @@
 """DQN: the target by hand, each agent alone, Stable-Baselines3's own update, and a whole run against plain PyTorch."""
 
 import copy
+from collections import defaultdict
+from dataclasses import replace
 from types import SimpleNamespace
 
 import gymnasium
@@ -118,7 +120,7 @@ def test_rows_keep_agent_and_world_together():
     following = {"observation": code[..., None].repeat(1, 1, 1, 30), **{n: code[..., None].clone() for n in names}}
     batch = TensorDict({"observation": code[..., None].repeat(1, 1, 1, 30), "action": code.clone()}, [2, 3, 1])
     batch["next"] = TensorDict(following, [2, 3, 1])
-    got = rows(batch)
+    got = rows(batch, DQNConfig(max_steps=9))
     assert got.batch_size == (3, 2)
     for world in range(3):
         for agent in range(2):
@@ -157,7 +159,7 @@ def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s(acti
         buffer_size=100,
         seed=0,
     )
-    config = DQNConfig(activation=activation, max_grad_norm=cap, lr=1e-3, n_worlds=16)
+    config = DQNConfig(activation=activation, max_grad_norm=cap, lr=1e-3, n_worlds=16, max_steps=1000)
     network = make_network(config)
     loss = make_loss(network, config)
     other = make_network(DQNConfig(activation=activation, seed=7))
@@ -190,7 +192,7 @@ def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s(acti
         for seed in range(3):
             batch = transitions(1, 16, 1, seed=filled + seed)
             batch["next", "reward"] *= filled / 48 * 3  # errors on both sides of Huber's knee
-            buffer.extend(rows(batch))
+            buffer.extend(rows(batch, config))
         learn(buffer, learner, config)
         everything = buffer[:][:, 0]
         drawn = draws.draw(torch.randint, filled, (4 * 32,), device="cpu")[0].split(32)
@@ -530,13 +532,42 @@ def test_explored_actions_of_a_seed_do_not_depend_on_the_other_seeds():
 
 
 def test_a_buffer_of_48_keeps_the_newest_48_of_80_frames(tmp_path):
-    settings = {"total_frames": 80, "learning_starts": 16, "lr": 0.0, "batch_size": 4, "n_worlds": 16, "compile": "off"}
+    settings = {"total_frames": 80, "learning_starts": 16, "batch_size": 4, "n_worlds": 16, "max_steps": 1000}
+    settings |= {"lr": 0.0, "compile": "off"}
     ring, everything = (
         watch(DQNConfig(buffer_size=size, **settings), tmp_path / str(size)).buffer[:] for size in (48, 80)
     )
     assert (ring.shape, everything.shape) == ((48, 1), (80, 1))
     newest = whole(everything)[32:]
     assert torch.equal(whole(ring), torch.cat([newest[16:], newest[:16]]))  # frames 48 to 79, then 32 to 47
+
+
+@pytest.mark.parametrize("size", [400, 88])
+def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_them_holds(tmp_path, size):
+    """25 steps of 16 worlds in which nothing is learned: the two runs fly alike, one of them under a cap out of reach.
+
+    A buffer of 88 rows is full after five and a half steps, so that later ones lie across its end.
+    """
+    settings = {"n_seeds": 2, "n_worlds": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
+    config = DQNConfig(**settings, buffer_size=size, compile="off")
+    lean = watch(config, tmp_path / "lean")
+    full = watch(replace(config, max_steps=10_000, buffer_size=400), tmp_path / "full")
+    assert "observation" not in lean.buffer[:]["next"].keys()  # noqa: SIM118  (a TensorDict is not a dict)
+    assert len(lean.minibatches) == len(full.minibatches) == 23 * 4
+    for agent in (0, 1):
+        everything = full.buffer[:][:, agent]
+        collided = everything["next", "terminated"].squeeze(-1)
+        everything["next", "observation"][collided] = 0.0  # worth nothing, and in the lean buffer another episode's
+        places = defaultdict(list)  # those of equal transitions are told apart by none
+        for place, row in enumerate(whole(everything).tolist()):
+            places[tuple(row)].append(place)
+        assert collided.sum() > 5
+        for index, batch in enumerate(lean.minibatches):
+            drawn = batch[agent].clone()
+            drawn["next", "observation"][drawn["next", "terminated"].squeeze(-1)] = 0.0
+            frames = 16 * (3 + index // 4)
+            known = range(max(0, frames - size), frames - 16)  # of the newest step no successor is known
+            assert all(any(place in known for place in places[tuple(row)]) for row in whole(drawn).tolist())
 
 
 @pytest.mark.slow

@@ -67,6 +67,20 @@ def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():
         assert not torch.equal(b["row"][0], b["row"][1])
 
 
+def test_rows_come_with_their_successors_and_of_the_newest_2_none_is_drawn():
+    """A ring of 10 rows, written in steps of 2 up to row 13: rows 4 to 11 are drawn alike, each before row + 2."""
+    replay = ReplayBuffer(
+        storage=LazyTensorStorage(10), sampler=AgentSampler([0, 1], "rows", True, successor=2), batch_size=4000
+    )
+    for step in range(7):
+        replay.extend(TensorDict({"row": torch.tensor([[2 * step] * 2, [2 * step + 1] * 2])}, [2, 2]))
+    rows, following = replay.sample()["row"]
+    assert torch.equal(following, rows + 2)
+    counts = torch.bincount(rows.flatten(), minlength=12)
+    assert counts[:4].sum() == 0
+    assert stats.chisquare(counts[4:].numpy()).pvalue > 1e-3
+
+
 def test_without_replacement_an_epoch_sees_each_of_10_rows_once():
     replay = buffer([1, 2], False, 10)
     first, second = replay.sample()["row"], replay.sample()["row"]

@@ -42,7 +42,7 @@ ALGORITHM = "dqn"
 LOG_FRAMES = 5_000
 """Frames per seed between two rows of progress."""
 FRAME_BYTES = 14
-"""Of a transition beside its two observations: action, reward and two flags."""
+"""Of a transition beside its observations: action, reward and two flags."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,13 +74,19 @@ class DQNConfig(TrainConfig):
             raise ConfigError(
                 f"n_worlds={self.n_worlds}; give a multiple or a divisor of frames_per_update={self.frames_per_update}"
             )
-        if self.buffer_size < self.n_worlds:
-            raise ConfigError(f"buffer_size={self.buffer_size}; give at least n_worlds={self.n_worlds}")
+        if self.buffer_size <= self.n_worlds:
+            raise ConfigError(f"buffer_size={self.buffer_size}; give more than n_worlds={self.n_worlds}")
 
     @property
     def iterations(self) -> int:
         """Steps of all worlds at once."""
         return -(-self.total_frames // self.n_worlds)
+
+    @property
+    def keeps_next_observations(self) -> bool:
+        """Whether the buffer stores s' too. Else it is the next row of the same world, or belongs to a collision, where
+        it is worth nothing; a step at the cap bootstraps from an observation that no other row has."""
+        return self.max_steps is not None
 
     @property
     def steps_between_updates(self) -> int:
@@ -152,7 +158,8 @@ def make_learner(loss: DQNLoss, config: DQNConfig, compile: bool) -> Learner:
 def check_memory(config: DQNConfig) -> None:
     """Raise a ConfigError where the buffers of all seeds would not fit into the machine's memory."""
     capacity = min(config.buffer_size, config.n_worlds * config.iterations)
-    needed = config.n_seeds * capacity * (2 * 4 * config.world.observation_size + FRAME_BYTES) / 2**30
+    observations = 2 if config.keeps_next_observations else 1
+    needed = config.n_seeds * capacity * (observations * 4 * config.world.observation_size + FRAME_BYTES) / 2**30
     available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     if config.device == "cpu" and needed > available:
         raise ConfigError(
@@ -170,15 +177,31 @@ def make_buffer(sampler: AgentSampler, config: DQNConfig, total: int) -> ReplayB
     )
 
 
-def rows(batch: TensorDictBase) -> TensorDictBase:
-    """What the loss needs of a step [A, W, 1], as rows [W, A] of a buffer whose agents stay apart."""
-    following = [("next", name) for name in ("observation", "reward", "done", "terminated")]
+def rows(batch: TensorDictBase, config: DQNConfig) -> TensorDictBase:
+    """What the buffer keeps of a step [A, W, 1], as rows [W, A]: its agents stay apart."""
+    names = ["reward", "done", "terminated", *(["observation"] if config.keeps_next_observations else [])]
+    following = [("next", name) for name in names]
     return batch.select("observation", "action", *following).flatten(1, 2).transpose(0, 1)
+
+
+def make_sampler(config: DQNConfig) -> AgentSampler:
+    """Draws transitions uniformly; with each its successor, where the buffer has no s' of its own."""
+    successor = 0 if config.keeps_next_observations else config.n_worlds
+    return AgentSampler(config.seeds, "replay", replace=True, successor=successor)
+
+
+def draw(buffer: ReplayBuffer, config: DQNConfig) -> TensorDictBase:
+    """A round's transitions (s, a, R, s') [A, M, N]: M batches of N for each agent."""
+    batch = buffer.sample()
+    if not config.keeps_next_observations:
+        batch, successors = batch.unbind(0)
+        batch["next", "observation"] = successors["observation"].clone()  # inputs of a compiled loop share no memory
+    return batch.reshape(config.n_seeds, -1, config.batch_size)
 
 
 def learn(buffer: ReplayBuffer, learner: Learner, config: DQNConfig) -> dict[str, Tensor]:
     """A round of gradient steps, each on a batch of its own; each agent's loss and gradient norm, their mean, [A]."""
-    return learner.learn(buffer.sample().reshape(config.n_seeds, -1, config.batch_size))
+    return learner.learn(draw(buffer, config))
 
 
 @shares.spread(check=check_memory)
@@ -216,7 +239,7 @@ def train(
     if recorder.finished:
         return recorder.read()
     total = config.n_worlds * config.iterations
-    sampler = AgentSampler(config.seeds, "replay", replace=True)
+    sampler = make_sampler(config)
     buffer = make_buffer(sampler, config, total)
     compile = recorder.repeat(compiling.decide(config))
     env = make_env(config, compile)
@@ -258,9 +281,11 @@ def train(
         for step, batch in zip(range(frames // config.n_worlds + 1, config.iterations + 1), collector, strict=False):
             recorder.add_episodes(batch["next"], frames)
             frames += config.n_worlds
-            buffer.extend(rows(batch))
+            buffer.extend(rows(batch, config))
             target.step()
-            learning = frames > config.learning_starts and step % config.steps_between_updates == 0
+            learning = (
+                frames > max(config.learning_starts, config.n_worlds) and step % config.steps_between_updates == 0
+            )
             losses = learn(buffer, learner, config) if learning else {}
             policy.epsilon.fill_(config.epsilon(frames))
             if step % steps_between_rows == 0 or step == config.iterations:

@@ -24,18 +24,31 @@ class AgentSampler(Sampler):  # type: ignore[misc]
         seeds: one for each agent.
         purpose: names its streams.
         replace: uniform draws as for replay, or a permutation of all rows as for an epoch of minibatches.
+        successor: with `replace`, every row is drawn with another so many rows later, in batches [2, A, N]. Of the
+            newest rows, which have none yet, none is drawn.
     """
 
-    def __init__(self, seeds: Sequence[int], purpose: str, replace: bool) -> None:
+    def __init__(self, seeds: Sequence[int], purpose: str, replace: bool, successor: int = 0) -> None:
         self.streams = Streams(seeds, purpose)
         self.replace = replace
+        self.successor = successor
+        self._newest = -1
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[tuple[Tensor, Tensor], dict[str, Any]]:
+        size = len(storage)
         if self.replace:
-            rows = self.streams.draw(torch.randint, len(storage), (batch_size,), device=storage.device)
+            rows = self.streams.draw(torch.randint, size - self.successor, (batch_size,), device=storage.device)
+            if self.successor:
+                rows = (rows + self._newest + 1) % size  # counted from the oldest
+                rows = torch.stack([rows, (rows + self.successor) % size])
         else:
-            rows = self.streams.draw(torch.randperm, len(storage), device=storage.device)[:, :batch_size]
-        return (rows, torch.arange(len(rows), device=rows.device)[:, None]), {}
+            rows = self.streams.draw(torch.randperm, size, device=storage.device)[:, :batch_size]
+        agents = torch.arange(rows.shape[-2], device=rows.device)[:, None]
+        return (rows, agents), {}
+
+    def extend(self, index: Tensor) -> None:
+        """Rows were written there, in the order of time."""
+        self._newest = int(index[-1])
 
     def state_dict(self) -> dict[str, Any]:
         return self.streams.state_dict()

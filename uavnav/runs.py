@@ -55,7 +55,7 @@ Columns = dict[str, np.ndarray[Any, Any]]
 FINISHED = "finished"
 STOPS = (signal.SIGINT, signal.SIGTERM)
 LOCK = ".lock"
-SNAPSHOT_FORMAT = 2
+SNAPSHOT_FORMAT = 3
 """Raised when what a snapshot holds of a learner changes."""
 CHECKPOINT_SECONDS = 60.0
 """The time between two snapshots."""

@@ -68,18 +68,24 @@ def losses_by_row(batch, config):
         return loss(batch.clone())["loss"].flatten(), network, loss
 
 
-@pytest.mark.parametrize(("kind", "gamma"), [("huber", 0.99), ("squared", 0.99), ("huber", 0.5)])
-def test_the_loss_of_each_row_is_that_of_the_target_by_hand(kind, gamma):
-    config = DQNConfig(loss=kind, gamma=gamma)
+@pytest.mark.parametrize(
+    ("kind", "gamma", "double"),
+    [("huber", 0.99, False), ("squared", 0.99, False), ("huber", 0.5, False), ("squared", 0.99, True)],
+)
+def test_the_loss_of_each_row_is_that_of_the_target_by_hand(kind, gamma, double):
+    config = DQNConfig(loss=kind, gamma=gamma, double=double)
     batch = transitions(1, 8)
     got, network, _ = losses_by_row(batch, config)
     halved = make_network(config)
     for parameter in halved.parameters():
         parameter.data.mul_(0.5)
+    other = (network(batch["next", "observation"]).argmax(-1) != halved(batch["next", "observation"]).argmax(-1)).sum()
+    assert other > 2  # or the double estimate would be the same
     for row in range(8):
         observation, following = batch["observation"][:, row], batch["next", "observation"][:, row]
         prediction = network(observation)[0, batch["action"][0, row]].item()
-        bootstrap = 0.0 if batch["next", "terminated"][0, row] else gamma * halved(following).max().item()
+        best = (network if double else halved)(following).argmax()
+        bootstrap = 0.0 if batch["next", "terminated"][0, row] else gamma * halved(following)[0, best].item()
         error = abs(prediction - (batch["next", "reward"][0, row].item() + bootstrap))
         expected = error**2 if kind == "squared" else (0.5 * error**2 if error < 1 else error - 0.5)
         assert got[row].item() == pytest.approx(expected, abs=1e-5)

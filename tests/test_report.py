@@ -13,7 +13,11 @@ from matplotlib.figure import Figure
 
 from uavnav import paper
 from uavnav.metrics import EPISODE_COLUMNS
-from uavnav.report import BINS, collect, curve, label, main, plot, report, table
+from uavnav.report import report
+from uavnav.report.__main__ import main
+from uavnav.report.cells import BINS, collect, curve, label
+from uavnav.report.figures import plot
+from uavnav.report.tables import table
 from uavnav.runs import RunError
 
 CONFIG = {"preset": "paper", "total_frames": 1000, "n_worlds": 16, "reward": "eq14", "init": "default", "lr": 1e-4}

@@ -17,7 +17,7 @@ from uavnav.dqn import DQNConfig
 from uavnav.dqn import train as train_dqn
 from uavnav.policies import FILE_NAME, load_policy
 from uavnav.ppo import PPOConfig, train
-from uavnav.report import run_folders
+from uavnav.report.cells import run_folders
 from uavnav.runs import Interrupted, RunError
 from uavnav.shares import split
 from uavnav.verify import verify
@@ -113,7 +113,7 @@ def test_verify_repeats_it_in_as_many_processes(spread_run):
 
 COMMAND = """
 from uavnav.ppo import PPOConfig, train
-from uavnav.report import run_folders
+from uavnav.report.cells import run_folders
 config = PPOConfig(n_seeds=3, total_frames=400_000, frames_per_batch=256, epochs=2, compile="off")
 train(config, {out!r}, quiet=True, processes=2, checkpoint_seconds=0)
 """

@@ -1,0 +1,32 @@
+"""`python -m uavnav.report`: the command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from uavnav.report import report
+from uavnav.report.cells import one_line
+from uavnav.runs import RunError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Write report.md: the paper's tables beside ours in every reading, learning curves, and how runs were made."""
+    parser = argparse.ArgumentParser(prog="python -m uavnav.report", description=main.__doc__)
+    parser.add_argument("folders", nargs="*", default=["results"], metavar="FOLDER", help="of runs (default: results)")
+    parser.add_argument("--out", metavar="DIR", help="where the report goes (default: the first FOLDER)")
+    arguments = parser.parse_args(argv)
+    try:
+        written = report(arguments.folders, arguments.out)
+    except RunError as error:
+        print(f"uavnav.report: {one_line(error)}", file=sys.stderr)
+        return 2
+    for line in written.left_out:
+        print(f"uavnav.report: left out: {line}", file=sys.stderr)
+    print(f"the report is in {written.path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

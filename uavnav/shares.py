@@ -81,6 +81,7 @@ def spread(check: Callable[[Any], None] | None = None) -> Callable[[Callable[...
                             for frames, rewards in steps:
                                 display.update(frames, rewards)
                         return shares.join()
+            compiling.keep_memory_flat()
             with compiling.use_threads(compiling.threads(config)):
                 return train(config, folder, overwrite, quiet, checkpoint_seconds, until, tell)
 
@@ -277,6 +278,7 @@ def main() -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     module = importlib.import_module(f"uavnav.{described['algorithm']}")
     kind = type(next(iter(module.PRESETS.values())))
+    compiling.keep_memory_flat()
     try:
         with compiling.use_threads(1):
             run = module.train.__wrapped__(

@@ -1,0 +1,167 @@
+"""Which cells belong to which study, and what each reading of their rows says, as one number a seed.
+
+Studies are told apart by their settings, whatever their folders are called: the *main* study is that with most of the
+paper's activations, then most frames; the others are named by how they differ from it.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from uavnav import paper
+from uavnav.metrics import finished, per_seed
+from uavnav.report.cells import Cell, readings, show
+from uavnav.report.claims import PRIMARY, SURGE
+from uavnav.stats import Array
+
+Key = tuple[str, str]
+"""Algorithm and activation."""
+Cells = dict[Key, Cell]
+
+FOLLOWING = {"frames", "total_frames", "exploration_fraction", "layouts", "bank", "compile"}
+"""Settings that a shorter study or another bank changes along with what it is named after."""
+TUNED = "fast"
+"""The preset of the study `tuned`."""
+
+
+class Studies(NamedTuple):
+    """All cells of a report."""
+
+    main: Cells  # the paper's comparison, and further activations at the same settings
+    baseline: Cells  # the same for fewer frames, what the next two are held against
+    initial: Cells  # under the first reward
+    switches: dict[str, Cells]  # one setting otherwise, by `name=value`
+    tuned: Cells  # with the preset `fast`
+    others: list[Cell]
+
+    def of(self, name: str) -> Cells:
+        """One of the first three by its name."""
+        return {"main": self.main, "baseline": self.baseline, "initial": self.initial}[name]
+
+
+def sort(cells: Sequence[Cell]) -> Studies:
+    """Deal cells out to the studies; of two that would be in the same place the later one is among the others."""
+    studies = Studies({}, {}, {}, {}, {}, [])
+    for algorithm in dict.fromkeys(cell.algorithm for cell in cells):
+        mine = [cell for cell in cells if cell.algorithm == algorithm]
+        usual = _main(mine)
+        for cell in mine:
+            place = _place(studies, cell, usual)
+            if place is None or (algorithm, cell.activation) in place:
+                studies.others.append(cell)
+            else:
+                place[algorithm, cell.activation] = cell
+    order = [*paper.TABLES]
+    for cells_of in (studies.main, studies.baseline, studies.initial, studies.tuned, *studies.switches.values()):
+        in_order = sorted(cells_of.items(), key=lambda item: ([*order, item[0]].index(item[0]), item[0]))
+        cells_of.clear()
+        cells_of.update(in_order)
+    return studies
+
+
+def _main(cells: Sequence[Cell]) -> dict[str, Any]:
+    """The settings of an algorithm's main study."""
+    groups: dict[str, list[Cell]] = {}
+    for cell in cells:
+        groups.setdefault(str(sorted(cell.settings.items(), key=str)), []).append(cell)
+
+    def rank(group: list[Cell]) -> tuple[int, int, int]:
+        of_paper = sum((cell.algorithm, cell.activation) in paper.TABLES for cell in group)
+        seeds = sum(len(run.seeds) for cell in group for run in cell.runs)
+        return of_paper, group[0].settings["frames"], seeds
+
+    return max(groups.values(), key=rank)[0].settings
+
+
+def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | None:
+    own = cell.settings
+    changed = {key for key in {*usual, *own} if usual.get(key) != own.get(key)}
+    if not changed:
+        return studies.main
+    named = changed - FOLLOWING
+    if own.get("preset") == TUNED:
+        return studies.tuned
+    if not named and changed <= FOLLOWING - {"layouts", "bank"}:
+        return studies.baseline
+    if named == {"reward"} and own["reward"] == "initial":
+        return studies.initial
+    if len(named) == 1:
+        (name,) = named
+        return studies.switches.setdefault(f"{name}={show(own.get(name))}", {})
+    return None
+
+
+def seeds(cell: Cell) -> int:
+    """How many there are."""
+    return sum(len(run.seeds) for run in cell.runs)
+
+
+class Rows:
+    """Each metric of the studies' cells in one reading: an `Evidence`.
+
+    Args:
+        studies: all cells.
+        reading: a name that `cells.readings` gives.
+        flights: measures of flights by study, algorithm and activation: rows of `seed`, `mode` and measures.
+        ratio_of_means: of stops, turns and speed (decision 13).
+    """
+
+    def __init__(
+        self,
+        studies: Studies,
+        reading: str,
+        flights: Mapping[tuple[str, str, str], pd.DataFrame],
+        ratio_of_means: bool = False,
+    ) -> None:
+        self.studies = studies
+        self.reading = reading
+        self.flights = flights
+        self.ratio_of_means = ratio_of_means
+        self._table = functools.cache(self._per_seed)
+
+    def _per_seed(self, study: str, algorithm: str, activation: str) -> pd.DataFrame:
+        cell = self.studies.of(study)[algorithm, activation]
+        table = per_seed(readings(cell)[self.reading], self.ratio_of_means)
+        if self.reading == PRIMARY:
+            ended, (begin, end) = finished(cell.episodes), SURGE
+            when = {"before": (0, begin), "surge": (begin, end), "after": (end, np.inf)}
+            for name, (low, high) in when.items():
+                part = ended[(ended["frame"] > low) & (ended["frame"] <= high)]
+                table[f"reward_{name}"] = part.groupby("seed")["reward"].mean()
+        return table
+
+    def __call__(self, algorithm: str, activation: str, metric: str, study: str = "main") -> Array:
+        cell = self.studies.of(study).get((algorithm, activation))
+        if cell is None:
+            return np.empty(0)
+        if metric == "hours":
+            return hours(cell)
+        flown = self.flights.get((study, algorithm, activation))
+        if flown is not None and metric in flown:
+            mode = "greedy" if self.reading.startswith("greedy") else "sampled"
+            return _values(flown.loc[flown["mode"] == mode, metric])
+        table = self._table(study, algorithm, activation)
+        return _values(table[metric]) if metric in table else np.empty(0)
+
+
+def _values(column: pd.Series[Any]) -> Array:
+    return np.asarray(column.dropna(), dtype=np.float64)
+
+
+def hours(cell: Cell) -> Array:
+    """Wall time of a million frames of one seed [h], a run: its wall time over its seeds and frames."""
+    known = [run for run in cell.runs if isinstance(run.meta.get("wall_seconds"), (int, float))]
+    return np.array([run.meta["wall_seconds"] / 3600 / len(run.seeds) / (run.frames / 1e6) for run in known])
+
+
+def of_paper(algorithm: str, activation: str, metric: str, study: str = "main") -> Array:
+    """The paper's printed tables, and its ten hours, as an `Evidence` of one number a cell."""
+    if metric == "hours":
+        return np.array([paper.HOURS])
+    printed = paper.TABLES.get((algorithm, activation), {}) if study == "main" else {}
+    return np.array([printed[metric]]) if metric in printed else np.empty(0)

@@ -20,4 +20,4 @@ TABLES: dict[tuple[str, str], dict[str, float]] = {
 }
 
 HOURS = 10.0
-"""What a run of 1,000,000 steps took, sec. 4.3."""
+"""What a run of 1,000,000 steps took, sec. 4.1."""

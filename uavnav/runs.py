@@ -129,16 +129,26 @@ class Run:
                 raise RunError(f"{self.path / name}: not a run's, its {key}={there.get(key)}; give a run's folder")
 
     def _table(self, name: str, columns: Mapping[str, str]) -> pd.DataFrame:
-        path = self.path / name
         again = "evaluate the run again" if name == EVALUATION else "run again with overwrite=true"
-        try:
-            table = pd.read_parquet(io.BytesIO(path.read_bytes()), page_checksum_verification=True)
-        except Exception as error:  # pyarrow raises nearly every kind for a damaged file, in any number of lines
-            raise RunError(f"{path}: missing or damaged; {again}") from error
-        for column, kind in columns.items():
-            if str(table.dtypes.get(column)) != kind:
-                raise RunError(f"{path}: its columns are not a run's, {column} is no {kind}; {again}")
-        return table
+        return read_table(self.path / name, columns, again)
+
+
+def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFrame:
+    """A Parquet file that has these columns in these types, and maybe more.
+
+    again: how to get a good one, for the message.
+
+    Raises:
+        RunError: it is missing, damaged, or another table.
+    """
+    try:
+        table = pd.read_parquet(io.BytesIO(path.read_bytes()), page_checksum_verification=True)
+    except Exception as error:  # pyarrow raises nearly every kind for a damaged file, in any number of lines
+        raise RunError(f"{path}: missing or damaged; {again}") from error
+    for column, kind in columns.items():
+        if str(table.dtypes.get(column)) != kind:
+            raise RunError(f"{path}: its columns are not a run's, {column} is no {kind}; {again}")
+    return table
 
 
 def default_folder(algorithm: str, config: TrainConfig) -> Path:

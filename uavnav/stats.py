@@ -6,6 +6,8 @@ cell, E episodes of a seed.
 
 from __future__ import annotations
 
+import bisect
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -52,7 +54,8 @@ def interval(
     confidence: float = CONFIDENCE,
     seed: int = 0,
 ) -> Interval:
-    """A statistic of one number a seed [S], with its bootstrap interval over seeds (BCa).
+    """A statistic of one number a seed [S], with its bootstrap interval over seeds: BCa, or percentiles where
+    few or equal seeds leave it undefined.
 
     NaN (a seed without an episode) is left out; from fewer than two seeds the interval is NaN.
     """
@@ -65,14 +68,18 @@ def interval(
         return Interval(value, np.nan, np.nan, len(seeds))
     if np.ptp(seeds) == 0:
         return Interval(value, value, value, len(seeds))
-    found = stats.bootstrap(
-        (seeds,),
-        statistic,
-        n_resamples=RESAMPLES,
-        confidence_level=confidence,
-        method="BCa",
-        rng=np.random.default_rng(seed),
-    ).confidence_interval
+    with warnings.catch_warnings(action="ignore"):  # it says that BCa has no acceleration, and gives NaN
+        for method in ("BCa", "percentile"):
+            found = stats.bootstrap(
+                (seeds,),
+                statistic,
+                n_resamples=RESAMPLES,
+                confidence_level=confidence,
+                method=method,
+                rng=np.random.default_rng(seed),
+            ).confidence_interval
+            if not np.isnan(found.low):
+                break
     return Interval(value, float(found.low), float(found.high), len(seeds))
 
 
@@ -202,7 +209,14 @@ def seeds_needed(mine: Array, theirs: Array, power: float = 0.8, alpha: float = 
     difference = abs(np.mean(mine) - np.mean(theirs))
     if difference == 0:
         return float("inf")
-    if spread == 0 or difference / spread > 10:
+    if spread == 0:
         return 2.0
-    found = TTestIndPower().solve_power(effect_size=difference / spread, power=power, alpha=alpha)
-    return float(max(np.ceil(found), 2.0))
+    t_test = TTestIndPower()
+
+    def enough(n: int) -> bool:
+        return bool(t_test.power(difference / spread, n, alpha) >= power)
+
+    most = 2
+    while not enough(most):  # the solver of statsmodels fails for large differences
+        most *= 2
+    return float(bisect.bisect_left(range(most + 1), True, lo=2, key=enough))

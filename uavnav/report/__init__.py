@@ -1,12 +1,14 @@
 """From run folders to a report: verdicts on the paper's claims, tables, figures, replays, methods.
 
-`python -m uavnav.report [FOLDER...] [--out DIR]`
-
-Read are the rows that runs left, and their policies fly a little; nothing here trains.
+`python -m uavnav.report [FOLDER...] [--out DIR]` writes report.html, report.md, tables/ and figures/. Read are the rows
+that runs left, and their policies fly a little; nothing here trains.
 """
 
 from __future__ import annotations
 
+import base64
+import importlib.metadata
+import json
 import os
 import tempfile
 from collections.abc import Sequence
@@ -14,13 +16,40 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
+import pandas as pd
+from markupsafe import Markup
 
 from uavnav import paper
 from uavnav.metrics import LAST
-from uavnav.report.cells import BINS, collect, label
-from uavnav.report.figures import describe, draw
-from uavnav.report.tables import facts, markdown, run_table, table
+from uavnav.report import conclusions, frames, tables
+from uavnav.report.cells import BINS, label
+from uavnav.report.claims import CLAIMS, CONTRADICTED, PRIMARY, SUPPORTED, UNDECIDED, verdict
+from uavnav.report.content import LOOKED_AT, Content, gather
+from uavnav.report.figures import save
 from uavnav.runs import RunError
+
+SECTIONS = {
+    "verdicts": "Verdicts",
+    "tables": "Tables",
+    "curves": "Curves",
+    "flights": "Flights",
+    "statistics": "Statistics",
+    "behaviour": "Behaviour",
+    "why": "Why",
+    "sensitivity": "Sensitivity",
+    "baselines": "Baselines",
+    "speed": "Speed",
+    "methods": "Methods",
+}
+_TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("uavnav.report"),
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+    undefined=jinja2.StrictUndefined,
+    autoescape=lambda template: template == "page.html",
+)
+_TEMPLATES.filters["partition"] = lambda text: text.partition(" [")
 
 
 class Written(NamedTuple):
@@ -31,37 +60,151 @@ class Written(NamedTuple):
 
 
 def report(folders: Sequence[str | Path] = ("results",), out: str | Path | None = None) -> Written:
-    """Write report.md and its figures for all runs in some folders; `out` is the first of them by default.
+    """Write the report on all runs in some folders; `out` is the first of them by default.
 
     Raises:
         RunError: a folder is missing or holds no run, no run can be used, or `out` cannot be written: nothing is.
     """
-    cells, left_out = collect([Path(folder) for folder in folders])
-    there = {(cell.algorithm, cell.activation) for cell in cells}
-    algorithms = dict.fromkeys([*(name for name, _ in paper.TABLES), *sorted(name for name, _ in there)])
-    sections: list[dict[str, Any]] = []
-    figures: dict[str, bytes] = {}
-    for name in algorithms:
-        part, usual = label([cell for cell in cells if cell.algorithm == name])
-        apart = {name: [cell for cell in part if cell.label == cell.activation]}  # of its usual settings, and others
-        apart[f"{name}-other-settings"] = [cell for cell in part if cell.label != cell.activation]
-        drawn = {f"figures/{stem}.png": members for stem, members in apart.items() if members}
-        figures |= {file: draw(members) for file, members in drawn.items()}
-        pictures = [{"file": file, "alt": describe(members)} for file, members in drawn.items()]
-        tables = [markdown(table(part, name, ratio_of_means)) for ratio_of_means in (False, True)]
-        sections.append({"name": name, "usual": usual, "pictures": pictures, "tables": tables})
-    text = _TEMPLATE.render(
-        missing=[" ".join(cell) for cell in paper.TABLES if cell not in there],
+    content = gather([Path(folder) for folder in folders])
+    files: dict[str, bytes] = {}
+    data = {}
+    for figure in content.figures:
+        svg, png = save(figure.drawn.figure)
+        files |= {f"figures/{figure.name}.svg": svg, f"figures/{figure.name}.png": png}
+        data[figure.name] = base64.b64encode(svg).decode()
+    for stem, frame in content.tables.items():
+        files[f"tables/{stem}.csv"] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n").encode()
+    for algorithm in ("dqn", "ppo"):
+        rows = tables.beside_paper(_primary(content.tables["metrics"]), algorithm)
+        files[f"tables/paper-{algorithm}.tex"] = tables.latex(rows).encode()
+    files["report.html"] = page(content, data, Path(folders[0])).encode()
+    files["report.md"] = markdown(content).encode()
+    out = Path(folders[0] if out is None else out)
+    _write_all(out, files)
+    return Written(out / "report.html", content.left_out)
+
+
+def _primary(metrics: pd.DataFrame) -> pd.DataFrame:
+    return metrics[metrics["reading"] == PRIMARY] if len(metrics) else metrics
+
+
+def _claims(content: Content) -> list[dict[str, Any]]:
+    found = []
+    for claim in CLAIMS:
+        mine = [one for one in content.findings if one.claim == claim.number]
+        others = [(reading, findings) for reading, findings in content.audits.items() if reading != PRIMARY]
+        found.append(
+            {
+                "number": claim.number,
+                "sentence": claim.sentence,
+                "verdict": verdict(mine),
+                "text": conclusions.sentence(claim, mine),
+                "headline": conclusions.headline(mine),
+                "rows": tables.audit_rows(mine),
+                "table": tables.markdown(tables.audit_rows(mine)),
+                "readings": [
+                    (reading, verdict([one for one in findings if one.claim == claim.number]))
+                    for reading, findings in others
+                ],
+            }
+        )
+    return found
+
+
+def page(content: Content, pictures: dict[str, str], first: Path) -> str:
+    """The one HTML file: styles, figures, replays and the player's code are in it.
+
+    pictures: SVG by the figure's name, base64; first: the report's first folder, for what a command needs.
+    """
+    here = Path(__file__).parent
+    frame, shown = content.tables, (PRIMARY, "sampled evaluation")
+    replays = json.dumps(content.replays, separators=(",", ":")).replace("<", "\\u003c") if content.replays else ""
+    drawn = [
+        {
+            "name": figure.name,
+            "section": figure.section,
+            "alt": figure.drawn.alt,
+            "caption": figure.caption,
+            "data": pictures[figure.name],
+        }
+        for figure in content.figures
+    ]
+    audited = _claims(content)
+    wide = {key: cell for key, cell in content.studies.main.items() if key not in paper.TABLES}
+    return _TEMPLATES.get_template("page.html").render(
+        css=Markup((here / "templates" / "page.css").read_text() + (here / "replay.css").read_text()),
+        js=Markup((here / "replay.js").read_text()),
+        replays=Markup(replays),
+        version=importlib.metadata.version("uavnav"),
+        seeds=frames.total_seeds(content.studies.main),
+        frames=_frames(content),
+        lead=conclusions.lead(content.audits[PRIMARY]),
+        missing=content.missing,
+        sections=list(SECTIONS.items()),
+        rule=conclusions.RULE,
+        counts={one: sum(claim["verdict"] == one for claim in audited) for one in (SUPPORTED, CONTRADICTED, UNDECIDED)},
+        claims=audited,
+        primary=PRIMARY,
+        cap=f"{frames.CAP:,}",
+        paper_tables=[
+            (f"Table {number}: {algorithm.upper()}", tables.beside_paper(frame["metrics"], algorithm))
+            for number, algorithm in ((1, "dqn"), (2, "ppo"))
+        ],
+        drawn=drawn,
+        interaction_rows=tables.interactions(frame["interaction"]),
+        survival_rows=tables.survivals(frame["survival"]),
+        power_rows=tables.powers(frame["power"]),
+        behaviour_text=conclusions.BEHAVIOUR,
+        behaviour_rows=tables.measured(frame["behaviour"], LOOKED_AT),
+        why_rows=tables.pivot(frame["diagnostics"], "diagnostic"),
+        overestimation_rows=tables.overestimated(frame["overestimation"]),
+        sensitivity_text=conclusions.SENSITIVITY,
+        sensitivity_rows=tables.sensitivities(frame["sensitivity"]),
+        tuned_rows=tables.of_metrics(frame["tuned"], ("reward", "steps", "speed"), shown),
+        wide_rows=tables.of_metrics(
+            frames.estimates(frames.per_seed_values(wide)), ("reward", "steps", "speed"), shown
+        ),
+        baseline_rows=tables.baselines(content.baselines, content.studies.main, frames.CAP),
+        first=first,
+        speed_rows=tables.speeds(frame["speed"]),
+        facts=tables.facts([run for cell in content.cells for run in cell.runs]),
+        run_rows=tables.run_table(content.cells),
+        decision_rows=tables.decisions(),
+        left_out=content.left_out,
+    )
+
+
+def _frames(content: Content) -> str:
+    counts = sorted({cell.settings["frames"] for cell in content.studies.main.values()})
+    return " to ".join(f"{count:,}" for count in dict.fromkeys([counts[0], counts[-1]]))
+
+
+def markdown(content: Content) -> str:
+    """report.md: the verdicts, the tables in every reading, how the runs were made."""
+    sections = []
+    of_cells = {cell.algorithm for cell in content.cells}
+    for algorithm in dict.fromkeys([*(which for which, _ in paper.TABLES), *sorted(of_cells)]):
+        part, usual = label([cell for cell in content.cells if cell.algorithm == algorithm])
+        pictures = [
+            {"file": f"figures/{figure.name}.png", "alt": figure.drawn.alt}
+            for figure in content.figures
+            if figure.name.startswith(f"curves-{algorithm}-")
+        ]
+        shown = [tables.markdown(tables.table(part, algorithm, ratio)) for ratio in (False, True)]
+        sections.append({"name": algorithm, "usual": usual, "pictures": pictures, "tables": shown})
+    text = _TEMPLATES.get_template("report.md").render(
+        missing=content.missing,
+        rule=conclusions.RULE,
+        verdicts=tables.markdown(tables.overview(CLAIMS, content.audits, PRIMARY)),
+        claims=_claims(content),
         sections=sections,
-        facts=facts([run for cell in cells for run in cell.runs]),
-        runs=markdown(run_table(cells)),
-        left_out=left_out,
+        facts=tables.facts([run for cell in content.cells for run in cell.runs]),
+        runs=tables.markdown(tables.run_table(content.cells)),
+        left_out=content.left_out,
         last=LAST,
         bins=BINS,
     )
-    out = Path(folders[0] if out is None else out)
-    _write_all(out, figures | {"report.md": (text.strip() + "\n").encode()})
-    return Written(out / "report.md", left_out)
+    return text.strip() + "\n"
 
 
 def _write_all(out: Path, files: dict[str, bytes]) -> None:
@@ -80,67 +223,3 @@ def _write_all(out: Path, files: dict[str, bytes]) -> None:
                 os.replace(Path(aside, str(place)), out / name)
     except OSError as error:
         raise RunError(f"{out}: cannot be written ({error}); give another folder with --out") from error
-
-
-_TEMPLATE = jinja2.Environment(
-    trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined
-).from_string("""\
-# Results
-{% if missing %}
-
-**Not complete.** No finished run of {{ missing | join(", ") }}.
-{% endif %}
-
-Numbers of ours are means over training seeds of each seed's own mean, ± the standard deviation over seeds; one seed has
-none. The paper printed one run a cell. What it averages is open: all training episodes, the last {{ last }} of each
-seed, and evaluation on test sets of obstacles (greedy, and sampled as at the end of training) stand side by side. *cut
-off* is the share of episodes that a cap on steps ended: no collisions, and they would have gone on. Episodes still open
-at the end of training are in no mean. Steps, distance [px] and reward are per episode, speed is in px a step. *stops*
-are steps of distance 0, *full stops* those without a turn too: what the paper's column is taken to mean.
-{% for section in sections %}
-
-## {{ section.name | upper }}
-
-{% if section.usual %}
-Unless a row says otherwise: {{ section.usual }} (frames and n_worlds per seed, obstacles a set).
-
-{% for picture in section.pictures %}
-![{{ section.name }}: {{ picture.alt }}]({{ picture.file }})
-
-{% endfor %}
-Lines are means over seeds of each seed's mean over the episodes that ended in each of {{ bins }} bins of frames; a seed
-with none is not in that bin. Bands are from the lowest to the highest seed. Dashed: the paper's mean over its run.
-{% if section.pictures | length > 1 %}
-Cells with other settings are in the second figure.
-{% endif %}
-{% else %}
-No finished run.
-{% endif %}
-
-### {{ section.name | upper }}: stops, turns and speed as means of each episode's ratio
-
-{{ section.tables[0] }}
-
-### {{ section.name | upper }}: stops, turns and speed as ratios of means
-
-{{ section.tables[1] }}
-{% endfor %}
-
-## How the runs were made
-
-{% for line in facts %}
-- {{ line }}
-{% endfor %}
-
-A commit with + had changes beside it. Wall times, h:mm:ss, are of all seeds of a run together.
-
-{{ runs }}
-{% if left_out %}
-
-## Left out
-
-{% for line in left_out %}
-- {{ line }}
-{% endfor %}
-{% endif %}
-""")

@@ -222,13 +222,14 @@ def dqn_takes_corridors(evidence: Evidence) -> list[Part]:
     """9. Flights on the same sets of obstacles, and in the arena without any."""
     questions = {
         "corridor": ("share of steps between two close obstacles: DQN above PPO", -1),
+        "corridor_flown": ("share of the distance flown between two close obstacles: DQN above PPO", -1),
         "clearance": ("distance to the nearest obstacle or wall [px]: PPO above DQN", 1),
         "empty_clearance": ("the same in the empty arena [px]: PPO above DQN", 1),
     }
     parts = []
     for metric, (text, sign) in questions.items():
         samples = [evidence(one, activation, metric) for one in ALGORITHMS for activation in ACTIVATIONS]
-        parts.append(Part(text, samples, _gap(sign), digits=3 if metric == "corridor" else 1))
+        parts.append(Part(text, samples, _gap(sign), digits=1 if sign > 0 else 3))
     return parts
 
 

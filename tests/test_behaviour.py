@@ -1,0 +1,397 @@
+"""What flights look like: poses, actions and networks made by hand, whose numbers are known in closed form."""
+
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uavnav import layouts
+from uavnav.baselines import BASELINES
+from uavnav.config import TrainConfig
+from uavnav.evaluate import BEHAVIOUR_COLUMNS, fly
+from uavnav.metrics import EPISODE_COLUMNS
+from uavnav.networks import mlp
+from uavnav.policies import FILE_NAME, PolicyError, serialize
+from uavnav.report import behaviour
+from uavnav.report.behaviour import EMPTY_ARENA, MEASURES, empty_arena, heat, measures, overestimation, read
+from uavnav.runs import Run, RunError
+from uavnav.world import World
+
+WORLD = World()
+STOP, FULL_SPEED = 0, 9  # straight ahead, 0 and 9 px
+
+
+def table(poses=((400, 300),), actions=(STOP,), seed=0, layout=0, mode="greedy"):
+    """One flight: poses and actions, of which a single one is repeated."""
+    n = max(len(poses), len(actions))
+    (x, y), actions = np.array([*poses] * (n // len(poses))).T, [*actions] * (n // len(actions))
+    rows = {"seed": seed, "layout": layout, "step": range(1, n + 1), "x": x, "y": y, "heading": 90, "clearance": 50.0}
+    return pd.DataFrame(rows | {"action": actions}).astype(BEHAVIOUR_COLUMNS).assign(mode=mode)
+
+
+def turning(*angles, distance=0):
+    """The actions that turn by so many degrees, positive to the left."""
+    return [angle % 10 * 10 + distance for angle in angles]
+
+
+def bank(*circles):
+    return torch.tensor([circles], dtype=torch.float32).reshape(1, -1, 3)
+
+
+def one(rows, obstacles=EMPTY_ARENA):
+    (row,) = measures(rows, obstacles, WORLD).to_dict("records")
+    return row
+
+
+# -- places ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("circles", "pose", "share"),
+    [
+        ([(300, 300, 40), (500, 300, 40)], (400, 300), 1.0),  # 60 px to either side
+        ([(300, 300, 40)], (400, 300), 0.0),
+        ([(300, 300, 40), (310, 320, 40)], (400, 300), 0.0),  # two, on one side
+        ([(400, 400, 40), (400, 200, 40)], (400, 300), 1.0),  # ahead and behind count as left and right do
+        ([(240, 300, 40), (560, 300, 40)], (400, 300), 1.0),  # exactly 120 px away
+        ([(239, 300, 40), (560, 300, 40)], (400, 300), 0.0),  # and one pixel more
+        ([(160, 300, 40)], (80, 300), 1.0),  # a wall at 60 px to the left and a circle at 40 px to the right
+        ([(80, 300, 40)], (180, 300), 0.0),  # a circle between the wall and the drone
+        ([(160, 300, 40)], (300, 300), 0.0),  # a wall that is 280 px away
+        ([], (60, 60), 0.0),  # a corner: two walls at right angles
+        ([], (400, 300), 0.0),
+    ],
+)
+def test_a_corridor_has_close_bodies_on_opposite_sides(circles, pose, share):
+    assert one(table([pose]), bank(*circles))["corridor"] == share
+
+
+def test_who_stands_in_a_corridor_and_flies_elsewhere_flies_through_none():
+    """Four steps between two circles, of which one covers 6 px, and one of 2 px in the open."""
+    obstacles, inside, outside = bank((300, 300, 40), (500, 300, 40)), (400, 300), (400, 120)
+    found = one(table([inside] * 4 + [outside], [0, 0, 0, 6, 2]), obstacles)
+    assert (found["corridor"], found["corridor_flown"]) == (0.8, 0.75)
+    assert math.isnan(one(table([inside], [0]), obstacles)["corridor_flown"])
+
+
+@pytest.mark.parametrize(("degrees", "share"), [(119, 0.0), (121, 1.0), (180, 1.0), (239, 1.0), (241, 0.0)])
+def test_opposite_means_at_least_120_degrees_apart(degrees, share):
+    angle = math.radians(degrees)
+    circles = bank((500, 300, 40), (400 + 100 * math.cos(angle), 300 + 100 * math.sin(angle), 40))
+    assert one(table(), circles)["corridor"] == share
+
+
+def test_border_is_the_share_of_steps_nearer_to_a_wall_than_to_any_circle():
+    poses = [(60, 300), (130, 300), (131, 300), (140, 300)]  # the wall at 20, the circle's edge at 240: middle 130
+    assert one(table(poses), bank((280, 300, 40)))["border"] == 0.5
+
+
+def slow_surroundings(x, y, circles):
+    """Distance to the nearest body, whether that is a wall, and whether the place is a corridor, body by body."""
+    bodies = [
+        (math.hypot(cx - x, cy - y) - radius, math.degrees(math.atan2(cy - y, cx - x))) for cx, cy, radius in circles
+    ]
+    walls = [(x - 20, 180.0), (780 - x, 0.0), (y - 20, -90.0), (580 - y, 90.0)]
+    near = [angle for distance, angle in bodies + walls if distance <= 120]
+    corridor = any(120 <= abs(a - b) % 360 <= 240 for a in near for b in near)
+    return min(bodies + walls)[0], min(walls) < min(bodies), corridor
+
+
+def test_flights_agree_with_a_slow_loop_and_with_the_simulators_clearance():
+    obstacles = layouts.load("test")
+    flown = fly({3: BASELINES["random"], 4: BASELINES["reactive"]}, episodes=8, max_steps=120).behaviour
+    slow = pd.DataFrame(
+        [slow_surroundings(row.x, row.y, obstacles[row.layout].tolist()) for row in flown.itertuples()],
+        columns=["clearance", "border", "corridor"],
+    ).groupby(flown["seed"])
+    assert slow["corridor"].sum().min() > 20
+    fast = measures(flown.assign(mode="greedy"), obstacles, WORLD).set_index("seed")
+    for name in ("border", "corridor"):
+        assert np.allclose(fast[name], slow[name].mean(), atol=1e-12)
+    assert np.allclose(fast["clearance"], slow["clearance"].mean(), atol=1e-3)
+
+
+def test_places_in_several_chunks_are_those_of_one(monkeypatch):
+    rows, obstacles = table([(60 + 17 * n % 700, 60 + 29 * n % 480) for n in range(100)]), layouts.load("test")
+    whole = behaviour.surroundings(rows, obstacles, WORLD)
+    monkeypatch.setattr(behaviour, "CHUNK", 7)
+    for a, b in zip(whole, behaviour.surroundings(rows, obstacles, WORLD), strict=True):
+        assert 0 < a.sum() < 100
+        assert (a == b).all()
+
+
+QUARTERS = st.integers(200, 2200).map(lambda n: n / 4)  # exact in float32, as is 800 - x
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.lists(st.tuples(QUARTERS, QUARTERS, st.integers(30, 100)), max_size=6),
+    st.lists(st.tuples(QUARTERS, QUARTERS), min_size=1, max_size=9),
+)
+def test_a_world_and_its_mirror_images_are_alike(circles, poses):
+    plain = behaviour.surroundings(table(poses), bank(*circles), WORLD)
+    for mirror in (lambda x, y, *r: (800 - x, y, *r), lambda x, y, *r: (x, 600 - y, *r)):
+        mirrored = table([mirror(*pose) for pose in poses]), bank(*(mirror(*circle) for circle in circles))
+        for a, b in zip(plain, behaviour.surroundings(*mirrored, WORLD), strict=True):
+            assert (a == b).all()
+
+
+# -- actions ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("angles", "reversals", "trembling"),
+    [
+        ((5, -4, 5, -4), 3, 3),
+        ((5, 4, 1, 2), 0, 0),
+        ((1, 0, -1, 0), 1, 0),  # skipped as a reversal goes, but no trembling
+        ((1, 0, 1, -4), 1, 1),
+        ((0, 0, 0, 0), 0, 0),
+        ((-1, 3, 0, -2), 2, 1),
+    ],
+)
+def test_reversals_of_scripted_turns(angles, reversals, trembling):
+    found = one(table(actions=turning(*angles)))
+    assert (found["reversals"], found["trembling"]) == (reversals / 4, trembling / 4)
+
+
+def test_a_turn_is_not_compared_with_one_of_another_flight_seed_or_mode():
+    left, right = turning(1), turning(-1)
+    rows = [table(actions=left), table(actions=right, layout=1), table(actions=left, seed=1)]
+    rows.append(table(actions=right, mode="sampled"))
+    assert measures(pd.concat(rows), EMPTY_ARENA, WORLD)["reversals"].tolist() == [0, 0, 0]
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.lists(st.integers(-4, 5), min_size=1, max_size=9), min_size=1, max_size=3))
+def test_reversals_agree_with_a_slow_loop(flights):
+    reversals = trembling = 0
+    for angles in flights:
+        for now, angle in enumerate(angles):
+            before = [earlier for earlier in angles[:now] if earlier]
+            if before and angle * before[-1] < 0:
+                reversals += 1
+                trembling += angles[now - 1] != 0
+    rows = pd.concat([table(actions=turning(*angles), layout=n) for n, angles in enumerate(flights)])
+    found, steps = one(rows.sample(frac=1, random_state=0)), len(rows)  # in any order
+    assert found["reversals"] == pytest.approx(reversals / steps)
+    assert found["trembling"] == pytest.approx(trembling / steps)
+
+
+def test_straight_speed_is_7_and_turning_speed_2():
+    actions = [9, 5, *turning(1, -4, 5, distance=2)]
+    found = one(table(actions=actions))
+    assert (found["straight_speed"], found["turning_speed"]) == (7, 2)
+    assert math.isnan(one(table(actions=turning(1)))["straight_speed"])
+    assert math.isnan(one(table(actions=[9]))["turning_speed"])
+
+
+# -- seeds -----------------------------------------------------------------------------------------------------------
+
+
+def test_flights_weigh_by_their_steps():
+    obstacles = bank((300, 300, 40), (500, 300, 40)).expand(2, -1, -1)
+    rows = pd.concat([table([(400, 300)]), table([(400, 100)] * 3, layout=1)])
+    assert one(rows, obstacles)["corridor"] == 0.25
+
+
+def test_a_row_for_each_mode_and_seed_that_do_not_see_each_other():
+    obstacles = layouts.load("test")
+    flown = fly({3: BASELINES["random"], 4: BASELINES["random"]}, episodes=4, max_steps=60).behaviour
+    rows = pd.concat([flown.assign(mode="sampled"), flown[flown["seed"] == 4].assign(mode="greedy")])
+    found = measures(rows, obstacles, WORLD)
+    assert list(found.columns) == ["mode", "seed", *MEASURES]
+    assert found[["mode", "seed"]].to_numpy().tolist() == [["greedy", 4], ["sampled", 3], ["sampled", 4]]
+    for (mode, seed), part in rows.groupby(["mode", "seed"]):
+        row = found[(found["mode"] == mode) & (found["seed"] == seed)]
+        pd.testing.assert_frame_equal(row.reset_index(drop=True), measures(part, obstacles, WORLD))
+
+
+def test_no_steps_are_no_rows():
+    assert measures(table()[:0], EMPTY_ARENA, WORLD).shape == (0, 2 + len(MEASURES))
+    assert heat(table()[:0], WORLD).sum() == 0
+
+
+def test_heat_weighs_seeds_alike_and_sums_to_1():
+    long, short = table([(50, 30)] * 3), table([(50, 30), (799, 599)], seed=1)
+    found = heat(pd.concat([long, short]), WORLD)
+    assert found.shape == (30, 40)
+    assert found[1, 2] == 0.75  # second row from the bottom, third column; pooled it would be 4 / 5
+    assert found[29, 39] == 0.25
+    assert found.sum() == 1
+
+
+def test_heat_with_squares_that_do_not_divide_the_window():
+    found = heat(table([(800, 600), (0, 0)]), WORLD, cell=70)
+    assert found.shape == (9, 12)
+    assert found[8, 11] == found[0, 0] == 0.5
+
+
+# -- policies --------------------------------------------------------------------------------------------------------
+
+
+def write_run(path, seeds=(0,), algorithm="dqn", constant=None, **config):
+    """A finished run whose networks are random, each by its seed, or else say the same of every state.
+
+    constant: for each seed, the best action and what it is worth; all others are worth 0.
+    """
+    path.mkdir()
+    config = {"activation": "tanh", "seed": seeds[0], "n_seeds": len(seeds), "gamma": 0.99} | config
+    network = mlp([30, 8, 100], "tanh", [torch.Generator().manual_seed(seed) for seed in seeds], "default")
+    if constant:
+        with torch.no_grad():
+            for parameter in network.parameters():
+                parameter.zero_()
+            for agent, (action, value) in enumerate(constant):
+                network[-1].bias[agent, 0, action] = value
+    facts = TrainConfig(activation="tanh", seed=seeds[0], n_seeds=len(seeds), hidden=(8,))
+    (path / FILE_NAME).write_bytes(serialize({"policy": network}, algorithm, facts, epsilon=0.05))
+    (path / "config.yaml").write_text(yaml.safe_dump({"algorithm": algorithm} | config))
+    (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100}))
+    pd.DataFrame(columns=[*EPISODE_COLUMNS]).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
+    pd.DataFrame({"seed": [seeds[0]], "frame": [100]}).to_parquet(path / "progress.parquet")
+    return Run(path)
+
+
+def test_at_the_centre_of_the_empty_arena_the_walls_are_280_px_away(tmp_path):
+    run = write_run(tmp_path / "run", seeds=(4, 5), constant=[(STOP, 1.0)] * 2)
+    flown = empty_arena(run, mode="greedy", steps=10)
+    assert list(flown.columns) == [*BEHAVIOUR_COLUMNS, "mode"]
+    assert flown.groupby(["seed", "layout"]).size().tolist() == [10] * 8
+    assert sorted(flown["heading"].unique()) == [0, 90, 180, 270]
+    found = measures(flown, EMPTY_ARENA, WORLD)
+    assert found["seed"].tolist() == [4, 5]
+    assert found["clearance"].tolist() == [280, 280]
+    assert found["border"].tolist() == [1, 1]
+    assert found["corridor"].tolist() == [0, 0]
+    assert heat(flown, WORLD)[15, 20] == 1
+
+
+def test_straight_flights_from_the_centre_end_at_the_four_walls(tmp_path):
+    flown = empty_arena(write_run(tmp_path / "run", constant=[(FULL_SPEED, 1.0)]), mode="greedy")
+    assert flown.groupby("layout").size().tolist() == [39, 28, 39, 28]  # ceil(350 / 9), ceil(250 / 9)
+    assert flown.groupby("layout")["clearance"].min().tolist() == [29, 28, 29, 28]
+    assert heat(flown, WORLD).sum() == pytest.approx(1)
+
+
+@pytest.mark.parametrize(("algorithm", "mode"), [("ppo", "sampled"), ("dqn", "greedy"), ("dqn", "sampled")])
+def test_in_the_empty_arena_seeds_do_not_see_each_other(tmp_path, algorithm, mode):
+    both = empty_arena(write_run(tmp_path / "both", (4, 5), algorithm), mode, steps=40)
+    alone = empty_arena(write_run(tmp_path / "alone", (5,), algorithm), mode, steps=40)
+    pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), alone)
+    assert both["mode"].unique() == [mode]
+
+
+def test_an_unknown_mode_and_a_missing_policy_are_named(tmp_path):
+    run = write_run(tmp_path / "run")
+    with pytest.raises(ValueError, match="mode='best'; choose from greedy, sampled"):
+        empty_arena(run, mode="best")
+    with pytest.raises(ValueError, match="max_steps=0"):
+        empty_arena(run, steps=0)
+    (run.path / FILE_NAME).unlink()
+    with pytest.raises(PolicyError, match=r"no policy\.safetensors there"):
+        empty_arena(run)
+
+
+def test_overestimation_of_a_drone_that_stands_still_for_ever(tmp_path):
+    """Each step earns -0.01, from each of 300 states for 459 steps or more: 0.99^459 < 1 % is cut off."""
+    run = write_run(tmp_path / "run", seeds=(2, 3), constant=[(STOP, 5.0), (STOP, 0.0)])
+    steps_left = 300 + 459 - np.arange(300)
+    realised = np.mean(-0.01 * (1 - 0.99**steps_left) / (1 - 0.99))
+    assert -1 < realised < -0.99
+    expected = [[2, 5, realised, 5 - realised], [3, 0, realised, -realised]]
+    found = overestimation(run, n_layouts=2)
+    assert list(found.columns) == ["seed", "q", "realised", "overestimation"]
+    assert np.allclose(found.to_numpy(), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("steps", [300, 5])
+def test_overestimation_of_a_drone_that_flies_straight_into_what_comes(tmp_path, steps):
+    """Nine pixels a step earn 0.09, and the last step -10: all states of the first steps count."""
+    lengths = fly({0: BASELINES["straight"]}, episodes=6).episodes["steps"]
+    returns = [
+        sum(0.09 * 0.9**i for i in range(left - 1)) - 10 * 0.9 ** (left - 1)
+        for length in lengths
+        for left in range(length, max(length - steps, 0), -1)
+    ]
+    run = write_run(tmp_path / "run", constant=[(FULL_SPEED, 2.0)], gamma=0.9)
+    (row,) = overestimation(run, steps=steps, n_layouts=6).to_dict("records")
+    assert row["realised"] == pytest.approx(np.mean(returns))
+    assert row["overestimation"] == pytest.approx(2 - np.mean(returns))
+
+
+def test_states_without_enough_future_count_only_before_a_collision(tmp_path, monkeypatch):
+    monkeypatch.setattr(behaviour, "MAX_STEPS", 60)  # of the 459 that a flight without a collision would need
+    run = write_run(tmp_path / "run", seeds=(0, 1), constant=[(STOP, 1.0), (FULL_SPEED, 1.0)])
+    found = overestimation(run, n_layouts=3)["overestimation"]
+    assert math.isnan(found[0])
+    assert found[1] > 1
+
+
+def test_overestimation_of_a_seed_does_not_depend_on_the_others(tmp_path):
+    both = overestimation(write_run(tmp_path / "both", (4, 5)), steps=20, n_layouts=3)
+    alone = overestimation(write_run(tmp_path / "alone", (5,)), steps=20, n_layouts=3)
+    pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), alone)
+    assert both["q"].nunique() == 2
+
+
+def test_what_has_no_overestimation_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="its algorithm is ppo; only dqn has values of actions"):
+        overestimation(write_run(tmp_path / "ppo", algorithm="ppo"))
+    with pytest.raises(RunError, match="its gamma=None is no discount"):
+        overestimation(write_run(tmp_path / "gamma", gamma=None))
+    with pytest.raises(ValueError, match="give 1 to 1000 layouts"):
+        overestimation(write_run(tmp_path / "dqn"), n_layouts=1001)
+
+
+# -- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_table_is_read_as_it_was_written_and_none_where_there_is_none(tmp_path):
+    run = write_run(tmp_path / "run")
+    assert read(run) is None
+    table().to_parquet(run.path / "behaviour.parquet")
+    pd.testing.assert_frame_equal(read(run), table())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda rows: rows.drop(columns="x"), "its columns are not a run's, x is no float32"),
+        (lambda rows: rows.astype({"action": "float64"}), "action is no int16"),
+        (lambda rows: rows.assign(seed=7), "has seed=7"),
+        (lambda rows: rows.assign(mode="best"), "has mode=best"),
+        (lambda rows: rows.assign(layout=1000), "has layout=1000"),
+        (lambda rows: rows.assign(action=rows["action"] + 100), "has action=100"),
+        (lambda rows: rows.assign(x=rows["x"] * np.float32("nan")), "has x=nan"),
+    ],
+)
+def test_a_foreign_table_is_refused_in_one_line(tmp_path, change, message):
+    run = write_run(tmp_path / "run")
+    change(table()).to_parquet(run.path / "behaviour.parquet")
+    with pytest.raises(RunError, match=f"behaviour.parquet: .*{message}") as caught:
+        read(run)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_damaged_table_is_refused_in_one_line(tmp_path):
+    run = write_run(tmp_path / "run")
+    (run.path / "behaviour.parquet").write_bytes(b"x" * 100)
+    with pytest.raises(RunError, match=r"behaviour.parquet: missing or damaged; evaluate the run again") as caught:
+        read(run)
+    assert "\n" not in str(caught.value)
+
+
+def test_nothing_that_trains_is_imported():
+    training = ["torchrl", "uavnav.ppo", "uavnav.dqn", "uavnav.learner", "uavnav.env"]
+    code = f"import sys, uavnav.report.behaviour; sys.exit(str([name for name in {training} if name in sys.modules]))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == "[]"

@@ -1,0 +1,403 @@
+"""Figures of plain data whose numbers are known, read back from what is drawn."""
+
+import warnings
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from uavnav import paper, stats
+from uavnav.metrics import EPISODE_COLUMNS, METRICS
+from uavnav.report import behaviour, figures
+from uavnav.report.cells import BINS, EMPTY, Cell
+from uavnav.world import World
+
+FRAMES = 1000
+
+
+@pytest.fixture(autouse=True)
+def _no_warnings():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def cell(*seeds, algorithm="ppo", activation="tanh", label=""):
+    """A cell from the rewards of each seed, one episode a bin from the first; steps are 100 each."""
+    rows = [
+        (seed, int((place + 0.5) * FRAMES / BINS), 0, 0, 100, 0, 0, 0, 0, reward, True, False)
+        for seed, rewards in enumerate(seeds)
+        for place, reward in enumerate(rewards)
+    ]
+    episodes = pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+    runs = [SimpleNamespace(seeds=list(range(len(seeds))))]
+    return Cell(algorithm, activation, {"frames": FRAMES}, runs, episodes, EMPTY, label)
+
+
+def texts(figure):
+    """Every word on a figure, in legends too."""
+    found = figure.findobj(matplotlib.text.Text)
+    return [text.get_text() for text in found if text.get_text()]
+
+
+def lines(axes, marker=None):
+    return [line for line in axes.lines if marker is None or line.get_marker() == marker]
+
+
+def heights(band):
+    """Lowest and highest of a band at each x."""
+    vertices = pd.DataFrame(band.get_paths()[0].vertices, columns=["x", "y"]).groupby("x")["y"]
+    return vertices.min().tolist(), vertices.max().tolist()
+
+
+def flights(*paths, seed=0, mode="greedy"):
+    """Behaviour of one seed, a path of (x, y) a set of obstacles; the last clearance is 20 px: a crash."""
+    rows = [
+        (seed, layout, step + 1, x, y, 90, 20.0 if step == len(path) - 1 else 60.0, 0, mode)
+        for layout, path in enumerate(paths)
+        for step, (x, y) in enumerate(path)
+    ]
+    return pd.DataFrame(rows, columns=["seed", "layout", "step", "x", "y", "heading", "clearance", "action", "mode"])
+
+
+def behaviours_of(names, **measures):
+    """Two seeds a cell, with each measure's two values."""
+    rows = [
+        {"cell": name, "algorithm": name.split()[0], "activation": name.split()[1], "seed": seed}
+        | {measure: values[seed] for measure, values in measures.items()}
+        for name in names
+        for seed in range(2)
+    ]
+    return pd.DataFrame(rows)
+
+
+def switches(**values):
+    """Differences of PPO and DQN under some switches, with intervals 4 wide, of 8 seeds."""
+    rows = [(name, "PPO - DQN", value, value - 2, value + 2, 8) for name, value in values.items()]
+    return pd.DataFrame(rows, columns=["switch", "conclusion", "value", "low", "high", "n"])
+
+
+WORLD = World()
+BANK = torch.tensor([[[100.0, 100.0, 50.0], [600.0, 400.0, 80.0]]] * 3)
+PATHS = flights([(400.0, 310.0), (400.0, 320.0)], [(400.0, 330.0)], [(410.0, 300.0)] * 5)
+EXAMPLES = {
+    "curves": lambda: figures.curves([cell([1.0, 2.0], [3.0, 4.0])], "reward"),
+    "why": lambda: figures.why(
+        {"dqn tanh": pd.DataFrame({"seed": [0, 1], "frame": 10, "q": [1.0, 2.0]})}, "q", "value"
+    ),
+    "intervals": lambda: figures.intervals({"ppo tanh": np.array([1.0, 2.0])}, {"ppo tanh": 3.0}, "reward"),
+    "behaviours": lambda: figures.behaviours(behaviours_of(["ppo tanh"], clearance=(60.0, 80.0))),
+    "improvement": lambda: figures.improvement_matrix(
+        stats.improvement({"ppo tanh": np.array([1.0, 2.0]), "dqn tanh": np.array([0.0, 1.5])}), "reward"
+    ),
+    "survival": lambda: figures.survival({"ppo tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0])}, 10),
+    "trajectories": lambda: figures.trajectories({"ppo tanh": PATHS}, BANK, [0, 1], WORLD),
+    "heat maps": lambda: figures.heat_maps({"ppo tanh": np.full((3, 4), 1 / 12)}, WORLD),
+    "sensitivity": lambda: figures.sensitivity(switches(default=5.0)),
+    "power": lambda: figures.power(pd.DataFrame({"pair": ["a / b"], "seeds": [7.0]})),
+    "speed": lambda: figures.speed(pd.DataFrame({"cell": ["ppo tanh"], "seconds": [360.0]})),
+}
+NOTHING = {
+    "curves": lambda: figures.curves([], "reward"),
+    "curves of no episode": lambda: figures.curves([cell([])], "reward"),
+    "why": lambda: figures.why({"ppo tanh": pd.DataFrame({"seed": [0], "frame": [10]})}, "dormant", "dormant units"),
+    "intervals": lambda: figures.intervals({"ppo tanh": np.array([np.nan])}, {}, "reward"),
+    "behaviours": lambda: figures.behaviours(behaviours_of(["ppo tanh"], clearance=(np.nan, np.nan))),
+    "behaviours of none": lambda: figures.behaviours(pd.DataFrame()),
+    "improvement": lambda: figures.improvement_matrix(stats.improvement({}), "reward"),
+    "survival": lambda: figures.survival({}),
+    "trajectories": lambda: figures.trajectories({"ppo tanh": PATHS[:0]}, BANK, [0], WORLD),
+    "heat maps": lambda: figures.heat_maps({"ppo tanh": np.zeros((3, 4))}, WORLD),
+    "sensitivity": lambda: figures.sensitivity(switches()),
+    "power": lambda: figures.power(pd.DataFrame({"pair": [], "seeds": []})),
+    "speed": lambda: figures.speed(pd.DataFrame({"cell": [], "seconds": []})),
+}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_figure_is_the_same_bytes_twice_and_8_inches_wide_and_changes_no_settings(name):
+    before = dict(matplotlib.rcParams)
+    drawn, again = EXAMPLES[name](), EXAMPLES[name]()
+    svg, png = figures.save(drawn.figure)
+    assert (svg, png) == figures.save(drawn.figure) == figures.save(again.figure)
+    assert int.from_bytes(png[16:20], "big") == 960  # at 120 dots an inch
+    assert ElementTree.fromstring(svg).get("width") == "576pt"
+    assert not any(word in svg + png for word in (b"Matplotlib", b"dc:date", b"Software"))
+    assert dict(matplotlib.rcParams) == before
+
+
+@pytest.mark.parametrize("name", NOTHING)
+def test_a_figure_of_nothing_says_no_data(name):
+    drawn = NOTHING[name]()
+    assert drawn.alt.endswith("no data.")
+    assert any("no data" in text for text in texts(drawn.figure))
+    assert figures.save(drawn.figure)[1].startswith(b"\x89PNG")
+
+
+def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_mean_is_dashed():
+    drawn = figures.curves([cell([0.0, 3.0], [3.0, 3.0], [6.0, 3.0])], "reward")
+    (axes,) = drawn.figure.axes
+    line, dashed = axes.lines
+    assert line.get_ydata().tolist() == [3.0, 3.0]
+    assert line.get_xdata().tolist() == [20.0, 60.0]  # the middles of the first two 25ths of 1,000 frames
+    (band,) = axes.collections
+    assert heights(band) == ([0.0, 3.0], [6.0, 3.0])  # all three the same seed: 1 of 27, more than 2.5 %
+    assert (dashed.get_linestyle(), dashed.get_ydata()) == ("--", [paper.TABLES["ppo", "tanh"]["reward"]] * 2)
+    assert dashed.get_color() == line.get_color() == figures.COLOURS["tanh"]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("frames per seed", "reward per episode")
+    assert "tanh, n = 3" in texts(drawn.figure)
+    assert drawn.alt == (
+        "PPO: reward per episode in training against frames per seed; in the last bin: "
+        "tanh 3.00 (95 % interval 3.00 to 3.00; n = 3; the paper's mean 88.5)."
+    )
+
+
+def test_a_band_of_20_seeds_holds_the_quantiles_of_resampled_means():
+    seeds = np.random.default_rng(1).normal(size=(3, 20))
+    band = figures.band(pd.DataFrame(seeds))
+    assert np.allclose(band["mean"], seeds.mean(1))
+    width = 1.96 * seeds.std(1) / np.sqrt(20)
+    assert np.allclose(band["low"], seeds.mean(1) - width, atol=0.06)
+    assert np.allclose(band["high"], seeds.mean(1) + width, atol=0.06)
+
+
+def test_a_seed_without_a_value_counts_for_none_in_its_bin():
+    band = figures.band(pd.DataFrame([[1.0, np.nan, 5.0], [2.0, np.nan, np.inf], [np.nan] * 3]))
+    assert band.iloc[0].tolist() == [3.0, 1.0, 5.0, 2]
+    assert band.iloc[1, 0] == 2.0
+    assert band["n"].tolist() == [2, 1, 0]
+    assert band.iloc[1:, 1:3].isna().all(axis=None)
+
+
+def test_one_seed_gives_a_line_and_no_band():
+    drawn = figures.curves([cell([1.0, 2.0])], "reward")
+    (axes,) = drawn.figure.axes
+    assert len(axes.collections) == 0
+    assert "tanh 2.00 (n = 1; the paper's mean 88.5)" in drawn.alt
+
+
+def test_a_cell_without_an_episode_is_said_beside_one_that_has_some():
+    drawn = figures.curves([cell([]), cell([1.0], activation="relu")], "reward")
+    assert "tanh no data; relu 1.00 (n = 1;" in drawn.alt
+    figures.save(drawn.figure)
+
+
+def test_a_bin_that_two_seeds_reach_between_two_that_one_does_shows_its_interval():
+    drawn = figures.curves([cell([1.0, 2.0, 3.0], [5.0])], "reward")
+    (axes,) = drawn.figure.axes
+    assert any(isinstance(one, matplotlib.collections.LineCollection) for one in axes.collections)
+
+
+def test_two_cells_of_one_activation_differ_in_their_lines_and_an_unknown_activation_has_a_colour():
+    cells = [cell([1.0], label="tanh"), cell([2.0], label="tanh (lr=1)"), cell([3.0], activation="mish")]
+    first, dashed, second, third = figures.curves(cells, "reward").figure.axes[0].lines
+    assert (first.get_linestyle(), dashed.get_linestyle(), second.get_linestyle()) == ("-", "--", ":")
+    assert first.get_color() == second.get_color() != third.get_color()
+
+
+def test_every_metric_has_an_axis_with_its_unit():
+    assert set(figures.AXES) == set(METRICS)
+    assert figures.AXES["speed"] == "speed [px a step]"
+
+
+def test_every_measure_of_behaviour_has_an_axis():
+    assert set(figures.MEASURES) == set(behaviour.MEASURES)
+
+
+def test_an_interval_row_holds_the_mean_of_its_seeds_and_the_papers_value_as_a_diamond():
+    seeds = np.array([1.0, 2.0, 3.0, 10.0])
+    drawn = figures.intervals({"ppo tanh": seeds}, {"ppo tanh": 7.0}, "speed [px a step]")
+    (axes,) = drawn.figure.axes
+    found = stats.interval(seeds)
+    dots, between, mean, middle, diamond = axes.lines
+    assert sorted(dots.get_xdata()) == seeds.tolist()
+    assert list(between.get_xdata()) == [found.low, found.high]
+    assert list(mean.get_xdata()) == [4.0]
+    assert list(middle.get_xdata()) == [2.5]  # the mean of the middle half
+    assert (diamond.get_marker(), list(diamond.get_xdata())) == ("D", [7.0])
+    assert axes.get_xlabel() == "speed [px a step]"
+    assert "tanh, n = 4" in texts(drawn.figure)
+    assert drawn.alt.startswith("speed [px a step], mean over seeds: PPO tanh 4.00 (95 % interval ")
+    assert drawn.alt.endswith("; n = 4; the paper's 7.00).")
+
+
+def test_algorithms_share_a_scale_unless_one_would_take_less_than_a_fifth_of_it():
+    near = {"ppo tanh": np.array([0.0, 10.0]), "dqn tanh": np.array([4.0, 6.0])}
+    far = {"ppo tanh": np.array([0.0, 100.0]), "dqn tanh": np.array([4.0, 6.0])}
+    for rows, share in ((near, True), (far, False)):
+        first, second = figures.intervals(rows, {}, "reward").figure.axes
+        assert (first.get_xlim() == second.get_xlim()) == share
+        assert (first.get_title(loc="left") == "PPO") == share
+
+
+def test_nan_seeds_and_a_single_one_have_no_interval_and_do_not_crash():
+    rows = {"ppo tanh": np.array([2.0, np.nan]), "ppo relu": np.array([np.nan]), "ppo sigmoid": np.array([])}
+    drawn = figures.intervals(rows, {}, "reward")
+    assert drawn.alt == "reward, mean over seeds: PPO tanh 2.00 (n = 1); PPO relu no data; PPO sigmoid no data."
+    assert not any(line.get_linewidth() == 2.4 for line in drawn.figure.axes[0].lines)
+
+
+def test_behaviours_are_a_panel_a_measure_with_its_unit_and_a_row_a_cell():
+    table = behaviours_of(["ppo tanh", "dqn tanh"], clearance=(60.0, 80.0), corridor=(0.25, 0.35), other=(1.0, 1.0))
+    drawn = figures.behaviours(table)
+    shown = [axes for axes in drawn.figure.axes if axes.axison]
+    assert [axes.get_xlabel() for axes in shown] == ["clearance [px]", "steps in corridors [share]", "other"]
+    assert [label.get_text() for label in shown[0].get_yticklabels()] == ["PPO tanh, n = 2", "DQN tanh, n = 2"]
+    assert "clearance [px]: PPO tanh 70.0, DQN tanh 70.0" in drawn.alt
+    assert "steps in corridors [share]: PPO tanh 0.3," in drawn.alt
+
+
+def test_a_row_that_beats_in_3_of_4_pairs_reads_0_75_and_the_other_way_0_25():
+    better, worse = np.array([2.0, 3.0]), np.array([1.0, 2.5])
+    drawn = figures.improvement_matrix(stats.improvement({"ppo tanh": better, "dqn tanh": worse}), "reward")
+    words = texts(drawn.figure)
+    assert {"0.75", "0.25", "PPO tanh, n = 2", "DQN tanh, n = 2"} <= set(words)
+    (image,) = drawn.figure.axes[0].images
+    assert image.get_array().tolist() == [[None, 0.75], [0.25, None]]
+    assert image.get_clim() == (0, 1)
+    assert "PPO tanh 0.75, DQN tanh 0.25; 0 of 1 pairs differ" in drawn.alt
+
+
+def test_a_pair_that_differs_by_holms_p_is_starred():
+    cells = {"ppo tanh": np.arange(10.0) + 10, "dqn tanh": np.arange(10.0), "dqn relu": np.array([])}
+    drawn = figures.improvement_matrix(stats.improvement(cells), "reward")
+    assert {"1.00*", "0.00*"} <= set(texts(drawn.figure))
+    assert "1 of 3 pairs differ" in drawn.alt
+
+
+def test_survival_steps_down_where_flights_end_and_marks_the_cap():
+    shares = stats.survival(np.array([10.0, 20.0, 100.0, 100.0]), np.array([True, True, False, False]))
+    drawn = figures.survival({"ppo tanh (n = 1)": shares}, cap=100)
+    (axes,) = drawn.figure.axes
+    line, cap = axes.lines
+    assert line.get_xdata().tolist() == [0, 10, 20, 100]
+    assert line.get_ydata().tolist() == pytest.approx([1.0, 0.75, 0.5, 0.5])
+    assert line.get_drawstyle() == "steps-post"
+    assert list(cap.get_xdata()) == [100, 100]
+    assert axes.get_xscale() == "log"
+    assert "PPO tanh (n = 1)" in texts(drawn.figure)
+    assert drawn.alt.endswith("PPO tanh (n = 1) half of them after 20 steps, 50 % up at 100.")
+    assert figures.survival({"ppo tanh": shares}, log=False).figure.axes[0].get_xscale() == "linear"
+
+
+def test_flights_that_all_stay_up_have_a_flat_line():
+    shares = stats.survival(np.array([50.0, 50.0]), np.array([False, False]))
+    drawn = figures.survival({"ppo tanh": shares}, cap=50)
+    assert set(drawn.figure.axes[0].lines[0].get_ydata()) == {1.0}
+    assert "half of them never, 100 % up at 50" in drawn.alt
+    figures.save(drawn.figure)
+
+
+def test_a_path_runs_from_the_start_to_its_crash_among_2_obstacles():
+    up = PATHS.assign(clearance=60.0)
+    drawn = figures.trajectories({"ppo tanh": PATHS, "dqn relu": up}, BANK, [0, 2], WORLD)
+    first, other, _, _ = drawn.figure.axes
+    path, start, end = first.lines
+    assert np.asarray(path.get_xydata()).tolist() == [[400, 300], [400, 310], [400, 320]]
+    assert (list(start.get_xdata()), list(start.get_ydata())) == ([400], [300])
+    assert (end.get_marker(), other.lines[2].get_marker()) == ("X", "o")
+    assert len(first.collections[0].get_paths()) == 2
+    assert first.get_aspect() == 1.0
+    assert drawn.alt == (
+        "Paths flown, greedy, and their steps on obstacle sets 0, 2: "
+        "PPO tanh, seed 0: 2 crash, 5 crash; DQN relu, seed 0: 2 still up, 5 still up."
+    )
+
+
+def test_paths_are_of_one_seed_and_mode_and_five_cells_take_two_blocks():
+    others = pd.concat([PATHS, PATHS.assign(seed=1), PATHS.assign(mode="sampled")])
+    tables = {f"ppo tanh (n_worlds={n})": others for n in range(5)}
+    drawn = figures.trajectories(tables, BANK, [0], WORLD, seed=1)
+    assert len(drawn.figure.axes) == 2 * 4
+    assert len(drawn.figure.axes[0].lines[0].get_xydata()) == 3
+    assert drawn.alt.count("seed 1: 2 crash") == 5
+
+
+def test_heat_maps_share_a_scale_up_to_the_largest_share_and_lie_the_right_way_up():
+    one, other = np.full((3, 4), 1 / 12), np.zeros((3, 4))
+    other[0, 0] = 1.0
+    drawn = figures.heat_maps({"ppo tanh": one, "dqn tanh": other}, WORLD)
+    images = [axes.images[0] for axes in drawn.figure.axes[:2]]
+    assert [image.get_clim() for image in images] == [(0, 1.0)] * 2
+    assert (images[1].origin, tuple(images[1].get_extent())) == ("lower", (0, 800, 0, 600))
+    assert any("share of steps in 200 x 200 px" in text for text in texts(drawn.figure))
+    assert drawn.alt.endswith("PPO tanh 50 %, DQN tanh 8 %.")
+
+
+def test_why_is_a_line_an_activation_in_bins_of_frames_and_a_bound():
+    rows = pd.DataFrame({"seed": [0, 0, 1, 1], "frame": [10, 1000, 10, 1000], "q_value": [1.0, 3.0, 2.0, 4.0]})
+    bare = rows.drop(columns="q_value")
+    drawn = figures.why({"dqn tanh": rows, "dqn relu": bare}, "q_value", figures.DIAGNOSTICS["q_value"], bound=9.0)
+    (axes,) = drawn.figure.axes
+    line, bound = axes.lines
+    assert (line.get_xdata().tolist(), line.get_ydata().tolist()) == ([20.0, 980.0], [1.5, 3.5])
+    assert heights(axes.collections[0]) == ([1.0, 3.0], [2.0, 4.0])
+    assert list(bound.get_ydata()) == [9.0, 9.0]
+    assert "tanh, n = 2" in texts(drawn.figure)
+    assert drawn.alt == (
+        "DQN: value of the best action against frames per seed; in the last bin: "
+        "tanh 3.50 (95 % interval 3.00 to 4.00; n = 2); nothing can earn more than 9.00."
+    )
+
+
+def test_a_seed_with_nan_in_its_progress_leaves_the_other():
+    rows = pd.DataFrame({"seed": [0, 1], "frame": [10, 10], "entropy": [np.nan, 2.0]})
+    drawn = figures.why({"ppo tanh": rows}, "entropy", "entropy")
+    assert "tanh 2.00 (n = 1)" in drawn.alt
+
+
+def test_a_forest_shades_the_defaults_interval_and_greys_intervals_with_0():
+    drawn = figures.sensitivity(switches(slots=1.0, default=5.0, padding=-3.0))
+    (axes,) = drawn.figure.axes
+    (shade,) = axes.patches
+    assert (shade.get_x(), shade.get_x() + shade.get_width()) == (3.0, 7.0)
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        *("default, n = 8", "slots, n = 8", "padding, n = 8")
+    ]
+    colours = {float(line.get_xdata()[0]): line.get_color() for line in lines(axes, "o")}
+    assert colours[5.0] == colours[-3.0] != colours[1.0] == figures.PALE
+    assert "PPO - DQN 5.00 (95 % interval 3.00 to 7.00; n = 8) by default" in drawn.alt
+    assert drawn.alt.endswith("of the same sign under 1 of 2 other choices.")
+
+
+def test_a_forest_without_a_default_or_an_interval_has_no_shade():
+    drawn = figures.sensitivity(switches(slots=1.0).assign(low=np.nan, high=np.nan))
+    assert len(drawn.figure.axes[0].patches) == 0
+    assert "1 choices, none of them the default" in drawn.alt
+
+
+def test_power_sorts_pairs_and_says_what_is_endless_and_not_known():
+    table = pd.DataFrame({"pair": ["a", "b", "c", "d"], "seeds": [30.0, np.nan, 4.0, np.inf]})
+    drawn = figures.power(table, n=20)
+    (axes,) = drawn.figure.axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["c", "a", "d", "b"]
+    dots = [(float(x), float(y)) for line in lines(axes, "o") for x, y in line.get_xydata()]
+    assert sorted(dots) == [(4.0, 0.0), (30.0, 1.0)]
+    assert {"no difference seen: no number would do", "not known", "seeds that there are: 20"} <= set(
+        texts(drawn.figure)
+    )
+    assert drawn.alt.endswith(
+        "from c 4 to a 30, median 17; no difference seen in 1; not known of 1; "
+        "of 4 pairs 1 need no more than the 20 that there are."
+    )
+    assert axes.get_xscale() == "log"
+
+
+def test_power_of_nothing_finite_is_drawn():
+    drawn = figures.power(pd.DataFrame({"pair": ["a", "b"], "seeds": [np.nan, np.inf]}))
+    assert drawn.alt.endswith("no difference seen in 1; not known of 1.")
+    figures.save(drawn.figure)
+
+
+def test_6_minutes_are_100_times_faster_than_the_papers_ten_hours():
+    table = pd.DataFrame({"cell": ["ppo tanh", "ppo tanh", "dqn relu"], "seconds": [180.0, 540.0, 72_000.0]})
+    drawn = figures.speed(table)
+    (axes,) = drawn.figure.axes
+    assert {"6 min: 100 × faster", "20 h: 2 × slower", "the paper: about 10 hours"} <= set(texts(drawn.figure))
+    assert [10.0, 10.0] in [list(line.get_xdata()) for line in axes.lines]
+    assert axes.get_xscale() == "log"
+    assert "PPO tanh 6 min, DQN relu 20 h; the paper took about 10 hours." in drawn.alt

@@ -1,0 +1,233 @@
+"""Recorded flights of policies written by hand: what a page holds is what a slow flight, one by one, gives."""
+
+import base64
+import json
+import subprocess
+import sys
+import zlib
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+import yaml
+from torch import nn
+
+from uavnav import layouts, scalar
+from uavnav.config import TrainConfig
+from uavnav.metrics import EPISODE_COLUMNS
+from uavnav.networks import mlp
+from uavnav.policies import FILE_NAME, load_policy, serialize
+from uavnav.report.cells import collect
+from uavnav.report.replays import record
+
+STRAIGHT, STAY = 9, 0  # actions
+MAX_STEPS = 60
+
+
+def always(network, agent, action):
+    """Make one agent prefer an action by far, and whatever it sees."""
+    with torch.no_grad():
+        network[-1].weight[agent] = 0.0
+        network[-1].bias[agent] = torch.arange(100.0) / 100
+        network[-1].bias[agent, 0, action] = 50.0
+
+
+def write_run(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), **changes):
+    """A finished run of `n_seeds` random networks; `prefer` names the action of those that know but one."""
+    config = TrainConfig(seed=seed, n_seeds=n_seeds, hidden=(8,), **changes)
+    generators = [torch.Generator().manual_seed(one) for one in config.seeds]
+    network = mlp([30, 8, 100], config.activation, generators, "default")
+    with torch.no_grad():
+        network[-1].weight.mul_(8.0)  # so that values differ, from action to action and from step to step
+    for agent, action in prefer:
+        always(network, agent, action)
+    path.mkdir(parents=True)
+    (path / FILE_NAME).write_bytes(serialize({"policy": nn.ModuleList(network)}, algorithm, config, epsilon=0.2))
+    facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "preset": "paper"}
+    (path / "config.yaml").write_text(yaml.safe_dump(facts | changes))
+    (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}}))
+    counts = [(seed, 10, 0, 0, 10, 0, 0, 0, 90, -10.0, True, False)]
+    pd.DataFrame(counts, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
+    pd.DataFrame({"seed": [seed], "frame": [100]}).to_parquet(path / "progress.parquet")
+    return path
+
+
+def recorded(folder, **counts):
+    """The dict of a folder's runs, as a page reads it: out of text."""
+    return json.loads(json.dumps(record(collect([folder])[0], max_steps=MAX_STEPS, **counts)))
+
+
+def unpack(flight, fields):
+    """What the player does: each field as [steps (+ 1), columns]."""
+    content, found = zlib.decompress(base64.b64decode(flight["bytes"])), {}
+    for field in fields:
+        rows = flight["steps"] + (not field["chosen"])
+        kind = np.dtype(field["type"]).newbyteorder("<")
+        part, content = np.split(np.frombuffer(content, np.uint8), [rows * field["columns"] * kind.itemsize])
+        found[field["name"]] = part.view(kind).reshape(field["columns"], rows).T * field["unit"]
+    assert not len(content)
+    return found
+
+
+def flown(path, seed, n_layouts):
+    """The same flights, each drone in plain numbers: lists of poses and of choices a set of obstacles."""
+    policy = load_policy(path, seed, greedy=False)
+    generator, bank = torch.Generator().manual_seed(seed), layouts.load("test")
+    drones = [scalar.Flight(bank, policy.world, policy.reward, MAX_STEPS) for _ in range(n_layouts)]
+    seen = {layout: drone.start(layout, 90) for layout, drone in enumerate(drones)}
+    poses, choices, ended, total = [{place: [] for place in range(n_layouts)} for _ in range(2)] + [{}, [0.0] * 3]
+
+    def note(layout, observation):
+        drone = drones[layout]
+        numbers = (drone.x, drone.y, drone.heading, drone.clearance, total[layout])
+        poses[layout].append((*numbers, *observation.reshape(10, 3).T.flatten()))
+
+    for layout, observation in seen.items():
+        note(layout, observation)
+    while seen:
+        observations = torch.tensor(np.stack(list(seen.values())))
+        values = policy.values(observations)
+        values = values.softmax(-1) if policy.algorithm == "ppo" else values
+        actions = policy(observations, generator)
+        for layout, action, row in zip(list(seen), actions.tolist(), values.numpy(), strict=True):
+            choices[layout].append((action, *row))
+            seen[layout], reward, collided, capped = drones[layout].step(action)
+            total[layout] += reward
+            note(layout, seen[layout])
+            if collided or capped:
+                ended[layout] = "collision" if collided else "cut off"
+                del seen[layout]
+    return {place: (np.array(poses[place]), np.array(choices[place]), ended[place]) for place in ended}
+
+
+@pytest.fixture(scope="module", params=["ppo", "dqn"])
+def run(request, tmp_path_factory):
+    """Seed 4 flies by a random network, seed 5 straight on, seed 6 not at all."""
+    folder = tmp_path_factory.mktemp("replays") / request.param
+    return write_run(folder / "run", request.param, seed=4, prefer=[(1, STRAIGHT), (2, STAY)])
+
+
+@pytest.fixture(scope="module")
+def data(run):
+    return recorded(run.parent)
+
+
+def test_poses_are_within_half_a_tenth_of_a_pixel_of_a_flight_in_plain_numbers(run, data):
+    (cell,) = data["cells"]
+    assert [(flight["seed"], flight["layout"]) for flight in cell["flights"]] == [
+        (seed, layout) for seed in (4, 5, 6) for layout in (0, 1, 2)
+    ]
+    reasons = set()
+    for seed in (4, 5, 6):
+        expected = flown(run, seed, 3)
+        for flight in (one for one in cell["flights"] if one["seed"] == seed):
+            poses, choices, ended = expected[flight["layout"]]
+            found = unpack(flight, data["fields"])
+            assert flight["steps"] == len(choices) == len(poses) - 1
+            assert flight["ended"] == ended
+            reasons.add(ended)
+            kept = np.hstack([found[name] for name in ("x", "y", "heading", "clearance", "reward")])
+            tolerance = np.array([0.05, 0.05, 0, 0.05, 1e-4]) + 1e-4
+            assert (np.abs(kept - poses[:, :5]) <= tolerance).all()
+            assert np.abs(found["right"] - poses[:, 5:15]).max() <= 0.5 / 127 + 1e-4
+            assert np.abs(found["forward"] - poses[:, 15:25]).max() <= 0.5 / 255 + 1e-4
+            assert np.abs(found["proximity"] - poses[:, 25:]).max() <= 0.5 / 255 + 1e-4
+            assert flight["reward"] == pytest.approx(poses[-1, 4], abs=0.006)
+    assert reasons == {"collision", "cut off"}
+
+
+def test_actions_are_the_same_and_values_within_half_of_a_63rd_of_their_range(run, data):
+    expected, chosen = flown(run, 4, 3), set()
+    for flight in data["cells"][0]["flights"][:3]:
+        _, choices, _ = expected[flight["layout"]]
+        found = unpack(flight, data["fields"])
+        assert (found["action"][:, 0] == choices[:, 0]).all()
+        chosen |= {*choices[:, 0]}
+        span = found["high"] - found["low"]
+        assert (span > 0).all()
+        assert (np.abs(found["low"] + found["value"] * span - choices[:, 1:]) <= (0.5 / 63) * span + 1e-5).all()
+    assert len(chosen) > 5
+
+
+def test_values_are_probabilities_of_ppo_and_q_of_dqn(run, data):
+    (cell,) = data["cells"]
+    found = unpack(cell["flights"][3], data["fields"])
+    if cell["algorithm"] == "ppo":
+        assert cell["values"] == "probability"
+        assert found["high"] == pytest.approx(1.0)
+    else:
+        assert cell["values"] == "Q value"
+        assert found["high"] == pytest.approx(50.0)
+    assert (found["value"][:, STRAIGHT] == 1.0).all()
+
+
+def test_straight_on_is_nine_pixels_a_step_upwards_and_staying_is_cut_off(tmp_path):
+    write_run(tmp_path / "run", prefer=[(0, STRAIGHT), (1, STAY)], n_seeds=2)
+    data = recorded(tmp_path, n_layouts=1)
+    straight, stay = data["cells"][0]["flights"]
+    found = unpack(straight, data["fields"])
+    assert found["y"][:, 0] == pytest.approx(300 + 9 * np.arange(straight["steps"] + 1))
+    assert set(found["heading"][:, 0]) == {90}
+    assert straight["ended"] == "collision"
+    assert found["clearance"][-1] <= 30 < found["clearance"][-2]
+    assert straight["reward"] == pytest.approx(0.09 * (straight["steps"] - 1) - 10)
+    assert (stay["ended"], stay["steps"], stay["reward"]) == ("cut off", MAX_STEPS, -0.6)
+
+
+def test_the_player_gets_the_world_the_obstacles_and_what_each_action_does(data):
+    assert (data["world"]["width"], data["world"]["sensor_radius"], data["world"]["n_slots"]) == (800, 120.0, 10)
+    assert torch.tensor(data["layouts"]).sub(layouts.load("test")[:3]).abs().max() <= 0.0051
+    assert data["actions"][STAY] == [0, 0]
+    assert data["actions"][STRAIGHT] == [0, 9]
+    assert data["actions"][53] == [5, 3]
+    assert data["actions"][99] == [-1, 9]
+    assert data["left_out"] == []
+
+
+def test_1000_steps_take_less_than_150_kb_of_text(run, data):
+    flights = data["cells"][0]["flights"][:3]  # of the random network, in which most changes from step to step
+    assert sum(len(flight["bytes"]) for flight in flights) < 150 * sum(flight["steps"] for flight in flights)
+
+
+def test_policies_that_cannot_be_loaded_are_named_and_the_next_seeds_fly(tmp_path):
+    for seed in (0, 1, 2, 3):
+        write_run(tmp_path / f"run-{seed}", seed=seed, n_seeds=1, prefer=[(0, STRAIGHT)])
+    write_run(tmp_path / "other", "dqn", n_seeds=2)
+    (tmp_path / "run-0" / FILE_NAME).write_bytes(b"no policy")
+    (tmp_path / "run-2" / FILE_NAME).unlink()
+    (tmp_path / "other" / FILE_NAME).unlink()
+    data = recorded(tmp_path, n_seeds=2, n_layouts=1)
+    (cell,) = data["cells"]
+    assert [flight["seed"] for flight in cell["flights"]] == [1, 3]
+    other, damaged, missing = sorted(data["left_out"])  # one line for both seeds of `other`
+    assert "other: no policy.safetensors there" in other
+    assert "run-0/policy.safetensors: not a readable policy file" in damaged
+    assert "run-2: no policy.safetensors there" in missing
+
+
+def test_a_seed_flies_the_same_whatever_the_others_are(tmp_path):
+    write_run(tmp_path / "two" / "run", seed=4, n_seeds=2)
+    (two,) = recorded(tmp_path / "two", n_layouts=2)["cells"]
+    (one,) = recorded(tmp_path / "two", n_layouts=2, n_seeds=1)["cells"]
+    assert one["flights"] == two["flights"][:2]
+
+
+def test_a_random_start_heading_is_that_of_the_set_of_obstacles(tmp_path):
+    write_run(tmp_path / "run", n_seeds=2, start_heading="random", slots="listed")
+    data = recorded(tmp_path, n_layouts=3)
+    first = [unpack(flight, data["fields"])["heading"][0, 0] for flight in data["cells"][0]["flights"]]
+    assert first[:3] == first[3:]
+    assert len(set(first)) == 3
+
+
+@pytest.mark.parametrize("counts", [{"n_seeds": 0}, {"n_layouts": 0}, {"n_layouts": 1001}, {"max_steps": 0}])
+def test_counts_that_make_no_sense_are_refused(counts):
+    with pytest.raises(ValueError, match="give whole numbers from 1, and at most 1000 layouts"):
+        record([], **counts)
+
+
+def test_no_training_is_imported():
+    code = "import sys, uavnav.report.replays; print(*sys.modules)"
+    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"torchrl", "uavnav.ppo", "uavnav.dqn", "uavnav.learner", "uavnav.env"} & {*there}

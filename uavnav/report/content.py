@@ -1,0 +1,322 @@
+"""What a report says, before it is a page: studies, verdicts, numbers, figures, replays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from uavnav import compiling, layouts, paper
+from uavnav.policies import PolicyError
+from uavnav.report import behaviour, claims, figures, frames, replays, studies
+from uavnav.report.cells import Cell, collect, readings
+from uavnav.report.claims import ALGORITHMS, PRIMARY, Finding
+from uavnav.report.figures import Drawn
+from uavnav.report.frames import name
+from uavnav.report.studies import Rows, Studies
+from uavnav.runs import RunError
+from uavnav.world import World
+
+WATCHED = ("main", "baseline", "initial")
+"""Studies whose flights are looked at."""
+SHOWN_LAYOUTS = (0, 1, 2)
+SHOWN_ACTIVATION = "tanh"
+"""Of the trajectories; the replays show all."""
+LOOKED_AT = ("clearance", "corridor", "corridor_flown", "reversals", "straight_speed", "turning_speed")
+"""Measures of flights that have a panel."""
+WHY = {
+    "dormant": "dormant hidden units [share]",
+    "saturated": "saturated activations [share]",
+    "effective_rank": "effective rank of the last hidden layer",
+    "grad_norm": "gradient norm before clipping",
+    "entropy": "entropy of the policy [nat]",
+    "q_value": "mean of max Q in training",
+}
+OF_ALGORITHM = {"entropy": "ppo", "q_value": "dqn"}
+"""Diagnostics that one algorithm alone has."""
+
+
+class Figure(NamedTuple):
+    """A figure, where it belongs, and what the reader should see in it."""
+
+    name: str  # of its files
+    section: str
+    drawn: Drawn
+    caption: str
+
+
+@dataclass
+class Content:
+    """All of it."""
+
+    cells: list[Cell]
+    studies: Studies
+    audits: dict[str, list[Finding]]  # by reading
+    tables: dict[str, pd.DataFrame]  # by the name of their CSV
+    figures: list[Figure]
+    replays: dict[str, Any] | None
+    baselines: dict[str, pd.DataFrame]
+    left_out: list[str] = field(default_factory=list)
+
+    @property
+    def missing(self) -> list[str]:
+        """The paper's cells that have no finished run in the main study."""
+        return [" ".join(key) for key in paper.TABLES if key not in self.studies.main]
+
+    @property
+    def findings(self) -> list[Finding]:
+        """Of the primary reading."""
+        return self.audits[PRIMARY]
+
+
+def gather(folders: Sequence[Path]) -> Content:
+    """Read all runs in some folders, let their policies fly a little, and work out what the report says.
+
+    Raises:
+        RunError: a folder is missing or holds no run, or no run can be used.
+    """
+    cells, left_out = collect(folders)
+    sorted_cells = studies.sort(cells)
+    with compiling.use_threads(1):
+        flights, watched, problems = watch(sorted_cells)
+        overestimated = _overestimation(sorted_cells.main)
+        flown = replays.record([cell for key, cell in sorted_cells.main.items() if key in paper.TABLES])
+    audits = {
+        reading: claims.audit(Rows(sorted_cells, reading, flights), studies.of_paper)
+        for reading in (PRIMARY, *_other_readings(cells[0]))
+    }
+    ratio = Rows(sorted_cells, PRIMARY, flights, ratio_of_means=True)
+    audits[f"{PRIMARY}, ratios of means"] = claims.audit(ratio, studies.of_paper)
+    baselines, unread = frames.baselines(folders)
+    tables = _tables(sorted_cells, audits, flights, overestimated)
+    return Content(
+        cells,
+        sorted_cells,
+        audits,
+        tables,
+        _figures(sorted_cells, tables, watched),
+        flown if flown["cells"] else None,
+        baselines,
+        [*left_out, *problems, *unread, *flown["left_out"]],
+    )
+
+
+def _other_readings(cell: Cell) -> list[str]:
+    return [reading for reading in readings(cell) if reading != PRIMARY]
+
+
+Flights = dict[tuple[str, str, str], pd.DataFrame]
+"""By study, algorithm and activation."""
+
+
+def watch(all_cells: Studies) -> tuple[Flights, Flights, list[str]]:
+    """Measures of flights, one row a mode and seed; the flights themselves; and what could not be read or flown."""
+    measured: Flights = {}
+    tables: Flights = {}
+    problems = []
+    world, bank = World(), layouts.load("test")
+    for study in WATCHED:
+        for key, cell in all_cells.of(study).items():
+            parts, empty = [], []
+            for run in cell.runs:
+                try:
+                    table = behaviour.read(run)
+                    if table is None:
+                        continue
+                    parts.append(table)
+                    empty.append(behaviour.empty_arena(run))
+                except (RunError, PolicyError) as error:
+                    problems.append(" ".join(str(error).split()))
+            if not parts or not empty:
+                continue
+            flown = pd.concat(parts, ignore_index=True)
+            without = pd.concat(empty, ignore_index=True)
+            own = behaviour.measures(without, behaviour.EMPTY_ARENA, world).drop(columns="mode")
+            own = own.rename(columns={column: f"empty_{column}" for column in own if column != "seed"})
+            measured[study, *key] = behaviour.measures(flown, bank, world).merge(own, on="seed")
+            tables[study, *key] = pd.concat([flown, without.assign(layout=-1)], ignore_index=True)
+    return measured, tables, problems
+
+
+def _overestimation(cells: studies.Cells) -> pd.DataFrame:
+    parts = []
+    for key, cell in cells.items():
+        if key[0] == "dqn":
+            for run in cell.runs:
+                try:
+                    parts.append(behaviour.overestimation(run).assign(cell=name(*key)))
+                except (PolicyError, RunError):  # a policy that cannot be flown is named among the replays
+                    continue
+    columns = ["cell", "seed", "q", "realised", "overestimation"]
+    return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
+
+
+def _tables(
+    all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights: Flights, overestimated: pd.DataFrame
+) -> dict[str, pd.DataFrame]:
+    values = frames.per_seed_values(all_cells.main)
+    return {
+        "verdicts": frames.verdicts(audits),
+        "seeds": values,
+        "metrics": frames.estimates(values),
+        "tuned": frames.estimates(frames.per_seed_values(all_cells.tuned)),
+        "improvement": frames.improvement(all_cells.main),
+        "interaction": frames.interactions(all_cells.main),
+        "survival": frames.survival(all_cells.main)[1],
+        "power": frames.power(all_cells.main),
+        "behaviour": frames.flown(flights),
+        "diagnostics": frames.diagnostics(all_cells.main),
+        "overestimation": overestimated,
+        "sensitivity": frames.sensitivity(all_cells),
+        "speed": frames.speed(all_cells.main),
+    }
+
+
+# -- figures ----------------------------------------------------------------------------------------------------------
+
+
+def _figures(all_cells: Studies, tables: Mapping[str, pd.DataFrame], flights: Flights) -> list[Figure]:
+    of_paper = {key: cell for key, cell in all_cells.main.items() if key in paper.TABLES}
+    found = [*_curves(of_paper), *_metrics(tables["metrics"], tables["seeds"])]
+    main = {name(*key[1:]): table for key, table in flights.items() if key[0] == "main" and key[1:] in paper.TABLES}
+    found += _flights(main)
+    found += _statistics(of_paper, tables)
+    if len(tables["behaviour"]):
+        sampled = tables["behaviour"].query("mode == 'sampled'")[
+            ["cell", "algorithm", "activation", "seed", *LOOKED_AT]
+        ]
+        caption = "Each small dot is a seed, the bar its cells' 95 % interval; sampled flights on test sets."
+        found.append(Figure("behaviour", "behaviour", figures.behaviours(sampled), caption))
+    found += _why(of_paper)
+    if len(tables["sensitivity"]):
+        caption = (
+            "The band is the interval as decided; a switch whose interval lies across zero from it flips a conclusion."
+        )
+        found.append(Figure("sensitivity", "sensitivity", figures.sensitivity(tables["sensitivity"]), caption))
+    caption = "The dashed line is the paper's ten hours, on a machine that it does not name."
+    found.append(Figure("speed", "speed", figures.speed(tables["speed"]), caption))
+    return found
+
+
+def _curves(cells: studies.Cells) -> list[Figure]:
+    found = []
+    for algorithm in ALGORITHMS:
+        mine = [cell for key, cell in cells.items() if key[0] == algorithm]
+        for column in ("reward", "steps"):
+            drawn = figures.curves(mine, column)
+            number = 4 if algorithm == "dqn" else 5
+            caption = (
+                f"{algorithm.upper()}, as the paper's Figure {number}: {column} of the episodes that ended in"
+                " each stretch of training. Line: mean over seeds; band: its 95 % interval; dashed: the paper's mean."
+            )
+            found.append(Figure(f"curves-{algorithm}-{column}", "curves", drawn, caption))
+    return found
+
+
+def _metrics(metrics: pd.DataFrame, values: pd.DataFrame) -> list[Figure]:
+    found = []
+    for metric in ("reward", "steps"):
+        mine = values[(values["metric"] == metric) & (values["reading"] == PRIMARY)]
+        mine = mine[mine["ratio"] == "mean of ratios"]
+        rows = {
+            name(*(str(one) for one in key)): part["value"].dropna().to_numpy()
+            for key, part in mine.groupby(["algorithm", "activation"], sort=False)
+        }
+        printed = {name(*key): paper.TABLES[key][metric] for key in paper.TABLES}
+        caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
+        found.append(
+            Figure(f"cells-{metric}", "tables", figures.intervals(rows, printed, claims.NAMES[metric]), caption)
+        )
+    return found
+
+
+def _flights(tables: Mapping[str, pd.DataFrame]) -> list[Figure]:
+    if not tables:
+        return []
+    world, bank = World(), layouts.load("test")
+    obstacles = {label: table[table["layout"] >= 0] for label, table in tables.items()}
+    shown = {label: table for label, table in obstacles.items() if label.endswith(f" {SHOWN_ACTIVATION}")}
+    found = []
+    if shown:
+        drawn = figures.trajectories(shown, bank, SHOWN_LAYOUTS, world, mode="sampled")
+        caption = (
+            "As the paper's Figures 6 and 7: the first seed's flights on three test sets, at most 500 steps, as in"
+            f" training (sampled), with {SHOWN_ACTIVATION}. The replays below show the others."
+        )
+        found.append(Figure("trajectories", "flights", drawn, caption))
+    for stem, where, low, high in (
+        ("heat", "on ten test sets", 0, np.inf),
+        ("heat-empty", "in the empty arena", -1, -1),
+    ):
+        maps = {}
+        for algorithm in ALGORITHMS:
+            mine = [table for label, table in tables.items() if label.startswith(f"{algorithm.upper()} ")]
+            mine = [table[(table["mode"] == "sampled") & table["layout"].between(low, high)] for table in mine]
+            if any(len(table) for table in mine):
+                maps[algorithm.upper()] = np.mean([behaviour.heat(table, world) for table in mine], axis=0)
+        if maps:
+            caption = (
+                f"Where the drones are {where}: share of steps in each square, every seed of four activations alike."
+            )
+            found.append(Figure(stem, "behaviour", figures.heat_maps(maps, world), caption))
+    return found
+
+
+def _statistics(cells: studies.Cells, tables: Mapping[str, pd.DataFrame]) -> list[Figure]:
+    matrix = figures.improvement_matrix(tables["improvement"], f"reward per episode, {PRIMARY}")
+    curves, _ = frames.survival(cells)
+    n = min((studies.seeds(cell) for cell in cells.values()), default=0)
+    return [
+        Figure(
+            "improvement",
+            "statistics",
+            matrix,
+            "How probably a seed of the row's cell beats one of the column's; Mann-Whitney, Holm's correction.",
+        ),
+        Figure(
+            "survival",
+            "statistics",
+            figures.survival(curves, frames.CAP),
+            "Kaplan-Meier: a cap on steps censors a flight, and is no collision. Sampled, all seeds together.",
+        ),
+        Figure(
+            "power",
+            "statistics",
+            figures.power(tables["power"], n),
+            "What it would take to tell two activations apart by their reward; the line is what this study has.",
+        ),
+    ]
+
+
+def _why(cells: studies.Cells) -> list[Figure]:
+    found = []
+    for algorithm in ALGORITHMS:
+        progress = {
+            activation: pd.concat([run.progress for run in cell.runs], ignore_index=True)
+            for (which, activation), cell in cells.items()
+            if which == algorithm
+        }
+        for column, label in WHY.items():
+            if OF_ALGORITHM.get(column, algorithm) != algorithm or not any(column in one for one in progress.values()):
+                continue
+            bound = _most_return(cells) if column == "q_value" else None
+            drawn = figures.why(progress, column, f"{algorithm.upper()}: {label}", bound)
+            caption = f"{algorithm.upper()}: {label}; line: mean over seeds, band: 95 % interval."
+            if bound is not None:
+                caption += (
+                    " Above the dashed line no reward can follow: flying straight at full speed for ever earns that."
+                )
+            found.append(Figure(f"why-{algorithm}-{column.replace('_', '-')}", "why", drawn, caption))
+    return found
+
+
+def _most_return(cells: studies.Cells) -> float | None:
+    """The largest discounted return of the world: full speed for ever, r / (1 - gamma)."""
+    world = World()
+    gammas = {cell.settings["gamma"] for key, cell in cells.items() if key[0] == "dqn" and "gamma" in cell.settings}
+    most = world.reward_per_pixel * (world.n_distances - 1)
+    return most / (1 - gammas.pop()) if len(gammas) == 1 else None

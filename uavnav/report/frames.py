@@ -1,0 +1,227 @@
+"""The numbers of the report as data frames, one row a number or a seed: what `tables/*.csv` holds.
+
+Every function takes the cells of a study and gives a frame; the page, the figures and the Markdown show parts of them.
+To add a metric, add a line to `metrics.METRICS`; to add a measure of flights, a column to `behaviour.measures`.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from uavnav import paper, stats
+from uavnav.metrics import EPISODE_COLUMNS, METRICS, per_seed
+from uavnav.report.cells import Cell, readings
+from uavnav.report.claims import ALGORITHMS, PRIMARY, Finding, long, verdict
+from uavnav.report.studies import Cells, Studies, hours, seeds
+from uavnav.runs import RunError, read_table
+
+CAP = 10_000
+"""Steps at which the restricted mean of a survival curve ends: the evaluation's own cap."""
+DIAGNOSTICS = ("dormant", "saturated", "effective_rank", "grad_norm", "entropy", "q_value")
+"""Columns of progress that may say why activations differ."""
+
+
+def name(algorithm: str, activation: str) -> str:
+    """A cell, in words."""
+    return f"{algorithm.upper()} {activation}"
+
+
+def per_seed_values(cells: Cells) -> pd.DataFrame:
+    """Every metric of every seed in every reading: algorithm, activation, reading, ratio, metric, seed, value."""
+    parts = []
+    for (algorithm, activation), cell in cells.items():
+        for reading, rows in readings(cell).items():
+            for ratio_of_means in (False, True):
+                table = per_seed(rows, ratio_of_means)
+                kept = [metric for metric in METRICS if METRICS[metric].scale is not None or not ratio_of_means]
+                values = table[kept].melt(ignore_index=False, var_name="metric").reset_index()
+                ratio = "ratio of means" if ratio_of_means else "mean of ratios"
+                parts.append(values.assign(algorithm=algorithm, activation=activation, reading=reading, ratio=ratio))
+    columns = ["algorithm", "activation", "reading", "ratio", "metric", "seed", "value"]
+    return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
+
+
+def estimates(values: pd.DataFrame) -> pd.DataFrame:
+    """Mean and interquartile mean over seeds, with 95 % intervals, beside the paper's number."""
+    rows = []
+    keys = ["algorithm", "activation", "reading", "ratio", "metric"]
+    for key, part in values.groupby(keys, sort=False)["value"]:
+        row: dict[str, Any] = dict(zip(keys, key, strict=True))
+        mean = stats.interval(part.to_numpy())
+        middle = stats.interval(part.to_numpy(), stats.interquartile_mean)
+        printed = paper.TABLES.get((row["algorithm"], row["activation"]), {}).get(row["metric"], np.nan)
+        row |= {"n": mean.n, "mean": mean.value, "low": mean.low, "high": mean.high}
+        row |= {"interquartile_mean": middle.value, "iqm_low": middle.low, "iqm_high": middle.high}
+        rows.append(row | {"paper": printed})
+    return pd.DataFrame(rows)
+
+
+def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
+    """Every part of every claim in every reading; of a claim as a whole, its verdict."""
+    parts = []
+    for reading, findings in audits.items():
+        table = pd.DataFrame([finding._asdict() for finding in findings])
+        of_claim = {
+            number: verdict([one for one in findings if one.claim == number]) for number in table["claim"].unique()
+        }
+        parts.append(table.assign(reading=reading, verdict_of_claim=table["claim"].map(of_claim)))
+    return pd.concat(parts, ignore_index=True).drop(columns="digits")
+
+
+def improvement(cells: Cells, reading: str = PRIMARY, metric: str = "reward") -> pd.DataFrame:
+    """For each pair of cells, how probably a seed of the one beats a seed of the other (`stats.improvement`)."""
+    values = {name(*key): per_seed(readings(cell)[reading])[metric].dropna().to_numpy() for key, cell in cells.items()}
+    return stats.improvement(values)
+
+
+def interactions(cells: Cells) -> pd.DataFrame:
+    """Whether activations rank otherwise under the two algorithms: by metric and reading, `stats.interaction`."""
+    rows = []
+    for reading, metric in itertools.product((PRIMARY, "sampled evaluation"), ("reward", "steps", "distance")):
+        samples = {
+            key: per_seed(readings(cell)[reading])[metric].dropna().to_numpy()
+            for key, cell in cells.items()
+            if key in paper.TABLES
+        }
+        found = stats.interaction(long(samples))
+        rows.append({"reading": reading, "metric": metric, **found._asdict()})
+    return pd.DataFrame(rows)
+
+
+def survival(cells: Cells, mode: str = "sampled") -> tuple[dict[str, pd.Series], pd.DataFrame]:
+    """Kaplan-Meier curves of test flights, all seeds together, and each seed's restricted mean with its interval."""
+    curves, rows = {}, []
+    for key, cell in cells.items():
+        part = readings(cell)[f"{mode} evaluation"]
+        if part.empty:
+            continue
+        curves[name(*key)] = stats.survival(part["steps"].to_numpy(), part["terminated"].to_numpy())
+        means = [
+            stats.restricted_mean(one["steps"].to_numpy(), one["terminated"].to_numpy(), CAP)
+            for _, one in part.groupby("seed")
+        ]
+        mean = stats.interval(means)
+        cut = float(part["truncated"].mean())
+        row = {"cell": name(*key), "n": mean.n, "episodes": len(part), "cut_off": cut, "restricted_mean": mean.value}
+        rows.append(row | {"low": mean.low, "high": mean.high})
+    columns = ["cell", "n", "episodes", "cut_off", "restricted_mean", "low", "high"]
+    return curves, pd.DataFrame(rows, columns=columns)
+
+
+def power(cells: Cells, metric: str = "reward") -> pd.DataFrame:
+    """Seeds a cell that it would take to tell each pair of activations of an algorithm apart: 80 % power, 5 %."""
+    rows = []
+    for algorithm in ALGORITHMS:
+        mine = {key: cell for key, cell in cells.items() if key[0] == algorithm and key in paper.TABLES}
+        values = {key: per_seed(readings(cell)[PRIMARY])[metric].dropna().to_numpy() for key, cell in mine.items()}
+        for a, b in itertools.combinations(values, 2):
+            pair = f"{algorithm.upper()}: {a[1]} and {b[1]}"
+            rows.append({"pair": pair, "seeds": stats.seeds_needed(values[a], values[b])})
+    return pd.DataFrame(rows, columns=["pair", "seeds"])
+
+
+def flown(flights: Mapping[tuple[str, str, str], pd.DataFrame], study: str = "main") -> pd.DataFrame:
+    """What flights look like, one row a cell, mode and seed."""
+    parts = [
+        table.assign(cell=name(algorithm, activation), algorithm=algorithm, activation=activation)
+        for (which, algorithm, activation), table in flights.items()
+        if which == study
+    ]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+
+def diagnostics(cells: Cells) -> pd.DataFrame:
+    """The last tenth of training: mean over seeds and its interval of each diagnostic."""
+    rows = []
+    for key, cell in cells.items():
+        progress = pd.concat([run.progress for run in cell.runs], ignore_index=True)
+        late = progress[progress["frame"] > 0.9 * cell.settings["frames"]]
+        for column in DIAGNOSTICS:
+            if column in late:
+                mean = stats.interval(late.groupby("seed")[column].mean())
+                rows.append({"cell": name(*key), "diagnostic": column, "n": mean.n, **mean._asdict()})
+    return pd.DataFrame(rows, columns=["cell", "diagnostic", "n", "value", "low", "high"])
+
+
+CONCLUSIONS = {
+    "PPO above DQN": [("ppo", "tanh"), ("ppo", "relu"), ("dqn", "tanh"), ("dqn", "relu")],
+    "PPO: tanh above ReLU": [("ppo", "tanh"), ("ppo", "relu")],
+    "DQN: tanh above ReLU": [("dqn", "tanh"), ("dqn", "relu")],
+}
+"""What a choice may flip: the mean reward of the first half of these cells minus that of the second."""
+AS_DECIDED = "default"
+
+
+def sensitivity(studies: Studies) -> pd.DataFrame:
+    """Each conclusion under each switch, beside it as decided: columns switch, conclusion, value, low, high, n, flips.
+
+    An algorithm that a switch does not touch is taken as decided. `flips`: the interval lies wholly on the other side
+    of zero than it does as decided; `sign` if only the estimate does.
+    """
+    rows = []
+    for switch, cells in {AS_DECIDED: studies.baseline, **studies.switches}.items():
+        for conclusion, keys in CONCLUSIONS.items():
+            there = [cells.get(key) or studies.baseline.get(key) for key in keys]
+            if None in there or not any(key in cells for key in keys):
+                continue
+            samples = [_rewards(cell) for cell in there if cell is not None]
+            found = stats.contrast(samples, _first_minus_second)
+            rows.append({"switch": switch, "conclusion": conclusion, **found._asdict()})
+    decided = {row["conclusion"]: row for row in rows if row["switch"] == AS_DECIDED}
+    flips = [_flips(row, decided.get(row["conclusion"])) for row in rows]
+    table = pd.DataFrame(rows, columns=["switch", "conclusion", "value", "low", "high", "n"])
+    return table.assign(flips=flips)
+
+
+def _rewards(cell: Cell) -> stats.Array:
+    return per_seed(readings(cell)[PRIMARY])["reward"].dropna().to_numpy()
+
+
+def _first_minus_second(*samples: stats.Array, axis: int = -1) -> stats.Array:
+    means = [sample.mean(axis) for sample in samples]
+    half = len(means) // 2
+    return np.asarray(np.mean(means[:half], axis=0) - np.mean(means[half:], axis=0))
+
+
+def _flips(row: Mapping[str, Any], decided: Mapping[str, Any] | None) -> str:
+    if decided is None or decided is row:
+        return ""
+    if not decided["value"] * row["value"] < 0:
+        return "no"
+    clear = all(one["low"] * one["high"] > 0 for one in (decided, row))
+    return "yes" if clear else "sign"
+
+
+def speed(cells: Cells) -> pd.DataFrame:
+    """Wall time of a million frames of one seed, by run: columns cell, seconds, seeds, machine."""
+    rows = []
+    for key, cell in cells.items():
+        for run, took in zip(cell.runs, hours(cell), strict=False):
+            machine = run.meta.get("machine", {})
+            processor = machine.get("processor", "not known") if isinstance(machine, dict) else str(machine)
+            rows.append({"cell": name(*key), "seconds": 3600 * took, "seeds": len(run.seeds), "machine": processor})
+    return pd.DataFrame(rows, columns=["cell", "seconds", "seeds", "machine"])
+
+
+def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
+    """Rows of scripted policies and of people: `baselines/*.parquet` in the report's folders; what cannot be read."""
+    found: dict[str, pd.DataFrame] = {}
+    left_out = []
+    for path in (path for folder in folders for path in sorted((folder / "baselines").glob("*.parquet"))):
+        try:
+            found[path.stem] = read_table(path, EPISODE_COLUMNS, "evaluate it again")
+        except RunError as error:
+            left_out.append(str(error))
+    return found, left_out
+
+
+def total_seeds(cells: Cells) -> str:
+    """How many seeds a cell has: one number, or from ... to ..."""
+    counts = sorted({seeds(cell) for cell in cells.values()})
+    return "0" if not counts else str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"

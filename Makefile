@@ -3,8 +3,9 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SEEDS ?= 20
 RESULTS ?= results
+WIDE := activation=elu,gelu,selu,silu,mish,softplus,softsign,identity
 
-.PHONY: train test study layouts picture clean
+.PHONY: train test study initial tuned sensitivity wide baselines report layouts picture clean
 
 train: .venv/.installed
 	$(BIN)/python recipes/ppo.py activation=relu
@@ -30,6 +31,49 @@ study: .venv/.installed # the paper's eight cells, cell by cell; what is finishe
 	    $(BIN)/python recipes/$$algorithm.py -m activation=tanh,sigmoid,relu,leaky_relu n_seeds=$(SEEDS) \
 	        "out='$(RESULTS)/$$algorithm/\$${activation}'" || exit; \
 	done
+
+# Small studies, each in a folder of its own. The first three are of 300,000 frames, with epsilon falling as in a million.
+SHORT := total_frames=300000 evaluate=false
+SHORT_dqn := exploration_fraction=0.33333333
+PAIR := activation=tanh,relu
+BOUNDED := activation=tanh,sigmoid
+
+# $(call cells,FOLDER,ALGORITHM,SETTINGS): one cell an activation
+define cells
+	$(BIN)/python recipes/$(2).py -m $(3) "out='$(RESULTS)/$(1)/$(2)/\$${activation}'"
+
+endef
+both = $(foreach algorithm,ppo dqn,$(call cells,$(1),$(algorithm),$(2) $(SHORT) $(SHORT_$(algorithm))))
+
+initial: .venv/.installed # the first reward and eq. (14), for claim 10: 10 seeds, flown a little
+	$(call both,baseline,$(PAIR) n_seeds=10)
+	$(call both,initial,$(PAIR) n_seeds=10 reward=initial)
+	$(BIN)/python -m uavnav.evaluate --episodes 10 --max-steps 500 $(foreach study,baseline initial,\
+	    $(foreach algorithm,ppo dqn,$(foreach activation,tanh relu,$(RESULTS)/$(study)/$(algorithm)/$(activation))))
+
+tuned: .venv/.installed # the presets `fast`
+	$(foreach algorithm,ppo dqn,$(call cells,tuned,$(algorithm),$(BOUNDED) preset=fast n_seeds=5 seed=100))
+
+sensitivity: .venv/.installed # one unsaid choice at a time, beside the baseline of `initial`
+	$(foreach k,4 12,$(BIN)/python -m uavnav.layouts --split train --k $(k) --out $(RESULTS)/banks/$(k) && ) true
+	$(foreach k,4 12,$(call both,obstacles-$(k),$(PAIR) n_seeds=5 layouts=$(RESULTS)/banks/$(k)/train.safetensors))
+	$(call both,listed,$(PAIR) n_seeds=5 slots=listed)
+	$(call both,zeros,$(PAIR) n_seeds=5 padding=zeros)
+	$(call both,heading,$(PAIR) n_seeds=5 start_heading=random)
+	$(call cells,starts,dqn,$(PAIR) n_seeds=5 learning_starts=100 $(SHORT) $(SHORT_dqn))
+	$(call cells,init,ppo,$(PAIR) n_seeds=5 init=default $(SHORT))
+	$(call cells,init,dqn,$(PAIR) n_seeds=5 init=orthogonal $(SHORT) $(SHORT_dqn))
+	$(call both,one-world,$(PAIR) n_seeds=5 n_worlds=1)
+
+wide: .venv/.installed # eight more activations, at the settings of `study`
+	$(foreach algorithm,ppo dqn,$(call cells,wide,$(algorithm),$(WIDE) n_seeds=5))
+
+baselines: .venv/.installed # what needs no learning, on the test sets
+	$(BIN)/python -m uavnav.evaluate random straight reactive --out $(RESULTS)/baselines
+
+report: .venv/.installed # the report, docs/results.md and the table of the README
+	$(BIN)/python -m uavnav.report $(RESULTS)
+	$(BIN)/python -m uavnav.report.conclusions $(RESULTS)
 
 layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/python -m uavnav.layouts --out uavnav/banks

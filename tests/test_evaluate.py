@@ -170,6 +170,14 @@ def test_of_a_flight_of_600_steps_500_are_watched():
     )
 
 
+def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
+    arguments = ["random", "--episodes", "5", "--max-steps", "50", "--out", str(tmp_path / "baselines")]
+    assert evaluate.main(arguments) == 0
+    rows = pd.read_parquet(tmp_path / "baselines" / "random.parquet")
+    assert rows.layout.tolist() == [0, 1, 2, 3, 4]
+    assert list(rows.columns) == list(EPISODE_COLUMNS)
+
+
 def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_ends_with_0(run):
     command = [sys.executable, "-m", "uavnav.evaluate", run.path, "reactive", "--episodes", "5", "--max-steps", "50"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -206,6 +206,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
     parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
     parser.add_argument("--layouts", default="test", help="test, train or a bank's path (default: test)")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="keep rows of baselines there; a report looks in its baselines/"
+    )
     arguments = parser.parse_args(argv)
     try:
         found = {name: name if name in BASELINES else Run(name) for name in arguments.runs}
@@ -219,7 +222,12 @@ def main(argv: Sequence[str] | None = None) -> int:
                 with compiling.use_threads(1):
                     flights = fly({0: BASELINES[name]}, arguments.layouts, arguments.episodes, arguments.max_steps)
                 print_table(evaluation_summary(flights.episodes.assign(mode="scripted"), name))
-    except (RunError, ValueError) as error:
+                if arguments.out is not None:
+                    path = arguments.out / f"{name}.parquet"
+                    arguments.out.mkdir(parents=True, exist_ok=True)
+                    write_table(path, flights.episodes)
+                    print(f"the rows are in {path}")
+    except (RunError, ValueError, OSError) as error:
         print(f"uavnav.evaluate: {error}", file=sys.stderr)
         return 2
     return 0

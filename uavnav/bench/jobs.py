@@ -95,6 +95,9 @@ class Job:
         """End the process and those that it started, if they still run."""
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
+        for process in _session(self._process.pid):  # shares of the seeds are groups of their own
+            with suppress(ProcessLookupError):
+                os.kill(int(process.name), signal.SIGKILL)
         self._process.wait()
         if self._process.stdout:
             self._process.stdout.close()
@@ -104,12 +107,21 @@ class Job:
 def tree_memory(session: int) -> float:
     """What all processes of a session hold together, shared pages counted once [GB]; 0 where that is not known."""
     total = 0
+    for process in _session(session):
+        with suppress(OSError):  # it may have ended by now
+            lines = (process / "smaps_rollup").read_text().splitlines()
+            total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+    return total * 1024 / 1e9
+
+
+def _session(number: int) -> list[Path]:
+    """The folders in /proc of the processes of a session; none where there is no /proc."""
+    found = []
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, ValueError, IndexError):  # it may have ended by now
-            if int((process / "stat").read_text().rpartition(")")[2].split()[3]) == session:
-                lines = (process / "smaps_rollup").read_text().splitlines()
-                total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
-    return total * 1024 / 1e9
+            if int((process / "stat").read_text().rpartition(")")[2].split()[3]) == number:
+                found.append(process)
+    return found
 
 
 class Mark(NamedTuple):

@@ -22,6 +22,10 @@ PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
 
 
+FLIGHTS_PAY_FROM = 10_000_000
+"""Steps of all drones of an evaluation, if none ended, from which compilation is paid back."""
+
+
 def decide(config: TrainConfig) -> bool:
     """Follow `compile=on` or `off`; with `auto`, compile runs long enough to pay for it where a compiler is at hand.
 
@@ -38,6 +42,15 @@ def decide(config: TrainConfig) -> bool:
     if problem:
         warnings.warn(f"runs without compilation, several times slower: {problem}", stacklevel=2)
     return problem is None
+
+
+def flights(n_drones: int, max_steps: int) -> bool:
+    """Whether to compile the world's step for an evaluation: a long one, where a compiler is at hand."""
+    if n_drones * max_steps < FLIGHTS_PAY_FROM:
+        return False
+    torch._inductor.config.compile_threads = 1
+    torch.compiler.reset()
+    return _problem("cpu") is None
 
 
 def processes(config: TrainConfig) -> int:

@@ -22,7 +22,7 @@ from uavnav.display import evaluation_summary, print_table
 from uavnav.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs import BEHAVIOUR, EVALUATION, Run, RunError, lock, write_table
 from uavnav.seeding import stream
-from uavnav.simulator import COUNTS, UP, State
+from uavnav.simulator import COUNTS, UP, Outcome, State
 from uavnav.world import World
 
 EPISODES = 200
@@ -112,25 +112,35 @@ def fly(
     if world.start_heading == "random":
         heading = torch.randint(360, (episodes,), generator=stream(0, "headings in evaluation"))
     state = simulator.start(layout, heading.repeat(len(population)), world)
+
+    def move(state: State, action: Tensor) -> tuple[State, Outcome]:
+        return simulator.step(state, action, bank, world, reward, max_steps)
+
+    compiled = compiling.flights(len(layout), max_steps)
+    step = torch.compile(move, dynamic=False, fullgraph=True) if compiled else move
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
+    up = torch.arange(len(layout))  # rows whose flight goes on; the others stand still, or are dropped
     with torch.no_grad():
         observation, _ = simulator.observe(state, bank, world)
-        for step in range(1, max_steps + 1):
-            rows = [observation[seed == one] for one in population]
+        for count in range(1, max_steps + 1):
+            rows = [observation[up[seed[up] == one]] for one in population]
             flying = [(one, seen) for one, seen in zip(population, rows, strict=True) if len(seen)]
             chosen = [_checked(population[one](seen, generators[one]), len(seen), world) for one, seen in flying]
-            action = torch.cat(chosen)
-            state, outcome = simulator.step(state, action, bank, world, reward, max_steps)
-            if step <= WATCHED_STEPS:
-                watched.append(_watch(seed, state, outcome, action))
-            done = outcome.terminated | outcome.truncated
+            action = torch.zeros_like(seed)
+            action[up] = torch.cat(chosen)
+            state, outcome = step(state, action)
+            if count <= WATCHED_STEPS:
+                watched.append(_watch(up, seed, state, outcome, action))
+            done = (outcome.terminated | outcome.truncated)[up]
             observation = outcome.observation
             if done.any():
-                ended.append(_end(seed, state, outcome, done))
-                seed, state = seed[~done], State(*(field[~done] for field in state))
-                observation = observation[~done]
-            if not len(seed):
+                ended.append(_end(up[done], seed, state, outcome))
+                up = up[~done]
+                if not compiled:
+                    seed, observation, state = seed[up], observation[up], State(*(field[up] for field in state))
+                    up = torch.arange(len(up))
+            if not len(up):
                 break
     return Flights(
         _table(ended, EPISODE_COLUMNS).sort_values(["seed", "layout"], ignore_index=True),
@@ -147,14 +157,14 @@ def _checked(action: Tensor, n: int, world: World) -> Tensor:
     return action
 
 
-def _end(seed: Tensor, state: State, outcome: simulator.Outcome, done: Tensor) -> dict[str, Tensor]:
-    counts = {name: getattr(state, name)[done] for name in ("layout", *COUNTS)}
-    flags = {"terminated": outcome.terminated[done], "truncated": outcome.truncated[done]}
-    return {"seed": seed[done], "frame": state.steps[done], "world": state.layout[done], **counts, **flags}
+def _end(rows: Tensor, seed: Tensor, state: State, outcome: Outcome) -> dict[str, Tensor]:
+    counts = {name: getattr(state, name)[rows] for name in ("layout", *COUNTS)}
+    flags = {"terminated": outcome.terminated[rows], "truncated": outcome.truncated[rows]}
+    return {"seed": seed[rows], "frame": state.steps[rows], "world": state.layout[rows], **counts, **flags}
 
 
-def _watch(seed: Tensor, state: State, outcome: simulator.Outcome, action: Tensor) -> dict[str, Tensor]:
-    kept = state.layout < WATCHED_LAYOUTS
+def _watch(rows: Tensor, seed: Tensor, state: State, outcome: Outcome, action: Tensor) -> dict[str, Tensor]:
+    kept = rows[state.layout[rows] < WATCHED_LAYOUTS]
     fields = {name: getattr(state, name)[kept] for name in ("layout", "x", "y", "heading")}
     return {
         "seed": seed[kept],

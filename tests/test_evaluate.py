@@ -11,7 +11,7 @@ import torch
 
 import uavnav
 from uavnav import dqn, evaluate, ppo
-from uavnav.baselines import straight_ahead, uniform_random
+from uavnav.baselines import BASELINES, straight_ahead, uniform_random
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, fly
 from uavnav.metrics import EPISODE_COLUMNS
 from uavnav.runs import Run
@@ -223,3 +223,20 @@ def test_rows_of_another_bank_are_shown_and_not_kept(tmp_path):
     assert run.evaluation() is None
     evaluate_run(run, episodes=2, max_steps=5)
     assert run.evaluation().attrs == {"layouts": "test", "max_steps": 5}
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_a_compiled_evaluation_gives_the_rows_of_an_eager_one(monkeypatch):
+    """Scripted policies, which do not depend on the last bit of what they see; flights end at many different steps."""
+    population = {0: BASELINES["random"], 1: BASELINES["reactive"], 2: BASELINES["straight"]}
+    eager = fly(population, episodes=40, max_steps=300)
+    monkeypatch.setattr(evaluate.compiling, "FLIGHTS_PAY_FROM", 1)
+    compiled = fly(population, episodes=40, max_steps=300)
+    assert compiled.episodes.steps.nunique() > 20
+    pd.testing.assert_frame_equal(compiled.episodes, eager.episodes)
+    pd.testing.assert_frame_equal(compiled.behaviour, eager.behaviour, rtol=1e-5)
+
+
+def test_short_evaluations_are_not_compiled():
+    assert not evaluate.compiling.flights(200, 10_000)

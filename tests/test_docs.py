@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from uavnav.decisions import DECISIONS, HEADER
 from uavnav.networks import ACTIVATIONS
 
 ROOT = Path(__file__).parent.parent
@@ -45,3 +46,11 @@ def test_every_recipe_command_of_the_readme_names_a_recipe_and_keys_that_exist()
         assert (ROOT / recipe).is_file()
         for word in words:
             assert word == "-m" or word.split("=")[0] in TrainConfig.__dataclass_fields__
+
+
+def test_the_table_of_the_decisions_is_the_modules_row_by_row():
+    lines = (ROOT / "docs" / "decisions.md").read_text().splitlines()
+    begin = lines.index(f"| {' | '.join(HEADER)} |")
+    rows = lines[begin + 2 : begin + 3 + len(DECISIONS)]
+    assert rows == [*(f"| {' | '.join(decision)} |" for decision in DECISIONS), ""]
+    assert [decision.number for decision in DECISIONS] == [str(number) for number in range(1, 17)]

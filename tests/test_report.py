@@ -1,23 +1,38 @@
 """The report, on run folders written by hand whose metrics are known in closed form."""
 
 import json
+import math
 import os
+import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
+import torch
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.figure import Figure
+from torch import nn
 
 from uavnav import paper
+from uavnav.config import TrainConfig
+from uavnav.evaluate import BEHAVIOUR_COLUMNS
 from uavnav.metrics import EPISODE_COLUMNS
-from uavnav.report import report
+from uavnav.networks import mlp
+from uavnav.policies import FILE_NAME, serialize
+from uavnav.report import SECTIONS, _write_all, conclusions, content, markdown, report
 from uavnav.report.__main__ import main
 from uavnav.report.cells import BINS, collect, curve, label
+from uavnav.report.claims import CLAIMS, PRIMARY, audit
+from uavnav.report.content import gather
 from uavnav.report.figures import plot
-from uavnav.report.tables import table
+from uavnav.report.studies import of_paper
+from uavnav.report.tables import number, overview, table, with_interval
 from uavnav.runs import RunError
 
 CONFIG = {"preset": "paper", "total_frames": 1000, "n_worlds": 16, "reward": "eq14", "init": "default", "lr": 1e-4}
@@ -65,16 +80,33 @@ def write_results(path):
     return path
 
 
+MISSING = "all training episodes: missing"
+FIGURES = content._figures
+
+
+@pytest.fixture(autouse=True)
+def undrawn(monkeypatch):
+    """Without figures, which take most of a report's time; those that are looked at are asked for."""
+    monkeypatch.setattr("uavnav.report.content._figures", lambda *anything: [])
+
+
 @pytest.fixture
-def results(tmp_path, monkeypatch):
-    """Without drawing, which takes most of a report's time."""
-    monkeypatch.setattr("uavnav.report.draw", lambda cells: b"")
+def results(tmp_path):
     return write_results(tmp_path / "results")
+
+
+def said(*folders):
+    """report.md, without writing it."""
+    return markdown(gather(folders))
+
+
+def no_policy(*paths):
+    return [f"{path}: no policy.safetensors there; give the folder of a finished run" for path in paths]
 
 
 @pytest.fixture(scope="module")
 def text(tmp_path_factory):
-    return report([write_results(tmp_path_factory.mktemp("report") / "results")]).path.read_text()
+    return said(write_results(tmp_path_factory.mktemp("report") / "results"))
 
 
 def test_speed_6_as_mean_of_ratios_and_7_as_ratio_of_means_over_two_seeds(text):
@@ -110,7 +142,7 @@ def test_the_last_100_episodes_are_each_seeds_own(tmp_path):
     early = [(frame, 10, 0, 0, 0, 10, -10.0) for frame in range(1, 51)]
     late = [(frame, 10, 0, 0, 0, 10, 2.0) for frame in range(51, 151)]
     write_run(tmp_path / "run", rows(0, *early, *late))
-    text = report([tmp_path]).path.read_text()
+    text = said(tmp_path)
     assert found(text, "tanh", "all training episodes")[0][-1] == "-2.000"
     assert found(text, "tanh", "last 100 training episodes")[0][1:2] == ["100"]
     assert found(text, "tanh", "last 100 training episodes")[0][-1] == "2.000"
@@ -126,7 +158,7 @@ def test_runs_of_other_seeds_are_merged_and_of_another_setting_labelled(results)
     write_run(results / "more", two(2, -10.0), seed=2)
     write_run(results / "faster", two(0, -1.0), lr=0.5)
     write_run(results / "rewarded", two(0, -2.0), reward="initial")
-    text = report([results]).path.read_text()
+    text = said(results)
     merged = found(text, "tanh", "all training episodes")[0]
     assert (merged[0], merged[-1]) == ("3", "-8.000 ± 2.000")
     assert found(text, "tanh (lr=0.5)", "all training episodes")[0][-1] == "-1.000"
@@ -138,7 +170,7 @@ def test_runs_of_other_seeds_are_merged_and_of_another_setting_labelled(results)
 
 def test_settings_beyond_the_preset_are_named_even_where_all_runs_share_them(tmp_path):
     write_run(tmp_path / "run", two(0, -1.0), lr=0.25, meta={"beyond_preset": {"lr": 0.25}})
-    assert "init=default, lr=0.25 (" in report([tmp_path]).path.read_text()
+    assert "init=default, lr=0.25 (" in said(tmp_path)
 
 
 def test_runs_on_other_banks_or_in_another_world_are_not_merged(tmp_path):
@@ -151,10 +183,20 @@ def test_runs_on_other_banks_or_in_another_world_are_not_merged(tmp_path):
 
 def test_the_second_run_of_the_same_seed_is_named_and_skipped(results):
     write_run(results / "dqn" / "twin", two(1, 99.0), two(2, 99.0), seed=1)
-    written = report([results])
+    gathered = gather([results])
     first, second = results / "dqn" / "tanh", results / "dqn" / "twin"
-    assert written.left_out == [f"{second}: its seed 1 is in {first} already, with the same settings"]
-    assert found(written.path.read_text(), "tanh", "all training episodes")[0][-1] == "-7.000 ± 1.414"
+    twin = f"{second}: its seed 1 is in {first} already, with the same settings"
+    assert gathered.left_out == [twin, *no_policy(first, results / "ppo" / "relu")]
+    assert found(markdown(gathered), "tanh", "all training episodes")[0][-1] == "-7.000 ± 1.414"
+
+
+def test_a_run_without_a_policy_is_named_once_and_its_rows_count(results):
+    gathered = gather([results])
+    assert gathered.left_out == no_policy(results / "dqn" / "tanh", results / "ppo" / "relu")
+    assert gathered.replays is None
+    assert found(markdown(gathered), "tanh", "all training episodes")[0][-1] == "-7.000 ± 1.414"
+    behaved(results / "dqn" / "tanh")  # of whose flights is a table, but no more can be flown
+    assert gather([results]).left_out == gathered.left_out
 
 
 def test_broken_unfinished_and_foreign_folders_are_named_on_stderr_and_in_the_report(results, capsys):
@@ -169,11 +211,12 @@ def test_broken_unfinished_and_foreign_folders_are_named_on_stderr_and_in_the_re
     (results / ".hydra" / "config.yaml").write_text("hidden: true")
     assert main([str(results)]) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 6
-    text = (results / "report.md").read_text()
-    for name, line in zip(("broken", "columns", "half", "seeds", "table", "thesis"), lines, strict=True):
+    names = ("broken", "columns", "half", "seeds", "table", "thesis", "dqn/tanh", "ppo/relu")
+    text, page = (results / "report.md").read_text(), (results / "report.html").read_text()
+    for name, line in zip(names, lines, strict=True):
         assert line.startswith(f"uavnav.report: left out: {results / name}")
         assert f"- {line.removeprefix('uavnav.report: left out: ')}\n" in text
+        assert str(results / name) in page
     assert ".hydra" not in text
 
 
@@ -200,27 +243,20 @@ def test_a_folder_without_runs_is_one_line_and_status_2_and_nothing_is_written(t
 def test_an_out_that_cannot_be_written_is_a_run_error_and_leaves_nothing(results, tmp_path):
     (tmp_path / "out").write_text("x")
     (tmp_path / "taken" / "report.md").mkdir(parents=True)
+    (tmp_path / "half").mkdir()
+    (tmp_path / "half" / "figures").write_text("x")  # which come last here: tables/ is not made either
+    files = {"tables/a.csv": b"", "figures/b.png": b""}
     before = sorted(tmp_path.rglob("*"))
-    for out in ("out", "taken"):
+    for out in ("out", "taken", "half"):
         with pytest.raises(RunError, match="cannot be written"):
-            report([results], tmp_path / out)
+            report([results], tmp_path / out) if out != "half" else _write_all(tmp_path / out, files)
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_two_reports_are_the_same_bytes(tmp_path):
-    results = write_results(tmp_path / "results")
-    names = ("report.md", "figures/dqn.png", "figures/ppo.png")
-    first, second = (report([results], tmp_path / name).path.parent for name in ("one", "two"))
-    assert sorted(str(path.relative_to(first)) for path in first.rglob("*") if path.is_file()) == sorted(names)
-    assert (first / "figures" / "dqn.png").read_bytes().startswith(b"\x89PNG")
-    for name in names:
-        assert (first / name).read_bytes() == (second / name).read_bytes()
-
-
-def test_a_folder_given_twice_is_read_once(results, tmp_path):
-    once, twice = report([results], tmp_path / "one"), report([results, results / "dqn"], tmp_path / "two")
-    assert twice.left_out == []
-    assert once.path.read_text() == twice.path.read_text()
+def test_a_folder_given_twice_is_read_once(results):
+    once, twice = gather([results]), gather([results, results, results / "dqn"])
+    assert twice.left_out == once.left_out
+    assert markdown(once) == markdown(twice)
 
 
 def test_curves_average_the_episodes_that_ended_in_a_25th_of_the_frames(tmp_path):
@@ -249,18 +285,16 @@ def test_a_panel_holds_a_line_an_activation_with_n_and_the_papers_mean_dashed_in
     assert band.get_datalim(axes.transData).intervaly.tolist() == [-8.0, -6.0]
 
 
-def test_the_report_says_how_runs_were_made_and_shows_figures_with_words_for_them(text):
+def test_the_report_says_how_runs_were_made(text):
     assert "- versions: torch 2.13.0, world 1\n" in text
     assert "- git commit: c0ffee\n" in text
     assert "- machine: processor an abacus, cores 2\n" in text
     assert "1:02:05" in text  # 3,725 s
-    assert "![dqn: reward per episode and steps per episode in training against frames per seed" in text
-    assert "tanh reward -7.0, steps 300.0](figures/dqn.png)" in text
 
 
 def test_an_algorithm_and_an_activation_that_the_paper_has_not_get_rows_too(results):
     write_run(results / "sac", two(0, 1.5), algorithm="sac", activation="mish")
-    text = report([results]).path.read_text()
+    text = said(results)
     assert "\n## SAC\n" in text
     assert found(text, "mish", "all training episodes")[0][-1] == "1.500"
     assert found(text, "mish", "the paper") == []
@@ -268,7 +302,7 @@ def test_an_algorithm_and_an_activation_that_the_paper_has_not_get_rows_too(resu
 
 def test_a_run_without_a_finished_episode_is_missing_in_every_reading(tmp_path):
     write_run(tmp_path / "run", rows(0, (1000, 10, 0, 0, 0, 0, -1.0, False, False)))
-    assert len(found(report([tmp_path]).path.read_text(), "tanh", "all training episodes: missing")) == 2
+    assert len(found(report([tmp_path]).path.with_suffix(".md").read_text(), "tanh", MISSING)) == 2
 
 
 def test_tables_of_nothing_still_hold_the_papers_4_rows():
@@ -290,12 +324,239 @@ def test_it_imports_nothing_that_trains():
     assert run.stdout.strip() == "[]"
 
 
-def test_cells_of_other_settings_have_a_figure_of_their_own(tmp_path):
-    write_run(tmp_path / "usual", two(0, -1.0))
-    write_run(tmp_path / "again", two(0, -1.0), activation="relu")
-    write_run(tmp_path / "other", two(0, -1.0), n_worlds=1)
-    text = report([tmp_path]).path.read_text()
-    assert "](figures/ppo.png)" in text or "](figures/dqn.png)" in text
-    assert text.count("-other-settings.png)") == 1
-    assert len(list(tmp_path.glob("figures/*-other-settings.png"))) == 1
-    assert "Cells with other settings are in the second figure." in text
+# -- the whole of it ---------------------------------------------------------------------------------------------------
+
+
+def behaved(path):
+    """Give a run the steps of two sampled flights: seed 0 straight up, seed 1 turning on the spot."""
+    steps = [(0, 0, n, 400.0, 300.0 + 9 * n, 90, 80.0, 9) for n in range(1, 6)]
+    steps += [(1, 1, n, 400.0, 300.0, 5 * n % 360, 60.0, 50) for n in range(1, 6)]
+    table = pd.DataFrame(steps, columns=list(BEHAVIOUR_COLUMNS)).astype(BEHAVIOUR_COLUMNS)
+    table.assign(mode="sampled").to_parquet(path / "behaviour.parquet")
+
+
+def trained(path, algorithm, action):
+    """Give a run of two seeds a network that knows one action."""
+    config = TrainConfig(seed=0, n_seeds=2, hidden=(4,))
+    network = mlp([30, 4, 100], "tanh", [torch.Generator().manual_seed(seed) for seed in config.seeds], "default")
+    with torch.no_grad():
+        network[-1].weight.zero_()
+        network[-1].bias[:, 0, action] = 50.0
+    content = serialize({"policy": nn.ModuleList(network)}, algorithm, config, epsilon=0.05)
+    (path / FILE_NAME).write_bytes(content)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder with the runs, and the report on it."""
+    path = tmp_path_factory.mktemp("whole") / "results"
+    flights = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(mode="sampled")
+    for algorithm in ("dqn", "ppo"):
+        run = write_run(
+            path / algorithm, two(0, -6.0), two(1, -8.0), algorithm=algorithm, gamma=0.9, evaluation=flights
+        )
+        behaved(run)
+        trained(run, algorithm, action=9)
+    write_run(path / "short", two(0, 5.0), meta={"frames": 500}, gamma=0.9)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uavnav.report.content._figures", FIGURES)
+        return path, report([path], path.parent / "one")
+
+
+def test_two_reports_are_the_same_bytes(whole, monkeypatch):
+    path, first = whole
+    assert first.left_out == []
+    monkeypatch.setattr("uavnav.report.content._figures", FIGURES)
+    second = report([path], path.parent / "two")
+    files = [
+        {
+            str(file.relative_to(one.path.parent)): file.read_bytes()
+            for file in one.path.parent.rglob("*")
+            if file.is_file()
+        }
+        for one in (first, second)
+    ]
+    assert sorted(files[0]) == sorted(files[1])
+    assert [name for name in files[0] if files[0][name] != files[1][name]] == []
+
+
+def test_a_report_is_a_page_its_markdown_tables_and_figures_in_two_forms(whole):
+    _, written = whole
+    assert written.path.name == "report.html"
+    out = written.path.parent
+    kinds = {"report.html", "report.md", "figures", "tables"}
+    assert {file.name for file in out.iterdir()} == kinds
+    drawn = {file.stem for file in out.glob("figures/*.svg")}
+    assert drawn == {file.stem for file in out.glob("figures/*.png")}
+    assert drawn >= {"curves-dqn-reward", "curves-ppo-steps", "cells-reward", "trajectories", "heat", "heat-empty"}
+    assert drawn >= {"survival", "improvement", "power", "behaviour", "speed"}
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in out.glob("figures/*.png"))
+    page = written.path.read_text()
+    assert page.count("data:image/svg+xml;base64,") == len(drawn)
+    for section in SECTIONS:
+        assert f'id="{section}"' in page
+    text = (out / "report.md").read_text()
+    for picture in re.findall(r"]\((figures/[^)]*)\)", text):
+        assert (out / picture).is_file()
+    assert "](figures/curves-dqn-reward.png)" in text
+
+
+def test_the_tables_are_csv_that_say_what_the_content_says_and_latex(whole):
+    path, written = whole
+    folder = written.path.parent / "tables"
+    gathered = gather([path])
+    assert {file.stem for file in folder.glob("*.csv")} == {*gathered.tables}
+    metrics = pd.read_csv(folder / "metrics.csv")
+    row = metrics.set_index(["algorithm", "reading", "ratio", "metric"]).sort_index()
+    assert row.loc["dqn", PRIMARY, "ratio of means", "speed"]["mean"] == 7
+    assert row.loc["ppo", PRIMARY, "mean of ratios", "reward"]["mean"] == -7
+    behaviour = pd.read_csv(folder / "behaviour.csv").set_index(["cell", "seed"])
+    assert behaviour["clearance"].tolist() == [80, 60, 80, 60]
+    assert behaviour["reversals"].tolist() == [0] * 4
+    assert behaviour.loc["PPO tanh", "empty_straight_speed"].tolist() == [9, 9]
+    assert behaviour.loc["DQN tanh", "empty_straight_speed"].tolist() == pytest.approx([9, 9], abs=0.3)  # explores
+    overestimated = pd.read_csv(folder / "overestimation.csv")
+    assert overestimated["q"].tolist() == pytest.approx([50, 50])
+    latex = (folder / "paper-ppo.tex").read_text()
+    assert latex.count(r" \\") == 1 + 4 + 1 + 3  # header, the paper's rows, ours of tanh, three cells without a run
+    assert r"\%" in latex
+    assert "_" not in latex.replace(r"\_", "")
+
+
+def test_no_warning_escapes_a_report_on_few_and_equal_seeds(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr("uavnav.report.content._figures", FIGURES)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_run(tmp_path / "open", rows(0, (1000, 10, 0, 0, 0, 0, -1.0, False, False)))
+        assert report([tmp_path]).path.is_file()
+        gather([whole[0]])
+
+
+# -- tables in words ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "shown"),
+    [
+        (math.nan, 2, "–"),
+        (math.inf, 2, "∞"),
+        (-math.inf, 2, "−∞"),
+        (0.0, 2, "0.00"),
+        (-1234.5, 1, "−1,234.5"),
+        (0.0004, 2, "0.0004"),
+        (-0.0004, 3, "−0.0004"),
+        (12.345, 0, "12"),
+    ],
+)
+def test_numbers_for_people(value, digits, shown):
+    assert number(value, digits) == shown
+
+
+def test_an_interval_stands_in_brackets_where_there_is_one():
+    assert with_interval(1.0, -2.0, 3.5, 1) == "1.0 [−2.0, 3.5]"
+    assert with_interval(1.0, math.nan, math.nan, 1) == "1.0"
+
+
+def findings_of(*verdicts):
+    """The first claims' parts have one verdict each; the other claims have no runs."""
+    of = dict(enumerate(verdicts, start=1))
+    found = audit(lambda *_, **__: np.empty(0), of_paper)
+    return [one._replace(verdict=of.get(one.claim, one.verdict)) for one in found]
+
+
+def test_the_overview_counts_parts_and_names_the_other_readings_verdicts():
+    audits = {"first": findings_of("supported", "contradicted"), "second": findings_of("contradicted")}
+    header, first, second, third, *_ = overview(CLAIMS, audits, "first")
+    assert header[-1] == "second"
+    assert first[2:] == ["supported", "12, 0, 0", "contradicted"]
+    assert second[2:] == ["contradicted", "0, 9, 0", "undecided"]
+    assert third[2:] == ["undecided", "0, 0, 6", "undecided"]
+
+
+# -- conclusions -------------------------------------------------------------------------------------------------------
+
+
+def test_the_lead_counts_and_names_the_claims():
+    assert conclusions.lead(findings_of("supported", "contradicted", "supported")) == (
+        "Of the paper's 11 claims, 2 supported (1, 3), 1 contradicted (2) and 8 undecided (4, 5, 6, 7, 8, 9, 10, 11)."
+    )
+    assert conclusions.lead(findings_of()).startswith("Of the paper's 11 claims, 0 supported, 0 contradicted and 11 ")
+
+
+def test_a_sentence_counts_parts_and_says_where_the_paper_speaks_against_itself():
+    claim, found = CLAIMS[1], [one for one in findings_of() if one.claim == 2]
+    mixed = [one._replace(verdict="contradicted") for one in found[:4]] + found[4:]
+    assert conclusions.sentence(claim, mixed) == (
+        "4 of 9 parts contradicted, 5 of 9 parts undecided. The paper's own tables speak against it in 2: "
+        "full stops [%]: PPO with tanh the best; speed [px per step]: PPO with tanh the best."
+    )
+    assert "speak against" not in conclusions.sentence(CLAIMS[2], [one for one in findings_of() if one.claim == 3])
+
+
+def test_the_headline_is_the_first_part_with_the_claims_own_verdict():
+    found = [one for one in findings_of("supported") if one.claim == 1]
+    known = {"value": 3.0, "low": 1.0, "high": 4.5, "n": 8}
+    contradicted = found[4]._replace(verdict="contradicted", **known)
+    text, *numbers = conclusions.headline([*found[:4], contradicted, *found[5:]])
+    assert text == "speed [px per step]: PPO better than DQN, means of four activations"
+    assert numbers == ["the paper −0.35", "ours 3.00 [1.00, 4.50]", "claimed > 0", "n = 8"]
+    (interaction,) = [one for one in findings_of() if one.claim == 8]
+    assert conclusions.headline([interaction])[1:] == ["no runs"]
+    assert conclusions.headline([interaction._replace(n=8, p_holm=0.0123)])[1:] == ["p = 0.012", "n = 8"]
+
+
+def test_results_put_every_claim_under_its_verdict_with_its_parts(results):
+    gathered = gather([results])
+    gathered.audits[PRIMARY] = findings_of("supported", "contradicted")
+    text = conclusions.results(gathered)
+    holds, rest = text.split("## What holds\n")[1].split("## What does not\n")
+    fails, open_ = rest.split("## What cannot be known from this\n")
+    assert re.findall(r"^\*\*(\d+)\.", holds, re.MULTILINE) == ["1"]
+    assert re.findall(r"^\*\*(\d+)\.", fails, re.MULTILINE) == ["2"]
+    assert re.findall(r"^\*\*(\d+)\.", open_, re.MULTILINE) == [str(place) for place in range(3, 12)]
+    assert len(found(holds, "reward per episode: PPO better than DQN, means of four activations")) == 1
+    assert conclusions.lead(gathered.findings) in text
+    assert conclusions.results(gathered) == text
+    gathered.audits[PRIMARY] = findings_of()
+    assert conclusions.results(gathered).count("No claim.") == 2
+
+
+def test_the_readmes_block_has_a_row_a_claim(results):
+    text = conclusions.summary(gather([results]))
+    assert text.startswith("Of the paper's 11 claims, 0 supported, 0 contradicted and 11 undecided")
+    assert "1 to 2 seeds a cell" in text
+    for claim in CLAIMS:
+        assert found(text, str(claim.number), claim.sentence) == [["undecided"]]
+
+
+BEGIN, END = conclusions.BEGIN, conclusions.END
+
+
+@given(st.text(), st.text(), st.text(), st.text())
+def test_between_marks_is_the_new_text_and_around_them_the_old(before, old, new, after):
+    text = f"{before}{BEGIN}\n{old}\n{END}{after}"
+    if not any(mark in part for mark in (BEGIN, END) for part in (before, old, new, after)):
+        replaced = conclusions.between_marks(text, new)
+        assert replaced == f"{before}{BEGIN}\n{new}\n{END}{after}"
+        assert conclusions.between_marks(replaced, new) == replaced
+
+
+@pytest.mark.parametrize("text", ["", "no marks", BEGIN, END, f"{END}\n{BEGIN}"])
+def test_a_text_without_marks_is_refused(text):
+    with pytest.raises(RunError, match=f"README.md: has no lines {BEGIN} and {END}; put"):
+        conclusions.between_marks(text, "new")
+
+
+def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_marks(results, monkeypatch, capsys):
+    monkeypatch.chdir(results.parent)
+    Path("docs").mkdir()
+    Path("README.md").write_text("# Title\n")
+    assert conclusions.main([]) == 2
+    assert capsys.readouterr().err.startswith("uavnav.report.conclusions: README.md: has no lines")
+    assert not Path("docs/results.md").exists()
+    Path("README.md").write_text(f"# Title\n{BEGIN}\nold\n{END}\nrest\n")
+    assert conclusions.main(["results"]) == 0
+    gathered = gather([Path("results")])
+    assert Path("docs/results.md").read_text() == conclusions.results(gathered)
+    assert Path("README.md").read_text() == f"# Title\n{BEGIN}\n{conclusions.summary(gathered)}\n{END}\nrest\n"
+    assert conclusions.main(["nowhere"]) == 2

@@ -1,8 +1,15 @@
 """The statistics on data whose answer is known: coverage by simulation, Holm by hand, interactions, censoring."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import bootstrap
+from statsmodels.stats.multitest import multipletests
+from statsmodels.stats.power import TTestIndPower
 
 from uavnav import stats
 
@@ -13,6 +20,13 @@ def test_three_p_values_adjusted_by_hand():
 
 def test_a_missing_p_value_counts_for_none():
     assert stats.holm([0.02, np.nan, 0.03]) == pytest.approx([0.04, np.nan, 0.04], nan_ok=True)
+
+
+def test_holms_adjustment_is_that_of_statsmodels():
+    rng = np.random.default_rng(4)
+    for p in ([0.01, 0.01, 0.9], rng.uniform(size=50) ** 3, [0.6]):
+        assert stats.holm(p) == pytest.approx(multipletests(p, method="holm")[1])
+    assert stats.holm([]).tolist() == []
 
 
 def test_one_seed_has_a_mean_and_no_interval_and_none_has_neither():
@@ -134,3 +148,74 @@ def test_seeds_needed_for_a_difference_of_one_standard_deviation_are_17_and_for_
     assert stats.seeds_needed(values + 1, values) == 17  # Cohen's table
     assert stats.seeds_needed(values, values) == np.inf
     assert np.isnan(stats.seeds_needed(values[:1], values))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.25, 2.5), st.sampled_from([0.7, 0.8, 0.9]))
+def test_seeds_needed_are_those_of_the_solver_of_statsmodels_rounded_up(effect, power):
+    values = np.array([-1.0, 0.0, 1.0])  # a standard deviation of 1
+    solved = TTestIndPower().solve_power(effect, alpha=0.05, power=power)
+    assert stats.seeds_needed(values + effect, values, power) == max(2, np.ceil(solved - 1e-6))
+
+
+@pytest.mark.parametrize("effect", [5.0, 8.0, 20.0, 50.0, 1e6, 1e12])
+def test_seeds_needed_for_differences_too_large_for_that_solver_are_2_or_3(effect):
+    values = np.array([-1.0, 0.0, 1.0])
+    assert stats.seeds_needed(values + effect, values) == (3 if effect == 5.0 else 2)  # power 0.72 with 2
+    assert stats.seeds_needed(np.ones(3), np.zeros(3)) == 2  # no spread at all
+
+
+@pytest.mark.parametrize("effect", [1e-5, 1e-12, 1e-16])
+def test_seeds_needed_for_a_difference_of_rounding_are_infinitely_many(effect):
+    values = np.array([-1.0, 0.0, 1.0])
+    assert stats.seeds_needed(values * (1 + effect) + effect, values) == np.inf
+
+
+def test_where_bca_is_undefined_the_interval_is_of_percentiles_and_no_warning_escapes():
+    values = np.array([0.0, 0.0, 0.0, 0.0, 1.0])  # without any one of them, the mean of the middle half is 0
+    middle = stats.interquartile_mean
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = stats.interval(values, middle)
+        assert stats.interval([1.0, 2.0])[1:3] == (1.0, 2.0)
+    options = {"n_resamples": stats.RESAMPLES, "rng": np.random.default_rng(0)}
+    with warnings.catch_warnings(action="ignore"):
+        assert np.isnan(bootstrap((values,), middle, method="BCa", **options).confidence_interval.low)
+    percentiles = bootstrap((values,), middle, method="percentile", **options | {"rng": np.random.default_rng(0)})
+    assert (found.low, found.high) == tuple(percentiles.confidence_interval)
+    assert found.value == 0
+    assert found.low == 0 < found.high
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.floats(-100, 100), min_size=1, max_size=12))
+def test_an_interval_of_any_seeds_is_known_from_2_on_without_a_warning(seeds):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for statistic in (np.mean, stats.interquartile_mean):
+            found = stats.interval(seeds, statistic)
+            assert np.isnan(found.low) == (len(seeds) == 1)
+            assert len(seeds) == 1 or min(seeds) - 1e-9 <= found.low <= found.high <= max(seeds) + 1e-9
+
+
+def test_a_contrast_of_cells_is_the_statistic_of_their_seeds_and_n_that_of_the_smallest():
+    def ratio(a, b, axis=-1):
+        return a.mean(axis) / b.mean(axis)
+
+    found = stats.contrast([np.array([4.0, 6.0, 8.0]), np.array([2.0, 2.0])], ratio)
+    assert (found.value, found.n) == (3.0, 2)
+    assert 2.0 <= found.low < 3.0 < found.high <= 4.0
+    assert np.isnan(stats.contrast([np.array([4.0]), np.array([2.0, 2.0])], ratio).low)
+    assert np.isnan(stats.contrast([np.array([]), np.array([2.0])], ratio).value)
+
+
+def test_no_test_of_interaction_warns_where_seeds_are_all_alike():
+    means = {(algorithm, name): 1.0 for algorithm in ("ppo", "dqn") for name in "abcd"}
+    table = pd.DataFrame(
+        [(*cell, mean) for cell, mean in means.items() for _ in range(3)], columns=["algorithm", "activation", "value"]
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = stats.interaction(table)
+    assert found.p_ranks == 1.0
+    assert found.n == 3

@@ -17,7 +17,6 @@ import statsmodels.formula.api as smf
 from lifelines import KaplanMeierFitter
 from lifelines.utils import restricted_mean_survival_time
 from scipy import stats
-from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.power import TTestIndPower
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -118,12 +117,14 @@ def nested_interval(episodes: Mapping[int, Array], confidence: float = CONFIDENC
 
 
 def holm(p_values: Sequence[float]) -> Array:
-    """Holm's adjustment; NaN stays NaN and counts for none."""
+    """Holm's adjustment; NaN stays NaN and counts for none.
+
+    As that of statsmodels, which collects garbage at every call.
+    """
     p = np.asarray(p_values, dtype=np.float64)
-    there = ~np.isnan(p)
+    order = np.argsort(p)[: np.count_nonzero(~np.isnan(p))]  # NaN is sorted last
     adjusted = np.full(len(p), np.nan)
-    if there.any():
-        adjusted[there] = multipletests(p[there], method="holm")[1]
+    adjusted[order] = np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)).clip(max=1)
     return adjusted
 
 
@@ -202,7 +203,10 @@ def restricted_mean(steps: Array, ended: Array, limit: float) -> float:
 
 
 def seeds_needed(mine: Array, theirs: Array, power: float = 0.8, alpha: float = 0.05) -> float:
-    """Seeds a cell with which a difference as large as this one would be found by a t test; NaN where none is known."""
+    """Seeds a cell with which a difference as large as this one would be found by a t test.
+
+    NaN where none is known, infinitely many where a billion would not do.
+    """
     if min(len(mine), len(theirs)) < 2:
         return float("nan")
     spread = np.sqrt((np.var(mine, ddof=1) + np.var(theirs, ddof=1)) / 2)
@@ -214,9 +218,10 @@ def seeds_needed(mine: Array, theirs: Array, power: float = 0.8, alpha: float = 
     t_test = TTestIndPower()
 
     def enough(n: int) -> bool:
-        return bool(t_test.power(difference / spread, n, alpha) >= power)
+        return not t_test.power(difference / spread, n, alpha) < power  # NaN where scipy cannot tell it from 1
 
     most = 2
     while not enough(most):  # the solver of statsmodels fails for large differences
-        most *= 2
+        if (most := 2 * most) > 1e9:
+            return float("inf")
     return float(bisect.bisect_left(range(most + 1), True, lo=2, key=enough))

@@ -10,6 +10,7 @@ import base64
 import importlib.metadata
 import json
 import os
+import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 
 import jinja2
 import pandas as pd
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from uavnav import paper
 from uavnav.metrics import LAST
@@ -49,7 +50,26 @@ _TEMPLATES = jinja2.Environment(
     undefined=jinja2.StrictUndefined,
     autoescape=lambda template: template == "page.html",
 )
-_TEMPLATES.filters["partition"] = lambda text: text.partition(" [")
+_INTERVAL = re.compile(r"([−\d][^\[]*|–) (\[[^\]]+, [^\]]+\])(.*)")
+_MARKDOWN = re.compile(r"`([^`]+)`|\[([^\]]+)\]\([^)]+\)")
+
+
+def _cell(text: str) -> Markup:
+    """A cell of a table: an interval below its number; of Markdown, code is code and a link its words."""
+    if found := _INTERVAL.fullmatch(text):
+        return Markup('{} <span class="interval">{}</span>{}').format(*found.groups())
+    parts = []
+    for place, part in enumerate(_MARKDOWN.split(text)):
+        parts.append(Markup("<code>{}</code>").format(part) if place % 3 == 1 and part else escape(part or ""))
+    return Markup("").join(parts)
+
+
+def _of_words(rows: tables.Rows) -> list[bool]:
+    """Which columns of a table hold words, and which numbers."""
+    return [any(row[place][:1].isalpha() for row in rows[1:]) for place in range(len(rows[0]))]
+
+
+_TEMPLATES.filters |= {"cell": _cell, "of_words": _of_words}
 
 
 class Written(NamedTuple):
@@ -85,7 +105,7 @@ def report(folders: Sequence[str | Path] = ("results",), out: str | Path | None 
 
 
 def _primary(metrics: pd.DataFrame) -> pd.DataFrame:
-    return metrics[metrics["reading"] == PRIMARY] if len(metrics) else metrics
+    return metrics[metrics["reading"] == PRIMARY]
 
 
 def _claims(content: Content) -> list[dict[str, Any]]:
@@ -126,6 +146,7 @@ def page(content: Content, pictures: dict[str, str], first: Path) -> str:
             "alt": figure.drawn.alt,
             "caption": figure.caption,
             "data": pictures[figure.name],
+            "size": [round(96 * inches) for inches in figure.drawn.figure.get_size_inches()],
         }
         for figure in content.figures
     ]
@@ -214,6 +235,8 @@ def _write_all(out: Path, files: dict[str, bytes]) -> None:
         for target in targets:
             if target.is_dir():
                 raise IsADirectoryError(f"{target} is a folder")
+            if target.parent.is_file():
+                raise NotADirectoryError(f"{target.parent} is a file")
         for target in targets:
             target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".report-", dir=out) as aside:

@@ -94,6 +94,7 @@ class Part:
     region: Region = POSITIVE
     digits: int = 2
     test: Callable[[Sequence[Array]], float] | None = None
+    paired: bool = False  # the samples are the same seeds at different times, and are resampled together
 
     @property
     def n(self) -> int:
@@ -164,9 +165,15 @@ def dqn_sigmoid_surges(evidence: Evidence) -> list[Part]:
     """4. Up between 300,000 and 600,000 frames, and down by half of that or more afterwards."""
     before, surge, after = (evidence("dqn", "sigmoid", f"reward_{when}") for when in ("before", "surge", "after"))
     return [
-        Part("reward from 300,000 to 600,000 frames above that before", [surge, before], _difference),
-        Part("reward from 300,000 to 600,000 frames above that after", [surge, after], _difference),
-        Part("share of that rise that is lost afterwards", [before, surge, after], _loss, Region(0.5, math.inf)),
+        Part("reward from 300,000 to 600,000 frames above that before", [surge, before], _difference, paired=True),
+        Part("reward from 300,000 to 600,000 frames above that after", [surge, after], _difference, paired=True),
+        Part(
+            "share of that rise that is lost afterwards",
+            [before, surge, after],
+            _loss,
+            Region(0.5, math.inf),
+            paired=True,
+        ),
     ]
 
 
@@ -323,53 +330,86 @@ def long(samples: dict[tuple[str, str], Array]) -> pd.DataFrame:
 
 
 def _value(part: Part) -> float:
-    return float(part.statistic(*(sample.mean() for sample in part.samples))) if part.n else math.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(part.statistic(*(sample.mean() for sample in part.samples))) if part.n else math.nan
 
 
 def _draw(part: Part, seed: int) -> Array:
-    """Bootstrap draws of the statistic, each cell's seeds resampled by themselves: [DRAWS]; none below 2 seeds."""
+    """Bootstrap draws of the statistic, each cell's seeds resampled by themselves: [DRAWS]; none below 2 seeds.
+
+    NaN where the statistic is undefined.
+    """
     if part.n < 2:
         return np.empty(0)
-    means = [_drawn_means(sample.tobytes(), seed) for sample in part.samples]
-    return np.asarray(part.statistic(*means), dtype=np.float64)
+    cells = [sample.tobytes() for sample in part.samples]
+    streams = [(zlib.crc32(cell), cells[:place].count(cell)) for place, cell in enumerate(cells)]
+    if part.paired and len({len(cell) for cell in cells}) == 1:
+        streams = [streams[0]] * len(streams)
+    means = [_drawn_means(cell, (seed, *stream)) for cell, stream in zip(cells, streams, strict=True)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(part.statistic(*means), dtype=np.float64)
 
 
 @functools.lru_cache(maxsize=1024)
-def _drawn_means(seeds: bytes, seed: int) -> Array:
-    """Means of a cell's seeds, float64 [S] as bytes, drawn anew with replacement: [DRAWS]."""
+def _drawn_means(seeds: bytes, stream: tuple[int, ...]) -> Array:
+    """Means of a cell's seeds, float64 [S] as bytes, drawn anew with replacement: [DRAWS].
+
+    stream: of the draws; one of its own for each cell of a part, also where two hold the same values.
+    """
     values = np.frombuffer(seeds)
-    rng = np.random.default_rng([seed, zlib.crc32(seeds)])  # a stream of its own for each cell
+    rng = np.random.default_rng(stream)
     return np.asarray(values[rng.integers(len(values), size=(DRAWS, len(values)))].mean(1))
 
 
 def _p_value(part: Part, draws: Array) -> float:
-    """The smallest alpha at which the interval of 1 - alpha lies wholly inside or wholly outside the region."""
+    """The smallest alpha at which the interval of 1 - alpha lies wholly inside or wholly outside the region.
+
+    Undefined draws speak against either.
+    """
     if not len(draws):
         return math.nan
     if part.test is not None:
         return part.test(part.samples)
     below, above = (draws <= part.region.low).sum(), (draws >= part.region.high).sum()
-    inside = 2 * (max(below, above) + 1) / (len(draws) + 1)
+    undefined = np.isnan(draws).sum()
+    inside = 2 * (max(below, above) + undefined + 1) / (len(draws) + 1)
     outside = 2 * (len(draws) - max(below, above) + 1) / (len(draws) + 1)
     return float(min(inside, outside, 1.0))
 
 
+def _interval(draws: Array, level: float) -> tuple[float, float]:
+    """Of 1 - level: the draws between which it excludes a region's edge if and only if `_p_value` is below the level.
+
+    An undefined draw may lie anywhere.
+    """
+    place = math.ceil(level * (len(draws) + 1) / 2) - 2
+    if place < 0:
+        return -math.inf, math.inf
+    undefined = np.isnan(draws)
+    low = np.sort(np.where(undefined, -np.inf, draws))[place]
+    high = np.sort(np.where(undefined, np.inf, draws))[len(draws) - 1 - place]
+    return float(low), float(high)
+
+
 def _levels(p_values: Sequence[float]) -> list[float]:
-    """Holm's alpha for each: the smallest p value is held against ALPHA / m, the next against ALPHA / (m - 1), ..."""
+    """Holm's alpha for each: the smallest p value is held against ALPHA / m, the next against ALPHA / (m - 1), ...
+
+    The first that fails and all after it are held against the same.
+    """
     order = sorted((p, place) for place, p in enumerate(p_values) if not math.isnan(p))
-    levels = [math.nan] * len(p_values)
-    for rank, (_, place) in enumerate(order):
-        levels[place] = ALPHA / (len(order) - rank)
+    levels, failed = [math.nan] * len(p_values), math.nan
+    for rank, (p, place) in enumerate(order):
+        levels[place] = ALPHA / (len(order) - rank) if math.isnan(failed) else failed
+        if not p < levels[place]:
+            failed = levels[place]
     return levels
 
 
 def _finding(number: int, part: Part, printed: Part, draws: Array, p_holm: float, level: float) -> Finding:
     value, low, high, needed = _value(part), math.nan, math.nan, math.nan
-    if len(draws):
-        low, high = (float(one) for one in np.quantile(draws, [level / 2, 1 - level / 2]))
-        if part.test is not None:
-            low = high = math.nan
-    inside = part.region.low < value < part.region.high
+    if len(draws) and part.test is None:
+        low, high = _interval(draws, level)
+    inside = part.region.low < low and high < part.region.high
     answer = UNDECIDED
     if part.n >= SEEDS and p_holm < ALPHA:
         answer = SUPPORTED if inside or part.test is not None else CONTRADICTED
@@ -399,6 +439,8 @@ def _finding(number: int, part: Part, printed: Part, draws: Array, p_holm: float
 def _needed(part: Part, value: float, draws: Array, level: float) -> float:
     """Seeds a cell, by the normal approximation: n times the squared ratio of what would do to what there is."""
     gap = min(abs(value - edge) for edge in part.region if math.isfinite(edge))
+    if not (math.isfinite(gap) and np.isfinite(draws).all()):
+        return math.nan
     if gap == 0:
         return math.inf
     quantiles = distributions.norm.ppf([1 - level / 2, POWER]).sum()
@@ -466,7 +508,8 @@ def _above_last(*means: Array) -> Array:
 
 
 def _times_next(first: Array, *others: Array) -> Array:
-    return np.asarray(first / np.max(others, axis=0))
+    next_best = np.max(others, axis=0)
+    return np.asarray(first / np.where(next_best > 0, next_best, np.nan))  # nothing is twice a loss
 
 
 def _loss(before: Array, surge: Array, after: Array) -> Array:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -61,15 +62,16 @@ def sentence(claim: Claim, findings: Sequence[Finding]) -> str:
     return " ".join(said)
 
 
-def headline(findings: Sequence[Finding]) -> str:
-    """The part that decides, in a line: the first with the claim's own verdict."""
+def headline(findings: Sequence[Finding]) -> list[str]:
+    """The part that decides, the first with the claim's own verdict: its question, then its numbers one by one."""
     decisive = next(one for one in findings if one.verdict == verdict(findings))
-    own = f"the paper {tables.number(decisive.paper, decisive.digits)}, " if decisive.paper == decisive.paper else ""
+    if not decisive.n:
+        return [decisive.text, "no runs"]
+    own = [] if math.isnan(decisive.paper) else [f"the paper {tables.number(decisive.paper, decisive.digits)}"]
     ours = tables.with_interval(decisive.value, decisive.low, decisive.high, decisive.digits)
-    said = (
-        f"p = {decisive.p_holm:.3f}" if decisive.region.startswith("p") else f"ours {ours}, claimed {decisive.region}"
-    )
-    return f"{decisive.text}: {own}{said}" if decisive.n else f"{decisive.text}: no runs"
+    of_test = decisive.region.startswith("p")
+    said = [f"p = {decisive.p_holm:.3f}"] if of_test else [f"ours {ours}", f"claimed {decisive.region}"]
+    return [decisive.text, *own, *said, f"n = {decisive.n}"]
 
 
 def results(content: Content) -> str:

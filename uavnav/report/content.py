@@ -14,13 +14,15 @@ from uavnav import compiling, layouts, paper
 from uavnav.policies import PolicyError
 from uavnav.report import behaviour, claims, figures, frames, replays, studies
 from uavnav.report.cells import Cell, collect, readings
-from uavnav.report.claims import ALGORITHMS, PRIMARY, Finding
+from uavnav.report.claims import PRIMARY, Finding
 from uavnav.report.figures import Drawn
 from uavnav.report.frames import name
 from uavnav.report.studies import Rows, Studies
 from uavnav.runs import RunError
 from uavnav.world import World
 
+ALGORITHMS = tuple(dict.fromkeys(algorithm for algorithm, _ in paper.TABLES))
+"""In the order of the paper's tables and figures."""
 WATCHED = ("main", "baseline", "initial")
 """Studies whose flights are looked at."""
 SHOWN_LAYOUTS = (0, 1, 2)
@@ -101,7 +103,7 @@ def gather(folders: Sequence[Path]) -> Content:
         _figures(sorted_cells, tables, watched),
         flown if flown["cells"] else None,
         baselines,
-        [*left_out, *problems, *unread, *flown["left_out"]],
+        list(dict.fromkeys([*left_out, *problems, *unread, *flown["left_out"]])),
     )
 
 

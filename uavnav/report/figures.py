@@ -589,7 +589,8 @@ def power(table: pd.DataFrame, n: int | None = None) -> Drawn:
         axes.hlines(rows[some], 1, seeds[some], color=colour, linewidth=1.2, alpha=0.5)
         axes.plot(seeds[some], rows[some], "o", color=colour, markersize=6)
         for row, value in zip(rows[some], seeds[some], strict=True):
-            axes.annotate(f"   {value:,.0f}", (value, row), va="center", fontsize=11, color=INK)
+            at = (value, row)
+            axes.annotate(f"{value:,.0f}", at, (7, 0), textcoords="offset points", va="center", fontsize=11, color=INK)
     for some, words in ((endless, "no difference seen: no number would do"), (unknown, "not known")):
         for row in rows[some]:
             behind = {"facecolor": "white", "linewidth": 0, "pad": 1}
@@ -633,7 +634,8 @@ def speed(table: pd.DataFrame) -> Drawn:
         axes.plot(value, row, "o", color=colour, markersize=9)
         ratio = paper.HOURS / value
         times = f"{ratio:.3g} × faster" if ratio >= 1 else f"{1 / ratio:.3g} × slower"
-        axes.text(np.sqrt(value * paper.HOURS), row, f"{_time(value)}: {times}", ha="center", va="center")
+        behind = {"facecolor": "white", "linewidth": 0, "pad": 1.5}
+        axes.text(np.sqrt(value * paper.HOURS), row, f"{_time(value)}: {times}", ha="center", va="center", bbox=behind)
         said.append(f"{_name(str(name))} {_time(value)}")
     axes.axvline(paper.HOURS, color=INK, linestyle="--", linewidth=1.4, label="the paper: about 10 hours")
     axes.set(xscale="log", xlim=(min(hours.min(), paper.HOURS) / 1.6, max(hours.max(), paper.HOURS) * 1.6))

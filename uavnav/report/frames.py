@@ -18,7 +18,7 @@ from uavnav import paper, stats
 from uavnav.metrics import EPISODE_COLUMNS, METRICS, per_seed
 from uavnav.report.cells import Cell, readings
 from uavnav.report.claims import ALGORITHMS, PRIMARY, Finding, long, verdict
-from uavnav.report.studies import Cells, Studies, hours, seeds
+from uavnav.report.studies import Cells, Studies, hours, seeds, timed
 from uavnav.runs import RunError, read_table
 
 CAP = 10_000
@@ -51,6 +51,7 @@ def estimates(values: pd.DataFrame) -> pd.DataFrame:
     """Mean and interquartile mean over seeds, with 95 % intervals, beside the paper's number."""
     rows = []
     keys = ["algorithm", "activation", "reading", "ratio", "metric"]
+    numbers = ["n", "mean", "low", "high", "interquartile_mean", "iqm_low", "iqm_high", "paper"]
     for key, part in values.groupby(keys, sort=False)["value"]:
         row: dict[str, Any] = dict(zip(keys, key, strict=True))
         mean = stats.interval(part.to_numpy())
@@ -59,7 +60,7 @@ def estimates(values: pd.DataFrame) -> pd.DataFrame:
         row |= {"n": mean.n, "mean": mean.value, "low": mean.low, "high": mean.high}
         row |= {"interquartile_mean": middle.value, "iqm_low": middle.low, "iqm_high": middle.high}
         rows.append(row | {"paper": printed})
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=[*keys, *numbers])
 
 
 def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
@@ -133,7 +134,8 @@ def flown(flights: Mapping[tuple[str, str, str], pd.DataFrame], study: str = "ma
         for (which, algorithm, activation), table in flights.items()
         if which == study
     ]
-    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+    columns = ["mode", "seed", "cell", "algorithm", "activation"]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
 
 
 def diagnostics(cells: Cells) -> pd.DataFrame:
@@ -202,7 +204,7 @@ def speed(cells: Cells) -> pd.DataFrame:
     """Wall time of a million frames of one seed, by run: columns cell, seconds, seeds, machine."""
     rows = []
     for key, cell in cells.items():
-        for run, took in zip(cell.runs, hours(cell), strict=False):
+        for run, took in zip(timed(cell), hours(cell), strict=True):
             machine = run.meta.get("machine", {})
             processor = machine.get("processor", "not known") if isinstance(machine, dict) else str(machine)
             rows.append({"cell": name(*key), "seconds": 3600 * took, "seeds": len(run.seeds), "machine": processor})

@@ -17,6 +17,7 @@ from uavnav import paper
 from uavnav.metrics import finished, per_seed
 from uavnav.report.cells import Cell, readings, show
 from uavnav.report.claims import PRIMARY, SURGE
+from uavnav.runs import Run
 from uavnav.stats import Array
 
 Key = tuple[str, str]
@@ -84,9 +85,9 @@ def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | No
     if not changed:
         return studies.main
     named = changed - FOLLOWING
-    if own.get("preset") == TUNED:
+    if own.get("preset") == TUNED != usual.get("preset"):
         return studies.tuned
-    if not named and changed <= FOLLOWING - {"layouts", "bank"}:
+    if changed <= FOLLOWING - {"layouts", "bank"} and own["frames"] < usual["frames"]:
         return studies.baseline
     if named == {"reward"} and own["reward"] == "initial":
         return studies.initial
@@ -153,10 +154,14 @@ def _values(column: pd.Series[Any]) -> Array:
     return np.asarray(column.dropna(), dtype=np.float64)
 
 
+def timed(cell: Cell) -> list[Run]:
+    """Its runs whose wall time is known."""
+    return [run for run in cell.runs if isinstance(run.meta.get("wall_seconds"), (int, float))]
+
+
 def hours(cell: Cell) -> Array:
     """Wall time of a million frames of one seed [h], a run: its wall time over its seeds and frames."""
-    known = [run for run in cell.runs if isinstance(run.meta.get("wall_seconds"), (int, float))]
-    return np.array([run.meta["wall_seconds"] / 3600 / len(run.seeds) / (run.frames / 1e6) for run in known])
+    return np.array([run.meta["wall_seconds"] / 3600 / len(run.seeds) / (run.frames / 1e6) for run in timed(cell)])
 
 
 def of_paper(algorithm: str, activation: str, metric: str, study: str = "main") -> Array:

@@ -88,7 +88,8 @@ def beside_paper(metrics: pd.DataFrame, algorithm: str) -> Rows:
     mine = metrics[(metrics["algorithm"] == algorithm) & (metrics["ratio"] == "mean of ratios")]
     for activation in [one for which, one in paper.TABLES if which == algorithm]:
         printed = paper.TABLES[algorithm, activation]
-        rows.append([activation, "the paper", "1", *(f"{printed[metric]:,}" for metric in paper.COLUMNS)])
+        theirs = [f"{printed[metric]:,}".replace("-", "−") for metric in paper.COLUMNS]
+        rows.append([activation, "the paper", "1", *theirs])
         cell = mine[mine["activation"] == activation]
         if cell.empty:
             rows.append([activation, "missing: no finished run", "0", *[NOTHING] * len(labels)])

@@ -1,0 +1,259 @@
+"""The report's tables of numbers, on made-up cells: each is what the statistics say of values known by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from uavnav import paper, stats
+from uavnav.metrics import EPISODE_COLUMNS, METRICS
+from uavnav.report import claims, frames
+from uavnav.report.cells import EMPTY, Cell
+from uavnav.report.claims import PRIMARY
+from uavnav.report.studies import Studies, of_paper
+
+SPREAD = (-1.0, 0.0, 1.0)
+
+
+def episodes(*rows):
+    """From (seed, steps, distance, reward[, terminated, truncated]); half of the steps turn."""
+    full = []
+    for seed, steps, distance, reward, *ends in rows:
+        full.append((seed, 10, 0, 0, steps, 0, 0, steps / 2, distance, reward, *(ends or (True, False))))
+    return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+
+
+def run(seeds=(0,), progress=None, **meta):
+    return SimpleNamespace(seeds=[*seeds], meta=meta, frames=1_000_000, progress=progress)
+
+
+def cell(rewards, algorithm="ppo", activation="tanh", flown=EMPTY, runs=None, frames=1_000_000):
+    """A seed for each reward, with one episode of 100 steps at 4 px."""
+    rows = [(seed, 100, 400, reward) for seed, reward in enumerate(rewards)]
+    runs = runs or [run(range(len(rewards)))]
+    return Cell(algorithm, activation, {"frames": frames}, runs, episodes(*rows), flown)
+
+
+def cells(**means):
+    """Cells by `ppo_tanh` and so on: three seeds around a mean."""
+    keys = {name: tuple(name.split("_", 1)) for name in means}
+    return {keys[name]: cell([mean + one for one in SPREAD], *keys[name]) for name, mean in means.items()}
+
+
+# -- values and estimates ---------------------------------------------------------------------------------------------
+
+
+def test_a_row_for_each_seed_metric_reading_and_way_of_taking_ratios():
+    rows = episodes((0, 100, 400, -6.0), (0, 300, 2400, -2.0), (1, 50, 100, 3.0))
+    one = Cell("dqn", "tanh", {"frames": 10}, [run([0, 1])], rows, EMPTY)
+    found = frames.per_seed_values({("dqn", "tanh"): one})
+    assert [*found] == ["algorithm", "activation", "reading", "ratio", "metric", "seed", "value"]
+    keyed = found.set_index(["reading", "ratio", "metric", "seed"])["value"].sort_index()
+    assert keyed[PRIMARY, "mean of ratios", "speed"].tolist() == [6, 2]
+    assert keyed[PRIMARY, "ratio of means", "speed"].tolist() == [7, 2]
+    assert keyed[PRIMARY, "mean of ratios", "reward"].tolist() == [-4, 3]
+    of_ratio = found[found["ratio"] == "ratio of means"]["metric"].unique()
+    assert {*of_ratio} == {name for name, metric in METRICS.items() if metric.scale is not None}
+    assert "greedy evaluation" not in {*found["reading"]}  # there is none
+    assert frames.per_seed_values({}).shape == (0, 7)
+
+
+def test_estimates_are_the_statistics_of_the_seeds_beside_the_papers_number():
+    rewards = [80.0, 90.0, 120.0, 70.0, 200.0]
+    values = frames.per_seed_values({("ppo", "tanh"): cell(rewards), ("ppo", "mish"): cell([1.0], activation="mish")})
+    found = frames.estimates(values).set_index(["activation", "reading", "ratio", "metric"])
+    row = found.loc["tanh", PRIMARY, "mean of ratios", "reward"]
+    mean, middle = stats.interval(rewards), stats.interval(rewards, stats.interquartile_mean)
+    assert row[["mean", "low", "high", "n"]].tolist() == [112, mean.low, mean.high, 5]
+    assert row[["interquartile_mean", "iqm_low", "iqm_high"]].tolist() == [*middle[:3]]
+    assert middle.value == pytest.approx((80 + 90 + 120) / 3)
+    assert row["paper"] == 88.527
+    alone = found.loc["mish", PRIMARY, "mean of ratios", "reward"]
+    assert (alone["mean"], alone["n"]) == (1, 1)
+    assert alone[["low", "high", "paper"]].isna().all()
+
+
+def test_estimates_of_nothing_are_no_rows():
+    found = frames.estimates(frames.per_seed_values({}))
+    assert (len(found), found.columns[0], found.columns[-1]) == (0, "algorithm", "paper")
+
+
+# -- comparisons ------------------------------------------------------------------------------------------------------
+
+
+def test_every_pair_of_cells_and_how_probably_the_first_is_better():
+    found = frames.improvement(cells(ppo_tanh=10, ppo_relu=0, dqn_tanh=10)).set_index(["a", "b"])["probability"]
+    assert found.to_dict() == {
+        ("PPO tanh", "PPO relu"): 1,
+        ("PPO tanh", "DQN tanh"): 0.5,
+        ("PPO relu", "DQN tanh"): 0,
+    }
+
+
+def test_interactions_by_metric_and_reading_of_the_papers_cells_alone():
+    means = {f"{algorithm}_{activation}": 20 * place for place, (algorithm, activation) in enumerate(paper.TABLES)}
+    found = frames.interactions(cells(**means, ppo_mish=1e6)).set_index(["reading", "metric"])
+    assert len(found) == 6
+    row = found.loc[PRIMARY, "reward"]
+    assert row["n"] == 3
+    assert row["p_ranks"] > 0.5  # the same order in both
+    assert np.isnan(found.loc["sampled evaluation", "reward"]["p_ranks"])
+
+
+def test_seeds_for_a_difference_of_one_standard_deviation_are_17_and_only_within_an_algorithm():
+    found = frames.power(cells(ppo_tanh=1, ppo_relu=0, dqn_tanh=5, dqn_sigmoid=5, ppo_mish=9))
+    assert found.to_numpy().tolist() == [["PPO: tanh and relu", 17], ["DQN: tanh and sigmoid", np.inf]]
+    assert frames.power({}).shape == (0, 2)
+
+
+# -- survival ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
+    """Seed 0 collides at 10 and 20 steps and is cut off at 30 and 40, so that half of it never ends; seed 1 collides
+    at 100 and 300 steps: a mean of 200."""
+    cut = (False, True)
+    first = [(0, 10, 0, 0.0), (0, 20, 0, 0.0), (0, 30, 0, 0.0, *cut), (0, 40, 0, 0.0, *cut)]
+    flown = episodes(*first, (1, 100, 0, 0.0), (1, 300, 0, 0.0)).assign(mode="sampled")
+    one = cell([0.0, 0.0], flown=pd.concat([flown, episodes((0, 9999, 0, 0.0)).assign(mode="greedy")]))
+    curves, table = frames.survival({("ppo", "tanh"): one, ("ppo", "relu"): cell([0.0], activation="relu")})
+    (row,) = table.to_dict("records")
+    of_first = 10 + 0.75 * 10 + 0.5 * (frames.CAP - 20)
+    assert row["restricted_mean"] == pytest.approx((of_first + 200) / 2)
+    assert (row["cell"], row["n"], row["episodes"]) == ("PPO tanh", 2, 6)
+    assert row["cut_off"] == pytest.approx(2 / 6)
+    assert (row["low"], row["high"]) == pytest.approx((200, of_first))
+    assert [*curves] == ["PPO tanh"]
+    assert curves["PPO tanh"].loc[20.0] == pytest.approx(4 / 6)
+    naive = flown.groupby("seed")["steps"].mean().mean()
+    assert row["restricted_mean"] > 10 * naive  # as if a cap were a collision
+    assert frames.survival({})[1].shape == (0, 7)
+
+
+# -- sensitivity ------------------------------------------------------------------------------------------------------
+
+
+def studies(baseline, **switches):
+    return Studies({}, baseline, {}, {name.replace("__", "="): found for name, found in switches.items()}, {}, [])
+
+
+def flips(table):
+    return {(row.switch, row.conclusion): row.flips for row in table.itertuples()}
+
+
+def test_a_switch_flips_a_conclusion_if_its_interval_lies_wholly_on_the_other_side_of_zero():
+    base = cells(ppo_tanh=10, ppo_relu=0)
+    found = frames.sensitivity(
+        studies(
+            base,
+            slots__same=cells(ppo_tanh=20, ppo_relu=0),
+            slots__flipped=cells(ppo_tanh=0, ppo_relu=10),
+            slots__unclear=cells(ppo_tanh=0, ppo_relu=0.5),
+        )
+    )
+    (conclusion,) = set(found["conclusion"])
+    assert conclusion == "PPO: tanh above ReLU"
+    by = flips(found)
+    assert by["default", conclusion] == ""
+    assert by["slots=same", conclusion] == "no"
+    assert by["slots=flipped", conclusion] == "yes"
+    assert by["slots=unclear", conclusion] == "sign"
+    assert found["value"].tolist() == pytest.approx([10, 20, -10, -0.5])
+    assert found["n"].tolist() == [3] * 4
+    unclear = found[found["switch"] == "slots=unclear"].iloc[0]
+    assert unclear["low"] < 0 < unclear["high"]
+
+
+def test_an_unclear_conclusion_cannot_be_flipped_and_one_seed_neither():
+    found = frames.sensitivity(studies(cells(ppo_tanh=0.1, ppo_relu=0), a__b=cells(ppo_tanh=0, ppo_relu=10)))
+    assert flips(found)["a=b", "PPO: tanh above ReLU"] == "sign"
+    base = {key: cell([mean], *key) for key, mean in {("ppo", "tanh"): 9.0, ("ppo", "relu"): 0.0}.items()}
+    other = {key: cell([mean], *key) for key, mean in {("ppo", "tanh"): 0.0, ("ppo", "relu"): 9.0}.items()}
+    assert flips(frames.sensitivity(studies(base, a__b=other)))["a=b", "PPO: tanh above ReLU"] == "sign"
+
+
+def test_an_algorithm_that_a_switch_does_not_touch_is_taken_as_decided():
+    base = cells(ppo_tanh=50, ppo_relu=30, dqn_tanh=-5, dqn_relu=-7)
+    found = frames.sensitivity(studies(base, n_worlds__1=cells(dqn_tanh=99, dqn_relu=77)))
+    values = found.set_index(["switch", "conclusion"])["value"]
+    assert values["default", "PPO above DQN"] == 46
+    assert values["n_worlds=1", "PPO above DQN"] == 40 - 88
+    assert values["n_worlds=1", "DQN: tanh above ReLU"] == 22
+    assert ("n_worlds=1", "PPO: tanh above ReLU") not in values  # nothing of it was changed
+    by = flips(found)
+    assert by["n_worlds=1", "PPO above DQN"] == "yes"
+    assert by["n_worlds=1", "DQN: tanh above ReLU"] == "no"
+
+
+def test_without_a_study_as_decided_nothing_is_compared():
+    found = frames.sensitivity(studies({}, a__b=cells(ppo_tanh=1)))
+    assert [*found] == ["switch", "conclusion", "value", "low", "high", "n", "flips"]
+    assert len(found) == 0
+    alone = frames.sensitivity(studies({}, a__b=cells(ppo_tanh=9, ppo_relu=0)))
+    assert alone["flips"].tolist() == [""]
+
+
+# -- the rest ---------------------------------------------------------------------------------------------------------
+
+
+def test_wall_times_stand_beside_their_own_machine_even_where_a_run_has_none():
+    runs = [
+        run([0], machine={"processor": "unknown time"}),
+        run([1, 2], machine={"processor": "an abacus"}, wall_seconds=7200),
+        run([3], wall_seconds=60, machine="a slide rule"),
+    ]
+    found = frames.speed({("ppo", "tanh"): cell([0.0] * 4, runs=runs)})
+    assert found.to_numpy().tolist() == [["PPO tanh", 3600, 2, "an abacus"], ["PPO tanh", 60, 1, "a slide rule"]]
+
+
+def test_diagnostics_are_of_the_last_tenth_and_columns_that_a_run_lacks_have_no_row():
+    progress = pd.DataFrame(
+        {"seed": [0, 0, 0, 1, 1], "frame": [900, 901, 1000, 950, 1], "dormant": [9.0, 0.2, 0.4, 0.1, 9.0]}
+    )
+    found = frames.diagnostics({("ppo", "tanh"): cell([0, 0], runs=[run([0, 1], progress)], frames=1000)})
+    (row,) = found.to_dict("records")
+    assert (row["cell"], row["diagnostic"], row["n"]) == ("PPO tanh", "dormant", 2)
+    assert row["value"] == pytest.approx(0.2)
+    assert (row["low"], row["high"]) == pytest.approx((0.1, 0.3))
+
+
+def test_flights_of_the_main_study_by_cell():
+    table = pd.DataFrame({"mode": ["greedy"], "seed": [0], "corridor": [0.5]})
+    found = frames.flown({("main", "ppo", "leaky_relu"): table, ("initial", "ppo", "tanh"): table})
+    assert found["cell"].tolist() == ["PPO leaky_relu"]
+    assert len(frames.flown({})) == 0
+
+
+def test_baselines_are_read_and_a_foreign_file_is_named(tmp_path):
+    folder = tmp_path / "baselines"
+    folder.mkdir()
+    episodes((0, 10, 90, -9.0)).to_parquet(folder / "straight.parquet")
+    (folder / "damaged.parquet").write_bytes(b"PAR1")
+    pd.DataFrame({"price": [1.0]}).to_parquet(folder / "foreign.parquet")
+    (folder / "notes.txt").write_text("x")
+    found, left_out = frames.baselines([tmp_path, tmp_path / "nowhere"])
+    assert [*found] == ["straight"]
+    assert found["straight"]["reward"].tolist() == [-9]
+    damaged, foreign = left_out
+    assert damaged.startswith(f"{folder / 'damaged.parquet'}: missing or damaged")
+    assert foreign.startswith(f"{folder / 'foreign.parquet'}: its columns are not a run's")
+
+
+def test_a_claims_own_verdict_stands_beside_each_of_its_parts_in_every_reading():
+    finding = claims.audit(lambda *_, **__: np.empty(0), of_paper)[0]
+    one = finding._replace(claim=1, verdict="supported")
+    audits = {
+        "first": [one, one, one._replace(claim=2, verdict="undecided")],
+        "second": [one, one._replace(verdict="contradicted")],
+    }
+    found = frames.verdicts(audits)
+    assert found["verdict_of_claim"].tolist() == ["supported", "supported", "undecided", "contradicted", "contradicted"]
+    assert found["reading"].tolist() == ["first"] * 3 + ["second"] * 2
+    assert "digits" not in found
+
+
+@pytest.mark.parametrize(("counts", "said"), [((), "0"), ((3, 3), "3"), ((10, 3, 5), "3 to 10")])
+def test_how_many_seeds_there_are_in_words(counts, said):
+    found = {("ppo", str(place)): cell([0.0] * count) for place, count in enumerate(counts)}
+    assert frames.total_seeds(found) == said

@@ -1,0 +1,354 @@
+"""The report's page in a real browser: what a reader sees, clicks and types, and that nothing comes from elsewhere.
+
+Needs Debian's packages chromium and chromium-driver; without them the tests are skipped, and fail where the variable
+UAVNAV_BROWSER is `required`.
+"""
+
+import itertools
+import json
+import os
+import re
+import shutil
+import time
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+from uavnav import dqn, ppo
+from uavnav.evaluate import evaluate_run
+from uavnav.report import SECTIONS, report
+
+pytestmark = pytest.mark.slow
+
+SMALL = {"total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}
+WIDE, NARROW = 1280, 390  # [px]
+NAMES = ("chromium", "chromedriver")
+PAIRS = """
+const channels = (colour) => colour.match(/[\\d.]+/g).map(Number);
+const light = (part) => (part /= 255) <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
+const luminance = ([r, g, b]) => 0.2126 * light(r) + 0.7152 * light(g) + 0.0722 * light(b);
+const behind = (element) => {
+  for (let one = element; one; one = one.parentElement) {
+    const found = channels(getComputedStyle(one).backgroundColor);
+    if (found.length === 3 || found[3] === 1) return found;
+  }
+  return [255, 255, 255];
+};
+const worst = {};
+for (const element of document.querySelectorAll("body *")) {
+  const own = [...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
+  if (!own || !element.getClientRects().length || element.closest("script, noscript, option")) continue;
+  const [a, b] = [channels(getComputedStyle(element).color), behind(element)].map(luminance);
+  const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  const name = `${element.tagName} ${element.className}`;
+  worst[name] = Math.min(worst[name] ?? 99, ratio);
+}
+return worst;
+"""  # the contrast [WCAG 2] of every element that has text of its own, the least by tag and class
+FONTS = """
+return [...document.querySelectorAll("body *")].filter((element) => element.getClientRects().length
+  && [...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim())
+  && parseFloat(getComputedStyle(element).fontSize) < 12).map((element) => element.outerHTML.slice(0, 99));
+"""
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The page of two small cells, their runs evaluated on six sets of obstacles."""
+    folder = tmp_path_factory.mktemp("page")
+    for algorithm, train, config in (
+        ("ppo", ppo.train, ppo.PPOConfig(frames_per_batch=512, **SMALL)),
+        ("dqn", dqn.train, dqn.DQNConfig(learning_starts=256, **SMALL)),
+    ):
+        run = train(config, out=folder / "runs" / algorithm / "tanh", quiet=True)
+        evaluate_run(run, episodes=6, max_steps=200)
+    return report([folder / "runs"], folder / "report").path
+
+
+@pytest.fixture(scope="module")
+def chrome():
+    found = [shutil.which(name) for name in NAMES]
+    if None in found:
+        complaint = "no browser: apt-get install chromium chromium-driver"
+        (pytest.fail if os.environ.get("UAVNAV_BROWSER") == "required" else pytest.skip)(complaint)
+    options = webdriver.ChromeOptions()
+    options.binary_location = found[0]
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(found[1]))  # the path given: nothing is looked for
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture
+def browser(chrome, page):
+    """The page, freshly opened, wide and light."""
+    chrome.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
+    for kind in ("browser", "performance"):
+        chrome.get_log(kind)  # what was before is forgotten
+    resize(chrome, WIDE)
+    theme(chrome, "light")
+    chrome.get(page.as_uri())
+    yield chrome
+    assert [one for one in chrome.get_log("browser") if one["level"] != "INFO"] == []
+
+
+def resize(browser, width):
+    metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width == NARROW}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+def theme(browser, name):
+    features = [{"name": "prefers-color-scheme", "value": name}, {"name": "prefers-reduced-motion", "value": "reduce"}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+
+
+def find(browser, selector):
+    return browser.find_elements(By.CSS_SELECTOR, selector)
+
+
+def one(browser, selector):
+    return browser.find_element(By.CSS_SELECTOR, selector)
+
+
+def value(slider):
+    return int(slider.get_property("value"))
+
+
+def scrub(browser, slider, step):
+    browser.execute_script(
+        "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))", slider, step
+    )
+
+
+def wait(browser, condition, seconds=10):
+    return WebDriverWait(browser, seconds, 0.05).until(lambda _: condition())
+
+
+def press(browser, *keys):
+    """To whatever has the focus."""
+    webdriver.ActionChains(browser).send_keys(*keys).perform()
+
+
+@pytest.fixture
+def player(browser):
+    """The player, its first flight unpacked."""
+    status = one(browser, ".replay-status")
+    wait(browser, lambda: status.text.startswith("step 0 of "))
+    return one(browser, ".replay")
+
+
+def test_one_file_below_25_mb_loads_nothing_else_and_complains_of_nothing(browser, page, player):
+    assert page.stat().st_size < 25e6
+    player.find_element(By.CSS_SELECTOR, "[aria-label=play]").click()
+    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    asked = [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
+    assert page.as_uri() in asked
+    assert [url for url in asked if url != page.as_uri() and not url.startswith("data:")] == []
+    assert browser.get_log("browser") == []
+
+
+def test_every_figure_is_drawn_and_has_words_a_caption_and_a_size(browser):
+    pictures = find(browser, "img")
+    assert len(pictures) == len(find(browser, "figure.plot")) >= 15
+    for picture in pictures:
+        assert picture.get_property("complete")
+        assert picture.get_property("naturalWidth") > 0
+        assert len(picture.get_attribute("alt")) > 20
+    assert all(caption.text for caption in find(browser, "figure.plot figcaption"))
+    drawn = {figure.get_attribute("id").removeprefix("figure-") for figure in find(browser, "figure.plot")}
+    assert drawn >= {"curves-ppo-reward", "curves-dqn-steps", "trajectories", "heat", "survival", "behaviour", "speed"}
+
+
+def test_headings_are_in_order_and_the_verdicts_come_first(browser):
+    levels = [int(heading.tag_name[1]) for heading in find(browser, "h1, h2, h3, h4, h5, h6")]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
+    assert [section.get_attribute("id") for section in find(browser, "main > section")] == list(SECTIONS)
+    assert find(browser, "main > section")[0].get_attribute("id") == "verdicts"
+    assert browser.execute_script("return document.documentElement.lang") == "en"
+
+
+def test_each_link_of_the_navigation_leads_to_its_section_and_stays_in_view(browser):
+    links = find(browser, "nav a")
+    assert [link.text for link in links] == list(SECTIONS.values())
+    for name, link in zip(SECTIONS, links, strict=True):
+        link.click()
+        top = browser.execute_script("return document.getElementById(arguments[0]).getBoundingClientRect().top", name)
+        bottom = browser.execute_script(
+            "return document.documentElement.scrollHeight - scrollY - innerHeight"
+        )  # of the page below what is seen: the last sections cannot come to the top
+        assert 0 <= top < 150 or (bottom < 2 and top < 900), name
+        assert link.is_displayed()
+        assert link.rect["y"] - browser.execute_script("return scrollY") < 150 or name == "verdicts"
+
+
+def test_each_claim_shows_its_number_and_its_verdict_in_a_word_and_a_sign_without_being_opened(browser):
+    claims = find(browser, ".claim")
+    assert [claim.find_element(By.CSS_SELECTOR, ".number").text for claim in claims] == [str(n) for n in range(1, 12)]
+    for claim in claims:
+        assert claim.get_property("open") is False
+        badge = claim.find_element(By.CSS_SELECTOR, "summary .badge")
+        assert badge.text in ("supported", "contradicted", "undecided")
+        sign = browser.execute_script("return getComputedStyle(arguments[0], '::before').content", badge)
+        assert {"supported": "✓", "contradicted": "✗", "undecided": "?"}[badge.text] in sign
+        numbers = claim.find_element(By.CSS_SELECTOR, ".numbers").text
+        assert re.search(r"n = \d+$", numbers) or numbers == "no runs"
+    counts = [int(count.text) for count in find(browser, ".tile .count")]
+    assert sum(counts) == 11
+
+
+def test_a_claim_opens_by_enter_and_shows_its_table_and_closes_again(browser):
+    claim = one(browser, "#claim-1")
+    summary = claim.find_element(By.CSS_SELECTOR, "summary")
+    table = claim.find_element(By.CSS_SELECTOR, "table")
+    assert not table.is_displayed()
+    browser.execute_script("arguments[0].focus()", summary)
+    press(browser, Keys.ENTER)
+    wait(browser, table.is_displayed)
+    header = [cell.text for cell in table.find_elements(By.CSS_SELECTOR, "thead th")]
+    assert {"the paper", "Holm's p", "seeds", "verdict"} < {*header}
+    press(browser, Keys.ENTER)
+    wait(browser, lambda: not table.is_displayed())
+
+
+def test_a_replay_plays_pauses_by_space_and_its_end_says_what_happened(browser, player):
+    slider, status = one(browser, ".replay [type=range]"), one(browser, ".replay-status")
+    last = int(slider.get_attribute("max"))
+    assert last > 0
+    Select(one(browser, ".replay-transport select")).select_by_visible_text("0.25×")  # too slow to end meanwhile
+    browser.execute_script("arguments[0].focus()", player)
+    press(browser, Keys.SPACE)
+    wait(browser, lambda: value(slider) > 1)
+    press(browser, Keys.SPACE)
+    assert one(browser, ".replay-transport button:nth-of-type(2)").text == "Play"
+    there = value(slider)
+    time.sleep(0.3)
+    assert value(slider) == there
+    press(browser, Keys.ARROW_RIGHT)
+    assert value(slider) == there + 1
+    assert status.text.startswith(f"step {there + 1} of {last}: reward so far ")
+    Select(one(browser, ".replay-transport select")).select_by_visible_text("4×")
+    scrub(browser, slider, max(last - 20, 0))
+    one(browser, ".replay [aria-label=play]").click()
+    wait(browser, lambda: value(slider) == last, 30)
+    wait(browser, lambda: status.text.endswith(("collision", "cut off")))
+
+
+def test_a_replay_scrubs_and_the_picture_and_the_words_follow(browser, player):
+    slider, status = one(browser, ".replay [type=range]"), one(browser, ".replay-status")
+    picture = "return document.querySelector('.replay-arena canvas').toDataURL()"
+    before, target = browser.execute_script(picture), int(slider.get_attribute("max")) // 2
+    assert target > 1
+    scrub(browser, slider, target)
+    assert status.text.startswith(f"step {target} of ")
+    assert browser.execute_script(picture) != before
+    slider.send_keys(Keys.ARROW_RIGHT)
+    assert status.text.startswith(f"step {target + 1} of ")
+
+
+def test_cells_seeds_and_obstacles_can_be_chosen(browser, player):
+    cell, seed, layout = (Select(select) for select in find(browser, ".replay > .replay-row select"))
+    assert [option.text for option in cell.options] in (["PPO tanh", "DQN tanh"], ["DQN tanh", "PPO tanh"])
+    caption, status, shown = one(browser, ".replay-side figcaption"), one(browser, ".replay-status"), set()
+    for name, words in (("PPO tanh", "probability"), ("DQN tanh", "Q value")):
+        cell.select_by_visible_text(name)
+        wait(browser, lambda words=words: caption.text.startswith(words))
+        assert [option.text for option in seed.options] == ["0", "1"]
+        for n in (0, 1):
+            seed.select_by_index(n)
+            assert len(layout.options) == 3
+            for place in range(3):
+                layout.select_by_index(place)
+                steps = re.search(r"at (\d+)\)", layout.first_selected_option.text)[1]
+                wait(browser, lambda steps=steps: status.text.startswith(f"step 0 of {steps}: "))
+                shown.add(browser.execute_script("return document.querySelector('.replay-arena canvas').toDataURL()"))
+    assert len(shown) >= 3  # every set of obstacles looks otherwise
+
+
+@pytest.mark.parametrize("width", [WIDE, NARROW])
+def test_nothing_is_wider_than_the_screen_and_no_text_smaller_than_12_px(browser, player, width):
+    resize(browser, width)
+    browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    assert browser.execute_script("return innerWidth") == width
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    assert browser.execute_script(FONTS) == []
+    for box in find(browser, ".scroll, .picture"):
+        assert box.rect["x"] >= 0
+        assert box.rect["x"] + box.rect["width"] <= width
+    for control in find(browser, ".replay select, .replay button, .replay input"):
+        assert control.rect["x"] + control.rect["width"] <= width
+        assert control.rect["height"] >= 24
+
+
+def test_at_390_px_the_first_column_of_a_wide_table_stays_while_the_rest_scrolls(browser):
+    resize(browser, NARROW)
+    box = one(browser, "#tables .scroll")
+    browser.execute_script("arguments[0].scrollLeft = 300", box)
+    head, far = (box.find_element(By.CSS_SELECTOR, f"tbody tr > :nth-child({n})") for n in (1, 4))
+    assert head.rect["x"] == pytest.approx(0, abs=1)
+    assert far.rect["x"] < 100
+
+
+@pytest.mark.parametrize("name", ["light", "dark"])
+def test_every_text_has_a_contrast_of_at_least_4_5(browser, player, name):
+    theme(browser, name)
+    browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    ratios = browser.execute_script(PAIRS)
+    assert {"P lead", "P kicker", "SPAN headline", "SPAN interval", "SPAN badge undecided", "P replay-status"} <= {
+        *ratios
+    }
+    assert {element: ratio for element, ratio in ratios.items() if ratio < 4.5} == {}
+    for kind in ("supported", "contradicted", "undecided"):
+        browser.execute_script(f"document.querySelector('#claim-1 .badge').className = 'badge {kind}'")
+        assert browser.execute_script(PAIRS)[f"SPAN badge {kind}"] >= 4.5, kind
+
+
+def test_dark_is_dark_and_the_replay_is_drawn_again(browser, player):
+    look = "return getComputedStyle(document.body).backgroundColor"
+    picture = "return document.querySelector('.replay-arena canvas').toDataURL()"
+    light = browser.execute_script(look), browser.execute_script(picture)
+    theme(browser, "dark")
+    wait(browser, lambda: browser.execute_script(picture) != light[1])
+    assert [max(map(int, re.findall(r"\d+", one))) for one in (light[0], browser.execute_script(look))] == [251, 27]
+
+
+def test_tab_reaches_navigation_claims_tables_and_player_in_order_with_an_outline(browser, player):
+    reached = []
+    for _ in range(90):
+        press(browser, Keys.TAB)
+        name, inside, style, width = browser.execute_script(
+            "const one = document.activeElement, style = getComputedStyle(one);"
+            "return [one.tagName + ' ' + (one.getAttribute('aria-label') || one.textContent).slice(0, 30).trim(),"
+            " one.closest('.skip, nav, .claim, .replay, .scroll, details')?.className ?? 'nav',"
+            " style.outlineStyle, parseFloat(style.outlineWidth)]"
+        )
+        if name.startswith("BODY"):
+            break
+        assert (style, width >= 2) == ("solid", True), name
+        reached.append((inside, name))
+    kinds = [kind for kind, _ in itertools.groupby(inside for inside, _ in reached)]
+    order = [kinds.index(kind) for kind in ("skip", "", "claim", "scroll", "replay")]
+    assert order == sorted(order)
+    assert [name for inside, name in reached if inside == ""][: len(SECTIONS)] == [
+        f"A {one}" for one in SECTIONS.values()
+    ]
+    assert sum(inside == "claim" for inside, _ in reached) == 11
+    assert [name.split()[0] for inside, name in reached if inside == "replay"] == (
+        ["DIV", "SELECT", "SELECT", "SELECT", "BUTTON", "BUTTON", "BUTTON", "SELECT", "INPUT"]
+    )
+
+
+def test_without_javascript_the_verdicts_are_there_and_the_replays_say_what_they_need(browser):
+    browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    browser.refresh()
+    assert len(find(browser, ".claim summary .badge")) == 11
+    assert all(badge.is_displayed() for badge in find(browser, ".claim summary .badge"))
+    assert one(browser, "noscript").text == "The replays need JavaScript."
+    assert find(browser, ".replay") == []

@@ -1,0 +1,238 @@
+"""Which cells belong to which study, and what each reading says of them: made-up cells, numbers known by hand."""
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uavnav import paper
+from uavnav.metrics import EPISODE_COLUMNS, LAST
+from uavnav.report.cells import EMPTY, Cell
+from uavnav.report.claims import PRIMARY
+from uavnav.report.studies import Rows, Studies, hours, of_paper, seeds, sort
+
+SETTINGS = {"preset": "paper", "total_frames": 1_000_000, "frames": 1_000_000, "exploration_fraction": 0.1}
+SETTINGS |= {"layouts": None, "bank": "abc", "obstacles": 8, "reward": "eq14", "slots": "nearest", "world": "1"}
+SHORT = {"total_frames": 300_000, "frames": 300_000, "exploration_fraction": 1 / 3}
+ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
+
+
+def episodes(*rows):
+    """From (seed, frame, steps, stops, turns, distance, reward[, terminated, truncated]); no full stops."""
+    full = []
+    for seed, frame, steps, stops, turns, distance, reward, *ends in rows:
+        full.append((seed, frame, 0, 0, steps, stops, 0, turns, distance, reward, *(ends or (True, False))))
+    return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+
+
+def cell(algorithm="ppo", activation="tanh", rows=(), flown=None, n_seeds=2, wall=3600.0, **changes):
+    own = SETTINGS | changes
+    run = SimpleNamespace(seeds=list(range(n_seeds)), meta={"wall_seconds": wall}, frames=own["frames"])
+    evaluation = EMPTY if flown is None else flown
+    return Cell(algorithm, activation, own, [run], episodes(*rows), evaluation)
+
+
+def grid(algorithms=("ppo", "dqn"), activations=ACTIVATIONS, **changes):
+    return [cell(*key, **changes) for key in itertools.product(algorithms, activations)]
+
+
+# -- sort -------------------------------------------------------------------------------------------------------------
+
+
+def test_the_group_with_most_of_the_papers_activations_is_the_main_study_and_a_shorter_one_the_baseline():
+    found = sort([*grid(activations=("tanh", "relu"), **SHORT), *grid()])
+    assert [*found.main] == [*paper.TABLES]
+    assert [*found.baseline] == [("dqn", "tanh"), ("dqn", "relu"), ("ppo", "tanh"), ("ppo", "relu")]
+    assert {one.settings["frames"] for one in found.baseline.values()} == {300_000}
+    assert (found.initial, found.switches, found.tuned, found.others) == ({}, {}, {}, [])
+
+
+def test_of_equally_many_activations_the_longer_runs_are_the_main_study_and_then_those_of_more_seeds():
+    found = sort([cell(**SHORT), cell(), cell(slots="listed", n_seeds=1)])
+    assert found.main["ppo", "tanh"].settings == SETTINGS
+    assert found.baseline["ppo", "tanh"].settings == SETTINGS | SHORT
+    assert [*found.switches] == ["slots=listed"]
+    assert sort([cell(slots="listed", n_seeds=3), cell()]).main["ppo", "tanh"].settings["slots"] == "listed"
+
+
+def test_a_longer_run_of_fewer_activations_is_no_baseline():
+    longer = cell(frames=2_000_000, total_frames=2_000_000)
+    found = sort([longer, *grid()])
+    assert found.baseline == {}
+    assert found.others == [longer]
+
+
+def test_activations_that_the_paper_has_not_are_in_the_main_study_behind_its_own():
+    found = sort([cell(activation="mish"), cell(activation="gelu"), *grid(["ppo"])])
+    assert [activation for _, activation in found.main] == [*ACTIVATIONS, "gelu", "mish"]
+
+
+@pytest.mark.parametrize("changes", [{}, SHORT])
+def test_the_first_reward_is_a_study_of_its_own_at_any_length(changes):
+    found = sort([*grid(), cell(reward="initial", **changes)])
+    assert [*found.initial] == [("ppo", "tanh")]
+    assert (found.switches, found.others) == ({}, [])
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"slots": "listed"}, "slots=listed"),
+        ({"slots": "listed"} | SHORT, "slots=listed"),
+        ({"reward": "additive"}, "reward=additive"),
+        ({"obstacles": 4, "bank": "def", "layouts": "four.safetensors"}, "obstacles=4"),
+        ({"n_worlds": 1024}, "n_worlds=1,024"),
+        ({"world": "2"}, "world=2"),
+    ],
+)
+def test_one_setting_otherwise_is_a_switch_by_its_name(changes, name):
+    found = sort([*grid(), cell(**changes), cell("dqn", "relu", **changes)])
+    assert [*found.switches] == [name]
+    assert [*found.switches[name]] == [("dqn", "relu"), ("ppo", "tanh")]
+    assert (len(found.main), found.baseline, found.initial, found.others) == (8, {}, {}, [])
+
+
+def test_two_settings_otherwise_another_bank_alone_and_a_twin_are_among_the_others():
+    strange = [cell(slots="listed", reward="initial"), cell(bank="def")]
+    found = sort([*grid(), *strange, cell(**SHORT), cell(**SHORT | {"exploration_fraction": 0.5})])
+    assert found.others[:2] == strange
+    assert len(found.baseline) == 1
+    assert [one.settings["exploration_fraction"] for one in found.others[2:]] == [0.5]
+
+
+def test_the_preset_fast_is_tuned_whatever_else_it_changes():
+    found = sort([*grid(), cell(preset="fast", lr=1.0, slots="listed", **SHORT), cell("dqn", preset="fast")])
+    assert [*found.tuned] == [("dqn", "tanh"), ("ppo", "tanh")]
+    assert found.others == []
+
+
+def test_where_the_main_study_is_fast_itself_a_shorter_one_is_its_baseline():
+    found = sort([*grid(["ppo"], preset="fast"), cell(preset="fast", **SHORT)])
+    assert (len(found.main), len(found.baseline), found.tuned) == (4, 1, {})
+
+
+def test_algorithms_have_their_main_study_each_by_itself():
+    """PPO's has 16 worlds and DQN's 64; a DQN with 16 is a switch of DQN's."""
+    found = sort([*grid(["ppo"], n_worlds=16), *grid(["dqn"], n_worlds=64), cell("dqn", n_worlds=16)])
+    assert len(found.main) == 8
+    assert [*found.switches] == ["n_worlds=16"]
+    both = sort([*grid(["ppo"]), *grid(["dqn"], **SHORT)])
+    assert [*both.main] == [*paper.TABLES]
+    assert both.baseline == {}
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.randoms(use_true_random=False))
+def test_the_order_in_which_runs_are_found_changes_nothing(random):
+    cells = [*grid(), *grid(activations=("tanh",), **SHORT), cell(reward="initial"), cell(slots="listed"), cell("sac")]
+    shuffled = random.sample(cells, len(cells))
+    assert sort(shuffled) == sort(cells)
+    assert [*sort(shuffled).main] == [*sort(cells).main]
+    assert sum(len(part) for part in sort(cells)[:3]) == len(cells) - 1
+
+
+def test_no_cells_are_no_studies():
+    assert sort([]) == Studies({}, {}, {}, {}, {}, [])
+
+
+# -- readings ---------------------------------------------------------------------------------------------------------
+
+KEY = ("dqn", "sigmoid")
+
+
+def rows_of(one, reading=PRIMARY, flights=None, ratio_of_means=False):
+    return Rows(sort([one]), reading, flights or {}, ratio_of_means)
+
+
+def test_each_reading_gives_one_number_a_seed():
+    """Seed 0 flies at 4 and 8 px a step, in 100 and 300 steps; seed 1 once at 2, and once more without an end."""
+    first = [(0, 100, 100, 10, 90, 400, -6.0), (0, 400, 300, 0, 150, 2400, -2.0)]
+    second = [(1, 50, 50, 5, 5, 100, 3.0), (1, 99, 49, 0, 0, 0, 1e6, False, False)]
+    flown = pd.concat(
+        [
+            episodes((0, 9, 9, 0, 9, 81, 7.0)).assign(mode="greedy"),
+            episodes((1, 9, 10, 0, 0, 80, 5.0, False, True)).assign(mode="sampled"),
+        ]
+    )
+    one = cell(*KEY, rows=first + second, flown=flown)
+    evidence = rows_of(one)
+    assert evidence(*KEY, "reward").tolist() == [-4, 3]
+    assert evidence(*KEY, "speed").tolist() == [6, 2]
+    assert evidence(*KEY, "stops").tolist() == [5, 10]
+    assert evidence(*KEY, "turns").tolist() == [70, 10]
+    assert rows_of(one, ratio_of_means=True)(*KEY, "speed").tolist() == [7, 2]
+    assert rows_of(one, ratio_of_means=True)(*KEY, "reward").tolist() == [-4, 3]
+    assert rows_of(one, "greedy evaluation")(*KEY, "speed").tolist() == [9]
+    assert rows_of(one, "sampled evaluation")(*KEY, "reward").tolist() == [5]
+    assert rows_of(one, f"last {LAST} training episodes")(*KEY, "reward").tolist() == [-4, 3]
+
+
+def test_the_last_100_episodes_leave_out_those_before():
+    early = [(0, frame, 10, 0, 0, 10, -9.0) for frame in range(1, 51)]
+    late = [(0, frame, 10, 0, 0, 10, 2.0) for frame in range(51, 51 + LAST)]
+    one = cell(*KEY, rows=early + late)
+    assert rows_of(one, f"last {LAST} training episodes")(*KEY, "reward").tolist() == [2]
+
+
+def test_what_is_not_there_has_no_seeds():
+    evidence = rows_of(cell(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]))
+    for asked in (
+        ("ppo", "tanh", "reward"),
+        (*KEY, "corridor"),
+        (*KEY, "reward", "initial"),
+        (*KEY, "hours", "baseline"),
+    ):
+        assert evidence(*asked).shape == (0,)
+        assert evidence(*asked).dtype == np.float64
+    assert rows_of(cell(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]), "greedy evaluation")(*KEY, "reward").shape == (0,)
+
+
+def test_frame_300000_is_before_the_surge_and_600000_in_it():
+    frames = {1: 1.0, 300_000: 2.0, 300_001: 10.0, 600_000: 20.0, 600_001: 100.0, 1_000_000: 200.0}
+    ended = [(0, frame, 9, 0, 0, 9, reward) for frame, reward in frames.items()]
+    still_open = (0, 400_000, 9, 0, 0, 9, 1e6, False, False)
+    only_early = (1, 5, 9, 0, 0, 9, 7.0)
+    evidence = rows_of(cell(*KEY, rows=[*ended, still_open, only_early]))
+    assert evidence(*KEY, "reward_before").tolist() == [1.5, 7]
+    assert evidence(*KEY, "reward_surge").tolist() == [15]
+    assert evidence(*KEY, "reward_after").tolist() == [150]
+
+
+@pytest.mark.parametrize("reading", [f"last {LAST} training episodes", "greedy evaluation", "sampled evaluation"])
+def test_no_other_reading_has_a_time_before_and_after(reading):
+    assert rows_of(cell(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]), reading)(*KEY, "reward_before").shape == (0,)
+
+
+def test_flights_are_those_of_the_readings_mode_and_study():
+    table = pd.DataFrame(
+        {"mode": ["greedy", "sampled", "sampled"], "seed": [0, 0, 1], "corridor": [0.9, 0.1, np.nan], "empty_x": 3.0}
+    )
+    short = table.assign(corridor=0.5)
+    studies = sort([*grid(["dqn"]), cell(*KEY, **SHORT)])
+    flights = {("main", *KEY): table, ("baseline", *KEY): short}
+    training, greedy = Rows(studies, PRIMARY, flights), Rows(studies, "greedy evaluation", flights)
+    assert training(*KEY, "corridor").tolist() == [0.1]  # of the seed that has one
+    assert training(*KEY, "corridor", study="baseline").tolist() == [0.5, 0.5]
+    assert greedy(*KEY, "corridor").tolist() == [0.9]
+    assert training(*KEY, "empty_x").tolist() == [3, 3]
+
+
+def test_hours_are_of_one_seed_and_a_million_frames_whatever_a_run_holds():
+    """An hour for 4 seeds of 500,000 frames is half an hour for one of a million; a run without a time has none."""
+    one = cell(*KEY, n_seeds=4, wall=3600, frames=500_000)
+    one.runs.append(SimpleNamespace(seeds=[9], meta={}, frames=500_000))
+    assert hours(one).tolist() == [0.5]
+    assert seeds(one) == 5
+    assert rows_of(one)(*KEY, "hours").tolist() == [0.5]
+    assert rows_of(one, "greedy evaluation")(*KEY, "hours").tolist() == [0.5]
+
+
+def test_the_papers_tables_are_one_number_a_cell_and_ten_hours():
+    assert of_paper("dqn", "relu", "reward").tolist() == [-7.616]
+    assert of_paper("dqn", "relu", "hours").tolist() == [10]
+    for asked in (("dqn", "mish", "reward"), ("dqn", "relu", "stops"), ("dqn", "relu", "reward", "initial")):
+        assert of_paper(*asked).shape == (0,)

@@ -78,8 +78,9 @@ report: .venv/.installed # the report, docs/results.md and the table of the READ
 layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/python -m uavnav.layouts --out uavnav/banks
 
-picture: .venv/.installed # the flight in the README, from the run that `make train` left
-	$(BIN)/python -m uavnav.render runs/ppo/relu --sampled --layout 20 --steps 400 --out docs/flight.gif
+picture: .venv/.installed # the flights in the README
+	$(BIN)/python -m uavnav.render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --sampled --layout 56 --steps 400 \
+	    --every 4 --speed 4 --width 400 --out docs/flight.gif
 
 clean:
 	rm -rf .venv build *.egg-info

@@ -331,7 +331,7 @@ def save_bank(path, n=1):
 
 
 def save_picture(path):
-    rendering.save([np.zeros((600, 800, 3), dtype=np.uint8)], path, 30, 80)
+    rendering.save([np.zeros((600, 800, 3), dtype=np.uint8)], path, 30)
 
 
 def gym_env(**options):

@@ -1,6 +1,7 @@
 """Pictures: things are where they should be, in their colours, and flights become files."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -9,8 +10,8 @@ from PIL import Image
 
 import uavnav
 from uavnav import ppo, render, simulator
-from uavnav.render import BORDER, DRONE, GROUND, OBSTACLE, draw_state, fly, pictures
-from uavnav.simulator import State
+from uavnav.baselines import straight_ahead
+from uavnav.render import BORDER, DRONE, GROUND, OBSTACLE, Film, Flight, Pilot, draw_state, fly
 from uavnav.world import World
 
 WORLD = World()
@@ -47,14 +48,97 @@ def test_the_sensors_arc_lies_in_front_of_the_drone(heading):
         assert (shade != GROUND) == inside
 
 
-def test_a_flight_is_drawn_with_its_trail_and_ends_with_the_collision():
-    bank = uavnav.layouts.generate(1, k=0)
-    states = fly(lambda observation: torch.tensor(9), bank, 0, 1000, WORLD)
-    assert len(states) == 28 + 1  # contact at 300 + 250 px: ceil(250 / 9) steps, and the start
-    assert isinstance(states[-1], State)
-    frames = list(pictures(states, bank, WORLD, every=10))
+def standing(observation, generator=None):
+    return torch.tensor(0)
+
+
+def flight(policy=straight_ahead, steps=1000, k=0):
+    bank = uavnav.layouts.generate(1, k=k)
+    return fly(Pilot("a pilot", policy, WORLD), bank, 0, steps), bank[0]
+
+
+def film(*policies, steps=30, width=160, every=1):
+    flown = [flight(policy, steps) for policy in policies]
+    return Film([one for one, _ in flown], flown[0][1], width, every)
+
+
+def test_straight_ahead_collides_in_step_28_and_its_trail_is_drawn():
+    flown, obstacles = flight()
+    assert len(flown.states) == 28 + 1  # contact at 300 + 250 px: ceil(250 / 9) steps, and the start
+    assert flown.collided
+    frames = Film([flown], obstacles, 800, every=10)
     assert len(frames) == 4
-    assert colour(frames[-1], 400, 350) == render.TRAIL
+    assert colour(frames[-1][:600], 400, 350) == DRONE
+    assert colour(frames[0][:600], 400, 350) != DRONE
+
+
+def test_two_flights_are_480_px_wide_each_with_a_gap_of_8_and_the_one_that_is_over_stands_still():
+    frames = film(straight_ahead, standing, steps=40, width=480)
+    assert len(frames) == 41
+    height, width, _ = frames[0].shape
+    assert (width, height) == (2 * 480 + 8, 360 + 30)
+    assert (frames[28][:, :480] == frames[40][:, :480]).all()
+    assert not (frames[28][360:, 488:] == frames[40][360:, 488:]).all()  # its caption counts on
+    assert tuple(frames[5][180, 488 + 240 + 9]) == render.PILOTS[1]
+
+
+@pytest.mark.parametrize(("n", "columns", "rows"), [(1, 1, 1), (3, 3, 1), (4, 2, 2), (5, 3, 2)])
+def test_up_to_three_flights_are_in_a_row_and_four_are_two_by_two(n, columns, rows):
+    height, width, _ = film(*[standing] * n, steps=1)[0].shape
+    assert (width, height) == (columns * 168 - 8, rows * (120 + 16 + 8) - 8)
+
+
+@pytest.mark.parametrize(("width", "size"), [(160, (328, 136)), (161, (330, 138))])
+def test_an_mp4_decodes_to_31_pictures_of_an_even_size_at_30_a_second(tmp_path, width, size):
+    av = pytest.importorskip("av")
+    frames = film(straight_ahead, standing, steps=30, width=width)
+    render.save(frames, tmp_path / "a.mp4")
+    with av.open(str(tmp_path / "a.mp4")) as read:
+        assert read.streams.video[0].average_rate == 30
+        decoded = [frame.to_ndarray(format="rgb24") for frame in read.decode(video=0)]
+    assert len(decoded) == 31
+    assert decoded[0].shape == (size[1], size[0], 3)
+    shown = frames[30]
+    differences = np.abs(decoded[30][: len(shown), : shown.shape[1]].astype(int) - shown)
+    assert differences.mean() < 4  # H.264 loses a little
+
+
+def test_a_gif_keeps_31_pictures_of_a_drone_that_stands_still_and_the_simulations_time(tmp_path):
+    frames = film(standing, steps=30)
+    render.save(frames, tmp_path / "a.gif")
+    pauses = []
+    with Image.open(tmp_path / "a.gif") as image:
+        assert image.n_frames == 31
+        assert image.size == (160, 136)
+        for index in range(31):
+            image.seek(index)
+            pauses.append(image.info["duration"])
+            difference = np.abs(np.asarray(image.convert("RGB")).astype(int) - frames[index])
+            assert difference.mean() < 2  # 128 colours
+    assert set(pauses) == {30, 40}
+    assert sum(pauses) == pytest.approx(31 * 1000 / 30, abs=5)
+
+
+def test_a_png_is_the_last_picture(tmp_path):
+    frames = film(straight_ahead, standing)
+    render.save(frames, tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as image:
+        assert (np.asarray(image) == frames[-1]).all()
+
+
+def test_a_gif_of_60_pictures_a_second_and_an_mp4_without_pyav_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(ValueError, match="50 at most: draw fewer"):
+        render.save(film(standing, steps=2), tmp_path / "a.gif", 60)
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(ValueError, match=r"pip install 'uavnav\[play\]', or choose a .gif"):
+        render.save(film(standing, steps=2), tmp_path / "a.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_written_for_500_steps_is_500_pictures_and_the_last(tmp_path):
+    render.save(film(standing, steps=500), tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as image:
+        assert image.n_frames == 501
 
 
 @pytest.fixture(scope="module")
@@ -63,29 +147,52 @@ def run(tmp_path_factory):
     return ppo.train(config, out=tmp_path_factory.mktemp("render") / "run", quiet=True)
 
 
-def test_the_command_writes_a_gif_with_a_frame_for_every_third_step(run, tmp_path, capsys):
+def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third_step(run, tmp_path, capsys):
     path = tmp_path / "flight.gif"
-    assert render.main([str(run.path), "--sampled", "--out", str(path), "--steps", "30"]) == 0
-    steps = int(capsys.readouterr().out.split(": ")[1].split()[0])
+    words = [str(run.path), "reactive", "--sampled", "--steps", "30", "--every", "3", "--out", str(path)]
+    assert render.main(words) == 0
+    first, second, last = capsys.readouterr().out.splitlines()
+    assert first.startswith(f"{run.path.parent.name}/run: ")
+    assert second.startswith("reactive: 30 steps, ")
+    assert last == f"wrote {path}"
     with Image.open(path) as image:
-        assert image.n_frames == -(-steps // 3) + 1
-        assert image.size == (480, 360)
+        assert image.n_frames == 11
+        assert image.size == (968, 390)
+        assert image.info["duration"] == 100  # three steps at 30 a second
+
+
+def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run):
+    policy = uavnav.load_policy(run.path)
+    (row,) = uavnav.evaluate_policy(policy, episodes=1, max_steps=100).to_dict("records")
+    flown: Flight = fly(Pilot("", policy, policy.world), uavnav.layouts.load("test"), 0, 100)
+    last = flown.states[-1]
+    counts = {name: getattr(last, name).item() for name in simulator.COUNTS}
+    assert counts == {name: pytest.approx(row[name], abs=1e-9) for name in simulator.COUNTS}
+    assert flown.collided == row["terminated"]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["nowhere"], "no policy.safetensors there"),
-        (["RUN", "--out", "flight.bmp"], "choose a .gif or .png file"),
+        (["RUN", "nowhere"], "no policy.safetensors there"),
+        (["RUN", "--out", "flight.bmp"], "choose an .mp4, .gif or .png file"),
         (["RUN", "--layout", "1000"], "--layout 1000: choose from 0 to 999"),
+        (["RUN", "--layout", "-1"], "--layout -1: choose from 0 to 999"),
         (["RUN", "--steps", "0"], "at least 1"),
+        (["RUN", "--every", "0"], "at least 1"),
+        (["RUN", "--speed", "0"], "--speed 0: give 0.1 to 100"),
+        (["RUN", "--speed", "2"], "60 pictures per second, a GIF shows 50 at most: draw fewer"),
+        (["RUN", "--width", "100"], "--width 100: give 160 to 3840"),
         (["RUN", "--seed", "9"], "seed=9 is not there"),
         (["RUN", "--layouts", "nowhere"], "no such bank"),
         (["RUN", "--out", "/nowhere/flight.png", "--steps", "2"], "No such file or directory"),
     ],
 )
-def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys):
+def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     assert render.main([str(run.path) if word == "RUN" else word for word in arguments]) == 2
-    err = capsys.readouterr().err
+    printed, err = capsys.readouterr()
     assert message in err
-    assert err.count("\n") == 1
+    assert (printed, err.count("\n")) == ("", 1)
+    assert not list(tmp_path.iterdir())

@@ -1,126 +1,299 @@
-"""The world as a picture: one state as RGB, a flight as an animation, without a screen.
+"""The world as a picture: one state as RGB, flights side by side as a film, without a screen.
 
-`python -m uavnav.render RUN --out flight.gif` draws a flight of a trained policy.
+`python -m uavnav.render RUN... --out flight.gif` draws what trained policies do on the same set of obstacles.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import io
+import itertools
+import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 import torch
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
+from uavnav import compiling, policies, simulator
 from uavnav import layouts as banks
-from uavnav import policies, simulator
+from uavnav.baselines import BASELINES, AnyPolicy
 from uavnav.dynamics import direction
 from uavnav.sensing import sense
 from uavnav.simulator import UP, State
 from uavnav.world import World
 
 Picture = np.ndarray[Any, np.dtype[np.uint8]]
+Colour = tuple[int, int, int]
+Trail = tuple[Sequence[tuple[float, float]], tuple[int, ...]]
+"""Earlier positions (x, y) [px] and the colour of their line, red, green, blue and maybe opacity."""
+
+STEPS_PER_SECOND = 30
+"""The simulation's own rate."""
 
 # Okabe and Ito's colours, which people with any colour vision tell apart.
-GROUND, BORDER, OBSTACLE = (250, 250, 247), (84, 88, 96), (150, 156, 166)
-DRONE, SENSOR, SENSED, TRAIL = (0, 114, 178), (86, 180, 233, 56), (213, 94, 0), (0, 158, 115)
+GROUND, BORDER, OBSTACLE, INK = (250, 250, 247), (84, 88, 96), (150, 156, 166), (32, 36, 44)
+DRONE, SENSOR, SENSED = (0, 114, 178), (86, 180, 233, 56), (213, 94, 0)
+PILOTS = (DRONE, (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (84, 88, 96))
+"""One for each policy, in order: its drone and its trail."""
+
 SMOOTHING = 2  # drawn so many times larger, then scaled down
+GAP = 8  # between flights side by side [px]
+WIDTHS = range(160, 3841)  # of one flight's picture [px]
+FASTEST_GIF = 50  # pictures per second: viewers slow shorter pauses than 0.02 s down
 
 
 def draw_state(state: State, bank: Tensor, world: World, trail: Sequence[tuple[float, float]] = ()) -> Picture:
-    """One row's state: the border, its obstacles, the drone with its sensor's arc, and the points that it senses.
+    """One row's state at the world's own size; see `draw_arena`.
 
     state: fields without a batch; bank [L, K, 3] px; trail: earlier positions (x, y) px.
 
     Returns:
-        Array [height, width, 3] uint8. This is the one place where y is flipped.
+        Array [height, width, 3] uint8.
     """
-    obstacles = bank[state.layout]
+    return np.asarray(draw_arena(state, bank[state.layout], world, world.width, [(trail, DRONE)]))
+
+
+def draw_arena(
+    state: State, obstacles: Tensor, world: World, width: int, trails: Sequence[Trail] = (), colour: Colour = DRONE
+) -> Image.Image:
+    """The border, the obstacles, the drone with its sensor's arc, and the points that it senses.
+
+    state: fields without a batch; obstacles [K, 3] px; width: of the picture [px]; trails: under the drone.
+    """
     slots, _ = sense(state.x, state.y, state.heading, obstacles, world)
     x, y, heading = float(state.x), float(state.y), int(state.heading)
-    image = Image.new("RGB", (world.width * SMOOTHING, world.height * SMOOTHING), GROUND)
+    image = _backdrop(tuple((x, y, radius) for x, y, radius in obstacles.tolist()), world, width).copy()
     canvas = ImageDraw.Draw(image, "RGBA")
+    at, disc = _places(world, width)
+    thickness = max(1, round(SMOOTHING * width / world.width))
+    for points, line in trails:
+        if len(points) > 1:
+            canvas.line([at(*point) for point in points], fill=line, width=thickness + SMOOTHING)
+    half = world.sensor_arc / 2
+    canvas.pieslice(disc(x, y, world.sensor_radius), -heading - half, -heading + half, fill=SENSOR)
+    cosine, sine = (float(part) for part in direction(state.heading))
+    sensed = []
+    for right, forward, proximity in slots.tolist():
+        if (right, forward) != (0, 0):
+            reach = world.drone_radius + proximity * (world.sensor_radius - world.drone_radius)
+            dx, dy = right * sine + forward * cosine, forward * sine - right * cosine
+            sensed.append((x + reach * dx, y + reach * dy))
+    for point in sensed:
+        canvas.line([at(x, y), at(*point)], fill=(*SENSED, 110), width=thickness)
+    canvas.ellipse(disc(x, y, world.drone_radius), fill=colour)
+    nose = at(x + world.drone_radius * cosine, y + world.drone_radius * sine)
+    canvas.line([at(x, y), nose], fill=GROUND, width=3 * thickness)
+    for point in sensed:
+        canvas.ellipse(disc(*point, 4), fill=SENSED)
+    return image.reduce(SMOOTHING)
 
-    def at(px: float, py: float) -> tuple[float, float]:
-        return px * SMOOTHING, (world.height - py) * SMOOTHING
 
-    def disc(px: float, py: float, radius: float) -> tuple[float, float, float, float]:
-        (left, top), (right, bottom) = at(px - radius, py + radius), at(px + radius, py - radius)
-        return left, top, right, bottom
+def height_of(width: int, world: World) -> int:
+    """Height of a picture of the arena [px]."""
+    return round(width * world.height / world.width)
 
-    for px, py, radius in obstacles.tolist():
-        canvas.ellipse(disc(px, py, radius), fill=OBSTACLE)
+
+Point = Callable[[float, float], tuple[float, float]]
+Disc = Callable[[float, float, float], tuple[float, float, float, float]]
+
+
+def _places(world: World, width: int) -> tuple[Point, Disc]:
+    """Where a place of the world, or a disc, is in the enlarged picture. This is the one place where y is flipped."""
+    scale, height = SMOOTHING * width / world.width, SMOOTHING * height_of(width, world)
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        return x * scale, height - y * scale
+
+    def disc(x: float, y: float, radius: float) -> tuple[float, float, float, float]:
+        return *at(x - radius, y + radius), *at(x + radius, y - radius)
+
+    return at, disc
+
+
+@functools.lru_cache(maxsize=16)
+def _backdrop(obstacles: tuple[tuple[float, float, float], ...], world: World, width: int) -> Image.Image:
+    """What does not move in a flight, enlarged: ground, obstacles (x, y, radius) px, border."""
+    image = Image.new("RGB", (width * SMOOTHING, height_of(width, world) * SMOOTHING), GROUND)
+    canvas = ImageDraw.Draw(image)
+    at, disc = _places(world, width)
+    for obstacle in obstacles:
+        canvas.ellipse(disc(*obstacle), fill=OBSTACLE)
     for left in range(0, world.width, world.border):
         for bottom in range(0, world.height, world.border):
             if left in (0, world.width - world.border) or bottom in (0, world.height - world.border):
                 corners = (*at(left, bottom + world.border), *at(left + world.border, bottom))
                 canvas.rectangle(corners, fill=BORDER, outline=GROUND)
-    half = world.sensor_arc / 2
-    canvas.pieslice(disc(x, y, world.sensor_radius), -heading - half, -heading + half, fill=SENSOR)
-    if len(trail) > 1:
-        canvas.line([at(*point) for point in trail], fill=TRAIL, width=2 * SMOOTHING)
-    canvas.ellipse(disc(x, y, world.drone_radius), fill=DRONE)
-    cosine, sine = (float(part) for part in direction(state.heading))
-    nose = at(x + world.drone_radius * cosine, y + world.drone_radius * sine)
-    canvas.line([at(x, y), nose], fill=GROUND, width=3 * SMOOTHING)
-    for right, forward, proximity in slots.tolist():
-        if (right, forward) != (0, 0):
-            reach = world.drone_radius + proximity * (world.sensor_radius - world.drone_radius)
-            dx, dy = right * sine + forward * cosine, forward * sine - right * cosine
-            canvas.ellipse(disc(x + reach * dx, y + reach * dy, 4), fill=SENSED)
-    return np.asarray(image.reduce(SMOOTHING))
+    return image
 
 
-def fly(policy: Callable[[Tensor], Tensor], bank: Tensor, layout: int, max_steps: int, world: World) -> list[State]:
-    """One episode of a policy on one set of obstacles: its states, the first and the last included."""
-    state = simulator.start(torch.tensor(layout), torch.tensor(UP), world)
-    states = [state]
+@functools.cache
+def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """The font that Matplotlib ships, which has arrows and signs; size [px]."""
+    import matplotlib
+
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
+
+
+# -- flights ---------------------------------------------------------------------------------------------------------
+
+
+class Pilot(NamedTuple):
+    """Who flies: a policy, and the world whose switches say what it sees."""
+
+    name: str
+    policy: AnyPolicy
+    world: World
+
+
+class Flight(NamedTuple):
+    """One episode: its states, the first and the last included, and whether it ended in a collision."""
+
+    pilot: Pilot
+    states: list[State]
+    collided: bool
+
+
+def load_pilots(words: Sequence[str], seed: int | None = None, sampled: bool = False) -> list[Pilot]:
+    """Runs' folders, or names of scripted policies, as pilots; named by the last two parts of the path.
+
+    Raises:
+        PolicyError: no such run or seed.
+    """
+    pilots = []
+    for word in words:
+        if word in BASELINES:
+            pilots.append(Pilot(word, BASELINES[word], World()))
+        else:
+            policy = policies.load_policy(word, seed, greedy=not sampled)
+            pilots.append(Pilot("/".join(Path(word).resolve().parts[-2:]), policy, policy.world))
+    return pilots
+
+
+def load_layout(layouts: str, layout: int) -> Tensor:
+    """A bank [n, k, 3] px in which there is a set of that index.
+
+    Raises:
+        ValueError: there is no such bank, or it has no such set.
+    """
+    bank = banks.load(layouts)
+    if not 0 <= layout < len(bank):
+        raise ValueError(f"--layout {layout}: choose from 0 to {len(bank) - 1}")
+    return bank
+
+
+def fly(pilot: Pilot, bank: Tensor, layout: int, max_steps: int) -> Flight:
+    """One episode of a policy on one set of obstacles, from the centre, heading up."""
+    generator = torch.Generator().manual_seed(0)
+    states = [simulator.start(torch.tensor(layout), torch.tensor(UP), pilot.world)]
+    observation, _ = simulator.observe(states[0], bank, pilot.world)
     for _ in range(max_steps):
-        observation, _ = simulator.observe(state, bank, world)
-        state, outcome = simulator.step(state, policy(observation), bank, world, "eq14", None)
+        action = pilot.policy(observation, generator)
+        state, outcome = simulator.step(states[-1], action, bank, pilot.world, "eq14", None)
         states.append(state)
+        observation = outcome.observation
         if outcome.terminated:
-            break
-    return states
+            return Flight(pilot, states, True)
+    return Flight(pilot, states, False)
 
 
-def pictures(states: Sequence[State], bank: Tensor, world: World, every: int = 1) -> Iterable[Picture]:
-    """Each `every`-th state of a flight with the trail up to it, and the last one."""
-    positions = [(float(state.x), float(state.y)) for state in states]
-    for index in [*range(0, len(states) - 1, every), len(states) - 1]:
-        yield draw_state(states[index], bank, world, positions[: index + 1])
+class Film(Sequence[Picture]):
+    """Flights on the same set of obstacles, side by side, with their trails: drawn when they are asked for.
+
+    obstacles [K, 3] px; width: of one flight's picture [px]; every: steps from one picture to the next. The last
+    picture is that of the last step of the longest flight; a flight that is over stands still.
+    """
+
+    def __init__(self, flights: Sequence[Flight], obstacles: Tensor, width: int, every: int = 1) -> None:
+        self.flights, self.obstacles, self.width = flights, obstacles, width
+        self._trails = [[(float(state.x), float(state.y)) for state in flight.states] for flight in flights]
+        self._drawn: dict[int, tuple[int, Image.Image]] = {}
+        last = max(len(flight.states) for flight in flights) - 1
+        self.steps = [*range(0, last, every), last]
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    @overload
+    def __getitem__(self, index: int) -> Picture: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Picture]: ...
+
+    def __getitem__(self, index: int | slice) -> Picture | Sequence[Picture]:
+        if isinstance(index, slice):
+            return [self[one] for one in range(*index.indices(len(self)))]
+        step = self.steps[index]
+        panels = [self._panel(number, min(step, len(flight.states) - 1)) for number, flight in enumerate(self.flights)]
+        columns = len(panels) if len(panels) <= 3 else math.ceil(math.sqrt(len(panels)))
+        rows = math.ceil(len(panels) / columns)
+        width, height = panels[0].width + GAP, panels[0].height + GAP
+        picture = Image.new("RGB", (columns * width - GAP, rows * height - GAP), GROUND)
+        for number, panel in enumerate(panels):
+            picture.paste(panel, (number % columns * width, number // columns * height))
+        return np.asarray(picture)
+
+    def _panel(self, number: int, step: int) -> Image.Image:
+        """One flight with its caption; what stands still is drawn once."""
+        if number not in self._drawn or self._drawn[number][0] != step:
+            flight, colour = self.flights[number], PILOTS[number % len(PILOTS)]
+            state, trail = flight.states[step], self._trails[number][: step + 1]
+            arena = draw_arena(state, self.obstacles, flight.pilot.world, self.width, [(trail, colour)], colour)
+            over = flight.collided and step == len(flight.states) - 1
+            strip = _caption(self.width, flight.pilot.name, state, over, colour)
+            panel = Image.new("RGB", (self.width, arena.height + strip.height))
+            panel.paste(arena, (0, 0))
+            panel.paste(strip, (0, arena.height))
+            self._drawn[number] = step, panel
+        return self._drawn[number][1]
+
+
+def _caption(width: int, name: str, state: State, collided: bool, colour: Colour) -> Image.Image:
+    """A line below a flight: who flies, how far it is."""
+    size = max(8, width // 32)
+    strip = Image.new("RGB", (width, 2 * size), GROUND)
+    canvas = ImageDraw.Draw(strip)
+    canvas.ellipse((size // 2, size // 2, size // 2 + size, size // 2 + size), fill=colour)
+    canvas.text((2 * size, size), name, INK, font(size, bold=True), anchor="lm")
+    counts = f"{'collided at ' if collided else ''}step {int(state.steps)}   reward {float(state.reward):.2f}"
+    canvas.text((width - size // 2, size), counts, SENSED if collided else INK, font(size), anchor="rm")
+    return strip
+
+
+# -- files -----------------------------------------------------------------------------------------------------------
 
 
 def check_name(path: Path) -> None:
-    """Raises ValueError for the name of a file that is neither a GIF nor a PNG."""
-    if path.suffix not in (".gif", ".png"):
-        raise ValueError(f"{path}: choose a .gif or .png file")
+    """Raises ValueError for the name of a file that is none of the three, or an MP4 that cannot be encoded."""
+    if path.suffix not in (".mp4", ".gif", ".png"):
+        raise ValueError(f"{path}: choose an .mp4, .gif or .png file")
+    if path.suffix == ".mp4":
+        _pyav()
 
 
-def save(frames: Iterable[Picture], path: Path, fps: float, width: int) -> None:
-    """Write an animated GIF, or the last picture as PNG, scaled to a width in px; the file is whole or not there.
+def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PER_SECOND) -> None:
+    """Write pictures as MP4 or GIF, or the last one as PNG; the file is whole or not there.
+
+    fps: pictures per second. MP4 needs an even width and height: an odd one gains a column or a row of its edge.
 
     Raises:
-        ValueError: the file is neither, or cannot be written.
+        ValueError: the file is none of these, would be a GIF of more than 50 pictures per second, or cannot be written.
     """
     check_name(path)
-    images = [Image.fromarray(frame) for frame in frames]
-    size = (width, round(images[0].height * width / images[0].width))
-    images = [image.resize(size, Image.Resampling.LANCZOS) for image in images]
-    content = io.BytesIO()
-    if path.suffix == ".gif":
-        palette = images[-1].quantize(64)
-        indexed = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-        pause = round(1000 / fps)
-        indexed[0].save(content, "GIF", save_all=True, append_images=indexed[1:], duration=pause, loop=0)
+    rate = Fraction(fps).limit_denominator(1000)
+    if path.suffix == ".png":
+        content = io.BytesIO()
+        Image.fromarray(frames[-1]).save(content, "PNG")
     else:
-        images[-1].save(content, "PNG")
+        content = (_mp4 if path.suffix == ".mp4" else _gif)(frames, rate)
     aside = path.with_name(f".{path.name}.aside")
     try:
         try:
@@ -132,38 +305,97 @@ def save(frames: Iterable[Picture], path: Path, fps: float, width: int) -> None:
         raise ValueError(f"{path}: cannot be written ({error}); give a path that can be written") from error
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Draw a flight of a trained policy as an animated GIF, or its whole trail as PNG."""
-    parser = argparse.ArgumentParser(prog="python -m uavnav.render", description=main.__doc__)
-    parser.add_argument("run", type=Path, help="a run's folder")
-    parser.add_argument(
-        "--out", type=Path, default=Path("flight.gif"), help="a .gif or .png file (default: flight.gif)"
-    )
-    parser.add_argument("--seed", type=int, help="training seed (default: the run's first)")
+def _gif(frames: Sequence[Picture], rate: Fraction) -> io.BytesIO:
+    """An animated GIF in 128 colours. Its clock counts hundredths of a second: pauses differ by one to keep time."""
+    if rate > FASTEST_GIF:
+        most = f"a GIF shows {FASTEST_GIF} at most: draw fewer (--every) or choose .mp4"
+        raise ValueError(f"{float(rate):g} pictures per second, {most}")
+    palette = Image.fromarray(frames[-1]).quantize(128)
+    ticks = [round(100 * index / rate) for index in range(len(frames) + 1)]
+    pauses = [10 * (later - now) for now, later in itertools.pairwise(ticks)]
+    indexed = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+    content = io.BytesIO()
+    next(indexed).save(content, "GIF", save_all=True, append_images=indexed, duration=pauses, loop=0)
+    return content
+
+
+def _mp4(frames: Iterable[Picture], rate: Fraction) -> io.BytesIO:
+    """H.264 as every player reads it."""
+    av = _pyav()
+    content = io.BytesIO()
+    with av.open(content, "w", format="mp4") as film:
+        stream = None
+        for frame in frames:
+            height, width = frame.shape[:2]
+            if stream is None:
+                stream = film.add_stream("libx264", rate=rate, options={"crf": "20", "preset": "veryfast"})
+                stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
+            padded = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(padded, format="rgb24")))
+        if stream is not None:
+            film.mux(stream.encode(None))
+    return content
+
+
+def _pyav() -> Any:
+    try:
+        import av
+    except ImportError as error:
+        raise ValueError("an MP4 needs PyAV: pip install 'uavnav[play]', or choose a .gif") from error
+    return av
+
+
+def flight_arguments(parser: argparse.ArgumentParser) -> None:
+    """What every command that flies policies asks: which seed, how, and where."""
+    parser.add_argument("--seed", type=int, help="training seed (default: each run's first)")
     parser.add_argument("--sampled", action="store_true", help="act as in training instead of greedily")
     parser.add_argument("--layouts", default="test", help="train, test or a bank's path (default: test)")
     parser.add_argument("--layout", type=int, default=0, help="index of the obstacle set (default: 0)")
+
+
+RUN_HELP = f"a run's folder, or {', '.join(BASELINES)}"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Draw flights of policies on the same set of obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
+    parser = argparse.ArgumentParser(prog="python -m uavnav.render", description=main.__doc__)
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN_HELP)
+    parser.add_argument(
+        "--out", type=Path, default=Path("flight.gif"), help="an .mp4, .gif or .png file (default: flight.gif)"
+    )
+    flight_arguments(parser)
     parser.add_argument("--steps", type=int, default=500, help="steps at most (default: 500)")
-    parser.add_argument("--every", type=int, default=3, help="steps from one picture to the next (default: 3)")
-    parser.add_argument("--width", type=int, default=480, help="width in px (default: 480)")
+    parser.add_argument("--every", type=int, default=1, help="steps from one picture to the next (default: 1)")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, help=f"times as fast as {STEPS_PER_SECOND} steps a second (default: 1)"
+    )
+    parser.add_argument(
+        "--width", type=int, default=480, help="width of one flight [px] (default: 480); an MP4 is padded to even sizes"
+    )
     arguments = parser.parse_args(argv)
     try:
         check_name(arguments.out)
-        if min(arguments.steps, arguments.every, arguments.width) < 1:
-            raise ValueError("--steps, --every and --width are at least 1")
-        policy = policies.load_policy(arguments.run, arguments.seed, greedy=not arguments.sampled)
-        bank = banks.load(arguments.layouts)
-        if not 0 <= arguments.layout < len(bank):
-            raise ValueError(f"--layout {arguments.layout}: choose from 0 to {len(bank) - 1}")
-        world = policy.world
-        generator = torch.Generator().manual_seed(0)
-        states = fly(lambda observation: policy(observation, generator), bank, arguments.layout, arguments.steps, world)
-        save(pictures(states, bank, world, arguments.every), arguments.out, 30, arguments.width)
+        if min(arguments.steps, arguments.every) < 1:
+            raise ValueError("--steps and --every are at least 1")
+        if not 0.1 <= arguments.speed <= 100:
+            raise ValueError(f"--speed {arguments.speed:g}: give 0.1 to 100")
+        if arguments.width not in WIDTHS:
+            raise ValueError(f"--width {arguments.width}: give {WIDTHS.start} to {WIDTHS.stop - 1}")
+        pilots = load_pilots(arguments.runs, arguments.seed, arguments.sampled)
+        bank = load_layout(arguments.layouts, arguments.layout)
+        with compiling.use_threads(1):
+            flights = [fly(pilot, bank, arguments.layout, arguments.steps) for pilot in pilots]
+            film = Film(flights, bank[arguments.layout], arguments.width, arguments.every)
+            rate = Fraction(arguments.speed).limit_denominator(100) * STEPS_PER_SECOND / arguments.every
+            save(film, arguments.out, rate)
     except ValueError as error:
         print(f"uavnav.render: {error}", file=sys.stderr)
         return 2
-    last = states[-1]
-    print(f"wrote {arguments.out}: {int(last.steps)} steps, {int(last.distance)} px, reward {float(last.reward):.2f}")
+    for flight in flights:
+        last = flight.states[-1]
+        told = f"{int(last.steps)} steps, {int(last.distance)} px, reward {float(last.reward):.2f}"
+        print(f"{flight.pilot.name}: {told}{', collided' if flight.collided else ''}")
+    print(f"wrote {arguments.out}")
     return 0
 
 

@@ -24,10 +24,11 @@ from uavnav.config import ConfigError, TrainConfig, unknown, unknown_key
 from uavnav.display import evaluation_summary, print_table, report
 from uavnav.evaluate import evaluate_run
 from uavnav.layouts import LayoutError
+from uavnav.loggers import chosen
 from uavnav.policies import PolicyError
 from uavnav.runs import Interrupted, Recorder, Run, RunError, default_folder
 
-HERE = ("out", "overwrite", "checkpoint_seconds", "evaluate")
+HERE = ("out", "overwrite", "checkpoint_seconds", "evaluate", "logger")
 """The keys of the recipes themselves; all others are fields of the algorithm's configuration."""
 
 SHOWS = {"--cfg", "-c", "--info", "-i", "--help", "-h"}
@@ -53,6 +54,7 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
                 raise ConfigError(f"{key}={here[key]}; choose from false, true")
         if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not seconds >= 0:
             raise ConfigError(f"checkpoint_seconds={seconds}; give a number of at least 0")
+        chosen(here["logger"])
         config = kind.from_mapping(values)
         return config, default_folder(algorithm, config) if out is None else Path(str(out)), here
 
@@ -67,7 +69,8 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
 
     def run(settings: DictConfig) -> None:
         config, out, here = parse(settings)
-        finished = train(config, out=out, overwrite=here["overwrite"], checkpoint_seconds=here["checkpoint_seconds"])
+        how = {key: here[key] for key in ("overwrite", "checkpoint_seconds", "logger")}
+        finished = train(config, out=out, **how)
         evaluating = here["evaluate"] and finished.evaluation() is None
         if finished.fresh:
             report(finished)

@@ -4,6 +4,7 @@ import math
 import shutil
 import subprocess
 import sys
+import zipfile
 
 import pandas as pd
 import pytest
@@ -14,7 +15,7 @@ from uavnav import dqn, evaluate, ppo
 from uavnav.baselines import BASELINES, straight_ahead, uniform_random
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, fly
 from uavnav.metrics import EPISODE_COLUMNS
-from uavnav.runs import Run
+from uavnav.runs import Run, read_table
 
 RUNS = {
     "ppo": (ppo.train, ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off")),
@@ -176,6 +177,62 @@ def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
     rows = pd.read_parquet(tmp_path / "baselines" / "random.parquet")
     assert rows.layout.tolist() == [0, 1, 2, 3, 4]
     assert list(rows.columns) == list(EPISODE_COLUMNS)
+
+
+@pytest.fixture
+def zipped(tmp_path):
+    """What Stable-Baselines3 saves of a DQN, as far as it is read."""
+    generator, path = torch.Generator().manual_seed(0), tmp_path / "theirs.zip"
+    shapes = {"q_net.q_net.0": (8, 30), "q_net.q_net.2": (100, 8)}
+    weights = {f"{name}.weight": torch.randn(shape, generator=generator) for name, shape in shapes.items()}
+    weights |= {f"{name}.bias": torch.zeros(shape[0]) for name, shape in shapes.items()}
+    with zipfile.ZipFile(path, "w") as archive, archive.open("policy.pth", "w") as file:
+        torch.save(weights, file)
+    return path
+
+
+def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(zipped, tmp_path, capsys):
+    out = tmp_path / "baselines"
+    words = [str(zipped), "random", "--activation", "relu", "--episodes", "5", "--max-steps", "50", "--out", str(out)]
+    assert evaluate.main(words) == 0
+    assert sorted(path.name for path in out.iterdir()) == [
+        "random.parquet",
+        "theirs-greedy.parquet",
+        "theirs-sampled.parquet",
+    ]
+    for mode in ("greedy", "sampled"):
+        rows = read_table(out / f"theirs-{mode}.parquet", EPISODE_COLUMNS, "")
+        policy = uavnav.load_policy(zipped, greedy=mode == "greedy", activation="relu")
+        pd.testing.assert_frame_equal(rows, evaluate_policy(policy, episodes=5, max_steps=50))
+    printed = capsys.readouterr().out
+    for word in ("theirs on 5 test sets", "greedy", "sampled", "theirs-sampled.parquet"):
+        assert word in printed, word
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["theirs.zip"], "theirs.zip: its weights do not tell the activation; give activation=..., one of elu, "),
+        (["theirs.zip", "--activation", "rleu"], "theirs.zip: unknown activation 'rleu'; choose from elu, "),
+        (
+            ["nowhere.zip", "--activation", "relu"],
+            "nowhere.zip: no such file; give what model.save of PPO or DQN wrote",
+        ),
+        (["random", "--activation", "relu"], "--activation relu: runs know their own; give it with a .zip"),
+        (
+            ["theirs.zip", "other/theirs.zip", "--activation", "relu", "--out", "rows"],
+            "--out rows: two zips of one name would share a file; rename one",
+        ),
+    ],
+)
+def test_a_zip_that_cannot_be_flown_is_one_line_and_no_rows(zipped, monkeypatch, capsys, words, line):
+    monkeypatch.chdir(zipped.parent)
+    assert evaluate.main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"uavnav.evaluate: {line}")
+    assert err.count("\n") == 1
+    assert [path.name for path in zipped.parent.iterdir()] == ["theirs.zip"]
 
 
 def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_ends_with_0(run):

@@ -1,6 +1,7 @@
 """Fly policies on sets of obstacles that they never trained on: one row an episode.
 
-`python -m uavnav.evaluate RUN...` evaluates every seed of finished runs, greedy and sampled, into their folders.
+`python -m uavnav.evaluate RUN...` evaluates every seed of finished runs, greedy and sampled, into their folders; and
+whatever else flies (scripted baselines, zips of Stable-Baselines3), whose rows `--out` keeps for a report.
 """
 
 from __future__ import annotations
@@ -209,19 +210,41 @@ def evaluate_run(
     return rows
 
 
+def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
+    """A run, or what else flies, by its mode."""
+    if name in BASELINES:
+        return {"scripted": BASELINES[name]}
+    if policies.is_zip(name):
+        return {mode: policies.load_policy(name, greedy=mode == "greedy", activation=activation) for mode in MODES}
+    return Run(name)
+
+
+def _rows_file(name: str, mode: str) -> str:
+    """Where the rows of what is no run are kept; a report calls them so."""
+    return f"{name}.parquet" if name in BASELINES else f"{Path(name).stem}-{mode}.parquet"
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Evaluate finished runs, or scripted baselines, on the test split: greedy and sampled, one row an episode."""
+    """Evaluate finished runs, scripted baselines or zips of Stable-Baselines3 on the test split: one row an episode."""
     parser = argparse.ArgumentParser(prog="python -m uavnav.evaluate", description=main.__doc__)
-    parser.add_argument("runs", nargs="+", metavar="RUN", help=f"a run's folder, or {', '.join(BASELINES)}")
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN", help=f"a run's folder, a Stable-Baselines3 .zip, or {', '.join(BASELINES)}"
+    )
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
     parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
     parser.add_argument("--layouts", default="test", help="test, train or a bank's path (default: test)")
+    parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="keep rows of baselines there; a report looks in its baselines/"
+        "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"
     )
     arguments = parser.parse_args(argv)
     try:
-        found = {name: name if name in BASELINES else Run(name) for name in arguments.runs}
+        zips = [name for name in arguments.runs if policies.is_zip(name)]
+        if arguments.activation is not None and not zips:
+            raise ValueError(f"--activation {arguments.activation}: runs know their own; give it with a .zip")
+        if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
+            raise ValueError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
+        found = {name: _found(name, arguments.activation) for name in arguments.runs}
         for name, run in found.items():
             if isinstance(run, Run):
                 rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts)
@@ -229,13 +252,15 @@ def main(argv: Sequence[str] | None = None) -> int:
                 kept = arguments.layouts == "test"
                 print(f"the rows are in {run.path / EVALUATION}" if kept else "rows of the test split alone are kept")
             else:
+                bounds = (arguments.layouts, arguments.episodes, arguments.max_steps)
                 with compiling.use_threads(1):
-                    flights = fly({0: BASELINES[name]}, arguments.layouts, arguments.episodes, arguments.max_steps)
-                print_table(evaluation_summary(flights.episodes.assign(mode="scripted"), name))
-                if arguments.out is not None:
-                    path = arguments.out / f"{name}.parquet"
-                    arguments.out.mkdir(parents=True, exist_ok=True)
-                    write_table(path, flights.episodes)
+                    flown = {mode: fly({0: policy}, *bounds).episodes for mode, policy in run.items()}
+                rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
+                print_table(evaluation_summary(rows, name if name in BASELINES else Path(name).stem))
+                for mode, part in flown.items() if arguments.out is not None else ():
+                    path = arguments.out / _rows_file(name, mode)
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    write_table(path, part)
                     print(f"the rows are in {path}")
     except (RunError, ValueError, OSError) as error:
         print(f"uavnav.evaluate: {error}", file=sys.stderr)

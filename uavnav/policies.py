@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import pickle
+import zipfile
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -20,6 +25,12 @@ from uavnav.world import VERSION, World
 
 FILE_NAME = "policy.safetensors"
 ALGORITHMS = ("ppo", "dqn")
+
+SB3_WEIGHTS = "policy.pth"
+SB3_MAX_BYTES = 2**26
+"""Of a zip's weights, unpacked: a network of 64-64 has a hundred thousand."""
+SB3_EPSILON = 0.05
+"""Stable-Baselines3's final epsilon by default, and ours in the preset `paper`: a zip's weights do not tell."""
 
 
 class PolicyError(ValueError):
@@ -92,18 +103,33 @@ def join(paths: Sequence[Path]) -> bytes:
     return save(tensors, metadata={"uavnav": json.dumps(facts | {"seeds": seeds}, sort_keys=True)})
 
 
-def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True) -> Policy:
+def is_zip(run: str | Path) -> bool:
+    """Whether it is read as what Stable-Baselines3 saved."""
+    return Path(run).suffix == ".zip" and not os.path.isdir(run)
+
+
+def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, activation: str | None = None) -> Policy:
     """The policy of one seed of a run's folder (or of its policy.safetensors); nothing is unpickled or executed.
 
+    A `.zip` is read as one of Stable-Baselines3: the weights of a PPO or a DQN with MlpPolicy, and nothing else of it.
+
     Args:
-        run: a run's folder, or its policy file.
-        seed: which training seed; the first one if None.
-        greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon.
+        run: a run's folder, its policy file, or the zip that `model.save` of Stable-Baselines3 wrote.
+        seed: which training seed; the first one if None. A zip has no seeds.
+        greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon (0.05 for a
+            zip, see `Policy.epsilon`).
+        activation: of a zip's hidden layers, which its weights do not tell; a run knows its own.
 
     Raises:
-        PolicyError: the file is missing or damaged, or has no such seed.
+        PolicyError: the file is missing or damaged, has no such seed, or is of another kind of network.
     """
     path = Path(run)
+    if is_zip(run):
+        if seed is not None:
+            raise PolicyError(f"{path}: seed={seed}; a zip of Stable-Baselines3 holds one policy: give no seed")
+        return _from_sb3(path, greedy, activation)
+    if activation is not None:
+        raise PolicyError(f"{path}: activation={activation}; a run knows its own: give it for a .zip alone")
     path = path / FILE_NAME if os.path.isdir(path) else path
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
         raise PolicyError(f"{run}: no {FILE_NAME} there; give the folder of a finished run")
@@ -146,12 +172,99 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True) -
             raise RuntimeError(f"not {len(seeds)} networks for {len(seeds)} seeds")
     except (KeyError, IndexError, RuntimeError, TypeError) as error:
         raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
+    _check_sizes(path, inputs, outputs, world)
+    for key, tensor in policy.items():
+        if not tensor.isfinite().all():
+            raise PolicyError(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
+    return Policy(network, algorithm, greedy, epsilon, world, reward)
+
+
+def _check_sizes(path: Path, inputs: int, outputs: int, world: World) -> None:
     if inputs != world.observation_size or outputs != world.n_actions:
         raise PolicyError(
             f"{path}: sees {inputs} numbers and chooses from {outputs} actions, not"
             f" {world.observation_size} and {world.n_actions} as in this world"
         )
-    for key, tensor in policy.items():
-        if not tensor.isfinite().all():
-            raise PolicyError(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
-    return Policy(network, algorithm, greedy, epsilon, world, reward)
+
+
+# -- Stable-Baselines3 ------------------------------------------------------------------------------------------------
+
+SB3_LAYERS = {"ppo": ("mlp_extractor.policy_net.", "action_net."), "dqn": ("q_net.q_net.", "")}
+"""Where a zip keeps the hidden layers that choose actions, and the last one if it lies apart."""
+SB3_OTHERS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.q_net.")
+"""Networks that no action depends on."""
+
+
+def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
+    """The policy in a zip of Stable-Baselines3."""
+    choices = ", ".join(sorted(ACTIVATIONS))
+    if not os.path.isfile(path):
+        raise PolicyError(f"{path}: no such file; give what model.save of PPO or DQN wrote")
+    tensors = _sb3_tensors(path)
+    algorithm, layers = _sb3_layers(path, tensors)
+    sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
+    world = World()
+    _check_sizes(path, sizes[0], sizes[-1], world)
+    if activation is None:
+        raise PolicyError(f"{path}: its weights do not tell the activation; give activation=..., one of {choices}")
+    if activation not in ACTIVATIONS:
+        raise PolicyError(f"{path}: unknown activation {activation!r}; choose from {choices}")
+    network = mlp(sizes, activation, [torch.Generator()], "default")
+    for index, (weight, bias) in enumerate(layers):
+        if not (weight.isfinite().all() and bias.isfinite().all()):
+            raise PolicyError(f"{path}: layer {index} is not finite, it diverged; train with a lower learning_rate")
+        network[2 * index].load_state_dict({"weight": weight.T[None], "bias": bias[None, None]})
+    return Policy(network, algorithm, greedy, SB3_EPSILON, world, "eq14")
+
+
+def _sb3_layers(path: Path, tensors: dict[str, Tensor]) -> tuple[str, list[tuple[Tensor, Tensor]]]:
+    """Which algorithm it is by the names of its weights, and each layer's weight [out, in] and bias [out]."""
+    algorithm = "dqn" if any(key.startswith(SB3_LAYERS["dqn"][0]) for key in tensors) else "ppo"
+    hidden, last = SB3_LAYERS[algorithm]
+    names = [f"{hidden}{2 * index}." for index in range(sum(key.startswith(hidden) for key in tensors) // 2)]
+    names += [last] if last else []
+    expected = {f"{name}{part}" for name in names for part in ("weight", "bias")}
+    strange = sorted(expected ^ {key for key in tensors if not key.startswith(SB3_OTHERS)})
+    if strange:
+        raise PolicyError(f"{path}: no MlpPolicy of PPO or DQN, for its {', '.join(strange[:2])}; give one of them")
+    layers = [(tensors[f"{name}weight"], tensors[f"{name}bias"]) for name in names]
+    fits = all(weight.ndim == 2 and bias.shape == weight.shape[:1] for weight, bias in layers)
+    if not fits or any(len(bias) != weight.shape[1] for (_, bias), (weight, _) in pairwise(layers)):
+        raise PolicyError(f"{path}: the shapes of its layers do not fit each other; give what model.save wrote")
+    return algorithm, layers
+
+
+def _sb3_tensors(path: Path) -> dict[str, Tensor]:
+    """The weights in a zip of Stable-Baselines3, by torch's own reader of tensors alone."""
+    try:
+        content = _member(path, SB3_WEIGHTS)
+        with zipfile.ZipFile(io.BytesIO(content)) as inner:  # what torch.save writes is a zip too
+            if sum(one.file_size for one in inner.infolist()) > SB3_MAX_BYTES:
+                raise ValueError(f"more than {SB3_MAX_BYTES:,} bytes of weights")
+        tensors = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        if not isinstance(tensors, dict) or not all(_is_plain(value) for value in tensors.values()):
+            raise ValueError("not a table of float32 tensors")
+        if sum(value.numel() for value in tensors.values()) * 4 > SB3_MAX_BYTES:
+            raise ValueError(f"more than {SB3_MAX_BYTES:,} bytes of weights")
+    except Exception as error:  # zlib, zipfile, struct and torch raise nearly every kind, in any number of lines
+        problem = "its weights are more than tensors" if isinstance(error, pickle.UnpicklingError) else error
+        reason = str(problem).strip().splitlines()[0] if str(problem).strip() else type(error).__name__
+        raise PolicyError(
+            f"{path}: not a readable zip of Stable-Baselines3 ({reason}); give what model.save of PPO or DQN wrote"
+        ) from error
+    return {str(name): value for name, value in tensors.items()}
+
+
+def _member(path: Path, name: str) -> bytes:
+    """A file in a zip, if it is of a sane size whatever the zip says of it."""
+    with zipfile.ZipFile(path) as archive, archive.open(name) as file:
+        content = file.read(SB3_MAX_BYTES + 1)
+    if len(content) > SB3_MAX_BYTES:
+        raise ValueError(f"{name} has more than {SB3_MAX_BYTES:,} bytes")
+    return content
+
+
+def _is_plain(value: Any) -> bool:
+    if not isinstance(value, Tensor):
+        return False
+    return (value.device.type, value.layout, value.dtype) == ("cpu", torch.strided, torch.float32)

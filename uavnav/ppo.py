@@ -34,7 +34,7 @@ from uavnav.env import make_env
 from uavnav.learner import Learner
 from uavnav.networks import Init, mlp
 from uavnav.replay import AgentSampler
-from uavnav.runs import CHECKPOINT_SECONDS, Recorder, Run, default_folder
+from uavnav.runs import CHECKPOINT_SECONDS, Log, Recorder, Run, default_folder
 from uavnav.sampling import sample_categorical
 from uavnav.seeding import Streams, stream
 
@@ -204,6 +204,7 @@ def train(
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
     until: int | None = None,
     tell: shares.Tell | None = None,
+    log: Log | None = None,
 ) -> Run:
     """Train one agent a seed and keep the run in a folder.
 
@@ -216,6 +217,7 @@ def train(
         until: stop after so many frames per seed, as if by a signal.
         tell: called now and then with the frames per seed so far and each seed's mean reward over its last 100
             episodes.
+        logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see `uavnav.loggers`.
         processes: how many share the seeds; by default one for each core, where that pays.
 
     Returns:
@@ -226,7 +228,7 @@ def train(
         Interrupted: by SIGINT or SIGTERM, and saved.
     """
     out = out or default_folder(ALGORITHM, config)
-    recorder = Recorder(out, ALGORITHM, config, overwrite, checkpoint_seconds, until)
+    recorder = Recorder(out, ALGORITHM, config, overwrite, checkpoint_seconds, until, log)
     if recorder.finished:
         return recorder.read()
     compile = recorder.repeat(compiling.decide(config))

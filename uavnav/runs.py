@@ -8,6 +8,7 @@
     evaluation.parquet  one row a test episode, the same columns and `mode`: greedy or sampled
     behaviour.parquet   poses, clearances and actions of some of those flights, step by step
     checkpoint/         while the run is under way: what it goes on from (see `checkpoints`)
+    tensorboard/ wandb/ logs, where they were asked for (see `loggers`)
 
 Files appear whole or not at all, and a folder is locked while a run writes it.
 """
@@ -43,7 +44,7 @@ from torch import Tensor
 from uavnav import layouts, policies
 from uavnav.checkpoints import CheckpointError, Checkpoints, Snapshot, Stateful, collect, restore
 from uavnav.config import TrainConfig, plain
-from uavnav.metrics import EPISODE_COLUMNS, LAST
+from uavnav.metrics import EPISODE_COLUMNS, LAST, finished
 from uavnav.simulator import COUNTS, State
 from uavnav.world import VERSION
 
@@ -51,6 +52,9 @@ if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer
 
 Columns = dict[str, np.ndarray[Any, Any]]
+
+Log = Callable[[Columns], None]
+"""Is told rows of progress with a column more: `reward`, as of `with_reward`."""
 
 FINISHED = "finished"
 STOPS = (signal.SIGINT, signal.SIGTERM)
@@ -65,6 +69,7 @@ EVALUATION = "evaluation.parquet"
 BEHAVIOUR = "behaviour.parquet"
 BANK_FACTS = ("n", "k", "split", "generator_seed", "sha256")
 FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", policies.FILE_NAME)
+LOG_FOLDERS = ("tensorboard", "wandb")
 
 
 class RunError(RuntimeError):
@@ -167,6 +172,7 @@ class Recorder:
         overwrite: start anew where the folder holds a run.
         checkpoint_seconds: the least time between two snapshots.
         until: stop after so many frames per seed, as if by a signal.
+        log: is told every row of progress, first those of the snapshot from which the run goes on.
 
     Raises:
         LayoutError: the bank that the run trains on cannot be read.
@@ -181,6 +187,7 @@ class Recorder:
         overwrite: bool = False,
         checkpoint_seconds: float = CHECKPOINT_SECONDS,
         until: int | None = None,
+        log: Log | None = None,
     ) -> None:
         self.path = Path(path)
         self.algorithm = algorithm
@@ -188,6 +195,7 @@ class Recorder:
         self._overwrite = overwrite
         self._checkpoint_seconds = checkpoint_seconds
         self._until = until
+        self._log = log
         self._episodes: list[Columns] = []
         self._progress: list[Columns] = []
         self._before: dict[str, Any] = {}
@@ -288,6 +296,8 @@ class Recorder:
             self._checkpoints.remove()
             for name in (*FILES, EVALUATION, BEHAVIOUR):
                 (self.path / name).unlink(missing_ok=True)
+        for name in LOG_FOLDERS:  # of an earlier part of the run; every log is whole
+            shutil.rmtree(self.path / name, ignore_errors=True)
         self._began = self._saved = time.perf_counter()
         self.meta = self._before | self.meta | {"status": "running", "started": _now()}
         self._write("config.yaml", yaml.safe_dump(self._described, sort_keys=False).encode())
@@ -314,6 +324,14 @@ class Recorder:
         signal.signal(number, self._handlers[number])
 
     def resume(self, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> int:
+        """Go on as `_resume` says, and tell the log what lies behind the run."""
+        frames = self._resume(parts, replay)
+        if self._log is not None:
+            tables = {name: pd.DataFrame(_joined(rows, ["seed", "frame"])) for name, rows in self._tables.items()}
+            self._log(with_reward(**tables))
+        return frames
+
+    def _resume(self, parts: Mapping[str, Stateful], replay: ReplayBuffer | None) -> int:
         """Set the parts to the newest usable snapshot, where there is one; the frames per seed that it has behind it.
 
         Raises:
@@ -478,6 +496,8 @@ class Recorder:
         for name, value in values.items():
             row[name] = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.full(n, value)
         self._progress.append(row)
+        if self._log is not None:
+            self._log({**row, "reward": np.array([np.mean(recent) if recent else np.nan for recent in self._recent])})
 
     def recent_rewards(self) -> list[float]:
         """Each seed's mean reward over its last 100 episodes; seeds without any are left out."""
@@ -500,7 +520,7 @@ class Recorder:
 
     def _write(self, name: str, content: bytes) -> None:
         """Write aside, then rename: the file is whole or not there."""
-        _write(self.path / name, content)
+        write_file(self.path / name, content)
 
 
 @contextlib.contextmanager
@@ -524,16 +544,35 @@ def lock(path: Path) -> Iterator[None]:
         held.release()
 
 
+def with_reward(progress: pd.DataFrame, episodes: pd.DataFrame) -> Columns:
+    """Rows of progress, and at each the mean reward over its seed's last 100 episodes until then (nan: none ended)."""
+    reward = np.full(len(progress), np.nan)
+    if len(episodes):
+        of_seed = dict(list(finished(episodes).sort_values(["frame", "world"], kind="stable").groupby("seed")))
+        for seed in progress["seed"].unique():
+            ended = of_seed.get(seed, episodes[:0])
+            means = ended["reward"].rolling(LAST, min_periods=1).mean()
+            rows = (progress["seed"] == seed).to_numpy()
+            behind = np.searchsorted(ended["frame"], progress["frame"][rows], side="right")
+            reward[rows] = np.array([np.nan, *means])[behind]
+    return {str(name): column.to_numpy() for name, column in progress.items()} | {"reward": reward}
+
+
 def write_table(path: Path, table: pd.DataFrame) -> None:
     """Write a table as Parquet; it is whole or not there.
 
     Raises:
         RunError: it cannot be written.
     """
-    _write(path, _parquet(table))
+    write_file(path, _parquet(table))
 
 
-def _write(path: Path, content: bytes) -> None:
+def write_file(path: Path, content: bytes) -> None:
+    """Write aside, then rename: the file is whole or not there.
+
+    Raises:
+        RunError: it cannot be written.
+    """
     aside = path.with_name(f".{path.name}.aside")
     try:
         try:

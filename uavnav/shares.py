@@ -24,13 +24,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import pandas as pd
 
-from uavnav import compiling, policies
+from uavnav import compiling, loggers, policies
 from uavnav.config import ConfigError, TrainConfig, plain
 from uavnav.display import Display
 from uavnav.layouts import LayoutError
-from uavnav.runs import CHECKPOINT_SECONDS, Interrupted, Recorder, Run, RunError, default_folder
+from uavnav.runs import (
+    CHECKPOINT_SECONDS,
+    Columns,
+    Interrupted,
+    Log,
+    Recorder,
+    Run,
+    RunError,
+    default_folder,
+    with_reward,
+)
 
 C = TypeVar("C", bound=TrainConfig)
 
@@ -59,31 +70,37 @@ def spread(check: Callable[[Any], None] | None = None) -> Callable[[Callable[...
             until: int | None = None,
             tell: Tell | None = None,
             processes: int | None = None,
+            logger: str | Sequence[str] = loggers.NONE,
         ) -> Run:
+            names = loggers.chosen(logger)
             module = importlib.import_module(train.__module__)
             folder = Path(out or default_folder(module.ALGORITHM, config))
             recorder = Recorder(folder, module.ALGORITHM, config, overwrite, checkpoint_seconds, until)
             if recorder.finished:
-                return recorder.read()
+                run = recorder.read()
+                loggers.log_finished(run, names)
+                return run
             if check is not None:
                 check(config)
             n = recorder.processes(compiling.processes(config) if processes is None else _checked(processes, config))
             if n > 1 and (own := compiling.own_parts(config)):
                 raise ConfigError(f"processes={n}: {own} is known to this process alone; give processes=1")
+            logs = loggers.Logs(names, folder, module.ALGORITHM, plain(config))
+            log = logs if names else None
             if n > 1:
-                with compiling.use_threads(1):
+                with contextlib.closing(logs), compiling.use_threads(1):
                     compile = recorder.repeat(compiling.decide(config))
                     beyond = config.beyond(module.PRESETS[config.preset])
                     with recorder, Display(module.ALGORITHM, config, config.total_frames, quiet, tell) as display:
                         recorder.note(compiled=compile, threads=1, processes=n, beyond_preset=beyond)
-                        shares = Shares(recorder, config, n, checkpoint_seconds, until)
+                        shares = Shares(recorder, config, n, checkpoint_seconds, until, log)
                         with contextlib.closing(shares.progress()) as steps:
                             for frames, rewards in steps:
                                 display.update(frames, rewards)
                         return shares.join()
             compiling.keep_memory_flat()
-            with compiling.use_threads(compiling.threads(config)):
-                return train(config, folder, overwrite, quiet, checkpoint_seconds, until, tell)
+            with contextlib.closing(logs), compiling.use_threads(compiling.threads(config)):
+                return train(config, folder, overwrite, quiet, checkpoint_seconds, until, tell, log)
 
         return spread_train
 
@@ -132,14 +149,26 @@ class Shares:
         config: of the whole run.
         n: how many processes.
         checkpoint_seconds, until: as for training.
+        log: is told every row of progress, of whichever share.
     """
 
     def __init__(
-        self, recorder: Recorder, config: TrainConfig, n: int, checkpoint_seconds: float, until: int | None
+        self,
+        recorder: Recorder,
+        config: TrainConfig,
+        n: int,
+        checkpoint_seconds: float,
+        until: int | None,
+        log: Log | None = None,
     ) -> None:
-        self.recorder, self.config = recorder, config
+        self.recorder, self.config, self.log = recorder, config, log
         self.shares = split(config, recorder.path, n)
-        self.how = {"algorithm": recorder.algorithm, "checkpoint_seconds": checkpoint_seconds, "until": until}
+        self.how = {
+            "algorithm": recorder.algorithm,
+            "checkpoint_seconds": checkpoint_seconds,
+            "until": until,
+            "log": log is not None,
+        }
 
     def progress(self) -> Generator[tuple[int, list[float]]]:
         """Train all shares, and yield where the whole run is: what `Tell` is told.
@@ -151,6 +180,8 @@ class Shares:
         said: queue.SimpleQueue[tuple[Path, dict[str, Any] | None]] = queue.SimpleQueue()
         latest: dict[Path, tuple[int, list[float]]] = dict.fromkeys(self.shares, (0, []))
         ended: dict[Path, dict[str, Any]] = {}
+        if self.log is not None:
+            self.log({"seed": np.empty(0), "frame": np.empty(0)})  # that what cannot be opened is known now
         with self._running(said) as processes:
             told_to_stop = False
             while len(ended) < len(self.shares):
@@ -165,6 +196,9 @@ class Shares:
                     latest[path] = message["frames"], message["rewards"]
                     rewards = [reward for _, part in latest.values() for reward in part]
                     yield min(frames for frames, _ in latest.values()), rewards
+                elif message is not None and "rows" in message:
+                    assert self.log is not None
+                    self.log({name: np.array(column) for name, column in message["rows"].items()})
                 elif path not in ended:
                     if message is not None and "finished" in message:
                         latest[path] = message["finished"], latest[path][1]
@@ -258,8 +292,14 @@ def _by_frame(progress: list[pd.DataFrame]) -> pd.DataFrame:
 
 
 def _say(channel: int, **message: Any) -> None:
+    line = (json.dumps(message) + "\n").encode()
     with contextlib.suppress(BrokenPipeError):  # the one that listened is gone: a stop is on its way
-        os.write(channel, (json.dumps(message) + "\n").encode())
+        while line:
+            line = line[os.write(channel, line) :]  # a signal may cut a long one
+
+
+def _say_rows(channel: int, rows: Columns) -> None:
+    _say(channel, rows={name: column.tolist() for name, column in rows.items()})
 
 
 def _end_with_parent() -> None:
@@ -278,6 +318,7 @@ def main() -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     module = importlib.import_module(f"uavnav.{described['algorithm']}")
     kind = type(next(iter(module.PRESETS.values())))
+    log = functools.partial(_say_rows, channel) if described["log"] else None
     compiling.keep_memory_flat()
     try:
         with compiling.use_threads(1):
@@ -288,7 +329,10 @@ def main() -> None:
                 checkpoint_seconds=described["checkpoint_seconds"],
                 until=described["until"],
                 tell=lambda frames, rewards: _say(channel, frames=frames, rewards=rewards),
+                log=log,
             )
+        if log is not None and not run.fresh:  # this share had already finished
+            log(with_reward(run.progress, run.episodes))
         last = {"finished": run.frames}
     except Interrupted as stop:
         last = {"stopped": stop.frames, "wanted": stop.wanted}

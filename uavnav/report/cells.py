@@ -17,10 +17,12 @@ import pandas as pd
 
 from uavnav import paper
 from uavnav.metrics import EPISODE_COLUMNS, LAST, MODES, finished, last_episodes
-from uavnav.runs import Run, RunError
+from uavnav.runs import LOG_FOLDERS, Run, RunError
 
 BINS = 25
 """Of a run's frames, along a learning curve."""
+NO_RUNS = ("checkpoint", *LOG_FOLDERS)
+"""Folders that are not looked into."""
 NAMED = ("preset", "frames", "n_worlds", "obstacles", "reward", "init")
 """Settings that every section names; others are named where cells differ in them, or from their preset."""
 EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)
@@ -49,7 +51,7 @@ def run_folders(folder: Path) -> list[Path]:
         raise RunError(f"{folder}: {problem}; give a folder that holds runs")
     found = []
     for path, names, files in os.walk(folder):
-        names[:] = sorted(name for name in names if not name.startswith(".") and name != "checkpoint")
+        names[:] = sorted(name for name in names if not name.startswith(".") and name not in NO_RUNS)
         if "config.yaml" in files:
             found.append(Path(path))
     if not found:

@@ -1,0 +1,153 @@
+"""An exported policy says the same numbers to programs that know nothing of this package."""
+
+import importlib.util
+import io
+import json
+import subprocess
+import sys
+import zipfile
+
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from uavnav import PolicyError, RunError, dqn, export, load_policy, ppo
+from uavnav.export import export_policy
+from uavnav.networks import ACTIVATIONS
+from uavnav.policies import Policy
+from uavnav.world import World
+
+CLOSE = 1e-5
+SHORT = {"n_seeds": 2, "seed": 4, "total_frames": 512, "compile": "off"}
+
+
+@pytest.fixture(scope="module", params=["ppo", "dqn"])
+def run(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("export") / request.param
+    if request.param == "ppo":
+        return ppo.train(ppo.PPOConfig(frames_per_batch=512, hidden=[16], **SHORT), folder, quiet=True)
+    return dqn.train(dqn.DQNConfig(activation="relu", learning_starts=64, **SHORT), folder, quiet=True)
+
+
+def policy_with(activation):
+    """An untrained policy whose values differ by more than rounding."""
+    network, _ = ppo.make_networks(ppo.PPOConfig(activation=activation, init="default"))
+    return Policy(network, "ppo", True, 0.0, World(), "eq14")
+
+
+def by_onnxruntime(path, observation):
+    session = onnxruntime.InferenceSession(path)
+    return torch.as_tensor(session.run(["values"], {"observation": observation.numpy()})[0])
+
+
+def by_torch(path, observation):
+    with torch.no_grad():
+        return torch.export.load(path).module()(observation)
+
+
+READ = {".onnx": by_onnxruntime, ".pt2": by_torch}
+
+
+@pytest.mark.parametrize("suffix", READ)
+def test_it_gives_the_values_and_the_greedy_actions_for_any_number_of_rows(run, tmp_path, suffix):
+    policy = load_policy(run.path, seed=5)
+    path = export_policy(policy, tmp_path / f"policy{suffix}")
+    for rows in (1, 2, 500):
+        observation = torch.rand(rows, 30, generator=torch.Generator().manual_seed(rows))
+        values = READ[suffix](path, observation)
+        assert values.shape == (rows, 100)
+        assert (values - policy.values(observation)).abs().max() <= CLOSE
+        assert torch.equal(values.argmax(-1), policy(observation))
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+ONNX_OF = [pytest.param(name, marks=[] if name == "leaky_relu" else pytest.mark.slow) for name in ACTIVATIONS]
+
+
+@pytest.mark.parametrize("activation", ONNX_OF)
+def test_every_activation_goes_into_onnx(activation, tmp_path):
+    policy, observation = policy_with(activation), 4 * torch.randn(200, 30)
+    path = export_policy(policy, tmp_path / "policy.onnx")
+    assert (by_onnxruntime(path, observation) - policy.values(observation)).abs().max() <= CLOSE
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+def test_every_activation_goes_into_an_archive_of_torch(activation, tmp_path):
+    policy, observation = policy_with(activation), 4 * torch.randn(200, 30)
+    path = export_policy(policy, tmp_path / "policy.pt2")
+    assert (by_torch(path, observation) - policy.values(observation)).abs().max() <= CLOSE
+
+
+def test_onnx_is_three_products_two_activations_and_says_what_it_is(run, tmp_path):
+    model = onnx.load(export_policy(load_policy(run.path), tmp_path / "policy.onnx"))
+    onnx.checker.check_model(model)
+    hidden = {"ppo": ["Gemm", "Tanh"], "dqn": ["Gemm", "Relu", "Gemm", "Relu"]}[run.algorithm]
+    assert [node.op_type for node in model.graph.node] == [*hidden, "Gemm"]
+    (prop,) = model.metadata_props
+    assert prop.key == "uavnav"
+    assert json.loads(prop.value) == facts(run)
+
+
+def facts(run):
+    values = {"ppo": "logits", "dqn": "Q"}[run.algorithm]
+    return {"algorithm": run.algorithm, "values": values, "reward": "eq14", "world_version": "1"}
+
+
+def test_an_archive_of_torch_says_what_it_is_and_pickles_no_weight(run, tmp_path):
+    path = export_policy(load_policy(run.path), tmp_path / "policy.pt2")
+    said = {"uavnav.json": ""}
+    torch.export.load(path, extra_files=said)
+    assert json.loads(said["uavnav.json"]) == facts(run)
+    with zipfile.ZipFile(path) as archive:
+        (name,) = [name for name in archive.namelist() if name.endswith("weights_config.json")]
+        entries = json.loads(archive.read(name))["config"].values()
+    assert len(entries) == 2 * len(load_policy(run.path).network[::2])
+    assert not any(entry["use_pickle"] for entry in entries)
+
+
+@pytest.mark.parametrize("suffix", READ)
+def test_a_file_tells_nothing_of_the_machine_that_wrote_it(run, tmp_path, suffix):
+    content = export_policy(load_policy(run.path), tmp_path / f"policy{suffix}").read_bytes()
+    parts = [content]
+    if suffix == ".pt2":
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            parts = [archive.read(name) for name in archive.namelist()]
+    for part in parts:
+        assert b"site-packages" not in part
+        assert b".py" not in part
+        assert str(tmp_path).encode() not in part
+
+
+def test_the_command_writes_the_named_seed(run, tmp_path):
+    command = [sys.executable, "-m", "uavnav.export", run.path, "--seed", "5", "--out", tmp_path / "policy.onnx"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout == f"{tmp_path / 'policy.onnx'}: observation [N, 30] -> values [N, 100]\n"
+    observation = torch.rand(9, 30)
+    values = by_onnxruntime(tmp_path / "policy.onnx", observation)
+    assert (values - load_policy(run.path, seed=5).values(observation)).abs().max() <= CLOSE
+    assert (values - load_policy(run.path, seed=4).values(observation)).abs().max() > CLOSE
+
+
+def test_what_cannot_be_written_is_one_line_and_no_file(run, tmp_path, monkeypatch, capsys):
+    policy = load_policy(run.path)
+    with pytest.raises(PolicyError, match=r"policy\.pt: its suffix says what to write; choose from \.onnx, \.pt2"):
+        export_policy(policy, tmp_path / "policy.pt")
+    with pytest.raises(RunError, match=r"policy\.pt2: cannot be written"):
+        export_policy(policy, tmp_path / "nowhere" / "policy.pt2")
+    for words, line in (
+        ([run.path.parent / "nowhere"], "no policy.safetensors there; give the folder of a finished run"),
+        ([run.path, "--seed", "7"], "seed=7 is not there; choose from 4 ... 5"),
+    ):
+        assert export.main([*map(str, words), "--out", str(tmp_path / "policy.pt2")]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.startswith("uavnav.export: ")
+        assert err.endswith(f"{line}\n")
+        assert err.count("\n") == 1
+    find_spec = importlib.util.find_spec
+    monkeypatch.setattr(export, "find_spec", lambda name: None if name == "onnx" else find_spec(name))
+    with pytest.raises(PolicyError, match=r"onnx is not installed; pip install 'uavnav\[onnx\]'"):
+        export_policy(policy, tmp_path / "policy.onnx")
+    assert not list(tmp_path.iterdir())

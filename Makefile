@@ -5,7 +5,7 @@ SEEDS ?= 20
 RESULTS ?= results
 WIDE := activation=elu,gelu,selu,silu,mish,softplus,softsign,identity
 
-.PHONY: train test study initial tuned sensitivity wide baselines report layouts picture clean
+.PHONY: train test study initial tuned sensitivity wide baselines report docs layouts picture clean
 
 train: .venv/.installed
 	$(BIN)/python recipes/ppo.py activation=relu
@@ -73,7 +73,10 @@ baselines: .venv/.installed # what needs no learning, on the test sets
 
 report: .venv/.installed # the report, docs/results.md and the table of the README
 	$(BIN)/python -m uavnav.report $(RESULTS)
-	$(BIN)/python -m uavnav.report.conclusions $(RESULTS)
+	$(BIN)/python -m uavnav.report.docs $(RESULTS)
+
+docs: .venv/.installed-dev # the site, in build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/python -m uavnav.layouts --out uavnav/banks

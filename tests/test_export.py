@@ -18,6 +18,8 @@ from uavnav.networks import ACTIVATIONS
 from uavnav.policies import Policy
 from uavnav.world import World
 
+pytestmark = pytest.mark.slow  # exporters take seconds a policy: not in the quick suite
+
 CLOSE = 1e-5
 SHORT = {"n_seeds": 2, "seed": 4, "total_frames": 512, "compile": "off"}
 

@@ -25,6 +25,8 @@ from uavnav.metrics import LAST
 from uavnav.policies import FILE_NAME
 from uavnav.runs import Interrupted, Run, with_reward
 
+pytestmark = pytest.mark.slow  # many runs in processes of their own: not in the quick suite
+
 RECIPES = Path(__file__).parent.parent / "recipes"
 SHORT = {"total_frames": 1536, "frames_per_batch": 256, "epochs": 1, "n_seeds": 2, "seed": 3, "compile": "off"}
 BOTH = ["tensorboard", "wandb"]

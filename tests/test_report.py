@@ -25,7 +25,7 @@ from uavnav.evaluate import BEHAVIOUR_COLUMNS
 from uavnav.metrics import EPISODE_COLUMNS
 from uavnav.networks import mlp
 from uavnav.policies import FILE_NAME, serialize
-from uavnav.report import SECTIONS, _write_all, conclusions, content, markdown, report
+from uavnav.report import SECTIONS, _write_all, conclusions, content, docs, markdown, report
 from uavnav.report.__main__ import main
 from uavnav.report.cells import BINS, collect, curve, label
 from uavnav.report.claims import CLAIMS, PRIMARY, audit
@@ -529,34 +529,34 @@ def test_the_readmes_block_has_a_row_a_claim(results):
         assert found(text, str(claim.number), claim.sentence) == [["undecided"]]
 
 
-BEGIN, END = conclusions.BEGIN, conclusions.END
+BEGIN, END = docs.BEGIN, docs.END
 
 
 @given(st.text(), st.text(), st.text(), st.text())
 def test_between_marks_is_the_new_text_and_around_them_the_old(before, old, new, after):
     text = f"{before}{BEGIN}\n{old}\n{END}{after}"
     if not any(mark in part for mark in (BEGIN, END) for part in (before, old, new, after)):
-        replaced = conclusions.between_marks(text, new)
+        replaced = docs.between_marks(text, new)
         assert replaced == f"{before}{BEGIN}\n{new}\n{END}{after}"
-        assert conclusions.between_marks(replaced, new) == replaced
+        assert docs.between_marks(replaced, new) == replaced
 
 
 @pytest.mark.parametrize("text", ["", "no marks", BEGIN, END, f"{END}\n{BEGIN}"])
 def test_a_text_without_marks_is_refused(text):
     with pytest.raises(RunError, match=f"README.md: has no lines {BEGIN} and {END}; put"):
-        conclusions.between_marks(text, "new")
+        docs.between_marks(text, "new")
 
 
 def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_marks(results, monkeypatch, capsys):
     monkeypatch.chdir(results.parent)
     Path("docs").mkdir()
     Path("README.md").write_text("# Title\n")
-    assert conclusions.main([]) == 2
-    assert capsys.readouterr().err.startswith("uavnav.report.conclusions: README.md: has no lines")
+    assert docs.main([]) == 2
+    assert capsys.readouterr().err.startswith("uavnav.report.docs: README.md: has no lines")
     assert not Path("docs/results.md").exists()
     Path("README.md").write_text(f"# Title\n{BEGIN}\nold\n{END}\nrest\n")
-    assert conclusions.main(["results"]) == 0
+    assert docs.main(["results"]) == 0
     gathered = gather([Path("results")])
     assert Path("docs/results.md").read_text() == conclusions.results(gathered)
     assert Path("README.md").read_text() == f"# Title\n{BEGIN}\n{conclusions.summary(gathered)}\n{END}\nrest\n"
-    assert conclusions.main(["nowhere"]) == 2
+    assert docs.main(["nowhere"]) == 2

@@ -20,6 +20,8 @@ from uavnav.runs import Run
 
 Rows = list[list[str]]
 NOTHING = "–"
+MANY = 10_000
+"""Seeds of which more is as good as never."""
 
 
 def number(value: float, digits: int = 2) -> str:
@@ -61,7 +63,7 @@ def said(finding: Finding) -> str:
     if not finding.n:
         return "undecided (no runs)"
     needed = NOTHING if math.isnan(finding.needed) else f"about {finding.needed:,.0f} seeds needed"
-    needed = "no number of seeds would do" if math.isinf(finding.needed) else needed
+    needed = f"more than {MANY:,} seeds needed" if finding.needed > MANY else needed
     return f"undecided (n = {finding.n}" + ("" if needed == NOTHING else f", {needed}") + ")"
 
 

@@ -1,0 +1,55 @@
+"""What the site does beyond MkDocs: equations without a script, and links to files that are not pages.
+
+The pages stay plain Markdown, which a forge shows too.
+"""
+
+from __future__ import annotations
+
+import html
+import logging
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+
+log = logging.getLogger("mkdocs.hooks.uavnav")
+
+EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+PRIME = re.compile(r"<msup>(<mi>\w</mi>)<mi>&#x02032;</mi></msup>")
+PRIME_AND_INDEX = re.compile(r"<msubsup>(<mi>\w</mi>)(<mi>\w</mi>)<mi>&#x02032;</mi></msubsup>")
+PRIMED = r'<mrow>\1<mo form="postfix" lspace="0" rspace="0">&#x02032;</mo></mrow>'
+"""A prime at the size of a superscript would be a dot."""
+GENERATED = "results/"
+"""What `make study` and `make report` write is not there before them."""
+LINK = re.compile(r"(?<!!)\[([^\]\n]+)\]\((\.\./[^)#\s]+)\)")
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
+    """Links to files outside of docs/ become their paths in the repository; a file that is missing is a warning."""
+    root = Path(config.config_file_path).parent
+
+    def path_of(link: re.Match[str]) -> str:
+        text, target = link.groups()
+        path = os.path.relpath(root / "docs" / Path(page.file.src_uri).parent / target, root)
+        if path.startswith("docs/"):
+            return link[0]
+        if not (root / path).exists() and not path.startswith(GENERATED):
+            log.warning("%s links to %s, which is not in the repository", page.file.src_uri, path)
+        return text if path in text or f"{path}/" in text else f"{text} (`{path}`)"
+
+    return LINK.sub(path_of, markdown)
+
+
+def on_page_content(html_of_page: str, **_: Any) -> str:
+    """TeX that arithmatex has marked becomes MathML, which browsers show by themselves."""
+
+    def mathml(found: re.Match[str]) -> str:
+        tex = html.unescape(found[2]).strip()
+        block = found[1] == "div"
+        written = convert(tex, display="block" if block else "inline")
+        written = PRIME_AND_INDEX.sub(rf"<msub>{PRIMED}\2</msub>", PRIME.sub(PRIMED, written))
+        return f'<div class="equation">{written}</div>' if block else written
+
+    return EQUATION.sub(mathml, html_of_page)

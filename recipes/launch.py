@@ -8,9 +8,9 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # let errors come here, to be said in one line
 
@@ -24,15 +24,26 @@ from uavnav.config import ConfigError, TrainConfig, unknown, unknown_key
 from uavnav.display import evaluation_summary, print_table, report
 from uavnav.evaluate import evaluate_run
 from uavnav.layouts import LayoutError
-from uavnav.loggers import chosen
+from uavnav.loggers import NONE, chosen
 from uavnav.policies import PolicyError
-from uavnav.runs import Interrupted, Recorder, Run, RunError, default_folder
+from uavnav.runs import LOG_FOLDERS, Interrupted, Recorder, Run, RunError, default_folder
 
 HERE = ("out", "overwrite", "checkpoint_seconds", "evaluate", "logger")
 """The keys of the recipes themselves; all others are fields of the algorithm's configuration."""
 
 SHOWS = {"--cfg", "-c", "--info", "-i", "--help", "-h"}
 """Flags of Hydra that show something and run nothing."""
+
+HELP = """{what}
+These have names for values; {config} and {yaml} say more of each key.
+
+{choices}
+
+Everything, as these arguments set it:
+
+$CONFIG
+Flags besides -m: --cfg job shows the settings and runs nothing; --hydra-help lists Hydra's own.
+"""
 
 ERRORS = (ConfigError, LayoutError, PolicyError, RunError)
 
@@ -43,6 +54,8 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
     for name, preset in presets.items():
         store.store(group="preset", name=name, node=asdict(preset), package="_global_")
     kind = type(next(iter(presets.values())))
+    help = {"app_name": algorithm, "header": "", "footer": "", "template": _help(algorithm, presets)}
+    store.store(group="hydra/help", name="recipe", node=help)
     folders: set[Path] = set()
 
     def parse(settings: DictConfig) -> tuple[TrainConfig, Path, dict[str, Any]]:
@@ -84,7 +97,7 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
     warnings.formatwarning = lambda message, *where, **more: f"{algorithm}: {message}\n"
     with tempfile.TemporaryDirectory() as scratch:  # where Hydra may keep its own notes of a sweep
         os.environ["UAVNAV_SCRATCH"] = scratch
-        arguments = sys.argv[1:]
+        arguments = [*sys.argv[1:], *(["hydra/help=recipe"] if {"--help", "-h"} & set(sys.argv) else [])]
         try:
             if {"-m", "--multirun"} & set(arguments) and not SHOWS & set(arguments):
                 _compose(algorithm, check, [*arguments, "hydra/launcher=basic"])
@@ -98,6 +111,23 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
             sys.exit(f"{algorithm}: {_one_line(error, presets)}")
         except KeyboardInterrupt:
             sys.exit(130)
+
+
+def _help(algorithm: str, presets: Mapping[str, TrainConfig]) -> str:
+    """The recipe's help, as a template of Hydra's: its own docstring, and the choices of each key that has some."""
+    kind = type(next(iter(presets.values())))
+    choices: dict[str, Any] = {"preset": presets, "logger": (*LOG_FOLDERS, NONE)}
+    for item in fields(kind):
+        hint = get_type_hints(kind)[item.name]
+        named = get_args(hint) if get_origin(hint) is Literal else item.metadata.get("choices")
+        choices |= {item.name: named} if named else {}
+    lines = [f"  {key:14} {', '.join(sorted(named))}" for key, named in choices.items()]
+    return HELP.format(
+        what=sys.modules["__main__"].__doc__ or "",
+        config=f"uavnav/{algorithm}.py",
+        yaml=f"recipes/conf/{algorithm}.yaml",
+        choices="\n".join(lines),
+    )
 
 
 class _Stop(BaseException):

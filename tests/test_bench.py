@@ -324,7 +324,7 @@ def test_measurements_that_would_end_too_late_are_left_out_and_named(tmp_path):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--only", "wrld"], "'world'"),
+        (["--only", "wrld"], "(did you mean world?)"),
         (["--parity", "--only", "world"], "leave it out with --parity"),
         (["--parity", "--growth"], "not allowed with"),
         (["--quik"], "--quik"),

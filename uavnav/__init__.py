@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from uavnav.choices import did_you_mean
+
 if TYPE_CHECKING:
     from uavnav import (
         baselines,
@@ -112,7 +114,8 @@ def __getattr__(name: str) -> Any:
         return getattr(importlib.import_module(f"uavnav.{_HOMES[name]}"), name)
     if name in _MODULES:
         return importlib.import_module(f"uavnav.{name}")
-    raise AttributeError(f"module 'uavnav' has no attribute {name!r}; it has {', '.join(__all__)}")
+    choices = f"{', '.join(__all__)}{did_you_mean(name, __all__)}"
+    raise AttributeError(f"module 'uavnav' has no attribute {name!r}; it has {choices}")
 
 
 def __dir__() -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import types
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, fields
@@ -10,6 +9,7 @@ from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_
 
 import torch
 
+from uavnav.choices import choose_from
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.rewards import REWARDS
 from uavnav.world import World
@@ -24,18 +24,12 @@ class ConfigError(ValueError):
 
 def unknown(name: str, value: object, choices: Collection[str]) -> ConfigError:
     """The error for a value that is not among the choices, with the nearest one suggested."""
-    return ConfigError(f"{name}={value!s}; {_choose_from(value, choices)}")
+    return ConfigError(f"{name}={value!s}; {choose_from(value, choices)}")
 
 
 def unknown_key(key: str, choices: Collection[str]) -> ConfigError:
     """The error for a key that is not among the choices, with the nearest one suggested."""
-    return ConfigError(f"there is no key {key!r}; {_choose_from(key, choices)}")
-
-
-def _choose_from(value: object, choices: Collection[str]) -> str:
-    near = difflib.get_close_matches(str(value), choices, n=1)
-    hint = f" (did you mean {near[0]}?)" if near else ""
-    return f"choose from {', '.join(sorted(choices))}{hint}"
+    return ConfigError(f"there is no key {key!r}; {choose_from(key, choices)}")
 
 
 def one_of(default: str, choices: Collection[str]) -> Any:

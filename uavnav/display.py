@@ -1,11 +1,13 @@
-"""What a run shows on the terminal: its progress, and at the end its six metrics beside the paper's."""
+"""What a run shows on the terminal: what it will do, its progress, and at the end its metrics beside the paper's."""
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import pandas as pd
 from rich.console import Console
@@ -16,6 +18,20 @@ from uavnav import paper
 from uavnav.config import TrainConfig
 from uavnav.metrics import LAST, METRICS, finished, last_episodes, per_seed
 from uavnav.runs import Run
+
+MICROSECONDS = {
+    ("ppo", True): (36.2, 29.6),
+    ("ppo", False): (408.0, 29.6),
+    ("dqn", True): (35.7, 33.0),
+    ("dqn", False): (407.0, 33.0),
+}
+"""Of a frame of every seed of a process, compiled or not: a part that seeds share, and one for each of them.
+
+Solved from docs/benchmarks.md: 1 seed, and 10 in two processes, make 15,207 and 54,315 frames/s with PPO, 14,552 and
+49,770 with DQN; one seed that is not compiled 2,281 and 2,272.
+"""
+COMPILATION = "5 s, or 20 to 40 s the first time"
+"""How long it takes, from the same place."""
 
 
 class Display:
@@ -32,7 +48,7 @@ class Display:
         quiet: bool,
         tell: Callable[[int, list[float]], None] | None = None,
     ) -> None:
-        self._tell = tell
+        self._algorithm, self._config, self._quiet, self._tell = algorithm, config, quiet, tell
         self._progress = Progress(
             TextColumn(f"{algorithm} {config.activation}"),
             BarColumn(bar_width=12),
@@ -40,6 +56,7 @@ class Display:
             TimeRemainingColumn(),
             TextColumn("left, reward {task.fields[reward]}"),
             disable=quiet,
+            console=_console(),
         )
         self._task = self._progress.add_task("", total=total_frames, done="-", rate="-", reward="-")
 
@@ -56,6 +73,16 @@ class Display:
             self._progress.live.transient = True
             self._progress.live.stop()
 
+    def begin(self, path: Path, facts: Mapping[str, Any], until: int | None = None) -> None:
+        """Say, before the first frame, what the run does, how, and about how long that takes.
+
+        path: of its folder; facts: what its meta.json says of `compiled`, `processes` and `threads`; until: stop there.
+        """
+        if not self._quiet:
+            frames = int(self._progress.tasks[0].total or 0)
+            for line in opening(self._algorithm, self._config, min(frames, until or frames), path, facts):
+                self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
+
     def update(self, frames: int, rewards: list[float]) -> None:
         """frames: per seed so far; rewards: each seed's mean over its last 100 episodes."""
         task = self._progress.tasks[0]
@@ -64,6 +91,37 @@ class Display:
         self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=_with_spread(rewards, 1))
         if self._tell is not None:
             self._tell(frames, rewards)
+
+
+def opening(algorithm: str, config: TrainConfig, frames: int, path: Path, facts: Mapping[str, Any]) -> tuple[str, str]:
+    """What a run does and where it goes; how, and about how long it takes. Arguments as of `Display.begin`."""
+    first, last = config.seeds[0], config.seeds[-1]
+    seeds, each = (f"seed {first}", "") if first == last else (f"{config.n_seeds} seeds ({first} to {last})", " each")
+    worlds = f"{config.n_worlds} parallel world{'' if config.n_worlds == 1 else 's'}"
+    what = f"{algorithm} {config.activation}, preset {config.preset}: {seeds}, {frames:,} frames{each} in {worlds}"
+    n, threads = facts.get("processes", 1), facts["threads"]
+    spread = f"{n} process{'' if n == 1 else 'es'} of {threads} thread{'' if threads == 1 else 's'}"
+    how = f"compiled (takes {COMPILATION})" if facts["compiled"] else "not compiled"
+    took = seconds(algorithm, config, frames, n, facts["compiled"])
+    long = (
+        "the bar tells how long" if took is None else f"about {_rounded(took)} on the two cores of docs/benchmarks.md"
+    )
+    return f"{what}, into {path}", f"{how}, {spread}: {long}"
+
+
+def seconds(algorithm: str, config: TrainConfig, frames: int, processes: int, compiled: bool) -> float | None:
+    """How long training takes, as measured with the preset `paper` on two cores; None for what was not measured."""
+    usual = type(config)(n_seeds=config.n_seeds)
+    if config.beyond(usual) or config.n_worlds != usual.n_worlds or config.device != usual.device:
+        return None
+    shared, each = MICROSECONDS[algorithm, compiled]
+    return 1e-6 * frames * (shared + each * -(-config.n_seeds // processes))
+
+
+def _rounded(took: float) -> str:
+    if took < 90:
+        return f"{max(10, round(took, -1)):.0f} s"
+    return f"{took / 60:.0f} min" if took < 90 * 60 else f"{took / 3600:.0f} h"
 
 
 def summary(run: Run) -> Table:
@@ -128,6 +186,11 @@ def report(run: Run) -> None:
 def print_table(table: Table) -> None:
     """Print a table on the terminal."""
     Console().print(table)
+
+
+def _console() -> Console:
+    """The terminal; in a notebook without ipywidgets plain text, where rich would warn at every step of a bar."""
+    return Console(force_jupyter=None if find_spec("ipywidgets") else False)
 
 
 def _cell(values: pd.Series[float], digits: int) -> str:

@@ -291,6 +291,7 @@ def train(
             compiled=compile, threads=torch.get_num_threads(), beyond_preset=config.beyond(PRESETS[config.preset])
         )
         frames = recorder.resume(parts, buffer)
+        display.begin(recorder.path, recorder.meta, until)
         if frames:
             collector._carrier = env.root()  # the collector has no public way to go on from there
             policy.epsilon.fill_(config.epsilon(frames))

@@ -6,7 +6,6 @@ whatever else flies (scripted baselines, zips of Stable-Baselines3), whose rows 
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from torch import Tensor
 from uavnav import compiling, policies, simulator
 from uavnav import layouts as banks
 from uavnav.baselines import BASELINES, AnyPolicy
+from uavnav.choices import Parser, did_you_mean
 from uavnav.display import evaluation_summary, print_table
 from uavnav.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs import BEHAVIOUR, EVALUATION, Run, RunError, lock, write_table
@@ -216,7 +216,10 @@ def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
         return {"scripted": BASELINES[name]}
     if policies.is_zip(name):
         return {mode: policies.load_policy(name, greedy=mode == "greedy", activation=activation) for mode in MODES}
-    return Run(name)
+    try:
+        return Run(name)
+    except RunError as error:
+        raise RunError(f"{error}{did_you_mean(name, BASELINES)}") from error
 
 
 def _rows_file(name: str, mode: str) -> str:
@@ -226,7 +229,7 @@ def _rows_file(name: str, mode: str) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Evaluate finished runs, scripted baselines or zips of Stable-Baselines3 on the test split: one row an episode."""
-    parser = argparse.ArgumentParser(prog="python -m uavnav.evaluate", description=main.__doc__)
+    parser = Parser(prog="python -m uavnav.evaluate", description=main.__doc__)
     parser.add_argument(
         "runs", nargs="+", metavar="RUN", help=f"a run's folder, a Stable-Baselines3 .zip, or {', '.join(BASELINES)}"
     )

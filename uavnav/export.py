@@ -8,7 +8,6 @@ greedy action. Neither file holds a pickle of code, nor where it was written.
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import logging
@@ -21,6 +20,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from uavnav.choices import Parser
 from uavnav.networks import AgentLinear
 from uavnav.policies import Policy, PolicyError, load_policy
 from uavnav.runs import RunError, write_file
@@ -119,7 +119,7 @@ def _onnx(program: torch.export.ExportedProgram, facts: dict[str, str]) -> bytes
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2)."""
-    parser = argparse.ArgumentParser(prog="python -m uavnav.export", description=main.__doc__)
+    parser = Parser(prog="python -m uavnav.export", description=main.__doc__)
     parser.add_argument("run", metavar="RUN", help="a run's folder, its policy file, or a zip of Stable-Baselines3")
     parser.add_argument("--seed", type=int, help="which training seed (default: the first)")
     parser.add_argument("--activation", help="of a zip's hidden layers, which its weights do not tell")

@@ -6,7 +6,6 @@ made. `python -m uavnav.layouts` writes the two that ship with the package, or o
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import os
@@ -20,6 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialize
 from torch import Tensor
 
+from uavnav.choices import Parser, did_you_mean
 from uavnav.world import VERSION, World
 
 DEFAULT_K = 8
@@ -119,7 +119,8 @@ def read(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     """The bank and its header; raises as `load` does."""
     path = Path(__file__).parent / "banks" / f"{layouts}.safetensors" if layouts in SPLITS else Path(layouts)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
-        raise LayoutError(f"layouts={str(layouts)!r}: no such bank; choose from {', '.join(SPLITS)} or a file's path")
+        choices = f"{', '.join(SPLITS)} or a file's path{did_you_mean(layouts, SPLITS)}"
+        raise LayoutError(f"layouts={str(layouts)!r}: no such bank; choose from {choices}")
     try:
         with safe_open(path, framework="pt") as file:
             header = file.metadata() or {}
@@ -206,7 +207,7 @@ def _checksum(bank: Tensor) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Generate banks, or check that files are what their headers say."""
-    parser = argparse.ArgumentParser(prog="python -m uavnav.layouts", description=main.__doc__)
+    parser = Parser(prog="python -m uavnav.layouts", description=main.__doc__)
     parser.add_argument("--out", type=Path, default=Path("banks"), help="folder for the banks (default: banks)")
     parser.add_argument("--split", choices=[*SPLITS, "both"], default="both", help="which bank to write")
     parser.add_argument("--k", type=int, default=DEFAULT_K, help="obstacles per set, 0 for an empty arena")

@@ -14,6 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from uavnav.choices import choose_from
+
 ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "relu": F.relu,  # eq. (5)
     "leaky_relu": F.leaky_relu,  # eq. (6), slope 0.01
@@ -73,7 +75,7 @@ class Activation(nn.Module):
     def __init__(self, name: str) -> None:
         super().__init__()
         if name not in ACTIVATIONS:
-            raise ValueError(f"activation={name!r}; choose from {', '.join(sorted(ACTIVATIONS))}")
+            raise ValueError(f"activation={name!r}; {choose_from(name, ACTIVATIONS)}")
         self.name = name
 
     def forward(self, x: Tensor) -> Tensor:

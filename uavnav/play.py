@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from uavnav import game as rules
 from uavnav import hud
+from uavnav.choices import Parser
 from uavnav.compiling import use_threads
 from uavnav.evaluate import MAX_STEPS
 from uavnav.game import BANK, KEYS, MOUSE, ROWS, Game
@@ -128,7 +129,7 @@ def keys() -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Fly a drone with the keyboard, or watch policies fly it, in a window."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m uavnav.play",
         description=main.__doc__,
         epilog=keys(),

@@ -17,6 +17,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
+from uavnav.choices import choose_from
 from uavnav.config import SWITCHES, TrainConfig
 from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.rewards import REWARDS
@@ -152,7 +153,7 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         ("algorithm", algorithm, ALGORITHMS),
     ):
         if value not in list(choices):
-            raise PolicyError(f"{path}: unknown {name} {value!r}; choose from {', '.join(sorted(choices))}")
+            raise PolicyError(f"{path}: unknown {name} {value!r}; {choose_from(value, choices)}")
     if not seeds:
         raise PolicyError(f"{path}: holds no seed; give the policy of a finished run")
     seed = seeds[0] if seed is None else seed
@@ -197,7 +198,6 @@ SB3_OTHERS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.q_net.")
 
 def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
     """The policy in a zip of Stable-Baselines3."""
-    choices = ", ".join(sorted(ACTIVATIONS))
     if not os.path.isfile(path):
         raise PolicyError(f"{path}: no such file; give what model.save of PPO or DQN wrote")
     tensors = _sb3_tensors(path)
@@ -206,9 +206,10 @@ def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
     world = World()
     _check_sizes(path, sizes[0], sizes[-1], world)
     if activation is None:
+        choices = ", ".join(sorted(ACTIVATIONS))
         raise PolicyError(f"{path}: its weights do not tell the activation; give activation=..., one of {choices}")
     if activation not in ACTIVATIONS:
-        raise PolicyError(f"{path}: unknown activation {activation!r}; choose from {choices}")
+        raise PolicyError(f"{path}: unknown activation {activation!r}; {choose_from(activation, ACTIVATIONS)}")
     network = mlp(sizes, activation, [torch.Generator()], "default")
     for index, (weight, bias) in enumerate(layers):
         if not (weight.isfinite().all() and bias.isfinite().all()):

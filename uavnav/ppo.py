@@ -262,6 +262,7 @@ def train(
             compiled=compile, threads=torch.get_num_threads(), beyond_preset=config.beyond(PRESETS[config.preset])
         )
         frames = recorder.resume(parts)
+        display.begin(recorder.path, recorder.meta, until)
         if frames:
             collector._carrier = env.root()  # the collector has no public way to go on from there
         began = time.perf_counter()

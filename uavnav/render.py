@@ -25,6 +25,7 @@ from torch import Tensor
 from uavnav import compiling, policies, simulator
 from uavnav import layouts as banks
 from uavnav.baselines import BASELINES, AnyPolicy
+from uavnav.choices import Parser, did_you_mean
 from uavnav.dynamics import direction
 from uavnav.sensing import sense
 from uavnav.simulator import UP, State
@@ -173,7 +174,10 @@ def load_pilots(words: Sequence[str], seed: int | None = None, sampled: bool = F
         if word in BASELINES:
             pilots.append(Pilot(word, BASELINES[word], World()))
         else:
-            policy = policies.load_policy(word, seed, greedy=not sampled)
+            try:
+                policy = policies.load_policy(word, seed, greedy=not sampled)
+            except policies.PolicyError as error:
+                raise policies.PolicyError(f"{error}{did_you_mean(word, BASELINES)}") from error
             pilots.append(Pilot("/".join(Path(word).resolve().parts[-2:]), policy, policy.world))
     return pilots
 
@@ -358,7 +362,7 @@ RUN_HELP = f"a run's folder, or {', '.join(BASELINES)}"
 
 def main(argv: list[str] | None = None) -> int:
     """Draw flights of policies on the same set of obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
-    parser = argparse.ArgumentParser(prog="python -m uavnav.render", description=main.__doc__)
+    parser = Parser(prog="python -m uavnav.render", description=main.__doc__)
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN_HELP)
     parser.add_argument(
         "--out", type=Path, default=Path("flight.gif"), help="an .mp4, .gif or .png file (default: flight.gif)"

@@ -93,6 +93,7 @@ def spread(check: Callable[[Any], None] | None = None) -> Callable[[Callable[...
                     beyond = config.beyond(module.PRESETS[config.preset])
                     with recorder, Display(module.ALGORITHM, config, config.total_frames, quiet, tell) as display:
                         recorder.note(compiled=compile, threads=1, processes=n, beyond_preset=beyond)
+                        display.begin(folder, recorder.meta, until)
                         shares = Shares(recorder, config, n, checkpoint_seconds, until, log)
                         with contextlib.closing(shares.progress()) as steps:
                             for frames, rewards in steps:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from uavnav.choices import did_you_mean
 from uavnav.dynamics import decode, move
 from uavnav.rewards import REWARDS
 from uavnav.sensing import sense
@@ -56,7 +57,7 @@ def check_rules(reward: str, max_steps: int | None) -> None:
         ValueError: naming the choices.
     """
     if reward not in REWARDS:
-        raise ValueError(f"reward={reward!r}; choose from {', '.join(REWARDS)}")
+        raise ValueError(f"reward={reward!r}; choose from {', '.join(REWARDS)}{did_you_mean(reward, REWARDS)}")
     if max_steps is not None and (not isinstance(max_steps, int) or max_steps < 1):
         raise ValueError(f"max_steps={max_steps}; choose None or a whole number from 1")
 

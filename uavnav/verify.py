@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 
 from uavnav import dqn, policies, ppo, shares
+from uavnav.choices import Parser, choose_from
 from uavnav.config import ConfigError, TrainConfig
 from uavnav.layouts import LayoutError
 from uavnav.runs import Interrupted, Run, RunError
@@ -79,8 +79,8 @@ def _recipe(run: Run) -> tuple[Any, Any]:
         dqn.ALGORITHM: (dqn.DQNConfig, dqn.train),
     }
     if run.algorithm not in algorithms:
-        choices = ", ".join(algorithms)
-        raise RunError(f"{run.path / 'config.yaml'}: algorithm={run.algorithm}; choose from {choices}")
+        choices = choose_from(run.algorithm, algorithms)
+        raise RunError(f"{run.path / 'config.yaml'}: algorithm={run.algorithm}; {choices}")
     kind, train = algorithms[run.algorithm]
     try:
         return kind.from_mapping(run.config), train
@@ -160,7 +160,7 @@ def _differing(there: dict[str, Any], here: dict[str, Any]) -> list[tuple[str, A
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit."""
-    parser = argparse.ArgumentParser(prog="python -m uavnav.verify", description=main.__doc__)
+    parser = Parser(prog="python -m uavnav.verify", description=main.__doc__)
     parser.add_argument("run", type=Path, metavar="RUN", help="a finished run's folder")
     parser.add_argument("--frames", type=int, help="repeat only the first so many frames per seed")
     arguments = parser.parse_args(argv)

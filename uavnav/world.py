@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_type_hints
 
+from uavnav.choices import did_you_mean
+
 VERSION = "1"
 """Version of the world's semantics and of the distribution of obstacles; written into every bank, run and policy."""
 
@@ -50,7 +52,8 @@ class World:
             choices = get_args(hints[field.name])
             value: Any = getattr(self, field.name)
             if choices and value not in choices:
-                raise ValueError(f"{field.name}={value!r}; choose from {', '.join(choices)}")
+                hint = did_you_mean(value, choices)
+                raise ValueError(f"{field.name}={value!r}; choose from {', '.join(choices)}{hint}")
         if self.border <= 0 or self.width % self.border or self.height % self.border:
             raise ValueError(f"border={self.border} must divide width={self.width} and height={self.height}")
         if min(self.width, self.height) // self.border < self.sensed_squares_of_a_wall + 2:

@@ -8,7 +8,6 @@ interleaved over several rounds, and medians and ratios of the same round are wh
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import os
 import shutil
@@ -17,7 +16,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
 
 import pandas as pd
 from rich.console import Console
@@ -41,6 +39,7 @@ from uavnav.bench.report import (
     write_file,
     write_sections,
 )
+from uavnav.choices import Parser
 
 MINUTES = {"full": 26.0, "quick": 2.8}
 BATCHES = [1, 16, 256, 1024, 4096, 16_384, 32_768]
@@ -315,14 +314,9 @@ FLAGS: dict[str, Callable[[Runner, Path], dict[str, list[str]]]] = {
 # -- the command ------------------------------------------------------------------------------------------------------
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"uavnav.bench: {message}\n")
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure the world, training and its peers on this machine, and write it down; half an hour."""
-    parser = _Parser(prog="python -m uavnav.bench", description=main.__doc__)
+    parser = Parser(prog="python -m uavnav.bench", description=main.__doc__)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--quick", action="store_true", help="a first impression, in at most 3 minutes")
     for flag, function in FLAGS.items():

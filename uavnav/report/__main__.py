@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 
+from uavnav.choices import Parser
 from uavnav.report import report
 from uavnav.report.cells import one_line
 from uavnav.runs import RunError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write report.md: the paper's tables beside ours in every reading, learning curves, and how runs were made."""
-    parser = argparse.ArgumentParser(prog="python -m uavnav.report", description=main.__doc__)
+    """Write report.html: verdicts on the paper's claims, its tables beside ours, figures, statistics, replays."""
+    parser = Parser(prog="python -m uavnav.report", description=main.__doc__)
     parser.add_argument("folders", nargs="*", default=["results"], metavar="FOLDER", help="of runs (default: results)")
     parser.add_argument("--out", metavar="DIR", help="where the report goes (default: the first FOLDER)")
     arguments = parser.parse_args(argv)

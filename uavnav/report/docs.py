@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from uavnav.choices import Parser
 from uavnav.report.conclusions import results, summary
 from uavnav.report.content import gather
 from uavnav.runs import RunError
@@ -32,7 +32,7 @@ def between_marks(text: str, new: str) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write docs/results.md and the README's table from the runs in a folder."""
-    parser = argparse.ArgumentParser(prog="python -m uavnav.report.docs", description=main.__doc__)
+    parser = Parser(prog="python -m uavnav.report.docs", description=main.__doc__)
     parser.add_argument("folder", nargs="?", default="results", metavar="FOLDER", help="of runs (default: results)")
     arguments = parser.parse_args(argv)
     try:

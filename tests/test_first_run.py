@@ -1,0 +1,255 @@
+"""What one meets first: the list of commands, their help, names spelt wrongly, what a run says, and no warnings."""
+
+import argparse
+import ast
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import uavnav
+from uavnav import __main__ as listing
+from uavnav import display
+from uavnav.choices import Parser
+from uavnav.dqn import DQNConfig
+from uavnav.ppo import PPOConfig
+
+PACKAGE = Path(uavnav.__file__).parent
+RECIPES = PACKAGE.parent / "recipes"
+
+
+def python(*words, cwd, **environment):
+    return subprocess.run(
+        [sys.executable, *map(str, words)],
+        cwd=cwd,
+        env={**os.environ, "COLUMNS": "100", **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+# -- python -m uavnav ------------------------------------------------------------------------------------------------
+
+
+def test_python_m_uavnav_lists_every_command_by_its_own_first_line(capsys):
+    assert listing.main([]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out.startswith(f"uavnav {uavnav.__version__}: ")
+    for name in listing.COMMANDS:
+        main = importlib.import_module(listing.module_of(name)).main
+        (line,) = [line for line in out.splitlines() if line.split()[:3] == ["python", "-m", f"uavnav.{name}"]]
+        assert line.endswith(main.__doc__.partition("\n")[0])
+    for name in listing.TRAINING:
+        assert f"python recipes/{name}.py" in out
+    assert "README.md" in out
+
+
+def test_without_the_repository_training_is_a_call(monkeypatch, tmp_path):
+    monkeypatch.setattr(listing, "RECIPES", tmp_path / "recipes")
+    assert "  uavnav.ppo.train(...)      Train one agent a seed and keep the run in a folder.\n" in listing.listing()
+    assert str(PACKAGE.parent) not in listing.listing()
+
+
+def test_the_list_holds_each_module_that_is_a_command():
+    modules = {path.stem: path for path in PACKAGE.glob("*.py")}
+    modules |= {path.parent.name: path for path in PACKAGE.glob("*/__main__.py")}
+    commands = {name for name, path in modules.items() if "\nif __name__ ==" in path.read_text()} - {"__main__"}
+    assert sorted(listing.COMMANDS) == sorted(commands)
+
+
+def test_listing_imports_no_torch_and_no_pandas(tmp_path):
+    code = "import sys; from uavnav import __main__ as m; m.main([]); print({'torch', 'pandas'} & set(sys.modules))"
+    assert python("-c", code, cwd=tmp_path).stdout.endswith("\nset()\n")
+
+
+@pytest.mark.parametrize("words", [["evalute"], ["evalute", "runs/ppo/tanh"]])
+def test_an_unknown_command_is_one_line_with_the_nearest_and_status_2(words, capsys):
+    assert listing.main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("uavnav: there is no command 'evalute'; choose from bench, evaluate, ")
+    assert err.endswith("(did you mean evaluate?)\n")
+    assert err.count("\n") == 1
+
+
+def test_a_command_after_uavnav_runs_with_the_words_after_it(capsys):
+    assert listing.main(["layouts", "--check", "test"]) == 0
+    assert capsys.readouterr().out.startswith("test: 1000 sets of 8 obstacles")
+
+
+# -- help ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", listing.COMMANDS)
+def test_the_help_of_a_command_says_what_it_does_and_explains_each_argument(name, monkeypatch):
+    class Stop(Exception):
+        pass
+
+    def stop(parser, *words):
+        raise Stop(parser)
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop)
+    monkeypatch.setattr(Parser, "parse_args", stop)
+    main = importlib.import_module(listing.module_of(name)).main
+    with pytest.raises(Stop) as caught:
+        main([])
+    parser = caught.value.args[0]
+    assert parser.prog == f"python -m uavnav.{name}"
+    assert parser.description == main.__doc__
+    for action in parser._actions:
+        assert action.help, action.option_strings or action.dest
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
+def test_the_help_of_a_recipe_is_its_docstring_with_every_choice_and_setting(algorithm, tmp_path):
+    result = python(RECIPES / f"{algorithm}.py", "--help", "activation=relu", cwd=tmp_path)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout.startswith(ast.get_docstring(ast.parse((RECIPES / f"{algorithm}.py").read_text())))
+    assert "  reward         additive, eq14, initial\n" in result.stdout
+    assert "\nactivation: relu\n" in result.stdout
+    assert not list(tmp_path.iterdir())
+
+
+# -- names spelt wrongly ---------------------------------------------------------------------------------------------
+
+WORDS = [
+    ("layouts --split trian", "argument --split: trian: choose from both, test, train (did you mean train?)"),
+    ("layouts --slpit train", "there is no argument --slpit (did you mean --split?)"),
+    (
+        "layouts --check tset",
+        "layouts='tset': no such bank; choose from train, test or a file's path (did you mean test?)",
+    ),
+    ("evaluate reactiv", "reactiv: no such run folder; give a run's folder (did you mean reactive?)"),
+    ("evaluate random --epsiodes 3", "there is no argument --epsiodes (did you mean --episodes?)"),
+    (
+        "render reactiv",
+        "reactiv: no policy.safetensors there; give the folder of a finished run (did you mean reactive?)",
+    ),
+    (
+        "play reactiv",
+        "reactiv: no policy.safetensors there; give the folder of a finished run (did you mean reactive?)",
+    ),
+    ("bench --only trainig", "argument --only: trainig: choose from compile, "),
+    ("verify --frame=3x run", "argument --frames: invalid int value: '3x'"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), WORDS)
+def test_a_misspelt_word_is_one_line_that_names_the_nearest_and_status_2(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name, *rest = words.split()
+    try:
+        status = listing.main([name, *rest])
+    except SystemExit as stop:
+        status = stop.code
+    out, err = capsys.readouterr()
+    assert (status, out) == (2, "")
+    assert err.startswith(f"uavnav.{name}: {message}")
+    assert err.count("\n") == 1
+    assert "training" in err or "trainig" not in words
+    assert not list(tmp_path.iterdir())
+
+
+CALLS = {
+    "reward='eq41'; .*did you mean eq14": lambda: uavnav.DroneEnv(reward="eq41"),
+    "slots='nearst'; .*did you mean nearest": lambda: uavnav.World(slots="nearst"),
+    "activation='rleu'; .*did you mean relu": lambda: uavnav.networks.Activation("rleu"),
+    "layouts='trian'.*did you mean train": lambda: uavnav.layouts.load("trian"),
+    "no attribute 'evaluate_polcy'.*did you mean evaluate_policy": lambda: uavnav.evaluate_polcy,
+    "preset=fats; .*did you mean fast": lambda: PPOConfig(preset="fats"),
+}
+
+
+@pytest.mark.parametrize("message", CALLS)
+def test_a_misspelt_name_in_python_is_answered_with_the_nearest(message):
+    with pytest.raises((ValueError, AttributeError), match=message):
+        CALLS[message]()
+
+
+# -- what a run says -------------------------------------------------------------------------------------------------
+
+RATES = {("ppo", 1): 15_207, ("ppo", 10): 54_315, ("dqn", 1): 14_552, ("dqn", 10): 49_770}
+"""Frames/s of all seeds together, compiled, as docs/benchmarks.md has them."""
+
+
+@pytest.mark.parametrize(("algorithm", "n_seeds"), RATES)
+def test_the_estimate_gives_the_measured_rates_back(algorithm, n_seeds):
+    config = {"ppo": PPOConfig, "dqn": DQNConfig}[algorithm](n_seeds=n_seeds)
+    found = display.seconds(algorithm, config, 1_000_000, processes=min(n_seeds, 2), compiled=True)
+    assert found == pytest.approx(1_000_000 * n_seeds / RATES[algorithm, n_seeds], rel=0.01)
+    assert f"{RATES[algorithm, n_seeds]:,}" in (PACKAGE.parent / "docs" / "benchmarks.md").read_text()
+
+
+@pytest.mark.parametrize("given", [{"preset": "fast"}, {"epochs": 3}, {"n_worlds": 32}, {"hidden": (256, 256)}])
+def test_there_is_no_estimate_of_what_was_not_measured(given, tmp_path):
+    config = PPOConfig(**given)
+    assert display.seconds("ppo", config, 1_000_000, processes=1, compiled=True) is None
+    _, how = display.opening("ppo", config, 1_000_000, tmp_path, {"compiled": True, "threads": 1})
+    assert how.endswith("1 process of 1 thread: the bar tells how long")
+
+
+def test_a_run_says_what_it_does_how_and_about_how_long():
+    facts = {"compiled": True, "processes": 2, "threads": 1}
+    what, how = display.opening("ppo", PPOConfig(n_seeds=10, seed=5), 1_001_472, Path("runs/ppo/tanh"), facts)
+    assert what == (
+        "ppo tanh, preset paper: 10 seeds (5 to 14), 1,001,472 frames each in 16 parallel worlds, into runs/ppo/tanh"
+    )
+    assert how == (
+        "compiled (takes 5 s, or 20 to 40 s the first time), 2 processes of 1 thread: about 3 min on the two cores of"
+        " docs/benchmarks.md"
+    )
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+@pytest.mark.parametrize("quiet", [False, True])
+def test_training_opens_with_these_lines_unless_it_is_quiet(processes, quiet, tmp_path, capfd):
+    config = PPOConfig(n_seeds=2, total_frames=512, n_worlds=4, frames_per_batch=512, epochs=1, compile="off")
+    uavnav.ppo.train(config, out=tmp_path / "run", quiet=quiet, processes=processes)
+    out, err = capfd.readouterr()
+    assert err == ""
+    if quiet:
+        assert out == ""
+    else:
+        first, second = out.splitlines()[:2]
+        assert first == (
+            "ppo tanh, preset paper: 2 seeds (0 to 1), 512 frames each in 4 parallel worlds, into "
+            + str(tmp_path / "run")
+        )
+        assert second.startswith(f"not compiled, {processes} process{'es' if processes > 1 else ''} of 1 thread: ")
+
+
+# -- no warnings -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_no_command_lets_a_dependency_talk(tmp_path):
+    short = ["compile=off", "total_frames=4096", "evaluate=false"]
+    small = ["--episodes", 5, "--max-steps", 50]
+    commands = [
+        [RECIPES / "ppo.py", *short, "out=runs/ppo"],
+        [RECIPES / "dqn.py", *short, "learning_starts=2000", "n_seeds=2", "out=runs/dqn"],
+        ["-m", "uavnav.evaluate", "runs/ppo", "random", *small],
+        ["-m", "uavnav.render", "runs/ppo", "reactive", "--steps", 20, "--out", "flight.gif"],
+        ["-m", "uavnav.verify", "runs/ppo", "--frames", 2048],
+        ["-m", "uavnav.export", "runs/ppo", "--out", "policy.pt2"],
+        ["-m", "uavnav.layouts", "--n", 5],
+        ["-m", "uavnav.report", "runs"],
+        ["-m", "uavnav"],
+    ]
+    if importlib.util.find_spec("onnxscript"):
+        commands.append(["-m", "uavnav.export", "runs/ppo", "--out", "policy.onnx"])
+    if importlib.util.find_spec("av"):
+        commands.append(["-m", "uavnav.render", "runs/ppo", "--steps", 20, "--out", "flight.mp4"])
+    if importlib.util.find_spec("pygame"):  # the first event closes the window
+        closing = "import pygame; from uavnav import play; show = play.show; "
+        closing += "play.show = lambda game: (show(game), pygame.event.post(pygame.event.Event(pygame.QUIT))); "
+        commands.append(["-c", closing + "raise SystemExit(play.main(['runs/ppo']))"])
+    for command in commands:
+        result = python(*command, cwd=tmp_path, SDL_VIDEODRIVER="dummy", MPLBACKEND="agg")
+        assert (result.returncode, result.stderr) == (0, ""), command
+        assert "Warning" not in result.stdout, command

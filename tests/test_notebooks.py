@@ -1,0 +1,91 @@
+"""The notebooks run from top to bottom as they are, say nothing on stderr, and define nothing that one would reuse."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+nbformat = pytest.importorskip("nbformat")
+nbclient = pytest.importorskip("nbclient")
+
+FOLDER = Path(__file__).parent.parent / "docs" / "notebooks"
+RESULTS = FOLDER.parent.parent / "results"
+PICTURES = {"1-the-world": 2, "2-train-and-watch": 3, "3-compare-and-conclude": 2, "4-your-own": 0}
+THROWAWAY = {"2-train-and-watch": {"tell"}, "4-your-own": {"gentle", "acting"}}
+
+
+def read(name):
+    return nbformat.read(FOLDER / f"{name}.ipynb", 4)
+
+
+def code(book):
+    return [cell for cell in book.cells if cell.cell_type == "code"]
+
+
+def execute(name, folder):
+    """What the cells of a notebook print and show, when it is run in a folder: the text, how many pictures."""
+    book = read(name)
+    nbclient.NotebookClient(book, timeout=300, resources={"metadata": {"path": str(folder)}}).execute()
+    outputs = [output for cell in code(book) for output in cell.outputs]
+    assert [output.text for output in outputs if output.get("name") == "stderr"] == []
+    shown = [output.get("data", {}) for output in outputs]
+    printed = [output.get("text", "") for output in outputs] + [data.get("text/html", "") for data in shown]
+    return "\n".join(printed), sum(any(kind.startswith("image/") for kind in data) for data in shown)
+
+
+def test_there_are_four_notebooks():
+    assert sorted(path.stem for path in FOLDER.glob("*.ipynb")) == sorted(PICTURES)
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_notebook_is_committed_without_outputs(name):
+    book = read(name)
+    nbformat.validate(book)
+    assert [(cell.outputs, cell.execution_count) for cell in code(book)] == [([], None)] * len(code(book))
+    assert set(book.metadata) == {"kernelspec", "language_info"}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_notebook_defines_nothing_reusable(name):
+    nodes = [node for cell in code(read(name)) for node in ast.walk(ast.parse(cell.source))]
+    defined = {node.name for node in nodes if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+    assert defined == THROWAWAY.get(name, set())
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_links_between_notebooks_lead_somewhere(name):
+    import re
+
+    for cell in read(name).cells:
+        if cell.cell_type == "markdown":
+            for target in re.findall(r"\]\(([^)]+)\)", cell.source):
+                assert (FOLDER / target).is_file(), target
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_notebook_runs_in_an_empty_folder(name, tmp_path):
+    text, pictures = execute(name, tmp_path)
+    assert pictures == PICTURES[name]
+    if name == "1-the-world":
+        assert "10,000 sets of 8 obstacles" in text
+    if name == "2-train-and-watch":
+        assert "(did you mean tanh?)" in text
+        assert "49,152 frames: reward" in text
+    if name == "3-compare-and-conclude":
+        assert "`make study` trains the whole study" in text
+        assert text.count("undecided") >= 8  # of eleven claims: three seeds of one algorithm decide next to nothing
+    if name == "4-your-own":
+        assert "30 matrices earn" in text
+        assert "random search" in text
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not list(RESULTS.glob("*/*/config.yaml")), reason="there is no folder results/ with runs")
+def test_the_third_notebook_reads_the_committed_study():
+    before = sorted(FOLDER.rglob("*"))
+    text, pictures = execute("3-compare-and-conclude", FOLDER)
+    assert pictures == 2
+    assert "make study" not in text
+    assert "<td>dqn</td>" in text
+    assert sorted(FOLDER.rglob("*")) == before  # it trains nothing

@@ -1,0 +1,67 @@
+"""`python -m uavnav`: what one can do, a line each, as the commands themselves say it; nothing of them is imported."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import uavnav
+from uavnav.choices import choose_from
+
+HERE = Path(__file__).parent
+RECIPES = HERE.parent / "recipes"
+TRAINING = ("ppo", "dqn")
+COMMANDS = ("evaluate", "play", "render", "report", "verify", "export", "layouts", "bench")
+"""Modules that have a `main`, in the order in which one needs them."""
+
+
+def module_of(command: str) -> str:
+    """Where a command's `main` is."""
+    return f"uavnav.{command}.__main__" if (HERE / command).is_dir() else f"uavnav.{command}"
+
+
+def said(path: Path, function: str = "") -> str:
+    """The first line of a file's docstring, or of that of a function in it."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    nodes = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == function]
+    return (ast.get_docstring(nodes[0] if function else tree) or "").partition("\n")[0]
+
+
+def listing() -> str:
+    """The commands with what each does, and where to read on."""
+    if RECIPES.is_dir():
+        training = {f"python recipes/{name}.py": said(RECIPES / f"{name}.py") for name in TRAINING}
+        docs = f"{HERE.parent / 'README.md'} and the folder docs beside it"
+    else:
+        training = {f"uavnav.{name}.train(...)": said(HERE / f"{name}.py", "train") for name in TRAINING}
+        docs = "README.md and the folder docs of the repository; help(uavnav.ppo.train) in Python"
+    files = {name: HERE.joinpath(*module_of(name).split(".")[1:]).with_suffix(".py") for name in COMMANDS}
+    others = {f"python -m uavnav.{name}": said(path, "main") for name, path in files.items()}
+    width = max(map(len, training | others))
+    head = said(HERE / "__init__.py").removeprefix("uavnav: ")
+    lines = [f"uavnav {uavnav.__version__}: {head}", ""]
+    lines += [f"  {command:{width}}  {what}" for command, what in (training | others).items()]
+    return "\n".join([*lines, "", "Each says more with --help.", f"Read on in {docs}."])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """List the commands, or run the one that is named, with the arguments after it."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help"):
+        print(listing())
+        return 0
+    if words[0] == "--version":
+        print(uavnav.__version__)
+        return 0
+    if words[0] not in COMMANDS:
+        print(f"uavnav: there is no command {words[0]!r}; {choose_from(words[0], COMMANDS)}", file=sys.stderr)
+        return 2
+    status: int = importlib.import_module(module_of(words[0])).main(words[1:])
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

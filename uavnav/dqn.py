@@ -52,7 +52,7 @@ class DQNConfig(TrainConfig):
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "paper": {},
         "paper-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
-        "fast": {  # a good drone soon; with sigmoid, which is the steadiest here
+        "fast": {  # double Q-learning in large steps, steadiest with sigmoid; what it reaches: docs/performance.md
             "total_frames": 400_000,
             "n_worlds": 128,
             "learning_starts": 10_000,

@@ -65,7 +65,8 @@ def content():
 
 
 def from_rows(text):
-    return [line for line in text.splitlines() if line[:1] != "!" and not any(word in line for word in FLOWN)]
+    lines = [line for line in text.splitlines() if line and line[0] != "!"]
+    return [line for line in lines if not any(word in line for word in FLOWN)]
 
 
 @pytest.mark.slow

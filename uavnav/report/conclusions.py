@@ -11,7 +11,8 @@ from uavnav.report.content import Content
 from uavnav.report.frames import total_seeds
 
 RULE = (
-    "The rule was fixed in code before the study ran. A part of a claim is supported or contradicted only if the "
+    "The rule was fixed in code before results of the study were read. "
+    "A part of a claim is supported or contradicted only if the "
     "95 % bootstrap interval over training seeds, adjusted by Holm for all parts of all claims, lies wholly "
     f"inside or outside the claimed region, with at least {SEEDS} seeds in every cell; else it is undecided. A "
     f"claim is contradicted if one of its parts is, supported if all are. The primary reading is {PRIMARY}; the "

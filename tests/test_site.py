@@ -104,11 +104,13 @@ def test_links_to_files_that_are_no_pages_are_their_paths(site):
     ]
 
 
-def test_the_hook_tells_of_a_file_that_is_missing(caplog):
+def test_the_hook_tells_of_a_file_that_is_missing(caplog, monkeypatch):
     pytest.importorskip("latex2mathml")
     spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
     hooks = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(hooks)
+    hooks.log.addHandler(caplog.handler)  # mkdocs, once imported, lets nothing through to the root
+    monkeypatch.setattr(hooks.log, "disabled", False)
 
     class Here:
         src_uri = "page.md"

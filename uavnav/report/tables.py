@@ -63,7 +63,8 @@ def said(finding: Finding) -> str:
     if not finding.n:
         return "undecided (no runs)"
     needed = NOTHING if math.isnan(finding.needed) else f"about {finding.needed:,.0f} seeds needed"
-    needed = f"more than {MANY:,} seeds needed" if finding.needed > MANY else needed
+    needed = f"more than {MANY:,} seeds needed" if MANY < finding.needed < math.inf else needed
+    needed = "no number of seeds would do" if math.isinf(finding.needed) else needed
     return f"undecided (n = {finding.n}" + ("" if needed == NOTHING else f", {needed}") + ")"
 
 

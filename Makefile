@@ -81,9 +81,10 @@ docs: .venv/.installed-dev # the site, in build/site
 layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/python -m uavnav.layouts --out uavnav/banks
 
-picture: .venv/.installed # the flights in the README
+picture: .venv/.installed # the flights in the README, and the window in docs/start.md
 	$(BIN)/python -m uavnav.render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --sampled --layout 56 --steps 400 \
 	    --every 4 --speed 4 --width 400 --out docs/flight.gif
+	$(BIN)/python docs/window.py $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu
 
 clean:
 	rm -rf .venv build *.egg-info

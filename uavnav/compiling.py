@@ -20,8 +20,6 @@ M_MMAP_THRESHOLD = -3
 """As malloc.h calls it."""
 PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
-
-
 FLIGHTS_PAY_FROM = 10_000_000
 """Steps of all drones of an evaluation, if none ended, from which compilation is paid back."""
 
@@ -34,8 +32,6 @@ def decide(config: TrainConfig) -> bool:
     """
     if not _wanted(config):
         return False
-    torch._inductor.config.compile_threads = 1  # a pool of processes takes longer to start than these few kernels
-    torch.compiler.reset()  # graphs of earlier runs in this process would count towards a limit on how many there are
     problem = _problem(config.device)
     if problem and config.compile == "on":
         raise ConfigError(f"compile=on: no graph can be compiled here ({problem}); install g++ and Python's headers")
@@ -48,8 +44,6 @@ def flights(n_drones: int, max_steps: int) -> bool:
     """Whether to compile the world's step for an evaluation: a long one, where a compiler is at hand."""
     if n_drones * max_steps < FLIGHTS_PAY_FROM:
         return False
-    torch._inductor.config.compile_threads = 1
-    torch.compiler.reset()
     return _problem("cpu") is None
 
 
@@ -87,7 +81,7 @@ def keep_memory_flat() -> None:
     """Let this process return large blocks to the system when they are freed.
 
     glibc raises the size from which it does so up to 32 MB by itself: rollouts then lie on a heap among small things
-    that live on, and ten seeds of PPO grow by 15 MB an iteration, to 5 GB. Other C libraries are left as they are.
+    that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Other C libraries are left as they are.
     """
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").mallopt(M_MMAP_THRESHOLD, MAPPED_FROM)
@@ -110,6 +104,8 @@ def _wanted(config: TrainConfig) -> bool:
 
 def _problem(device: str) -> str | None:
     """Compile something tiny: what a compiler, its headers or a driver lack shows only when they are used."""
+    torch._inductor.config.compile_threads = 1  # a pool of processes takes longer to start than these few kernels
+    torch.compiler.reset()  # graphs of earlier runs in this process would count towards a limit on how many there are
     logger = logging.getLogger("torch._inductor")
     level = logger.level
     logger.setLevel(logging.CRITICAL)

@@ -62,7 +62,10 @@ class Policy:
 
     def __call__(self, observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """An action for each row: observation [..., 30] -> int64 [...]; `generator` is used unless greedy."""
-        values = self.values(observation)
+        return self.act(self.values(observation), generator)
+
+    def act(self, values: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """An action for each row of what `values` gives: [..., 100] -> int64 [...]."""
         if self.greedy:
             return values.argmax(-1)
         shape = values.shape[:-1]

@@ -17,6 +17,7 @@ import statsmodels.formula.api as smf
 from lifelines import KaplanMeierFitter
 from lifelines.utils import restricted_mean_survival_time
 from scipy import stats
+from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.power import TTestIndPower
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -117,14 +118,11 @@ def nested_interval(episodes: Mapping[int, Array], confidence: float = CONFIDENC
 
 
 def holm(p_values: Sequence[float]) -> Array:
-    """Holm's adjustment; NaN stays NaN and counts for none.
-
-    As that of statsmodels, which collects garbage at every call.
-    """
-    p = np.asarray(p_values, dtype=np.float64)
-    order = np.argsort(p)[: np.count_nonzero(~np.isnan(p))]  # NaN is sorted last
-    adjusted = np.full(len(p), np.nan)
-    adjusted[order] = np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)).clip(max=1)
+    """Holm's adjustment; NaN stays NaN and counts for none."""
+    adjusted = np.array(p_values, dtype=np.float64)
+    known = ~np.isnan(adjusted)
+    if known.any():
+        adjusted[known] = multipletests(adjusted[known], method="holm")[1]
     return adjusted
 
 

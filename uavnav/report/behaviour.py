@@ -7,7 +7,7 @@ walls), F flights of all seeds together, T steps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from uavnav import compiling, layouts, policies, simulator
-from uavnav.baselines import AnyPolicy
 from uavnav.dynamics import decode
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, MAX_STEPS
 from uavnav.metrics import MODES
@@ -189,10 +188,9 @@ def empty_arena(run: Run, mode: str = "sampled", steps: int = 500) -> pd.DataFra
     """
     if mode not in MODES:
         raise ValueError(f"mode={mode!r}; choose from {', '.join(MODES)}")
-    population = {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
     seed = torch.tensor(run.seeds).repeat_interleave(len(HEADINGS))
     parts: list[dict[str, Tensor]] = []
-    for one in _fly({**population}, EMPTY_ARENA, torch.tensor(HEADINGS), population[run.seeds[0]], steps):
+    for one in _fly(run, mode, EMPTY_ARENA, torch.tensor(HEADINGS), steps):
         fields = {name: getattr(one.state, name) for name in ("layout", "x", "y", "heading")}
         counted = {"step": one.state.steps, "clearance": one.outcome.clearance, "action": one.action}
         parts.append({"seed": seed[one.flight], **fields, **counted})
@@ -227,27 +225,21 @@ def overestimation(run: Run, steps: int = 300, n_layouts: int = 20, tail: float 
     if not 1 <= n_layouts <= len(bank) or steps < 1:
         raise ValueError(f"n_layouts={n_layouts}, steps={steps}; give 1 to {len(bank)} layouts and at least 1 step")
     horizon = next((n for n in range(1, MAX_STEPS + 1) if gamma**n < tail), MAX_STEPS + 1)
-    population = {seed: policies.load_policy(run.path, seed) for seed in run.seeds}
     heading = torch.full((n_layouts,), UP)
-    own = population[run.seeds[0]]
-    n_flights = len(population) * n_layouts
+    n_flights = len(run.seeds) * n_layouts
     limit = min(steps + horizon, MAX_STEPS)
     q, returned = (torch.zeros(limit, n_flights, dtype=torch.float64) for _ in range(2))
     flown = torch.zeros(limit, n_flights, dtype=torch.bool)
     collided = torch.zeros(n_flights, dtype=torch.bool)
-    for step, one in enumerate(_fly({**population}, bank[:n_layouts], heading, own, limit)):
-        agent = one.flight // n_layouts
-        for place, policy in enumerate(population.values()):
-            mine = agent == place
-            if mine.any():
-                q[step, one.flight[mine]] = policy.values(one.observation[mine]).amax(-1).double()
+    for step, one in enumerate(_fly(run, "greedy", bank[:n_layouts], heading, limit)):
+        q[step, one.flight] = one.values.amax(-1).double()
         returned[step, one.flight] = one.outcome.reward
         flown[step, one.flight] = True
         collided[one.flight] = one.outcome.terminated
     for step in reversed(range(limit - 1)):
         returned[step] += gamma * returned[step + 1]
     known = collided | (torch.arange(limit)[:, None] + horizon <= limit)
-    counts = (flown & known)[:steps].reshape(-1, len(population), n_layouts)
+    counts = (flown & known)[:steps].reshape(-1, len(run.seeds), n_layouts)
     result = {"seed": run.seeds}
     for name, values in {"q": q, "realised": returned}.items():
         summed = (values[:steps].reshape(counts.shape) * counts).sum((0, 2))
@@ -260,38 +252,49 @@ class _Step(NamedTuple):
     """One step of the flights that are still up: every field has a row for each."""
 
     flight: Tensor  # its index: first all flights of the first seed
-    observation: Tensor  # [F, 30] before the step
+    values: Tensor  # [F, 100] what the network said of each action
     action: Tensor
     state: State  # after it
     outcome: Outcome
 
 
-def _fly(
-    population: Mapping[int, AnyPolicy], bank: Tensor, heading: Tensor, own: policies.Policy, steps: int
-) -> Iterator[_Step]:
-    """Fly one policy a seed on every set of a bank, in the world and by the reward of one of them.
+def _fly(run: Run, mode: str, bank: Tensor, heading: Tensor, steps: int) -> Iterator[_Step]:
+    """Fly every seed of a run on every set of a bank, in the world and by the reward that it was trained with.
 
-    bank [L, K, 3] px, heading [L] whole degrees. A flight ends at a collision or after so many steps. Each policy acts
-    on its own rows alone, with a generator of its own, as in `evaluate.fly`.
+    bank [L, K, 3] px, heading [L] whole degrees. A flight ends at a collision or after so many steps. A seed's flights
+    depend on its policy and a generator of its own alone.
 
     Raises:
+        PolicyError: the run's policy cannot be read.
         ValueError: steps is below 1.
     """
+    population = [policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds]
+    own = population[0]
     simulator.check_rules(own.reward, steps)
-    generators = {seed: torch.Generator().manual_seed(seed) for seed in population}
-    flight = torch.arange(len(population) * len(bank))
-    layout = flight % len(bank)
+    weights = [policy.network.state_dict() for policy in population]
+    stacked = {name: torch.cat([one[name] for one in weights]) for name in weights[0]}  # along the agent axis
+    generators = [torch.Generator().manual_seed(seed) for seed in run.seeds]
+    layout = torch.arange(len(bank)).repeat(len(population))
     state = simulator.start(layout, heading[layout], own.world)
-    with compiling.use_threads(1):
+    up = torch.ones(len(layout), dtype=torch.bool)
+    with compiling.use_threads(1), torch.no_grad():
         observation, _ = simulator.observe(state, bank, own.world)
-        while len(flight):
-            agent = flight // len(bank)
-            flying = [(seed, observation[agent == place]) for place, seed in enumerate(population)]
-            action = torch.cat([population[seed](seen, generators[seed]) for seed, seen in flying if len(seen)])
+        while up.any():  # flights that have ended are flown on, and not told of
+            seen = observation.reshape(len(population), len(bank), -1)
+            values = torch.func.functional_call(own.network, stacked, (seen,))
+            chosen = zip(population, values, generators, strict=True)
+            action = torch.cat([policy.act(own_values, generator) for policy, own_values, generator in chosen])
             state, outcome = simulator.step(state, action, bank, own.world, own.reward, steps)
-            yield _Step(flight, observation, action, state, outcome)
-            up = ~(outcome.terminated | outcome.truncated)
-            flight, observation, state = flight[up], outcome.observation[up], State(*(field[up] for field in state))
+            flight = up.nonzero()[:, 0]
+            yield _Step(
+                flight,
+                values.flatten(0, 1)[flight],
+                action[flight],
+                State(*(field[flight] for field in state)),
+                Outcome(*(field[flight] for field in outcome)),
+            )
+            up &= ~(outcome.terminated | outcome.truncated)
+            observation = outcome.observation
 
 
 def _tensor(column: pd.Series[Any], dtype: torch.dtype) -> Tensor:

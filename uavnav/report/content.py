@@ -11,9 +11,10 @@ import numpy as np
 import pandas as pd
 
 from uavnav import compiling, layouts, paper
+from uavnav.metrics import MODES
 from uavnav.policies import PolicyError
 from uavnav.report import behaviour, claims, figures, frames, replays, studies
-from uavnav.report.cells import Cell, collect, readings
+from uavnav.report.cells import Cell, collect, one_line, readings
 from uavnav.report.claims import PRIMARY, Finding
 from uavnav.report.figures import Drawn
 from uavnav.report.frames import name
@@ -85,7 +86,7 @@ def gather(folders: Sequence[Path]) -> Content:
     sorted_cells = studies.sort(cells)
     with compiling.use_threads(1):
         flights, watched, problems = watch(sorted_cells)
-        overestimated = _overestimation(sorted_cells.main)
+        overestimated, unvalued = _overestimation(sorted_cells.main)
         flown = replays.record([cell for key, cell in sorted_cells.main.items() if key in paper.TABLES])
     audits = {
         reading: claims.audit(Rows(sorted_cells, reading, flights), studies.of_paper)
@@ -94,16 +95,17 @@ def gather(folders: Sequence[Path]) -> Content:
     ratio = Rows(sorted_cells, PRIMARY, flights, ratio_of_means=True)
     audits[f"{PRIMARY}, ratios of means"] = claims.audit(ratio, studies.of_paper)
     baselines, unread = frames.baselines(folders)
-    tables = _tables(sorted_cells, audits, flights, overestimated)
+    survival, survived = frames.survival(sorted_cells.main)
+    tables = _tables(sorted_cells, audits, flights) | {"overestimation": overestimated, "survival": survived}
     return Content(
         cells,
         sorted_cells,
         audits,
         tables,
-        _figures(sorted_cells, tables, watched),
+        _figures(sorted_cells, tables, watched, survival),
         flown if flown["cells"] else None,
         baselines,
-        list(dict.fromkeys([*left_out, *problems, *unread, *flown["left_out"]])),
+        list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *flown["left_out"]])),
     )
 
 
@@ -116,7 +118,10 @@ Flights = dict[tuple[str, str, str], pd.DataFrame]
 
 
 def watch(all_cells: Studies) -> tuple[Flights, Flights, list[str]]:
-    """Measures of flights, one row a mode and seed; the flights themselves; and what could not be read or flown."""
+    """Measures of flights, one row a mode and seed; the flights themselves; and what could not be read or flown.
+
+    The main study's drones also fly where there is no obstacle: measures `empty_...`, and `layout` -1 of the flights.
+    """
     measured: Flights = {}
     tables: Flights = {}
     problems = []
@@ -129,37 +134,40 @@ def watch(all_cells: Studies) -> tuple[Flights, Flights, list[str]]:
                     table = behaviour.read(run)
                     if table is None:
                         continue
+                    if study == "main":
+                        empty += [behaviour.empty_arena(run, mode) for mode in MODES]
                     parts.append(table)
-                    empty.append(behaviour.empty_arena(run))
                 except (RunError, PolicyError) as error:
-                    problems.append(" ".join(str(error).split()))
-            if not parts or not empty:
+                    problems.append(one_line(error))
+            if not parts:
                 continue
             flown = pd.concat(parts, ignore_index=True)
-            without = pd.concat(empty, ignore_index=True)
-            own = behaviour.measures(without, behaviour.EMPTY_ARENA, world).drop(columns="mode")
-            own = own.rename(columns={column: f"empty_{column}" for column in own if column != "seed"})
-            measured[study, *key] = behaviour.measures(flown, bank, world).merge(own, on="seed")
-            tables[study, *key] = pd.concat([flown, without.assign(layout=-1)], ignore_index=True)
+            measured[study, *key] = behaviour.measures(flown, bank, world)
+            if empty:
+                without = pd.concat(empty, ignore_index=True)
+                own = behaviour.measures(without, behaviour.EMPTY_ARENA, world).set_index(["mode", "seed"])
+                measured[study, *key] = measured[study, *key].join(own.add_prefix("empty_"), on=["mode", "seed"])
+                flown = pd.concat([flown, without.assign(layout=-1)], ignore_index=True)
+            tables[study, *key] = flown
     return measured, tables, problems
 
 
-def _overestimation(cells: studies.Cells) -> pd.DataFrame:
-    parts = []
+def _overestimation(cells: studies.Cells) -> tuple[pd.DataFrame, list[str]]:
+    """What DQN's seeds expect and get, and what could not be flown."""
+    parts, problems = [], []
     for key, cell in cells.items():
         if key[0] == "dqn":
             for run in cell.runs:
                 try:
                     parts.append(behaviour.overestimation(run).assign(cell=name(*key)))
-                except (PolicyError, RunError):  # a policy that cannot be flown is named among the replays
-                    continue
+                except (PolicyError, RunError) as error:
+                    problems.append(one_line(error))
     columns = ["cell", "seed", "q", "realised", "overestimation"]
-    return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
+    table = pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
+    return table, problems
 
 
-def _tables(
-    all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights: Flights, overestimated: pd.DataFrame
-) -> dict[str, pd.DataFrame]:
+def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights: Flights) -> dict[str, pd.DataFrame]:
     values = frames.per_seed_values(all_cells.main)
     return {
         "verdicts": frames.verdicts(audits),
@@ -168,11 +176,9 @@ def _tables(
         "tuned": frames.estimates(frames.per_seed_values(all_cells.tuned)),
         "improvement": frames.improvement(all_cells.main),
         "interaction": frames.interactions(all_cells.main),
-        "survival": frames.survival(all_cells.main)[1],
         "power": frames.power(all_cells.main),
         "behaviour": frames.flown(flights),
         "diagnostics": frames.diagnostics(all_cells.main),
-        "overestimation": overestimated,
         "sensitivity": frames.sensitivity(all_cells),
         "speed": frames.speed(all_cells.main),
     }
@@ -181,12 +187,14 @@ def _tables(
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _figures(all_cells: Studies, tables: Mapping[str, pd.DataFrame], flights: Flights) -> list[Figure]:
+def _figures(
+    all_cells: Studies, tables: Mapping[str, pd.DataFrame], flights: Flights, survival: Mapping[str, pd.Series]
+) -> list[Figure]:
     of_paper = {key: cell for key, cell in all_cells.main.items() if key in paper.TABLES}
     found = [*_curves(of_paper), *_metrics(tables["metrics"], tables["seeds"])]
     main = {name(*key[1:]): table for key, table in flights.items() if key[0] == "main" and key[1:] in paper.TABLES}
     found += _flights(main)
-    found += _statistics(of_paper, tables)
+    found += _statistics(of_paper, tables, survival)
     if len(tables["behaviour"]):
         sampled = tables["behaviour"].query("mode == 'sampled'")[
             ["cell", "algorithm", "activation", "seed", *LOOKED_AT]
@@ -268,9 +276,11 @@ def _flights(tables: Mapping[str, pd.DataFrame]) -> list[Figure]:
     return found
 
 
-def _statistics(cells: studies.Cells, tables: Mapping[str, pd.DataFrame]) -> list[Figure]:
+def _statistics(
+    cells: studies.Cells, tables: Mapping[str, pd.DataFrame], survival: Mapping[str, pd.Series]
+) -> list[Figure]:
     matrix = figures.improvement_matrix(tables["improvement"], f"reward per episode, {PRIMARY}")
-    curves, _ = frames.survival(cells)
+    curves = {label: survival[label] for label in (name(*key) for key in cells) if label in survival}
     n = min((studies.seeds(cell) for cell in cells.values()), default=0)
     return [
         Figure(

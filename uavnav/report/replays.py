@@ -157,8 +157,8 @@ def fly(population: dict[int, Policy], bank: Tensor, max_steps: int) -> list[Fli
             seen = observation[seed[flying] == one]
             if len(seen):
                 values = policy.values(seen)
-                values = torch.softmax(values, -1) if policy.algorithm == "ppo" else values
-                chosen.append({"action": policy(seen, generators[one]), "values": values})
+                action = policy.act(values, generators[one])
+                chosen.append({"action": action, "values": values.softmax(-1) if policy.algorithm == "ppo" else values})
         choices.append({"row": flying} | _joined(chosen))
         state, outcome = simulator.step(state, choices[-1]["action"], bank, world, reward, max_steps)
         poses.append(_pose(flying, state, outcome.observation, outcome.clearance))

@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SEEDS ?= 20
 RESULTS ?= results
-WIDE := activation=elu,gelu,selu,silu,mish,softplus,softsign,identity
+WIDE := activation=sigmoid,leaky_relu,elu,gelu,selu,silu,mish,softplus,softsign,identity
 
 .PHONY: train test study initial tuned sensitivity wide baselines report docs layouts picture clean
 
@@ -32,7 +32,7 @@ study: .venv/.installed # the paper's eight cells, cell by cell; what is finishe
 	        "out='$(RESULTS)/$$algorithm/\$${activation}'" || exit; \
 	done
 
-# Small studies, each in a folder of its own. The first three are of 300,000 frames, with epsilon falling as in a million.
+# Small studies, each in a folder of its own. Those of SHORT are of 300,000 frames, with epsilon falling as in a million.
 SHORT := total_frames=300000 evaluate=false
 SHORT_dqn := exploration_fraction=0.33333333
 PAIR := activation=tanh,relu
@@ -65,8 +65,8 @@ sensitivity: .venv/.installed # one unsaid choice at a time, beside the baseline
 	$(call cells,init,dqn,$(PAIR) n_seeds=5 init=orthogonal $(SHORT) $(SHORT_dqn))
 	$(call both,one-world,$(PAIR) n_seeds=5 n_worlds=1)
 
-wide: .venv/.installed # eight more activations, at the settings of `study`
-	$(foreach algorithm,ppo dqn,$(call cells,wide,$(algorithm),$(WIDE) n_seeds=5))
+wide: .venv/.installed # eight more activations, and two of the paper's, beside the baseline of `initial`
+	$(call both,wide,$(WIDE) n_seeds=5)
 
 baselines: .venv/.installed # what needs no learning, on the test sets
 	$(BIN)/python -m uavnav.evaluate random straight reactive --out $(RESULTS)/baselines

@@ -54,6 +54,7 @@ def two(seed, reward):
 def write_run(path, *tables, algorithm="dqn", activation="tanh", seed=0, evaluation=None, meta=None, **changes):
     path.mkdir(parents=True)
     config = {"algorithm": algorithm, "activation": activation, "seed": seed, "n_seeds": len(tables)}
+    config |= {"gamma": 0.99} if algorithm == "dqn" else {}
     (path / "config.yaml").write_text(yaml.safe_dump(config | CONFIG | changes))
     facts = {"status": "finished", "frames": 1000, "wall_seconds": 3725.4, "git_commit": "c0ffee", "bank": BANK}
     facts |= {"versions": {"torch": "2.13.0", "world": "1"}, "machine": {"processor": "an abacus", "cores": 2}}

@@ -13,7 +13,7 @@ from uavnav import paper
 from uavnav.metrics import EPISODE_COLUMNS, LAST
 from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import PRIMARY
-from uavnav.report.studies import Rows, Studies, hours, of_paper, seeds, sort
+from uavnav.report.studies import Rows, Studies, hours, of_paper, paper_cells, seeds, sort, wide
 
 SETTINGS = {"preset": "paper", "total_frames": 1_000_000, "frames": 1_000_000, "exploration_fraction": 0.1}
 SETTINGS |= {"layouts": None, "bank": "abc", "obstacles": 8, "reward": "eq14", "slots": "nearest", "world": "1"}
@@ -69,6 +69,16 @@ def test_a_longer_run_of_fewer_activations_is_no_baseline():
 def test_activations_that_the_paper_has_not_are_in_the_main_study_behind_its_own():
     found = sort([cell(activation="mish"), cell(activation="gelu"), *grid(["ppo"])])
     assert [activation for _, activation in found.main] == [*ACTIVATIONS, "gelu", "mish"]
+
+
+def test_more_activations_are_shown_beside_the_papers_of_the_longest_study_that_has_some():
+    short = grid(activations=("tanh", "gelu"), **SHORT)
+    found = sort([*grid(), *short])
+    assert [*wide(found)] == [("dqn", "tanh"), ("ppo", "tanh"), ("dqn", "gelu"), ("ppo", "gelu")]
+    assert [*paper_cells(wide(found))] == [("dqn", "tanh"), ("ppo", "tanh")]
+    both = sort([*grid(), *short, cell(activation="mish")])
+    assert wide(both) is both.main
+    assert wide(sort(grid())) == {}
 
 
 @pytest.mark.parametrize("changes", [{}, SHORT])

@@ -81,7 +81,8 @@ def keep_memory_flat() -> None:
     """Let this process return large blocks to the system when they are freed.
 
     glibc raises the size from which it does so up to 32 MB by itself: rollouts then lie on a heap among small things
-    that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Other C libraries are left as they are.
+    that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Other C libraries are left as they
+    are.
     """
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").mallopt(M_MMAP_THRESHOLD, MAPPED_FROM)

@@ -22,7 +22,7 @@ from markupsafe import Markup, escape
 
 from uavnav import paper
 from uavnav.metrics import LAST
-from uavnav.report import conclusions, frames, tables
+from uavnav.report import conclusions, frames, studies, tables
 from uavnav.report.cells import BINS, label
 from uavnav.report.claims import CLAIMS, CONTRADICTED, PRIMARY, SUPPORTED, UNDECIDED, verdict
 from uavnav.report.content import LOOKED_AT, Content, gather
@@ -151,14 +151,14 @@ def page(content: Content, pictures: dict[str, str], first: Path) -> str:
         for figure in content.figures
     ]
     audited = _claims(content)
-    wide = {key: cell for key, cell in content.studies.main.items() if key not in paper.TABLES}
+    wide = studies.wide(content.studies)
     return _TEMPLATES.get_template("page.html").render(
         css=Markup((here / "templates" / "page.css").read_text() + (here / "replay.css").read_text()),
         js=Markup((here / "replay.js").read_text()),
         replays=Markup(replays),
         version=importlib.metadata.version("uavnav"),
         seeds=frames.total_seeds(content.studies.main),
-        frames=_frames(content),
+        frames=_frames(content.studies.main),
         lead=conclusions.lead(content.audits[PRIMARY]),
         missing=content.missing,
         sections=list(SECTIONS.items()),
@@ -182,6 +182,7 @@ def page(content: Content, pictures: dict[str, str], first: Path) -> str:
         sensitivity_text=conclusions.SENSITIVITY,
         sensitivity_rows=tables.sensitivities(frame["sensitivity"]),
         tuned_rows=tables.of_metrics(frame["tuned"], ("reward", "steps", "speed"), shown),
+        wide_frames=_frames(wide),
         wide_rows=tables.of_metrics(
             frames.estimates(frames.per_seed_values(wide)), ("reward", "steps", "speed"), shown
         ),
@@ -195,9 +196,9 @@ def page(content: Content, pictures: dict[str, str], first: Path) -> str:
     )
 
 
-def _frames(content: Content) -> str:
-    counts = sorted({cell.settings["frames"] for cell in content.studies.main.values()})
-    return " to ".join(f"{count:,}" for count in dict.fromkeys([counts[0], counts[-1]]))
+def _frames(cells: studies.Cells) -> str:
+    counts = sorted({cell.settings["frames"] for cell in cells.values()})
+    return " to ".join(f"{count:,}" for count in dict.fromkeys([*counts[:1], *counts[-1:]]))
 
 
 def markdown(content: Content) -> str:

@@ -87,7 +87,7 @@ def gather(folders: Sequence[Path]) -> Content:
     with compiling.use_threads(1):
         flights, watched, problems = watch(sorted_cells)
         overestimated, unvalued = _overestimation(sorted_cells.main)
-        flown = replays.record([cell for key, cell in sorted_cells.main.items() if key in paper.TABLES])
+        flown = replays.record([*studies.paper_cells(sorted_cells.main).values()])
     audits = {
         reading: claims.audit(Rows(sorted_cells, reading, flights), studies.of_paper)
         for reading in (PRIMARY, *_other_readings(cells[0]))
@@ -127,7 +127,7 @@ def watch(all_cells: Studies) -> tuple[Flights, Flights, list[str]]:
     problems = []
     world, bank = World(), layouts.load("test")
     for study in WATCHED:
-        for key, cell in all_cells.of(study).items():
+        for key, cell in studies.paper_cells(all_cells.of(study)).items():
             parts, empty = [], []
             for run in cell.runs:
                 try:
@@ -168,13 +168,13 @@ def _overestimation(cells: studies.Cells) -> tuple[pd.DataFrame, list[str]]:
 
 
 def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights: Flights) -> dict[str, pd.DataFrame]:
-    values = frames.per_seed_values(all_cells.main)
+    values, of_paper = frames.per_seed_values(all_cells.main), studies.paper_cells(all_cells.main)
     return {
         "verdicts": frames.verdicts(audits),
         "seeds": values,
         "metrics": frames.estimates(values),
         "tuned": frames.estimates(frames.per_seed_values(all_cells.tuned)),
-        "improvement": frames.improvement(all_cells.main),
+        "improvement": frames.improvement(of_paper),
         "interaction": frames.interactions(all_cells.main),
         "power": frames.power(all_cells.main),
         "behaviour": frames.flown(flights),
@@ -190,9 +190,9 @@ def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights
 def _figures(
     all_cells: Studies, tables: Mapping[str, pd.DataFrame], flights: Flights, survival: Mapping[str, pd.Series]
 ) -> list[Figure]:
-    of_paper = {key: cell for key, cell in all_cells.main.items() if key in paper.TABLES}
+    of_paper = studies.paper_cells(all_cells.main)
     found = [*_curves(of_paper), *_metrics(tables["metrics"], tables["seeds"])]
-    main = {name(*key[1:]): table for key, table in flights.items() if key[0] == "main" and key[1:] in paper.TABLES}
+    main = {name(*key[1:]): table for key, table in flights.items() if key[0] == "main"}
     found += _flights(main)
     found += _statistics(of_paper, tables, survival)
     if len(tables["behaviour"]):

@@ -97,6 +97,16 @@ def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | No
     return None
 
 
+def paper_cells(cells: Cells) -> Cells:
+    """Those of the paper's activations."""
+    return {key: cell for key, cell in cells.items() if key in paper.TABLES}
+
+
+def wide(studies: Studies) -> Cells:
+    """All cells of the study that has activations beyond the paper's: the main one, or else the shorter baseline."""
+    return next((cells for cells in (studies.main, studies.baseline) if len(paper_cells(cells)) < len(cells)), {})
+
+
 def seeds(cell: Cell) -> int:
     """How many there are."""
     return sum(len(run.seeds) for run in cell.runs)

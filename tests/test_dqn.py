@@ -1,6 +1,7 @@
 """DQN: the target by hand, each agent alone, Stable-Baselines3's own update, and a whole run against plain PyTorch."""
 
 import copy
+import itertools
 from collections import defaultdict
 from dataclasses import replace
 from types import SimpleNamespace
@@ -69,11 +70,17 @@ def losses_by_row(batch, config):
 
 
 @pytest.mark.parametrize(
-    ("kind", "gamma", "double"),
-    [("huber", 0.99, False), ("squared", 0.99, False), ("huber", 0.5, False), ("squared", 0.99, True)],
+    ("kind", "gamma", "double", "n_steps"),
+    [
+        ("huber", 0.99, False, 1),
+        ("squared", 0.99, False, 1),
+        ("huber", 0.5, False, 1),
+        ("squared", 0.99, True, 1),
+        ("squared", 0.9, True, 4),
+    ],
 )
-def test_the_loss_of_each_row_is_that_of_the_target_by_hand(kind, gamma, double):
-    config = DQNConfig(loss=kind, gamma=gamma, double=double)
+def test_the_loss_of_each_row_is_that_of_the_target_by_hand(kind, gamma, double, n_steps):
+    config = DQNConfig(loss=kind, gamma=gamma, double=double, n_steps=n_steps)
     batch = transitions(1, 8)
     got, network, _ = losses_by_row(batch, config)
     halved = make_network(config)
@@ -85,7 +92,7 @@ def test_the_loss_of_each_row_is_that_of_the_target_by_hand(kind, gamma, double)
         observation, following = batch["observation"][:, row], batch["next", "observation"][:, row]
         prediction = network(observation)[0, batch["action"][0, row]].item()
         best = (network if double else halved)(following).argmax()
-        bootstrap = 0.0 if batch["next", "terminated"][0, row] else gamma * halved(following)[0, best].item()
+        bootstrap = 0.0 if batch["next", "terminated"][0, row] else gamma**n_steps * halved(following)[0, best].item()
         error = abs(prediction - (batch["next", "reward"][0, row].item() + bootstrap))
         expected = error**2 if kind == "squared" else (0.5 * error**2 if error < 1 else error - 0.5)
         assert got[row].item() == pytest.approx(expected, abs=1e-5)
@@ -574,6 +581,37 @@ def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_
             frames = 16 * (3 + index // 4)
             known = range(max(0, frames - size), frames - 16)  # of the newest step no successor is known
             assert all(any(place in known for place in places[tuple(row)]) for row in whole(drawn).tolist())
+
+
+def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_and_bootstrap_where_there_was_none(tmp_path):
+    """25 steps of 16 worlds in which nothing is learned, and every world's flight once more by a slow loop."""
+    settings = {"n_seeds": 2, "n_worlds": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
+    seen = watch(DQNConfig(**settings, n_steps=3, gamma=0.5, compile="off"), tmp_path / "run")
+    stored = seen.buffer[:]
+    assert len(seen.minibatches) == 22 * 4  # the first step after frame 48
+    for agent in (0, 1):
+        own = stored[:, agent].reshape(25, 16)  # step, world
+        reward, over = own["next", "reward"].squeeze(-1), own["next", "terminated"].squeeze(-1)
+        expected = {}
+        for step, world in itertools.product(range(22), range(16)):
+            total, n, collided = 0.0, 0, False
+            while n < 3 and not collided:
+                total += 0.5**n * reward[step + n, world].item()
+                collided = over[step + n, world].item()
+                n += 1
+            start = tuple(own["observation"][step, world].tolist()), own["action"][step, world].item()
+            following = None if collided else tuple(own["observation"][step + 3, world].tolist())
+            expected.setdefault(start, []).append((total, collided, following))
+        drawn = torch.cat([batch[agent] for batch in seen.minibatches])
+        assert 100 < drawn["next", "terminated"].sum() < 5000
+        for row in drawn:
+            worth = expected[tuple(row["observation"].tolist()), row["action"].item()]
+            collided = row["next", "terminated"].item()
+            following = None if collided else tuple(row["next", "observation"].tolist())
+            assert any(
+                total == pytest.approx(row["next", "reward"].item(), abs=1e-5) and (ends, then) == (collided, following)
+                for total, ends, then in worth
+            )
 
 
 @pytest.mark.slow

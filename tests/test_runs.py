@@ -1,6 +1,7 @@
 """A run's folder: complete, repeatable bit for bit, whole or not there, and never two writers."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -102,6 +103,17 @@ def test_a_finished_run_is_returned_at_once_and_untouched(trained):
     assert run.fresh
     assert not again.fresh
     assert {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()} == times
+
+
+def test_a_run_from_before_a_setting_existed_is_one_with_its_default(tmp_path):
+    train, config = ALGORITHMS["dqn"]
+    run = train(config, out=tmp_path / "run", quiet=True)
+    written = yaml.safe_load((run.path / "config.yaml").read_text())
+    assert written.pop("n_steps") == 1
+    (run.path / "config.yaml").write_text(yaml.safe_dump(written))
+    assert not train(config, out=run.path, quiet=True).fresh
+    with pytest.raises(RunError, match="holds a run with n_steps=1, not 3"):
+        train(replace(config, n_steps=3), out=run.path, quiet=True)
 
 
 def test_another_configuration_is_refused_and_nothing_is_lost(trained):

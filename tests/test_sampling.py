@@ -70,7 +70,7 @@ def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():
 def test_rows_come_with_their_successors_and_of_the_newest_2_none_is_drawn():
     """A ring of 10 rows, written in steps of 2 up to row 13: rows 4 to 11 are drawn alike, each before row + 2."""
     replay = ReplayBuffer(
-        storage=LazyTensorStorage(10), sampler=AgentSampler([0, 1], "rows", True, successor=2), batch_size=4000
+        storage=LazyTensorStorage(10), sampler=AgentSampler([0, 1], "rows", True, successors=[2]), batch_size=4000
     )
     for step in range(7):
         replay.extend(TensorDict({"row": torch.tensor([[2 * step] * 2, [2 * step + 1] * 2])}, [2, 2]))

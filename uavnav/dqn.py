@@ -52,11 +52,11 @@ class DQNConfig(TrainConfig):
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "paper": {},
         "paper-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
-        "fast": {  # double Q-learning in large steps, steadiest with sigmoid; what it reaches: docs/performance.md
+        "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/performance.md
             "total_frames": 400_000,
             "n_worlds": 128,
             "learning_starts": 10_000,
-            "batch_size": 256,
+            "batch_size": 128,
             "frames_per_update": 8,
             "lr": 2.5e-4,
             "gamma": 0.98,
@@ -64,6 +64,7 @@ class DQNConfig(TrainConfig):
             "target_update_frames": 1_000,
             "epsilon_end": 0.01,
             "exploration_fraction": 0.2,
+            "n_steps": 5,
             "double": True,
         },
     }
@@ -81,6 +82,7 @@ class DQNConfig(TrainConfig):
     exploration_fraction: float = within(0.1, 0, 1)  # of total_frames, over which epsilon falls
     adam_eps: float = at_least(1e-8, 0)
     loss: Literal["huber", "squared"] = "huber"  # SB3's, or eq. (1)'s
+    n_steps: int = at_least(1, 1)  # rewards in a target before Q takes over
     double: bool = False  # a' is the best of theta instead of theta-: double Q-learning (van Hasselt et al. 2016)
 
     def __post_init__(self) -> None:
@@ -89,8 +91,15 @@ class DQNConfig(TrainConfig):
             raise ConfigError(
                 f"n_worlds={self.n_worlds}; give a multiple or a divisor of frames_per_update={self.frames_per_update}"
             )
-        if self.buffer_size <= self.n_worlds:
-            raise ConfigError(f"buffer_size={self.buffer_size}; give more than n_worlds={self.n_worlds}")
+        if self.buffer_size <= self.n_steps * self.n_worlds:
+            least = (
+                f"n_worlds={self.n_worlds}"
+                if self.n_steps == 1
+                else f"n_steps x n_worlds={self.n_steps * self.n_worlds}"
+            )
+            raise ConfigError(f"buffer_size={self.buffer_size}; give more than {least}")
+        if self.n_steps > 1 and self.max_steps is not None:
+            raise ConfigError(f"n_steps={self.n_steps}, max_steps={self.max_steps}; give n_steps=1, or no cap on steps")
 
     @property
     def iterations(self) -> int:
@@ -160,7 +169,7 @@ def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
         action_space="categorical",
         reduction="none",
     )
-    loss.make_value_estimator(gamma=config.gamma)
+    loss.make_value_estimator(gamma=config.gamma**config.n_steps)
     return loss
 
 
@@ -201,17 +210,26 @@ def rows(batch: TensorDictBase, config: DQNConfig) -> TensorDictBase:
 
 
 def make_sampler(config: DQNConfig) -> AgentSampler:
-    """Draws transitions uniformly; with each its successor, where the buffer has no s' of its own."""
-    successor = 0 if config.keeps_next_observations else config.n_worlds
-    return AgentSampler(config.seeds, "replay", replace=True, successor=successor)
+    """Draws transitions uniformly; with each those that follow it, where the buffer has no s' of its own."""
+    following = [] if config.keeps_next_observations else [n * config.n_worlds for n in range(1, config.n_steps + 1)]
+    return AgentSampler(config.seeds, "replay", replace=True, successors=following)
 
 
 def draw(buffer: ReplayBuffer, config: DQNConfig) -> TensorDictBase:
-    """A round's transitions (s, a, R, s') [A, M, N]: M batches of N for each agent."""
+    """A round's transitions (s, a, R, s') [A, M, N]: M batches of N for each agent.
+
+    With n steps R is R_1 + gamma R_2 + ... + gamma^(n-1) R_n, up to a collision, and s' is n steps later.
+    """
     batch = buffer.sample()
     if not config.keeps_next_observations:
-        batch, successors = batch.unbind(0)
-        batch["next", "observation"] = successors["observation"].clone()  # inputs of a compiled loop share no memory
+        batch, *later = batch.unbind(0)
+        following = batch["next"]
+        following["observation"] = later[-1]["observation"].clone()  # inputs of a compiled loop share no memory
+        for n, step in enumerate(later[:-1], 1):
+            reward = config.gamma**n * step["next", "reward"]
+            following["reward"] = following["reward"] + torch.where(following["terminated"], 0, reward)
+            for flag in ("terminated", "done"):
+                following[flag] = following[flag] | step["next", flag]
     return batch.reshape(config.n_seeds, -1, config.batch_size)
 
 
@@ -303,7 +321,8 @@ def train(
             buffer.extend(rows(batch, config))
             target.step()
             learning = (
-                frames > max(config.learning_starts, config.n_worlds) and step % config.steps_between_updates == 0
+                frames > max(config.learning_starts, config.n_steps * config.n_worlds)
+                and step % config.steps_between_updates == 0
             )
             losses = learn(buffer, learner, config) if learning else {}
             policy.epsilon.fill_(config.epsilon(frames))

@@ -24,23 +24,25 @@ class AgentSampler(Sampler):  # type: ignore[misc]
         seeds: one for each agent.
         purpose: names its streams.
         replace: uniform draws as for replay, or a permutation of all rows as for an epoch of minibatches.
-        successor: with `replace`, every row is drawn with another so many rows later, in batches [2, A, N]. Of the
-            newest rows, which have none yet, none is drawn.
+        successors: with `replace`, every row is drawn with others so many rows later, in batches [1 + S, A, N]. Of the
+            newest rows, which have not all of them yet, none is drawn.
     """
 
-    def __init__(self, seeds: Sequence[int], purpose: str, replace: bool, successor: int = 0) -> None:
+    def __init__(self, seeds: Sequence[int], purpose: str, replace: bool, successors: Sequence[int] = ()) -> None:
         self.streams = Streams(seeds, purpose)
         self.replace = replace
-        self.successor = successor
+        self.successors = successors
         self._newest = -1
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[tuple[Tensor, Tensor], dict[str, Any]]:
         size = len(storage)
         if self.replace:
-            rows = self.streams.draw(torch.randint, size - self.successor, (batch_size,), device=storage.device)
-            if self.successor:
-                rows = (rows + self._newest + 1) % size  # counted from the oldest
-                rows = torch.stack([rows, (rows + self.successor) % size])
+            rows = self.streams.draw(
+                torch.randint, size - max(self.successors, default=0), (batch_size,), device=storage.device
+            )
+            if self.successors:
+                rows = rows + self._newest + 1  # counted from the oldest
+                rows = torch.stack([(rows + later) % size for later in (0, *self.successors)])
         else:
             rows = self.streams.draw(torch.randperm, size, device=storage.device)[:, :batch_size]
         agents = torch.arange(rows.shape[-2], device=rows.device)[:, None]

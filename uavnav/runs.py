@@ -242,6 +242,7 @@ class Recorder:
         there = _read_yaml(path / "config.yaml")
         if there.get("algorithm") not in policies.ALGORITHMS:
             raise RunError(f"out={path}: its config.yaml is not a run's; give a new or empty folder")
+        there = plain(type(self.config)()) | there  # an older run lacks settings that came later: their defaults
         if self._overwrite:
             return False
         keys = sorted({*there, *self._described}, key=str)

@@ -64,6 +64,7 @@ sensitivity: .venv/.installed # one unsaid choice at a time, beside the baseline
 	$(call cells,init,ppo,$(PAIR) n_seeds=5 init=default $(SHORT))
 	$(call cells,init,dqn,$(PAIR) n_seeds=5 init=orthogonal $(SHORT) $(SHORT_dqn))
 	$(call both,one-world,$(PAIR) n_seeds=5 n_worlds=1)
+	$(call cells,n-steps,dqn,$(PAIR) n_seeds=5 n_steps=5 $(SHORT) $(SHORT_dqn))
 
 wide: .venv/.installed # eight more activations, and two of the paper's, beside the baseline of `initial`
 	$(call both,wide,$(WIDE) n_seeds=5)

@@ -1,4 +1,4 @@
-"""What the site does beyond MkDocs: equations without a script, and links to files that are not pages.
+"""What the site does beyond MkDocs: equations without a script, notebooks as pages, links to files that are no pages.
 
 The pages stay plain Markdown, which a forge shows too.
 """
@@ -6,6 +6,7 @@ The pages stay plain Markdown, which a forge shows too.
 from __future__ import annotations
 
 import html
+import json
 import logging
 import os
 import re
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
+from mkdocs.structure.files import File
 
 log = logging.getLogger("mkdocs.hooks.uavnav")
 
@@ -26,8 +28,25 @@ GENERATED = "results/"
 LINK = re.compile(r"(?<!!)\[([^\]\n]+)\]\((\.\./[^)#\s]+)\)")
 
 
+def on_files(files: Any, config: Any, **_: Any) -> Any:
+    """Beside each notebook a page of its words and its code, without outputs."""
+    for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
+        name = notebook.src_uri.removesuffix(".ipynb")
+        files.append(File.generated(config, f"{name}.md", content=page_of(Path(notebook.abs_src_path))))
+    return files
+
+
+def page_of(notebook: Path) -> str:
+    """A notebook's cells as Markdown."""
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    texts = [("".join(cell["source"]), cell["cell_type"]) for cell in cells]
+    words = [f"```python\n{text}\n```" if kind == "code" else text for text, kind in texts]
+    return "\n\n".join([*words, f"To run it: `docs/notebooks/{notebook.name}`, with Jupyter.", ""])
+
+
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
-    """Links to files outside of docs/ become their paths in the repository; a file that is missing is a warning."""
+    """Links to notebooks lead to their pages, others out of docs/ become paths; a file that is missing is a warning."""
+    markdown = markdown.replace(".ipynb)", ".md)")
     root = Path(config.config_file_path).parent
 
     def path_of(link: re.Match[str]) -> str:

@@ -10,16 +10,18 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # let errors come here, to be said in one line
 
 import hydra
+from hydra._internal.utils import get_args_parser
 from hydra.core.config_store import ConfigStore
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from uavnav.choices import did_you_mean
 from uavnav.config import ConfigError, TrainConfig, unknown, unknown_key
 from uavnav.display import evaluation_summary, print_table, report
 from uavnav.evaluate import evaluate_run
@@ -31,9 +33,6 @@ from uavnav.runs import LOG_FOLDERS, Interrupted, Recorder, Run, RunError, defau
 HERE = ("out", "overwrite", "checkpoint_seconds", "evaluate", "logger")
 """The keys of the recipes themselves; all others are fields of the algorithm's configuration."""
 
-SHOWS = {"--cfg", "-c", "--info", "-i", "--help", "-h"}
-"""Flags of Hydra that show something and run nothing."""
-
 HELP = """{what}
 These have names for values; {config} and {yaml} say more of each key.
 
@@ -44,6 +43,8 @@ Everything, as these arguments set it:
 $CONFIG
 Flags besides -m: --cfg job shows the settings and runs nothing; --hydra-help lists Hydra's own.
 """
+
+LAUNCHERS = "not installed; ray, submitit_local and submitit_slurm come with pip install 'uavnav[scale]'"
 
 ERRORS = (ConfigError, LayoutError, PolicyError, RunError)
 
@@ -97,11 +98,11 @@ def launch(algorithm: str, presets: Mapping[str, TrainConfig], train: Callable[.
     warnings.formatwarning = lambda message, *where, **more: f"{algorithm}: {message}\n"
     with tempfile.TemporaryDirectory() as scratch:  # where Hydra may keep its own notes of a sweep
         os.environ["UAVNAV_SCRATCH"] = scratch
-        arguments = [*sys.argv[1:], *(["hydra/help=recipe"] if {"--help", "-h"} & set(sys.argv) else [])]
         try:
-            if {"-m", "--multirun"} & set(arguments) and not SHOWS & set(arguments):
-                _compose(algorithm, check, [*arguments, "hydra/launcher=basic"])
-            _compose(algorithm, run, arguments)
+            settings, flags = _words(sys.argv[1:], [*asdict(next(iter(presets.values()))), *HERE])
+            if {"-m", "--multirun"} & {*flags}:
+                _compose(algorithm, check, [*settings, "hydra/launcher=basic", *flags])
+            _compose(algorithm, run, [*settings, *flags])
         except Interrupted as stop:
             print(stop, file=sys.stderr)
             sys.exit(128 + stop.signum)
@@ -128,6 +129,30 @@ def _help(algorithm: str, presets: Mapping[str, TrainConfig]) -> str:
         yaml=f"recipes/conf/{algorithm}.yaml",
         choices="\n".join(lines),
     )
+
+
+def _words(words: list[str], keys: list[str]) -> tuple[list[str], list[str]]:
+    """The settings and Hydra's flags of a command line, in any order; a ConfigError for a word that is neither."""
+
+    def refuse(message: str) -> NoReturn:
+        raise ConfigError(f"{message}; --help says more")
+
+    parser = get_args_parser()
+    parser.error = refuse
+    found, strange = parser.parse_known_args(words)
+    settings = [*found.overrides, *(word for word in strange if not word.startswith("-"))]
+    for word in strange:
+        if word.startswith("-"):
+            flag, _, value = word.partition("=")
+            key = flag.lstrip("-").replace("-", "_")
+            example = f"{key}={value or next(iter(settings), '...')}" if key in keys else "activation=tanh"
+            near = did_you_mean(flag, parser._option_string_actions)
+            raise ConfigError(f"there is no flag {flag}{near}; settings are key=value: {example}")
+    for word in settings:
+        if not re.match(r"~|\+*[^=+]+=", word):
+            raise ConfigError(f"{word!r} is no setting; settings are key=value: activation=tanh")
+    settings += ["hydra/help=recipe"] if found.help else []
+    return settings, [word for word in words if word not in settings]
 
 
 class _Stop(BaseException):
@@ -159,6 +184,10 @@ def _one_line(error: Exception, presets: Mapping[str, TrainConfig]) -> str:
     """Hydra's complaint as one line with the choices."""
     if isinstance(error, MissingConfigException) and (error.missing_cfg_file or "").startswith("preset/"):
         return str(unknown("preset", error.missing_cfg_file.removeprefix("preset/"), presets))
+    if isinstance(error, MissingConfigException) and (error.missing_cfg_file or "").startswith("hydra/launcher/"):
+        return f"hydra/launcher={error.missing_cfg_file.removeprefix('hydra/launcher/')}: {LAUNCHERS}"
+    if isinstance(error, OverrideParseException):
+        return f"{error.override}: its value cannot be read; in a shell quote brackets and blanks: 'hidden=[64,64]'"
     key = re.match(r"Could not override '([^']+)'", str(error))
     if key:
         return str(unknown_key(key[1], [*asdict(next(iter(presets.values()))), *HERE]))

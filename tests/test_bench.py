@@ -1,10 +1,14 @@
 """The benchmarks' arithmetic on known numbers, their file, and a small run of them; no test judges a speed."""
 
 import itertools
+import json
 import math
 import os
+import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -55,6 +59,15 @@ def test_the_clock_stops_after_2_steady_seconds_or_500_frames_but_never_before_3
     assert slow.marks[0] == Mark(0, 0.0)
     short = Clock(launched=100.0, warm=0, frames=500, seconds=1e9)
     assert [short(frames) for frames in (400, 600, 800)] == [True, True, False]
+
+
+def test_a_slow_run_is_watched_for_50_frames_though_its_2_seconds_are_over_and_for_70_at_most(monkeypatch):
+    now = itertools.count(100.0)
+    monkeypatch.setattr(jobs.time, "time", lambda: next(now))
+    clock = Clock(launched=100.0, warm=0, frames=70, seconds=2.0, least=50)
+    assert [clock(frames) for frames in (0, 10, 20, 30, 49, 50)] == [True] * 5 + [False]
+    short = Clock(launched=100.0, warm=0, frames=70, seconds=1e9, least=50)
+    assert [short(frames) for frames in (10, 50, 69, 70)] == [True, True, True, False]
 
 
 def test_stages_count_what_is_called_inside_another_once_and_the_rest_as_other(monkeypatch):
@@ -189,40 +202,62 @@ def keep_curves(store, cell, arm, seeds, level):
         pd.DataFrame({"frame": frames, "reward": level + 0.01 * seed + 0.0 * frames}).to_parquet(path)
 
 
-def test_parity_runs_what_is_missing_and_compares_what_is_there(tmp_path):
-    store, seeds, cells = parity.Store(tmp_path, 10_000), {"uavnav": 3, "sb3": 2}, parity.CELLS[:1]
-    worlds = {"ppo": 16, "dqn": 64}
+def test_parity_runs_what_is_missing_ours_and_dqn_first_and_at_most_12_seeds_a_process(tmp_path):
+    store, ppo, dqn = parity.Store(tmp_path, 10_000), parity.Cell("ppo", "tanh"), parity.Cell("dqn", "tanh")
+    seeds, worlds = {ppo: (3, 2, 1, 1), dqn: (14, 1, 0, 0)}, {"ppo": 16, "dqn": 64}
+    keep_curves(store, ppo, parity.Arm("uavnav", 16), 2, level=-4)
+    todo = store.jobs(list(seeds), worlds, seeds)
+    assert [title for title, _, _ in todo] == [
+        "dqn tanh, uavnav, 64 worlds, seeds 0 to 11",
+        "dqn tanh, uavnav, 64 worlds, seeds 12 to 13",
+        "ppo tanh, uavnav, 16 worlds, seeds 2 to 2",
+        "ppo tanh, uavnav, 1 world, seeds 0 to 0",
+        "dqn tanh, SB3, 64 worlds, seed 0",
+        "ppo tanh, SB3, 16 worlds, seed 0",
+        "ppo tanh, SB3, 16 worlds, seed 1",
+        "ppo tanh, SB3, 1 world, seed 0",
+    ]
+    assert todo[2][2]["seeds"] == [2]
+    assert (todo[-1][2]["seed"], todo[-1][2]["n_envs"]) == (0, 1)
+    assert parity.consecutive([0, 1, 3, 4, 5, 6], most=3) == [[0, 1], [3, 4, 5], [6]]
+
+
+def test_parity_compares_like_with_like_and_the_preset_as_it_is_with_sb3_in_one_world(tmp_path):
+    store, cells, worlds = parity.Store(tmp_path, 10_000), parity.CELLS[:1], {"ppo": 16, "dqn": 64}
     mine, theirs, mine_alone, theirs_alone = parity.arms(16)
-    todo = store.jobs(cells, worlds, seeds)
-    assert [job for _, job, _ in todo] == ["curves_ours", *["curves_sb3"] * 2] * 2
-    assert [todo[index][2]["n_worlds"] for index in (0, 3)] == [16, 1]
-    assert todo[0][2]["seeds"] == [0, 1, 2]
     keep_curves(store, cells[0], mine, 2, level=-4)
     keep_curves(store, cells[0], theirs, 2, level=-4)
     keep_curves(store, cells[0], mine_alone, 3, level=-1)
     keep_curves(store, cells[0], theirs_alone, 1, level=-7)
-    todo = store.jobs(cells, worlds, seeds)
-    assert [job for _, job, _ in todo] == ["curves_ours", "curves_sb3"]
-    assert todo[0][2]["seeds"] == [2]
-    assert (todo[1][2]["seed"], todo[1][2]["n_envs"]) == (1, 1)
-    assert "not enough seeds" in "\n".join(parity.section(store, worlds, "x.png", cells, seeds))
+    text = "\n".join(parity.section(store, worlds, "x.png", cells))
+    assert "| PPO tanh | 1 | 9.01 ± 0.01 (3) | - (1) | - | not enough seeds yet |" in text
     keep_curves(store, cells[0], theirs_alone, 2, level=-7)
-    lines = [line for line in parity.section(store, worlds, "x.png", cells, seeds) if "PPO tanh" in line]
-    like, alone, ours, sb3 = ([cell.strip() for cell in line.split("|")] for line in lines)
-    assert like[2:] == ["16", "6.01 ± 0.01 (2)", "6.01 ± 0.01 (2)", "1.00 (1.00 ... 1.00)", "equal", ""]
-    assert alone[5].startswith("3.00 (")
-    assert alone[6] == "different"
-    assert ours[4].startswith("0.67 (")
-    assert sb3[4].startswith("2.00 (")
-    (panel,) = parity.draw(store, worlds, cells, seeds).axes
+    text = "\n".join(parity.section(store, worlds, "x.png", cells))
+    assert "| PPO tanh | 16 | 6.01 ± 0.01 (2) | 6.01 ± 0.01 (2) | 1.00 (1.00 ... 1.00) | equal |" in text
+    assert "| PPO tanh | 1 | 9.01 ± 0.01 (3) | 3.00 ± 0.01 (2) | 3.00 (" in text
+    assert "| PPO tanh | uavnav, 16 worlds | SB3, 1 world | 2.00 (" in text
+    assert "| PPO tanh | uavnav, 16 worlds | uavnav, 1 world | 0.67 (" in text
+    assert "| PPO tanh | SB3, 16 worlds | SB3, 1 world | 2.00 (" in text
+    assert text.count("| different |") == 4
+    (panel,) = parity.draw(store, worlds, cells).axes
     assert len(panel.lines) == 4
     assert panel.get_xlabel() == "frames per seed [thousand]"
+
+
+def test_seeds_are_printed_with_the_day_and_commit_on_which_they_were_run(tmp_path):
+    store, cells, worlds = parity.Store(tmp_path, 10_000), parity.CELLS[:1], {"ppo": 16, "dqn": 64}
+    mine, theirs, *_ = parity.arms(16)
+    keep_curves(store, cells[0], mine, 2, level=-4)
+    os.utime(store.path(cells[0], mine, 0), (0, 0))
+    os.utime(store.path(cells[0], mine, 1), (0, 0))
+    jobs._keep(pd.read_parquet(store.path(cells[0], mine, 0)), str(store.path(cells[0], theirs, 0)))
+    assert store.origins(worlds, cells) == f"2 on 1970-01-01, commit not kept; 1 on {bench_report.when()}"
 
 
 def test_a_seed_that_cannot_be_trained_is_named_and_the_others_are_kept(tmp_path):
     store, said = parity.Store(tmp_path, 300), []
     cell = parity.Cell("ppo", "tanhh")
-    failed = parity.train(store, {"ppo": 1}, tmp_path, said.append, [cell], {"uavnav": 1, "sb3": 0}, at_once=1)
+    failed = parity.train(store, {"ppo": 1}, tmp_path, said.append, {cell: (1, 0, 0, 0)}, at_once=1)
     assert len(failed) == 1
     assert "did you mean tanh?" in failed[0]
     assert len(said) == 1
@@ -232,14 +267,45 @@ def test_a_seed_that_cannot_be_trained_is_named_and_the_others_are_kept(tmp_path
 # -- growth -----------------------------------------------------------------------------------------------------------
 
 
-def test_growth_of_x_to_the_1_5_between_two_neighbours_is_named_and_both_panels_have_units():
+def test_growth_of_x_to_the_1_5_is_fitted_and_the_largest_between_two_neighbours_is_named():
+    assert growth.exponent([(x, 3 * x**1.5) for x in (1.0, 2.0, 8.0)]) == pytest.approx(1.5)
     assert growth.steepest([(1, 1.0), (2, 1.5), (8, 12.0)]) == pytest.approx(1.5)
+    assert math.isnan(growth.exponent([(1, 1.0)]))
     assert math.isnan(growth.steepest([(1, 1.0)]))
-    rows = {point: {"rate": 1e6 / point.x, "peak": 0.5} for point in growth.points()}
+    assert growth.line([(x, 3.0 + 0.5 * x) for x in (1, 2, 5, 40)]) == pytest.approx((3, 0.5))
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
+def test_the_parameters_of_a_hidden_width_of_16_are_those_of_its_networks(algorithm):
+    config = jobs._config(algorithm, {"hidden": (16, 16)})
+    if algorithm == "ppo":
+        from uavnav.ppo import make_networks
+
+        networks = make_networks(config)
+    else:
+        from uavnav.dqn import make_network
+
+        networks = [make_network(config)]
+    n = sum(part.numel() for network in networks for part in network.parameters())
+    assert growth.parameters(algorithm, 16) == n
+
+
+def test_growth_says_what_is_fixed_and_per_seed_and_that_nothing_or_what_grows_faster_than_linearly():
+    rows = {point: {"rate": 1e6 / (60 * point.size), "peak": 0.5} for point in growth.points()}
     text = "\n".join(growth.section(rows, "benchmarks.png"))
-    assert "| PPO | seeds: 1, 2, 5, 10, 20, 40 | 0.0, 0.0, 0.1, 0.2, 0.3, 0.7 | 1.00 |" in text
-    labels = [panel.get_ylabel() for panel in growth.draw(rows).axes]
-    assert [label for label in labels if label] == ["time for 1 M frames a seed [min]", "peak memory [GB]"]
+    assert "| PPO | seeds: 1, 2, 5, 10, 20, 40 | 1.0, 2.0, 5.0, 10.0, 20.0, 40.0 | 1.00 (1.00) |" in text
+    assert "min and 1 min a seed; 0.5 GB and" in text
+    assert text.endswith("Nothing grows faster than linearly.")
+    rows |= {point: {"rate": 1e6 / (60 * point.x**2), "peak": 0.5} for point in rows if point[:2] == ("ppo", "seeds")}
+    text = "\n".join(growth.section(rows, "benchmarks.png"))
+    assert "Faster than linearly grow: PPO's time with seeds, exponent 2.00 (between 1 to 2, 2 to 5" in text
+    panels = growth.draw(rows).axes
+    assert [panel.get_ylabel() for panel in panels if panel.get_ylabel()] == [
+        "time for 1 M frames a seed [min]",
+        "peak memory [GB]",
+    ]
+    assert panels[-1].get_xlabel() == "parameters a seed"
+    assert panels[-1].lines[0].get_xdata()[0] == growth.parameters("ppo", 16)
 
 
 # -- the file ---------------------------------------------------------------------------------------------------------
@@ -301,17 +367,153 @@ def test_the_command_measures_two_things_one_thread_each_and_writes_the_file(tmp
     monkeypatch.setattr(bench, "plan", lambda quick: [bench.replace(one, rounds=1, expected=1) for one in tiny(quick)])
     real = bench.importlib.util.find_spec
     monkeypatch.setattr(bench.importlib.util, "find_spec", lambda name: None if name == "sbx" else real(name))
-    out = tmp_path / "benchmarks.md"
-    assert bench.main(["--quick", "--out", str(out), "--store", str(tmp_path / "store")]) == 0
+    monkeypatch.chdir(tmp_path)
+    out = Path("store/quick.md")
+    assert bench.main(["--quick", "--store", "store"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 4
     assert "gymnasium/numpy: rate" in lines[0]
     assert "training/ppo/sbx/numpy: SBX is not installed: pip install -e '.[bench]'" in lines[2]
     assert lines[3] == f"wrote {out}"
     sections = read_sections(out)
-    assert list(sections) == ["machine", "world", "gymnasium", "training"]
+    assert not Path("docs").exists()
+    assert list(sections) == ["machine", "targets", "world", "gymnasium", "training"]
+    assert "one round each" in sections["world"].splitlines()[2]
     assert "| batch size | eager, 1 thread | times NumPy |" in sections["world"]
     assert "SBX is not installed: pip install -e '.[bench]'" in sections["training"]
+
+
+STUBS = {
+    "world": lambda how: {str(batch): 1e6 for batch in how["batches"]},
+    "single": lambda how: {"rate": 1e4},
+    "vector": lambda how: {str(batch): 1e4 for batch in how["batches"]},
+    "buffer_memory": lambda how: {"frames": 10**6, "peak": 0.6},
+    "ours_whole": lambda how: {"whole": 90.0, "frames": 10**6, "peak": 0.6},
+    "reach": lambda how: (
+        {"seed": how["seed"], "seconds": None, "frames": None}
+        if how["seed"] == 3
+        else {"seed": how["seed"], "seconds": 20.0 + how["seed"], "frames": 200_000}
+    ),
+}
+"""What each job finds; runs that are watched find the rest."""
+
+
+def stubbed(one):
+    watched = {"startup": 9.0, "rate": 2e3, "rate_before": 1e4, "whole": 600.0, "frames": 60_000, "peak": 0.5}
+    watched |= {"shares": {"collection": 0.5, "update": 0.4, "other": 0.1}} if one.arguments.get("stages") else {}
+    found = STUBS[one.job](one.arguments) if one.job in STUBS else watched
+    return [found | ({"tree": 1.0} if one.sample else {})] * one.copies
+
+
+@pytest.fixture
+def stubs(monkeypatch, tmp_path):
+    """The names of what is measured, none of it really."""
+    measured = []
+
+    def measure(runner, one, timeout):
+        measured.append(one.name)
+        return stubbed(one)
+
+    def train(store, worlds, cache, say, seeds, at_once):
+        keep_curves(store, parity.CELLS[0], parity.Arm("uavnav", worlds["ppo"]), 2, level=-4)
+        return ["ppo tanh, SB3: failed"]
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(bench.Runner, "measure", measure)
+    monkeypatch.setattr(parity, "train", train)
+    real = bench.importlib.util.find_spec
+    monkeypatch.setattr(bench.importlib.util, "find_spec", lambda name, *more: name in bench.PEERS or real(name, *more))
+    return measured
+
+
+@pytest.mark.parametrize(
+    ("words", "sections"),
+    [
+        ([], ["machine", "targets", *bench.SECTIONS]),
+        (["--quick"], ["machine", "targets", *bench.SECTIONS]),
+        (["--only", "stages"], ["machine", "stages"]),
+        (["--growth"], ["growth"]),
+        (["--whole"], ["whole"]),
+        (["--fast"], ["fast"]),
+        (["--parity"], ["parity"]),
+    ],
+)
+def test_every_mode_writes_its_sections_to_the_end(stubs, words, sections):
+    assert bench.main(words) == 0
+    out = Path("bench/quick.md" if "--quick" in words else "docs/benchmarks.md")
+    assert list(read_sections(out)) == sections
+    assert out.read_text().endswith("\n")
+    assert "cut short" not in out.read_text()
+
+
+def test_fast_warms_up_once_and_refreshes_its_row_of_the_targets_and_nothing_else(stubs):
+    assert bench.main([]) == 0
+    before = read_sections(Path("docs/benchmarks.md"))
+    stubs.clear()
+    assert bench.main(["--fast"]) == 0
+    assert stubs == ["fast/warm-up", *(f"fast/{seed}" for seed in range(5))]
+    after = read_sections(Path("docs/benchmarks.md"))
+    row = "| PPO `fast`: first policy with a reward of 88.5 | s | 90 | 20 |"
+    assert after["targets"] == before["targets"].replace(f"{row} - | not measured |", f"{row} 22 | reached |")
+    assert after["targets"] != before["targets"]
+    assert "| 3 | not reached | not reached |" in after["fast"]
+    assert f"| 0 | 20 | 200,000 | {bench_report.when()} |" in after["fast"]
+    stubs.clear()
+    assert bench.main(["--fast"]) == 0
+    assert stubs == []
+
+
+@pytest.mark.parametrize("words", [[], ["--growth"], ["--whole"], ["--fast"]])
+def test_a_run_that_is_stopped_in_its_third_measurement_writes_what_it_found_and_marks_it(
+    stubs, words, monkeypatch, capsys
+):
+    def measure(runner, one, timeout):
+        stubs.append(one.name)
+        if len(stubs) == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(10)
+        return stubbed(one)
+
+    monkeypatch.setattr(bench.Runner, "measure", measure)
+    assert bench.main(words) == 130
+    assert len(stubs) == 3
+    assert "stopped; what was found so far is in docs/benchmarks.md" in capsys.readouterr().err
+    sections = read_sections(Path("docs/benchmarks.md"))
+    assert sections
+    assert all("cut short" in text for text in sections.values())
+    assert "targets" not in sections
+
+
+def test_a_job_ends_when_the_one_that_started_it_is_killed(tmp_path):
+    command = (
+        "import sys, time, pathlib; from uavnav.bench.jobs import Job;"
+        f"print(Job('single', {{'which': 'numpy', 'seconds': 600}}, 1, pathlib.Path({str(tmp_path)!r}))._process.pid,"
+        " flush=True); time.sleep(600)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", command], stdout=subprocess.PIPE, text=True)
+    with process:
+        job = Path(f"/proc/{process.stdout.readline().strip()}")
+        assert job.exists()
+        process.kill()
+    for _ in range(300):
+        if not job.exists() or (job / "stat").read_text().rpartition(")")[2].split()[0] == "Z":
+            break
+        time.sleep(0.1)
+    else:
+        pytest.fail("the job still runs")
+
+
+def test_two_processes_that_meet_go_on_within_50_ms_of_each_other(tmp_path):
+    command = (
+        "import sys, time, pathlib; from uavnav.bench.jobs import _meet; time.sleep(float(sys.argv[1]));"
+        f"_meet(pathlib.Path({str(tmp_path)!r}), '4096', 2); print(time.time())"
+    )
+    both = [
+        subprocess.Popen([sys.executable, "-c", command, delay], stdout=subprocess.PIPE, text=True)
+        for delay in ("0", "1")
+    ]
+    first, second = (float(process.communicate(timeout=120)[0]) for process in both)
+    assert abs(first - second) < 0.05
 
 
 def test_measurements_that_would_end_too_late_are_left_out_and_named(tmp_path):
@@ -369,6 +571,19 @@ def test_a_watched_run_of_ours_is_stopped_and_names_its_rates(algorithm, frames,
     assert 0.99 < sum(found["shares"].values()) < 1.01
     assert found["shares"]["collection"] > 0
     assert found["shares"]["update"] > 0
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
+def test_where_the_time_goes_is_taken_of_stable_baselines3_too(algorithm):
+    pytest.importorskip("stable_baselines3")
+    command = (
+        "from uavnav.bench.jobs import sb3; import time, json;"
+        f"print(json.dumps(sb3(time.time(), {algorithm!r}, 'numpy', 4096, 1.0, 500, stages=True)['shares']))"
+    )  # in a process of its own: what is timed stays wrapped
+    result = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
+    shares = json.loads(result.stdout)
+    assert sum(shares.values()) == pytest.approx(1)
+    assert min(shares["collection"], shares["update"], shares["buffer"]) > 0
 
 
 # -- peers ------------------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 import uavnav
-from uavnav import PolicyError, evaluate_policy, load_policy, policies
+from uavnav import PolicyError, evaluate_policy, export, load_policy, play, policies, render
 from uavnav.sb3 import DroneVecEnv
 
 SHORT = {"ppo": {"n_steps": 16, "batch_size": 64}, "dqn": {"learning_starts": 64, "buffer_size": 1000}}
@@ -244,6 +244,40 @@ def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
         load_policy(path, seed=3, activation="tanh")
     with pytest.raises(PolicyError, match=r"activation=tanh; a run knows its own: give it for a \.zip alone"):
         load_policy(tmp_path, activation="tanh")
+
+
+def test_a_zip_is_drawn_with_its_activation_beside_a_script(tmp_path, capsys):
+    path = zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
+    words = [str(path), "straight", "--activation", "tanh", "--steps", "5", "--out", str(tmp_path / "a.png")]
+    assert render.main(words) == 0
+    assert f"{tmp_path.name}/theirs.zip: 5 steps" in capsys.readouterr().out
+    (pilot,) = render.load_pilots([str(path)], activation="relu")
+    observation = torch.rand(5, 30)
+    assert torch.equal(pilot.policy(observation), load_policy(path, activation="relu")(observation))
+
+
+def test_a_zip_flies_in_the_window_with_its_activation(tmp_path, monkeypatch):
+    pytest.importorskip("pygame")
+    path = zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
+    flown = []
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setattr(play, "play", lambda game: flown.append(game) or game)
+    assert play.main([str(path), "--activation", "tanh"]) == 0
+    assert flown[0].pilots[1].name == f"{tmp_path.name}/theirs.zip"
+    assert flown[0].choice.meaning == "logits"
+
+
+@pytest.mark.parametrize("command", [render, play, export], ids=lambda command: command.__name__)
+def test_a_command_asks_for_the_activation_of_a_zip_by_its_option(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
+    out = ["--out", {render: "a.gif", play: "rows.parquet", export: "a.onnx"}[command]]
+    assert command.main(["theirs.zip", *out]) == 2
+    line = "theirs.zip: its weights do not tell the activation; give --activation, one of elu, "
+    assert capsys.readouterr().err.startswith(f"{command.__name__}: {line}")
+    assert command.main(["reactive", "--activation", "tanh", *out]) == 2
+    line = "--activation tanh: runs know their own; give it with a .zip\n"
+    assert capsys.readouterr().err == f"{command.__name__}: {line}"
 
 
 def test_the_package_unpickles_nowhere():

@@ -5,6 +5,7 @@ import torch
 from tensordict import TensorDict
 
 from uavnav import dqn, layouts, ppo, probes, simulator
+from uavnav.env import DroneEnv
 from uavnav.world import World
 
 WORLD = World()
@@ -68,3 +69,29 @@ def test_updates_and_diagnostics_stay_on_their_device(meta, algorithm):
     losses = learner.learn(transitions(config))
     assert all(value.device.type == "meta" for value in losses.values())
     assert all(value.device.type == "meta" for value in probes.units(policy, poses).values())
+
+
+def collected(env, actor, n_steps):
+    """A rollout [A, W, T] by the calls that a collector makes; TorchRL's own asks `meta` for numbers."""
+    now, steps = env.root(), []
+    for _ in range(n_steps):
+        step, now = env.step_and_maybe_reset(now.set("action", actor(now["observation"])))
+        steps.append(step)
+    return torch.stack(steps, 2)
+
+
+def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(monkeypatch):
+    """What `ppo.train` does in an iteration but for the recorder, which reads numbers and takes them to the CPU."""
+    monkeypatch.setattr(DroneEnv, "_make_specs", lambda env: None)  # TorchRL's ask for numbers that `meta` has not
+    config = ppo.PPOConfig(n_seeds=2, frames_per_batch=128, minibatch_size=64, epochs=1)
+    env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds)
+    policy, value = ppo.make_networks(config)
+    loss = ppo.make_loss(policy, value, config).to("meta")
+    batch = collected(env, ppo.SampledPolicy(policy, config, compile=False), 8)
+    assert batch.shape == (2, config.n_worlds, 8)
+    ppo.estimate(batch, loss, ppo.make_advantage(config))
+    losses = ppo.make_learner(loss, config, compile=False).step(ppo.rows(batch).transpose(0, 1))
+    moved = ppo.diagnostics(batch, loss, config.clip_epsilon)
+    found = [*batch.values(include_nested=True, leaves_only=True), *losses.values(), *moved.values()]
+    assert {value.device.type for value in found} == {"meta"}
+    assert all(value.shape == (2,) for value in moved.values())

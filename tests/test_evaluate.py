@@ -177,6 +177,24 @@ def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
     rows = pd.read_parquet(tmp_path / "baselines" / "random.parquet")
     assert rows.layout.tolist() == [0, 1, 2, 3, 4]
     assert list(rows.columns) == list(EPISODE_COLUMNS)
+    assert rows.attrs == {"layouts": "test", "max_steps": 50}
+
+
+@pytest.mark.parametrize("out", ["/proc/x", "file", "file/rows"])
+def test_a_folder_for_rows_that_cannot_be_is_refused_before_anyone_flies(out, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setattr(evaluate, "fly", None)
+    assert evaluate.main(["random", "--out", out]) == 2
+    printed, err = capsys.readouterr()
+    assert err.startswith(f"uavnav.evaluate: {out}/random.parquet: cannot be written (")
+    assert err.endswith("); give a path that can be written\n")
+    assert (printed, err.count("\n")) == ("", 1)
+
+
+def test_a_run_that_is_spelt_wrongly_is_the_nearest_folder_beside_it(run, capsys):
+    assert evaluate.main([str(run.path.parent / "rum")]) == 2
+    assert capsys.readouterr().err.endswith(f"give a run's folder (did you mean {run.path}?)\n")
 
 
 @pytest.fixture
@@ -212,7 +230,7 @@ def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(zippe
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["theirs.zip"], "theirs.zip: its weights do not tell the activation; give activation=..., one of elu, "),
+        (["theirs.zip"], "theirs.zip: its weights do not tell the activation; give --activation, one of elu, "),
         (["theirs.zip", "--activation", "rleu"], "theirs.zip: unknown activation 'rleu'; choose from elu, "),
         (
             ["nowhere.zip", "--activation", "relu"],

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from uavnav import paper, stats
-from uavnav.metrics import EPISODE_COLUMNS, METRICS
+from uavnav.metrics import EPISODE_COLUMNS
 from uavnav.report import behaviour, figures
 from uavnav.report.cells import BINS, EMPTY, Cell
 from uavnav.world import World
@@ -99,7 +99,7 @@ EXAMPLES = {
     "heat maps": lambda: figures.heat_maps({"ppo tanh": np.full((3, 4), 1 / 12)}, WORLD),
     "sensitivity": lambda: figures.sensitivity(switches(default=5.0)),
     "power": lambda: figures.power(pd.DataFrame({"pair": ["a / b"], "seeds": [7.0]})),
-    "speed": lambda: figures.speed(pd.DataFrame({"cell": ["ppo tanh"], "seconds": [360.0]})),
+    "speed": lambda: figures.speed(pd.DataFrame({"cell": ["ppo tanh"], "seconds": [360.0], "seeds": [20]})),
 }
 NOTHING = {
     "curves": lambda: figures.curves([], "reward"),
@@ -114,7 +114,7 @@ NOTHING = {
     "heat maps": lambda: figures.heat_maps({"ppo tanh": np.zeros((3, 4))}, WORLD),
     "sensitivity": lambda: figures.sensitivity(switches()),
     "power": lambda: figures.power(pd.DataFrame({"pair": [], "seeds": []})),
-    "speed": lambda: figures.speed(pd.DataFrame({"cell": [], "seconds": []})),
+    "speed": lambda: figures.speed(pd.DataFrame({"cell": [], "seconds": [], "seeds": []})),
 }
 
 
@@ -149,7 +149,7 @@ def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_me
     assert (dashed.get_linestyle(), dashed.get_ydata()) == ("--", [paper.TABLES["ppo", "tanh"]["reward"]] * 2)
     assert dashed.get_color() == line.get_color() == figures.COLOURS["tanh"]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("frames per seed", "reward per episode")
-    assert "tanh, n = 3" in texts(drawn.figure)
+    assert {"tanh, n = 3", "tanh 88.5"} <= set(texts(drawn.figure))
     assert drawn.alt == (
         "PPO: reward per episode in training against frames per seed; in the last bin: "
         "tanh 3.00 (95 % interval 3.00 to 3.00; n = 3; the paper's mean 88.5)."
@@ -197,11 +197,6 @@ def test_two_cells_of_one_activation_differ_in_their_lines_and_an_unknown_activa
     first, dashed, second, third = figures.curves(cells, "reward").figure.axes[0].lines
     assert (first.get_linestyle(), dashed.get_linestyle(), second.get_linestyle()) == ("-", "--", ":")
     assert first.get_color() == second.get_color() != third.get_color()
-
-
-def test_every_metric_has_an_axis_with_its_unit():
-    assert set(figures.AXES) == set(METRICS)
-    assert figures.AXES["speed"] == "speed [px a step]"
 
 
 def test_every_measure_of_behaviour_has_an_axis():
@@ -339,9 +334,27 @@ def test_why_is_a_line_an_activation_in_bins_of_frames_and_a_bound():
     assert list(bound.get_ydata()) == [9.0, 9.0]
     assert "tanh, n = 2" in texts(drawn.figure)
     assert drawn.alt == (
-        "DQN: value of the best action against frames per seed; in the last bin: "
+        "DQN: mean of max Q in training [reward] against frames per seed; in the last bin: "
         "tanh 3.50 (95 % interval 3.00 to 4.00; n = 2); nothing can earn more than 9.00."
     )
+
+
+def test_of_two_lines_that_are_the_same_the_first_is_wider():
+    rows = pd.DataFrame({"seed": [0, 1], "frame": [10, 10], "dormant": [0.0, 0.0]})
+    drawn = figures.why({"dqn tanh": rows, "dqn sigmoid": rows}, "dormant", "dormant units")
+    tanh, sigmoid = drawn.figure.axes[0].lines
+    assert tanh.get_linewidth() >= sigmoid.get_linewidth() + 1
+
+
+def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apart():
+    cells = [cell([0.0], [1.0], algorithm="dqn", activation=one) for _, one in [*paper.TABLES][:4]]
+    drawn = figures.curves(cells, "reward")
+    (axes,) = drawn.figure.axes
+    named = {text.get_text(): text.xyann for text in axes.texts}
+    assert set(named) == {"tanh -6.98", "sigmoid -5.67", "relu -7.62", "leaky_relu -7.41"}
+    heights = sorted(place for _, place in named.values())
+    assert np.diff(heights).min() > 0.054
+    assert {place for place, _ in named.values()} == {1.06}
 
 
 def test_a_seed_with_nan_in_its_progress_leaves_the_other():
@@ -387,6 +400,17 @@ def test_power_sorts_pairs_and_says_what_is_endless_and_not_known():
     assert axes.get_xscale() == "log"
 
 
+def test_more_than_10000_seeds_are_an_arrow_at_10000_and_ticks_are_powers_of_ten():
+    drawn = figures.power(pd.DataFrame({"pair": ["a", "b"], "seeds": [2e8, 12.0]}), n=20, most=10_000)
+    (axes,) = drawn.figure.axes
+    assert [line.get_xdata().tolist() for line in lines(axes, ">") if len(line.get_xdata())] == [[10_000]]
+    assert {"> 10,000", "12"} <= set(texts(drawn.figure))
+    assert axes.get_xlim() == (1, 40_000)
+    ticks = [place for place in axes.get_xticks() if 1 <= place <= 40_000]
+    assert ticks == [1, 10, 100, 1_000, 10_000]
+    assert "from b 12 to a more than 10,000, median more than 10,000;" in drawn.alt
+
+
 def test_power_of_nothing_finite_is_drawn():
     drawn = figures.power(pd.DataFrame({"pair": ["a", "b"], "seeds": [np.nan, np.inf]}))
     assert drawn.alt.endswith("no difference seen in 1; not known of 1.")
@@ -395,9 +419,18 @@ def test_power_of_nothing_finite_is_drawn():
 
 def test_6_minutes_are_100_times_faster_than_the_papers_ten_hours():
     table = pd.DataFrame({"cell": ["ppo tanh", "ppo tanh", "dqn relu"], "seconds": [180.0, 540.0, 72_000.0]})
+    table = table.assign(seeds=[20, 20, 5])
     drawn = figures.speed(table)
     (axes,) = drawn.figure.axes
     assert {"6 min: 100 × faster", "20 h: 2 × slower", "the paper: about 10 hours"} <= set(texts(drawn.figure))
     assert [10.0, 10.0] in [list(line.get_xdata()) for line in axes.lines]
     assert axes.get_xscale() == "log"
-    assert "PPO tanh 6 min, DQN relu 20 h; the paper took about 10 hours." in drawn.alt
+    assert drawn.alt == (
+        "Wall time of a million frames of one seed: its share of a run of 5 to 20 side by side: "
+        "PPO tanh 6 min, DQN relu 20 h; the paper took about 10 hours."
+    )
+
+
+def test_18_seconds_are_2000_times_faster_in_plain_numbers():
+    drawn = figures.speed(pd.DataFrame({"cell": ["ppo tanh"], "seconds": [18.0], "seeds": [20]}))
+    assert "18 s: 2,000 × faster" in texts(drawn.figure)

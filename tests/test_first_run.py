@@ -58,7 +58,8 @@ def test_without_the_repository_training_is_a_call(monkeypatch, tmp_path):
 def test_the_list_holds_each_module_that_is_a_command():
     modules = {path.stem: path for path in PACKAGE.glob("*.py")}
     modules |= {path.parent.name: path for path in PACKAGE.glob("*/__main__.py")}
-    commands = {name for name, path in modules.items() if "\nif __name__ ==" in path.read_text()} - {"__main__"}
+    commands = {name for name, path in modules.items() if "\nif __name__ ==" in path.read_text()}
+    commands -= {"__main__", *listing.TRAINING}
     assert sorted(listing.COMMANDS) == sorted(commands)
 
 
@@ -75,6 +76,27 @@ def test_an_unknown_command_is_one_line_with_the_nearest_and_status_2(words, cap
     assert err.startswith("uavnav: there is no command 'evalute'; choose from bench, evaluate, ")
     assert err.endswith("(did you mean evaluate?)\n")
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", listing.TRAINING)
+def test_the_name_of_an_algorithm_is_answered_with_its_recipe_and_without_the_repository_with_its_call(
+    name, capsys, monkeypatch
+):
+    assert listing.main([name, "activation=relu"]) == 2
+    assert capsys.readouterr().err == f"uavnav: {name} is no command; to train with it: python recipes/{name}.py\n"
+    monkeypatch.setattr(listing, "RECIPES", RECIPES / "nowhere")
+    assert listing.main([name]) == 2
+    assert capsys.readouterr().err.endswith(f"to train with it: uavnav.{name}.train(...) in Python\n")
+
+
+@pytest.mark.slow
+def test_the_example_of_the_listing_runs_as_it_is(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert f"\nSuch as: {listing.EXAMPLE}\n" in listing.listing()
+    python_, m, command, *words = listing.EXAMPLE.split()
+    assert (python_, m) == ("python", "-m")
+    assert listing.main([command.removeprefix("uavnav."), *words]) == 0
+    assert (tmp_path / "flight.gif").read_bytes().startswith(b"GIF89a")
 
 
 def test_a_command_after_uavnav_runs_with_the_words_after_it(capsys):
@@ -185,7 +207,33 @@ def test_the_estimate_gives_the_measured_rates_back(algorithm, n_seeds):
     assert f"{RATES[algorithm, n_seeds]:,}" in (PACKAGE.parent / "docs" / "benchmarks.md").read_text()
 
 
-@pytest.mark.parametrize("given", [{"preset": "fast"}, {"epochs": 3}, {"n_worlds": 32}, {"hidden": (256, 256)}])
+def test_the_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_docs_and_the_rate_of_five_seeds():
+    found = display.seconds("ppo", PPOConfig(preset="fast"), 200_000, processes=1, compiled=True)
+    assert found == pytest.approx(8, rel=0.01)
+    assert (
+        "200,000 frames are\nthere 15 s after the command" in (PACKAGE.parent / "docs" / "performance.md").read_text()
+    )
+    run = uavnav.Run(PACKAGE.parent / "results" / "tuned" / "ppo" / "tanh")
+    rate = run.progress["frames_per_second"].mean()
+    found = display.seconds("ppo", PPOConfig(preset="fast", n_seeds=5), run.frames, processes=2, compiled=True)
+    assert found == pytest.approx(run.frames / rate, rel=0.2)
+
+
+def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_long_it_still_takes(monkeypatch, capsys):
+    clock = [0.0]
+    monkeypatch.setattr(display.time, "monotonic", lambda: clock[0])
+    config = DQNConfig(n_worlds=32, learning_starts=1000)
+    with display.Display("dqn", config, 80_000, quiet=False) as shown:
+        shown.begin(Path("run"), {"compiled": False, "threads": 1})
+        for clock[0], frames in [(0.0, 500), (9.0, 1000), (13.0, 3000), (14.0, 6000), (20.0, 9000)]:
+            shown.update(frames, [0.0])
+    lines = [line for line in capsys.readouterr().out.splitlines() if "at this rate" in line]
+    assert lines == ["about 70 s more at this rate"]  # 1,000 frames/s from frame 1,000 on, and 74,000 are left
+
+
+@pytest.mark.parametrize(
+    "given", [{"epochs": 3}, {"n_worlds": 32}, {"hidden": (256, 256)}, {"preset": "fast", "lr": 1}]
+)
 def test_there_is_no_estimate_of_what_was_not_measured(given, tmp_path):
     config = PPOConfig(**given)
     assert display.seconds("ppo", config, 1_000_000, processes=1, compiled=True) is None

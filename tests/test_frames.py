@@ -8,7 +8,7 @@ import pytest
 
 from uavnav import paper, stats
 from uavnav.metrics import EPISODE_COLUMNS, METRICS
-from uavnav.report import claims, frames
+from uavnav.report import claims, frames, tables
 from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import PRIMARY
 from uavnav.report.studies import Studies, of_paper
@@ -103,8 +103,8 @@ def test_interactions_by_metric_and_reading_of_the_papers_cells_alone():
 
 def test_seeds_for_a_difference_of_one_standard_deviation_are_17_and_only_within_an_algorithm():
     found = frames.power(cells(ppo_tanh=1, ppo_relu=0, dqn_tanh=5, dqn_sigmoid=5, ppo_mish=9))
-    assert found.to_numpy().tolist() == [["PPO: tanh and relu", 17], ["DQN: tanh and sigmoid", np.inf]]
-    assert frames.power({}).shape == (0, 2)
+    assert found.to_numpy().tolist() == [["PPO: tanh and relu", 3, 17], ["DQN: tanh and sigmoid", 3, np.inf]]
+    assert frames.power({}).shape == (0, 3)
 
 
 # -- survival ---------------------------------------------------------------------------------------------------------
@@ -192,6 +192,34 @@ def test_without_a_study_as_decided_nothing_is_compared():
     assert len(found) == 0
     alone = frames.sensitivity(studies({}, a__b=cells(ppo_tanh=9, ppo_relu=0)))
     assert alone["flips"].tolist() == [""]
+
+
+# -- tuned ------------------------------------------------------------------------------------------------------------
+
+
+def evaluated(**means):
+    """Cells as of `cells` that were evaluated, with the same rewards."""
+    return {key: one._replace(evaluation=one.episodes.assign(mode="sampled")) for key, one in cells(**means).items()}
+
+
+def test_ppo_minus_dqn_tuned_is_of_the_activations_that_both_have_and_of_the_same_in_the_main_study():
+    tuned = evaluated(ppo_tanh=30, ppo_relu=50, dqn_relu=10, dqn_sigmoid=99)
+    main = evaluated(ppo_tanh=1, ppo_relu=5, dqn_tanh=99, dqn_relu=25)
+    found = frames.by_default(Studies(main, {}, {}, {}, tuned, []))
+    assert found[["settings", "activations", "value", "n"]].to_numpy().tolist() == [
+        ["preset fast", "relu", 40, 3],
+        ["main study", "relu", -20, 3],
+    ]
+    assert (found["low"] <= found["value"]).all()
+    assert [row[-1] for row in tables.by_default(found)[1:]] == ["PPO above DQN", "DQN above PPO"]
+
+
+def test_without_an_activation_of_both_nothing_is_said_of_tuned():
+    found = frames.by_default(Studies({}, {}, {}, {}, evaluated(ppo_tanh=30, dqn_relu=10), []))
+    assert found["n"].tolist() == [0, 0]
+    assert all(row[1:4] == ["–", "0", "–"] and row[4].startswith("not known") for row in tables.by_default(found)[1:])
+    unevaluated = frames.by_default(Studies({}, {}, {}, {}, cells(ppo_tanh=1, dqn_tanh=2), []))
+    assert unevaluated["value"].isna().all()
 
 
 # -- the rest ---------------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from uavnav import paper
-from uavnav.metrics import EPISODE_COLUMNS, METRICS, finished, last_episodes, per_seed
+from uavnav.metrics import EPISODE_COLUMNS, METRICS, Metric, finished, last_episodes, per_seed
 
 
 def episode(seed, frame, steps, stops, full_stops, turns, distance, reward, terminated=True, truncated=False):
@@ -43,6 +43,28 @@ def test_open_episodes_are_in_no_reading(episodes):
 def test_the_last_episodes_are_each_seeds_own(episodes):
     assert last_episodes(episodes, 1).frame.tolist() == [400, 50]
     assert len(last_episodes(episodes, 100)) == 3
+
+
+@pytest.mark.parametrize("ratio_of_means", [False, True])
+def test_a_metric_of_a_column_that_a_run_lacks_is_nan_and_the_others_are_as_before(
+    episodes, monkeypatch, ratio_of_means
+):
+    before = per_seed(episodes, ratio_of_means)
+    monkeypatch.setitem(METRICS, "near", Metric("near misses", "near", 100.0, unit="%"))
+    monkeypatch.setitem(METRICS, "nears", Metric("near misses per episode", "near"))
+    result = per_seed(episodes, ratio_of_means)
+    assert result[["near", "nears"]].isna().all(axis=None)
+    pd.testing.assert_frame_equal(result[before.columns], before)
+    joined = pd.concat([episodes[episodes["seed"] == 0], episodes[episodes["seed"] == 1].assign(near=5)])
+    assert per_seed(joined, ratio_of_means)["near"].tolist() == [pytest.approx(float("nan"), nan_ok=True), 10]
+
+
+def test_a_metric_in_words_has_its_unit_and_the_direction_that_is_better():
+    assert [str(metric) for metric in METRICS.values()] == [
+        *("steps per episode", "stops [%]", "full stops [%]", "turning [%]", "distance per episode [px]"),
+        *("speed [px a step]", "reward per episode"),
+    ]
+    assert [name for name, metric in METRICS.items() if metric.better < 0] == ["stops", "full_stops", "turns"]
 
 
 def test_the_papers_tables_hold_8_cells_of_6_metrics_that_we_have_too():

@@ -1,6 +1,7 @@
 """The notebooks run from top to bottom as they are, say nothing on stderr, and define nothing that one would reuse."""
 
 import ast
+import time
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,8 @@ nbclient = pytest.importorskip("nbclient")
 FOLDER = Path(__file__).parent.parent / "docs" / "notebooks"
 RESULTS = FOLDER.parent.parent / "results"
 PICTURES = {"1-the-world": 2, "2-train-and-watch": 3, "3-compare-and-conclude": 2, "4-your-own": 0}
+SECONDS = 120
+"""In which a notebook must be through, from its first cell on."""
 THROWAWAY = {"2-train-and-watch": {"tell"}, "4-your-own": {"gentle", "acting"}}
 
 
@@ -25,7 +28,9 @@ def code(book):
 def execute(name, folder):
     """What the cells of a notebook print and show, when it is run in a folder: the text, how many pictures."""
     book = read(name)
-    nbclient.NotebookClient(book, timeout=300, resources={"metadata": {"path": str(folder)}}).execute()
+    end = time.monotonic() + SECONDS
+    left = {"timeout_func": lambda cell: max(1, round(end - time.monotonic()))}
+    nbclient.NotebookClient(book, resources={"metadata": {"path": str(folder)}}, **left).execute()
     outputs = [output for cell in code(book) for output in cell.outputs]
     assert [output.text for output in outputs if output.get("name") == "stderr"] == []
     shown = [output.get("data", {}) for output in outputs]
@@ -74,7 +79,7 @@ def test_a_notebook_runs_in_an_empty_folder(name, tmp_path):
         assert "49,152 frames: reward" in text
     if name == "3-compare-and-conclude":
         assert "`make study` trains the whole study" in text
-        assert text.count("undecided") >= 8  # of eleven claims: three seeds of one algorithm decide next to nothing
+        assert text.count("undecided") >= 8  # of the claims: three seeds of one algorithm decide next to nothing
     if name == "4-your-own":
         assert "30 matrices earn" in text
         assert "random search" in text

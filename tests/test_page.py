@@ -21,6 +21,7 @@ from selenium.webdriver.support.ui import Select, WebDriverWait
 from uavnav import dqn, ppo
 from uavnav.evaluate import evaluate_run
 from uavnav.report import SECTIONS, report
+from uavnav.report.claims import CLAIMS
 
 pytestmark = pytest.mark.slow
 
@@ -191,7 +192,9 @@ def test_each_link_of_the_navigation_leads_to_its_section_and_stays_in_view(brow
 
 def test_each_claim_shows_its_number_and_its_verdict_in_a_word_and_a_sign_without_being_opened(browser):
     claims = find(browser, ".claim")
-    assert [claim.find_element(By.CSS_SELECTOR, ".number").text for claim in claims] == [str(n) for n in range(1, 12)]
+    assert [claim.find_element(By.CSS_SELECTOR, ".number").text for claim in claims] == [
+        str(n) for n in range(1, len(CLAIMS) + 1)
+    ]
     for claim in claims:
         assert claim.get_property("open") is False
         badge = claim.find_element(By.CSS_SELECTOR, "summary .badge")
@@ -201,7 +204,7 @@ def test_each_claim_shows_its_number_and_its_verdict_in_a_word_and_a_sign_withou
         numbers = claim.find_element(By.CSS_SELECTOR, ".numbers").text
         assert re.search(r"n = \d+$", numbers) or numbers == "no runs"
     counts = [int(count.text) for count in find(browser, ".tile .count")]
-    assert sum(counts) == 11
+    assert sum(counts) == len(CLAIMS)
 
 
 def test_a_claim_opens_by_enter_and_shows_its_table_and_closes_again(browser):
@@ -339,7 +342,7 @@ def test_tab_reaches_navigation_claims_tables_and_player_in_order_with_an_outlin
     assert [name for inside, name in reached if inside == ""][: len(SECTIONS)] == [
         f"A {one}" for one in SECTIONS.values()
     ]
-    assert sum(inside == "claim" for inside, _ in reached) == 11
+    assert sum(inside == "claim" for inside, _ in reached) == len(CLAIMS)
     assert [name.split()[0] for inside, name in reached if inside == "replay"] == (
         ["DIV", "SELECT", "SELECT", "SELECT", "BUTTON", "BUTTON", "BUTTON", "SELECT", "INPUT"]
     )
@@ -348,7 +351,7 @@ def test_tab_reaches_navigation_claims_tables_and_player_in_order_with_an_outlin
 def test_without_javascript_the_verdicts_are_there_and_the_replays_say_what_they_need(browser):
     browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
     browser.refresh()
-    assert len(find(browser, ".claim summary .badge")) == 11
+    assert len(find(browser, ".claim summary .badge")) == len(CLAIMS)
     assert all(badge.is_displayed() for badge in find(browser, ".claim summary .badge"))
     assert one(browser, "noscript").text == "The replays need JavaScript."
     assert find(browser, ".replay") == []

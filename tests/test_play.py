@@ -1,8 +1,11 @@
 """The live window: keys and mouse do what the help says, time passes as it should, and what is saved can be used."""
 
 import dataclasses
+import io
 import math
+import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -161,6 +164,20 @@ def test_the_help_of_the_command_and_of_the_window_have_every_line_of_the_table(
     assert all(shown in written and does in written for shown, does in lines)
 
 
+def test_beneath_the_open_help_the_step_key_does_nothing():
+    game = press(fly(new(STRAIGHT), 2), "h", ".")
+    assert (int(game.state.steps), game.paused, game.help) == (2, False, True)
+
+
+def test_the_help_is_printed_on_a_terminal_that_has_ascii_alone(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), "ascii"))
+    with pytest.raises(SystemExit) as stopped:
+        play.main(["--help"])
+    sys.stdout.seek(0)
+    assert stopped.value.code == 0
+    assert "  ? A          turn 5? left" in sys.stdout.read()
+
+
 def test_with_shift_a_turn_is_one_degree_and_held_keys_turn_in_every_step(window):
     game = press(new(), "up")
     for name in ("left shift", "left"):
@@ -274,6 +291,7 @@ def test_rows_of_three_flights_saved_in_two_goes_are_in_one_file_that_the_report
         assert len(game.flights) == index + 1
     game = press(game, "k")
     assert game.message == "Saved: results/baselines/human.parquet holds 2 flights"
+    assert pd.read_parquet("results/baselines/human.parquet").attrs == {"layouts": "test", "max_steps": 10_000}
     assert press(game, "k").message == "No finished flight by hand to save"
     game = press(fly(press(game, "up", "up", "up"), 300), "k")
     found, left_out = frames.baselines([tmp_path / "results"])
@@ -284,6 +302,46 @@ def test_rows_of_three_flights_saved_in_two_goes_are_in_one_file_that_the_report
     assert rows["steps"].tolist() == [math.ceil(250 / 2)] * 2 + [math.ceil(250 / 3)]
     assert set(rows["seed"]) == {3}
     assert [path.name for path in (tmp_path / "results/baselines").iterdir()] == ["human.parquet"]
+
+
+def test_one_saved_flight_is_1_flight_and_flights_under_another_cap_leave_the_file_without_one(tmp_path):
+    path = tmp_path / "human.parquet"
+    game = press(fly(press(new(rows_path=path), "up"), 300), "k")
+    assert game.message == f"Saved: {path} holds 1 flight"
+    press(fly(press(new(rows_path=path, max_steps=5), "up"), 300), "k")
+    rows = pd.read_parquet(path)
+    assert rows["steps"].tolist() == [250, 5]
+    assert rows.attrs == {}
+
+
+@pytest.mark.parametrize(
+    ("words", "root"),
+    [
+        (["runs/ppo/relu"], "runs"),
+        (["runs/ppo-fast/relu", "other/first"], "runs"),
+        (["runs/first"], "runs"),
+        (["results/obstacles-4/dqn/tanh"], "results"),
+        (["reactive", "theirs.zip", "runs/first"], "runs"),
+        (["ppo/relu"], "."),
+        (["../runs/ppo/relu"], "../runs"),
+        (["/far/runs/ppo/relu"], "/far/runs"),
+        ([], "results"),
+        (["reactive"], "results"),
+    ],
+)
+def test_flights_by_hand_go_where_a_report_of_the_first_runs_root_looks(words, root):
+    assert play.rows_file(words) == Path(root) / "baselines" / "human.parquet"
+
+
+def test_a_flight_flown_beside_a_run_is_found_by_the_report_of_its_folder(run, window, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(run.path, "runs/ppo/relu")
+    press_and_close = iter([lambda game: press(fly(press(game, "0", "up"), 300), "k"), rules.leave])
+    monkeypatch.setattr(play, "turn", lambda game, seconds: next(press_and_close)(game))
+    assert play.main(["runs/ppo/relu"]) == 0
+    found, left_out = frames.baselines([Path("runs")])
+    assert (list(found), left_out) == (["human"], [])
+    assert found["human"]["terminated"].tolist() == [True]
 
 
 def test_rows_are_kept_in_memory_when_the_file_is_another_table_and_it_stays_as_it_is(tmp_path):
@@ -297,6 +355,16 @@ def test_rows_are_kept_in_memory_when_the_file_is_another_table_and_it_stays_as_
     assert not asked.closed
     assert "1 flight by hand not saved yet" in asked.message
     assert press(asked, "escape").closed
+
+
+def test_the_windows_x_asks_once_too_and_says_so_above_the_help(window):
+    game = press(fly(press(new(), "up"), 300), "h")
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    asked = play.turn(game, 0.0)
+    assert (asked.closed, asked.help) == (False, False)
+    assert asked.message == "1 flight by hand not saved yet: K saves; once more closes without"
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    assert play.turn(asked, 0.0).closed
 
 
 def test_an_obstacle_drawn_with_the_mouse_is_saved_loaded_and_flown_into(window, tmp_path, capsys):
@@ -424,6 +492,15 @@ def test_the_command_opens_its_window_obeys_and_closes(run, window, tmp_path, ca
     assert not out.parent.exists()
 
 
+def test_flights_that_the_x_lost_are_counted_in_the_last_line(window, monkeypatch, capsys):
+    game = fly(press(fly(press(new(), "up"), 300), "r", "up"), 300)
+    monkeypatch.setattr(rules, "new", lambda *words, **paths: game)
+    for _ in range(2):
+        pygame.event.post(pygame.event.Event(pygame.QUIT))
+    assert play.main([]) == 0
+    assert capsys.readouterr() == ("2 flights by hand were not saved\n", "")
+
+
 def test_ctrl_c_closes_the_window_and_says_what_was_not_saved(window, monkeypatch, capsys):
     def interrupted(game, seconds):
         raise KeyboardInterrupt
@@ -432,7 +509,7 @@ def test_ctrl_c_closes_the_window_and_says_what_was_not_saved(window, monkeypatc
     monkeypatch.setattr(play, "turn", interrupted)
     monkeypatch.setattr(rules, "new", lambda *words, **paths: landed)
     assert play.main([]) == 0
-    assert capsys.readouterr() == ("1 flight by hand not saved yet\n", "")
+    assert capsys.readouterr() == ("1 flight by hand was not saved\n", "")
 
 
 def test_without_the_extra_it_is_one_line_that_says_which_and_status_2(capsys, monkeypatch):
@@ -466,7 +543,9 @@ def test_without_a_screen_it_is_one_line_and_status_2(driver, capsys, monkeypatc
         (["--out", "file/human.parquet"], "file/human.parquet: cannot be written"),
         (["--out", "."], ".: cannot be written"),
         (["--out", "file"], "file: missing or damaged; move it away"),
-        (["--bank", "file/own.safetensors"], "file/own.safetensors: cannot be written"),
+        (["--bank", "file/own.safetensors"], "file/own.safetensors: cannot be written (Not a directory)"),
+        (["--out", "/proc/x/human.parquet"], "/proc/x/human.parquet: cannot be written ("),
+        (["--activation", "tanh"], "--activation tanh: runs know their own; give it with a .zip"),
     ],
 )
 def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, tmp_path, monkeypatch):

@@ -50,10 +50,10 @@ def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, 
     assert f"runs/{algorithm}/relu" in out
     for words in (
         "steps per episode",
-        "full stops %",
-        "turning %",
-        "distance per episode",
-        "speed",
+        "full stops [%]",
+        "turning [%]",
+        "distance per episode [px]",
+        "speed [px a step]",
         "reward per episode",
         "all episodes",
         "last 100",
@@ -85,8 +85,11 @@ def test_a_sweep_trains_each_activation_into_its_own_folder(recipe, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]
 
 
-def test_cfg_job_shows_every_setting_and_trains_nothing(recipe, tmp_path):
-    status, out, _ = recipe("dqn", "--cfg", "job", "preset=paper-2.3", "activation=relu")
+@pytest.mark.parametrize(
+    "words", ["--cfg job preset=paper-2.3 activation=relu", "preset=paper-2.3 -c job activation=relu"]
+)
+def test_cfg_job_shows_every_setting_and_trains_nothing(recipe, tmp_path, words):
+    status, out, _ = recipe("dqn", *words.split())
     assert status == 0
     shown = yaml.safe_load(out)
     assert shown["learning_starts"] == 100
@@ -108,9 +111,18 @@ WRONG = {
     "layouts=nowhere": "ppo: layouts='nowhere': no such bank; choose from train, test or a file's path",
     "out=/proc/nowhere": "ppo: out=/proc/nowhere: ",
     "device=gpu": "ppo: device=gpu; choose cpu, or a device that this machine has",
-    "relu": "ppo: Error parsing override 'relu'",
+    "relu": "ppo: 'relu' is no setting; settings are key=value: activation=tanh",
+    "=3": "ppo: '=3' is no setting; ",
+    "hidden=[64": "ppo: hidden=[64: its value cannot be read; in a shell quote brackets and blanks: 'hidden=[64,64]'",
+    "--activation tanh": "ppo: there is no flag --activation; settings are key=value: activation=tanh",
+    "--n-seeds=4": "ppo: there is no flag --n-seeds; settings are key=value: n_seeds=4",
+    "--helpp": "ppo: there is no flag --helpp (did you mean --help?); settings are key=value: activation=tanh",
+    "--cfg everything": "ppo: argument --cfg/-c: invalid choice: 'everything' (choose from 'job', .*; --help says more",
+    "--run -m": "ppo: Only one of --run, --multirun, --cfg, ",
     "-m activation=tanh,rleu": "ppo: activation=rleu; choose from ",
     "-m activation=tanh,relu out=one": "ppo: out=one: two runs of the sweep would share it",
+    "activation=tanh,relu -m out=one": "ppo: out=one: two runs of the sweep would share it",
+    "-m hydra/launcher=nowhere": "ppo: hydra/launcher=nowhere: not installed; ray, .*pip install 'uavnav[scale]'",
 }
 
 

@@ -1,7 +1,10 @@
 """Pictures: things are where they should be, in their colours, and flights become files."""
 
+import argparse
 import math
+import re
 import sys
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -9,9 +12,9 @@ import torch
 from PIL import Image
 
 import uavnav
-from uavnav import ppo, render, simulator
-from uavnav.baselines import straight_ahead
-from uavnav.render import BORDER, DRONE, GROUND, OBSTACLE, Film, Flight, Pilot, draw_state, fly
+from uavnav import evaluate, export, play, ppo, render, simulator
+from uavnav.baselines import BASELINES, straight_ahead
+from uavnav.render import BORDER, DRONE, GROUND, OBSTACLE, SENSED, Film, Flight, Pilot, draw_state, fly
 from uavnav.world import World
 
 WORLD = World()
@@ -135,10 +138,46 @@ def test_a_gif_of_60_pictures_a_second_and_an_mp4_without_pyav_are_refused(tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_written_for_500_steps_is_500_pictures_and_the_last(tmp_path):
-    render.save(film(standing, steps=500), tmp_path / "a.gif")
+def test_the_first_picture_of_a_gif_has_the_sensed_points_colour_though_the_last_senses_none(tmp_path):
+    bank = uavnav.layouts.load("test")
+    frames = Film([fly(Pilot("reactive", BASELINES["reactive"], WORLD), bank, 26, 60)], bank[26], 480)
+    first, last = ((frames[index] == SENSED).all(-1) for index in (0, -1))
+    assert first.sum() == 35
+    assert not last.any()
+    render.save(frames, tmp_path / "a.gif")
     with Image.open(tmp_path / "a.gif") as image:
-        assert image.n_frames == 501
+        shown = np.asarray(image.convert("RGB"))
+    assert (shown[first] == SENSED).all()
+    assert (shown[(frames[0] == DRONE).all(-1)] == DRONE).all()
+    assert (shown[(frames[0] == OBSTACLE).all(-1)] == OBSTACLE).all()
+
+
+def sizes(path):
+    """The width and height of each picture in a film."""
+    if path.suffix == ".gif":
+        with Image.open(path) as image:
+            return [image.size for index in range(image.n_frames) if image.seek(index) is None]
+    with pytest.importorskip("av").open(str(path)) as read:
+        return [(frame.width, frame.height) for frame in read.decode(video=0)]
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_what_is_written_for_500_steps_is_500_pictures_and_the_last(suffix, tmp_path):
+    render.save(film(standing, steps=500), tmp_path / f"a{suffix}")
+    assert sizes(tmp_path / f"a{suffix}") == [(160, 136)] * 501
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_a_film_shows_a_picture_in_100_seconds_and_no_slower(suffix, tmp_path):
+    render.save(film(standing, steps=2), tmp_path / f"a{suffix}", Fraction(1, 100))
+    assert len(sizes(tmp_path / f"a{suffix}")) == 3
+    with pytest.raises(ValueError, match=r"^0\.009 pictures per second, a film shows 0\.01 at least: draw more"):
+        render.save(film(standing, steps=2), tmp_path / f"b{suffix}", 0.009)
+
+
+def test_a_suffix_may_be_in_capitals(tmp_path):
+    render.save(film(standing, steps=2), tmp_path / "A.GIF")
+    assert sizes((tmp_path / "A.GIF").rename(tmp_path / "a.gif")) == [(160, 136)] * 3
 
 
 @pytest.fixture(scope="module")
@@ -177,6 +216,9 @@ def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run):
         (["nowhere"], "no policy.safetensors there"),
         (["RUN", "nowhere"], "no policy.safetensors there"),
         (["RUN", "--out", "flight.bmp"], "choose an .mp4, .gif or .png file"),
+        (["RUN", "--out", "x.gfi"], "x.gfi: choose an .mp4, .gif or .png file (did you mean .gif?)"),
+        (["RUN", "--every", "100000"], "0.0003 pictures per second, a film shows 0.01 at least"),
+        (["RUN", "--activation", "tanh"], "--activation tanh: runs know their own; give it with a .zip"),
         (["RUN", "--layout", "1000"], "--layout 1000: choose from 0 to 999"),
         (["RUN", "--layout", "-1"], "--layout -1: choose from 0 to 999"),
         (["RUN", "--steps", "0"], "at least 1"),
@@ -186,13 +228,41 @@ def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run):
         (["RUN", "--width", "100"], "--width 100: give 160 to 3840"),
         (["RUN", "--seed", "9"], "seed=9 is not there"),
         (["RUN", "--layouts", "nowhere"], "no such bank"),
-        (["RUN", "--out", "/nowhere/flight.png", "--steps", "2"], "No such file or directory"),
+        (
+            ["RUN", "--out", "/nowhere/flight.png"],
+            "/nowhere/flight.png: cannot be written (there is no folder /nowhere)",
+        ),
+        (["RUN", "--out", "/proc/flight.png"], "/proc/flight.png: cannot be written ("),
     ],
 )
 def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(render, "fly", None)  # nobody flies
     assert render.main([str(run.path) if word == "RUN" else word for word in arguments]) == 2
     printed, err = capsys.readouterr()
     assert message in err
     assert (printed, err.count("\n")) == ("", 1)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_is_spelt_wrongly_is_the_nearest_folder_beside_it(run, capsys):
+    assert render.main([str(run.path.parent / "rum")]) == 2
+    assert f"give the folder of a finished run (did you mean {run.path}?)\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [play, render, evaluate, export], ids=lambda command: command.__name__)
+def test_the_help_ends_with_an_example_that_the_command_understands(command, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        command.main(["--help"])
+    (words,) = re.findall(rf"^example: python -m {command.__name__} (.*)$", capsys.readouterr().out, re.MULTILINE)
+    understood, original = [], argparse.ArgumentParser.parse_known_args
+
+    def parse(self, args=None, namespace=None):
+        understood.append(original(self, args, namespace))
+        raise SystemExit
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_known_args", parse)
+    with pytest.raises(SystemExit):
+        command.main(words.split())
+    assert understood[0][1] == []

@@ -10,9 +10,8 @@ import pytest
 from uavnav import paper
 from uavnav.metrics import last_episodes, per_seed
 from uavnav.report import markdown
-from uavnav.report.conclusions import results, summary
 from uavnav.report.content import gather
-from uavnav.report.docs import BEGIN, END
+from uavnav.report.docs import BEGIN, END, results, summary
 from uavnav.runs import Run
 
 ROOT = Path(__file__).parent.parent

@@ -1,10 +1,12 @@
 """Seeds spread over processes: the same rows and weights as each share by itself, however often it is stopped."""
 
+import inspect
 import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -115,13 +117,16 @@ COMMAND = """
 from uavnav.ppo import PPOConfig, train
 from uavnav.report.cells import run_folders
 config = PPOConfig(n_seeds=3, total_frames=400_000, frames_per_batch=256, epochs=2, compile="off")
-train(config, {out!r}, quiet=True, processes=2, checkpoint_seconds=0)
+train(config, {out!r}, quiet=True, processes=2, checkpoint_seconds={seconds})
 """
 
 
-def started(out):
-    process = subprocess.Popen([sys.executable, "-c", COMMAND.format(out=str(out))], stderr=subprocess.PIPE, text=True)
-    while len(list(out.glob("checkpoint/seeds-*/checkpoint/state-*"))) < 2:
+def started(out, checkpoint_seconds=0):
+    """A run in two processes, both at work; with 0 seconds between snapshots, both with one."""
+    command = COMMAND.format(out=str(out), seconds=checkpoint_seconds)
+    process = subprocess.Popen([sys.executable, "-c", command], stderr=subprocess.PIPE, text=True)
+    sign = "meta.json" if checkpoint_seconds else "checkpoint/state-*"
+    while len({path.parent for path in out.glob(f"checkpoint/seeds-*/{sign}")}) < 2:
         assert process.poll() is None
         time.sleep(0.05)
     return process
@@ -139,6 +144,60 @@ def test_a_signal_is_passed_on_and_every_share_is_saved(tmp_path):
     assert "Interrupted" in said
     assert "stopped by SIGTERM and saved at" in said
     assert not locked(tmp_path / "run")
+
+
+def members(process):
+    """The processes of a run: itself and its shares."""
+    return [
+        process.pid,
+        *(int(n) for n in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()),
+    ]
+
+
+def saved(out):
+    """The frames of each share's newest snapshot."""
+    states = [path.glob("checkpoint/state-*") for path in sorted(out.glob("checkpoint/seeds-*"))]
+    return [max(int(state.name.split("-")[1]) for state in found) for found in states]
+
+
+def test_a_signal_to_every_process_of_a_run_saves_both_shares_as_it_says(tmp_path):
+    process = started(tmp_path / "run", checkpoint_seconds=3600)
+    for member in members(process):
+        os.kill(member, signal.SIGTERM)
+    _, said = process.communicate(timeout=60)
+    frames = saved(tmp_path / "run")
+    assert len(frames) == 2
+    assert f"stopped by SIGTERM and saved at {min(frames):,} of 400,000 frames" in said
+    assert not locked(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("number", "says"),
+    [
+        (signal.SIGTERM, "saved at"),
+        pytest.param(signal.SIGKILL, "ended without a word", marks=pytest.mark.slow),
+    ],
+)
+def test_when_one_of_two_shares_is_ended_the_other_is_saved_and_ends_too(tmp_path, number, says):
+    process = started(tmp_path / "run")
+    os.kill(members(process)[2], number)
+    _, said = process.communicate(timeout=60)
+    assert says in said
+    assert len(saved(tmp_path / "run")) == 2
+    assert max(saved(tmp_path / "run")) < 400_000
+
+
+@pytest.mark.slow
+def test_a_share_that_is_killed_while_all_stop_is_said_not_to_be_saved(tmp_path):
+    process = started(tmp_path / "run", checkpoint_seconds=3600)
+    share = members(process)[2]
+    os.kill(share, signal.SIGSTOP)
+    process.send_signal(signal.SIGTERM)
+    time.sleep(1)
+    os.kill(share, signal.SIGKILL)
+    _, said = process.communicate(timeout=60)
+    assert "seeds-2-2: not saved" in said
+    assert "saved at" not in said
 
 
 @pytest.mark.slow
@@ -192,6 +251,13 @@ def test_an_activation_of_ones_own_stays_in_the_process_that_knows_it(monkeypatc
     assert compiling.processes(PPOConfig(n_seeds=10, activation="mine")) == 1
     monkeypatch.setitem(networks.ACTIVATIONS, "tanh", torch.sin)
     assert compiling.processes(PPOConfig(n_seeds=10, activation="tanh")) == 1
+
+
+@pytest.mark.parametrize("function", [train, train_dqn])
+def test_training_shows_the_9_arguments_that_it_takes(function):
+    names = ["config", "out", "overwrite", "quiet", "checkpoint_seconds", "until", "tell", "processes", "logger"]
+    assert list(inspect.signature(function).parameters) == names
+    assert inspect.signature(function).parameters["config"].annotation == f"{function.__module__[-3:].upper()}Config"
 
 
 @pytest.mark.parametrize("processes", [0, -1, 4, 2.5, True])

@@ -77,6 +77,20 @@ def test_episodes_within_seeds_widen_the_interval_and_a_seed_of_many_episodes_we
     assert stats.nested_interval(uneven).value == 0.5
 
 
+@pytest.mark.parametrize(("seeds", "spread"), [(3, 5.0), (5, 5.0), (8, 5.0), (8, 1.0)])
+def test_the_interval_of_few_seeds_of_10_episodes_covers_the_mean_in_88_to_100_percent_of_200_draws(
+    seeds, spread, monkeypatch
+):
+    """Seeds differ by 1, episodes of a seed by `spread`; of no seeds' own noise the intervals are too wide."""
+    monkeypatch.setattr(stats, "RESAMPLES", 500)
+    rng = np.random.default_rng(0)
+    found = [
+        stats.nested_interval({seed: rng.normal(rng.normal(7.0, 1.0), spread, 10) for seed in range(seeds)}, seed=draw)
+        for draw in range(200)
+    ]
+    assert 0.88 <= np.mean([one.low <= 7.0 <= one.high for one in found]) <= 1.0
+
+
 def test_probability_of_improvement_of_known_cells():
     table = stats.improvement(
         {"high": np.array([3.0, 4.0, 5.0]), "low": np.array([0.0, 1.0, 2.0]), "one": np.array([2.0])}
@@ -99,26 +113,59 @@ def table_of(means, n=12, scale=None, seed=0):
     return pd.DataFrame(rows)
 
 
-def test_the_same_order_of_activations_at_another_scale_is_no_interaction_of_ranks():
-    means = {
-        (algorithm, name): mean for algorithm in ("ppo", "dqn") for name, mean in zip("abcd", range(4), strict=True)
+@pytest.fixture
+def few_permutations(monkeypatch):
+    """Simulations need no far tails."""
+    monkeypatch.setattr(stats, "PERMUTATIONS", 499)
+
+
+def of_order(ppo, dqn):
+    """Means by algorithm and activation."""
+    return {("ppo", name): mean for name, mean in zip("abcd", ppo, strict=True)} | {
+        ("dqn", name): mean for name, mean in zip("abcd", dqn, strict=True)
     }
-    found = stats.interaction(table_of(means, scale={"ppo": 50.0, "dqn": 1.0}))
-    assert found.p_ranks > 0.2
+
+
+def false_positives(first, second, n):
+    """Share of 60 simulated studies of n seeds a cell, of spread 1, in which a crossover is found."""
+    rng = np.random.default_rng(0)
+    studies = [[[rng.normal(mean, 1, n) for mean in means] for means in (first, second)] for _ in range(60)]
+    return np.mean([stats._crossover(*study, rng) < 0.05 for study in studies])
+
+
+def test_the_same_order_of_activations_at_another_scale_is_no_crossover():
+    found = stats.interaction(table_of(of_order(range(4), range(4)), scale={"ppo": 50.0, "dqn": 1.0}))
+    assert found.p_ranks == 1.0
     assert found.p_raw < 0.001  # on the raw scale the differences are 50 times as large
     assert found.n == 12
 
 
-def test_a_reversed_order_of_activations_is_an_interaction_of_ranks():
-    means = {("ppo", name): mean for name, mean in zip("abcd", range(4), strict=True)}
-    means |= {("dqn", name): -mean for name, mean in zip("abcd", range(4), strict=True)}
-    assert stats.interaction(table_of(means, scale={"ppo": 50.0, "dqn": 1.0})).p_ranks < 0.01
+def test_a_reversed_order_of_activations_is_a_crossover_of_the_smallest_p_that_12_pairs_and_19999_permutations_give():
+    found = stats.interaction(table_of(of_order(range(4), (0, -1, -2, -3)), scale={"ppo": 50.0, "dqn": 1.0}))
+    assert found.p_ranks == pytest.approx(12 / 20_000)
 
 
-def test_without_an_interaction_one_in_twenty_tests_finds_one():
-    means = {(algorithm, name): 0.0 for algorithm in ("ppo", "dqn") for name in "abcd"}
-    found = [stats.interaction(table_of(means, n=6, scale={"ppo": 1, "dqn": 1}, seed=s), s).p_ranks for s in range(60)]
-    assert np.mean(np.array(found) < 0.05) < 0.15
+def test_two_activations_that_change_places_are_enough():
+    table = table_of(of_order((0, 5, 10, 11), (0, 5, 11, 10)), scale={"ppo": 1.0, "dqn": 1.0})
+    assert stats.interaction(table).p_ranks < 0.05
+    assert stats.interaction(table[~table["activation"].isin(["c"])]).p_ranks == 1.0
+
+
+@pytest.mark.parametrize("n", [8, 20])
+def test_an_equal_order_at_unequal_noise_and_spacing_is_found_to_differ_in_at_most_5_percent(n, few_permutations):
+    """Cells lie up to 100 standard deviations apart under the first algorithm, up to 2 under the second."""
+    assert false_positives((0, 10, 20, 100), (0, 0.2, 0.4, 2.0), n) <= 0.05
+
+
+def test_where_one_algorithms_activations_are_all_alike_at_most_5_percent_of_studies_find_a_crossover(few_permutations):
+    """The hardest of equal orders: one half of each crossover is certain."""
+    assert false_positives((0, 10, 20, 30), (0, 0, 0, 0), 8) <= 0.05
+
+
+def test_one_sided_p_values_of_two_and_two_seeds_are_those_of_their_six_orders():
+    above, below = stats._above_and_below(np.array([3.0, 4.0]), np.array([1.0, 2.0]), np.random.default_rng(0))
+    assert above == pytest.approx(1 / 6, abs=0.01)
+    assert below == 1.0
 
 
 def test_one_seed_a_cell_gives_no_test():

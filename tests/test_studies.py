@@ -13,7 +13,7 @@ from uavnav import paper
 from uavnav.metrics import EPISODE_COLUMNS, LAST
 from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import PRIMARY
-from uavnav.report.studies import Rows, Studies, hours, of_paper, paper_cells, seeds, sort, wide
+from uavnav.report.studies import Rows, Studies, hours, in_none, of_paper, paper_cells, seeds, sort, wide
 
 SETTINGS = {"preset": "paper", "total_frames": 1_000_000, "frames": 1_000_000, "exploration_fraction": 0.1}
 SETTINGS |= {"layouts": None, "bank": "abc", "obstacles": 8, "reward": "eq14", "slots": "nearest", "world": "1"}
@@ -57,6 +57,29 @@ def test_of_equally_many_activations_the_longer_runs_are_the_main_study_and_then
     assert found.baseline["ppo", "tanh"].settings == SETTINGS | SHORT
     assert [*found.switches] == ["slots=listed"]
     assert sort([cell(slots="listed", n_seeds=3), cell()]).main["ppo", "tanh"].settings["slots"] == "listed"
+
+
+def test_a_million_frames_of_one_activation_are_the_main_study_beside_300000_of_two():
+    found = sort([cell("ppo", "tanh", n_seeds=20), *grid(["ppo"], ["tanh", "relu"], **SHORT)])
+    assert [(key, one.settings["frames"]) for key, one in found.main.items()] == [(("ppo", "tanh"), 1_000_000)]
+    assert [*found.baseline] == [("ppo", "tanh"), ("ppo", "relu")]
+    rounded = sort([cell(frames=1_001_472), *grid(["ppo"], frames=2_000_000, total_frames=2_000_000)])
+    assert rounded.main["ppo", "tanh"].settings["frames"] == 1_001_472
+
+
+def test_four_activations_under_another_reward_are_not_the_main_study():
+    found = sort([*grid(["ppo"], reward="initial"), cell(**SHORT)])
+    assert [*found.main] == [("ppo", "tanh")]
+    assert len(found.initial) == 4
+
+
+def test_a_run_in_no_study_is_named_with_what_differs():
+    strange = cell(slots="listed", reward="initial")
+    strange.runs[0].path = "results/strange"
+    assert in_none(sort([*grid(), strange])) == [
+        "results/strange: in no study; it differs from the main one in reward=initial, slots=listed"
+    ]
+    assert in_none(sort(grid())) == []
 
 
 def test_a_longer_run_of_fewer_activations_is_no_baseline():

@@ -16,6 +16,8 @@ RECIPES = HERE.parent / "recipes"
 TRAINING = ("ppo", "dqn")
 COMMANDS = ("evaluate", "play", "render", "report", "verify", "export", "layouts", "bench")
 """Modules that have a `main`, in the order in which one needs them."""
+EXAMPLE = "python -m uavnav.render reactive random --layout 20 --out flight.gif"
+"""Needs no training."""
 
 
 def module_of(command: str) -> str:
@@ -44,7 +46,8 @@ def listing() -> str:
     head = said(HERE / "__init__.py").removeprefix("uavnav: ")
     lines = [f"uavnav {uavnav.__version__}: {head}", ""]
     lines += [f"  {command:{width}}  {what}" for command, what in (training | others).items()]
-    return "\n".join([*lines, "", "Each says more with --help.", f"Read on in {docs}."])
+    lines += ["", f"Such as: {EXAMPLE}", "", "Each says more with --help.", f"Read on in {docs}."]
+    return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -56,6 +59,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words[0] == "--version":
         print(uavnav.__version__)
         return 0
+    if words[0] in TRAINING:
+        how = f"python recipes/{words[0]}.py" if RECIPES.is_dir() else f"uavnav.{words[0]}.train(...) in Python"
+        print(f"uavnav: {words[0]} is no command; to train with it: {how}", file=sys.stderr)
+        return 2
     if words[0] not in COMMANDS:
         print(f"uavnav: there is no command {words[0]!r}; {choose_from(words[0], COMMANDS)}", file=sys.stderr)
         return 2

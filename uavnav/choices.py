@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import io
+import os
+import sys
+import tempfile
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any, NoReturn
 
 
@@ -14,9 +19,35 @@ def did_you_mean(value: object, choices: Collection[str]) -> str:
     return f" (did you mean {near[0]}?)" if near else ""
 
 
+def did_you_mean_run(run: str, others: Collection[str]) -> str:
+    """The same for a run's folder that is not there: the nearest folder beside it, or one of the others."""
+    path = Path(run)
+    if os.path.exists(run):
+        return ""
+    try:
+        beside = [one.name for one in path.parent.iterdir() if one.is_dir()]
+    except OSError:
+        beside = []
+    near = difflib.get_close_matches(path.name, beside, n=1)
+    return f" (did you mean {path.with_name(near[0])}?)" if near else did_you_mean(run, others)
+
+
 def choose_from(value: object, choices: Collection[str]) -> str:
     """`choose from elu, gelu (did you mean gelu?)`: the choices in order of name, and the nearest."""
     return f"choose from {', '.join(sorted(choices))}{did_you_mean(value, choices)}"
+
+
+def check_out(path: Path) -> None:
+    """Raises ValueError, before anyone flies, for a file that could not be written; its folders may yet be made."""
+    try:
+        folder = next(one for one in path.absolute().parents if one.exists())
+        if path.is_dir():
+            raise IsADirectoryError("it is a folder")
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        reason = error.strerror or error
+        raise ValueError(f"{path}: cannot be written ({reason}); give a path that can be written") from error
 
 
 class Parser(argparse.ArgumentParser):
@@ -27,7 +58,9 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{name}: {message}; {self.prog} --help says more\n")
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As argparse, and suggests an option where a word is none."""
+        """As argparse, and suggests an option where a word is none; what the terminal cannot show is printed as `?`."""
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="replace")
         found, strange = self.parse_known_args(args, namespace)
         if strange:
             options = [option for action in self._actions for option in action.option_strings]

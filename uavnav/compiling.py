@@ -22,6 +22,10 @@ PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
 FLIGHTS_PAY_FROM = 10_000_000
 """Steps of all drones of an evaluation, if none ended, from which compilation is paid back."""
+EAGER = "runs without compilation, several times slower"
+"""Begins the warning where `compile=auto` finds no compiler."""
+EAGER = "runs without compilation, several times slower"
+"""Begins the warning where `compile=auto` finds no compiler."""
 
 
 def decide(config: TrainConfig) -> bool:
@@ -36,7 +40,7 @@ def decide(config: TrainConfig) -> bool:
     if problem and config.compile == "on":
         raise ConfigError(f"compile=on: no graph can be compiled here ({problem}); install g++ and Python's headers")
     if problem:
-        warnings.warn(f"runs without compilation, several times slower: {problem}", stacklevel=2)
+        warnings.warn(f"{EAGER}: {problem}", stacklevel=2)
     return problem is None
 
 
@@ -105,15 +109,25 @@ def _wanted(config: TrainConfig) -> bool:
 
 def _problem(device: str) -> str | None:
     """Compile something tiny: what a compiler, its headers or a driver lack shows only when they are used."""
-    torch._inductor.config.compile_threads = 1  # a pool of processes takes longer to start than these few kernels
-    torch.compiler.reset()  # graphs of earlier runs in this process would count towards a limit on how many there are
     logger = logging.getLogger("torch._inductor")
     level = logger.level
     logger.setLevel(logging.CRITICAL)
     try:
+        torch._inductor.config.compile_threads = 1  # a pool of processes takes longer to start than these few kernels
+        torch.compiler.reset()  # graphs of earlier runs in this process would count towards a limit on their number
         torch.compile(torch.square, fullgraph=True)(torch.ones(8, device=device))
     except Exception as error:  # whatever the tool chain raises: the run goes on without it
-        return str(error).strip().splitlines()[0]
+        return _telling_line(error)
     finally:
         logger.setLevel(level)
     return None
+
+
+def _telling_line(error: Exception) -> str:
+    """Of a message of many: the compiler's own word where there is one, else the first that says more than who failed.
+
+    >>> _telling_line(Exception("backend='inductor' raised:\\nCppCompileError: C++ compile error"))
+    'CppCompileError: C++ compile error'
+    """
+    lines = [line.strip() for line in str(error).splitlines() if line.strip() and not line.endswith("raised:")]
+    return next((line for line in lines if "error: " in line), lines[0] if lines else type(error).__name__)

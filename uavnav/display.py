@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+import time
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any, Self
 
 import pandas as pd
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -20,16 +22,21 @@ from uavnav.metrics import LAST, METRICS, finished, last_episodes, per_seed
 from uavnav.runs import Run
 
 MICROSECONDS = {
-    ("ppo", True): (36.2, 29.6),
-    ("ppo", False): (408.0, 29.6),
-    ("dqn", True): (35.7, 33.0),
-    ("dqn", False): (407.0, 33.0),
+    ("ppo", "paper", True): (36.2, 29.6),
+    ("ppo", "paper", False): (408.0, 29.6),
+    ("ppo", "fast", True): (4.6, 35.4),
+    ("dqn", "paper", True): (35.7, 33.0),
+    ("dqn", "paper", False): (407.0, 33.0),
 }
-"""Of a frame of every seed of a process, compiled or not: a part that seeds share, and one for each of them.
+"""Of a frame of every seed of a process, by preset, compiled or not: a part that seeds share, and one for each of them.
 
-Solved from docs/benchmarks.md: 1 seed, and 10 in two processes, make 15,207 and 54,315 frames/s with PPO, 14,552 and
-49,770 with DQN; one seed that is not compiled 2,281 and 2,272.
+Of `paper` solved from docs/benchmarks.md: 1 seed, and 10 in two processes, make 15,207 and 54,315 frames/s with PPO,
+14,552 and 49,770 with DQN; one seed that is not compiled 2,281 and 2,272. Of `fast` from docs/performance.md and
+results/tuned/ppo/tanh: one seed makes 200,000 frames in 8 s, five in two processes 9,025 frames/s each.
 """
+RATE_SECONDS = 5.0
+"""Of training, after which a run whose rate is not among these says how long it still takes."""
+TOLD_LATER = "the bar tells how long"
 COMPILATION = "5 s, or 20 to 40 s the first time"
 """How long it takes, from the same place."""
 
@@ -59,6 +66,8 @@ class Display:
             console=_console(),
         )
         self._task = self._progress.add_task("", total=total_frames, done="-", rate="-", reward="-")
+        self._unknown = False
+        self._since: tuple[float, int] | None = None
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -80,8 +89,10 @@ class Display:
         """
         if not self._quiet:
             frames = int(self._progress.tasks[0].total or 0)
-            for line in opening(self._algorithm, self._config, min(frames, until or frames), path, facts):
-                self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
+            lines = opening(self._algorithm, self._config, min(frames, until or frames), path, facts)
+            self._unknown = lines[-1].endswith(TOLD_LATER)
+            for line in lines:
+                self._say(line)
 
     def update(self, frames: int, rewards: list[float]) -> None:
         """frames: per seed so far; rewards: each seed's mean over its last 100 episodes."""
@@ -89,8 +100,21 @@ class Display:
         rate = f"{task.speed / 1000:,.1f}k" if task.speed else "-"
         done = f"{frames // 1000:,}k/{(task.total or 0) // 1000:,.0f}k"
         self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=_with_spread(rewards, 1))
+        if self._unknown and frames >= getattr(self._config, "learning_starts", 0):
+            self._tell_how_long(frames, int(task.total or 0))
         if self._tell is not None:
             self._tell(frames, rewards)
+
+    def _tell_how_long(self, frames: int, total: int) -> None:
+        """Once, from the rate since learning began, which leaves out what was compiled before."""
+        now = time.monotonic()
+        first, done = self._since = self._since or (now, frames)
+        if now - first >= RATE_SECONDS and frames > done:
+            self._unknown = False
+            self._say(f"about {_rounded((now - first) / (frames - done) * (total - frames))} more at this rate")
+
+    def _say(self, line: str) -> None:
+        self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def opening(algorithm: str, config: TrainConfig, frames: int, path: Path, facts: Mapping[str, Any]) -> tuple[str, str]:
@@ -103,18 +127,17 @@ def opening(algorithm: str, config: TrainConfig, frames: int, path: Path, facts:
     spread = f"{n} process{'' if n == 1 else 'es'} of {threads} thread{'' if threads == 1 else 's'}"
     how = f"compiled (takes {COMPILATION})" if facts["compiled"] else "not compiled"
     took = seconds(algorithm, config, frames, n, facts["compiled"])
-    long = (
-        "the bar tells how long" if took is None else f"about {_rounded(took)} on the two cores of docs/benchmarks.md"
-    )
+    long = TOLD_LATER if took is None else f"about {_rounded(took)} on the two cores of docs/benchmarks.md"
     return f"{what}, into {path}", f"{how}, {spread}: {long}"
 
 
 def seconds(algorithm: str, config: TrainConfig, frames: int, processes: int, compiled: bool) -> float | None:
-    """How long training takes, as measured with the preset `paper` on two cores; None for what was not measured."""
-    usual = type(config)(n_seeds=config.n_seeds)
-    if config.beyond(usual) or config.n_worlds != usual.n_worlds or config.device != usual.device:
+    """How long training takes, as measured with these presets on two cores; None for what was not measured."""
+    usual = type(config)(preset=config.preset, n_seeds=config.n_seeds)
+    known = MICROSECONDS.get((algorithm, config.preset, compiled))
+    if known is None or config.beyond(usual) or (config.n_worlds, config.device) != (usual.n_worlds, usual.device):
         return None
-    shared, each = MICROSECONDS[algorithm, compiled]
+    shared, each = known
     return 1e-6 * frames * (shared + each * -(-config.n_seeds // processes))
 
 
@@ -154,7 +177,7 @@ def _metric_table(title: str, caption: str, readings: dict[str, pd.DataFrame], p
         for ratio_of_means in [False] if metric.scale is None else [False, True]:
             digits = min(metric.digits, 2)
             cells = [_cell(per_seed(part, ratio_of_means)[name], digits) for part in readings.values()]
-            label = "  as ratio of means" if ratio_of_means else metric.label
+            label = "  as ratio of means" if ratio_of_means else escape(str(metric))
             beside = f"{printed[name]:,.{digits}f}" if name in printed and not ratio_of_means else ""
             table.add_row(label, *cells, *([beside] if printed else []))
     return table

@@ -268,7 +268,7 @@ def train(
 
     Raises:
         ConfigError, LayoutError, RunError: before anything is written.
-        Interrupted: by SIGINT or SIGTERM, and saved.
+        Interrupted: by SIGINT, SIGTERM or `until`; saved, or the message says what is not.
     """
     out = out or default_folder(ALGORITHM, config)
     recorder = Recorder(out, ALGORITHM, config, overwrite, checkpoint_seconds, until, log)

@@ -86,7 +86,9 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         episode = Composite({name: Unbounded(dtype=torch.int64, **kind) for name in ("layout", *COUNTS[:-1])}, **kind)
         episode["reward"] = Unbounded(dtype=torch.float64, **kind)
         self.observation_spec = Composite(
-            observation=Bounded(low.expand(*shape, -1), torch.ones_like(low).expand(*shape, -1), dtype=torch.float32),
+            observation=Bounded(
+                low.expand(*shape, -1), torch.ones_like(low).expand(*shape, -1), device=self.device, dtype=torch.float32
+            ),
             episode=episode,
             **kind,
         )

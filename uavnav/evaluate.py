@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 import torch
@@ -18,7 +18,7 @@ from torch import Tensor
 from uavnav import compiling, policies, simulator
 from uavnav import layouts as banks
 from uavnav.baselines import BASELINES, AnyPolicy
-from uavnav.choices import Parser, did_you_mean
+from uavnav.choices import Parser, check_out, did_you_mean_run
 from uavnav.display import evaluation_summary, print_table
 from uavnav.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs import BEHAVIOUR, EVALUATION, Run, RunError, lock, write_table
@@ -201,13 +201,18 @@ def evaluate_run(
             own = population[run.seeds[0]]
             flights[mode] = fly({**population}, layouts, episodes, max_steps, own.world, own.reward)
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
-    rows.attrs = {"layouts": str(layouts), "max_steps": max_steps}  # kept in the file's header
+    rows.attrs = header(layouts, max_steps)
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
     if layouts == "test":
         with lock(run.path):
             write_table(run.path / EVALUATION, rows)
             write_table(run.path / BEHAVIOUR, behaviour)
     return rows
+
+
+def header(layouts: str | Path, max_steps: int) -> dict[Any, Any]:
+    """What the header of a file of rows says of how they were flown."""
+    return {"layouts": str(layouts), "max_steps": max_steps}
 
 
 def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
@@ -219,7 +224,7 @@ def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
     try:
         return Run(name)
     except RunError as error:
-        raise RunError(f"{error}{did_you_mean(name, BASELINES)}") from error
+        raise RunError(f"{error}{did_you_mean_run(name, BASELINES)}") from error
 
 
 def _rows_file(name: str, mode: str) -> str:
@@ -229,7 +234,11 @@ def _rows_file(name: str, mode: str) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Evaluate finished runs, scripted baselines or zips of Stable-Baselines3 on the test split: one row an episode."""
-    parser = Parser(prog="python -m uavnav.evaluate", description=main.__doc__)
+    parser = Parser(
+        prog="python -m uavnav.evaluate",
+        description=main.__doc__,
+        epilog="example: python -m uavnav.evaluate runs/ppo/relu reactive --episodes 200",
+    )
     parser.add_argument(
         "runs", nargs="+", metavar="RUN", help=f"a run's folder, a Stable-Baselines3 .zip, or {', '.join(BASELINES)}"
     )
@@ -242,12 +251,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     arguments = parser.parse_args(argv)
     try:
-        zips = [name for name in arguments.runs if policies.is_zip(name)]
-        if arguments.activation is not None and not zips:
-            raise ValueError(f"--activation {arguments.activation}: runs know their own; give it with a .zip")
+        zips = policies.zips(arguments.runs, arguments.activation)
         if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
             raise ValueError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
         found = {name: _found(name, arguments.activation) for name in arguments.runs}
+        if arguments.out is not None:
+            for name, run in found.items():
+                for mode in () if isinstance(run, Run) else run:
+                    check_out(arguments.out / _rows_file(name, mode))
         for name, run in found.items():
             if isinstance(run, Run):
                 rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts)
@@ -263,10 +274,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 for mode, part in flown.items() if arguments.out is not None else ():
                     path = arguments.out / _rows_file(name, mode)
                     path.parent.mkdir(parents=True, exist_ok=True)
+                    part.attrs = header(arguments.layouts, arguments.max_steps)
                     write_table(path, part)
                     print(f"the rows are in {path}")
     except (RunError, ValueError, OSError) as error:
-        print(f"uavnav.evaluate: {error}", file=sys.stderr)
+        print(f"uavnav.evaluate: {policies.as_option(error)}", file=sys.stderr)
         return 2
     return 0
 

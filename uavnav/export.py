@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from uavnav.choices import Parser
 from uavnav.networks import AgentLinear
-from uavnav.policies import Policy, PolicyError, load_policy
+from uavnav.policies import Policy, PolicyError, as_option, load_policy, zips
 from uavnav.runs import RunError, write_file
 from uavnav.world import VERSION
 
@@ -119,17 +119,22 @@ def _onnx(program: torch.export.ExportedProgram, facts: dict[str, str]) -> bytes
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2)."""
-    parser = Parser(prog="python -m uavnav.export", description=main.__doc__)
+    parser = Parser(
+        prog="python -m uavnav.export",
+        description=main.__doc__,
+        epilog="example: python -m uavnav.export runs/ppo/relu --out policy.onnx",
+    )
     parser.add_argument("run", metavar="RUN", help="a run's folder, its policy file, or a zip of Stable-Baselines3")
     parser.add_argument("--seed", type=int, help="which training seed (default: the first)")
-    parser.add_argument("--activation", help="of a zip's hidden layers, which its weights do not tell")
+    parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
     parser.add_argument("--out", required=True, metavar="FILE", help="policy.onnx or policy.pt2")
     arguments = parser.parse_args(argv)
     try:
+        zips([arguments.run], arguments.activation)
         policy = load_policy(arguments.run, arguments.seed, activation=arguments.activation)
         path = export_policy(policy, arguments.out)
     except (PolicyError, RunError) as error:
-        print(f"uavnav.export: {error}", file=sys.stderr)
+        print(f"uavnav.export: {as_option(error)}", file=sys.stderr)
         return 2
     print(f"{path}: observation [N, {policy.world.observation_size}] -> values [N, {policy.world.n_actions}]")
     return 0

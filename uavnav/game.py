@@ -19,8 +19,8 @@ from torch import Tensor
 from uavnav import layouts as banks
 from uavnav import simulator
 from uavnav.dynamics import decode
-from uavnav.evaluate import MAX_STEPS
-from uavnav.metrics import EPISODE_COLUMNS
+from uavnav.evaluate import MAX_STEPS, header
+from uavnav.metrics import EPISODE_COLUMNS, FIRST_COLUMNS
 from uavnav.policies import Policy
 from uavnav.render import PILOTS, STEPS_PER_SECOND, Colour, Pilot
 from uavnav.runs import RunError, lock, read_table, write_table
@@ -289,7 +289,7 @@ def pause(game: Game) -> Game:
 
 
 def single_step(game: Game) -> Game:
-    return step(replace(game, paused=True))
+    return game if game.help else step(replace(game, paused=True))
 
 
 def draw(game: Game) -> Game:
@@ -329,10 +329,12 @@ def save_flights(game: Game) -> Game:
     if not game.flights:
         return replace(game, message="No finished flight by hand to save")
     try:
-        kept = append_rows(game.rows_path, pd.DataFrame(list(game.flights)))
+        rows = pd.DataFrame(list(game.flights))
+        rows.attrs = header(game.split, game.max_steps)
+        kept = append_rows(game.rows_path, rows)
     except (RunError, OSError) as error:
         return replace(game, message=str(error))
-    return replace(game, flights=(), message=f"Saved: {game.rows_path} holds {kept} flights")
+    return replace(game, flights=(), message=f"Saved: {game.rows_path} holds {counted(kept)}")
 
 
 def append_rows(path: Path, rows: pd.DataFrame) -> int:
@@ -345,7 +347,7 @@ def append_rows(path: Path, rows: pd.DataFrame) -> int:
     with lock(path.parent):
         there = read_rows(path)
         rows = rows[list(EPISODE_COLUMNS)].astype(EPISODE_COLUMNS)
-        together = rows if there is None else pd.concat([there[list(EPISODE_COLUMNS)], rows], ignore_index=True)
+        together = rows if there is None else pd.concat([there, rows], ignore_index=True)
         write_table(path, together)
     return len(together)
 
@@ -356,7 +358,7 @@ def read_rows(path: Path) -> pd.DataFrame | None:
     Raises:
         RunError: it is another table, or damaged.
     """
-    return read_table(path, EPISODE_COLUMNS, "move it away, or give another --out") if path.exists() else None
+    return read_table(path, FIRST_COLUMNS, "move it away, or give another --out") if path.exists() else None
 
 
 def show_help(game: Game) -> Game:
@@ -369,15 +371,24 @@ def close(game: Game) -> Game:
         return show_help(game)
     if game.drawing:
         return draw(game)
+    return leave(game)
+
+
+def leave(game: Game) -> Game:
+    """Close the window; before flights by hand are lost, ask once."""
     if game.flights and not game.warned:
-        return replace(game, warned=True, message=f"{unsaved(game)}; the same key again closes without them")
+        return replace(game, warned=True, help=False, message=f"{unsaved(game)}; once more closes without")
     return replace(game, closed=True)
 
 
 def unsaved(game: Game) -> str:
     """What has not been saved, and how to."""
-    n = len(game.flights)
-    return f"{n} flight{'s' * (n > 1)} by hand not saved yet: K saves"
+    return f"{counted(len(game.flights))} by hand not saved yet: K saves"
+
+
+def counted(flights: int) -> str:
+    """`1 flight`, `2 flights`."""
+    return f"{flights} flight{'s' * (flights != 1)}"
 
 
 def hold(game: Game) -> Game:

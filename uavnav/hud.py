@@ -213,12 +213,13 @@ def figures(game: Game) -> dict[str, str]:
     steps, shown = int(game.state.steps), {}
     for metric in METRICS.values():
         value = float(getattr(game.state, metric.column))
-        label = metric.label.removesuffix(" per episode")
+        label = f"{metric.label.removesuffix(' per episode')} {metric.unit}".strip()
         if metric.scale is None:
             shown[label] = f"{value:.2f}" if value % 1 else f"{value:.0f}"
         else:
             shown[label] = f"{metric.scale * value / steps:.{1 if metric.scale > 1 else 2}f}" if steps else "-"
-    shown["distance px"], shown["speed px a step"] = shown.pop("distance"), shown.pop("speed")
+    for last in ("distance px", "speed px a step"):
+        shown[last] = shown.pop(last)
     shown["reward, eq. (14)"] = f"{float(game.state.reward):+.2f}"
     shown.pop("reward")
     return shown | {"reward of the last step": f"{game.earned:+.2f}"}

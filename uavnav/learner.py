@@ -179,7 +179,8 @@ class Learner:
 
         inductor = torch._inductor.config  # it keeps a graph with a loop on disk, as any other, if the loop is named
         inductor.unsafe_marked_cacheable_functions["torch.ops.higher_order.while_loop"] = "1"
-        return torch.compile(loop, dynamic=False, fullgraph=True, options={"cpp_wrapper": True})
+        on_cpu = leaves[0].device.type == "cpu"  # elsewhere the C++ wrapper needs that device's own headers
+        return torch.compile(loop, dynamic=False, fullgraph=True, options={"cpp_wrapper": on_cpu})
 
 
 def _nested(items: Iterable[tuple[Any, Tensor]], batch_size: Sequence[int] = ()) -> TensorDict:

@@ -19,5 +19,7 @@ TABLES: dict[tuple[str, str], dict[str, float]] = {
     }.items()
 }
 
+FRAMES = 1_000_000
+"""Steps of a run."""
 HOURS = 10.0
-"""What a run of 1,000,000 steps took, sec. 4.1."""
+"""What one took, sec. 4.1."""

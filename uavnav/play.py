@@ -10,16 +10,18 @@ import argparse
 import contextlib
 import os
 import sys
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from uavnav import game as rules
 from uavnav import hud
-from uavnav.choices import Parser
+from uavnav.baselines import BASELINES
+from uavnav.choices import Parser, check_out
 from uavnav.compiling import use_threads
 from uavnav.evaluate import MAX_STEPS
 from uavnav.game import BANK, KEYS, MOUSE, ROWS, Game
+from uavnav.policies import ALGORITHMS, as_option, is_zip
 from uavnav.render import RUN_HELP, STEPS_PER_SECOND, flight_arguments, load_layout, load_pilots
 from uavnav.runs import RunError
 
@@ -29,6 +31,10 @@ if TYPE_CHECKING:
 SMALLEST = 320, 240  # of a window [px]
 UNSEEN = ("dummy", "offscreen", "evdev")  # SDL's drivers without a screen: good where they are asked for
 LEFT_BUTTON, RIGHT_BUTTON = 1, 3
+ROWS_HELP = (
+    "file for rows of flights by hand (default: where a report of the first RUN's root looks, as"
+    f" runs/baselines/{ROWS.name}; without a run {ROWS})"
+)
 
 
 def open_window(size: tuple[int, int]) -> pygame.Surface:
@@ -57,7 +63,7 @@ def handle(game: Game, event: pygame.event.Event, size: tuple[int, int]) -> Game
     import pygame
 
     if event.type == pygame.QUIT:
-        return replace(game, closed=True)
+        return rules.leave(game)
     if event.type == pygame.KEYDOWN:
         return rules.press(game, pygame.key.name(event.key))
     if event.type == pygame.KEYUP:
@@ -114,11 +120,20 @@ def play(game: Game) -> Game:
     return game
 
 
-def check_out(path: Path) -> None:
-    """Raises ValueError, before anyone flies, for a file that could not be written."""
-    folder = next(one for one in path.absolute().parents if one.exists())
-    if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise ValueError(f"{path}: cannot be written; give the path of a file that can be written")
+def rows_file(words: Sequence[str]) -> Path:
+    """Where a report finds rows of flights by hand: in `baselines` of the first run's root, the folder of studies.
+
+    The root is the first part of the path above the cell, `runs` of runs/ppo/relu and of runs/first; of a path that
+    leads out of the working folder it is all of that part.
+    """
+    runs = [Path(word) for word in words if word not in BASELINES and not is_zip(word)]
+    if not runs:
+        return ROWS
+    above = runs[0].parent if os.path.isfile(runs[0]) else runs[0]
+    above = above.parent
+    above = above.parent if above.name.partition("-")[0] in ALGORITHMS else above
+    root = above if above.is_absolute() or ".." in above.parts else Path(*above.parts[:1])
+    return root / "baselines" / ROWS.name
 
 
 def keys() -> str:
@@ -132,14 +147,14 @@ def main(argv: list[str] | None = None) -> int:
     parser = Parser(
         prog="python -m uavnav.play",
         description=main.__doc__,
-        epilog=keys(),
+        epilog=f"example: python -m uavnav.play runs/ppo/relu reactive --layout 20\n\n{keys()}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN_HELP}; keys 1 to 9 (default: you fly)")
     flight_arguments(parser)
     parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
     parser.add_argument("--person", type=int, default=0, help="who flies by hand: the rows' seed (default: 0)")
-    parser.add_argument("--out", type=Path, help=f"file for rows of flights by hand (default: {ROWS})")
+    parser.add_argument("--out", type=Path, help=ROWS_HELP)
     parser.add_argument("--bank", type=Path, help=f"file for drawn obstacles (default: {BANK})")
     arguments = parser.parse_args(argv)
     try:
@@ -148,12 +163,13 @@ def main(argv: list[str] | None = None) -> int:
         for path in (arguments.out, arguments.bank):
             if path is not None:
                 check_out(path)
-        rules.read_rows(arguments.out or ROWS)
+        rows_path = arguments.out or rows_file(arguments.runs)
         bank = load_layout(arguments.layouts, arguments.layout)
-        pilots = load_pilots(arguments.runs, arguments.seed, arguments.sampled)
+        pilots = load_pilots(arguments.runs, arguments.seed, arguments.sampled, arguments.activation)
+        rules.read_rows(rows_path)
         open_window(hud.DESIGN)
     except (RunError, ValueError) as error:
-        print(f"uavnav.play: {error}", file=sys.stderr)
+        print(f"uavnav.play: {as_option(error)}", file=sys.stderr)
         return 2
     with use_threads(1):
         game = play(
@@ -164,12 +180,13 @@ def main(argv: list[str] | None = None) -> int:
                 arguments.layout,
                 arguments.max_steps,
                 arguments.person,
-                rows_path=arguments.out or ROWS,
+                rows_path=rows_path,
                 bank_path=arguments.bank or BANK,
             )
         )
     if game.flights:
-        print(rules.unsaved(game).partition(":")[0])
+        lost = len(game.flights)
+        print(f"{rules.counted(lost)} by hand {'was' if lost == 1 else 'were'} not saved")
     return 0
 
 

@@ -112,6 +112,23 @@ def is_zip(run: str | Path) -> bool:
     return Path(run).suffix == ".zip" and not os.path.isdir(run)
 
 
+def zips(words: Sequence[str], activation: str | None) -> list[str]:
+    """Which of a command's words are zips, whose activation `--activation` says.
+
+    Raises:
+        PolicyError: an activation is given, and none of them is a zip.
+    """
+    found = [word for word in words if is_zip(word)]
+    if activation is not None and not found:
+        raise PolicyError(f"--activation {activation}: runs know their own; give it with a .zip")
+    return found
+
+
+def as_option(error: Exception) -> str:
+    """An error's line as a command says it."""
+    return str(error).replace("activation=...", "--activation")
+
+
 def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, activation: str | None = None) -> Policy:
     """The policy of one seed of a run's folder (or of its policy.safetensors); nothing is unpickled or executed.
 

@@ -25,7 +25,7 @@ from torch import Tensor
 from uavnav import compiling, policies, simulator
 from uavnav import layouts as banks
 from uavnav.baselines import BASELINES, AnyPolicy
-from uavnav.choices import Parser, did_you_mean
+from uavnav.choices import Parser, check_out, did_you_mean, did_you_mean_run
 from uavnav.dynamics import direction
 from uavnav.sensing import sense
 from uavnav.simulator import UP, State
@@ -45,9 +45,12 @@ DRONE, SENSOR, SENSED = (0, 114, 178), (86, 180, 233, 56), (213, 94, 0)
 PILOTS = (DRONE, (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (84, 88, 96))
 """One for each policy, in order: its drone and its trail."""
 
+SUFFIXES = (".mp4", ".gif", ".png")
+COLOURS = 128  # of a GIF
 SMOOTHING = 2  # drawn so many times larger, then scaled down
 GAP = 8  # between flights side by side [px]
 WIDTHS = range(160, 3841)  # of one flight's picture [px]
+SLOWEST = Fraction(1, 100)  # pictures per second of a film
 FASTEST_GIF = 50  # pictures per second: viewers slow shorter pauses than 0.02 s down
 
 
@@ -163,21 +166,25 @@ class Flight(NamedTuple):
     collided: bool
 
 
-def load_pilots(words: Sequence[str], seed: int | None = None, sampled: bool = False) -> list[Pilot]:
-    """Runs' folders, or names of scripted policies, as pilots; named by the last two parts of the path.
+def load_pilots(
+    words: Sequence[str], seed: int | None = None, sampled: bool = False, activation: str | None = None
+) -> list[Pilot]:
+    """Runs' folders, zips, or names of scripted policies, as pilots; named by the last two parts of the path.
+
+    activation: of the zips' hidden layers.
 
     Raises:
-        PolicyError: no such run or seed.
+        PolicyError: no such run or seed, or an activation for runs alone.
     """
-    pilots = []
+    zips, pilots = policies.zips(words, activation), []
     for word in words:
         if word in BASELINES:
             pilots.append(Pilot(word, BASELINES[word], World()))
         else:
             try:
-                policy = policies.load_policy(word, seed, greedy=not sampled)
+                policy = policies.load_policy(word, seed, not sampled, activation if word in zips else None)
             except policies.PolicyError as error:
-                raise policies.PolicyError(f"{error}{did_you_mean(word, BASELINES)}") from error
+                raise policies.PolicyError(f"{error}{did_you_mean_run(word, BASELINES)}") from error
             pilots.append(Pilot("/".join(Path(word).resolve().parts[-2:]), policy, policy.world))
     return pilots
 
@@ -275,12 +282,28 @@ def _caption(width: int, name: str, state: State, collided: bool, colour: Colour
 # -- files -----------------------------------------------------------------------------------------------------------
 
 
-def check_name(path: Path) -> None:
-    """Raises ValueError for the name of a file that is none of the three, or an MP4 that cannot be encoded."""
-    if path.suffix not in (".mp4", ".gif", ".png"):
-        raise ValueError(f"{path}: choose an .mp4, .gif or .png file")
-    if path.suffix == ".mp4":
+def check_picture(path: Path, rate: Fraction) -> str:
+    """The kind of a file by its name, if pictures can be written there, so many per second.
+
+    Raises:
+        ValueError: it is none of the three, its folder is missing, PyAV is, or a film would be too fast or too slow.
+    """
+    kind = path.suffix.lower()
+    if kind not in SUFFIXES:
+        raise ValueError(f"{path}: choose an .mp4, .gif or .png file{did_you_mean(kind, SUFFIXES)}")
+    if not os.path.isdir(path.parent):
+        reason = f"there is no folder {path.parent}"
+        raise ValueError(f"{path}: cannot be written ({reason}); give a path that can be written")
+    if kind == ".mp4":
         _pyav()
+    bound = ""
+    if kind == ".gif" and rate > FASTEST_GIF:
+        bound = f"a GIF shows {FASTEST_GIF} at most: draw fewer (--every) or choose .mp4"
+    elif kind != ".png" and rate < SLOWEST:
+        bound = f"a film shows {float(SLOWEST):g} at least: draw more (a lower --every)"
+    if bound:
+        raise ValueError(f"{float(rate):g} pictures per second, {bound}")
+    return kind
 
 
 def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PER_SECOND) -> None:
@@ -289,15 +312,15 @@ def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PE
     fps: pictures per second. MP4 needs an even width and height: an odd one gains a column or a row of its edge.
 
     Raises:
-        ValueError: the file is none of these, would be a GIF of more than 50 pictures per second, or cannot be written.
+        ValueError: the file is none of these, too fast or too slow (`check_picture`), or cannot be written.
     """
-    check_name(path)
     rate = Fraction(fps).limit_denominator(1000)
-    if path.suffix == ".png":
+    kind = check_picture(path, rate)
+    if kind == ".png":
         content = io.BytesIO()
         Image.fromarray(frames[-1]).save(content, "PNG")
     else:
-        content = (_mp4 if path.suffix == ".mp4" else _gif)(frames, rate)
+        content = (_mp4 if kind == ".mp4" else _gif)(frames, rate)
     aside = path.with_name(f".{path.name}.aside")
     try:
         try:
@@ -310,17 +333,24 @@ def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PE
 
 
 def _gif(frames: Sequence[Picture], rate: Fraction) -> io.BytesIO:
-    """An animated GIF in 128 colours. Its clock counts hundredths of a second: pauses differ by one to keep time."""
-    if rate > FASTEST_GIF:
-        most = f"a GIF shows {FASTEST_GIF} at most: draw fewer (--every) or choose .mp4"
-        raise ValueError(f"{float(rate):g} pictures per second, {most}")
-    palette = Image.fromarray(frames[-1]).quantize(128)
+    """An animated GIF in few colours. Its clock counts hundredths of a second: pauses differ by one to keep time."""
+    palette = _palette(frames)
     ticks = [round(100 * index / rate) for index in range(len(frames) + 1)]
     pauses = [10 * (later - now) for now, later in itertools.pairwise(ticks)]
     indexed = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     content = io.BytesIO()
     next(indexed).save(content, "GIF", save_all=True, append_images=indexed, duration=pauses, loop=0)
     return content
+
+
+def _palette(frames: Sequence[Picture]) -> Image.Image:
+    """The colours of a GIF: those that things are drawn in, and the rest from five pictures spread over the film."""
+    own = list(dict.fromkeys((GROUND, BORDER, OBSTACLE, INK, SENSED, *PILOTS)))
+    spread = [frames[round(index * (len(frames) - 1) / 4)][::2, ::2] for index in range(5)]
+    mixed = Image.fromarray(np.concatenate(spread)).quantize(COLOURS - len(own)).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*itertools.chain(*own), *mixed])
+    return palette
 
 
 def _mp4(frames: Iterable[Picture], rate: Fraction) -> io.BytesIO:
@@ -349,20 +379,26 @@ def _pyav() -> Any:
     return av
 
 
+RUN_HELP = f"a run's folder, a Stable-Baselines3 .zip, or {', '.join(BASELINES)}"
+SAMPLED = "act as in training, PPO by its probabilities and DQN with its final epsilon, instead of greedily"
+
+
 def flight_arguments(parser: argparse.ArgumentParser) -> None:
     """What every command that flies policies asks: which seed, how, and where."""
     parser.add_argument("--seed", type=int, help="training seed (default: each run's first)")
-    parser.add_argument("--sampled", action="store_true", help="act as in training instead of greedily")
+    parser.add_argument("--sampled", action="store_true", help=SAMPLED)
+    parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
     parser.add_argument("--layouts", default="test", help="train, test or a bank's path (default: test)")
     parser.add_argument("--layout", type=int, default=0, help="index of the obstacle set (default: 0)")
 
 
-RUN_HELP = f"a run's folder, or {', '.join(BASELINES)}"
-
-
 def main(argv: list[str] | None = None) -> int:
     """Draw flights of policies on the same set of obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
-    parser = Parser(prog="python -m uavnav.render", description=main.__doc__)
+    parser = Parser(
+        prog="python -m uavnav.render",
+        description=main.__doc__,
+        epilog="example: python -m uavnav.render runs/ppo/relu reactive --out flight.gif",
+    )
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN_HELP)
     parser.add_argument(
         "--out", type=Path, default=Path("flight.gif"), help="an .mp4, .gif or .png file (default: flight.gif)"
@@ -378,22 +414,23 @@ def main(argv: list[str] | None = None) -> int:
     )
     arguments = parser.parse_args(argv)
     try:
-        check_name(arguments.out)
         if min(arguments.steps, arguments.every) < 1:
             raise ValueError("--steps and --every are at least 1")
         if not 0.1 <= arguments.speed <= 100:
             raise ValueError(f"--speed {arguments.speed:g}: give 0.1 to 100")
         if arguments.width not in WIDTHS:
             raise ValueError(f"--width {arguments.width}: give {WIDTHS.start} to {WIDTHS.stop - 1}")
-        pilots = load_pilots(arguments.runs, arguments.seed, arguments.sampled)
+        rate = Fraction(arguments.speed).limit_denominator(100) * STEPS_PER_SECOND / arguments.every
+        check_picture(arguments.out, rate)
+        check_out(arguments.out)
+        pilots = load_pilots(arguments.runs, arguments.seed, arguments.sampled, arguments.activation)
         bank = load_layout(arguments.layouts, arguments.layout)
         with compiling.use_threads(1):
             flights = [fly(pilot, bank, arguments.layout, arguments.steps) for pilot in pilots]
             film = Film(flights, bank[arguments.layout], arguments.width, arguments.every)
-            rate = Fraction(arguments.speed).limit_denominator(100) * STEPS_PER_SECOND / arguments.every
             save(film, arguments.out, rate)
     except ValueError as error:
-        print(f"uavnav.render: {error}", file=sys.stderr)
+        print(f"uavnav.render: {policies.as_option(error)}", file=sys.stderr)
         return 2
     for flight in flights:
         last = flight.states[-1]

@@ -44,7 +44,7 @@ from torch import Tensor
 from uavnav import layouts, policies
 from uavnav.checkpoints import CheckpointError, Checkpoints, Snapshot, Stateful, collect, restore
 from uavnav.config import TrainConfig, plain
-from uavnav.metrics import EPISODE_COLUMNS, LAST, finished
+from uavnav.metrics import EPISODE_COLUMNS, FIRST_COLUMNS, LAST, finished
 from uavnav.simulator import COUNTS, State
 from uavnav.world import VERSION
 
@@ -66,6 +66,8 @@ CHECKPOINT_SECONDS = 60.0
 CHECKPOINT_SHARE = 0.04
 """What snapshots may take of a run's time: where writing one takes long, the next comes later."""
 EVALUATION = "evaluation.parquet"
+CAME_LATER: dict[str, dict[str, Any]] = {"dqn": {"n_steps": 1}}
+"""Settings that the configurations of older runs lack, as those were run."""
 BEHAVIOUR = "behaviour.parquet"
 BANK_FACTS = ("n", "k", "split", "generator_seed", "sha256")
 FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", policies.FILE_NAME)
@@ -77,12 +79,12 @@ class RunError(RuntimeError):
 
 
 class Interrupted(RunError):
-    """SIGINT or SIGTERM stopped a run, which was saved and can go on."""
+    """SIGINT, SIGTERM or `until` stopped a run; it was saved and can go on, or the message says that it was not."""
 
     def __init__(self, message: str, signum: int, frames: int, wanted: bool) -> None:
         super().__init__(message)
         self.signum = signum
-        self.frames = frames  # per seed, as saved
+        self.frames = frames  # per seed, as saved; 0 if nothing was
         self.wanted = wanted  # by `until`
 
 
@@ -110,7 +112,8 @@ class Run:
         self._check("config.yaml", self.config, {"algorithm": str, "activation": str, "seed": int, "n_seeds": int})
         self._check("meta.json", self.meta, {"frames": int})
         del self.config["algorithm"]
-        self.episodes = self._table("episodes.parquet", EPISODE_COLUMNS)
+        self.config = CAME_LATER.get(self.algorithm, {}) | self.config
+        self.episodes = self._table("episodes.parquet", FIRST_COLUMNS)
         self.progress = self._table("progress.parquet", {"seed": "int64", "frame": "int64"})
 
     @property
@@ -126,7 +129,7 @@ class Run:
     def evaluation(self) -> pd.DataFrame | None:
         """The rows of its evaluation on the test split, with their mode; None where it was not evaluated."""
         there = (self.path / EVALUATION).exists()
-        return self._table(EVALUATION, EPISODE_COLUMNS | {"mode": "object"}) if there else None
+        return self._table(EVALUATION, FIRST_COLUMNS | {"mode": "object"}) if there else None
 
     def _check(self, name: str, there: Mapping[str, Any], kinds: Mapping[str, type]) -> None:
         for key, kind in kinds.items():
@@ -242,7 +245,7 @@ class Recorder:
         there = _read_yaml(path / "config.yaml")
         if there.get("algorithm") not in policies.ALGORITHMS:
             raise RunError(f"out={path}: its config.yaml is not a run's; give a new or empty folder")
-        there = plain(type(self.config)()) | there  # an older run lacks settings that came later: their defaults
+        there = CAME_LATER.get(self.algorithm, {}) | there
         if self._overwrite:
             return False
         keys = sorted({*there, *self._described}, key=str)

@@ -10,9 +10,11 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import inspect
 import json
 import os
 import queue
+import select
 import signal
 import subprocess
 import sys
@@ -33,6 +35,7 @@ from uavnav.display import Display
 from uavnav.layouts import LayoutError
 from uavnav.runs import (
     CHECKPOINT_SECONDS,
+    STOPS,
     Columns,
     Interrupted,
     Log,
@@ -50,7 +53,10 @@ Tell = Callable[[int, list[float]], None]
 
 EXPECTED = (ConfigError, LayoutError, RunError)
 SILENT = "{}: its process ended without a word; the same command goes on from the last snapshot"
+NOT_SAVED = "{}: not saved, its process ended before it could be; the same command begins these seeds anew"
 POLL_SECONDS = 0.2
+STOP_SECONDS = 1.0
+"""Between two askings of a share to stop: before its run has begun it does not hear."""
 
 
 def spread(check: Callable[[Any], None] | None = None) -> Callable[[Callable[..., Run]], Callable[..., Run]]:
@@ -60,7 +66,6 @@ def spread(check: Callable[[Any], None] | None = None) -> Callable[[Callable[...
     """
 
     def decorate(train: Callable[..., Run]) -> Callable[..., Run]:
-        @functools.wraps(train)
         def spread_train(
             config: C,
             out: str | Path | None = None,
@@ -103,9 +108,19 @@ def spread(check: Callable[[Any], None] | None = None) -> Callable[[Callable[...
             with contextlib.closing(logs), compiling.use_threads(compiling.threads(config)):
                 return train(config, folder, overwrite, quiet, checkpoint_seconds, until, tell, log)
 
+        signature = _signature(spread_train, train)
+        functools.update_wrapper(spread_train, train)
+        spread_train.__signature__ = signature  # type: ignore[attr-defined]
         return spread_train
 
     return decorate
+
+
+def _signature(outer: Callable[..., Run], inner: Callable[..., Run]) -> inspect.Signature:
+    """The outer function's, on the inner one's kind of configuration."""
+    signature = inspect.signature(outer)
+    own = {**signature.parameters, "config": inspect.signature(inner).parameters["config"]}
+    return signature.replace(parameters=list(own.values()))
 
 
 def _checked(processes: int, config: TrainConfig) -> int:
@@ -184,10 +199,10 @@ class Shares:
         if self.log is not None:
             self.log({"seed": np.empty(0), "frame": np.empty(0)})  # that what cannot be opened is known now
         with self._running(said) as processes:
-            told_to_stop = False
+            stopping = False
             while len(ended) < len(self.shares):
-                if self.recorder.stop is not None and not told_to_stop:
-                    told_to_stop = True
+                if self.recorder.stop is not None and not stopping:
+                    stopping = True
                     _stop(processes)
                 try:
                     path, message = said.get(timeout=POLL_SECONDS)
@@ -203,21 +218,28 @@ class Shares:
                 elif path not in ended:
                     if message is not None and "finished" in message:
                         latest[path] = message["finished"], latest[path][1]
-                    silent = (
-                        {"stopped": latest[path][0], "wanted": False}
-                        if told_to_stop
-                        else {"error": SILENT.format(path)}
-                    )
-                    ended[path] = message or silent
-                    if "error" in ended[path]:
+                    ended[path] = message or (self._left_behind(path) if stopping else {"error": SILENT.format(path)})
+                    if "error" in ended[path] or not ended[path].get("wanted", True):
+                        stopping = True
                         _stop(processes)
         errors = [message["error"] for message in ended.values() if "error" in message]
         if errors:
             raise RunError(errors[0])
-        stops = [message for message in ended.values() if "stopped" in message]
+        stops = {path: message for path, message in ended.items() if "stopped" in message}
+        for path, message in stops.items():
+            if not message["stopped"]:
+                raise Interrupted(NOT_SAVED.format(path), self.recorder.stop or signal.SIGTERM, 0, wanted=False)
         if stops:
-            frames = min(message["stopped"] for message in stops)
-            raise self.recorder.interrupted(frames, wanted=all(message["wanted"] for message in stops))
+            frames = min(message["stopped"] for message in stops.values())
+            raise self.recorder.interrupted(frames, wanted=all(message["wanted"] for message in stops.values()))
+
+    def _left_behind(self, path: Path) -> dict[str, Any]:
+        """How far the newest snapshot of a share is that was stopped and did not say so; 0 where there is none."""
+        try:
+            frames, _ = Recorder(path, self.recorder.algorithm, self.shares[path]).snapshot_tables()
+        except RunError:
+            frames = 0
+        return {"stopped": frames, "wanted": False}
 
     @contextlib.contextmanager
     def _running(self, said: queue.SimpleQueue[Any]) -> Iterator[list[subprocess.Popen[str]]]:
@@ -303,11 +325,18 @@ def _say_rows(channel: int, rows: Columns) -> None:
     _say(channel, rows={name: column.tolist() for name, column in rows.items()})
 
 
-def _end_with_parent() -> None:
-    """Ask for a stop as soon as the one that holds the other end of the standard input is gone."""
-    while os.read(sys.stdin.fileno(), 1):
-        pass
-    os.kill(os.getpid(), signal.SIGTERM)
+def _end_with_parent(over: threading.Event) -> None:
+    """Once the one that holds the other end of the standard input is gone, ask for a stop until the run is over."""
+    channel = sys.stdin.fileno()
+    while not over.is_set():
+        said, _, _ = select.select([channel], [], [], POLL_SECONDS)
+        if said and not os.read(channel, 1):
+            os.kill(os.getpid(), signal.SIGTERM)
+            over.wait(STOP_SECONDS)
+
+
+def _hear_nothing(number: int, frame: object) -> None:
+    """Let a signal pass, as `signal.SIG_IGN` does, which a compiler that is started would inherit."""
 
 
 def main() -> None:
@@ -315,8 +344,13 @@ def main() -> None:
     channel = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no message
     warnings.formatwarning = lambda message, *where, **more: f"{message}\n"
+    warnings.filterwarnings("ignore", compiling.EAGER)  # the one that started this process has said it
+    for number in STOPS:
+        signal.signal(number, _hear_nothing)  # a run hears the first signal, and then this is there again
     described = json.loads(sys.stdin.readline())
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    over = threading.Event()
+    watch = threading.Thread(target=_end_with_parent, args=[over], daemon=True)
+    watch.start()
     module = importlib.import_module(f"uavnav.{described['algorithm']}")
     kind = type(next(iter(module.PRESETS.values())))
     log = functools.partial(_say_rows, channel) if described["log"] else None
@@ -342,5 +376,8 @@ def main() -> None:
     except Exception as error:
         traceback.print_exc()
         last = {"error": f"{described['out']}: {type(error).__name__}, see above"}
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # there is nothing left to save
+    for number in STOPS:
+        signal.signal(number, signal.SIG_IGN)  # there is nothing left to save
     _say(channel, **last)
+    over.set()
+    watch.join()  # a thread that woke while the interpreter ends would end the process loudly

@@ -7,6 +7,7 @@ cell, E episodes of a seed.
 from __future__ import annotations
 
 import bisect
+import itertools
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -24,6 +25,8 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 
 CONFIDENCE = 0.95
 RESAMPLES = 2_000
+PERMUTATIONS = 19_999
+"""Of a test: after Holm over 12 ordered pairs its smallest p value is 0.0006."""
 
 
 class Interval(NamedTuple):
@@ -146,38 +149,48 @@ def improvement(cells: Mapping[str, Array]) -> pd.DataFrame:
 
 
 class Interaction(NamedTuple):
-    """Whether the activations rank alike under both algorithms."""
+    """Whether activations change places between the algorithms, and whether they interact on the raw scale."""
 
     p_ranks: float
     p_raw: float
     n: int
 
 
+def _above_and_below(a: Array, b: Array, rng: np.random.Generator) -> Array:
+    """One-sided p values of a's mean above b's and below it, the seeds of the two permuted: [S], [S] -> [2]."""
+    pooled = np.concatenate([a, b])
+    dealt = rng.permuted(np.tile(pooled, (PERMUTATIONS, 1)), axis=1)
+    differences = dealt[:, : len(a)].mean(1) - dealt[:, len(a) :].mean(1)
+    observed, rounding = a.mean() - b.mean(), 1e-12 * np.abs(pooled).max()
+    as_far = [(differences >= observed - rounding).sum(), (differences <= observed + rounding).sum()]
+    return (1 + np.array(as_far)) / (1 + PERMUTATIONS)
+
+
+def _crossover(first: Sequence[Array], second: Sequence[Array], rng: np.random.Generator) -> float:
+    """P value of two cells in one order in the first list and in the other in the second; [S] a cell."""
+    p_values: list[float] = []
+    for a, b in itertools.combinations(range(len(first)), 2):
+        here, there = (_above_and_below(cells[a], cells[b], rng) for cells in (first, second))
+        p_values.extend(np.maximum(here, there[::-1]))
+    return float(min(1.0, len(p_values) * min(p_values)))  # the smallest after Holm
+
+
 def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
     """Of algorithm and activation on one number a seed; columns algorithm, activation, value.
 
-    p_ranks: values become ranks within their algorithm, so that scale alone is no interaction; the statistic is the sum
-    over activations of the squared difference of the algorithms' mean ranks; under no interaction the ranks of an
-    activation's seeds are the same whichever the algorithm, and are dealt out to the two anew. p_raw: Wald's test of
-    the interaction in least squares on the values themselves, with HC3 errors.
+    p_ranks: whether two activations change places, a crossover: a above b under the first algorithm and b above a under
+    the second. Equal orders are none, whatever their scale, spacing and noise. An intersection-union test: of each
+    ordered pair the larger of the two one-sided p values, by permuting seeds; of these the smallest, adjusted by Holm.
+    p_raw: Wald's test of the interaction in least squares on the values themselves, with HC3 errors.
     """
-    counts = table.groupby(["algorithm", "activation"]).size()
-    n = int(counts.min()) if len(counts) else 0
+    cells = {key: part.to_numpy() for key, part in table.groupby(["algorithm", "activation"])["value"]}
+    n = min(map(len, cells.values()), default=0)
     algorithms = sorted(table["algorithm"].unique())
     activations = sorted(table["activation"].unique())
-    if len(algorithms) != 2 or len(activations) < 2 or len(counts) != 2 * len(activations) or n < 2:
+    if len(algorithms) != 2 or len(activations) < 2 or len(cells) != 2 * len(activations) or n < 2:
         return Interaction(np.nan, np.nan, n)
-    ranks = table.groupby("algorithm")["value"].rank(pct=True)
-    rng = np.random.default_rng(seed)
-    observed, dealt = 0.0, np.zeros(RESAMPLES)
-    for activation in activations:
-        mine = table["activation"] == activation
-        first = (table.loc[mine, "algorithm"] == algorithms[0]).to_numpy()
-        pooled = ranks[mine].to_numpy()
-        observed += (pooled[first].mean() - pooled[~first].mean()) ** 2
-        shuffled = rng.permuted(np.tile(pooled, (RESAMPLES, 1)), axis=1)
-        dealt += (shuffled[:, first].mean(1) - shuffled[:, ~first].mean(1)) ** 2
-    p_ranks = (1 + int((dealt >= observed - 1e-12).sum())) / (1 + RESAMPLES)
+    first, second = ([cells[algorithm, activation] for activation in activations] for algorithm in algorithms)
+    p_ranks = _crossover(first, second, np.random.default_rng(seed))
     fit = smf.ols("value ~ C(algorithm) * C(activation)", table).fit(cov_type="HC3")
     terms = [name for name in fit.params.index if ":" in name]
     p_raw = float(fit.f_test(np.eye(len(fit.params))[[fit.params.index.get_loc(name) for name in terms]]).pvalue)

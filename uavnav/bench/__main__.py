@@ -1,19 +1,23 @@
 """Benchmarks: the world, training and its peers, side by side on this machine, into one Markdown file.
 
-`python -m uavnav.bench` measures everything in half an hour, `--quick` a first impression in 3. What takes longer
-has a flag of its own (`--growth`, `--fast`, `--whole`, `--parity`) and a section of its own in the file, which later
-runs keep. Each measurement is a fresh process with a fixed number of threads (`uavnav.bench.jobs`); measurements are
-interleaved over several rounds, and medians and ratios of the same round are what is reported.
+`python -m uavnav.bench` measures everything in 40 minutes, `--quick` a first impression in 3. What takes longer has a
+flag of its own (`--growth`, `--fast`, `--whole`, `--parity`) and a section of its own in the file, which later runs
+keep. What a run that is stopped has found by then is written, and marked. Each measurement is a fresh process with a
+fixed number of threads (`uavnav.bench.jobs`); measurements are interleaved over several rounds, and medians and ratios
+of the same round are what is reported.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import shutil
+import signal
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,21 +35,25 @@ from uavnav.bench.report import (
     WRITERS,
     Results,
     clock,
-    fast_median,
     fast_rows,
     number,
+    refresh_fast_target,
     save_figure,
     table,
+    when,
+    write_fast,
     write_file,
     write_sections,
 )
 from uavnav.choices import Parser
 
-MINUTES = {"full": 26.0, "quick": 2.8}
+MINUTES = {"full": 40.0, "quick": 2.8}
 BATCHES = [1, 16, 256, 1024, 4096, 16_384, 32_768]
 SECTIONS = tuple(WRITERS)
 """What a plain run measures, and `--only` chooses from."""
 PEERS = {"stable_baselines3": "Stable-Baselines3", "sbx": "SBX"}
+OUT = Path("docs/benchmarks.md")
+STOPS = (signal.SIGTERM, signal.SIGHUP)
 INSTALL = "pip install -e '.[bench]'"
 
 
@@ -67,6 +75,7 @@ class Measurement:
     cache: str = "graphs"  # which folder of compiled graphs
     cold: bool = False  # empty it first
     sample: bool = False  # note the memory of the tree of processes
+    together: bool = False  # its processes measure in the same stretches of time
 
     @property
     def section(self) -> str:
@@ -75,28 +84,32 @@ class Measurement:
 
 def plan(quick: bool) -> list[Measurement]:
     """What a plain run measures, the most important first."""
-    every = [*_plan_gymnasium(quick), *_plan_training(quick), *_plan_world(quick), *_plan_rest(quick)]
-    return [replace(one, rounds=1) for one in every] if quick else every
+    if not quick:
+        return [*_plan_gymnasium(False), *_plan_training(False), *_plan_world(False), *_plan_rest(False)]
+    every = [*_plan_world(True), *_plan_gymnasium(True), *_plan_training(True), *_plan_rest(True)]
+    return [replace(one, rounds=1) for one in every]
 
 
 def _plan_world(quick: bool) -> list[Measurement]:
-    batches, seconds = ([1, 1024], 0.3) if quick else (BATCHES, 0.7)
-    beside = {"batches": [1024] if quick else [256, 512, 1024, 2048, 4096], "compiled": True, "seconds": 3 * seconds}
+    """On all cores first, as processes side by side, which is the fastest way; `quick`, no other."""
+    beside = {"batches": [4096] if quick else [256, 512, 1024, 2048, 4096], "compiled": True, "seconds": 2.0}
     side_by_side = Measurement(
-        f"world/compiled/{CORES} × 1", "world", beside, copies=CORES, expected=15 if quick else 60
+        f"world/compiled/{CORES} × 1", "world", beside, copies=CORES, expected=25 if quick else 60, together=True
     )
+    if quick:
+        return [side_by_side]
     return [
         side_by_side,
         *(
             Measurement(
                 f"world/{'compiled' if compiled else 'eager'}/{threads}",
                 "world",
-                {"batches": batches, "compiled": compiled, "seconds": seconds},
+                {"batches": BATCHES, "compiled": compiled, "seconds": 0.7},
                 threads=threads,
-                expected=(15 if quick else 60) if compiled else 12,
+                expected=60 if compiled else 12,
             )
             for compiled in (True, False)
-            for threads in ([CORES] if quick else dict.fromkeys([CORES, 1]))
+            for threads in dict.fromkeys([CORES, 1])
         ),
     ]
 
@@ -104,20 +117,23 @@ def _plan_world(quick: bool) -> list[Measurement]:
 def _plan_gymnasium(quick: bool) -> list[Measurement]:
     seconds = 0.5 if quick else 2.0
     vector = {"batches": [16, 256], "seconds": seconds}
-    return [
+    rows = [
         Measurement("gymnasium/numpy", "single", {"which": "numpy", "seconds": seconds}, rounds=5, expected=8),
         Measurement("gymnasium/uavnav", "single", {"which": "uavnav", "seconds": seconds}, rounds=5, expected=8),
         Measurement("gymnasium/vector", "vector", vector, expected=10),
     ]
+    return rows[:2] if quick else rows
 
 
 def _plan_training(quick: bool) -> list[Measurement]:
+    """Both algorithms in turn; `quick`, ours and Stable-Baselines3 alone."""
     watched: Result = {"frames": 20_000, "seconds": 5.0} if quick else {"frames": 200_000, "seconds": 15.0}
+    slow: Result = watched if quick else {"frames": 100_000, "seconds": 32.0, "least": 50_000}
     took = 20 if quick else 40
     found = {}
     for algorithm in ("ppo", "dqn"):
         own = {"algorithm": algorithm, **watched}
-        peer = own | {"learning_starts": 2_000 if quick else 10_000} | ({} if quick else {"seconds": 32.0})
+        peer = {"algorithm": algorithm, **slow, "learning_starts": 2_000 if quick else 10_000}
         if algorithm == "dqn" and quick:
             own |= {"learning_starts": 12_000}
         alone = peer | {"which": "numpy"}
@@ -131,7 +147,9 @@ def _plan_training(quick: bool) -> list[Measurement]:
             replace(sb3, name="sb3/uavnav", arguments=peer | {"which": "uavnav"}, rounds=2),
             replace(sb3, name="sbx/numpy", arguments=alone | {"library": "sbx"}, threads=CORES, rounds=2, needs="sbx"),
         ]
-        found[algorithm] = [replace(row, name=f"training/{algorithm}/{row.name}") for row in rows]
+        found[algorithm] = [
+            replace(row, name=f"training/{algorithm}/{row.name}") for row in (rows[:3] if quick else rows)
+        ]
     return [row for both in zip(*found.values(), strict=True) for row in both]
 
 
@@ -144,6 +162,11 @@ def _plan_rest(quick: bool) -> list[Measurement]:
         for n_seeds in (1, 5):  # five of ten are what each of two processes has
             arguments = run | {"n_seeds": n_seeds, "stages": True}
             found.append(Measurement(f"stages/{algorithm}/{n_seeds}", "ours", arguments, rounds=1))
+        peer: Result = {"which": "numpy", "frames": 100_000, "seconds": seconds, "learning_starts": 2_000}
+        arguments = {"algorithm": algorithm, "stages": True, **peer}
+        found.append(
+            Measurement(f"stages/{algorithm}/sb3", "sb3", arguments, rounds=1, expected=25, needs="stable_baselines3")
+        )
         short = run | {"seconds": 2.0}
         for kind in ("cold", "warm", "off"):
             arguments = short | {"compile": "off" if kind == "off" else "on"}
@@ -167,16 +190,30 @@ class Runner:
         store: the folder for graphs and rows.
         say: shows a line.
         minutes: no measurement is begun that would not end in this time.
+
+    Once it was stopped by Ctrl-C, SIGTERM or SIGHUP, `stopped` is true and nothing more is measured.
     """
 
     def __init__(self, store: Path, say: Callable[[str], None], minutes: float = float("inf")) -> None:
         self.store, self.say = store, say
+        self.stopped = False
         self.began = time.monotonic()
         self.end = self.began + 60 * minutes
 
     def run(self, measurements: Sequence[Measurement]) -> Results:
-        """All of them, round by round."""
-        results, expected = Results(), {one.name: one.expected for one in measurements}
+        """All of them, round by round; what was found by then, if it is stopped."""
+        results = Results()
+        try:
+            self._run(measurements, results)
+        except KeyboardInterrupt:
+            self.stopped = True
+            for one in measurements:
+                if not results.found.get(one.name):
+                    results.missing.setdefault(one.name, "the run was stopped before")
+        return results
+
+    def _run(self, measurements: Sequence[Measurement], results: Results) -> None:
+        expected = {one.name: one.expected for one in measurements}
         rounds = [(turn, one) for turn in range(9) for one in measurements if turn < one.rounds]
         for count, (turn, one) in enumerate(rounds, 1):
             if one.needs and importlib.util.find_spec(one.needs) is None:
@@ -197,7 +234,6 @@ class Runner:
                 results.missing[one.name] = said = f"failed: {error}"
             expected[one.name] = time.monotonic() - start
             self.say(f"{clock(time.monotonic() - self.began)} {count}/{len(rounds)} {one.name}: {said}")
-        return results
 
     def measure(self, one: Measurement, timeout: float) -> list[Result]:
         """One round: what each of its processes found."""
@@ -205,12 +241,15 @@ class Runner:
         if one.cold:
             shutil.rmtree(cache, ignore_errors=True)
         cache.mkdir(parents=True, exist_ok=True)
-        running = [Job(one.job, one.arguments, one.threads, cache) for _ in range(one.copies)]
-        try:
-            return [job.result(timeout, one.sample) for job in running]
-        finally:
-            for job in running:
-                job.stop()
+        running: list[Job] = []
+        with tempfile.TemporaryDirectory() as meeting:
+            arguments = one.arguments | ({"meeting": meeting, "copies": one.copies} if one.together else {})
+            try:
+                running.extend(Job(one.job, arguments, one.threads, cache) for _ in range(one.copies))
+                return [job.result(timeout, one.sample) for job in running]
+            finally:
+                for job in running:
+                    job.stop()
 
 
 def _short(found: list[Result]) -> str:
@@ -230,6 +269,8 @@ def measure_growth(runner: Runner, out: Path) -> dict[str, list[str]]:
     ]
     results = runner.run(measurements)
     rows = {point: results.found[point.name][0][0] for point in points if results.found.get(point.name)}
+    if not rows:
+        return {}
     picture = out.with_suffix(".png")
     save_figure(picture, growth.draw(rows))
     return {"growth": growth.section(rows, picture.name)}
@@ -249,6 +290,8 @@ def measure_whole(runner: Runner, out: Path) -> dict[str, list[str]]:
             Measurement(f"{algorithm}/sb3/numpy", "sb3", own | peer, rounds=1, needs="stable_baselines3"),
         ]
     results = runner.run(measurements)
+    if not any(results.found.values()):
+        return {}
     for one in measurements:
         algorithm, key = one.name.split("/", 1)
         whole, sb3 = results.median(one.name, "whole"), results.median(f"{algorithm}/sb3/numpy", "whole")
@@ -260,29 +303,26 @@ def measure_whole(runner: Runner, out: Path) -> dict[str, list[str]]:
 
 
 def measure_fast(runner: Runner, out: Path) -> dict[str, list[str]]:
-    """How soon the preset `fast` of PPO gives a good policy: five seeds, each kept once it is there."""
-    from uavnav import ppo
-
-    if "fast" not in ppo.PRESETS:
-        runner.say("--fast: PPO has no preset `fast` yet")
-        return {}
+    """How soon the preset `fast` of PPO gives a good policy: five seeds, each kept once it was run."""
     arguments = {"preset": "fast", "target": TARGET_REWARD, "held_out": VALIDATION, "patience": 240.0}
-    for seed in range(5):
-        path = runner.store / "fast" / f"{seed}.parquet"
-        if not path.is_file():
-            one = Measurement(f"fast/{seed}", "reach", arguments | {"seed": seed}, threads=CORES, rounds=1)
-            found = runner.run([one]).found[one.name]
-            if found:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                runs.write_table(path, pd.DataFrame(found[0]).astype({"seconds": "float64", "frames": "float64"}))
-    rows = fast_rows(runner.store)
-    shown = [[str(int(seed)), number(seconds), number(frames)] for seed, seconds, frames in rows.to_numpy().tolist()]
-    text = (
-        f"Seconds from the command (caches warm) to PPO's first policy whose mean reward is at least {TARGET_REWARD} on"
-        f" {VALIDATION} sets that were held out of training, sampled, at most 10,000 steps an episode; policies are set"
-        f" aside once a second and judged afterwards. Median: {number(fast_median(runner.store))} s."
-    )
-    return {"fast": [text, "", *table(["seed", "seconds", "frames"], shown)]}
+    paths = {seed: runner.store / "fast" / f"{seed}.parquet" for seed in range(5)}
+    missing = [seed for seed, path in paths.items() if not path.is_file()]
+    if missing:  # caches are warm when the clock runs
+        warm = arguments | {"seed": missing[0], "patience": 0.0}
+        runner.run([Measurement("fast/warm-up", "reach", warm, threads=CORES, rounds=1)])
+    for seed in missing:
+        if runner.stopped:
+            break
+        one = Measurement(f"fast/{seed}", "reach", arguments | {"seed": seed}, threads=CORES, rounds=1)
+        found = runner.run([one]).found[one.name]
+        if found:
+            paths[seed].parent.mkdir(parents=True, exist_ok=True)
+            table = pd.DataFrame(found[0]).astype({"seconds": "float64", "frames": "float64"})
+            runs.write_table(paths[seed], table.assign(when=when()))
+    if fast_rows(runner.store).empty:
+        return {}
+    refresh_fast_target(out, runner.store)
+    return {"fast": write_fast(runner.store)}
 
 
 def measure_parity(runner: Runner, out: Path) -> dict[str, list[str]]:
@@ -293,10 +333,14 @@ def measure_parity(runner: Runner, out: Path) -> dict[str, list[str]]:
     seeds = parity.SEEDS
     if importlib.util.find_spec("stable_baselines3") is None:
         runner.say(f"parity: {PEERS['stable_baselines3']} is not installed: {INSTALL}")
-        seeds = seeds | {"sb3": 0}
+        seeds = {cell: (many, 0, one, 0) for cell, (many, _, one, _) in seeds.items()}
     store = parity.Store(runner.store, parity.FRAMES)
     worlds = {"ppo": PPOConfig().n_worlds, "dqn": DQNConfig().n_worlds}
-    failed = parity.train(store, worlds, runner.store / "graphs", runner.say, seeds=seeds, at_once=CORES)
+    failed: list[str] = []
+    try:
+        failed = parity.train(store, worlds, runner.store / "graphs", runner.say, seeds, at_once=CORES)
+    except KeyboardInterrupt:
+        runner.stopped = True
     picture = out.with_name(f"{out.stem}-parity.png")
     save_figure(picture, parity.draw(store, worlds))
     lines = parity.section(store, worlds, picture.name)
@@ -315,7 +359,7 @@ FLAGS: dict[str, Callable[[Runner, Path], dict[str, list[str]]]] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measure the world, training and its peers on this machine, and write it down; half an hour."""
+    """Measure the world, training and its peers on this machine, and write it down; 40 minutes."""
     parser = Parser(prog="python -m uavnav.bench", description=main.__doc__)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--quick", action="store_true", help="a first impression, in at most 3 minutes")
@@ -323,36 +367,55 @@ def main(argv: Sequence[str] | None = None) -> int:
         kind.add_argument(f"--{flag}", dest="flag", action="store_const", const=flag, help=function.__doc__)
     sections = ", ".join(SECTIONS)
     parser.add_argument("--only", nargs="+", choices=SECTIONS, metavar="SECTION", help=f"of {sections}")
-    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks.md"), help="default: docs/benchmarks.md")
+    parser.add_argument("--out", type=Path, help=f"default: {OUT}; with --quick quick.md in the store")
     parser.add_argument("--store", type=Path, default=Path("bench"), help="folder for graphs and rows (default: bench)")
     arguments = parser.parse_args(argv)
     if arguments.flag and arguments.only:
         parser.error(f"--only: chooses from a plain run's sections; leave it out with --{arguments.flag}")
-    console = Console(highlight=False, soft_wrap=True)
+    out = arguments.out or (arguments.store / "quick.md" if arguments.quick else OUT)
     minutes = float("inf") if arguments.flag else MINUTES["quick" if arguments.quick else "full"]
     try:
-        for folder in (arguments.out.parent, arguments.store):
-            folder.mkdir(parents=True, exist_ok=True)
-            if not os.access(folder, os.W_OK):
-                raise PermissionError(f"{folder}: cannot be written; give a folder that can")
-        if arguments.out.is_dir():
-            raise IsADirectoryError(f"{arguments.out}: is a folder; give a file")
-        runner = Runner(arguments.store, lambda line: console.print(line, markup=False), minutes)
-        if arguments.flag:
-            found = FLAGS[arguments.flag](runner, arguments.out)
-        else:
-            chosen = [one for one in plan(arguments.quick) if one.section in (arguments.only or SECTIONS)]
-            found = write_sections(runner.run(chosen), arguments.store)
-        if found:
-            write_file(arguments.out, found, time.monotonic() - runner.began)
-            print(f"wrote {arguments.out}")
+        with stops_as_interrupts():
+            for folder in (out.parent, arguments.store):
+                folder.mkdir(parents=True, exist_ok=True)
+                if not os.access(folder, os.W_OK):
+                    raise PermissionError(f"{folder}: cannot be written; give a folder that can")
+            if out.is_dir():
+                raise IsADirectoryError(f"{out}: is a folder; give a file")
+            console = Console(highlight=False, soft_wrap=True)
+            runner = Runner(arguments.store, lambda line: console.print(line, markup=False), minutes)
+            if arguments.flag:
+                found = FLAGS[arguments.flag](runner, out)
+            else:
+                chosen = [one for one in plan(arguments.quick) if one.section in (arguments.only or SECTIONS)]
+                results = runner.run(chosen)
+                found = write_sections(results, arguments.store, only_measured=runner.stopped)
+            if found:
+                marks = [*(["one round each"] if arguments.quick else []), *(["cut short"] if runner.stopped else [])]
+                write_file(out, found, time.monotonic() - runner.began, ", ".join(marks))
+                print(f"wrote {out}")
     except (OSError, runs.RunError) as error:
         print(f"uavnav.bench: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("uavnav.bench: stopped; nothing was written", file=sys.stderr)
+        print("uavnav.bench: stopped while it wrote; the file is whole or as it was", file=sys.stderr)
         return 130
-    return 0
+    if runner.stopped:
+        kept = f"what was found so far is in {out}" if found else "nothing was found yet"
+        print(f"uavnav.bench: stopped; {kept}", file=sys.stderr)
+    return 130 if runner.stopped else 0
+
+
+@contextlib.contextmanager
+def stops_as_interrupts() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP be what Ctrl-C is, where they are not ignored, as under nohup."""
+    heard = [number for number in STOPS if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, signal.default_int_handler) for number in heard}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What `uavnav.bench` measures, one function a job: each runs in a process of its own and returns plain numbers.
 
 `python -m uavnav.bench.jobs NAME '{"argument": ...}' LAUNCHED` prints the result as the last line, as JSON. LAUNCHED is
-the time at which the process was started, so that start-up counts.
+the time at which the process was started, so that start-up counts. A job ends when its standard input does.
 
 Frames are per seed. A training job runs until it has seen `seconds` of steady work or `frames`, whichever is first.
 """
@@ -19,6 +19,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -60,9 +61,11 @@ class Job:
         command = [sys.executable, "-m", "uavnav.bench.jobs", name, json.dumps(arguments), str(time.time())]
         self.tree = 0.0
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the job
+        listen, self._held = os.pipe()  # not Popen's own, which `communicate` closes
         self._process = subprocess.Popen(
-            command, env=env, stdout=subprocess.PIPE, stderr=self._errors, start_new_session=True
+            command, env=env, stdin=listen, stdout=subprocess.PIPE, stderr=self._errors, start_new_session=True
         )
+        os.close(listen)
 
     def result(self, timeout: float, sample: bool = False) -> Result:
         """Wait for what it found.
@@ -99,9 +102,11 @@ class Job:
             with suppress(ProcessLookupError):
                 os.kill(int(process.name), signal.SIGKILL)
         self._process.wait()
-        if self._process.stdout:
+        if self._process.stdout and not self._process.stdout.closed:
             self._process.stdout.close()
-        self._errors.close()
+        if not self._errors.closed:
+            self._errors.close()
+            os.close(self._held)
 
 
 def tree_memory(session: int) -> float:
@@ -143,10 +148,11 @@ class Clock:
         warm: frames from which the work is steady: everything is compiled, and DQN learns.
         frames: stop there at the latest.
         seconds: of steady work, after which to stop.
+        least: frames before which seconds do not count.
     """
 
-    def __init__(self, launched: float, warm: int, frames: int, seconds: float) -> None:
-        self.launched, self.warm, self.frames, self.seconds = launched, warm, frames, seconds
+    def __init__(self, launched: float, warm: int, frames: int, seconds: float, least: int = 0) -> None:
+        self.launched, self.warm, self.frames, self.seconds, self.least = launched, warm, frames, seconds, least
         self.marks: list[Mark] = []
         self._steady = 0
 
@@ -159,7 +165,8 @@ class Clock:
         self._steady += 1
         if self._steady == 1:
             self._began = now.at
-        return self._steady < 3 or (frames < self.frames and now.at - self._began < self.seconds)
+        watched = frames >= self.least and now.at - self._began >= self.seconds
+        return self._steady < 3 or (frames < self.frames and not watched)
 
 
 def rate(marks: list[Mark]) -> float:
@@ -196,8 +203,13 @@ def peak_memory() -> float:
 # -- the world --------------------------------------------------------------------------------------------------------
 
 
-def world(launched: float, batches: list[int], compiled: bool, seconds: float) -> Result:
-    """Steps/s of DroneEnv with random actions, by batch size: through the call that collectors make."""
+def world(
+    launched: float, batches: list[int], compiled: bool, seconds: float, meeting: str = "", copies: int = 1
+) -> Result:
+    """Steps/s of DroneEnv with random actions, by batch size: through the call that collectors make.
+
+    With a folder to meet in, so many copies of this job measure in the same stretches of time, one a batch size.
+    """
     import torch
 
     from uavnav.env import DroneEnv
@@ -212,12 +224,26 @@ def world(launched: float, batches: list[int], compiled: bool, seconds: float) -
         now = env.reset()
         for _ in range(3):
             _, now = env.step_and_maybe_reset(now.set("action", next(actions)))
+        if meeting:
+            _meet(Path(meeting), str(batch), copies)
         began, steps = time.perf_counter(), 0
         while time.perf_counter() - began < seconds or steps < 2:
             _, now = env.step_and_maybe_reset(now.set("action", next(actions)))
             steps += 1
         found[str(batch)] = steps * batch / (time.perf_counter() - began)
     return found
+
+
+def _meet(folder: Path, name: str, copies: int, patience: float = 300.0) -> None:
+    """Wait until so many processes are here, and go on at the same time."""
+    (folder / f"{name}-{os.getpid()}").touch()
+    end = time.monotonic() + patience
+    while len(here := list(folder.glob(f"{name}-*"))) < copies:
+        if time.monotonic() > end:
+            raise TimeoutError(f"{len(here)} of {copies} processes came to measure {name}")
+        time.sleep(0.01)
+    last = max(path.stat().st_mtime for path in here)
+    time.sleep(max(last + 0.2 - time.time(), 0))
 
 
 def single(launched: float, which: str, seconds: float) -> Result:
@@ -481,21 +507,29 @@ def sb3(
     seconds: float,
     learning_starts: int,
     library: str = "stable_baselines3",
+    least: int = 0,
     whole: bool = False,
+    stages: bool = False,
 ) -> Result:
     """A run of Stable-Baselines3 or SBX on one environment, watched for a while or, `whole`, to its end.
 
+    With `stages` the time of each is taken.
     Where DQN is watched, epsilon is at its last value as soon as learning starts, as in nine tenths of a whole run.
     """
     from stable_baselines3.common.callbacks import BaseCallback
 
     starts = learning_starts if algorithm == "dqn" else 0
-    clock = Clock(launched, starts + 100 if starts else 2048, frames, seconds)
+    warm = starts + 100 if starts else 2048
+    clock = Clock(launched, warm, frames, seconds, least)
+    timer = _time_peers_stages() if stages else None
 
     class Watch(BaseCallback):  # type: ignore[misc]
         keep_on = True
 
         def _on_rollout_start(self) -> None:
+            cold = not clock.marks or clock.marks[-1].frames < warm
+            if timer is not None and cold and self.num_timesteps >= warm:
+                timer.restart()
             self.keep_on = clock(self.num_timesteps)
 
         def _on_step(self) -> bool:
@@ -505,16 +539,40 @@ def sb3(
     make_sb3(library, algorithm, _make_env(which), seed=0, **beyond).learn(WHOLE, Watch())
     if whole:
         return {"whole": time.time() - launched, "frames": WHOLE, "peak": peak_memory()}
-    return _timed(clock.marks, starts, algorithm)
+    shares = {} if timer is None else {"shares": timer.shares()}
+    return _timed(clock.marks, starts, algorithm) | shares
 
 
-def cleanrl(launched: float, algorithm: str, frames: int, seconds: float, learning_starts: int) -> Result:
+def _time_peers_stages() -> Stages:
+    from stable_baselines3 import DQN, PPO
+    from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
+
+    stages = Stages()
+    for owner, name, stage in (
+        (PPO, "collect_rollouts", "collection"),
+        (DQN, "collect_rollouts", "collection"),
+        (RolloutBuffer, "compute_returns_and_advantage", "advantage"),
+        (RolloutBuffer, "add", "buffer"),
+        (ReplayBuffer, "add", "buffer"),
+        (ReplayBuffer, "sample", "buffer"),
+        (PPO, "train", "update"),
+        (DQN, "train", "update"),
+        (PPO, "dump_logs", "logging"),
+        (DQN, "dump_logs", "logging"),
+    ):
+        stages.wrap(owner, name, stage)
+    return stages
+
+
+def cleanrl(
+    launched: float, algorithm: str, frames: int, seconds: float, learning_starts: int, least: int = 0
+) -> Result:
     """A run of the single-file PPO or DQN of `peers` on the NumPy world, watched for a while."""
     from uavnav.bench import peers
 
     make_env = functools.partial(_make_env, "numpy")
     starts = learning_starts if algorithm == "dqn" else 0
-    clock = Clock(launched, starts + 100 if starts else 2048, frames, seconds)
+    clock = Clock(launched, starts + 100 if starts else 2048, frames, seconds, least)
     if algorithm == "ppo":
         peers.ppo(make_env, 0, clock)
     else:
@@ -564,9 +622,11 @@ def curves_sb3(
 
 
 def _keep(table: pd.DataFrame, path: str) -> None:
+    from uavnav.bench.report import when
     from uavnav.runs import write_table
 
     Path(path).parent.mkdir(parents=True, exist_ok=True)
+    table.attrs["when"] = when()
     write_table(Path(path), table.reset_index(drop=True))
 
 
@@ -625,8 +685,16 @@ def _first(n: int, good: Callable[[int], bool], stride: int = 4) -> int | None:
     return next((index for index in range(max(last - stride + 1, 0), last) if good(index)), last)
 
 
+def _end_with_parent() -> None:
+    """End at once when the one that holds the other end of the standard input is gone; a run's shares do so too."""
+    while os.read(sys.stdin.fileno(), 1):
+        pass
+    os._exit(1)
+
+
 def main(argv: list[str]) -> None:
     """Run one job and print what it found."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     name, arguments, launched = argv
     print(json.dumps(globals()[name](float(launched), **json.loads(arguments))), flush=True)
 

@@ -6,7 +6,8 @@ was stopped goes on with what is missing. Letters: S seeds, B bins of frames.
 
 from __future__ import annotations
 
-import itertools
+import datetime
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
@@ -31,7 +32,6 @@ FLOOR = -10.0
 CONFIDENCE = 0.9
 SAME = (0.8, 1.25)
 """Where the interval of the ratio of two areas lies if they are taken for equal."""
-SEEDS = {"uavnav": 24, "sb3": 8}
 LABELS = {"uavnav": "uavnav", "sb3": "SB3"}
 COLOURS = {"uavnav": "#0072B2", "sb3": "#D55E00"}
 HOURS = 3.0
@@ -56,7 +56,18 @@ class Cell(NamedTuple):
     activation: str
 
 
-CELLS = [Cell(*cell) for cell in itertools.product(("ppo", "dqn"), ("tanh", "relu"))]
+Seeds = dict[Cell, tuple[int, int, int, int]]
+"""How many are wanted of each of a cell's `arms`."""
+
+SEEDS: Seeds = {  # uavnav and SB3 with the preset's worlds, uavnav and SB3 with one
+    Cell("ppo", "tanh"): (60, 16, 24, 8),
+    Cell("ppo", "relu"): (60, 32, 24, 8),
+    Cell("dqn", "tanh"): (60, 8, 24, 8),
+    Cell("dqn", "relu"): (60, 24, 24, 8),
+}
+CELLS = list(SEEDS)
+AT_ONCE = 12
+"""Seeds of ours in a process at most: a run that is stopped loses no more than those."""
 
 
 def arms(n_worlds: int) -> list[Arm]:
@@ -78,26 +89,48 @@ class Store:
         """The seeds that are still to be run."""
         return [seed for seed in range(seeds) if not self.path(cell, arm, seed).is_file()]
 
-    def curves(self, cell: Cell, arm: Arm, seeds: int) -> Array:
+    def tables(self, cell: Cell, arm: Arm) -> list[pd.DataFrame]:
+        """The episodes of every seed that is there."""
+        stem = self.path(cell, arm, 0).stem.removesuffix("0")
+        found = [path for path in self.folder.glob(f"{stem}*.parquet") if path.stem.removeprefix(stem).isdigit()]
+        return [_dated(path) for path in sorted(found)]
+
+    def curves(self, cell: Cell, arm: Arm) -> Array:
         """The learning curves of the seeds that are there: [S, B]."""
-        there = sorted(set(range(seeds)) - set(self.missing(cell, arm, seeds)))
-        found = [curve(pd.read_parquet(self.path(cell, arm, seed)), self.frames) for seed in there]
+        found = [curve(table, self.frames) for table in self.tables(cell, arm)]
         return np.array(found).reshape(len(found), BINS)
 
-    def jobs(self, cells: Sequence[Cell], worlds: Worlds, seeds: dict[str, int]) -> list[tuple[str, str, Result]]:
-        """What is still to be done: what to call it, the job, and its arguments; the preset's worlds come first."""
+    def origins(self, worlds: Worlds, cells: Sequence[Cell]) -> str:
+        """When and with which commits the seeds were run, and how many of them."""
+        found = [
+            table.attrs["when"]
+            for cell in cells
+            for arm in arms(worlds[cell.algorithm])
+            for table in self.tables(cell, arm)
+        ]
+        return "; ".join(f"{count} on {when}" for when, count in sorted(Counter(found).items()))
+
+    def jobs(self, cells: Sequence[Cell], worlds: Worlds, seeds: Seeds) -> list[tuple[str, str, Result]]:
+        """What is still to be done: what to call it, the job, and its arguments; what is done soonest comes first."""
         found: list[tuple[str, str, Result]] = []
-        pairs = [(cell, arm) for cell in cells for arm in arms(worlds[cell.algorithm])]
-        for cell, arm in sorted(pairs, key=lambda pair: (pair[1].n_worlds == 1, pair[1].library == "sb3")):
-            missing = self.missing(cell, arm, seeds[arm.library])
+        wanted = [
+            (cell, arm, count)
+            for cell in cells
+            for arm, count in zip(arms(worlds[cell.algorithm]), seeds[cell], strict=False)
+        ]
+        order = sorted(
+            wanted, key=lambda one: (one[1].library == "sb3", one[0].algorithm == "ppo", one[1].n_worlds == 1)
+        )
+        for cell, arm, count in order:
+            missing = self.missing(cell, arm, count)
             title = f"{cell.algorithm} {cell.activation}, {arm.label}"
             common: Result = {"algorithm": cell.algorithm, "activation": cell.activation}
-            if arm.library == "uavnav" and missing:
-                run = list(range(missing[0], missing[-1] + 1))
-                paths = [str(self.path(cell, arm, seed)) for seed in run]
-                settings = {"seeds": run, "paths": paths, "total_frames": self.frames, "n_worlds": arm.n_worlds}
-                found.append((f"{title}, {len(run)} seeds", "curves_ours", common | settings))
-            elif arm.library == "sb3":
+            if arm.library == "uavnav":
+                for run in consecutive(missing):
+                    paths = [str(self.path(cell, arm, seed)) for seed in run]
+                    settings = {"seeds": run, "paths": paths, "total_frames": self.frames, "n_worlds": arm.n_worlds}
+                    found.append((f"{title}, seeds {run[0]} to {run[-1]}", "curves_ours", common | settings))
+            else:
                 for seed in missing:
                     how = {"seed": seed, "n_envs": arm.n_worlds, "frames": self.frames}
                     path = str(self.path(cell, arm, seed))
@@ -105,17 +138,35 @@ class Store:
         return found
 
 
+def _dated(path: Path) -> pd.DataFrame:
+    """Episodes that know when they were run; of those from before that was kept, the file does."""
+    table = pd.read_parquet(path)
+    date = datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC).date()
+    table.attrs.setdefault("when", f"{date}, commit not kept")
+    return table
+
+
+def consecutive(numbers: Sequence[int], most: int = AT_ONCE) -> list[list[int]]:
+    """Rising numbers as runs without a gap, each of so many at most."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1 and len(runs[-1]) < most:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return runs
+
+
 def train(
     store: Store,
     worlds: Worlds,
     cache: Path,
     say: Callable[[str], None],
-    cells: Sequence[Cell] = CELLS,
-    seeds: dict[str, int] = SEEDS,
+    seeds: Seeds = SEEDS,
     at_once: int = 2,
 ) -> list[str]:
     """Run what is missing, so many processes at once; what failed, and why."""
-    todo, failed = store.jobs(cells, worlds, seeds), []
+    todo, failed = store.jobs(list(seeds), worlds, seeds), []
     running: set[Job] = set()
 
     def run(job: str, arguments: Result) -> Result:
@@ -207,26 +258,18 @@ def ratio(mine: Array, theirs: Array, seed: int = 0) -> Ratio:
     return Ratio(float(mine.mean() / theirs.mean()), float(low), float(high))
 
 
-def section(
-    store: Store, worlds: Worlds, figure: str, cells: Sequence[Cell] = CELLS, seeds: dict[str, int] = SEEDS
-) -> list[str]:
+def section(store: Store, worlds: Worlds, figure: str, cells: Sequence[Cell] = CELLS) -> list[str]:
     """The comparison in Markdown: one row a cell and number of worlds; `figure` is the name of its picture."""
     rows, effects = [], []
     for cell in cells:
         name, n_worlds = f"{cell.algorithm.upper()} {cell.activation}", worlds[cell.algorithm]
-        found = {arm: areas(store.curves(cell, arm, seeds[arm.library])) for arm in arms(n_worlds)}
+        found = {arm: areas(store.curves(cell, arm)) for arm in arms(n_worlds)}
         for count in dict.fromkeys((n_worlds, 1)):
             mine, theirs = (found[Arm(library, count)] for library in ("uavnav", "sb3"))
-            if min(len(mine), len(theirs)) < 2:
-                rows.append(f"| {name} | {count} | not enough seeds yet |" + " |" * 3)
-                continue
-            like = ratio(mine, theirs)
-            row = [name, str(count), _spread(mine), _spread(theirs), str(like), like.verdict]
-            rows.append(f"| {' | '.join(row)} |")
-        for library in ("uavnav", "sb3"):
-            many, one = found[Arm(library, n_worlds)], found[Arm(library, 1)]
-            if n_worlds > 1 and min(len(many), len(one)) > 1:
-                effects.append(f"| {name} | {LABELS[library]} | {n_worlds} to 1 | {ratio(many, one)} |")
+            rows.append(f"| {name} | {count} | {_spread(mine)} | {_spread(theirs)} | {_compared(mine, theirs)} |")
+        for ours, other in _pairs(n_worlds):
+            label = f"{name} | {ours.label} | {other.label}"
+            effects.append(f"| {label} | {_compared(found[ours], found[other])} |")
     return [
         f"Learning curves over {store.frames:,} frames: mean reward of the episodes that end in each of {BINS}"
         f" stretches. The area is that between the curve and a reward of {FLOOR:g}, divided by the frames: the mean of"
@@ -239,22 +282,42 @@ def section(
         "|---|--:|--:|--:|--:|---|",
         *rows,
         "",
-        "What the number of parallel worlds does to the same measure, in either library. An episode counts where it"
-        " ends, and where a seed's frames are dealt out to many worlds, a long flight ends late or not at all:",
+        "What the number of parallel worlds does to the same measure: the preset as it is against SB3 with one world,"
+        " and many worlds against one in either library. An episode counts where it ends, and where a seed's frames are"
+        " dealt out to many worlds, a long flight ends late or not at all:",
         "",
-        "| | library | parallel worlds | ratio of areas |",
-        "|---|---|---|--:|",
+        "| | | against | ratio of areas | verdict |",
+        "|---|---|---|--:|---|",
         *effects,
+        "",
+        f"Seeds run: {store.origins(worlds, cells)}.",
         "",
         f"![Learning curves of uavnav and Stable-Baselines3]({figure})",
     ]
 
 
+def _pairs(n_worlds: int) -> list[tuple[Arm, Arm]]:
+    """What shows the effect of the number of worlds; nothing, where the preset has one."""
+    many, one = ({library: Arm(library, count) for library in LABELS} for count in (n_worlds, 1))
+    pairs = [(many["uavnav"], one["sb3"]), (many["uavnav"], one["uavnav"]), (many["sb3"], one["sb3"])]
+    return pairs if n_worlds > 1 else []
+
+
+def _compared(mine: Array, theirs: Array) -> str:
+    """Two cells: the ratio and the verdict."""
+    if min(len(mine), len(theirs)) < 2:
+        return "- | not enough seeds yet"
+    found = ratio(mine, theirs)
+    return f"{found} | {found.verdict}"
+
+
 def _spread(values: Array) -> str:
+    if len(values) < 2:
+        return f"- ({len(values)})"
     return f"{values.mean():.2f} ± {values.std(ddof=1):.2f} ({len(values)})"
 
 
-def draw(store: Store, worlds: Worlds, cells: Sequence[Cell] = CELLS, seeds: dict[str, int] = SEEDS) -> Figure:
+def draw(store: Store, worlds: Worlds, cells: Sequence[Cell] = CELLS) -> Figure:
     """The learning curves: mean and range over seeds, one panel a cell."""
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
@@ -263,7 +326,7 @@ def draw(store: Store, worlds: Worlds, cells: Sequence[Cell] = CELLS, seeds: dic
     at = (np.arange(BINS) + 0.5) * store.frames / BINS / 1000
     for panel, cell in zip(panels, cells, strict=False):
         for arm in arms(worlds[cell.algorithm]):
-            curves = store.curves(cell, arm, seeds[arm.library])
+            curves = store.curves(cell, arm)
             if len(curves):
                 style = "--" if arm.n_worlds == 1 else "-"
                 label = f"{arm.label} ({len(curves)} seeds)"
@@ -272,5 +335,6 @@ def draw(store: Store, worlds: Worlds, cells: Sequence[Cell] = CELLS, seeds: dic
         panel.set_title(f"{cell.algorithm.upper()} {cell.activation}")
         panel.set_xlabel("frames per seed [thousand]")
         panel.set_ylabel("mean reward per episode")
-        panel.legend(fontsize=8)
+        if panel.lines:
+            panel.legend(fontsize=8)
     return figure

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import importlib.metadata
+import math
 import os
 import platform
 import re
@@ -22,6 +23,8 @@ from uavnav.bench.jobs import WHOLE, Result
 CORES = min(2, compiling.cores())
 TARGET_REWARD = 88.5
 """The paper's best: PPO with tanh."""
+FAST = f"PPO `fast`: first policy with a reward of {TARGET_REWARD}"
+"""The row of the table of targets that has a flag of its own."""
 VALIDATION = 200
 """Sets of the train split, its last ones, that are held out for judging the preset `fast`."""
 MARK = re.compile(r"^<!-- bench: (\w+) -->\n", flags=re.MULTILINE)
@@ -63,6 +66,8 @@ def number(value: float | None) -> str:
     """Three digits that count, and thousands apart."""
     if value is None:
         return "-"
+    if math.isinf(value):
+        return "never"
     if abs(value) >= 100:
         return f"{value:,.0f}"
     return f"{value:.3g}"
@@ -152,7 +157,7 @@ def targets(store: Path) -> list[Target]:
         Target("DQN `paper`, one seed, 1 M frames, against SB3", "times", 6, 20, against_sb3("dqn", 1)),
         Target("DQN `paper`, ten seeds, per seed, against SB3", "times", 20, 60, against_sb3("dqn", 10)),
         Target(
-            f"PPO `fast`: first policy with a reward of {TARGET_REWARD}",
+            FAST,
             "s",
             90,
             20,
@@ -164,16 +169,31 @@ def targets(store: Path) -> list[Target]:
 
 
 def write_targets(results: Results, store: Path) -> list[str]:
-    rows = []
-    for target in targets(store):
-        value, scale = target.value(results), 1e6 if target.unit.startswith("M ") else 1
-        shown = ["-" if one is None else number(one / scale) for one in (target.least, target.aim, value)]
-        rows.append([target.label, target.unit, *shown, target.verdict(value)])
     return [
         "What must be reached (at most, for times and memory; at least, for all else), and what was measured.",
         "",
-        *table(["", "unit", "must", "aim", "measured", "verdict"], rows, left=2),
+        *table(
+            ["", "unit", "must", "aim", "measured", "verdict"],
+            [_target_row(target, results) for target in targets(store)],
+            left=2,
+        ),
     ]
+
+
+def _target_row(target: Target, results: Results) -> list[str]:
+    value, scale = target.value(results), 1e6 if target.unit.startswith("M ") else 1
+    shown = ["-" if one is None else number(one / scale) for one in (target.least, target.aim, value)]
+    return [target.label, target.unit, *shown, target.verdict(value)]
+
+
+def refresh_fast_target(path: Path, store: Path) -> None:
+    """Put what is known of the preset `fast` into the table of targets of a file, where it has one."""
+    (target,) = (one for one in targets(store) if one.label == FAST)
+    row = f"| {' | '.join(_target_row(target, Results()))} |"
+    if path.is_file():
+        lines = path.read_text().splitlines(keepends=True)
+        text = "".join(f"{row}\n" if line.startswith(f"| {FAST} |") else line for line in lines)
+        save(path, lambda aside: aside.write_text(text))
 
 
 # -- the sections -----------------------------------------------------------------------------------------------------
@@ -285,15 +305,19 @@ def write_training(results: Results) -> list[str]:
 
 
 def write_stages(results: Results) -> list[str]:
-    names = [name for name in results.found if name.startswith("stages/")]
+    names = [name for name, rounds in results.found.items() if name.startswith("stages/") and rounds]
     stages = ["collection", "advantage", "buffer", "update", "logging", "other"]
     rows = []
     for name in names:
-        _, algorithm, n_seeds = name.split("/")
+        _, algorithm, who = name.split("/")
         shares = results.found[name][0][0]["shares"]
-        seeds = "1 seed" if n_seeds == "1" else f"{n_seeds} seeds"
-        rows.append([f"{algorithm.upper()}, {seeds}", *(f"{100 * shares.get(stage, 0):.1f}" for stage in stages)])
-    return ["Where the time of steady work goes [%].", "", *table(["", *stages], rows)]
+        label = {"sb3": "SB3", "1": "1 seed"}.get(who, f"{who} seeds")
+        rows.append([f"{algorithm.upper()}, {label}", *(f"{100 * shares.get(stage, 0):.1f}" for stage in stages)])
+    return [
+        "Where the time of steady work goes [%]; SB3 in the NumPy world.",
+        "",
+        *table(["", *stages], rows),
+    ]
 
 
 def write_compile(results: Results) -> list[str]:
@@ -341,24 +365,47 @@ TITLES = {
     "whole": "Whole runs",
     "parity": "Parity: is the learning the same?",
 }
+GATHERED = ("fast", "parity")
+"""Sections of rows that are kept, each with the date and the commit of its own."""
 
 
-def write_sections(results: Results, store: Path) -> dict[str, list[str]]:
-    """What was measured, section by section; each with what of it could not be."""
+def write_sections(results: Results, store: Path, only_measured: bool = False) -> dict[str, list[str]]:
+    """What was measured, section by section; each with what of it could not be.
+
+    only_measured: leave out the sections of which nothing was.
+    """
     found = {}
     for name, writer in WRITERS.items():
         measured = any(key.startswith(f"{name}/") for key, rounds in results.found.items() if rounds)
         missing = [f"- `{key}`: {why}" for key, why in results.missing.items() if key.startswith(f"{name}/")]
-        if measured or missing:
+        if measured or (missing and not only_measured):
             lines = writer(results) if measured else []
             found[name] = [
                 *lines,
                 *([""] if lines and missing else []),
                 *(["Not measured:", "", *missing] if missing else []),
             ]
-    if {"world", "gymnasium", "training", "memory"} <= set(found):
+    if {"world", "gymnasium", "training"} <= set(found):
         found["targets"] = write_targets(results, store)
     return found
+
+
+def write_fast(store: Path) -> list[str]:
+    rows = [
+        [str(int(row["seed"])), *map(_reached, (row["seconds"], row["frames"])), row["when"]]
+        for row in fast_rows(store).to_dict("records")
+    ]
+    return [
+        f"Seconds from the command (caches warm) to PPO's first policy whose mean reward is at least {TARGET_REWARD} on"
+        f" {VALIDATION} sets that were held out of training, sampled, at most 10,000 steps an episode; policies are set"
+        f" aside once a second and judged afterwards. Median: {number(fast_median(store))} s.",
+        "",
+        *table(["seed", "seconds", "frames", "measured"], rows),
+    ]
+
+
+def _reached(value: float) -> str:
+    return "not reached" if math.isnan(value) else number(value)
 
 
 def fast_rows(store: Path) -> pd.DataFrame:
@@ -380,16 +427,20 @@ Written by `python -m uavnav.bench`, on one machine, one measurement after the o
 are medians over rounds; a ratio is the median of the rounds' ratios. Machines differ and drift, so read ratios."""
 
 
-def conditions() -> tuple[str, str]:
-    """The date and the commit, in a few words; the machine and the versions, in a sentence."""
+def when() -> str:
+    """The date and the commit, in a few words."""
+    commit = runs._git_commit() or "unknown"
+    return f"{datetime.datetime.now(datetime.UTC).date()}, commit {commit[:10]}{'+' * commit.endswith('+')}"
+
+
+def machine() -> str:
+    """It and the versions, in a sentence."""
     facts = runs._facts()
-    commit = facts["git_commit"] or "unknown"
-    when = f"{datetime.datetime.now(datetime.UTC).date()}, commit {commit[:10]}{'+' * commit.endswith('+')}"
     beside = {name: _version(name) for name in ("gymnasium", "stable-baselines3", "sbx-rl", "jax")}
     versions = facts["versions"] | {name: version for name, version in beside.items() if version}
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    machine = f"{facts['machine']['processor']}, {CORES} cores in use, {memory:.0f} GB, {platform.system()}"
-    return when, f"{machine}; {', '.join(f'{name} {version}' for name, version in versions.items())}."
+    processor = f"{facts['machine']['processor']}, {CORES} cores in use, {memory:.0f} GB, {platform.system()}"
+    return f"{processor}; {', '.join(f'{name} {version}' for name, version in versions.items())}."
 
 
 def _version(name: str) -> str | None:
@@ -407,21 +458,22 @@ def read_sections(path: Path) -> dict[str, str]:
     return dict(zip(parts[::2], (text.strip() for text in parts[1::2]), strict=True))
 
 
-def write_file(path: Path, sections: dict[str, list[str]], seconds: float) -> None:
+def write_file(path: Path, sections: dict[str, list[str]], seconds: float, mark: str = "") -> None:
     """Put sections into the file in place of the old ones; it is whole or as it was.
 
-    seconds: that it took to measure them.
+    seconds: that it took to measure them; mark: what to say beside the date.
 
     Raises:
         OSError: it cannot be written.
     """
-    when, where = conditions()
+    now, where = f"{when()}{mark and f', {mark}'}", machine()
     fresh = {}
     for name, lines in sections.items():
-        note = f"*{when}.*" if name in WRITERS or name == "targets" else f"*{when}, in {clock(seconds)}; {where}*"
-        fresh[name] = "\n".join([f"## {TITLES[name]}", "", note, "", *lines])
+        note = now if name in WRITERS or name == "targets" else f"{now}, in {clock(seconds)}; {where}"
+        note = f"Put together on {now}; {where}" if name in GATHERED else note
+        fresh[name] = "\n".join([f"## {TITLES[name]}", "", f"*{note.removesuffix('.')}.*", "", *lines])
     if set(WRITERS) & set(sections):
-        fresh["machine"] = "\n".join([f"## {TITLES['machine']}", "", f"{when}, in {clock(seconds)}; {where}"])
+        fresh["machine"] = "\n".join([f"## {TITLES['machine']}", "", f"{now}, in {clock(seconds)}; {where}"])
     every = read_sections(path) | fresh
     parts = [f"<!-- bench: {name} -->\n{every[name]}" for name in TITLES if name in every]
     save(path, lambda aside: aside.write_text("\n\n".join([HEADER, *parts]) + "\n"))

@@ -42,6 +42,7 @@ SECTIONS = {
     "speed": "Speed",
     "methods": "Methods",
 }
+STATISTICS = {"mean": "means", "interquartile_mean": "interquartile means"}
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("uavnav.report"),
     trim_blocks=True,
@@ -64,16 +65,11 @@ def _cell(text: str) -> Markup:
     return Markup("").join(parts)
 
 
-def _of_words(rows: tables.Rows) -> list[bool]:
-    """Which columns of a table hold words, and which numbers."""
-    return [any(row[place][:1].isalpha() for row in rows[1:]) for place in range(len(rows[0]))]
-
-
-_TEMPLATES.filters |= {"cell": _cell, "of_words": _of_words}
+_TEMPLATES.filters |= {"cell": _cell, "of_words": tables.of_words}
 
 
 class Written(NamedTuple):
-    """Where a report is, and one line for each run that is not in it."""
+    """Where a report is, and one line for each run or table that is not in it."""
 
     path: Path
     left_out: list[str]
@@ -123,7 +119,7 @@ def _claims(content: Content) -> list[dict[str, Any]]:
                 "rows": tables.audit_rows(mine),
                 "table": tables.markdown(tables.audit_rows(mine)),
                 "readings": [
-                    (reading, verdict([one for one in findings if one.claim == claim.number]))
+                    (reading, tables.in_reading([one for one in findings if one.claim == claim.number]))
                     for reading, findings in others
                 ],
             }
@@ -150,15 +146,14 @@ def page(content: Content, pictures: dict[str, str], first: Path) -> str:
         }
         for figure in content.figures
     ]
-    audited = _claims(content)
-    wide = studies.wide(content.studies)
+    audited, of_paper = _claims(content), studies.paper_cells(content.studies.main)
     return _TEMPLATES.get_template("page.html").render(
         css=Markup((here / "templates" / "page.css").read_text() + (here / "replay.css").read_text()),
         js=Markup((here / "replay.js").read_text()),
         replays=Markup(replays),
         version=importlib.metadata.version("uavnav"),
-        seeds=frames.total_seeds(content.studies.main),
-        frames=_frames(content.studies.main),
+        seeds=frames.total_seeds(of_paper),
+        frames=frames.total_frames(of_paper),
         lead=conclusions.lead(content.audits[PRIMARY]),
         missing=content.missing,
         sections=list(SECTIONS.items()),
@@ -168,8 +163,13 @@ def page(content: Content, pictures: dict[str, str], first: Path) -> str:
         primary=PRIMARY,
         cap=f"{frames.CAP:,}",
         paper_tables=[
-            (f"Table {number}: {algorithm.upper()}", tables.beside_paper(frame["metrics"], algorithm))
+            (
+                f"Table {number}: {algorithm.upper()}, {STATISTICS[statistic]}",
+                tables.beside_paper(frame["metrics"], algorithm, statistic),
+                statistic == "mean",
+            )
             for number, algorithm in ((1, "dqn"), (2, "ppo"))
+            for statistic in STATISTICS
         ],
         drawn=drawn,
         interaction_rows=tables.interactions(frame["interaction"]),
@@ -181,12 +181,12 @@ def page(content: Content, pictures: dict[str, str], first: Path) -> str:
         overestimation_rows=tables.overestimated(frame["overestimation"]),
         sensitivity_text=conclusions.SENSITIVITY,
         sensitivity_rows=tables.sensitivities(frame["sensitivity"]),
+        by_default_caption=tables.BY_DEFAULT,
+        by_default_rows=tables.by_default(frame["by_default"]) if len(frame["tuned"]) else [],
         tuned_rows=tables.of_metrics(frame["tuned"], ("reward", "steps", "speed"), shown),
-        wide_frames=_frames(wide),
-        wide_rows=tables.of_metrics(
-            frames.estimates(frames.per_seed_values(wide)), ("reward", "steps", "speed"), shown
-        ),
-        baseline_rows=tables.baselines(content.baselines, content.studies.main, frames.CAP),
+        wide_frames=frames.total_frames(studies.wide(content.studies)),
+        wide_rows=tables.of_metrics(frame["wide"], ("reward", "steps", "speed"), shown),
+        baseline_rows=tables.baselines(content.baselines, of_paper),
         first=first,
         speed_rows=tables.speeds(frame["speed"]),
         facts=tables.facts([run for cell in content.cells for run in cell.runs]),
@@ -194,11 +194,6 @@ def page(content: Content, pictures: dict[str, str], first: Path) -> str:
         decision_rows=tables.decisions(),
         left_out=content.left_out,
     )
-
-
-def _frames(cells: studies.Cells) -> str:
-    counts = sorted({cell.settings["frames"] for cell in cells.values()})
-    return " to ".join(f"{count:,}" for count in dict.fromkeys([*counts[:1], *counts[-1:]]))
 
 
 def markdown(content: Content) -> str:
@@ -224,6 +219,7 @@ def markdown(content: Content) -> str:
         runs=tables.markdown(tables.run_table(content.cells)),
         left_out=content.left_out,
         last=LAST,
+        cap=f"{frames.CAP:,}",
         bins=BINS,
     )
     return text.strip() + "\n"

@@ -22,6 +22,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except RunError as error:
         print(f"uavnav.report: {one_line(error)}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("uavnav.report: stopped; no report was written", file=sys.stderr)
+        return 130
     for line in written.left_out:
         print(f"uavnav.report: left out: {line}", file=sys.stderr)
     print(f"the report is in {written.path}")

@@ -16,13 +16,15 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from uavnav import paper
-from uavnav.metrics import EPISODE_COLUMNS, LAST, MODES, finished, last_episodes
+from uavnav.metrics import EPISODE_COLUMNS, FIRST_COLUMNS, LAST, MODES, finished, last_episodes
 from uavnav.runs import LOG_FOLDERS, Run, RunError
 
 BINS = 25
 """Of a run's frames, along a learning curve."""
 NO_RUNS = ("checkpoint", *LOG_FOLDERS)
 """Folders that are not looked into."""
+OF_REPORTS = ("baselines", "tables", "figures")
+"""Folders whose files are no run's, and read or written by a report."""
 NAMED = ("preset", "frames", "n_worlds", "obstacles", "reward", "init")
 """Settings that every section names; others are named where cells differ in them, or from their preset."""
 EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)
@@ -46,26 +48,36 @@ def run_folders(folder: Path) -> list[Path]:
     Raises:
         RunError: it is missing, a file, or holds none.
     """
+    return _walk(folder)[0]
+
+
+def _walk(folder: Path) -> tuple[list[Path], list[str]]:
+    """The same, and one line for each table that lies where no run is."""
     if not folder.is_dir():
         problem = "is a file" if folder.exists() else "there is no such folder"
         raise RunError(f"{folder}: {problem}; give a folder that holds runs")
-    found = []
+    found, strays = [], []
     for path, names, files in os.walk(folder):
         names[:] = sorted(name for name in names if not name.startswith(".") and name not in NO_RUNS)
         if "config.yaml" in files:
             found.append(Path(path))
+        elif "episodes.parquet" in files:
+            strays.append(f"{path}: has episodes.parquet and no config.yaml; not a run of this package")
+        elif Path(path).name not in OF_REPORTS:
+            strays += [f"{path}/{name}: lies where no run is" for name in sorted(files) if name.endswith(".parquet")]
     if not found:
         raise RunError(f"{folder}: holds no run; give a folder that does, or train one with out={folder}/ppo/tanh")
-    return found
+    return found, strays
 
 
 def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
-    """The cells of all runs in some folders, and one line for each run that is of no use.
+    """The cells of all runs in some folders, and one line for each run or table that is of no use.
 
     Raises:
         RunError: a folder is missing or holds no run, or no run can be used.
     """
-    paths = {path.resolve(): path for folder in folders for path in run_folders(folder)}
+    walked = [_walk(folder) for folder in folders]
+    paths = {path.resolve(): path for found, _ in walked for path in found}
     cells: dict[str, Cell] = {}
     left_out = []
     for path in paths.values():
@@ -77,7 +89,7 @@ def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
             left_out.append(one_line(error))
     if not cells:
         raise RunError(f"{', '.join(map(str, folders))}: no run that can be used; {left_out[0]}")
-    return list(cells.values()), left_out
+    return list(cells.values()), [*left_out, *(line for _, strays in walked for line in strays)]
 
 
 def read(path: Path) -> Cell:
@@ -114,8 +126,9 @@ def read(path: Path) -> Cell:
 
 def _checked(run: Run, name: str, rows: pd.DataFrame, *more: str) -> pd.DataFrame:
     """The columns that rows of episodes have, in their types, and more; or a RunError."""
+    kinds = {name: kind for name, kind in EPISODE_COLUMNS.items() if name in FIRST_COLUMNS or name in rows}
     try:
-        rows = rows[[*EPISODE_COLUMNS, *more]].astype(EPISODE_COLUMNS)
+        rows = rows[[*kinds, *more]].astype(kinds)
     except (KeyError, ValueError, TypeError) as error:
         raise RunError(f"{run.path / name}.parquet: not a table of episodes ({error})") from error
     if not set(rows["seed"]) <= set(run.seeds):

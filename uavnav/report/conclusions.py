@@ -6,17 +6,33 @@ import math
 from collections.abc import Sequence
 
 from uavnav.report import tables
-from uavnav.report.claims import CLAIMS, CONTRADICTED, PRIMARY, SEEDS, SUPPORTED, UNDECIDED, Claim, Finding, verdict
+from uavnav.report.claims import (
+    CLAIMS,
+    CONTRADICTED,
+    PRIMARY,
+    SEEDS,
+    SUPPORTED,
+    UNDECIDED,
+    Claim,
+    Finding,
+    p_shown,
+    verdict,
+)
 from uavnav.report.content import Content
 from uavnav.report.frames import total_seeds
 
 RULE = (
-    "The rule was fixed in code before results of the study were read. "
     "A part of a claim is supported or contradicted only if the "
     "95 % bootstrap interval over training seeds, adjusted by Holm for all parts of all claims, lies wholly "
     f"inside or outside the claimed region, with at least {SEEDS} seeds in every cell; else it is undecided. A "
     f"claim is contradicted if one of its parts is, supported if all are. The primary reading is {PRIMARY}; the "
-    "others stand beside it."
+    "others stand beside it. "
+    "The rule's code is of commit 8c7dc96, written after a pilot of three seeds a cell had been read and while the "
+    "study's first runs were under way; paired resampling for claim 4's times, the levels after the first failure of "
+    "Holm, and claim 9's share of the distance flown were added while runs were under way and before their results "
+    "were read. After results had been read, on 2026-11-21, claim 8's test, which rejected equal orders at unequal "
+    f"noise, gave way to one of crossovers ({PRIMARY}: undecided under both, Holm's p 0.41 and 1; last 100: supported "
+    "under the old one, undecided under the new), and claim 11 came to count seeds instead of runs."
 )
 BEHAVIOUR = (
     "Flights of at most 500 steps on ten test sets, acting as in training. A drone is in a corridor where two "
@@ -37,22 +53,24 @@ def lead(findings: Sequence[Finding]) -> str:
     for kind in (SUPPORTED, CONTRADICTED, UNDECIDED):
         numbers = [str(number) for number, found in of.items() if found == kind]
         listed = f" ({', '.join(numbers)})" if numbers else ""
-        parts.append(f"{len(numbers)} {kind}{listed}")
+        parts.append(f"{_are(len(numbers))} {kind}{listed}")
     return f"Of the paper's {len(CLAIMS)} claims, {', '.join(parts[:-1])} and {parts[-1]}."
+
+
+def _are(count: int, of: str = "") -> str:
+    return f"{count}{of} {'is' if count == 1 else 'are'}"
 
 
 def sentence(claim: Claim, findings: Sequence[Finding]) -> str:
     """What the parts of a claim come to."""
-    by_verdict = {
-        kind: [one for one in findings if one.verdict == kind] for kind in (SUPPORTED, CONTRADICTED, UNDECIDED)
-    }
-    parts = [f"{len(found)} of {len(findings)} parts {kind}" for kind, found in by_verdict.items() if found]
-    said = [", ".join(parts) + "."]
+    kinds = [(kind, sum(one.verdict == kind for one in findings)) for kind in (SUPPORTED, CONTRADICTED, UNDECIDED)]
+    parts = [f"{_are(count, f' of {len(findings)} parts')} {kind}" for kind, count in kinds if count]
+    said = [", ".join(parts) + "." if len(findings) > 1 else f"Its one part is {verdict(findings)}."]
     if against := [one for one in findings if one.against_itself]:
         said.append(
             f"The paper's own tables speak against it in {len(against)}: {'; '.join(one.text for one in against)}."
         )
-    return " ".join(said)
+    return " ".join([*said, claim.note]).strip()
 
 
 def headline(findings: Sequence[Finding]) -> list[str]:
@@ -62,9 +80,10 @@ def headline(findings: Sequence[Finding]) -> list[str]:
         return [decisive.text, "no runs"]
     own = [] if math.isnan(decisive.paper) else [f"the paper {tables.number(decisive.paper, decisive.digits)}"]
     ours = tables.with_interval(decisive.value, decisive.low, decisive.high, decisive.digits)
+    p = p_shown(decisive)
     of_test = decisive.region.startswith("p")
-    said = [f"p = {decisive.p_holm:.3f}"] if of_test else [f"ours {ours}", f"claimed {decisive.region}"]
-    return [decisive.text, *own, *said, f"n = {decisive.n}"]
+    criterion = f"claimed {decisive.region}" if not of_test else f"p {p}" if p[0] in "<≤" else f"p = {p}"
+    return [decisive.text, *own, f"ours {ours}", criterion, f"n = {decisive.n}"]
 
 
 def results(content: Content) -> str:

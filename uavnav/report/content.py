@@ -11,12 +11,13 @@ import numpy as np
 import pandas as pd
 
 from uavnav import compiling, layouts, paper
-from uavnav.metrics import MODES
+from uavnav.evaluate import WATCHED_LAYOUTS, WATCHED_STEPS
+from uavnav.metrics import METRICS, MODES
 from uavnav.policies import PolicyError
-from uavnav.report import behaviour, claims, figures, frames, replays, studies
+from uavnav.report import behaviour, claims, figures, frames, replays, studies, tables
 from uavnav.report.cells import Cell, collect, one_line, readings
 from uavnav.report.claims import PRIMARY, Finding
-from uavnav.report.figures import Drawn
+from uavnav.report.figures import DIAGNOSTICS, Drawn
 from uavnav.report.frames import name
 from uavnav.report.studies import Rows, Studies
 from uavnav.runs import RunError
@@ -31,14 +32,6 @@ SHOWN_ACTIVATION = "tanh"
 """Of the trajectories; the replays show all."""
 LOOKED_AT = ("clearance", "corridor", "corridor_flown", "reversals", "straight_speed", "turning_speed")
 """Measures of flights that have a panel."""
-WHY = {
-    "dormant": "dormant hidden units [share]",
-    "saturated": "saturated activations [share]",
-    "effective_rank": "effective rank of the last hidden layer",
-    "grad_norm": "gradient norm before clipping",
-    "entropy": "entropy of the policy [nat]",
-    "q_value": "mean of max Q in training",
-}
 OF_ALGORITHM = {"entropy": "ppo", "q_value": "dqn"}
 """Diagnostics that one algorithm alone has."""
 
@@ -84,10 +77,12 @@ def gather(folders: Sequence[Path]) -> Content:
     """
     cells, left_out = collect(folders)
     sorted_cells = studies.sort(cells)
+    left_out += studies.in_none(sorted_cells)
+    of_paper = studies.paper_cells(sorted_cells.main)
     with compiling.use_threads(1):
         flights, watched, problems = watch(sorted_cells)
-        overestimated, unvalued = _overestimation(sorted_cells.main)
-        flown = replays.record([*studies.paper_cells(sorted_cells.main).values()])
+        overestimated, unvalued = _overestimation(of_paper)
+        flown = replays.record([*of_paper.values()])
     audits = {
         reading: claims.audit(Rows(sorted_cells, reading, flights), studies.of_paper)
         for reading in (PRIMARY, *_other_readings(cells[0]))
@@ -96,13 +91,13 @@ def gather(folders: Sequence[Path]) -> Content:
     audits[f"{PRIMARY}, ratios of means"] = claims.audit(ratio, studies.of_paper)
     baselines, unread = frames.baselines(folders)
     survival, survived = frames.survival(sorted_cells.main)
-    tables = _tables(sorted_cells, audits, flights) | {"overestimation": overestimated, "survival": survived}
+    numbers = _tables(sorted_cells, audits, flights) | {"overestimation": overestimated, "survival": survived}
     return Content(
         cells,
         sorted_cells,
         audits,
-        tables,
-        _figures(sorted_cells, tables, watched, survival),
+        numbers,
+        _figures(sorted_cells, numbers, watched, survival),
         flown if flown["cells"] else None,
         baselines,
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *flown["left_out"]])),
@@ -178,9 +173,11 @@ def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights
         "interaction": frames.interactions(all_cells.main),
         "power": frames.power(all_cells.main),
         "behaviour": frames.flown(flights),
-        "diagnostics": frames.diagnostics(all_cells.main),
+        "diagnostics": frames.diagnostics(of_paper),
         "sensitivity": frames.sensitivity(all_cells),
-        "speed": frames.speed(all_cells.main),
+        "by_default": frames.by_default(all_cells),
+        "wide": frames.estimates(frames.per_seed_values(studies.wide(all_cells))),
+        "speed": frames.speed(of_paper),
     }
 
 
@@ -188,27 +185,30 @@ def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights
 
 
 def _figures(
-    all_cells: Studies, tables: Mapping[str, pd.DataFrame], flights: Flights, survival: Mapping[str, pd.Series]
+    all_cells: Studies, numbers: Mapping[str, pd.DataFrame], flights: Flights, survival: Mapping[str, pd.Series]
 ) -> list[Figure]:
     of_paper = studies.paper_cells(all_cells.main)
-    found = [*_curves(of_paper), *_metrics(tables["metrics"], tables["seeds"])]
+    found = [*_curves(of_paper), *_metrics(numbers["seeds"])]
     main = {name(*key[1:]): table for key, table in flights.items() if key[0] == "main"}
     found += _flights(main)
-    found += _statistics(of_paper, tables, survival)
-    if len(tables["behaviour"]):
-        sampled = tables["behaviour"].query("mode == 'sampled'")[
+    found += _statistics(of_paper, numbers, survival)
+    if len(numbers["behaviour"]):
+        sampled = numbers["behaviour"].query("mode == 'sampled'")[
             ["cell", "algorithm", "activation", "seed", *LOOKED_AT]
         ]
         caption = "Each small dot is a seed, the bar its cells' 95 % interval; sampled flights on test sets."
         found.append(Figure("behaviour", "behaviour", figures.behaviours(sampled), caption))
     found += _why(of_paper)
-    if len(tables["sensitivity"]):
+    if len(numbers["sensitivity"]):
         caption = (
             "The band is the interval as decided; a switch whose interval lies across zero from it flips a conclusion."
         )
-        found.append(Figure("sensitivity", "sensitivity", figures.sensitivity(tables["sensitivity"]), caption))
-    caption = "The dashed line is the paper's ten hours, on a machine that it does not name."
-    found.append(Figure("speed", "speed", figures.speed(tables["speed"]), caption))
+        found.append(Figure("sensitivity", "sensitivity", figures.sensitivity(numbers["sensitivity"]), caption))
+    caption = (
+        f"The dashed line is the paper's {paper.HOURS:g} hours, on a machine that it does not name. The seeds of a run"
+        " train side by side and share its time alike."
+    )
+    found.append(Figure("speed", "speed", figures.speed(numbers["speed"]), caption))
     return found
 
 
@@ -227,7 +227,7 @@ def _curves(cells: studies.Cells) -> list[Figure]:
     return found
 
 
-def _metrics(metrics: pd.DataFrame, values: pd.DataFrame) -> list[Figure]:
+def _metrics(values: pd.DataFrame) -> list[Figure]:
     found = []
     for metric in ("reward", "steps"):
         mine = values[(values["metric"] == metric) & (values["reading"] == PRIMARY)]
@@ -235,11 +235,12 @@ def _metrics(metrics: pd.DataFrame, values: pd.DataFrame) -> list[Figure]:
         rows = {
             name(*(str(one) for one in key)): part["value"].dropna().to_numpy()
             for key, part in mine.groupby(["algorithm", "activation"], sort=False)
+            if key in paper.TABLES
         }
         printed = {name(*key): paper.TABLES[key][metric] for key in paper.TABLES}
         caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
         found.append(
-            Figure(f"cells-{metric}", "tables", figures.intervals(rows, printed, claims.NAMES[metric]), caption)
+            Figure(f"cells-{metric}", "tables", figures.intervals(rows, printed, str(METRICS[metric])), caption)
         )
     return found
 
@@ -254,33 +255,40 @@ def _flights(tables: Mapping[str, pd.DataFrame]) -> list[Figure]:
     if shown:
         drawn = figures.trajectories(shown, bank, SHOWN_LAYOUTS, world, mode="sampled")
         caption = (
-            "As the paper's Figures 6 and 7: the first seed's flights on three test sets, at most 500 steps, as in"
-            f" training (sampled), with {SHOWN_ACTIVATION}. The replays below show the others."
+            f"As the paper's Figures 6 and 7: the first seed's flights on {len(SHOWN_LAYOUTS)} test sets, at most"
+            f" {WATCHED_STEPS} steps, as in training (sampled), with {SHOWN_ACTIVATION}. The replays below show the"
+            " others."
         )
         found.append(Figure("trajectories", "flights", drawn, caption))
     for stem, where, low, high in (
-        ("heat", "on ten test sets", 0, np.inf),
+        ("heat", f"on {WATCHED_LAYOUTS} test sets", 0, np.inf),
         ("heat-empty", "in the empty arena", -1, -1),
     ):
-        maps = {}
+        maps: dict[str, behaviour.Array] = {}
+        counts: set[int] = set()
         for algorithm in ALGORITHMS:
             mine = [table for label, table in tables.items() if label.startswith(f"{algorithm.upper()} ")]
             mine = [table[(table["mode"] == "sampled") & table["layout"].between(low, high)] for table in mine]
             if any(len(table) for table in mine):
                 maps[algorithm.upper()] = np.mean([behaviour.heat(table, world) for table in mine], axis=0)
+                counts |= {table["seed"].nunique() for table in mine}
         if maps:
+            activations = len({label.split()[-1] for label in tables})
             caption = (
-                f"Where the drones are {where}: share of steps in each square, every seed of four activations alike."
+                f"Where the drones are {where}: share of steps in each square, of every seed and activation alike"
+                f" ({activations} activations, n = {frames.least_to_most(counts)} seeds each)."
             )
             found.append(Figure(stem, "behaviour", figures.heat_maps(maps, world), caption))
     return found
 
 
 def _statistics(
-    cells: studies.Cells, tables: Mapping[str, pd.DataFrame], survival: Mapping[str, pd.Series]
+    cells: studies.Cells, numbers: Mapping[str, pd.DataFrame], survival: Mapping[str, pd.Series]
 ) -> list[Figure]:
-    matrix = figures.improvement_matrix(tables["improvement"], f"reward per episode, {PRIMARY}")
-    curves = {label: survival[label] for label in (name(*key) for key in cells) if label in survival}
+    matrix = figures.improvement_matrix(numbers["improvement"], f"{METRICS['reward']}, {PRIMARY}")
+    counted = numbers["survival"].set_index("cell")["n"]
+    shown = [label for label in (name(*key) for key in cells) if label in survival]
+    curves = {f"{label} (n = {counted[label]})": survival[label] for label in shown}
     n = min((studies.seeds(cell) for cell in cells.values()), default=0)
     return [
         Figure(
@@ -293,12 +301,13 @@ def _statistics(
             "survival",
             "statistics",
             figures.survival(curves, frames.CAP),
-            "Kaplan-Meier: a cap on steps censors a flight, and is no collision. Sampled, all seeds together.",
+            "Kaplan-Meier, all seeds of a cell pooled, n of them: a cap on steps censors a flight, and is no collision."
+            " Sampled.",
         ),
         Figure(
             "power",
             "statistics",
-            figures.power(tables["power"], n),
+            figures.power(numbers["power"], n, tables.MANY),
             "What it would take to tell two activations apart by their reward; the line is what this study has.",
         ),
     ]
@@ -312,7 +321,7 @@ def _why(cells: studies.Cells) -> list[Figure]:
             for (which, activation), cell in cells.items()
             if which == algorithm
         }
-        for column, label in WHY.items():
+        for column, label in DIAGNOSTICS.items():
             if OF_ALGORITHM.get(column, algorithm) != algorithm or not any(column in one for one in progress.values()):
                 continue
             bound = _most_return(cells) if column == "q_value" else None

@@ -22,37 +22,25 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
-from matplotlib.ticker import MaxNLocator, NullFormatter, PercentFormatter, StrMethodFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, PercentFormatter, StrMethodFormatter
 from matplotlib.typing import RcKeyType
 from torch import Tensor
 
 from uavnav import paper, stats
-from uavnav.metrics import finished
+from uavnav.metrics import METRICS, finished
 from uavnav.report.cells import BINS, Cell, curve
 from uavnav.stats import Array, Interval
 from uavnav.world import World
 
-AXES = {
-    "steps": "steps per episode",
-    "stops": "stops [% of steps]",
-    "full_stops": "full stops [% of steps]",
-    "turns": "turning [% of steps]",
-    "distance": "distance per episode [px]",
-    "speed": "speed [px a step]",
-    "reward": "reward per episode",
-}
-"""The metrics with their units."""
-CURVES = ("reward", "steps")
-"""Those that the paper's figures 4 and 5 show."""
 DIAGNOSTICS = {
-    "dormant": "dormant units [share of hidden units]",
-    "saturated": "saturated activations [share of them]",
-    "effective_rank": "effective rank [dimensions]",
-    "grad_norm": "norm of the gradient",
-    "entropy": "entropy of the policy [nats]",
-    "q_value": "value of the best action",
+    "dormant": "dormant hidden units [share]",
+    "saturated": "saturated activations [share]",
+    "effective_rank": "effective rank of the last hidden layer [dimensions]",
+    "grad_norm": "gradient norm before clipping",
+    "entropy": "entropy of the policy [nat]",
+    "q_value": "mean of max Q in training [reward]",
 }
-"""What a run's progress tells of its networks."""
+"""What a run's progress tells of its networks: columns that may say why activations differ."""
 MEASURES = {
     "clearance": "clearance [px]",
     "corridor": "steps in corridors [share]",
@@ -127,7 +115,7 @@ def curves(cells: Sequence[Cell], column: str) -> Drawn:
 
     cells: labelled ones of one algorithm; column: of their episodes.
     """
-    title = _title((cell.algorithm for cell in cells), f"{AXES[column]} in training")
+    title = _title((cell.algorithm for cell in cells), f"{METRICS[column]} in training")
     if not any(len(finished(cell.episodes)) for cell in cells):
         return _nothing(title)
     figure, axes = _one(title)
@@ -135,6 +123,7 @@ def curves(cells: Sequence[Cell], column: str) -> Drawn:
     axes.set_xlabel("frames per seed")
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.xaxis.set_major_locator(MaxNLocator(6))
+    _name_dashes(axes, cells, column)
     band = Line2D([], [], color=PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")
     dashed = Line2D([], [], color=PALE, linestyle="--", label="the paper's mean")
     _legend(figure, [*axes.get_legend_handles_labels()[0], band, dashed], 3)
@@ -157,14 +146,53 @@ def plot(axes: Axes, cells: Sequence[Cell], column: str) -> list[pd.DataFrame]:
         if printed and column in printed and cell.activation not in seen:
             axes.axhline(printed[column], color=colour, linestyle="--", linewidth=1)
         seen.add(cell.activation)
-    axes.set_ylabel(AXES[column])
+    axes.set_ylabel(str(METRICS[column]))
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
     return lines
+
+
+def _name_dashes(axes: Axes, cells: Sequence[Cell], column: str) -> None:
+    """The paper's means at the right end of their lines, in their colours, none over another."""
+    named = {cell.activation: paper.TABLES.get((cell.algorithm, cell.activation), {}) for cell in cells}
+    printed = sorted((row[column], activation) for activation, row in named.items() if column in row)
+    if not printed:
+        return
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high)
+    places = _apart([(mean - low) / (high - low) for mean, _ in printed], 0.055)
+    colours = dict(zip(named, (colour for colour, _ in _looks(named)), strict=True))
+    for (mean, activation), place in zip(printed, places, strict=True):
+        axes.annotate(
+            f"{activation} {_number(mean)}",
+            (1, mean),
+            (1.06, place),
+            xycoords=axes.get_yaxis_transform(),
+            textcoords="axes fraction",
+            color=colours[activation],
+            fontsize=11,
+            va="center",
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": colours[activation], "linewidth": 0.8, "shrinkA": 1, "shrinkB": 0},
+        )
+
+
+def _apart(places: Sequence[float], gap: float) -> list[float]:
+    """Ascending places, moved as little as may be until each is a gap from the next."""
+    moved = list(places)
+    for _ in range(100):
+        for below in range(len(moved) - 1):
+            lack = gap - (moved[below + 1] - moved[below])
+            if lack > 0:
+                moved[below] -= lack / 2
+                moved[below + 1] += lack / 2
+    return moved
 
 
 @matplotlib.rc_context(STYLE)
 def why(progress: Mapping[str, pd.DataFrame], column: str, label: str, bound: float | None = None) -> Drawn:
     """A diagnostic of one algorithm's networks over training: a line a cell, with its band over seeds.
+
+    Earlier lines are wider, so that one below another is seen.
 
     progress: label of the cell -> rows with the columns seed, frame and, if it was kept, `column`; bound: the most that
     the world allows, drawn in.
@@ -174,11 +202,13 @@ def why(progress: Mapping[str, pd.DataFrame], column: str, label: str, bound: fl
     if not kept:
         return _nothing(title)
     figure, axes = _one(title)
-    frames, ends = max(int(rows["frame"].max()) for rows in kept.values()), []
+    frames = max(int(rows["frame"].max()) for rows in kept.values())
+    ends: list[str] = []
     for (name, rows), (colour, style) in zip(kept.items(), _looks(_parts(name)[1] for name in kept), strict=True):
         seeds = binned(rows, column, frames)
         line, own = band(seeds), name.split(" ", 1)[-1]
-        _line(axes, line, colour, style, f"{own}, n = {seeds.shape[1]}")
+        width = 1.8 + 1.3 * (len(kept) - 1 - len(ends))
+        _line(axes, line, colour, style, f"{own}, n = {seeds.shape[1]}", width)
         ends.append(f"{own} {_end(line)}")
     if bound is not None:
         axes.axhline(bound, color=INK, linestyle="--", linewidth=1.2)
@@ -223,8 +253,9 @@ def band(seeds: pd.DataFrame) -> pd.DataFrame:
     return result
 
 
-def _line(axes: Axes, line: pd.DataFrame, colour: str, style: str, legend: str) -> None:
-    axes.plot(line.index, line["mean"], style, marker=".", color=colour, linewidth=1.8, label=textwrap.fill(legend, 50))
+def _line(axes: Axes, line: pd.DataFrame, colour: str, style: str, legend: str, width: float = 1.8) -> None:
+    words = textwrap.fill(legend, 50)
+    axes.plot(line.index, line["mean"], style, marker=".", color=colour, linewidth=width, label=words)
     known = line["low"].notna()
     if known.any():
         axes.fill_between(line.index.to_numpy(), line["low"], line["high"], color=colour, alpha=0.2, linewidth=0)
@@ -568,10 +599,11 @@ def sensitivity(table: pd.DataFrame) -> Drawn:
 
 
 @matplotlib.rc_context(STYLE)
-def power(table: pd.DataFrame, n: int | None = None) -> Drawn:
+def power(table: pd.DataFrame, n: int | None = None, most: int = 10_000) -> Drawn:
     """Seeds a cell that would tell the means of two cells apart in 80 % of studies: a row a pair, the easiest first.
 
-    table: columns pair and seeds (infinite: no difference was seen; NaN: not known); n: seeds that there are.
+    table: columns pair and seeds (infinite: no difference was seen; NaN: not known); n: seeds that there are; most:
+    beyond it a number is drawn as an arrow.
     """
     title = "Seeds a cell to tell two cells apart\n(80 % power, t test at 5 %)"
     if not len(table):
@@ -582,21 +614,24 @@ def power(table: pd.DataFrame, n: int | None = None) -> Drawn:
     figure = Figure(figsize=(WIDTH, 0.27 * len(table) + 1.7), layout="constrained")
     axes = figure.subplots()
     axes.set_title(title)
-    most = max([*seeds[finite], n or 2.0, 10.0]) * 3
-    rows = np.arange(len(table))
+    drawn, rows = np.minimum(seeds, most), np.arange(len(table))
+    behind = {"facecolor": "white", "linewidth": 0, "pad": 1}
     within = finite & (seeds <= (n or np.inf))
     for some, colour in ((within, "#0072B2"), (finite & ~within, "#D55E00")):
-        axes.hlines(rows[some], 1, seeds[some], color=colour, linewidth=1.2, alpha=0.5)
-        axes.plot(seeds[some], rows[some], "o", color=colour, markersize=6)
-        for row, value in zip(rows[some], seeds[some], strict=True):
-            at = (value, row)
-            axes.annotate(f"{value:,.0f}", at, (7, 0), textcoords="offset points", va="center", fontsize=11, color=INK)
+        axes.hlines(rows[some], 1, drawn[some], color=colour, linewidth=1.2, alpha=0.5)
+        for marker, beyond in (("o", seeds <= most), (">", seeds > most)):
+            axes.plot(drawn[some & beyond], rows[some & beyond], marker, color=colour, markersize=6)
+        for row in rows[some]:
+            words = f"{seeds[row]:,.0f}" if seeds[row] <= most else f"> {most:,}"
+            look: dict[str, Any] = {"va": "center", "fontsize": 11, "color": INK, "bbox": behind, "zorder": 4}
+            axes.annotate(words, (drawn[row], row), (8, 0), textcoords="offset points", **look)
     for some, words in ((endless, "no difference seen: no number would do"), (unknown, "not known")):
         for row in rows[some]:
-            behind = {"facecolor": "white", "linewidth": 0, "pad": 1}
-            axes.text(1.12, row, words, va="center", fontsize=11, color=PALE, style="italic", bbox=behind)
-    axes.set(xscale="log", xlim=(1, most), xlabel="seeds a cell")
+            axes.text(1.12, row, words, va="center", fontsize=11, color=PALE, style="italic", bbox=behind, zorder=4)
+    axes.set(xscale="log", xlim=(1, 4 * max([*drawn[finite], n or 2, 10])), xlabel="seeds a cell")
+    axes.xaxis.set_major_locator(LogLocator(10))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     _name_rows(axes, list(table["pair"]), fontsize=11)
     if n is not None:
         axes.axvline(n, color=INK, linestyle="--", linewidth=1.2, label=f"seeds that there are: {n}")
@@ -604,8 +639,9 @@ def power(table: pd.DataFrame, n: int | None = None) -> Drawn:
     said = [f"no difference seen in {int(endless.sum())}"] * bool(endless.any())
     said += [f"not known of {int(unknown.sum())}"] * bool(unknown.any())
     if finite.any():
-        first, last = (f"{table['pair'][row]} {seeds[row]:,.0f}" for row in (0, int(finite.sum()) - 1))
-        said = [f"from {first} to {last}, median {np.median(seeds[finite]):,.0f}", *said]
+        told = [f"{one:,.0f}" if one <= most else f"more than {most:,}" for one in (*seeds, np.median(seeds[finite]))]
+        first, last = (f"{table['pair'][row]} {told[row]}" for row in (0, int(finite.sum()) - 1))
+        said = [f"from {first} to {last}, median {told[-1]}", *said]
     if n is not None:
         said.append(f"of {len(table)} pairs {int(within.sum())} need no more than the {n} that there are")
     return Drawn(figure, f"{title}: {'; '.join(said)}.".replace("\n", " "))
@@ -615,12 +651,14 @@ def power(table: pd.DataFrame, n: int | None = None) -> Drawn:
 def speed(table: pd.DataFrame) -> Drawn:
     """Wall time of a million frames of one seed, a row a cell, and the distance to the paper's ten hours.
 
-    table: columns cell and seconds, a row a run or a seed.
+    table: columns cell, seconds and seeds (side by side in that run, which share its time alike), a row a run.
     """
     title = "Wall time of a million frames of one seed"
     known = table[np.isfinite(table["seconds"]) & (table["seconds"] > 0)] if len(table) else table
     if not len(known):
         return _nothing(title)
+    beside = " to ".join(f"{n}" for n in dict.fromkeys([known["seeds"].min(), known["seeds"].max()]))
+    title += f":\nits share of a run of {beside} side by side"
     groups = known.groupby("cell", sort=False)["seconds"]
     hours = groups.mean() / 3600
     figure = Figure(figsize=(WIDTH, 0.42 * len(hours) + 1.6), layout="constrained")
@@ -633,11 +671,11 @@ def speed(table: pd.DataFrame) -> Drawn:
         axes.plot(groups.get_group(name) / 3600, [row] * len(groups.get_group(name)), "o", color=colour, markersize=4)
         axes.plot(value, row, "o", color=colour, markersize=9)
         ratio = paper.HOURS / value
-        times = f"{ratio:.3g} × faster" if ratio >= 1 else f"{1 / ratio:.3g} × slower"
+        times = f"{_plain(ratio)} × faster" if ratio >= 1 else f"{_plain(1 / ratio)} × slower"
         behind = {"facecolor": "white", "linewidth": 0, "pad": 1.5}
         axes.text(np.sqrt(value * paper.HOURS), row, f"{_time(value)}: {times}", ha="center", va="center", bbox=behind)
         said.append(f"{_name(str(name))} {_time(value)}")
-    axes.axvline(paper.HOURS, color=INK, linestyle="--", linewidth=1.4, label="the paper: about 10 hours")
+    axes.axvline(paper.HOURS, color=INK, linestyle="--", linewidth=1.4, label=f"the paper: about {paper.HOURS:g} hours")
     axes.set(xscale="log", xlim=(min(hours.min(), paper.HOURS) / 1.6, max(hours.max(), paper.HOURS) * 1.6))
     ticks = {1 / 60: "1 min", 1 / 20: "3 min", 1 / 6: "10 min", 0.5: "30 min", 1.0: "1 h", 3.0: "3 h", 10.0: "10 h"}
     low, high = axes.get_xlim()
@@ -647,7 +685,8 @@ def speed(table: pd.DataFrame) -> Drawn:
     axes.set_xlabel("wall time (logarithmic)")
     _name_rows(axes, [_name(str(name)) for name in hours.index])
     _legend(figure, axes.get_legend_handles_labels()[0])
-    return Drawn(figure, f"{title}: {', '.join(said)}; the paper took about {paper.HOURS:.0f} hours.")
+    alt = f"{title}: {', '.join(said)}; the paper took about {paper.HOURS:g} hours."
+    return Drawn(figure, alt.replace("\n", " "))
 
 
 # What they share
@@ -733,7 +772,13 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if size < 1 else f"{value:,.{0 if size >= 1000 else 1 if size >= 10 else 2}f}"
 
 
+def _plain(ratio: float) -> str:
+    return f"{ratio:,.0f}" if ratio >= 10 else f"{ratio:.2g}"
+
+
 def _time(hours: float) -> str:
+    if hours * 60 < 1:
+        return f"{3600 * hours:.0f} s"
     return f"{60 * hours:.3g} min" if hours < 1 else f"{hours:.3g} h"
 
 
@@ -742,6 +787,3 @@ def _said(found: Interval, beside: str = "") -> str:
         return "no data"
     inside = [f"95 % interval {_number(found.low)} to {_number(found.high)}"] * bool(np.isfinite(found.low))
     return f"{_number(found.value)} ({'; '.join([*inside, f'n = {found.n}', *([beside] if beside else [])])})"
-
-
-# Until the report shows the figures above

@@ -6,8 +6,9 @@ To add a metric, add a line to `metrics.METRICS`; to add a measure of flights, a
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +16,15 @@ import numpy as np
 import pandas as pd
 
 from uavnav import paper, stats
-from uavnav.metrics import EPISODE_COLUMNS, METRICS, per_seed
+from uavnav.metrics import FIRST_COLUMNS, METRICS, per_seed
 from uavnav.report.cells import Cell, readings
 from uavnav.report.claims import ALGORITHMS, PRIMARY, Finding, long, verdict
-from uavnav.report.studies import Cells, Studies, hours, seeds, timed
+from uavnav.report.figures import DIAGNOSTICS
+from uavnav.report.studies import TUNED, Cells, Studies, hours, seeds, timed
 from uavnav.runs import RunError, read_table
 
 CAP = 10_000
 """Steps at which the restricted mean of a survival curve ends: the evaluation's own cap."""
-DIAGNOSTICS = ("dormant", "saturated", "effective_rank", "grad_norm", "entropy", "q_value")
-"""Columns of progress that may say why activations differ."""
 
 
 def name(algorithm: str, activation: str) -> str:
@@ -54,13 +54,19 @@ def estimates(values: pd.DataFrame) -> pd.DataFrame:
     numbers = ["n", "mean", "low", "high", "interquartile_mean", "iqm_low", "iqm_high", "paper"]
     for key, part in values.groupby(keys, sort=False)["value"]:
         row: dict[str, Any] = dict(zip(keys, key, strict=True))
-        mean = stats.interval(part.to_numpy())
-        middle = stats.interval(part.to_numpy(), stats.interquartile_mean)
+        values_of = np.asarray(part, dtype=np.float64).tobytes()
+        mean, middle = _interval(values_of), _interval(values_of, stats.interquartile_mean)
         printed = paper.TABLES.get((row["algorithm"], row["activation"]), {}).get(row["metric"], np.nan)
         row |= {"n": mean.n, "mean": mean.value, "low": mean.low, "high": mean.high}
         row |= {"interquartile_mean": middle.value, "iqm_low": middle.low, "iqm_high": middle.high}
         rows.append(row | {"paper": printed})
     return pd.DataFrame(rows, columns=[*keys, *numbers])
+
+
+@functools.lru_cache(maxsize=65536)
+def _interval(seeds: bytes, statistic: Callable[..., Any] = np.mean) -> stats.Interval:
+    """`stats.interval` of float64 [S] as bytes: the page and report.md ask for many of them twice."""
+    return stats.interval(np.frombuffer(seeds), statistic)
 
 
 def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
@@ -82,7 +88,7 @@ def improvement(cells: Cells, reading: str = PRIMARY, metric: str = "reward") ->
 
 
 def interactions(cells: Cells) -> pd.DataFrame:
-    """Whether activations rank otherwise under the two algorithms: by metric and reading, `stats.interaction`."""
+    """Whether activations change places between the two algorithms: by metric and reading, `stats.interaction`."""
     rows = []
     for reading, metric in itertools.product((PRIMARY, "sampled evaluation"), ("reward", "steps", "distance")):
         samples = {
@@ -123,8 +129,9 @@ def power(cells: Cells, metric: str = "reward") -> pd.DataFrame:
         values = {key: per_seed(readings(cell)[PRIMARY])[metric].dropna().to_numpy() for key, cell in mine.items()}
         for a, b in itertools.combinations(values, 2):
             pair = f"{algorithm.upper()}: {a[1]} and {b[1]}"
-            rows.append({"pair": pair, "seeds": stats.seeds_needed(values[a], values[b])})
-    return pd.DataFrame(rows, columns=["pair", "seeds"])
+            n = min(len(values[a]), len(values[b]))
+            rows.append({"pair": pair, "n": n, "seeds": stats.seeds_needed(values[a], values[b])})
+    return pd.DataFrame(rows, columns=["pair", "n", "seeds"])
 
 
 def flown(flights: Mapping[tuple[str, str, str], pd.DataFrame], study: str = "main") -> pd.DataFrame:
@@ -172,7 +179,7 @@ def sensitivity(studies: Studies) -> pd.DataFrame:
             there = [cells.get(key) or studies.baseline.get(key) for key in keys]
             if None in there or not any(key in cells for key in keys):
                 continue
-            samples = [_rewards(cell) for cell in there if cell is not None]
+            samples = [_rewards(cell, PRIMARY) for cell in there if cell is not None]
             found = stats.contrast(samples, _first_minus_second)
             rows.append({"switch": switch, "conclusion": conclusion, **found._asdict()})
     decided = {row["conclusion"]: row for row in rows if row["switch"] == AS_DECIDED}
@@ -181,8 +188,8 @@ def sensitivity(studies: Studies) -> pd.DataFrame:
     return table.assign(flips=flips)
 
 
-def _rewards(cell: Cell) -> stats.Array:
-    return per_seed(readings(cell)[PRIMARY])["reward"].dropna().to_numpy()
+def _rewards(cell: Cell, reading: str) -> stats.Array:
+    return per_seed(readings(cell)[reading])["reward"].dropna().to_numpy()
 
 
 def _first_minus_second(*samples: stats.Array, axis: int = -1) -> stats.Array:
@@ -198,6 +205,21 @@ def _flips(row: Mapping[str, Any], decided: Mapping[str, Any] | None) -> str:
         return "no"
     clear = all(one["low"] * one["high"] > 0 for one in (decided, row))
     return "yes" if clear else "sign"
+
+
+def by_default(studies: Studies, reading: str = "sampled evaluation") -> pd.DataFrame:
+    """PPO's reward minus DQN's, tuned and in the main study: columns settings, activations, value, low, high, n.
+
+    Of the activations that both algorithms have in the study `tuned`, alike in both rows.
+    """
+    tuned = [activation for algorithm, activation in studies.tuned if algorithm == "ppo"]
+    shared = [activation for activation in tuned if ("dqn", activation) in studies.tuned]
+    keys, rows = list(itertools.product(("ppo", "dqn"), shared)), []
+    for settings, cells in {f"preset {TUNED}": studies.tuned, "main study": studies.main}.items():
+        samples = [_rewards(cells[key], reading) if key in cells else np.empty(0) for key in keys] or [np.empty(0)]
+        found = stats.contrast(samples, _first_minus_second)
+        rows.append({"settings": settings, "activations": ", ".join(shared), **found._asdict()})
+    return pd.DataFrame(rows)
 
 
 def speed(cells: Cells) -> pd.DataFrame:
@@ -217,7 +239,7 @@ def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[st
     left_out = []
     for path in (path for folder in folders for path in sorted((folder / "baselines").glob("*.parquet"))):
         try:
-            found[path.stem] = read_table(path, EPISODE_COLUMNS, "evaluate it again")
+            found[path.stem] = read_table(path, FIRST_COLUMNS, "evaluate it again")
         except RunError as error:
             left_out.append(str(error))
     return found, left_out
@@ -225,5 +247,15 @@ def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[st
 
 def total_seeds(cells: Cells) -> str:
     """How many seeds a cell has: one number, or from ... to ..."""
-    counts = sorted({seeds(cell) for cell in cells.values()})
-    return "0" if not counts else str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return least_to_most(seeds(cell) for cell in cells.values())
+
+
+def total_frames(cells: Cells) -> str:
+    """How many frames a seed has, likewise."""
+    return least_to_most(cell.settings["frames"] for cell in cells.values())
+
+
+def least_to_most(counts: Iterable[int]) -> str:
+    """Of some counts; one number where they are the same."""
+    ordered = sorted({*counts})
+    return " to ".join(f"{count:,}" for count in dict.fromkeys([*ordered[:1], *ordered[-1:]])) or "0"

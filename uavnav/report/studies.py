@@ -1,7 +1,8 @@
 """Which cells belong to which study, and what each reading of their rows says, as one number a seed.
 
-Studies are told apart by their settings, whatever their folders are called: the *main* study is that with most of the
-paper's activations, then most frames; the others are named by how they differ from it.
+Studies are told apart by their settings, whatever their folders are called: the *main* study is that with the paper's
+reward and its million frames, then with most of its activations, frames and seeds; the others are named by how they
+differ from it.
 """
 
 from __future__ import annotations
@@ -71,17 +72,18 @@ def _main(cells: Sequence[Cell]) -> dict[str, Any]:
     for cell in cells:
         groups.setdefault(str(sorted(cell.settings.items(), key=str)), []).append(cell)
 
-    def rank(group: list[Cell]) -> tuple[int, int, int]:
+    def rank(group: list[Cell]) -> tuple[bool, bool, int, int, int]:
+        own = group[0].settings
         of_paper = sum((cell.algorithm, cell.activation) in paper.TABLES for cell in group)
-        seeds = sum(len(run.seeds) for cell in group for run in cell.runs)
-        return of_paper, group[0].settings["frames"], seeds
+        as_long = own.get("total_frames", own["frames"]) == paper.FRAMES
+        return own.get("reward") == "eq14", as_long, of_paper, own["frames"], sum(map(seeds, group))
 
     return max(groups.values(), key=rank)[0].settings
 
 
 def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | None:
     own = cell.settings
-    changed = {key for key in {*usual, *own} if usual.get(key) != own.get(key)}
+    changed = _changed(own, usual)
     if not changed:
         return studies.main
     named = changed - FOLLOWING
@@ -95,6 +97,21 @@ def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | No
         (name,) = named
         return studies.switches.setdefault(f"{name}={show(own.get(name))}", {})
     return None
+
+
+def _changed(own: Mapping[str, Any], usual: Mapping[str, Any]) -> set[str]:
+    return {key for key in {*usual, *own} if usual.get(key) != own.get(key)}
+
+
+def in_none(studies: Studies) -> list[str]:
+    """One line for each run that is in no study, with how its settings differ from the main study's."""
+    lines = []
+    for cell in studies.others:
+        usual = next(one.settings for key, one in studies.main.items() if key[0] == cell.algorithm)
+        changes = sorted(_changed(cell.settings, usual))
+        how = ", ".join(f"{key}={show(cell.settings.get(key)):.20}" for key in changes)
+        lines += [f"{run.path}: in no study; it differs from the main one in {how}" for run in cell.runs]
+    return lines
 
 
 def paper_cells(cells: Cells) -> Cells:

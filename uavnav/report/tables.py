@@ -13,8 +13,9 @@ from uavnav import paper, stats
 from uavnav.decisions import DECISIONS, HEADER
 from uavnav.metrics import METRICS, finished, per_seed
 from uavnav.report.cells import Cell, one_line, readings, show
-from uavnav.report.claims import UNDECIDED, Claim, Finding, verdict
-from uavnav.report.frames import name
+from uavnav.report.claims import SEEDS, UNDECIDED, Claim, Finding, p_shown, verdict
+from uavnav.report.figures import DIAGNOSTICS, MEASURES
+from uavnav.report.frames import estimates, name, per_seed_values
 from uavnav.report.studies import Cells
 from uavnav.runs import Run
 
@@ -51,7 +52,9 @@ def audit_rows(findings: Sequence[Finding]) -> Rows:
     for one in findings:
         own = number(one.paper, one.digits) + (" (against the claim)" if one.against_itself else "")
         ours = with_interval(one.value, one.low, one.high, one.digits)
-        p = NOTHING if math.isnan(one.p_holm) else "< 0.001" if one.p_holm < 0.001 else f"{one.p_holm:.3f}"
+        p = p_shown(one)
+        if one.region.startswith("p") and p != NOTHING:  # a test, which has no interval
+            ours += f" (p {p})" if p[0] in "<≤" else f" (p = {p})"
         rows.append([one.text, own, ours, one.region, p, str(one.n), said(one)])
     return rows
 
@@ -62,10 +65,19 @@ def said(finding: Finding) -> str:
         return finding.verdict
     if not finding.n:
         return "undecided (no runs)"
-    needed = NOTHING if math.isnan(finding.needed) else f"about {finding.needed:,.0f} seeds needed"
+    needed = (
+        NOTHING
+        if math.isnan(finding.needed)
+        else f"{'at least' if finding.needed == SEEDS else 'about'} {finding.needed:,.0f} seeds needed"
+    )
     needed = f"more than {MANY:,} seeds needed" if MANY < finding.needed < math.inf else needed
     needed = "no number of seeds would do" if math.isinf(finding.needed) else needed
     return f"undecided (n = {finding.n}" + ("" if needed == NOTHING else f", {needed}") + ")"
+
+
+def in_reading(findings: Sequence[Finding]) -> str:
+    """A claim's verdict; a dash where a reading has no runs for any part of it."""
+    return verdict(findings) if any(one.n for one in findings) else NOTHING
 
 
 def overview(claims: Sequence[Claim], audits: Mapping[str, Sequence[Finding]], primary: str) -> Rows:
@@ -76,7 +88,7 @@ def overview(claims: Sequence[Claim], audits: Mapping[str, Sequence[Finding]], p
         of = {reading: [one for one in found if one.claim == claim.number] for reading, found in audits.items()}
         parts = pd.Series([one.verdict for one in of[primary]]).value_counts()
         counts = ", ".join(str(parts.get(one, 0)) for one in ("supported", "contradicted", "undecided"))
-        rest = [verdict(of[reading]) for reading in others]
+        rest = [in_reading(of[reading]) for reading in others]
         rows.append([str(claim.number), claim.sentence, verdict(of[primary]), counts, *rest])
     return rows
 
@@ -84,30 +96,45 @@ def overview(claims: Sequence[Claim], audits: Mapping[str, Sequence[Finding]], p
 # -- the paper's tables -----------------------------------------------------------------------------------------------
 
 
-def beside_paper(metrics: pd.DataFrame, algorithm: str) -> Rows:
-    """One algorithm's six columns: the paper's row, then each reading of ours with its interval, by activation."""
-    labels = [METRICS[metric].label for metric in paper.COLUMNS]
-    rows = [["activation", "reading", "seeds", *labels]]
-    mine = metrics[(metrics["algorithm"] == algorithm) & (metrics["ratio"] == "mean of ratios")]
+def beside_paper(metrics: pd.DataFrame, algorithm: str, statistic: str = "mean") -> Rows:
+    """One algorithm's metrics: the paper's row, then each reading of ours with its interval, by activation.
+
+    Metrics per step have a second row in each reading, as ratios of means (decision 13). statistic: `mean` or
+    `interquartile_mean`, over seeds.
+    """
+    rows = [["activation", "reading", "seeds", *map(str, METRICS.values())]]
+    mine = metrics[metrics["algorithm"] == algorithm]
     for activation in [one for which, one in paper.TABLES if which == algorithm]:
-        printed = paper.TABLES[algorithm, activation]
-        theirs = [f"{printed[metric]:,}".replace("-", "−") for metric in paper.COLUMNS]
-        rows.append([activation, "the paper", "1", *theirs])
+        rows.append([activation, "the paper", "1", *_printed(algorithm, activation, list(METRICS))])
         cell = mine[mine["activation"] == activation]
         if cell.empty:
-            rows.append([activation, "missing: no finished run", "0", *[NOTHING] * len(labels)])
-        for reading, part in cell.groupby("reading", sort=False):
+            rows.append([activation, "missing: no finished run", "0", *[NOTHING] * len(METRICS)])
+        for (reading, ratio), part in cell.groupby(["reading", "ratio"], sort=False):
             by_metric = part.set_index("metric")
-            shown = [_estimate(by_metric, metric) for metric in paper.COLUMNS]
-            rows.append([activation, str(reading), str(by_metric["n"].max()), *shown])
+            shown = [_estimate(by_metric, metric, statistic) for metric in METRICS]
+            rows.append([activation, _named(str(reading), str(ratio)), str(by_metric["n"].max()), *shown])
     return rows
 
 
-def _estimate(by_metric: pd.DataFrame, metric: str) -> str:
+def _printed(algorithm: str, activation: str, metrics: Sequence[str]) -> list[str]:
+    printed = paper.TABLES[algorithm, activation]
+    return [f"{printed[one]:,}".replace("-", "−") if one in printed else NOTHING for one in metrics]
+
+
+def _named(reading: str, ratio: str) -> str:
+    return f"{reading}, ratios of means" if ratio == "ratio of means" else reading
+
+
+LIMITS = {"mean": ("low", "high"), "interquartile_mean": ("iqm_low", "iqm_high")}
+"""Columns of `frames.estimates` with the interval of each statistic."""
+
+
+def _estimate(by_metric: pd.DataFrame, metric: str, statistic: str = "mean") -> str:
     if metric not in by_metric.index:
         return NOTHING
     one: Any = by_metric.loc[metric]
-    return with_interval(one["mean"], one["low"], one["high"], min(METRICS[metric].digits, 2))
+    low, high = (one[limit] for limit in LIMITS[statistic])
+    return with_interval(one[statistic], low, high, min(METRICS[metric].digits, 2))
 
 
 def latex(rows: Rows) -> str:
@@ -120,40 +147,41 @@ def latex(rows: Rows) -> str:
 
 
 def table(cells: list[Cell], algorithm: str, ratio_of_means: bool) -> Rows:
-    """A header and rows: for each activation the paper's, then every reading of each cell.
+    """A header and rows: for each activation the paper's, then every reading of each cell: means, interquartile means.
 
     ratio_of_means: the ratios alone, as ratios of means (decision 13).
     """
     metrics = [one for one, metric in METRICS.items() if metric.scale is not None or not ratio_of_means]
-    rows = [["activation", "reading", "seeds", "episodes", "cut off", *(METRICS[one].label for one in metrics)]]
+    rows = [["activation", "reading", "seeds", "episodes", "cut off", *(str(METRICS[one]) for one in metrics)]]
     of_paper = [activation for which, activation in paper.TABLES if which == algorithm]
+    nothing = [NOTHING] * len(metrics)
     for activation in dict.fromkeys([*of_paper, *(cell.activation for cell in cells)]):
         ours = [cell for cell in cells if cell.activation == activation]
         if activation in of_paper:
-            printed = paper.TABLES[algorithm, activation]
-            beside = [f"{printed[one]:,}" if one in printed else "-" for one in metrics]
-            rows.append([activation, "the paper", "1", "-", "-", *beside])
+            beside = _printed(algorithm, activation, metrics)
+            rows.append([activation, "the paper", "1", NOTHING, NOTHING, *beside])
         if not ours:
-            rows.append([activation, "missing: no finished run", "0", *["-"] * (len(metrics) + 2)])
+            rows.append([activation, "missing: no finished run", "0", NOTHING, NOTHING, *nothing])
         for cell in ours:
-            for kind, part in readings(cell).items():
-                reading = kind if len(part) else f"{kind}: missing"
-                rows.append([cell.label, reading, *_values(part, metrics, ratio_of_means)])
+            found = estimates(per_seed_values({(algorithm, activation): cell}))
+            found = found[(found["ratio"] == "ratio of means") == ratio_of_means]
+            for reading, part in readings(cell).items():
+                if part.empty:
+                    rows.append([cell.label, f"{reading}: missing", "0", "0", NOTHING, *nothing])
+                    continue
+                by_metric, counts = found[found["reading"] == reading].set_index("metric"), _counts(part)
+                for statistic in LIMITS:
+                    words = reading if statistic == "mean" else f"{reading}, interquartile mean"
+                    shown = [_estimate(by_metric, one, statistic) for one in metrics]
+                    rows.append([cell.label, words, *counts, *shown])
     return rows
 
 
-def _values(part: pd.DataFrame, metrics: list[str], ratio_of_means: bool) -> list[str]:
-    """Seeds, episodes, share cut off, and each metric as mean ± standard deviation over seeds."""
-    if part.empty:
-        return ["0", "0", *["-"] * (len(metrics) + 1)]
-    seeds, cut = per_seed(part, ratio_of_means), part[part["truncated"]]
+def _counts(part: pd.DataFrame) -> list[str]:
+    """Seeds, episodes and the share cut off, and at how many steps."""
+    cut = part[part["truncated"]]
     share = f"{len(cut) / len(part):.1%}" + (f" at {cut['steps'].max():,} steps" if len(cut) else "")
-    return [str(len(seeds)), f"{len(part):,}", share, *(_spread(seeds[one], METRICS[one].digits) for one in metrics)]
-
-
-def _spread(values: pd.Series[float], digits: int) -> str:
-    mean = f"{values.mean():,.{digits}f}"
-    return mean if len(values) == 1 else f"{mean} ± {values.std():,.{digits}f}"
+    return [str(part["seed"].nunique()), f"{len(part):,}", share]
 
 
 # -- further tables of the page ---------------------------------------------------------------------------------------
@@ -161,7 +189,7 @@ def _spread(values: pd.Series[float], digits: int) -> str:
 
 def interactions(frame: pd.DataFrame) -> Rows:
     """The test of algorithm and activation."""
-    rows = [["reading", "metric", "seeds", "p, ranks", "p, raw scale"]]
+    rows = [["reading", "metric", "seeds", "p, change of places", "p, raw scale"]]
     for one in frame.to_dict("records"):
         p_values = [NOTHING if math.isnan(p) else f"{p:.4f}" for p in (one["p_ranks"], one["p_raw"])]
         rows.append([one["reading"], one["metric"], str(one["n"]), *p_values])
@@ -170,7 +198,7 @@ def interactions(frame: pd.DataFrame) -> Rows:
 
 def survivals(frame: pd.DataFrame) -> Rows:
     """Restricted means."""
-    rows = [["cell", "seeds", "flights", "cut off", "mean steps"]]
+    rows = [["cell", "seeds", "flights", "cut off [share]", "mean [steps]"]]
     for one in frame.to_dict("records"):
         mean = with_interval(one["restricted_mean"], one["low"], one["high"], 0)
         rows.append([one["cell"], str(one["n"]), f"{one['episodes']:,}", f"{one['cut_off']:.0%}", mean])
@@ -179,13 +207,17 @@ def survivals(frame: pd.DataFrame) -> Rows:
 
 def powers(frame: pd.DataFrame) -> Rows:
     """Seeds that it would take."""
-    rows = [["pair", "seeds a cell"]]
-    return rows + [[one["pair"], number(one["seeds"], 0)] for one in frame.to_dict("records")]
+    rows = [["pair", "seeds there are", "seeds a cell"]]
+    return rows + [[one["pair"], str(one["n"]), _needed(one["seeds"])] for one in frame.to_dict("records")]
+
+
+def _needed(seeds: float) -> str:
+    return f"> {MANY:,}" if MANY < seeds < math.inf else number(seeds, 0)
 
 
 def measured(frame: pd.DataFrame, measures: Sequence[str], mode: str = "sampled") -> Rows:
     """Measures of flights: mean over seeds and interval, a row a cell."""
-    rows = [["cell", "seeds", *(measure.replace("_", " ") for measure in measures)]]
+    rows = [["cell", "seeds", *(MEASURES.get(measure, measure) for measure in measures)]]
     if frame.empty:
         return rows
     for cell, part in frame[frame["mode"] == mode].groupby("cell", sort=False):
@@ -196,14 +228,14 @@ def measured(frame: pd.DataFrame, measures: Sequence[str], mode: str = "sampled"
 
 
 def pivot(frame: pd.DataFrame, columns: str, digits: int = 3) -> Rows:
-    """A row a cell, a column each value of a column, with intervals."""
+    """A row a cell, its seeds, and a column each value of a column, with intervals."""
     names = list(dict.fromkeys(frame[columns]))
-    rows = [["cell", *(str(one).replace("_", " ") for one in names)]]
+    rows = [["cell", "seeds", *(DIAGNOSTICS.get(one, one) for one in names)]]
     for cell, part in frame.groupby("cell", sort=False):
         known: dict[str, Any] = {str(one[columns]): one for one in part.to_dict("records")}
         shown = [known.get(one) for one in names]
         rows.append(
-            [str(cell)]
+            [str(cell), str(part["n"].max())]
             + [with_interval(one["value"], one["low"], one["high"], digits) if one else NOTHING for one in shown]
         )
     return rows
@@ -211,7 +243,7 @@ def pivot(frame: pd.DataFrame, columns: str, digits: int = 3) -> Rows:
 
 def overestimated(frame: pd.DataFrame) -> Rows:
     """DQN's values beside what followed."""
-    rows = [["cell", "seeds", "max Q", "realised", "overestimation"]]
+    rows = [["cell", "seeds", "max Q [reward]", "realised [reward]", "overestimation [reward]"]]
     for cell, part in frame.groupby("cell", sort=False):
         found = [stats.interval(part[one].to_numpy()) for one in ("q", "realised", "overestimation")]
         rows.append([str(cell), str(found[0].n), *(with_interval(one.value, one.low, one.high) for one in found)])
@@ -239,7 +271,7 @@ def sensitivities(frame: pd.DataFrame) -> Rows:
 
 def of_metrics(frame: pd.DataFrame, only: Sequence[str], readings_shown: Sequence[str]) -> Rows:
     """Cells against metrics, in some readings."""
-    rows = [["cell", "reading", "seeds", *(METRICS[metric].label for metric in only)]]
+    rows = [["cell", "reading", "seeds", *(str(METRICS[metric]) for metric in only)]]
     if frame.empty:
         return rows
     plain = frame[(frame["ratio"] == "mean of ratios") & frame["reading"].isin(list(readings_shown))]
@@ -251,7 +283,28 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], readings_shown: Sequenc
     return rows
 
 
-def baselines(found: Mapping[str, pd.DataFrame], main: Cells, cap: int) -> Rows:
+BY_DEFAULT = (
+    "Is PPO above DQN more than a matter of defaults? Reward per episode, sampled evaluation, PPO minus DQN, mean over "
+    "the activations that both have with the preset, and 95 % interval"
+)
+
+
+def by_default(frame: pd.DataFrame) -> Rows:
+    """PPO minus DQN, tuned and in the main study, and what its interval says."""
+    rows = [["settings", "activations of both", "seeds a cell", "PPO − DQN", "so"]]
+    for one in frame.to_dict("records"):
+        if math.isnan(one["value"]):
+            so = "not known: no evaluated runs of both with the same activation"
+        elif math.isnan(one["low"]):
+            so = "not known: one seed has no interval"
+        else:
+            so = "PPO above DQN" if one["low"] > 0 else "DQN above PPO" if one["high"] < 0 else "not told apart"
+        difference = with_interval(one["value"], one["low"], one["high"], 1)
+        rows.append([one["settings"], one["activations"] or NOTHING, str(one["n"]), difference, so])
+    return rows
+
+
+def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
     """What needs no learning beside what was learned, on test sets: reward, steps, share of flights cut off."""
     rows = [["who", "seeds", "flights", "cut off", "reward per flight", "steps per flight", "speed [px a step]"]]
     learned = {name(*key): readings(cell)["sampled evaluation"] for key, cell in main.items()}
@@ -260,10 +313,15 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Cells, cap: int) -> Rows:
         if ended.empty:
             continue
         seeds = per_seed(ended, ratio_of_means=True)
-        shown = []
-        for metric in ("reward", "steps", "speed"):
-            one = stats.interval(seeds[metric].to_numpy())
-            shown.append(with_interval(one.value, one.low, one.high, min(METRICS[metric].digits, 2)))
+        of_seeds = [flown for _, flown in ended.groupby("seed")]
+        estimated = {
+            column: stats.nested_interval({seed: flown[column].to_numpy() for seed, flown in enumerate(of_seeds)})
+            for column in ("reward", "steps")
+        } | {"speed": stats.interval(seeds["speed"].to_numpy())}
+        shown = [
+            with_interval(one.value, one.low, one.high, min(METRICS[metric].digits, 2))
+            for metric, one in estimated.items()
+        ]
         cut = f"{ended['truncated'].mean():.0%}"
         rows.append([who, str(len(seeds)), f"{len(ended):,}", cut, *shown])
     return rows if found else rows[:1]
@@ -271,7 +329,7 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Cells, cap: int) -> Rows:
 
 def speeds(frame: pd.DataFrame) -> Rows:
     """Wall times."""
-    rows = [["cell", "seeds side by side", "seconds a seed", "machine"]]
+    rows = [["cell", "seeds side by side", "wall time [s] of a seed's share", "machine"]]
     found = frame.to_dict("records")
     return rows + [[one["cell"], str(one["seeds"]), number(one["seconds"], 0), one["machine"]] for one in found]
 
@@ -309,8 +367,13 @@ def run_table(cells: list[Cell]) -> Rows:
     return rows
 
 
+def of_words(rows: Rows) -> list[bool]:
+    """Which columns of a table hold words, and which numbers."""
+    return [any(row[place][:1].isalpha() for row in rows[1:]) for place in range(len(rows[0]))]
+
+
 def markdown(rows: Rows) -> str:
     """A table whose first row is its header and whose numbers, from the third column on, are right-aligned."""
-    rule = ["---" if place < 2 else "---:" for place in range(len(rows[0]))]
+    rule = ["---" if words or place < 2 else "---:" for place, words in enumerate(of_words(rows))]
     lines = (" | ".join(cell.replace("|", "\\|") for cell in row) for row in [rows[0], rule, *rows[1:]])
     return "\n".join(f"| {line} |" for line in lines)

@@ -1,0 +1,62 @@
+"""Where nothing can be compiled: one line that says so and why, or an error where compilation was asked for."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+COMMAND = """
+from uavnav.ppo import PPOConfig, train
+from uavnav import compiling
+compiling.PAYS_FROM = 1
+config = PPOConfig(n_seeds={n_seeds}, total_frames=256, frames_per_batch=256, epochs=1, compile={compile!r})
+print(train(config, {out!r}, quiet=True, processes={n_seeds}).meta["compiled"])
+"""
+NO_HEADER = """#!/bin/sh
+case "$*" in *--version*) exec g++ "$@";; esac
+echo "main.cpp:4:10: fatal error: Python.h: No such file or directory" >&2
+exit 1
+"""
+
+
+def trained(tmp_path, compile, n_seeds=1, **environment):
+    """A small run in a process whose tool chain is what the environment says."""
+    command = COMMAND.format(compile=compile, n_seeds=n_seeds, out=str(tmp_path / "run"))
+    env = os.environ | {"TORCHINDUCTOR_CACHE_DIR": str(tmp_path / "graphs")} | environment
+    return subprocess.run([sys.executable, "-c", command], env=env, capture_output=True, text=True, check=False)
+
+
+def warnings(result):
+    return [line for line in result.stderr.splitlines() if "runs without compilation" in line and "warn(" not in line]
+
+
+@pytest.mark.parametrize("n_seeds", [1, 2])
+def test_without_a_compiler_a_run_of_1_and_2_processes_goes_on_with_one_line_that_says_why(tmp_path, n_seeds):
+    result = trained(tmp_path, "auto", n_seeds, CXX="/bin/false")
+    assert result.stdout == "False\n"
+    (line,) = warnings(result)
+    assert "several times slower: InvalidCxxCompiler: No working C++ compiler found" in line
+
+
+def test_without_a_compiler_compile_on_is_refused_in_one_line_before_anything_is_written(tmp_path):
+    result = trained(tmp_path, "on", CXX="/bin/false")
+    last = result.stderr.splitlines()[-1]
+    assert "ConfigError: compile=on: no graph can be compiled here (InvalidCxxCompiler: No working C++ compiler" in last
+    assert "install g++ and Python's headers" in last
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("cause", ["header", "cache"])
+def test_a_missing_header_and_a_cache_that_cannot_be_written_are_named_and_the_run_goes_on(tmp_path, cause):
+    compiler = tmp_path / "c++"
+    compiler.write_text(NO_HEADER)
+    compiler.chmod(0o755)
+    environment, says = {
+        "header": ({"CXX": str(compiler)}, "fatal error: Python.h: No such file or directory"),
+        "cache": ({"TORCHINDUCTOR_CACHE_DIR": "/proc"}, "No such file or directory: '/proc/"),
+    }[cause]
+    result = trained(tmp_path, "auto", **environment)
+    assert result.stdout == "False\n"
+    (line,) = warnings(result)
+    assert says in line

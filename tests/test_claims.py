@@ -374,11 +374,11 @@ def test_the_papers_own_tables_speak_against_five_parts():
     3.4 against 5.0 px a step; of PPO's cells ReLU stops least (0.074 %), and leaky ReLU is fastest (4.269)."""
     found = [(finding.claim, finding.text) for finding in audit(nothing, of_paper) if finding.against_itself]
     assert found == [
-        (1, "speed [px per step]: PPO better than DQN, means of four activations"),
+        (1, "speed [px a step]: PPO better than DQN, means of four activations"),
         (1, "turning [%]: PPO's worst activation better than DQN's best"),
-        (1, "speed [px per step]: PPO's worst activation better than DQN's best"),
+        (1, "speed [px a step]: PPO's worst activation better than DQN's best"),
         (2, "full stops [%]: PPO with tanh the best"),
-        (2, "speed [px per step]: PPO with tanh the best"),
+        (2, "speed [px a step]: PPO with tanh the best"),
     ]
 
 
@@ -388,7 +388,7 @@ def test_the_papers_own_figures_of_some_parts():
         assert own[2, f"{metric}: PPO with tanh about twice the next best"] == pytest.approx(ratio)
     assert own[3, "full stops [%]: DQN with sigmoid the best"] == pytest.approx(1.497 - 0.626)
     assert own[5, "full stops [%]: PPO's ReLU and leaky ReLU both below tanh and sigmoid"] == pytest.approx(0.042)
-    assert own[6, "speed [px per step]: PPO with sigmoid the worst"] == pytest.approx(4.12 - 3.428)
+    assert own[6, "speed [px a step]: PPO with sigmoid the worst"] == pytest.approx(4.12 - 3.428)
     assert [value for (number, _), value in own.items() if number in (8, 11)] == [4, 10]
     assert all(math.isnan(value) for (number, _), value in own.items() if number in (4, 9, 10))
 

@@ -18,7 +18,7 @@ def test_a_sentence_counts_parts_says_where_the_paper_speaks_against_itself_and_
     mixed = [one._replace(verdict="contradicted") for one in found[:1]] + found[1:]
     assert conclusions.sentence(CLAIMS[1], mixed) == (
         "1 of 9 parts is contradicted, 8 of 9 parts are undecided. The paper's own tables speak against it in 2: "
-        "full stops [%]: PPO with tanh the best; speed [px per step]: PPO with tanh the best. "
+        "full stops [%]: PPO with tanh the best; speed [px a step]: PPO with tanh the best. "
         "In its own table the steps are 1.58 and the distance 1.59 times the runner-up's."
     )
     assert conclusions.sentence(CLAIMS[2], of_claim(3)) == "6 of 6 parts are undecided."

@@ -600,7 +600,7 @@ def test_the_headline_is_the_first_part_with_the_claims_own_verdict():
     known = {"value": 3.0, "low": 1.0, "high": 4.5, "n": 8}
     contradicted = found[4]._replace(verdict="contradicted", **known)
     text, *numbers = conclusions.headline([*found[:4], contradicted, *found[5:]])
-    assert text == "speed [px per step]: PPO better than DQN, means of four activations"
+    assert text == "speed [px a step]: PPO better than DQN, means of four activations"
     assert numbers == ["the paper −0.35", "ours 3.00 [1.00, 4.50]", "claimed > 0", "n = 8"]
     (interaction,) = [one for one in findings_of() if one.claim == 8]
     assert conclusions.headline([interaction])[1:] == ["no runs"]

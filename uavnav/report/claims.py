@@ -24,7 +24,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats as distributions
 
-from uavnav import stats
+from uavnav import paper, stats
+from uavnav.metrics import METRICS
 from uavnav.stats import Array
 
 SEEDS = 8
@@ -37,16 +38,8 @@ PRIMARY = "all training episodes"
 ALGORITHMS = ("ppo", "dqn")
 BOUNDED, UNBOUNDED = ("tanh", "sigmoid"), ("relu", "leaky_relu")
 ACTIVATIONS = (*BOUNDED, *UNBOUNDED)
-DIRECTIONS = {"steps": 1, "full_stops": -1, "turns": -1, "distance": 1, "speed": 1, "reward": 1}
-"""Of the six metrics: whether more is better, as the paper reads them."""
-NAMES = {
-    "steps": "steps per episode",
-    "full_stops": "full stops [%]",
-    "turns": "turning [%]",
-    "distance": "distance [px per episode]",
-    "speed": "speed [px per step]",
-    "reward": "reward per episode",
-}
+SIX = {name: METRICS[name] for name in paper.COLUMNS}
+"""The metrics of the paper's tables."""
 SURGE = (300_000, 600_000)
 """Frames between which the paper sees DQN with sigmoid surge."""
 
@@ -142,30 +135,40 @@ class Finding(NamedTuple):
 def ppo_outperforms_dqn(evidence: Evidence) -> list[Part]:
     """1. Means over the four activations; and PPO's worst cell against DQN's best."""
     parts = []
-    for metric, sign in DIRECTIONS.items():
-        samples = [evidence(one, activation, metric) for one in ALGORITHMS for activation in ACTIVATIONS]
-        parts.append(Part(f"{NAMES[metric]}: PPO better than DQN, means of four activations", samples, _gap(sign)))
-    for metric, sign in DIRECTIONS.items():
-        samples = [evidence(one, activation, metric) for one in ALGORITHMS for activation in ACTIVATIONS]
+    for name, metric in SIX.items():
+        samples = [evidence(one, activation, name) for one in ALGORITHMS for activation in ACTIVATIONS]
         parts.append(
-            Part(f"{NAMES[metric]}: PPO's worst activation better than DQN's best", samples, _worst_best(sign))
+            Part(
+                f"{metric}: PPO better than DQN, means of four activations",
+                samples,
+                _gap(metric.better),
+            )
+        )
+    for name, metric in SIX.items():
+        samples = [evidence(one, activation, name) for one in ALGORITHMS for activation in ACTIVATIONS]
+        parts.append(
+            Part(
+                f"{metric}: PPO's worst activation better than DQN's best",
+                samples,
+                _worst_best(metric.better),
+            )
         )
     return parts
 
 
 def ppo_tanh_is_best(evidence: Evidence) -> list[Part]:
     """2. In each metric, and by how much in three."""
-    parts = _best(evidence, "ppo", "tanh", list(DIRECTIONS))
+    parts = _best(evidence, "ppo", "tanh")
     for metric in ("reward", "steps", "distance"):
         samples = [evidence("ppo", activation, metric) for activation in _first("tanh")]
-        text = f"{NAMES[metric]}: PPO with tanh about twice the next best"
+        text = f"{METRICS[metric]}: PPO with tanh about twice the next best"
         parts.append(Part(text, samples, _times_next, ABOUT_TWICE))
     return parts
 
 
 def dqn_sigmoid_is_best(evidence: Evidence) -> list[Part]:
     """3. In all six columns."""
-    return _best(evidence, "dqn", "sigmoid", list(DIRECTIONS))
+    return _best(evidence, "dqn", "sigmoid")
 
 
 def dqn_sigmoid_surges(evidence: Evidence) -> list[Part]:
@@ -207,14 +210,14 @@ def relu_and_leaky_relu_stop_least(evidence: Evidence) -> list[Part]:
 def ppo_sigmoid_is_weakest(evidence: Evidence) -> list[Part]:
     """6. In all metrics but steps."""
     parts = []
-    for metric, sign in DIRECTIONS.items():
-        samples = [evidence("ppo", activation, metric) for activation in _first("sigmoid")]
-        if metric == "steps":
+    for name, metric in SIX.items():
+        samples = [evidence("ppo", activation, name) for activation in _first("sigmoid")]
+        if name == "steps":
             parts.append(
                 Part("steps per episode: PPO with sigmoid above the worst of the others", samples, _over_worst)
             )
         else:
-            parts.append(Part(f"{NAMES[metric]}: PPO with sigmoid the worst", samples, _below_worst(sign)))
+            parts.append(Part(f"{metric}: PPO with sigmoid the worst", samples, _below_worst(metric.better)))
     return parts
 
 
@@ -568,12 +571,12 @@ def _reversed_pairs(*means: Array) -> Array:
     return np.asarray(np.sum(np.array(products) < 0, axis=0))
 
 
-def _best(evidence: Evidence, algorithm: str, activation: str, metrics: Sequence[str]) -> list[Part]:
+def _best(evidence: Evidence, algorithm: str, activation: str) -> list[Part]:
     parts = []
-    for metric in metrics:
-        samples = [evidence(algorithm, one, metric) for one in _first(activation)]
-        text = f"{NAMES[metric]}: {algorithm.upper()} with {activation} the best"
-        parts.append(Part(text, samples, _over_best(DIRECTIONS[metric]), digits=3 if metric == "full_stops" else 2))
+    for name, metric in SIX.items():
+        samples = [evidence(algorithm, one, name) for one in _first(activation)]
+        text = f"{metric}: {algorithm.upper()} with {activation} the best"
+        parts.append(Part(text, samples, _over_best(metric.better), digits=3 if name == "full_stops" else 2))
     return parts
 
 

@@ -503,17 +503,17 @@ def test_a_job_ends_when_the_one_that_started_it_is_killed(tmp_path):
         pytest.fail("the job still runs")
 
 
-def test_two_processes_that_meet_go_on_within_50_ms_of_each_other(tmp_path):
+def test_of_two_processes_that_meet_the_first_waits_for_the_second(tmp_path):
     command = (
         "import sys, time, pathlib; from uavnav.bench.jobs import _meet; time.sleep(float(sys.argv[1]));"
-        f"_meet(pathlib.Path({str(tmp_path)!r}), '4096', 2); print(time.time())"
+        f"began = time.time(); _meet(pathlib.Path({str(tmp_path)!r}), '4096', 2); print(began, time.time())"
     )
     both = [
         subprocess.Popen([sys.executable, "-c", command, delay], stdout=subprocess.PIPE, text=True)
         for delay in ("0", "1")
     ]
-    first, second = (float(process.communicate(timeout=120)[0]) for process in both)
-    assert abs(first - second) < 0.05
+    spans = [[float(word) for word in process.communicate(timeout=120)[0].split()] for process in both]
+    assert max(came for came, _ in spans) < min(went_on for _, went_on in spans)
 
 
 def test_measurements_that_would_end_too_late_are_left_out_and_named(tmp_path):
@@ -573,6 +573,7 @@ def test_a_watched_run_of_ours_is_stopped_and_names_its_rates(algorithm, frames,
     assert found["shares"]["update"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
 def test_where_the_time_goes_is_taken_of_stable_baselines3_too(algorithm):
     pytest.importorskip("stable_baselines3")

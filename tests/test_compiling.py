@@ -31,7 +31,7 @@ def warnings(result):
     return [line for line in result.stderr.splitlines() if "runs without compilation" in line and "warn(" not in line]
 
 
-@pytest.mark.parametrize("n_seeds", [1, 2])
+@pytest.mark.parametrize("n_seeds", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_without_a_compiler_a_run_of_1_and_2_processes_goes_on_with_one_line_that_says_why(tmp_path, n_seeds):
     result = trained(tmp_path, "auto", n_seeds, CXX="/bin/false")
     assert result.stdout == "False\n"
@@ -47,6 +47,7 @@ def test_without_a_compiler_compile_on_is_refused_in_one_line_before_anything_is
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", ["header", "cache"])
 def test_a_missing_header_and_a_cache_that_cannot_be_written_are_named_and_the_run_goes_on(tmp_path, cause):
     compiler = tmp_path / "c++"

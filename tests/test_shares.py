@@ -160,6 +160,7 @@ def saved(out):
     return [max(int(state.name.split("-")[1]) for state in found) for found in states]
 
 
+@pytest.mark.slow
 def test_a_signal_to_every_process_of_a_run_saves_both_shares_as_it_says(tmp_path):
     process = started(tmp_path / "run", checkpoint_seconds=3600)
     for member in members(process):

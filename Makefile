@@ -65,6 +65,8 @@ sensitivity: .venv/.installed # one unsaid choice at a time, beside the baseline
 	$(call cells,init,dqn,$(PAIR) n_seeds=5 init=orthogonal $(SHORT) $(SHORT_dqn))
 	$(call both,one-world,$(PAIR) n_seeds=5 n_worlds=1)
 	$(call cells,n-steps,dqn,$(PAIR) n_seeds=5 n_steps=5 $(SHORT) $(SHORT_dqn))
+	$(BIN)/python -m uavnav.evaluate --episodes 10 --max-steps 500 $(foreach activation,tanh relu,\
+	    $(RESULTS)/n-steps/dqn/$(activation))
 
 wide: .venv/.installed # eight more activations, and two of the paper's, beside the baseline of `initial`
 	$(call both,wide,$(WIDE) n_seeds=5)

@@ -41,7 +41,7 @@ BEHAVIOUR = (
 )
 SENSITIVITY = (
     "Each choice that the paper leaves open, changed by itself, in runs as long as those as decided. Targets of several"
-    " steps are no such choice, the paper's eq. (1) has one: they show what it costs DQN. A conclusion flips if its "
+    " steps are no such choice (the paper's eq. (1) has one) and stand beside them. A conclusion flips if its "
     "interval lies wholly on the other side of zero than it does as decided."
 )
 

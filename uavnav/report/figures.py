@@ -215,7 +215,7 @@ def why(progress: Mapping[str, pd.DataFrame], column: str, label: str, bound: fl
         words = f"nothing can earn more: {_number(bound)}"
         axes.annotate(words, (0.01, bound), xycoords=axes.get_yaxis_transform(), color=INK, fontsize=11, va="bottom")
         ends.append(f"nothing can earn more than {_number(bound)}")
-    axes.set(xlabel="frames per seed", ylabel=label)
+    axes.set(xlabel="frames per seed", ylabel=textwrap.fill(label.rpartition(": ")[2], 36))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.xaxis.set_major_locator(MaxNLocator(6))
     band_ = Line2D([], [], color=PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")
@@ -577,7 +577,7 @@ def sensitivity(table: pd.DataFrame) -> Drawn:
             look = {"color": "#0072B2" if clear else PALE, "linewidth": 2.2}
             axes.plot([row["low"], row["high"]], [names.index(str(name))] * 2, **look)
             axes.plot(row["value"], names.index(str(name)), "o", color=look["color"], markersize=7)
-        axes.set_title(textwrap.fill(conclusion, 22))
+        axes.set_title(textwrap.fill(conclusion, 14))
         axes.set_xlabel("difference\nin mean reward")
         axes.xaxis.set_major_locator(MaxNLocator(3))
         if usual is not None:

@@ -666,3 +666,19 @@ def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_
     assert Path("docs/results.md").read_text() == docs.results(gathered)
     assert Path("README.md").read_text() == f"# Title\n{BEGIN}\n{docs.summary(gathered)}\n{END}\nrest\n"
     assert docs.main(["nowhere"]) == 2
+
+
+def test_a_persons_flights_and_a_policy_from_elsewhere_are_rows_of_all_six_metrics_on_the_page_and_in_report_md(
+    results,
+):
+    flown = rows(0, (100, 100, 10, 0, 50, 400, -6.0), (200, 100, 0, 0, 10, 600, -4.0))
+    (results / "baselines").mkdir()
+    for who in ("human", "theirs-sampled"):
+        flown.to_parquet(results / "baselines" / f"{who}.parquet")
+    report([results])
+    text = (results / "report.md").read_text()
+    for who in ("human", "theirs-sampled"):
+        (row,) = found(text, who)
+        seeds, flights, cut, steps, *_, speed, reward = row
+        assert (seeds, flights, cut, steps, speed, reward) == ("1", "2", "0%", "100.0", "5.00", "−5.00")
+        assert f">{who}<" in (results / "report.html").read_text()

@@ -209,12 +209,14 @@ def markdown(content: Content) -> str:
         ]
         shown = [tables.markdown(tables.table(part, algorithm, ratio)) for ratio in (False, True)]
         sections.append({"name": algorithm, "usual": usual, "pictures": pictures, "tables": shown})
+    others = tables.baselines(content.baselines, studies.paper_cells(content.studies.main))
     text = _TEMPLATES.get_template("report.md").render(
         missing=content.missing,
         rule=conclusions.RULE,
         verdicts=tables.markdown(tables.overview(CLAIMS, content.audits, PRIMARY)),
         claims=_claims(content),
         sections=sections,
+        baselines=tables.markdown(others) if len(others) > 1 else "",
         facts=tables.facts([run for cell in content.cells for run in cell.runs]),
         runs=tables.markdown(tables.run_table(content.cells)),
         left_out=content.left_out,

@@ -305,8 +305,8 @@ def by_default(frame: pd.DataFrame) -> Rows:
 
 
 def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
-    """What needs no learning beside what was learned, on test sets: reward, steps, share of flights cut off."""
-    rows = [["who", "seeds", "flights", "cut off", "reward per flight", "steps per flight", "speed [px a step]"]]
+    """Scripts, people and policies from elsewhere beside the study's, on test sets: all metrics, share cut off."""
+    rows = [["who", "seeds", "flights", "cut off", *map(str, METRICS.values())]]
     learned = {name(*key): readings(cell)["sampled evaluation"] for key, cell in main.items()}
     for who, part in [*found.items(), *learned.items()]:
         ended = finished(part)
@@ -314,16 +314,15 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
             continue
         seeds = per_seed(ended, ratio_of_means=True)
         of_seeds = [flown for _, flown in ended.groupby("seed")]
-        estimated = {
-            column: stats.nested_interval({seed: flown[column].to_numpy() for seed, flown in enumerate(of_seeds)})
-            for column in ("reward", "steps")
-        } | {"speed": stats.interval(seeds["speed"].to_numpy())}
-        shown = [
-            with_interval(one.value, one.low, one.high, min(METRICS[metric].digits, 2))
-            for metric, one in estimated.items()
-        ]
-        cut = f"{ended['truncated'].mean():.0%}"
-        rows.append([who, str(len(seeds)), f"{len(ended):,}", cut, *shown])
+        shown = []
+        for key, metric in METRICS.items():
+            if metric.scale is None and metric.column in ended:
+                own = {seed: flown[metric.column].to_numpy() for seed, flown in enumerate(of_seeds)}
+                one = stats.nested_interval(own)
+            else:
+                one = stats.interval(seeds[key].to_numpy())
+            shown.append(with_interval(one.value, one.low, one.high, min(metric.digits, 2)))
+        rows.append([who, str(len(seeds)), f"{len(ended):,}", f"{ended['truncated'].mean():.0%}", *shown])
     return rows if found else rows[:1]
 
 

@@ -81,14 +81,11 @@ def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFra
     """
     ended = finished(episodes)
     ended = ended.assign(**{one.column: np.nan for one in METRICS.values() if one.column not in ended})
-    result = {}
-    for name, metric in METRICS.items():
-        if metric.scale is None:
-            result[name] = ended.groupby("seed")[metric.column].mean()
-        elif ratio_of_means:
-            sums = ended.groupby("seed")[[metric.column, "steps"]].sum(min_count=1)
-            result[name] = metric.scale * sums.iloc[:, 0] / sums.iloc[:, 1]
-        else:
-            ratio = metric.scale * ended[metric.column] / ended["steps"]
-            result[name] = ratio.groupby(ended["seed"]).mean()
-    return pd.DataFrame(result, columns=list(METRICS))
+    ratios = {name: metric.scale for name, metric in METRICS.items() if metric.scale is not None}
+    counted = pd.DataFrame({name: ended[metric.column] for name, metric in METRICS.items()})
+    if ratio_of_means:
+        seeds, steps = counted.groupby(ended["seed"]), ended.groupby("seed")["steps"].sum()
+        sums = seeds[list(ratios)].sum(min_count=1)
+        return seeds.mean().assign(**{name: scale * sums[name] / steps for name, scale in ratios.items()})
+    counted = counted.assign(**{name: scale * counted[name] / ended["steps"] for name, scale in ratios.items()})
+    return counted.groupby(ended["seed"]).mean()

@@ -207,7 +207,8 @@ def markdown(content: Content) -> str:
             for figure in content.figures
             if figure.name.startswith(f"curves-{algorithm}-")
         ]
-        shown = [tables.markdown(tables.table(part, algorithm, ratio)) for ratio in (False, True)]
+        found = tables.estimated(part)
+        shown = [tables.markdown(tables.table(found, algorithm, ratio)) for ratio in (False, True)]
         sections.append({"name": algorithm, "usual": usual, "pictures": pictures, "tables": shown})
     others = tables.baselines(content.baselines, studies.paper_cells(content.studies.main))
     text = _TEMPLATES.get_template("report.md").render(

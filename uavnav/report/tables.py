@@ -146,24 +146,28 @@ def latex(rows: Rows) -> str:
     return "\n".join([*body, r"\end{tabular}", ""])
 
 
-def table(cells: list[Cell], algorithm: str, ratio_of_means: bool) -> Rows:
+def estimated(cells: list[Cell]) -> list[tuple[Cell, pd.DataFrame]]:
+    """Every cell with its means and interquartile means."""
+    return [(cell, estimates(per_seed_values({(cell.algorithm, cell.activation): cell}))) for cell in cells]
+
+
+def table(cells: list[tuple[Cell, pd.DataFrame]], algorithm: str, ratio_of_means: bool) -> Rows:
     """A header and rows: for each activation the paper's, then every reading of each cell: means, interquartile means.
 
-    ratio_of_means: the ratios alone, as ratios of means (decision 13).
+    cells: `estimated`; ratio_of_means: the ratios alone, as ratios of means (decision 13).
     """
     metrics = [one for one, metric in METRICS.items() if metric.scale is not None or not ratio_of_means]
     rows = [["activation", "reading", "seeds", "episodes", "cut off", *(str(METRICS[one]) for one in metrics)]]
     of_paper = [activation for which, activation in paper.TABLES if which == algorithm]
     nothing = [NOTHING] * len(metrics)
-    for activation in dict.fromkeys([*of_paper, *(cell.activation for cell in cells)]):
-        ours = [cell for cell in cells if cell.activation == activation]
+    for activation in dict.fromkeys([*of_paper, *(cell.activation for cell, _ in cells)]):
+        ours = [(cell, found) for cell, found in cells if cell.activation == activation]
         if activation in of_paper:
             beside = _printed(algorithm, activation, metrics)
             rows.append([activation, "the paper", "1", NOTHING, NOTHING, *beside])
         if not ours:
             rows.append([activation, "missing: no finished run", "0", NOTHING, NOTHING, *nothing])
-        for cell in ours:
-            found = estimates(per_seed_values({(algorithm, activation): cell}))
+        for cell, found in ours:
             found = found[(found["ratio"] == "ratio of means") == ratio_of_means]
             for reading, part in readings(cell).items():
                 if part.empty:

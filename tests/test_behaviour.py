@@ -21,7 +21,7 @@ from uavnav.metrics import EPISODE_COLUMNS
 from uavnav.networks import mlp
 from uavnav.policies import FILE_NAME, PolicyError, serialize
 from uavnav.report import behaviour
-from uavnav.report.behaviour import EMPTY_ARENA, MEASURES, empty_arena, heat, measures, overestimation, read
+from uavnav.report.behaviour import EMPTY_ARENA, MEASURES, crew, empty_arena, heat, measures, overestimation, read
 from uavnav.runs import Run, RunError
 from uavnav.world import World
 
@@ -263,7 +263,7 @@ def write_run(path, seeds=(0,), algorithm="dqn", constant=None, **config):
 
 def test_at_the_centre_of_the_empty_arena_the_walls_are_280_px_away(tmp_path):
     run = write_run(tmp_path / "run", seeds=(4, 5), constant=[(STOP, 1.0)] * 2)
-    flown = empty_arena(run, mode="greedy", steps=10)
+    flown = empty_arena([crew(run, "greedy")], steps=10)[0]
     assert list(flown.columns) == [*BEHAVIOUR_COLUMNS, "mode"]
     assert flown.groupby(["seed", "layout"]).size().tolist() == [10] * 8
     assert sorted(flown["heading"].unique()) == [0, 90, 180, 270]
@@ -276,7 +276,7 @@ def test_at_the_centre_of_the_empty_arena_the_walls_are_280_px_away(tmp_path):
 
 
 def test_straight_flights_from_the_centre_end_at_the_four_walls(tmp_path):
-    flown = empty_arena(write_run(tmp_path / "run", constant=[(FULL_SPEED, 1.0)]), mode="greedy")
+    flown = empty_arena([crew(write_run(tmp_path / "run", constant=[(FULL_SPEED, 1.0)]), "greedy")])[0]
     assert flown.groupby("layout").size().tolist() == [39, 28, 39, 28]  # ceil(350 / 9), ceil(250 / 9)
     assert flown.groupby("layout")["clearance"].min().tolist() == [29, 28, 29, 28]
     assert heat(flown, WORLD).sum() == pytest.approx(1)
@@ -284,8 +284,10 @@ def test_straight_flights_from_the_centre_end_at_the_four_walls(tmp_path):
 
 @pytest.mark.parametrize(("algorithm", "mode"), [("ppo", "sampled"), ("dqn", "greedy"), ("dqn", "sampled")])
 def test_in_the_empty_arena_seeds_do_not_see_each_other(tmp_path, algorithm, mode):
-    both = empty_arena(write_run(tmp_path / "both", (4, 5), algorithm), mode, steps=40)
-    alone = empty_arena(write_run(tmp_path / "alone", (5,), algorithm), mode, steps=40)
+    other = write_run(tmp_path / "other", (4, 5, 6), "dqn")
+    two = write_run(tmp_path / "both", (4, 5), algorithm)
+    _, both = empty_arena([crew(other, "greedy"), crew(two, mode)], steps=40)
+    (alone,) = empty_arena([crew(write_run(tmp_path / "alone", (5,), algorithm), mode)], steps=40)
     pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), alone)
     assert both["mode"].unique() == [mode]
 
@@ -293,12 +295,12 @@ def test_in_the_empty_arena_seeds_do_not_see_each_other(tmp_path, algorithm, mod
 def test_an_unknown_mode_and_a_missing_policy_are_named(tmp_path):
     run = write_run(tmp_path / "run")
     with pytest.raises(ValueError, match="mode='best'; choose from greedy, sampled"):
-        empty_arena(run, mode="best")
+        crew(run, "best")
     with pytest.raises(ValueError, match="max_steps=0"):
-        empty_arena(run, steps=0)
+        empty_arena([crew(run, "greedy")], steps=0)
     (run.path / FILE_NAME).unlink()
     with pytest.raises(PolicyError, match=r"no policy\.safetensors there"):
-        empty_arena(run)
+        crew(run, "greedy")
 
 
 def test_overestimation_of_a_drone_that_stands_still_for_ever(tmp_path):

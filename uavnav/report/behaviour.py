@@ -7,7 +7,7 @@ walls), F flights of all seeds together, T steps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,30 +173,57 @@ def heat(table: pd.DataFrame, world: World, cell: int = 20) -> Array:
     return shares / max(len(np.unique(seeds)), 1)
 
 
-def empty_arena(run: Run, mode: str = "sampled", steps: int = 500) -> pd.DataFrame:
-    """Fly every seed of a run where there is no obstacle, from the centre: four flights a seed, by start heading.
+class Crew(NamedTuple):
+    """All seeds of a run in one mode."""
+
+    seeds: list[int]
+    mode: str
+    policies: list[policies.Policy]
+
+
+def crew(run: Run, mode: str) -> Crew:
+    """Load every seed of a run.
+
+    Raises:
+        PolicyError: the run's policy cannot be read.
+        ValueError: there is no such mode.
+    """
+    if mode not in MODES:
+        raise ValueError(f"mode={mode!r}; choose from {', '.join(MODES)}")
+    loaded = [policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds]
+    return Crew(run.seeds, mode, loaded)
+
+
+def empty_arena(crews: Sequence[Crew], steps: int = 500) -> list[pd.DataFrame]:
+    """Fly where there is no obstacle, from the centre: four flights a seed, by start heading.
 
     Flight 0 starts at a heading of 0 degrees, 1 at 90, 2 at 180 and 3 at 270; each ends at a collision or after `steps`
     steps. A seed's flights depend on its policy and a generator of its own alone.
 
     Returns:
-        A table of behaviour whose `layout` is the flight; `measures` takes it with the bank `EMPTY_ARENA`.
+        For each crew a table of behaviour, whose `layout` is the flight: for `measures` with the bank `EMPTY_ARENA`.
 
     Raises:
-        PolicyError: the run's policy cannot be read.
-        ValueError: there is no such mode, or steps is below 1.
+        ValueError: steps is below 1.
     """
-    if mode not in MODES:
-        raise ValueError(f"mode={mode!r}; choose from {', '.join(MODES)}")
-    seed = torch.tensor(run.seeds).repeat_interleave(len(HEADINGS))
-    parts: list[dict[str, Tensor]] = []
-    for one in _fly(run, mode, EMPTY_ARENA, torch.tensor(HEADINGS), steps):
-        fields = {name: getattr(one.state, name) for name in ("layout", "x", "y", "heading")}
-        counted = {"step": one.state.steps, "clearance": one.outcome.clearance, "action": one.action}
-        parts.append({"seed": seed[one.flight], **fields, **counted})
-    columns = {name: torch.cat([part[name] for part in parts]).numpy() for name in BEHAVIOUR_COLUMNS}
-    table = pd.DataFrame(columns).astype(BEHAVIOUR_COLUMNS).assign(mode=mode)
-    return table.sort_values([*FLIGHT, "step"], ignore_index=True)
+    tables: dict[int, pd.DataFrame] = {}
+    worlds = [(one.policies[0].world, one.policies[0].reward) for one in crews]
+    for world in dict.fromkeys(worlds):  # those of one world fly as one batch
+        places = [place for place, own in enumerate(worlds) if own == world]
+        together = [crews[place] for place in places]
+        number = torch.arange(len(together)).repeat_interleave(torch.tensor([len(one.seeds) for one in together]))
+        number = number.repeat_interleave(len(HEADINGS))
+        seed = torch.tensor([seed for one in together for seed in one.seeds]).repeat_interleave(len(HEADINGS))
+        parts: list[dict[str, Tensor]] = []
+        for one in _fly(together, EMPTY_ARENA, torch.tensor(HEADINGS), steps):
+            fields = {name: getattr(one.state, name) for name in ("layout", "x", "y", "heading")}
+            counted = {"step": one.state.steps, "clearance": one.outcome.clearance, "action": one.action}
+            parts.append({"crew": number[one.flight], "seed": seed[one.flight], **fields, **counted})
+        columns = {name: torch.cat([part[name] for part in parts]).numpy() for name in ("crew", *BEHAVIOUR_COLUMNS)}
+        for which, table in pd.DataFrame(columns).groupby("crew"):
+            rows = table.drop(columns="crew").astype(BEHAVIOUR_COLUMNS).assign(mode=together[int(str(which))].mode)
+            tables[places[int(str(which))]] = rows.sort_values([*FLIGHT, "step"], ignore_index=True)
+    return [tables[place] for place in range(len(crews))]
 
 
 def overestimation(run: Run, steps: int = 300, n_layouts: int = 20, tail: float = 0.01) -> pd.DataFrame:
@@ -231,7 +258,7 @@ def overestimation(run: Run, steps: int = 300, n_layouts: int = 20, tail: float 
     q, returned = (torch.zeros(limit, n_flights, dtype=torch.float64) for _ in range(2))
     flown = torch.zeros(limit, n_flights, dtype=torch.bool)
     collided = torch.zeros(n_flights, dtype=torch.bool)
-    for step, one in enumerate(_fly(run, "greedy", bank[:n_layouts], heading, limit)):
+    for step, one in enumerate(_fly([crew(run, "greedy")], bank[:n_layouts], heading, limit)):
         q[step, one.flight] = one.values.amax(-1).double()
         returned[step, one.flight] = one.outcome.reward
         flown[step, one.flight] = True
@@ -258,31 +285,33 @@ class _Step(NamedTuple):
     outcome: Outcome
 
 
-def _fly(run: Run, mode: str, bank: Tensor, heading: Tensor, steps: int) -> Iterator[_Step]:
-    """Fly every seed of a run on every set of a bank, in the world and by the reward that it was trained with.
+def _fly(crews: Sequence[Crew], bank: Tensor, heading: Tensor, steps: int) -> Iterator[_Step]:
+    """Fly every seed of some crews on every set of a bank, in the world and by the reward that they were trained with.
 
     bank [L, K, 3] px, heading [L] whole degrees. A flight ends at a collision or after so many steps. A seed's flights
     depend on its policy and a generator of its own alone.
 
     Raises:
-        PolicyError: the run's policy cannot be read.
         ValueError: steps is below 1.
     """
-    population = [policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds]
-    own = population[0]
+    own = crews[0].policies[0]
     simulator.check_rules(own.reward, steps)
-    weights = [policy.network.state_dict() for policy in population]
-    stacked = {name: torch.cat([one[name] for one in weights]) for name in weights[0]}  # along the agent axis
-    generators = [torch.Generator().manual_seed(seed) for seed in run.seeds]
-    layout = torch.arange(len(bank)).repeat(len(population))
+    stacked, sizes = [_stacked(one.policies) for one in crews], [len(one.seeds) for one in crews]
+    flyers = [policy for one in crews for policy in one.policies]
+    generators = [torch.Generator().manual_seed(seed) for one in crews for seed in one.seeds]
+    layout = torch.arange(len(bank)).repeat(len(flyers))
     state = simulator.start(layout, heading[layout], own.world)
     up = torch.ones(len(layout), dtype=torch.bool)
     with compiling.use_threads(1), torch.no_grad():
         observation, _ = simulator.observe(state, bank, own.world)
         while up.any():  # flights that have ended are flown on, and not told of
-            seen = observation.reshape(len(population), len(bank), -1)
-            values = torch.func.functional_call(own.network, stacked, (seen,))
-            chosen = zip(population, values, generators, strict=True)
+            seen = torch.split(observation.reshape(len(flyers), len(bank), -1), sizes)
+            parts = [
+                torch.func.functional_call(one.policies[0].network, weights, (part,))
+                for one, weights, part in zip(crews, stacked, seen, strict=True)
+            ]
+            values = torch.cat(parts)
+            chosen = zip(flyers, values, generators, strict=True)
             action = torch.cat([policy.act(own_values, generator) for policy, own_values, generator in chosen])
             state, outcome = simulator.step(state, action, bank, own.world, own.reward, steps)
             flight = up.nonzero()[:, 0]
@@ -295,6 +324,12 @@ def _fly(run: Run, mode: str, bank: Tensor, heading: Tensor, steps: int) -> Iter
             )
             up &= ~(outcome.terminated | outcome.truncated)
             observation = outcome.observation
+
+
+def _stacked(population: Sequence[policies.Policy]) -> dict[str, Tensor]:
+    """The weights of policies of one shape, along the agent axis."""
+    weights = [policy.network.state_dict() for policy in population]
+    return {name: torch.cat([one[name] for one in weights]) for name in weights[0]}
 
 
 def _tensor(column: pd.Series[Any], dtype: torch.dtype) -> Tensor:

@@ -117,33 +117,34 @@ def watch(all_cells: Studies) -> tuple[Flights, Flights, list[str]]:
 
     The main study's drones also fly where there is no obstacle: measures `empty_...`, and `layout` -1 of the flights.
     """
-    measured: Flights = {}
     tables: Flights = {}
+    crews: dict[tuple[str, str, str], list[behaviour.Crew]] = {}
     problems = []
-    world, bank = World(), layouts.load("test")
     for study in WATCHED:
         for key, cell in studies.paper_cells(all_cells.of(study)).items():
-            parts, empty = [], []
+            parts: list[pd.DataFrame] = []
+            loaded: list[behaviour.Crew] = []
             for run in cell.runs:
                 try:
                     table = behaviour.read(run)
                     if table is None:
                         continue
                     if study == "main":
-                        empty += [behaviour.empty_arena(run, mode) for mode in MODES]
+                        loaded += [behaviour.crew(run, mode) for mode in MODES]
                     parts.append(table)
                 except (RunError, PolicyError) as error:
                     problems.append(one_line(error))
-            if not parts:
-                continue
-            flown = pd.concat(parts, ignore_index=True)
-            measured[study, *key] = behaviour.measures(flown, bank, world)
-            if empty:
-                without = pd.concat(empty, ignore_index=True)
-                own = behaviour.measures(without, behaviour.EMPTY_ARENA, world).set_index(["mode", "seed"])
-                measured[study, *key] = measured[study, *key].join(own.add_prefix("empty_"), on=["mode", "seed"])
-                flown = pd.concat([flown, without.assign(layout=-1)], ignore_index=True)
-            tables[study, *key] = flown
+            if parts:
+                tables[study, *key], crews[study, *key] = pd.concat(parts, ignore_index=True), loaded
+    world, bank = World(), layouts.load("test")
+    measured = {key: behaviour.measures(table, bank, world) for key, table in tables.items()}
+    flown = iter(behaviour.empty_arena([one for loaded in crews.values() for one in loaded]))
+    for place, loaded in crews.items():
+        if loaded:
+            empty = pd.concat([next(flown) for _ in loaded], ignore_index=True)
+            own = behaviour.measures(empty, behaviour.EMPTY_ARENA, world).set_index(["mode", "seed"])
+            measured[place] = measured[place].join(own.add_prefix("empty_"), on=["mode", "seed"])
+            tables[place] = pd.concat([tables[place], empty.assign(layout=-1)], ignore_index=True)
     return measured, tables, problems
 
 

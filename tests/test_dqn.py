@@ -629,9 +629,10 @@ def test_a_compiled_run_equals_an_eager_one_to_rounding(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.compiled
-def test_a_second_compiled_run_of_another_shape_forgets_the_graphs_of_the_first(tmp_path, monkeypatch):
+def test_a_second_compiled_run_of_another_shape_forgets_the_graphs_of_the_first(tmp_path):
     """Dynamo refuses more than so many graphs of one function: a notebook's tenth run would fail."""
-    monkeypatch.setattr(torch._dynamo.config, "recompile_limit", 1)
     for n_worlds in (16, 32):
         config = DQNConfig(n_worlds=n_worlds, total_frames=128, learning_starts=32, compile="on")
-        assert train(config, out=tmp_path / str(n_worlds), quiet=True, processes=1).meta["compiled"]
+        with torch._dynamo.config.patch(recompile_limit=1):
+            run = train(config, out=tmp_path / str(n_worlds), quiet=True, processes=1)
+        assert run.meta["compiled"]

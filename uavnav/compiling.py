@@ -24,8 +24,6 @@ FLIGHTS_PAY_FROM = 10_000_000
 """Steps of all drones of an evaluation, if none ended, from which compilation is paid back."""
 EAGER = "runs without compilation, several times slower"
 """Begins the warning where `compile=auto` finds no compiler."""
-EAGER = "runs without compilation, several times slower"
-"""Begins the warning where `compile=auto` finds no compiler."""
 
 
 def decide(config: TrainConfig) -> bool:

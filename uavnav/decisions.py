@@ -114,7 +114,7 @@ DECISIONS = (
         "hyper-parameters",
         "Stable-Baselines3's defaults of the paper's time",
         "the paper names the library and no values",
-        "`preset=paper`; also `paper-2.3` for DQN, and our own `fast` for PPO",
+        "`preset=paper`; also `paper-2.3` for DQN, and our own `fast`",
     ),
     Decision(
         "15",

@@ -134,25 +134,15 @@ class Finding(NamedTuple):
 
 def ppo_outperforms_dqn(evidence: Evidence) -> list[Part]:
     """1. Means over the four activations; and PPO's worst cell against DQN's best."""
+    gaps = {
+        "PPO better than DQN, means of four activations": _gap,
+        "PPO's worst activation better than DQN's best": _worst_best,
+    }
     parts = []
-    for name, metric in SIX.items():
-        samples = [evidence(one, activation, name) for one in ALGORITHMS for activation in ACTIVATIONS]
-        parts.append(
-            Part(
-                f"{metric}: PPO better than DQN, means of four activations",
-                samples,
-                _gap(metric.better),
-            )
-        )
-    for name, metric in SIX.items():
-        samples = [evidence(one, activation, name) for one in ALGORITHMS for activation in ACTIVATIONS]
-        parts.append(
-            Part(
-                f"{metric}: PPO's worst activation better than DQN's best",
-                samples,
-                _worst_best(metric.better),
-            )
-        )
+    for text, gap in gaps.items():
+        for name, metric in SIX.items():
+            samples = [evidence(one, activation, name) for one in ALGORITHMS for activation in ACTIVATIONS]
+            parts.append(Part(f"{metric}: {text}", samples, gap(metric.better)))
     return parts
 
 

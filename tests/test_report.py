@@ -680,5 +680,5 @@ def test_a_persons_flights_and_a_policy_from_elsewhere_are_rows_of_all_six_metri
     for who in ("human", "theirs-sampled"):
         (row,) = found(text, who)
         seeds, flights, cut, steps, *_, speed, reward = row
-        assert (seeds, flights, cut, steps, speed, reward) == ("1", "2", "0%", "100.0", "5.00", "−5.00")
+        assert (seeds, flights, cut, steps, speed, reward) == ("1", "2", "0.0%", "100.0", "5.00", "−5.00")
         assert f">{who}<" in (results / "report.html").read_text()

@@ -222,7 +222,6 @@ def markdown(content: Content) -> str:
         runs=tables.markdown(tables.run_table(content.cells)),
         left_out=content.left_out,
         last=LAST,
-        cap=f"{frames.CAP:,}",
         bins=BINS,
     )
     return text.strip() + "\n"

@@ -14,6 +14,7 @@ Letters: R rows, one a flight, T steps of a flight, K obstacles of a set.
 from __future__ import annotations
 
 import base64
+import itertools
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
@@ -66,7 +67,7 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
     """Fly the first seeds of each cell, as in training, on the first sets of obstacles of the test bank.
 
     Args:
-        cells: whose policies fly; those of one cell as one batch.
+        cells: whose policies fly; those of one world as one batch.
         n_seeds: seeds a cell, the lowest that can be loaded.
         n_layouts: sets of obstacles.
         max_steps: a flight that lasts so long is cut off.
@@ -85,17 +86,19 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
         counts = f"n_seeds={n_seeds}, n_layouts={n_layouts}, max_steps={max_steps}"
         raise ValueError(f"{counts}; give whole numbers from 1, and at most {len(bank)} layouts")
     bank = bank[:n_layouts]
-    shown: list[dict[str, Any]] = []
+    ready: list[tuple[Cell, dict[int, Policy]]] = []
     left_out: list[str] = []
+    for cell in cells:
+        population, problems = _load(cell, n_seeds)
+        left_out += problems
+        ready += [(cell, population)] if population else []
     with compiling.use_threads(1):
-        for cell in cells:
-            population, problems = _load(cell, n_seeds)
-            left_out += problems
-            if population:
-                values = VALUES[next(iter(population.values())).algorithm]
-                flights = [_pack(flight) for flight in fly(population, bank, max_steps)]
-                name = {"algorithm": cell.algorithm, "label": cell.label or cell.activation}
-                shown.append(name | {"values": values, "flights": flights})
+        flown = fly([population for _, population in ready], bank, max_steps)
+    shown = []
+    for (cell, population), flights in zip(ready, flown, strict=True):
+        values = VALUES[next(iter(population.values())).algorithm]
+        name = {"algorithm": cell.algorithm, "label": cell.label or cell.activation}
+        shown.append(name | {"values": values, "flights": [_pack(flight) for flight in flights]})
     angle, distance = decode(torch.arange(world.n_actions), world)
     columns = {"value": world.n_actions} | dict.fromkeys(("right", "forward", "proximity"), world.n_slots)
     return {
@@ -132,32 +135,44 @@ class Flight(NamedTuple):
     choices: Columns  # T rows: action, and values [T, 100], the numbers behind it
 
 
-def fly(population: dict[int, Policy], bank: Tensor, max_steps: int) -> list[Flight]:
-    """A flight for each seed and set of obstacles, all in one batch: bank [L, K, 3] px.
+def fly(populations: Sequence[dict[int, Policy]], bank: Tensor, max_steps: int) -> list[list[Flight]]:
+    """For each population, seed -> policy, a flight of each seed on each set of obstacles: bank [L, K, 3] px.
 
     As in `uavnav.evaluate`, a seed's flights depend on its policy and on a generator of its own, and on no other seed.
     """
-    first = next(iter(population.values()))
+    worlds = [(one.world, one.reward) for one in (next(iter(population.values())) for population in populations)]
+    found: dict[int, list[Flight]] = {}
+    for world in dict.fromkeys(worlds):
+        places = [place for place, own in enumerate(worlds) if own == world]
+        flights = iter(_fly_together([one for place in places for one in populations[place].items()], bank, max_steps))
+        for place in places:
+            found[place] = list(itertools.islice(flights, len(populations[place]) * len(bank)))
+    return [found[place] for place in range(len(populations))]
+
+
+def _fly_together(flyers: Sequence[tuple[int, Policy]], bank: Tensor, max_steps: int) -> list[Flight]:
+    """All flights of some seeds and their policies, of one world, as one batch."""
+    first = flyers[0][1]
     world, reward = first.world, first.reward
-    generators = {seed: torch.Generator().manual_seed(seed) for seed in population}
-    layout = torch.arange(len(bank)).repeat(len(population))
-    seed = torch.tensor(list(population)).repeat_interleave(len(bank))
-    row = torch.arange(len(seed))
+    generators = [torch.Generator().manual_seed(seed) for seed, _ in flyers]
+    layout = torch.arange(len(bank)).repeat(len(flyers))
+    flyer = torch.arange(len(flyers)).repeat_interleave(len(bank))
+    row = torch.arange(len(flyer))
     heading = torch.full((len(bank),), UP)
     if world.start_heading == "random":  # that of the set of obstacles, the same for every policy
         heading = torch.randint(360, (len(bank),), generator=stream(0, "headings in evaluation"))
-    state = simulator.start(layout, heading.repeat(len(population)), world)
+    state = simulator.start(layout, heading.repeat(len(flyers)), world)
     observation, clearance = simulator.observe(state, bank, world)
     collided = torch.zeros(len(row), dtype=torch.bool)
     poses, choices = [_pose(row, state, observation, clearance)], []
     flying = row
     while len(flying):
         chosen = []
-        for one, policy in population.items():
-            seen = observation[seed[flying] == one]
+        for place, (_, policy) in enumerate(flyers):
+            seen = observation[flyer[flying] == place]
             if len(seen):
                 values = policy.values(seen)
-                action = policy.act(values, generators[one])
+                action = policy.act(values, generators[place])
                 chosen.append({"action": action, "values": values.softmax(-1) if policy.algorithm == "ppo" else values})
         choices.append({"row": flying} | _joined(chosen))
         state, outcome = simulator.step(state, choices[-1]["action"], bank, world, reward, max_steps)
@@ -165,8 +180,9 @@ def fly(population: dict[int, Policy], bank: Tensor, max_steps: int) -> list[Fli
         collided[flying] = outcome.terminated
         on = ~(outcome.terminated | outcome.truncated)
         flying, state, observation = flying[on], State(*(field[on] for field in state)), outcome.observation[on]
+    seeds = [seed for seed, _ in flyers for _ in range(len(bank))]
     seen_by, done_by = _split(_joined(poses), len(row)), _split(_joined(choices), len(row))
-    rows = zip(seed.tolist(), layout.tolist(), collided.tolist(), seen_by, done_by, strict=True)
+    rows = zip(seeds, layout.tolist(), collided.tolist(), seen_by, done_by, strict=True)
     return [Flight(*parts) for parts in rows]
 
 

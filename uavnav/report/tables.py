@@ -326,7 +326,7 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
             else:
                 one = stats.interval(seeds[key].to_numpy())
             shown.append(with_interval(one.value, one.low, one.high, min(metric.digits, 2)))
-        rows.append([who, str(len(seeds)), f"{len(ended):,}", f"{ended['truncated'].mean():.0%}", *shown])
+        rows.append([who, *_counts(ended), *shown])
     return rows if found else rows[:1]
 
 

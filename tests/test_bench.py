@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
+from uavnav import DroneEnv
 from uavnav.bench import __main__ as bench
 from uavnav.bench import growth, jobs, parity, peers
 from uavnav.bench import report as bench_report
@@ -166,15 +168,28 @@ def test_numbers_have_three_digits_that_count(value, text):
 # -- parity -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_curve_is_the_mean_reward_by_stretch_and_a_line_over_stretches_in_which_no_episode_ends():
-    episodes = pd.DataFrame({"frame": [1, 10, 11, 31, 40, 41], "reward": [-8.0, -4.0, 0.0, 6.0, 6.0, 99.0]})
-    assert parity.curve(episodes, 40, bins=4).tolist() == [-6, 0, 3, 6]
-    with pytest.raises(ValueError, match="no episode"):
-        parity.curve(episodes[:0], 40)
+def test_a_curve_spreads_each_flights_reward_over_the_frames_that_it_took():
+    flights = pd.DataFrame({"frame": [10, 40, 40, 44], "steps": [5, 15, 20, 2], "reward": [-10.0, 30.0, 40.0, 99.0]})
+    # two worlds: frames 0 to 10 and 10 to 40 in one, 0 to 40 in the other, and 40 to 44 after the last stretch
+    assert parity.curve(flights, 40, n_worlds=2, bins=4).tolist() == pytest.approx([0, 2, 2, 2])
+    assert parity.curve(flights, 40, n_worlds=2, bins=1).tolist() == pytest.approx([60 / 40])
 
 
-def test_the_area_of_a_curve_from_minus_10_to_10_is_10():
-    assert parity.areas(np.array([[-10.0, 0.0, 10.0], [-10.0, -10.0, -10.0]])).tolist() == [10, 0]
+@pytest.mark.parametrize("n_worlds", [1, 7])
+def test_the_area_of_flights_that_fill_all_frames_is_their_reward_a_frame_above_what_random_actions_earn(n_worlds):
+    rng = np.random.default_rng(n_worlds)
+    steps = [rng.permutation([1, 2, 3, 30, 64]) for _ in range(n_worlds)]
+    ends = np.concatenate([np.cumsum(one) * n_worlds for one in steps])
+    flights = pd.DataFrame({"frame": ends, "steps": np.concatenate(steps), "reward": rng.normal(size=5 * n_worlds)})
+    (area,) = parity.areas(parity.curve(flights, 100 * n_worlds, n_worlds)[None])
+    assert area == pytest.approx(flights.reward.sum() / (100 * n_worlds) - parity.FLOOR)
+
+
+def test_a_frame_of_random_actions_earns_minus_0_23():
+    env = DroneEnv([256], seeds=0)
+    torch.manual_seed(0)  # for the actions
+    reward = env.rollout(500, break_when_any_done=False)["next", "reward"]
+    assert float(reward.mean()) == pytest.approx(parity.FLOOR, abs=0.01)
 
 
 def test_the_interval_of_a_ratio_is_a_point_without_spread_and_covers_1_in_about_90_percent_of_200_draws():
@@ -198,14 +213,15 @@ def keep_curves(store, cell, arm, seeds, level):
     for seed in range(seeds):
         path = store.path(cell, arm, seed)
         path.parent.mkdir(parents=True, exist_ok=True)
-        frames = np.arange(100, store.frames + 1, 100)
-        pd.DataFrame({"frame": frames, "reward": level + 0.01 * seed + 0.0 * frames}).to_parquet(path)
+        frames = np.arange(100, store.frames + 1, 100)  # one after the other, each of 100 frames, as in one world
+        flights = {"frame": frames, "steps": 100 / arm.n_worlds, "reward": 100 * (level + 0.002 * seed)}
+        pd.DataFrame(flights).to_parquet(path)
 
 
 def test_parity_runs_what_is_missing_ours_and_dqn_first_and_at_most_12_seeds_a_process(tmp_path):
     store, ppo, dqn = parity.Store(tmp_path, 10_000), parity.Cell("ppo", "tanh"), parity.Cell("dqn", "tanh")
     seeds, worlds = {ppo: (3, 2, 1, 1), dqn: (14, 1, 0, 0)}, {"ppo": 16, "dqn": 64}
-    keep_curves(store, ppo, parity.Arm("uavnav", 16), 2, level=-4)
+    keep_curves(store, ppo, parity.Arm("uavnav", 16), 2, level=-0.03)
     todo = store.jobs(list(seeds), worlds, seeds)
     assert [title for title, _, _ in todo] == [
         "dqn tanh, uavnav, 64 worlds, seeds 0 to 11",
@@ -225,29 +241,31 @@ def test_parity_runs_what_is_missing_ours_and_dqn_first_and_at_most_12_seeds_a_p
 def test_parity_compares_like_with_like_and_the_preset_as_it_is_with_sb3_in_one_world(tmp_path):
     store, cells, worlds = parity.Store(tmp_path, 10_000), parity.CELLS[:1], {"ppo": 16, "dqn": 64}
     mine, theirs, mine_alone, theirs_alone = parity.arms(16)
-    keep_curves(store, cells[0], mine, 2, level=-4)
-    keep_curves(store, cells[0], theirs, 2, level=-4)
-    keep_curves(store, cells[0], mine_alone, 3, level=-1)
-    keep_curves(store, cells[0], theirs_alone, 1, level=-7)
+    keep_curves(store, cells[0], mine, 2, level=-0.03)
+    keep_curves(store, cells[0], theirs, 2, level=-0.03)
+    keep_curves(store, cells[0], mine_alone, 3, level=0.07)
+    keep_curves(store, cells[0], theirs_alone, 1, level=-0.13)
     text = "\n".join(parity.section(store, worlds, "x.png", cells))
-    assert "| PPO tanh | 1 | 9.01 ± 0.01 (3) | - (1) | - | not enough seeds yet |" in text
-    keep_curves(store, cells[0], theirs_alone, 2, level=-7)
+    assert "| PPO tanh | 1 | 0.302 ± 0.002 (3) | - (1) | - | not enough seeds yet |" in text
+    keep_curves(store, cells[0], theirs_alone, 2, level=-0.13)
+    keep_curves(store, parity.Cell("dqn", "tanh"), parity.Arm("uavnav", 64), 2, level=-0.18)
     text = "\n".join(parity.section(store, worlds, "x.png", cells))
-    assert "| PPO tanh | 16 | 6.01 ± 0.01 (2) | 6.01 ± 0.01 (2) | 1.00 (1.00 ... 1.00) | equal |" in text
-    assert "| PPO tanh | 1 | 9.01 ± 0.01 (3) | 3.00 ± 0.01 (2) | 3.00 (" in text
-    assert "| PPO tanh | uavnav, 16 worlds | SB3, 1 world | 2.00 (" in text
+    assert "| PPO tanh | 16 | 0.201 ± 0.001 (2) | 0.201 ± 0.001 (2) | 1.00 (0.99 ... 1.01) | equal |" in text
+    assert "| PPO tanh | 1 | 0.302 ± 0.002 (3) | 0.101 ± 0.001 (2) | 2.99 (" in text
+    assert "| PPO tanh | uavnav, 16 worlds | SB3, 1 world | 1.99 (" in text
     assert "| PPO tanh | uavnav, 16 worlds | uavnav, 1 world | 0.67 (" in text
-    assert "| PPO tanh | SB3, 16 worlds | SB3, 1 world | 2.00 (" in text
-    assert text.count("| different |") == 4
+    assert "| PPO tanh | SB3, 16 worlds | SB3, 1 world | 1.99 (" in text
+    assert "| tanh | DQN, uavnav, 64 worlds | PPO, uavnav, 16 worlds | 0.25 (" in text
+    assert text.count("| different |") == 5
     (panel,) = parity.draw(store, worlds, cells).axes
-    assert len(panel.lines) == 4
+    assert len(panel.lines) == 5  # and what random actions earn
     assert panel.get_xlabel() == "frames per seed [thousand]"
 
 
 def test_seeds_are_printed_with_the_day_and_commit_on_which_they_were_run(tmp_path):
     store, cells, worlds = parity.Store(tmp_path, 10_000), parity.CELLS[:1], {"ppo": 16, "dqn": 64}
     mine, theirs, *_ = parity.arms(16)
-    keep_curves(store, cells[0], mine, 2, level=-4)
+    keep_curves(store, cells[0], mine, 2, level=-0.03)
     os.utime(store.path(cells[0], mine, 0), (0, 0))
     os.utime(store.path(cells[0], mine, 1), (0, 0))
     jobs._keep(pd.read_parquet(store.path(cells[0], mine, 0)), str(store.path(cells[0], theirs, 0)))
@@ -415,7 +433,7 @@ def stubs(monkeypatch, tmp_path):
         return stubbed(one)
 
     def train(store, worlds, cache, say, seeds, at_once):
-        keep_curves(store, parity.CELLS[0], parity.Arm("uavnav", worlds["ppo"]), 2, level=-4)
+        keep_curves(store, parity.CELLS[0], parity.Arm("uavnav", worlds["ppo"]), 2, level=-0.03)
         return ["ppo tanh, SB3: failed"]
 
     monkeypatch.chdir(tmp_path)

@@ -584,40 +584,40 @@ def cleanrl(
 
 
 def curves_ours(launched: float, algorithm: str, seeds: list[int], paths: list[str], **settings: Any) -> Result:
-    """Train seeds side by side, and keep the frame and reward of each one's episodes as Parquet."""
-    from uavnav.metrics import finished
-
+    """Train seeds side by side, and keep the frame, steps and reward of each one's flights as Parquet."""
     config = _config(algorithm, settings | {"seed": seeds[0], "n_seeds": len(seeds)})
     with tempfile.TemporaryDirectory() as scratch:
-        episodes = finished(_train(algorithm, config, f"{scratch}/run").episodes)
+        episodes = _train(algorithm, config, f"{scratch}/run").episodes
     for seed, path in zip(seeds, paths, strict=True):
-        _keep(episodes.loc[episodes.seed == seed, ["frame", "reward"]], path)
+        _keep(episodes.loc[episodes.seed == seed, ["frame", "steps", "reward"]], path)
     return {"seconds": time.time() - launched}
 
 
 def curves_sb3(
     launched: float, algorithm: str, activation: str, seed: int, n_envs: int, frames: int, path: str
 ) -> Result:
-    """Train one seed of Stable-Baselines3, in n_envs parallel worlds, and keep its episodes as Parquet."""
+    """Train one seed of Stable-Baselines3, in n_envs parallel worlds, and keep its flights as Parquet."""
     from stable_baselines3.common.callbacks import BaseCallback
 
     from uavnav.sb3 import DroneVecEnv
 
-    episodes: list[tuple[int, float]] = []
-    sums = np.zeros(n_envs)
+    flights: list[tuple[int, int, float]] = []
+    steps, sums = np.zeros(n_envs, int), np.zeros(n_envs)
 
     class Watch(BaseCallback):  # type: ignore[misc]
         def _on_step(self) -> bool:
+            steps[:] += 1
             sums[:] += self.locals["rewards"]
             for row in np.flatnonzero(self.locals["dones"]):
-                episodes.append((self.num_timesteps, float(sums[row])))
-                sums[row] = 0
+                flights.append((self.num_timesteps, int(steps[row]), float(sums[row])))
+                steps[row] = sums[row] = 0
             return True
 
     env = DroneVecEnv(n_envs, seed=seed) if n_envs > 1 else _make_env("numpy")
     model = make_sb3("stable_baselines3", algorithm, env, seed, n_envs, activation=activation)
     model.learn(frames, Watch())
-    _keep(pd.DataFrame(episodes, columns=["frame", "reward"]).astype({"frame": "int64", "reward": "float64"}), path)
+    flights += [(model.num_timesteps, int(steps[row]), float(sums[row])) for row in np.flatnonzero(steps)]  # still open
+    _keep(pd.DataFrame(flights, columns=["frame", "steps", "reward"]), path)
     return {"seconds": time.time() - launched}
 
 

@@ -75,7 +75,7 @@ def collected(env, actor, n_steps):
     """A rollout [A, W, T] by the calls that a collector makes; TorchRL's own asks `meta` for numbers."""
     now, steps = env.root(), []
     for _ in range(n_steps):
-        step, now = env.step_and_maybe_reset(now.set("action", actor(now["observation"])))
+        step, now = env.step_and_maybe_reset(actor(now))
         steps.append(step)
     return torch.stack(steps, 2)
 

@@ -264,7 +264,7 @@ WATCHED = DQNConfig(
 def watch(config, folder):
     """A run, its buffer, and what each step saw of it: epsilon, minibatches [A, N] and what they were learned with."""
     seen = SimpleNamespace(epsilons=[], minibatches=[], losses=[], learned=[])
-    step, act, checkpoint = Learner.step, ExploringPolicy.forward, Recorder.checkpoint
+    step, act, checkpoint = Learner.step, ExploringPolicy.act, Recorder.checkpoint
 
     def watch_buffer(sampler, config, total):
         seen.buffer = make_buffer(sampler, config, total)
@@ -287,7 +287,7 @@ def watch(config, folder):
         patch.setattr("uavnav.dqn.make_buffer", watch_buffer)
         patch.setattr("uavnav.dqn.LOG_FRAMES", 32)
         patch.setattr(Learner, "step", watch_step)
-        patch.setattr(ExploringPolicy, "forward", watch_act)
+        patch.setattr(ExploringPolicy, "act", watch_act)
         patch.setattr(Recorder, "checkpoint", watch_checkpoint)
         seen.run = train(config, out=folder, quiet=True)
     return seen
@@ -538,8 +538,8 @@ def test_explored_actions_of_a_seed_do_not_depend_on_the_other_seeds():
     for epsilon in (1.0, 0.5, 0.0):
         among.epsilon.fill_(epsilon)
         alone.epsilon.fill_(epsilon)
-        actions = among(observation)
-        assert torch.equal(actions[2], alone(observation[2:])[0])
+        actions = among.act(observation)
+        assert torch.equal(actions[2], alone.act(observation[2:])[0])
         if epsilon == 1.0:
             assert len(actions.unique(dim=0)) == 3
 

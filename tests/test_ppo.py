@@ -164,7 +164,7 @@ def test_collected_actions_of_a_seed_do_not_depend_on_the_other_seeds():
     among = SampledPolicy(make_networks(many)[0], many, compile=False)
     alone = SampledPolicy(make_networks(one)[0], one, compile=False)
     for _ in range(5):
-        assert torch.equal(among(observation)[2], alone(observation[2:])[0])
+        assert torch.equal(among.act(observation)[2], alone.act(observation[2:])[0])
 
 
 def test_100_000_collected_actions_of_2_seeds_follow_the_same_softmax_and_are_not_the_same():
@@ -173,7 +173,7 @@ def test_100_000_collected_actions_of_2_seeds_follow_the_same_softmax_and_are_no
     logits = torch.linspace(-3, 3, 100)
     policy[-1].weight.data.zero_()
     policy[-1].bias.data.copy_(logits.expand(2, 1, 100))
-    actions = SampledPolicy(policy, config, compile=False)(torch.rand(2, 100_000, 30))
+    actions = SampledPolicy(policy, config, compile=False).act(torch.rand(2, 100_000, 30))
     for drawn in actions:
         shares = torch.bincount(drawn, minlength=100) / 100_000
         assert (shares - logits.softmax(0)).abs().max() < 0.004

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, ReplayBuffer
@@ -141,22 +141,31 @@ def make_network(config: DQNConfig) -> nn.Sequential:
     return mlp([inputs, *config.hidden, outputs], config.activation, generators, config.init)
 
 
-class ExploringPolicy(nn.Module):
+class ExploringPolicy(TensorDictModuleBase):  # type: ignore[misc]
     """Acts in training: observation [A, W, 30] -> action [A, W], epsilon-greedy, each agent's from its own stream."""
+
+    in_keys: ClassVar[list[str]] = ["observation"]
+    out_keys: ClassVar[list[str]] = ["action"]
 
     def __init__(self, network: nn.Module, config: DQNConfig, compile: bool) -> None:
         super().__init__()
         self.network = network
         self.streams = Streams(config.seeds, "actions")
         self.epsilon = torch.tensor(config.epsilon(0), device=config.device)
-        self._choose = torch.compile(self._act, dynamic=False, fullgraph=True) if compile else self._act
+        self._choose = torch.compile(self.choose, dynamic=False, fullgraph=True) if compile else self.choose
 
-    def _act(self, observation: Tensor, coin: Tensor, choice: Tensor, epsilon: Tensor) -> Tensor:
+    def choose(self, observation: Tensor, coin: Tensor, choice: Tensor, epsilon: Tensor) -> Tensor:
+        """Actions from uniform numbers [A, W], twice."""
         return epsilon_greedy(self.network(observation), epsilon, coin, choice)
 
-    def forward(self, observation: Tensor) -> Tensor:
+    def act(self, observation: Tensor) -> Tensor:
+        """Actions from the streams' next numbers."""
         uniform = self.streams.draw(torch.rand, 2, observation.shape[1], device=observation.device)
         return self._choose(observation, uniform[:, 0], uniform[:, 1], self.epsilon)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """As a collector calls it; a TensorDictModule around `act` would cost it half as much again."""
+        return tensordict.set("action", self.act(tensordict.get("observation")))
 
 
 def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
@@ -283,7 +292,7 @@ def train(
     policy = ExploringPolicy(network, config, compile)
     collector = Collector(
         env,
-        TensorDictModule(policy, in_keys=["observation"], out_keys=["action"]),
+        policy,
         frames_per_batch=config.n_seeds * config.n_worlds,
         total_frames=-1,
         auto_register_policy_transforms=False,

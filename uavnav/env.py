@@ -165,15 +165,15 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             raise ValueError(f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}")
         self.state, outcome = simulator.step(self.state, action, self.bank, self.world, self.reward, self.max_steps)
         self._observation = outcome.observation
-        return self._next(outcome, self.state)
+        return self._tensordict(_leaves(outcome), self.state)
 
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
-        final, outcome, self.state, self._observation = self._advance(
-            self.state, tensordict["action"], self._draw_headings(), self.bank, self._first_observations
+        found, final, self.state, self._observation = self._advance(
+            self.state, tensordict.get("action"), self._draw_headings(), self.bank, self._first_observations
         )
-        tensordict.set("next", self._next(outcome, final))
+        tensordict.set("next", self._tensordict(found, final))
         return tensordict, self.root()
 
     def compile(self, **kwargs: Any) -> DroneEnv:
@@ -188,7 +188,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     def _advance_rows(
         self, state: State, action: Tensor, heading: Tensor, bank: Tensor, first_observations: Tensor | None
-    ) -> tuple[State, simulator.Outcome, State, Tensor]:
+    ) -> tuple[dict[str, Tensor], State, State, Tensor]:
         final, outcome = simulator.step(state, action, bank, self.world, self.reward, self.max_steps)
         done = outcome.terminated | outcome.truncated
         fresh = simulator.start((final.layout + 1) % bank.shape[0], heading, self.world)
@@ -197,41 +197,30 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             observation, _ = simulator.observe(state, bank, self.world)
         else:
             observation = torch.where(done[..., None], first_observations[fresh.layout], outcome.observation)
-        return final, outcome, state, observation
-
-    def _next(self, outcome: simulator.Outcome, final: State) -> TensorDict:
-        terminated, truncated = outcome.terminated[..., None], outcome.truncated[..., None]
-        return TensorDict(
-            {
-                "observation": outcome.observation,
-                "reward": outcome.reward[..., None].float(),
-                "done": terminated | truncated,
-                "terminated": terminated,
-                "truncated": truncated,
-                "episode": self._episode(final),
-            },
-            batch_size=self.batch_size,
-            device=self.device,
-        )
+        return _leaves(outcome), final, state, observation
 
     def root(self) -> TensorDict:
         """What the next step starts from: the observation, flags and counts of now."""
-        return TensorDict(
-            {
-                "observation": self._observation,
-                "done": self._never,
-                "terminated": self._never,
-                "truncated": self._never,
-                "episode": self._episode(self.state),
-            },
-            batch_size=self.batch_size,
-            device=self.device,
-        )
+        flags = dict.fromkeys(("done", "terminated", "truncated"), self._never)
+        return self._tensordict({"observation": self._observation, **flags}, self.state)
 
-    def _episode(self, state: State) -> TensorDict:
-        return TensorDict(
-            {name: getattr(state, name) for name in ("layout", *COUNTS)}, batch_size=self.batch_size, device=self.device
-        )
+    def _tensordict(self, leaves: dict[str, Tensor], state: State) -> TensorDict:
+        """Made as TorchRL's own environments make theirs, without checks, which would cost more than a small step."""
+        where: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
+        counts = {name: getattr(state, name) for name in ("layout", *COUNTS)}
+        return TensorDict._new_unsafe({**leaves, "episode": TensorDict._new_unsafe(counts, **where)}, **where)
+
+
+def _leaves(outcome: simulator.Outcome) -> dict[str, Tensor]:
+    """What TorchRL wants to know of a step, in its shapes and types."""
+    terminated, truncated = outcome.terminated[..., None], outcome.truncated[..., None]
+    return {
+        "observation": outcome.observation,
+        "reward": outcome.reward[..., None].float(),
+        "done": terminated | truncated,
+        "terminated": terminated,
+        "truncated": truncated,
+    }
 
 
 def make_env(config: TrainConfig, compile: bool) -> DroneEnv:

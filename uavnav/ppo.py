@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torch.distributions import Categorical
 from torchrl.collectors import Collector
@@ -96,21 +96,30 @@ def make_networks(config: PPOConfig) -> tuple[nn.Sequential, nn.Sequential]:
     )
 
 
-class SampledPolicy(nn.Module):
+class SampledPolicy(TensorDictModuleBase):  # type: ignore[misc]
     """Acts in training: observation [A, W, 30] -> action [A, W], each agent's from its own stream."""
+
+    in_keys: ClassVar[list[str]] = ["observation"]
+    out_keys: ClassVar[list[str]] = ["action"]
 
     def __init__(self, network: nn.Module, config: PPOConfig, compile: bool) -> None:
         super().__init__()
         self.network = network
         self.streams = Streams(config.seeds, "actions")
-        self._sample = torch.compile(self._act, dynamic=False, fullgraph=True) if compile else self._act
+        self._choose = torch.compile(self.choose, dynamic=False, fullgraph=True) if compile else self.choose
 
-    def _act(self, observation: Tensor, uniform: Tensor) -> Tensor:
+    def choose(self, observation: Tensor, uniform: Tensor) -> Tensor:
+        """Actions from uniform numbers [A, W]."""
         return sample_categorical(self.network(observation), uniform)
 
-    def forward(self, observation: Tensor) -> Tensor:
+    def act(self, observation: Tensor) -> Tensor:
+        """Actions from the streams' next numbers."""
         uniform = self.streams.draw(torch.rand, observation.shape[1], device=observation.device)
-        return self._sample(observation, uniform)
+        return self._choose(observation, uniform)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """As a collector calls it; a TensorDictModule around `act` would cost it half as much again."""
+        return tensordict.set("action", self.act(tensordict.get("observation")))
 
 
 def make_loss(policy: nn.Module, value: nn.Module, config: PPOConfig) -> ClipPPOLoss:
@@ -237,7 +246,7 @@ def train(
     actor = SampledPolicy(policy, config, compile)
     collector = Collector(
         env,
-        TensorDictModule(actor, in_keys=["observation"], out_keys=["action"]),
+        actor,
         frames_per_batch=config.n_seeds * config.frames_per_batch,
         total_frames=-1,
         auto_register_policy_transforms=False,

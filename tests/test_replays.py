@@ -213,6 +213,17 @@ def test_a_seed_flies_the_same_whatever_the_others_are(tmp_path):
     assert one["flights"] == two["flights"][:2]
 
 
+def test_each_of_3_cells_flies_in_a_batch_as_it_flies_alone(tmp_path):
+    write_run(tmp_path / "a", seed=4, n_seeds=2)
+    write_run(tmp_path / "b", seed=4, n_seeds=2, reward="initial")
+    write_run(tmp_path / "c", "dqn", seed=5, n_seeds=2)
+    cells = [collect([tmp_path / name])[0][0] for name in "abc"]  # the first and the last are of one world and reward
+    together = record(cells, n_seeds=2, n_layouts=2, max_steps=MAX_STEPS)["cells"]
+    alone = [record([cell], n_seeds=2, n_layouts=2, max_steps=MAX_STEPS)["cells"][0] for cell in cells]
+    assert together == alone
+    assert len({flight["bytes"] for cell in together for flight in cell["flights"]}) == 12
+
+
 def test_a_random_start_heading_is_that_of_the_set_of_obstacles(tmp_path):
     write_run(tmp_path / "run", n_seeds=2, start_heading="random", slots="listed")
     data = recorded(tmp_path, n_layouts=3)

@@ -50,10 +50,10 @@ def test_each_cell_has_20_seeds_of_a_million_frames_of_the_preset_and_was_evalua
     assert run.evaluation().groupby(["mode", "seed"]).layout.nunique().tolist() == [200] * 40
 
 
-def test_the_study_took_70_minutes_as_the_readme_says():
+def test_training_the_study_took_70_minutes_as_the_readme_says():
     took = sum(Run(RESULTS / algorithm / activation).meta["wall_seconds"] for algorithm, activation in paper.TABLES)
     assert took / 60 == pytest.approx(70, abs=1)
-    assert "20 seeds each, in 70 minutes on two cores" in (ROOT / "README.md").read_text()
+    assert "20 seeds each: 70 minutes of training on two cores" in (ROOT / "README.md").read_text()
 
 
 def test_all_that_is_committed_of_results_takes_less_than_80_mb():

@@ -118,7 +118,7 @@ class SampledPolicy(TensorDictModuleBase):  # type: ignore[misc]
         return self._choose(observation, uniform)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """As a collector calls it; a TensorDictModule around `act` would cost it half as much again."""
+        """As a collector calls it, without the Python of a TensorDictModule around `act`."""
         return tensordict.set("action", self.act(tensordict.get("observation")))
 
 

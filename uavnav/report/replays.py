@@ -67,7 +67,7 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
     """Fly the first seeds of each cell, as in training, on the first sets of obstacles of the test bank.
 
     Args:
-        cells: whose policies fly; those of one world as one batch.
+        cells: whose policies fly; those of one world and reward as one batch.
         n_seeds: seeds a cell, the lowest that can be loaded.
         n_layouts: sets of obstacles.
         max_steps: a flight that lasts so long is cut off.
@@ -140,10 +140,10 @@ def fly(populations: Sequence[dict[int, Policy]], bank: Tensor, max_steps: int) 
 
     As in `uavnav.evaluate`, a seed's flights depend on its policy and on a generator of its own, and on no other seed.
     """
-    worlds = [(one.world, one.reward) for one in (next(iter(population.values())) for population in populations)]
+    rules = [(one.world, one.reward) for one in (next(iter(population.values())) for population in populations)]
     found: dict[int, list[Flight]] = {}
-    for world in dict.fromkeys(worlds):
-        places = [place for place, own in enumerate(worlds) if own == world]
+    for rule in dict.fromkeys(rules):
+        places = [place for place, own in enumerate(rules) if own == rule]
         flights = iter(_fly_together([one for place in places for one in populations[place].items()], bank, max_steps))
         for place in places:
             found[place] = list(itertools.islice(flights, len(populations[place]) * len(bank)))
@@ -151,7 +151,7 @@ def fly(populations: Sequence[dict[int, Policy]], bank: Tensor, max_steps: int) 
 
 
 def _fly_together(flyers: Sequence[tuple[int, Policy]], bank: Tensor, max_steps: int) -> list[Flight]:
-    """All flights of some seeds and their policies, of one world, as one batch."""
+    """All flights of some seeds and their policies, of one world and reward, as one batch."""
     first = flyers[0][1]
     world, reward = first.world, first.reward
     generators = [torch.Generator().manual_seed(seed) for seed, _ in flyers]

@@ -22,16 +22,16 @@ from uavnav.metrics import LAST, METRICS, finished, last_episodes, per_seed
 from uavnav.runs import Run
 
 MICROSECONDS = {
-    ("ppo", "paper", True): (36.2, 29.6),
-    ("ppo", "paper", False): (408.0, 29.6),
+    ("ppo", "paper", True): (28.2, 27.5),
+    ("ppo", "paper", False): (324.9, 27.5),
     ("ppo", "fast", True): (4.6, 35.4),
-    ("dqn", "paper", True): (35.7, 33.0),
-    ("dqn", "paper", False): (407.0, 33.0),
+    ("dqn", "paper", True): (32.3, 26.9),
+    ("dqn", "paper", False): (362.1, 26.9),
 }
 """Of a frame of every seed of a process, by preset, compiled or not: a part that seeds share, and one for each of them.
 
-Of `paper` solved from docs/benchmarks.md: 1 seed, and 10 in two processes, make 15,207 and 54,315 frames/s with PPO,
-14,552 and 49,770 with DQN; one seed that is not compiled 2,281 and 2,272. Of `fast` from docs/performance.md and
+Of `paper` solved from docs/benchmarks.md: 1 seed, and 10 in two processes, make 17,966 and 60,358 frames/s with PPO,
+16,915 and 60,026 with DQN; one seed that is not compiled 2,838 and 2,571. Of `fast` from docs/performance.md and
 results/tuned/ppo/tanh: one seed makes 200,000 frames in 8 s, five in two processes 9,025 frames/s each.
 """
 RATE_SECONDS = 5.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -79,19 +80,21 @@ def gather(folders: Sequence[Path]) -> Content:
     sorted_cells = studies.sort(cells)
     left_out += studies.in_none(sorted_cells)
     of_paper = studies.paper_cells(sorted_cells.main)
-    with compiling.use_threads(1):
+    with compiling.use_threads(1), ThreadPoolExecutor(1) as beside:  # what nothing else waits for flies meanwhile
+        valued = beside.submit(_overestimation, of_paper)
+        replayed = beside.submit(replays.record, [*of_paper.values()])
         flights, watched, problems = watch(sorted_cells)
-        overestimated, unvalued = _overestimation(of_paper)
-        flown = replays.record([*of_paper.values()])
-    audits = {
-        reading: claims.audit(Rows(sorted_cells, reading, flights), studies.of_paper)
-        for reading in (PRIMARY, *_other_readings(cells[0]))
-    }
-    ratio = Rows(sorted_cells, PRIMARY, flights, ratio_of_means=True)
-    audits[f"{PRIMARY}, ratios of means"] = claims.audit(ratio, studies.of_paper)
-    baselines, unread = frames.baselines(folders)
-    survival, survived = frames.survival(sorted_cells.main)
-    numbers = _tables(sorted_cells, audits, flights) | {"overestimation": overestimated, "survival": survived}
+        audits = {
+            reading: claims.audit(Rows(sorted_cells, reading, flights), studies.of_paper)
+            for reading in (PRIMARY, *_other_readings(cells[0]))
+        }
+        ratio = Rows(sorted_cells, PRIMARY, flights, ratio_of_means=True)
+        audits[f"{PRIMARY}, ratios of means"] = claims.audit(ratio, studies.of_paper)
+        baselines, unread = frames.baselines(folders)
+        survival, survived = frames.survival(sorted_cells.main)
+        numbers = _tables(sorted_cells, audits, flights)
+        (overestimated, unvalued), flown = valued.result(), replayed.result()
+    numbers |= {"overestimation": overestimated, "survival": survived}
     return Content(
         cells,
         sorted_cells,

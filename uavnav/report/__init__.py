@@ -158,6 +158,7 @@ def page(content: Content, pictures: dict[str, str], first: Path) -> str:
         missing=content.missing,
         sections=list(SECTIONS.items()),
         rule=conclusions.RULE,
+        fixed=conclusions.FIXED,
         counts={one: sum(claim["verdict"] == one for claim in audited) for one in (SUPPORTED, CONTRADICTED, UNDECIDED)},
         claims=audited,
         primary=PRIMARY,
@@ -214,6 +215,7 @@ def markdown(content: Content) -> str:
     text = _TEMPLATES.get_template("report.md").render(
         missing=content.missing,
         rule=conclusions.RULE,
+        fixed=conclusions.FIXED,
         verdicts=tables.markdown(tables.overview(CLAIMS, content.audits, PRIMARY)),
         claims=_claims(content),
         sections=sections,

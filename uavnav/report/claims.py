@@ -4,7 +4,7 @@ A claim is a function of `Evidence`, which gives a metric of a cell as one numbe
 estimand and the region in which the claim says that it lies. To add a claim, write such a function and name it in
 `CLAIMS`. The paper's own figure of a part is the same function of its printed tables.
 
-The rule (when it was fixed: `conclusions.RULE`): a part is *supported* or *contradicted* if the 95 % bootstrap interval
+The rule (fixed when: `conclusions.FIXED`): a part is *supported* or *contradicted* if the 95 % bootstrap interval
 of its estimand over seeds, adjusted by Holm for all parts of all claims, lies wholly inside or outside its region, and
 every cell that it rests on has at least 8 seeds; else it is *undecided*. A claim is contradicted if one of its parts
 is, supported if all are, and else undecided. Letters: S seeds of a cell.

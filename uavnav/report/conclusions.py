@@ -25,7 +25,9 @@ RULE = (
     "95 % bootstrap interval over training seeds, adjusted by Holm for all parts of all claims, lies wholly "
     f"inside or outside the claimed region, with at least {SEEDS} seeds in every cell; else it is undecided. A "
     f"claim is contradicted if one of its parts is, supported if all are. The primary reading is {PRIMARY}; the "
-    "others stand beside it. "
+    "others stand beside it."
+)
+FIXED = (
     "The rule's code is of commit 8c7dc96, written after a pilot of three seeds a cell had been read and while the "
     "study's first runs were under way; paired resampling for claim 4's times, the levels after the first failure of "
     "Holm, and claim 9's share of the distance flown were added while runs were under way and before their results "

@@ -21,6 +21,8 @@ from uavnav.bench import growth, jobs, parity, peers
 from uavnav.bench import report as bench_report
 from uavnav.bench.jobs import Clock, Job, JobError, Mark, Stages, rate, whole_run
 from uavnav.bench.report import Results, Target, number, ratio, read_sections, write_file
+from uavnav.dqn import DQNConfig
+from uavnav.ppo import PPOConfig
 
 
 def results_of(**rounds):
@@ -270,6 +272,17 @@ def test_seeds_are_printed_with_the_day_and_commit_on_which_they_were_run(tmp_pa
     keep_curves(store, cells[0], mine, 2, level=-0.03)
     jobs._keep(pd.read_parquet(store.path(cells[0], mine, 0)), str(store.path(cells[0], theirs, 0)))
     assert store.origins(worlds, cells) == f"2 on 2026-11-20, commit 0123; 1 on {bench_report.when()}"
+
+
+def test_the_parity_in_the_docs_is_what_the_rows_give_with_8_seeds_of_ours_and_4_of_sb3_at_least():
+    root = Path(__file__).parent.parent
+    store = parity.Store(root / "bench", parity.FRAMES)
+    worlds = {"ppo": PPOConfig().n_worlds, "dqn": DQNConfig().n_worlds}
+    section = "\n".join(parity.section(store, worlds, "benchmarks-parity.png"))
+    assert section in read_sections(root / "docs" / "benchmarks.md")["parity"]
+    for cell in parity.CELLS:
+        for arm in parity.arms(worlds[cell.algorithm]):
+            assert len(store.tables(cell, arm)) >= {"uavnav": 8, "sb3": 4}[arm.library]
 
 
 @pytest.mark.slow

@@ -273,6 +273,8 @@ def section(store: Store, worlds: Worlds, figure: str, cells: Sequence[Cell] = C
         f"Seeds run: {store.origins(worlds, cells)}.",
         "",
         f"![Learning curves of uavnav and Stable-Baselines3]({figure})",
+        "",
+        "Lines are means over seeds, bands their range.",
     ]
 
 
@@ -315,7 +317,7 @@ def draw(store: Store, worlds: Worlds, cells: Sequence[Cell] = CELLS) -> Figure:
         panel.set_title(f"{cell.algorithm.upper()} {cell.activation}")
         panel.set_xlabel("frames per seed [thousand]")
         if panel.lines:
-            panel.legend(fontsize=8)
+            panel.legend(fontsize=8, loc="center right")
         panel.axhline(FLOOR, color="0.6", lw=0.8, ls=":")
         panel.annotate("random actions", (at[-1], FLOOR), ha="right", va="bottom", fontsize=8, color="0.4")
         panel.set_ylabel("reward per frame")

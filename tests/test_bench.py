@@ -346,7 +346,7 @@ def test_growth_says_what_is_fixed_and_per_seed_and_that_nothing_or_what_grows_f
     text = "\n".join(growth.section(rows, "benchmarks.png"))
     assert "| PPO | seeds: 1, 2, 5, 10, 20, 40 | 1.0, 2.0, 5.0, 10.0, 20.0, 40.0 | 1.00 (1.00) |" in text
     assert "min and 1 min a seed; 0.5 GB and" in text
-    assert text.endswith("Nothing grows faster than linearly.")
+    assert text.endswith("nothing grows faster than linearly.")
     rows |= {point: {"rate": 1e6 / (60 * point.x**2), "peak": 0.5} for point in rows if point[:2] == ("ppo", "seeds")}
     text = "\n".join(growth.section(rows, "benchmarks.png"))
     assert "Faster than linearly grow: PPO's time with seeds, exponent 2.00 (between 1 to 2, 2 to 5" in text

@@ -24,6 +24,7 @@ BASE = {"seeds": 1, "worlds": 16, "width": 64}
 LABELS = {"seeds": "seeds", "worlds": "parallel worlds a seed", "width": "parameters a seed"}
 LINEAR = 1.05
 """The largest exponent that is taken for linear growth: figures of one round are that noisy."""
+NOTHING = "By the fits nothing grows faster than linearly."
 BUFFER = 20_000
 """Frames a seed of DQN's buffer here, which is full when it begins to learn."""
 SECONDS = 12.0
@@ -126,9 +127,9 @@ def section(rows: dict[Point, Result], figure: str) -> list[str]:
     lines = [
         "Time for 1,000,000 frames a seed at the steady rate, and peak memory, against seeds, parallel worlds and the"
         f" parameters of networks with {', '.join(map(str, AXES['width']))} units in each hidden layer; all else as in"
-        f" the preset `paper` with one seed, DQN with a full buffer of {BUFFER:,} frames a seed. Dotted: linear growth."
-        " `growth` is the exponent of the power law that fits best (1 is linear), and, in brackets, the largest between"
-        " two neighbours.",
+        f" the preset `paper` with one seed and {BASE['worlds']} parallel worlds, DQN with a full buffer of {BUFFER:,}"
+        " frames a seed. Dotted: linear growth. `growth` is the exponent of the power law that fits best (1 is linear),"
+        " and, in brackets, the largest between two neighbours.",
         "",
         f"![Time and memory against seeds, parallel worlds and parameters]({figure})",
         "",
@@ -154,7 +155,7 @@ def section(rows: dict[Point, Result], figure: str) -> list[str]:
                 f"{algorithm.upper()}: {time[0]:.2g} min and {time[1]:.2g} min a seed; {memory[0]:.2g} GB and"
                 f" {memory[1]:.2g} GB a seed."
             )
-    verdict = f"Faster than linearly grow: {'; '.join(faster)}." if faster else "Nothing grows faster than linearly."
+    verdict = f"Faster than linearly grow: {'; '.join(faster)}." if faster else NOTHING
     return [*lines, "", "Fixed, and for each seed: " + " ".join(costs), "", verdict] if costs else [*lines, "", verdict]
 
 

@@ -274,6 +274,19 @@ def test_seeds_are_printed_with_the_day_and_commit_on_which_they_were_run(tmp_pa
     assert store.origins(worlds, cells) == f"2 on 2026-11-20, commit 0123; 1 on {bench_report.when()}"
 
 
+def test_the_times_in_the_readme_are_those_of_the_benchmarks():
+    root = Path(__file__).parent.parent
+    lines = read_sections(root / "docs" / "benchmarks.md")["training"].splitlines()
+    rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("| ")]
+    one, ten, sb3 = (
+        next(row[7].removeprefix("0:0") for row in rows if row[0] == name)  # PPO's table is the first
+        for name in ("uavnav, 1 seed", "uavnav, 10 seeds", "SB3, alone")
+    )
+    text = " ".join((root / "README.md").read_text().split())
+    assert f"a million frames of PPO take {one} minutes with one seed and {ten} a seed with ten;" in text
+    assert f"in a NumPy version of this world, takes {sb3}, and learns the same" in text
+
+
 def test_the_parity_in_the_docs_is_what_the_rows_give_with_8_seeds_of_ours_and_4_of_sb3_at_least():
     root = Path(__file__).parent.parent
     store = parity.Store(root / "bench", parity.FRAMES)

@@ -48,6 +48,7 @@ def test_straight_ahead_hits_a_circle_above_it_after_its_edges_distance_less_30_
     assert rows.reward.item() == pytest.approx(0.09 * (steps - 1) - 10, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_reactive_flies_10000_steps_and_over_3000_px_on_each_of_200_test_sets_without_a_collision():
     rows = evaluate_policy(reactive, episodes=200, max_steps=10_000)
     assert rows.truncated.all()

@@ -57,6 +57,7 @@ def test_two_seeds_of_ppo_beat_random_and_straight_ahead(tmp_path, best_baseline
     assert beats(run, best_baseline) == [True, True]
 
 
+@pytest.mark.slow
 def test_two_seeds_of_dqn_beat_random_and_straight_ahead(tmp_path, best_baseline):
     run = dqn.train(dqn.DQNConfig(**DQN_SETTINGS), out=tmp_path / "run", quiet=True)
     assert beats(run, best_baseline) == [True, True]

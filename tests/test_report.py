@@ -457,6 +457,7 @@ def whole(tmp_path_factory):
         return path, report([path], path.parent / "one")
 
 
+@pytest.mark.slow
 def test_two_reports_are_the_same_bytes(whole, monkeypatch):
     path, first = whole
     assert first.left_out == []

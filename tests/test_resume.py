@@ -38,7 +38,7 @@ ALGORITHMS = {
 }
 
 
-@pytest.fixture(scope="module", params=list(ALGORITHMS))
+@pytest.fixture(scope="module", params=["ppo", "dqn", pytest.param("dqn, a small ring", marks=pytest.mark.slow)])
 def whole(request, tmp_path_factory):
     """An uninterrupted run."""
     train, config = ALGORITHMS[request.param]

@@ -137,6 +137,7 @@ def locked(out):
     return bool(list(out.glob("checkpoint/seeds-*/.lock")))
 
 
+@pytest.mark.slow
 def test_a_signal_is_passed_on_and_every_share_is_saved(tmp_path):
     process = started(tmp_path / "run")
     process.send_signal(signal.SIGTERM)
@@ -172,13 +173,8 @@ def test_a_signal_to_every_process_of_a_run_saves_both_shares_as_it_says(tmp_pat
     assert not locked(tmp_path / "run")
 
 
-@pytest.mark.parametrize(
-    ("number", "says"),
-    [
-        (signal.SIGTERM, "saved at"),
-        pytest.param(signal.SIGKILL, "ended without a word", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "says"), [(signal.SIGTERM, "saved at"), (signal.SIGKILL, "ended without a word")])
 def test_when_one_of_two_shares_is_ended_the_other_is_saved_and_ends_too(tmp_path, number, says):
     process = started(tmp_path / "run")
     os.kill(members(process)[2], number)
@@ -283,6 +279,7 @@ def test_a_snapshot_without_any_row_yet_is_two_empty_tables(tmp_path):
     assert verdict.same
 
 
+@pytest.mark.slow
 def test_a_report_beside_a_run_under_way_does_not_take_its_shares_for_runs(tmp_path):
     with pytest.raises(Interrupted):
         train(PPOConfig(n_seeds=3, **SMALL), tmp_path / "run", quiet=True, processes=2, until=512)

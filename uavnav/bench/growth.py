@@ -24,7 +24,6 @@ BASE = {"seeds": 1, "worlds": 16, "width": 64}
 LABELS = {"seeds": "seeds", "worlds": "parallel worlds a seed", "width": "parameters a seed"}
 LINEAR = 1.05
 """The largest exponent that is taken for linear growth: figures of one round are that noisy."""
-NOTHING = "By the fits nothing grows faster than linearly."
 BUFFER = 20_000
 """Frames a seed of DQN's buffer here, which is full when it begins to learn."""
 SECONDS = 12.0
@@ -155,7 +154,9 @@ def section(rows: dict[Point, Result], figure: str) -> list[str]:
                 f"{algorithm.upper()}: {time[0]:.2g} min and {time[1]:.2g} min a seed; {memory[0]:.2g} GB and"
                 f" {memory[1]:.2g} GB a seed."
             )
-    verdict = f"Faster than linearly grow: {'; '.join(faster)}." if faster else NOTHING
+    verdict = "By the fits nothing grows faster than linearly."
+    if faster:
+        verdict = f"Faster than linearly grow: {'; '.join(faster)}."
     return [*lines, "", "Fixed, and for each seed: " + " ".join(costs), "", verdict] if costs else [*lines, "", verdict]
 
 

@@ -207,9 +207,9 @@ def empty_arena(crews: Sequence[Crew], steps: int = 500) -> list[pd.DataFrame]:
         ValueError: steps is below 1.
     """
     tables: dict[int, pd.DataFrame] = {}
-    worlds = [(one.policies[0].world, one.policies[0].reward) for one in crews]
-    for world in dict.fromkeys(worlds):  # those of one world fly as one batch
-        places = [place for place, own in enumerate(worlds) if own == world]
+    rules = [(one.policies[0].world, one.policies[0].reward) for one in crews]
+    for own in dict.fromkeys(rules):  # those of one world and reward fly as one batch
+        places = [place for place, one in enumerate(rules) if one == own]
         together = [crews[place] for place in places]
         number = torch.arange(len(together)).repeat_interleave(torch.tensor([len(one.seeds) for one in together]))
         number = number.repeat_interleave(len(HEADINGS))

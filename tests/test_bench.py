@@ -478,12 +478,16 @@ def stubs(monkeypatch, tmp_path):
         measured.append(one.name)
         return stubbed(one)
 
+    def side_by_side(runner, jobs, *how):
+        measured.append([(name, arguments["algorithm"], arguments["n_seeds"]) for name, arguments in jobs])
+
     def train(store, worlds, cache, say, seeds, at_once):
         keep_curves(store, parity.CELLS[0], parity.Arm("uavnav", worlds["ppo"]), 2, level=-0.03)
         return ["ppo tanh, SB3: failed"]
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(bench.Runner, "measure", measure)
+    monkeypatch.setattr(bench.Runner, "_side_by_side", side_by_side)
     monkeypatch.setattr(parity, "train", train)
     real = bench.importlib.util.find_spec
     monkeypatch.setattr(bench.importlib.util, "find_spec", lambda name, *more: name in bench.PEERS or real(name, *more))
@@ -508,6 +512,16 @@ def test_every_mode_writes_its_sections_to_the_end(stubs, words, sections):
     assert list(read_sections(out)) == sections
     assert out.read_text().endswith("\n")
     assert "cut short" not in out.read_text()
+
+
+def test_quick_compiles_the_graphs_of_1_and_of_5_agents_of_each_algorithm_before_it_measures(stubs, monkeypatch):
+    monkeypatch.setattr(bench, "CORES", 2)
+    assert bench.main(["--quick"]) == 0
+    assert stubs[:2] == [[("ours", algorithm, n_seeds) for n_seeds in (1, 5)] for algorithm in ("ppo", "dqn")]
+    assert "training/ppo/uavnav/10" in stubs[2:]
+    stubs.clear()
+    assert bench.main(["--quick", "--only", "world"]) == 0
+    assert stubs == ["world/compiled/2 × 1"]
 
 
 def test_fast_warms_up_once_and_refreshes_its_row_of_the_targets_and_nothing_else(stubs):

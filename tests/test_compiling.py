@@ -1,10 +1,14 @@
-"""Where nothing can be compiled: one line that says so and why, or an error where compilation was asked for."""
+"""Compiled graphs; and where nothing can be compiled, one line that says so and why, or an error where it was asked."""
 
 import os
 import subprocess
 import sys
 
 import pytest
+import torch
+
+from uavnav import dqn, ppo
+from uavnav.compiling import Graph
 
 COMMAND = """
 from uavnav.ppo import PPOConfig, train
@@ -61,3 +65,62 @@ def test_a_missing_header_and_a_cache_that_cannot_be_written_are_named_and_the_r
     assert result.stdout == "False\n"
     (line,) = warnings(result)
     assert says in line
+
+
+def counted(function):
+    """A graph of a function, and how often its Python has run."""
+    runs = []
+
+    def traced(*tensors):
+        runs.append(1)
+        return function(*tensors)
+
+    return Graph(traced), runs
+
+
+def test_a_graph_is_traced_once_for_each_shape_type_and_stride_and_says_what_its_function_says():
+    graph, runs = counted(lambda x, y: (x.sin() + y, x.sum(-1)))
+    rows = torch.arange(12.0).reshape(3, 4)
+    given = [rows, rows.double(), rows[:2], rows.T, rows[:, ::2], rows[1:]]  # the last is as the third
+    for _ in range(2):
+        for x in given:
+            y = torch.full_like(x, 0.5)
+            for found, right in zip(graph(x, y), (x.sin() + y, x.sum(-1)), strict=True):
+                torch.testing.assert_close(found, right)
+                assert found.dtype == right.dtype
+    assert len(runs) == 5
+
+
+def test_a_graph_that_writes_into_what_it_is_given_does_so_once_a_call():
+    graph, _ = counted(lambda total, x: (total.add_(x), x + 0)[1:])
+    total = torch.zeros(3)
+    for count in range(1, 4):
+        graph(total, torch.ones(3))
+        assert total.tolist() == [count] * 3
+
+
+def sampled():
+    config = ppo.PPOConfig(n_seeds=2)
+    network, _ = ppo.make_networks(config)
+    return network, [ppo.SampledPolicy(network, config, compile) for compile in (True, False)]
+
+
+def exploring():
+    config = dqn.DQNConfig(n_seeds=2, epsilon_start=0.1, learning_starts=0)
+    network = dqn.make_network(config)
+    return network, [dqn.ExploringPolicy(network, config, compile) for compile in (True, False)]
+
+
+@pytest.mark.parametrize("make", [sampled, exploring])
+def test_compiled_policies_choose_by_the_weights_of_now(make):
+    network, (compiled, eager) = make()
+    generator = torch.Generator().manual_seed(0)
+    observation = torch.rand(2, 16, 30, generator=generator)
+    chosen = []
+    for _ in range(3):
+        chosen.append(compiled.act(observation))
+        assert torch.equal(chosen[-1], eager.act(observation))
+        with torch.no_grad():
+            for parameter in network.parameters():
+                parameter.copy_(torch.randn(parameter.shape, generator=generator))
+    assert (chosen[0] != chosen[1]).float().mean() > 0.5

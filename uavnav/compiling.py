@@ -7,9 +7,14 @@ import ctypes
 import logging
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import torch
+from torch import Tensor
+from torch._inductor import standalone_compile
+from torch._prims_common import clone_preserve_strides
+from torch.fx.experimental.proxy_tensor import make_fx
 
 from uavnav import networks, rewards
 from uavnav.config import ConfigError, TrainConfig
@@ -24,6 +29,41 @@ FLIGHTS_PAY_FROM = 10_000_000
 """Steps of all drones of an evaluation, if none ended, from which compilation is paid back."""
 EAGER = "runs without compilation, several times slower"
 """Begins the warning where `compile=auto` finds no compiler."""
+
+
+class Graph:
+    """A pure function from tensors to a tuple of tensors, compiled: one graph for each shape and type that it is given.
+
+    `torch.compile` looks at every call whether the function's Python is still the same, which takes a small step as
+    long as its arithmetic. Here nothing but tensors comes in, and nothing but their shapes and types is looked at: what
+    the function reads elsewhere is as it was at the first call. It is traced on copies, so that it may write into what
+    it is given. Graphs are kept on disk, as those of `torch.compile` are.
+
+    Args:
+        function: traceable by `make_fx`, without branches on data.
+        options: inductor's.
+    """
+
+    def __init__(self, function: Callable[..., Sequence[Tensor]], **options: Any) -> None:
+        self.function, self.options = function, options
+        self._graphs: dict[Any, Callable[..., Sequence[Tensor]]] = {}
+
+    @torch.no_grad()
+    def __call__(self, *tensors: Tensor) -> Sequence[Tensor]:
+        """Its outputs for these tensors."""
+        key = tuple([(tensor.shape, tensor.stride(), tensor.dtype) for tensor in tensors])
+        graph = self._graphs.get(key)
+        if graph is None:
+            graph = self._graphs[key] = self._compile(tensors)
+        return graph(*tensors)
+
+    def _compile(self, tensors: Sequence[Tensor]) -> Callable[..., Sequence[Tensor]]:
+        copies = [clone_preserve_strides(tensor.detach()) for tensor in tensors]  # type: ignore[no-untyped-call]
+        traced = make_fx(self.function)(*copies)
+        graph: Callable[..., Sequence[Tensor]] = standalone_compile(
+            traced, copies, dynamic_shapes="from_example_inputs", options={"config_patches": self.options}
+        )
+        return graph
 
 
 def decide(config: TrainConfig) -> bool:
@@ -112,8 +152,8 @@ def _problem(device: str) -> str | None:
     logger.setLevel(logging.CRITICAL)
     try:
         torch._inductor.config.compile_threads = 1  # a pool of processes takes longer to start than these few kernels
-        torch.compiler.reset()  # graphs of earlier runs in this process would count towards a limit on their number
-        torch.compile(torch.square, fullgraph=True)(torch.ones(8, device=device))
+        torch._inductor.config.cpp.vec_isa_ok = True  # or ten processes are started to see what this compile shows
+        Graph(lambda x: (x.square(),))(torch.ones(8, device=device))
     except Exception as error:  # whatever the tool chain raises: the run goes on without it
         return _telling_line(error)
     finally:

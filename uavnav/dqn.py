@@ -26,7 +26,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
-from uavnav import compiling, policies, probes, shares
+from uavnav import compiling, networks, policies, probes, shares
 from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
@@ -152,16 +152,18 @@ class ExploringPolicy(TensorDictModuleBase):  # type: ignore[misc]
         self.network = network
         self.streams = Streams(config.seeds, "actions")
         self.epsilon = torch.tensor(config.epsilon(0), device=config.device)
-        self._choose = torch.compile(self.choose, dynamic=False, fullgraph=True) if compile else self.choose
+        self._weights = [weight.detach() for weight in network.parameters()]  # learning writes them in place
+        self._choose = compiling.Graph(self.choose) if compile else self.choose
 
-    def choose(self, observation: Tensor, coin: Tensor, choice: Tensor, epsilon: Tensor) -> Tensor:
-        """Actions from uniform numbers [A, W], twice."""
-        return epsilon_greedy(self.network(observation), epsilon, coin, choice)
+    def choose(self, observation: Tensor, uniform: Tensor, epsilon: Tensor, *weights: Tensor) -> tuple[Tensor]:
+        """Actions from uniform numbers [A, 2, W], by the network with these weights."""
+        values = networks.call(self.network, weights, observation)
+        return (epsilon_greedy(values, epsilon, *uniform.unbind(1)),)
 
     def act(self, observation: Tensor) -> Tensor:
         """Actions from the streams' next numbers."""
         uniform = self.streams.draw(torch.rand, 2, observation.shape[1], device=observation.device)
-        return self._choose(observation, uniform[:, 0], uniform[:, 1], self.epsilon)
+        return self._choose(observation, uniform, self.epsilon, *self._weights)[0]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """As a collector calls it, without the Python of a TensorDictModule around `act`."""

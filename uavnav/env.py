@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numbers
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,13 @@ from torchrl.envs import EnvBase
 
 from uavnav import layouts as banks
 from uavnav import seeding, simulator
+from uavnav.compiling import Graph
 from uavnav.config import TrainConfig
 from uavnav.simulator import COUNTS, UP, State
 from uavnav.world import World
+
+LEAVES = ("observation", "reward", "done", "terminated", "truncated")
+N_LEAVES, N_STATE = len(LEAVES), len(State._fields)
 
 
 class DroneEnv(EnvBase):  # type: ignore[misc]
@@ -74,8 +78,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self.max_steps = max_steps
         self.reward = reward
         self.bank = banks.resolve(layouts, self.world).to(self.device)
-        self._first_observations = self._observe_starts()
-        self._advance = self._advance_rows
+        self._constants = [self.bank, *self._observe_starts()]
+        self._advance: Callable[..., Sequence[Tensor]] = self._advance_rows
         self._make_specs()
         self._seed(seeds)
 
@@ -120,13 +124,13 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         first = 0 if seed is None else seed
         self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
 
-    def _observe_starts(self) -> Tensor | None:
-        """What is seen at the beginning of an episode, by layout: [L, 30]; None where the heading is random."""
+    def _observe_starts(self) -> list[Tensor]:
+        """What is seen at the beginning of an episode, by layout: [L, 30]; nothing where the heading is random."""
         if self.world.start_heading != "up":
-            return None
+            return []
         layout = torch.arange(len(self.bank), device=self.device)
         observation, _ = simulator.observe(simulator.start(layout, 0 * layout + UP, self.world), self.bank, self.world)
-        return observation
+        return [observation]
 
     def _draw_headings(self) -> Tensor:
         """Start headings [*B] for every row, drawn whether needed or not: the stream does not depend on who resets."""
@@ -170,15 +174,15 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
-        found, final, self.state, self._observation = self._advance(
-            self.state, tensordict.get("action"), self._draw_headings(), self.bank, self._first_observations
-        )
-        tensordict.set("next", self._tensordict(found, final))
+        found = self._advance(*self.state, tensordict.get("action"), self._draw_headings(), *self._constants)
+        leaves, final, following = found[:N_LEAVES], found[N_LEAVES : N_LEAVES + N_STATE], found[N_LEAVES + N_STATE :]
+        self._observation, self.state = following[0], State(*following[1:])
+        tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), State(*final)))
         return tensordict, self.root()
 
-    def compile(self, **kwargs: Any) -> DroneEnv:
+    def compile(self, **options: Any) -> DroneEnv:
         """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it too."""
-        self._advance = torch.compile(self._advance_rows, dynamic=False, fullgraph=True, **kwargs)
+        self._advance = Graph(self._advance_rows, **options)
         return self
 
     def eager(self) -> DroneEnv:
@@ -186,18 +190,18 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self._advance = self._advance_rows
         return self
 
-    def _advance_rows(
-        self, state: State, action: Tensor, heading: Tensor, bank: Tensor, first_observations: Tensor | None
-    ) -> tuple[dict[str, Tensor], State, State, Tensor]:
+    def _advance_rows(self, *tensors: Tensor) -> Sequence[Tensor]:
+        """State, action, start headings and `_constants`, to the leaves of the step, its state, and where to go on."""
+        state, (action, heading, bank, *first_observations) = State(*tensors[:N_STATE]), tensors[N_STATE:]
         final, outcome = simulator.step(state, action, bank, self.world, self.reward, self.max_steps)
         done = outcome.terminated | outcome.truncated
         fresh = simulator.start((final.layout + 1) % bank.shape[0], heading, self.world)
         state = simulator.where(done, fresh, final)
-        if first_observations is None:
-            observation, _ = simulator.observe(state, bank, self.world)
+        if first_observations:
+            observation = torch.where(done[..., None], first_observations[0][fresh.layout], outcome.observation)
         else:
-            observation = torch.where(done[..., None], first_observations[fresh.layout], outcome.observation)
-        return _leaves(outcome), final, state, observation
+            observation, _ = simulator.observe(state, bank, self.world)
+        return *_leaves(outcome).values(), *final, observation, *state
 
     def root(self) -> TensorDict:
         """What the next step starts from: the observation, flags and counts of now."""
@@ -214,13 +218,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 def _leaves(outcome: simulator.Outcome) -> dict[str, Tensor]:
     """What TorchRL wants to know of a step, in its shapes and types."""
     terminated, truncated = outcome.terminated[..., None], outcome.truncated[..., None]
-    return {
-        "observation": outcome.observation,
-        "reward": outcome.reward[..., None].float(),
-        "done": terminated | truncated,
-        "terminated": terminated,
-        "truncated": truncated,
-    }
+    reward = outcome.reward[..., None].float()
+    return dict(zip(LEAVES, (outcome.observation, reward, terminated | truncated, terminated, truncated), strict=True))
 
 
 def make_env(config: TrainConfig, compile: bool) -> DroneEnv:

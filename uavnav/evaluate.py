@@ -114,11 +114,12 @@ def fly(
         heading = torch.randint(360, (episodes,), generator=stream(0, "headings in evaluation"))
     state = simulator.start(layout, heading.repeat(len(population)), world)
 
-    def move(state: State, action: Tensor) -> tuple[State, Outcome]:
-        return simulator.step(state, action, bank, world, reward, max_steps)
+    def step(action: Tensor, bank: Tensor, *fields: Tensor) -> tuple[Tensor, ...]:
+        state, outcome = simulator.step(State(*fields), action, bank, world, reward, max_steps)
+        return *state, *outcome
 
     compiled = compiling.flights(len(layout), max_steps)
-    step = torch.compile(move, dynamic=False, fullgraph=True) if compiled else move
+    advance = compiling.Graph(step) if compiled else step
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
     up = torch.arange(len(layout))  # rows whose flight goes on; the others stand still, or are dropped
@@ -130,7 +131,8 @@ def fly(
             chosen = [_checked(population[one](seen, generators[one]), len(seen), world) for one, seen in flying]
             action = torch.zeros_like(seed)
             action[up] = torch.cat(chosen)
-            state, outcome = step(state, action)
+            found = advance(action, bank, *state)
+            state, outcome = State(*found[: len(state)]), Outcome(*found[len(state) :])
             if count <= WATCHED_STEPS:
                 watched.append(_watch(up, seed, state, outcome, action))
             done = (outcome.terminated | outcome.truncated)[up]

@@ -7,14 +7,17 @@ parameter; M minibatches of N rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
+from torch._higher_order_ops.while_loop import while_loop_op
 from torch.fx.experimental.proxy_tensor import make_fx
 from torchrl.objectives import LossModule
+
+from uavnav.compiling import Graph
 
 BETA1, BETA2 = 0.9, 0.999
 """Adam's, as everywhere."""
@@ -58,7 +61,7 @@ class Learner:
         self.buffers = dict(self.objective.named_buffers())
         self.moments = [torch.zeros_like(value) for value in (*self.parameters.values(), *self.parameters.values())]
         self.steps = torch.zeros((), dtype=torch.float64, device=self.moments[0].device)
-        self._compiled: Callable[..., Tensor] | None = None
+        self._updates: Graph | None = None
 
     def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
         """Updates from minibatches [A, M, N], one after the other; each agent's mean losses and gradient norm, [A]."""
@@ -67,9 +70,9 @@ class Learner:
             return {name: torch.stack([losses[name] for losses in steps]).mean(0) for name in self.names}
         with torch.no_grad():
             leaves = list(batches.values(include_nested=True, leaves_only=True))
-            if self._compiled is None:
-                self._compiled = self._compile(list(batches.keys(include_nested=True, leaves_only=True)), leaves)
-            found = self._compiled(self._rates(batches.shape[1]), self._state, list(self.buffers.values()), leaves)
+            if self._updates is None:
+                self._updates = self._compile(list(batches.keys(include_nested=True, leaves_only=True)), leaves)
+            (found,) = self._updates(self._rates(batches.shape[1]), *self._state, *self.buffers.values(), *leaves)
             self.steps += batches.shape[1]
         return dict(zip(self.names, found, strict=True))
 
@@ -138,53 +141,48 @@ class Learner:
         values = [value - lr * m / (v.sqrt() + eps) for value, m, v in zip(values, first, second, strict=True)]
         return torch.cat([losses, norm[None]]), [*values, *first, *second]
 
-    def _compile(self, keys: Sequence[Any], leaves: Tensors) -> Callable[..., Tensor]:
+    def _compile(self, keys: Sequence[Any], leaves: Tensors) -> Graph:
         """All updates of a call as one graph: one update, traced, is the body of its loop, however many there are.
 
-        keys and leaves: of minibatches [A, M, N]. `torch.compile` cannot look into a loss module inside of a loop, and
-        so it gets one update as the tensor operations that it comes down to.
+        keys and leaves: of minibatches [A, M, N]. The graph takes their rates [M, 2], the state, which it writes in
+        place, the buffers and the minibatches. Nothing can ask for gradients inside of a loop that is being traced,
+        and so its body is one update as the tensor operations that it comes down to.
         """
-        n_state, n_buffers = len(self._state), len(self.buffers)
+        n, n_state, n_buffers = len(self.parameters), len(self._state), len(self.buffers)
 
         def update(rate: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
-            values = [value.detach().requires_grad_() for value in tensors[: len(self.parameters)]]
-            moments, buffers = tensors[len(values) : n_state], tensors[n_state : n_state + n_buffers]
-            leaves = tensors[n_state + n_buffers :]
-            batch = _nested(zip(keys, leaves, strict=True), leaves[0].shape[:2])
-            here = _nested(zip([*self.parameters, *self.buffers], [*values, *buffers], strict=True))
-            with here.to_module(self.objective):
-                found, following = self._update(rate, [*values, *moments], batch)
+            values = [value.detach().requires_grad_() for value in tensors[:n]]
+            buffers, leaves = tensors[n_state : n_state + n_buffers], tensors[n_state + n_buffers :]
+            batch = TensorDict(dict(zip(keys, leaves, strict=True)), leaves[0].shape[:2])
+            names = [tuple(name.split(".")) for name in (*self.parameters, *self.buffers)]
+            with TensorDict(dict(zip(names, (*values, *buffers), strict=True))).to_module(self.objective):
+                found, following = self._update(rate, [*values, *tensors[n:n_state]], batch)
             return found, *following
 
         first = [leaf[:, 0] for leaf in leaves]
         traced = make_fx(update)(self._rates(1)[0], *self._state, *self.buffers.values(), *first)
 
-        def loop(rates: Tensor, state: list[Tensor], buffers: list[Tensor], leaves: list[Tensor]) -> Tensor:
-            def unfinished(index: Tensor, *carried: Tensor) -> Tensor:
-                return index < len(rates)
+        def unfinished(index: Tensor, total: Tensor, *tensors: Tensor) -> Tensor:
+            return index < len(tensors[n_state])
 
-            def body(index: Tensor, total: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
-                rate = rates.index_select(0, index[None]).squeeze(0)
-                batch = [leaf.index_select(1, index[None]).squeeze(1) for leaf in leaves]
-                found, *following = traced(rate, *state, *buffers, *batch)
-                return index + 1, total + found, *following
+        def body(index: Tensor, total: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+            state, rates, others = tensors[:n_state], tensors[n_state], tensors[n_state + 1 :]
+            buffers, leaves = others[:n_buffers], others[n_buffers:]
+            rate = rates.index_select(0, index[None]).squeeze(0)
+            batch = [leaf.index_select(1, index[None]).squeeze(1) for leaf in leaves]
+            found, *following = traced(rate, *state, *buffers, *batch)
+            return index + 1, total + found, *following
 
+        def loop(rates: Tensor, *tensors: Tensor) -> tuple[Tensor]:
+            state, others = tensors[:n_state], tensors[n_state:]
             index = torch.zeros((), dtype=torch.int64, device=rates.device)
             total = torch.zeros(len(self.names), len(state[0]), device=rates.device)
-            _, total, *after = torch.while_loop(unfinished, body, (index, total, *state))  # type: ignore[no-untyped-call]
+            _, total, *after = while_loop_op(unfinished, body, (index, total, *state), (rates, *others))  # type: ignore[arg-type]
             for value, new in zip(state, after, strict=True):
                 value.copy_(new)
-            mean: Tensor = total / len(rates)
-            return mean
+            return (total / len(rates),)
 
         inductor = torch._inductor.config  # it keeps a graph with a loop on disk, as any other, if the loop is named
         inductor.unsafe_marked_cacheable_functions["torch.ops.higher_order.while_loop"] = "1"
         on_cpu = leaves[0].device.type == "cpu"  # elsewhere the C++ wrapper needs that device's own headers
-        return torch.compile(loop, dynamic=False, fullgraph=True, options={"cpp_wrapper": on_cpu})
-
-
-def _nested(items: Iterable[tuple[Any, Tensor]], batch_size: Sequence[int] = ()) -> TensorDict:
-    """A TensorDict of tensors by nested key, or by a name with dots."""
-    return TensorDict(
-        {tuple(key.split(".")) if isinstance(key, str) else key: value for key, value in items}, batch_size
-    )
+        return Graph(loop, cpp_wrapper=on_cpu)

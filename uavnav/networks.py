@@ -12,6 +12,7 @@ from typing import Literal
 
 import torch
 from torch import Tensor, nn
+from torch.func import functional_call
 from torch.nn import functional as F
 
 from uavnav.choices import choose_from
@@ -83,6 +84,13 @@ class Activation(nn.Module):
 
     def extra_repr(self) -> str:
         return self.name
+
+
+def call(network: nn.Module, weights: Sequence[Tensor], x: Tensor) -> Tensor:
+    """What the network says of x with these parameters in place of its own, so that a graph can be given them."""
+    names = [name for name, _ in network.named_parameters()]
+    result: Tensor = functional_call(network, dict(zip(names, weights, strict=True)), (x,))
+    return result
 
 
 def mlp(

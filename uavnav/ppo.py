@@ -26,7 +26,7 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from uavnav import compiling, policies, probes, shares
+from uavnav import compiling, networks, policies, probes, shares
 from uavnav.checkpoints import Stateful
 from uavnav.config import ConfigError, TrainConfig, at_least, within
 from uavnav.display import Display
@@ -106,16 +106,17 @@ class SampledPolicy(TensorDictModuleBase):  # type: ignore[misc]
         super().__init__()
         self.network = network
         self.streams = Streams(config.seeds, "actions")
-        self._choose = torch.compile(self.choose, dynamic=False, fullgraph=True) if compile else self.choose
+        self._weights = [weight.detach() for weight in network.parameters()]  # learning writes them in place
+        self._choose = compiling.Graph(self.choose) if compile else self.choose
 
-    def choose(self, observation: Tensor, uniform: Tensor) -> Tensor:
-        """Actions from uniform numbers [A, W]."""
-        return sample_categorical(self.network(observation), uniform)
+    def choose(self, observation: Tensor, uniform: Tensor, *weights: Tensor) -> tuple[Tensor]:
+        """Actions from uniform numbers [A, W], by the network with these weights."""
+        return (sample_categorical(networks.call(self.network, weights, observation), uniform),)
 
     def act(self, observation: Tensor) -> Tensor:
         """Actions from the streams' next numbers."""
         uniform = self.streams.draw(torch.rand, observation.shape[1], device=observation.device)
-        return self._choose(observation, uniform)
+        return self._choose(observation, uniform, *self._weights)[0]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """As a collector calls it, without the Python of a TensorDictModule around `act`."""

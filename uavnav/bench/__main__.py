@@ -127,9 +127,9 @@ def _plan_gymnasium(quick: bool) -> list[Measurement]:
 
 def _plan_training(quick: bool) -> list[Measurement]:
     """Both algorithms in turn; `quick`, ours and Stable-Baselines3 alone."""
-    watched: Result = {"frames": 20_000, "seconds": 5.0} if quick else {"frames": 200_000, "seconds": 15.0}
+    watched: Result = {"frames": 40_000, "seconds": 5.0} if quick else {"frames": 200_000, "seconds": 15.0}
     slow: Result = watched if quick else {"frames": 100_000, "seconds": 32.0, "least": 50_000}
-    took = 20 if quick else 40
+    took = 10 if quick else 40
     found = {}
     for algorithm in ("ppo", "dqn"):
         own = {"algorithm": algorithm, **watched}
@@ -200,10 +200,16 @@ class Runner:
         self.began = time.monotonic()
         self.end = self.began + 60 * minutes
 
-    def run(self, measurements: Sequence[Measurement]) -> Results:
-        """All of them, round by round; what was found by then, if it is stopped."""
+    def run(self, measurements: Sequence[Measurement], warm: bool = False) -> Results:
+        """All of them, round by round; what was found by then, if it is stopped.
+
+        With `warm` the graphs of training runs are compiled before, so that a single round of each starts as a user's
+        second run does.
+        """
         results = Results()
         try:
+            if warm:
+                self._warm(measurements)
             self._run(measurements, results)
         except KeyboardInterrupt:
             self.stopped = True
@@ -235,21 +241,38 @@ class Runner:
             expected[one.name] = time.monotonic() - start
             self.say(f"{clock(time.monotonic() - self.began)} {count}/{len(rounds)} {one.name}: {said}")
 
+    def _warm(self, measurements: Sequence[Measurement]) -> None:
+        """As many agents as each process of a run has, until they learn; the runs of an algorithm side by side."""
+        ours = [one for one in measurements if one.job == "ours" and one.section == "training"]
+        for algorithm in dict.fromkeys(one.arguments["algorithm"] for one in ours):
+            runs = [one.arguments for one in ours if one.arguments["algorithm"] == algorithm]
+            shares = [{"n_seeds": -(-run.get("n_seeds", 1) // CORES), "seconds": 0.0, "stages": True} for run in runs]
+            jobs = [("ours", run | share) for run, share in zip(runs, shares, strict=True)]
+            with contextlib.suppress(JobError):  # the measurement itself will say why
+                self._side_by_side(jobs, 1, ours[0].cache, max(self.end - time.monotonic(), 1))
+            self.say(f"{clock(time.monotonic() - self.began)} {algorithm}: compiled")
+
     def measure(self, one: Measurement, timeout: float) -> list[Result]:
         """One round: what each of its processes found."""
-        cache = self.store / one.cache
         if one.cold:
-            shutil.rmtree(cache, ignore_errors=True)
-        cache.mkdir(parents=True, exist_ok=True)
-        running: list[Job] = []
+            shutil.rmtree(self.store / one.cache, ignore_errors=True)
         with tempfile.TemporaryDirectory() as meeting:
             arguments = one.arguments | ({"meeting": meeting, "copies": one.copies} if one.together else {})
-            try:
-                running.extend(Job(one.job, arguments, one.threads, cache) for _ in range(one.copies))
-                return [job.result(timeout, one.sample) for job in running]
-            finally:
-                for job in running:
-                    job.stop()
+            return self._side_by_side([(one.job, arguments)] * one.copies, one.threads, one.cache, timeout, one.sample)
+
+    def _side_by_side(
+        self, jobs: list[tuple[str, Result]], threads: int, cache: str, timeout: float, sample: bool = False
+    ) -> list[Result]:
+        """Start all at once, each of so many threads; what they found."""
+        graphs = self.store / cache
+        graphs.mkdir(parents=True, exist_ok=True)
+        running: list[Job] = []
+        try:
+            running.extend(Job(name, arguments, threads, graphs) for name, arguments in jobs)
+            return [job.result(timeout, sample) for job in running]
+        finally:
+            for job in running:
+                job.stop()
 
 
 def _short(found: list[Result]) -> str:
@@ -388,7 +411,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 found = FLAGS[arguments.flag](runner, out)
             else:
                 chosen = [one for one in plan(arguments.quick) if one.section in (arguments.only or SECTIONS)]
-                results = runner.run(chosen)
+                results = runner.run(chosen, warm=arguments.quick)
                 found = write_sections(results, arguments.store, only_measured=runner.stopped)
             if found:
                 marks = [*(["one round each"] if arguments.quick else []), *(["cut short"] if runner.stopped else [])]

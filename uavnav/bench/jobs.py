@@ -216,7 +216,6 @@ def world(
 
     found = {}
     for batch in batches:
-        torch._dynamo.reset()
         env = DroneEnv([batch])
         if compiled:
             env.compile()

@@ -124,3 +124,9 @@ def test_compiled_policies_choose_by_the_weights_of_now(make):
             for parameter in network.parameters():
                 parameter.copy_(torch.randn(parameter.shape, generator=generator))
     assert (chosen[0] != chosen[1]).float().mean() > 0.5
+
+
+def test_a_function_that_asks_for_values_is_refused_and_not_frozen_at_its_first_ones():
+    for function in (lambda x: (x + float(x.sum()),), lambda x: (x + torch.from_numpy(x.numpy()).max(),)):
+        with pytest.raises(Exception, match=r"fake|data-dependent|FakeTensor|numpy"):
+            Graph(function)(torch.ones(3))

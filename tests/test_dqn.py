@@ -625,14 +625,3 @@ def test_a_compiled_run_equals_an_eager_one_to_rounding(tmp_path):
         torch.testing.assert_close(values[0], values[1], rtol=1e-4, atol=1e-4)
     columns = ["frame", "layout", "steps", "turns", "distance"]
     assert runs[0].episodes[columns].equals(runs[1].episodes[columns])
-
-
-@pytest.mark.slow
-@pytest.mark.compiled
-def test_a_second_compiled_run_of_another_shape_forgets_the_graphs_of_the_first(tmp_path):
-    """Dynamo refuses more than so many graphs of one function: a notebook's tenth run would fail."""
-    for n_worlds in (16, 32):
-        config = DQNConfig(n_worlds=n_worlds, total_frames=128, learning_starts=32, compile="on")
-        with torch._dynamo.config.patch(recompile_limit=1):
-            run = train(config, out=tmp_path / str(n_worlds), quiet=True, processes=1)
-        assert run.meta["compiled"]

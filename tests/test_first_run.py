@@ -195,7 +195,7 @@ def test_a_misspelt_name_in_python_is_answered_with_the_nearest(message):
 
 # -- what a run says -------------------------------------------------------------------------------------------------
 
-RATES = {("ppo", 1): 17_966, ("ppo", 10): 60_358, ("dqn", 1): 16_915, ("dqn", 10): 60_026}
+RATES = {("ppo", 1): 19_762, ("ppo", 10): 64_829, ("dqn", 1): 17_802, ("dqn", 10): 62_120}
 """Frames/s of all seeds together, compiled, as docs/benchmarks.md has them."""
 
 
@@ -247,7 +247,7 @@ def test_a_run_says_what_it_does_how_and_about_how_long():
         "ppo tanh, preset paper: 10 seeds (5 to 14), 1,001,472 frames each in 16 parallel worlds, into runs/ppo/tanh"
     )
     assert how == (
-        "compiled (takes 5 s, or 20 to 40 s the first time), 2 processes of 1 thread: about 3 min on the two cores of"
+        "compiled (takes 3 s, or 15 to 30 s the first time), 2 processes of 1 thread: about 3 min on the two cores of"
         " docs/benchmarks.md"
     )
 

@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import time
+from pathlib import Path
 
 import pytest
 from selenium import webdriver
@@ -24,6 +25,8 @@ from uavnav.report import SECTIONS, report
 from uavnav.report.claims import CLAIMS
 
 pytestmark = pytest.mark.slow
+
+RESULTS = Path(__file__).parent.parent / "results"
 
 SMALL = {"total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}
 WIDE, NARROW = 1280, 390  # [px]
@@ -164,6 +167,20 @@ def test_every_figure_is_drawn_and_has_words_a_caption_and_a_size(browser):
     assert all(caption.text for caption in find(browser, "figure.plot figcaption"))
     drawn = {figure.get_attribute("id").removeprefix("figure-") for figure in find(browser, "figure.plot")}
     assert drawn >= {"curves-ppo-reward", "curves-dqn-steps", "trajectories", "heat", "survival", "behaviour", "speed"}
+
+
+def test_the_committed_page_draws_every_committed_figure_and_unpacks_a_flight_of_each_of_8_cells(browser):
+    browser.get((RESULTS / "report.html").as_uri())
+    drawn = {figure.get_attribute("id").removeprefix("figure-") for figure in find(browser, "figure.plot")}
+    assert drawn == {path.stem for path in (RESULTS / "figures").glob("*.svg")}
+    assert all(picture.get_property("naturalWidth") > 0 for picture in find(browser, "img"))
+    cell, seed, layout = (Select(select) for select in find(browser, ".replay > .replay-row select"))
+    assert [len(one.options) for one in (cell, seed, layout)] == [8, 3, 3]
+    status = one(browser, ".replay-status")
+    for option in range(8):
+        cell.select_by_index(option)
+        wait(browser, lambda: status.text.startswith("step 0 of "))
+        assert int(one(browser, ".replay [type=range]").get_attribute("max")) > 0
 
 
 def test_headings_are_in_order_and_the_verdicts_come_first(browser):

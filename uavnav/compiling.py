@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch._inductor import standalone_compile
-from torch._prims_common import clone_preserve_strides
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from uavnav import networks, rewards
@@ -32,15 +31,15 @@ EAGER = "runs without compilation, several times slower"
 
 
 class Graph:
-    """A pure function from tensors to a tuple of tensors, compiled: one graph for each shape and type that it is given.
+    """A pure function from tensors to a tuple of tensors, compiled: a graph for each shape, stride, type and device.
 
     `torch.compile` looks at every call whether the function's Python is still the same, which takes a small step as
-    long as its arithmetic. Here nothing but tensors comes in, and nothing but their shapes and types is looked at: what
-    the function reads elsewhere is as it was at the first call. It is traced on copies, so that it may write into what
-    it is given. Graphs are kept on disk, as those of `torch.compile` are.
+    long as its arithmetic. Here nothing but tensors comes in, and nothing else is looked at: what the function reads
+    elsewhere is as it was at the first call. It may write into what it is given. Graphs are kept on disk, as those of
+    `torch.compile` are.
 
     Args:
-        function: traceable by `make_fx`, without branches on data.
+        function: traceable by `make_fx` without values: no branches on data, no NumPy.
         options: inductor's.
     """
 
@@ -51,17 +50,24 @@ class Graph:
     @torch.no_grad()
     def __call__(self, *tensors: Tensor) -> Sequence[Tensor]:
         """Its outputs for these tensors."""
-        key = tuple([(tensor.shape, tensor.stride(), tensor.dtype) for tensor in tensors])
+        key = tuple([(tensor.shape, tensor.stride(), tensor.dtype, tensor.device) for tensor in tensors])
         graph = self._graphs.get(key)
         if graph is None:
             graph = self._graphs[key] = self._compile(tensors)
         return graph(*tensors)
 
     def _compile(self, tensors: Sequence[Tensor]) -> Callable[..., Sequence[Tensor]]:
-        copies = [clone_preserve_strides(tensor.detach()) for tensor in tensors]  # type: ignore[no-untyped-call]
-        traced = make_fx(self.function)(*copies)
+        given: list[Any] = [  # only what they are like: values are not looked at, and shared memory would be refused
+            torch.empty_strided(tensor.shape, tensor.stride(), dtype=tensor.dtype, device=tensor.device)
+            for tensor in tensors
+        ]
+        traced = make_fx(self.function, tracing_mode="fake", _allow_non_fake_inputs=True)(*given)
         graph: Callable[..., Sequence[Tensor]] = standalone_compile(
-            traced, copies, dynamic_shapes="from_example_inputs", options={"config_patches": self.options}
+            traced,
+            given,
+            dynamic_shapes="from_example_inputs",
+            options={"config_patches": self.options},
+            donate_graph_module=True,
         )
         return graph
 
@@ -152,8 +158,9 @@ def _problem(device: str) -> str | None:
     logger.setLevel(logging.CRITICAL)
     try:
         torch._inductor.config.compile_threads = 1  # a pool of processes takes longer to start than these few kernels
-        torch._inductor.config.cpp.vec_isa_ok = True  # or ten processes are started to see what this compile shows
-        Graph(lambda x: (x.square(),))(torch.ones(8, device=device))
+        if torch._inductor.config.cpp.vec_isa_ok is None:
+            torch._inductor.config.cpp.vec_isa_ok = True  # or ten processes are started to see what the next line shows
+        Graph(lambda x: (x.exp(),))(torch.ones(64, device=device))
     except Exception as error:  # whatever the tool chain raises: the run goes on without it
         return _telling_line(error)
     finally:

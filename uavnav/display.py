@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
@@ -22,22 +23,22 @@ from uavnav.metrics import LAST, METRICS, finished, last_episodes, per_seed
 from uavnav.runs import Run
 
 MICROSECONDS = {
-    ("ppo", "paper", True): (28.2, 27.5),
-    ("ppo", "paper", False): (324.9, 27.5),
+    ("ppo", "paper", True): (24.7, 25.9),
+    ("ppo", "paper", False): (338.4, 25.9),
     ("ppo", "fast", True): (4.6, 35.4),
-    ("dqn", "paper", True): (32.3, 26.9),
-    ("dqn", "paper", False): (362.1, 26.9),
+    ("dqn", "paper", True): (30.0, 26.2),
+    ("dqn", "paper", False): (373.5, 26.2),
 }
 """Of a frame of every seed of a process, by preset, compiled or not: a part that seeds share, and one for each of them.
 
-Of `paper` solved from docs/benchmarks.md: 1 seed, and 10 in two processes, make 17,966 and 60,358 frames/s with PPO,
-16,915 and 60,026 with DQN; one seed that is not compiled 2,838 and 2,571. Of `fast` from docs/performance.md and
+Of `paper` solved from docs/benchmarks.md: 1 seed, and 10 in two processes, make 19,762 and 64,829 frames/s with PPO,
+17,802 and 62,120 with DQN; one seed that is not compiled 2,745 and 2,502. Of `fast` from docs/performance.md and
 results/tuned/ppo/tanh: one seed makes 200,000 frames in 8 s, five in two processes 9,025 frames/s each.
 """
 RATE_SECONDS = 5.0
 """Of training, after which a run whose rate is not among these says how long it still takes."""
 TOLD_LATER = "the bar tells how long"
-COMPILATION = "5 s, or 20 to 40 s the first time"
+COMPILATION = "3 s, or 15 to 30 s the first time"
 """How long it takes, from the same place."""
 
 
@@ -115,6 +116,28 @@ class Display:
 
     def _say(self, line: str) -> None:
         self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+@contextlib.contextmanager
+def flights(what: str, n: int, max_steps: int, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """A bar for an evaluation of n flights, on a terminal alone, that goes when they have ended.
+
+    Yields:
+        What is to be told each step's number and how many flights go on after it.
+    """
+    console = _console()
+    bar = Progress(
+        TextColumn(what),
+        BarColumn(bar_width=12),
+        TextColumn("step {task.completed:,.0f} of at most {task.total:,.0f}, {task.fields[up]:,} of"),
+        TextColumn(f"{n:,} flights go on"),
+        console=console,
+        transient=True,
+        disable=quiet or not console.is_terminal,
+    )
+    task = bar.add_task("", total=max_steps, up=n)
+    with bar:
+        yield lambda step, up: bar.update(task, completed=step, up=up)
 
 
 def opening(algorithm: str, config: TrainConfig, frames: int, path: Path, facts: Mapping[str, Any]) -> tuple[str, str]:

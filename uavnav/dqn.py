@@ -152,7 +152,7 @@ class ExploringPolicy(TensorDictModuleBase):  # type: ignore[misc]
         self.network = network
         self.streams = Streams(config.seeds, "actions")
         self.epsilon = torch.tensor(config.epsilon(0), device=config.device)
-        self._weights = [weight.detach() for weight in network.parameters()]  # learning writes them in place
+        self._weights = list(network.parameters())  # learning writes them in place
         self._choose = compiling.Graph(self.choose) if compile else self.choose
 
     def choose(self, observation: Tensor, uniform: Tensor, epsilon: Tensor, *weights: Tensor) -> tuple[Tensor]:

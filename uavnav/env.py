@@ -78,7 +78,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self.max_steps = max_steps
         self.reward = reward
         self.bank = banks.resolve(layouts, self.world).to(self.device)
-        self._constants = [self.bank, *self._observe_starts()]
+        self._first_observations = self._observe_starts()
         self._advance: Callable[..., Sequence[Tensor]] = self._advance_rows
         self._make_specs()
         self._seed(seeds)
@@ -174,15 +174,19 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
-        found = self._advance(*self.state, tensordict.get("action"), self._draw_headings(), *self._constants)
+        given = (tensordict.get("action"), self._draw_headings(), self.bank, *self._first_observations)
+        found = self._advance(*self.state, *given)
         leaves, final, following = found[:N_LEAVES], found[N_LEAVES : N_LEAVES + N_STATE], found[N_LEAVES + N_STATE :]
         self._observation, self.state = following[0], State(*following[1:])
         tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), State(*final)))
         return tensordict, self.root()
 
-    def compile(self, **options: Any) -> DroneEnv:
-        """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it too."""
-        self._advance = Graph(self._advance_rows, **options)
+    def compile(self) -> DroneEnv:
+        """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it too.
+
+        World, reward and `max_steps` are then those of the first step.
+        """
+        self._advance = Graph(self._advance_rows)
         return self
 
     def eager(self) -> DroneEnv:
@@ -191,7 +195,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self
 
     def _advance_rows(self, *tensors: Tensor) -> Sequence[Tensor]:
-        """State, action, start headings and `_constants`, to the leaves of the step, its state, and where to go on."""
+        """State, action, start headings, bank, first observations -> the step's leaves, its state, where to go on."""
         state, (action, heading, bank, *first_observations) = State(*tensors[:N_STATE]), tensors[N_STATE:]
         final, outcome = simulator.step(state, action, bank, self.world, self.reward, self.max_steps)
         done = outcome.terminated | outcome.truncated

@@ -7,7 +7,7 @@ whatever else flies (scripted baselines, zips of Stable-Baselines3), whose rows 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from uavnav import compiling, policies, simulator
 from uavnav import layouts as banks
 from uavnav.baselines import BASELINES, AnyPolicy
 from uavnav.choices import Parser, check_out, did_you_mean_run
-from uavnav.display import evaluation_summary, print_table
+from uavnav.display import evaluation_summary, flights, print_table
 from uavnav.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs import BEHAVIOUR, EVALUATION, Run, RunError, lock, write_table
 from uavnav.seeding import stream
@@ -92,8 +92,11 @@ def fly(
     max_steps: int = MAX_STEPS,
     world: World = DEFAULT,
     reward: str = "eq14",
+    tell: Callable[[int, int], object] = lambda step, up: None,
 ) -> Flights:
     """Evaluate one policy a seed, the flights of all of them in one batch; arguments as of `evaluate_policy`.
+
+    `tell` is called after each step with its number and how many flights go on.
 
     What one seed does depends neither on the others nor on anything but its policy and a generator of its own. Random
     start headings, where the world has them, are those of the set of obstacles, the same for every policy.
@@ -143,6 +146,7 @@ def fly(
                 if not compiled:
                     seed, observation, state = seed[up], observation[up], State(*(field[up] for field in state))
                     up = torch.arange(len(up))
+            tell(count, len(up))
             if not len(up):
                 break
     return Flights(
@@ -183,11 +187,16 @@ def _table(parts: list[dict[str, Tensor]], columns: dict[str, str]) -> pd.DataFr
 
 
 def evaluate_run(
-    run: Run, episodes: int = EPISODES, max_steps: int = MAX_STEPS, layouts: str | Path = "test"
+    run: Run,
+    episodes: int = EPISODES,
+    max_steps: int = MAX_STEPS,
+    layouts: str | Path = "test",
+    quiet: bool = False,
 ) -> pd.DataFrame:
     """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder if it is on the test split.
 
-    Training's generators play no part, and nothing else in the folder changes.
+    Training's generators play no part, and nothing else in the folder changes. On a terminal a bar shows how far it is,
+    unless it is `quiet`.
 
     Returns:
         What `evaluation.parquet` holds: the columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs`, and in the
@@ -196,15 +205,17 @@ def evaluate_run(
     Raises:
         LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
     """
-    flights = {}
+    flown = {}
     with compiling.use_threads(1):
         for mode in MODES:
             population = {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
             own = population[run.seeds[0]]
-            flights[mode] = fly({**population}, layouts, episodes, max_steps, own.world, own.reward)
-    rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
+            what = f"{run.algorithm} {run.config['activation']}, {mode}"
+            with flights(what, episodes * len(population), max_steps, quiet) as tell:
+                flown[mode] = fly({**population}, layouts, episodes, max_steps, own.world, own.reward, tell)
+    rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     rows.attrs = header(layouts, max_steps)
-    behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flights.items()], ignore_index=True)
+    behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     if layouts == "test":
         with lock(run.path):
             write_table(run.path / EVALUATION, rows)
@@ -268,9 +279,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                 kept = arguments.layouts == "test"
                 print(f"the rows are in {run.path / EVALUATION}" if kept else "rows of the test split alone are kept")
             else:
-                bounds = (arguments.layouts, arguments.episodes, arguments.max_steps)
-                with compiling.use_threads(1):
-                    flown = {mode: fly({0: policy}, *bounds).episodes for mode, policy in run.items()}
+                bounds, flown = (arguments.layouts, arguments.episodes, arguments.max_steps), {}
+                for mode, policy in run.items():
+                    with compiling.use_threads(1), flights(f"{name}, {mode}", *bounds[1:]) as tell:
+                        flown[mode] = fly({0: policy}, *bounds, tell=tell).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
                 print_table(evaluation_summary(rows, name if name in BASELINES else Path(name).stem))
                 for mode, part in flown.items() if arguments.out is not None else ():

@@ -61,7 +61,7 @@ class Learner:
         self.buffers = dict(self.objective.named_buffers())
         self.moments = [torch.zeros_like(value) for value in (*self.parameters.values(), *self.parameters.values())]
         self.steps = torch.zeros((), dtype=torch.float64, device=self.moments[0].device)
-        self._updates: Graph | None = None
+        self._updates: dict[Any, Graph] = {}  # by the keys and rows of minibatches
 
     def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
         """Updates from minibatches [A, M, N], one after the other; each agent's mean losses and gradient norm, [A]."""
@@ -69,10 +69,12 @@ class Learner:
             steps = [self.step(batch) for batch in batches.unbind(1)]
             return {name: torch.stack([losses[name] for losses in steps]).mean(0) for name in self.names}
         with torch.no_grad():
-            leaves = list(batches.values(include_nested=True, leaves_only=True))
-            if self._updates is None:
-                self._updates = self._compile(list(batches.keys(include_nested=True, leaves_only=True)), leaves)
-            (found,) = self._updates(self._rates(batches.shape[1]), *self._state, *self.buffers.values(), *leaves)
+            keys, leaves = zip(*batches.items(include_nested=True, leaves_only=True), strict=True)
+            kind = (keys, batches.shape[2])
+            if kind not in self._updates:
+                self._updates[kind] = self._compile(keys, leaves)
+            given = (self._rates(batches.shape[1]), *self._state, *self.buffers.values(), *leaves)
+            (found,) = self._updates[kind](*given)
             self.steps += batches.shape[1]
         return dict(zip(self.names, found, strict=True))
 

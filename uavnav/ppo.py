@@ -106,7 +106,7 @@ class SampledPolicy(TensorDictModuleBase):  # type: ignore[misc]
         super().__init__()
         self.network = network
         self.streams = Streams(config.seeds, "actions")
-        self._weights = [weight.detach() for weight in network.parameters()]  # learning writes them in place
+        self._weights = list(network.parameters())  # learning writes them in place
         self._choose = compiling.Graph(self.choose) if compile else self.choose
 
     def choose(self, observation: Tensor, uniform: Tensor, *weights: Tensor) -> tuple[Tensor]:

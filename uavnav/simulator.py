@@ -65,7 +65,6 @@ def check_rules(reward: str, max_steps: int | None) -> None:
 def start(layout: Tensor, heading: Tensor, world: World) -> State:
     """The state at the beginning of an episode: layout [*B] index, heading [*B] whole degrees."""
     x, y = world.start
-    # five tensors: one in five places would be a graph of its own to the compiler
     steps, stops, full_stops, turns, distance = (torch.zeros_like(layout) for _ in range(5))
     return State(
         x=torch.full_like(layout, x, dtype=torch.float32),

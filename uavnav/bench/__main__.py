@@ -48,6 +48,8 @@ from uavnav.bench.report import (
 from uavnav.choices import Parser
 
 MINUTES = {"full": 40.0, "quick": 2.8}
+WARM_SECONDS = 60.0
+"""For the compilation of an algorithm's graphs before a quick run, at most."""
 BATCHES = [1, 16, 256, 1024, 4096, 16_384, 32_768]
 SECTIONS = tuple(WRITERS)
 """What a plain run measures, and `--only` chooses from."""
@@ -242,15 +244,18 @@ class Runner:
             self.say(f"{clock(time.monotonic() - self.began)} {count}/{len(rounds)} {one.name}: {said}")
 
     def _warm(self, measurements: Sequence[Measurement]) -> None:
-        """As many agents as each process of a run has, until they learn; the runs of an algorithm side by side."""
+        """Each share of agents that a process of theirs will have, until it learns; those of an algorithm together."""
         ours = [one for one in measurements if one.job == "ours" and one.section == "training"]
         for algorithm in dict.fromkeys(one.arguments["algorithm"] for one in ours):
             runs = [one.arguments for one in ours if one.arguments["algorithm"] == algorithm]
-            shares = [{"n_seeds": -(-run.get("n_seeds", 1) // CORES), "seconds": 0.0, "stages": True} for run in runs]
-            jobs = [("ours", run | share) for run, share in zip(runs, shares, strict=True)]
-            with contextlib.suppress(JobError):  # the measurement itself will say why
-                self._side_by_side(jobs, 1, ours[0].cache, max(self.end - time.monotonic(), 1))
-            self.say(f"{clock(time.monotonic() - self.began)} {algorithm}: compiled")
+            in_one_process = {"seconds": 0.0, "stages": True}
+            jobs = [("ours", run | in_one_process | {"n_seeds": n}) for run in runs for n in _shares(run)]
+            try:
+                self._side_by_side(jobs, 1, ours[0].cache, min(self.end - time.monotonic(), WARM_SECONDS))
+            except JobError as error:
+                self.say(f"{clock(time.monotonic() - self.began)} {algorithm}: not compiled before: {error}")
+            else:
+                self.say(f"{clock(time.monotonic() - self.began)} {algorithm}: compiled")
 
     def measure(self, one: Measurement, timeout: float) -> list[Result]:
         """One round: what each of its processes found."""
@@ -273,6 +278,12 @@ class Runner:
         finally:
             for job in running:
                 job.stop()
+
+
+def _shares(run: Result) -> list[int]:
+    """How many agents the processes of a run have."""
+    n = run.get("n_seeds", 1)
+    return sorted({n // CORES, -(-n // CORES)} - {0})
 
 
 def _short(found: list[Result]) -> str:

@@ -12,7 +12,19 @@ from pathlib import Path
 from uavnav.choices import Parser
 from uavnav.report import tables
 from uavnav.report.claims import CLAIMS, CONTRADICTED, PRIMARY, SUPPORTED, UNDECIDED, Finding, verdict
-from uavnav.report.conclusions import FIXED, RULE, SENSITIVITY, headline, lead, sentence
+from uavnav.report.conclusions import (
+    BEHAVIOUR,
+    FIXED,
+    NOT_OF_TRAINING,
+    RULE,
+    by_default,
+    headline,
+    lead,
+    other_way,
+    sensitivity,
+    sentence,
+    turned,
+)
 from uavnav.report.content import Content, gather
 from uavnav.report.frames import total_frames, total_seeds
 from uavnav.report.studies import paper_cells, wide
@@ -37,15 +49,19 @@ def results(content: Content) -> str:
         parts += [f"## {title}", *(["No claim."] if not claims else [])]
         for claim in claims:
             mine = _of(content, claim.number)
-            parts += [f"**{claim.number}. {claim.sentence}** {sentence(claim, mine)}"]
+            said = f"**{claim.number}. {claim.sentence}** {sentence(claim, mine)} {turned(mine, content.audits)}"
+            parts += [said.strip()]
             parts += [tables.markdown(tables.audit_rows(mine))]
-    parts += ["## In every reading", tables.markdown(tables.overview(CLAIMS, content.audits, PRIMARY))]
+    overview = tables.markdown(tables.overview(CLAIMS, content.audits, PRIMARY))
+    parts += ["## In every reading", overview, f"{NOT_OF_TRAINING} {BEHAVIOUR}"]
     numbers = content.tables
     if len(numbers["sensitivity"]):
         rows = tables.sensitivities(numbers["sensitivity"])
-        parts += ["## Which choice flips what", SENSITIVITY, tables.markdown(rows)]
+        said = sensitivity(content.studies, numbers["sensitivity"])
+        parts += ["## Which choice flips what", said, tables.markdown(rows)]
     if len(numbers["tuned"]):
-        parts += ["## Tuned", f"{tables.BY_DEFAULT}.", tables.markdown(tables.by_default(numbers["by_default"]))]
+        said = by_default(content.studies, numbers["by_default"])
+        parts += ["## Tuned", said, tables.markdown(tables.by_default(numbers["by_default"]))]
     if len(numbers["wide"]):
         rows = tables.of_metrics(numbers["wide"], ["reward"], [PRIMARY])
         frames = total_frames(wide(content.studies))
@@ -60,6 +76,9 @@ def summary(content: Content) -> str:
     for claim in CLAIMS:
         mine = _of(content, claim.number)
         question, *numbers = headline(mine)
+        decisive = next(one for one in mine if one.text == question)
+        if readings := other_way(decisive, content.audits):
+            numbers.append(f"the other way {readings}")
         rows.append([str(claim.number), claim.sentence, verdict(mine), f"{question}: {'; '.join(numbers)}"])
     said = f"{lead(content.findings)} {_seeds(content)[:-1]}; see [results](docs/results.md)."
     return "\n\n".join([*_not_complete(content), said, tables.markdown(rows)])

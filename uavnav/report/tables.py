@@ -65,6 +65,8 @@ def said(finding: Finding) -> str:
         return finding.verdict
     if not finding.n:
         return "undecided (no runs)"
+    if finding.region.startswith("p"):
+        return f"undecided (n = {finding.n}; for a test the seeds needed are not worked out)"
     needed = (
         NOTHING
         if math.isnan(finding.needed)
@@ -285,12 +287,6 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], readings_shown: Sequenc
         shown = [_estimate(by_metric, metric) for metric in only]
         rows.append([name(algorithm, activation), reading, str(by_metric["n"].max()), *shown])
     return rows
-
-
-BY_DEFAULT = (
-    "Is PPO above DQN more than a matter of defaults? Reward per episode, sampled evaluation, PPO minus DQN, mean over "
-    "the activations that both have with the preset, and 95 % interval"
-)
 
 
 def by_default(frame: pd.DataFrame) -> Rows:

@@ -41,6 +41,9 @@ class Graph:
     Args:
         function: traceable by `make_fx` without values: no branches on data, no NumPy.
         options: inductor's.
+
+    Raises:
+        ConfigError: at the first call, of a function that is not.
     """
 
     def __init__(self, function: Callable[..., Sequence[Tensor]], **options: Any) -> None:
@@ -61,7 +64,13 @@ class Graph:
             torch.empty_strided(tensor.shape, tensor.stride(), dtype=tensor.dtype, device=tensor.device)
             for tensor in tensors
         ]
-        traced = make_fx(self.function, tracing_mode="fake", _allow_non_fake_inputs=True)(*given)
+        try:
+            traced = make_fx(self.function, tracing_mode="fake", _allow_non_fake_inputs=True)(*given)
+        except Exception as error:  # whatever an activation or a reward of the caller's raises
+            raise ConfigError(
+                f"no graph can be made ({_telling_line(error)}); activations and rewards are torch operations alone,"
+                " without NumPy and branches on values: or give compile=off"
+            ) from error
         graph: Callable[..., Sequence[Tensor]] = standalone_compile(
             traced,
             given,

@@ -82,7 +82,7 @@ docs: .venv/.installed-dev # the site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 layouts: .venv/.installed # the banks that ship with the package, again
-	$(BIN)/python -m uavnav.layouts --out uavnav/banks
+	$(BIN)/python -m uavnav.layouts --out uavnav/tasks/banks
 
 picture: .venv/.installed # the flights in the README, and the window in docs/start.md
 	$(BIN)/python -m uavnav.render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --sampled --layout 56 --steps 400 \

@@ -21,14 +21,16 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from uavnav.choices import did_you_mean
-from uavnav.config import ConfigError, TrainConfig, unknown, unknown_key
-from uavnav.display import evaluation_summary, print_table, report
+from uavnav.choices import ConfigError, did_you_mean, unknown, unknown_key
 from uavnav.evaluate import evaluate_run
-from uavnav.layouts import LayoutError
-from uavnav.loggers import NONE, chosen
 from uavnav.policies import PolicyError
-from uavnav.runs import LOG_FOLDERS, Interrupted, Recorder, Run, RunError, default_folder
+from uavnav.runs import LOG_FOLDERS, Run
+from uavnav.runs.tables import RunError
+from uavnav.tasks.layouts import LayoutError
+from uavnav.training.config import TrainConfig
+from uavnav.training.display import evaluation_summary, print_table, report
+from uavnav.training.loggers import NONE, chosen
+from uavnav.training.recorder import Interrupted, Recorder, default_folder
 
 HERE = ("out", "overwrite", "checkpoint_seconds", "evaluate", "logger")
 """The keys of the recipes themselves; all others are fields of the algorithm's configuration."""
@@ -125,7 +127,7 @@ def _help(algorithm: str, presets: Mapping[str, TrainConfig]) -> str:
     lines = [f"  {key:14} {', '.join(sorted(named))}" for key, named in choices.items()]
     return HELP.format(
         what=sys.modules["__main__"].__doc__ or "",
-        config=f"uavnav/{algorithm}.py",
+        config=f"uavnav/algorithms/{algorithm}.py",
         yaml=f"recipes/conf/{algorithm}.yaml",
         choices="\n".join(lines),
     )

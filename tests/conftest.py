@@ -3,7 +3,7 @@ import functools
 import pytest
 import torch
 
-from uavnav import compiling
+from uavnav import graph
 
 torch.set_num_threads(1)
 
@@ -15,7 +15,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @functools.cache
 def problem() -> str | None:
-    return compiling._problem("cpu")
+    return graph.problem("cpu")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -26,12 +26,15 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 import uavnav
-from uavnav import ConfigError, LayoutError, PolicyError, RunError, dqn, layouts, ppo, runs
+from uavnav import ConfigError, LayoutError, PolicyError, RunError, runs
 from uavnav import evaluate as evaluation
 from uavnav import render as rendering
 from uavnav import verify as verification
-from uavnav.policies import FILE_NAME
-from uavnav.runs import Interrupted, Run
+from uavnav.algorithms import dqn, ppo
+from uavnav.runs import POLICY, Run
+from uavnav.tasks import layouts
+from uavnav.training import recorder
+from uavnav.training.recorder import Interrupted
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 PPO = {
@@ -72,7 +75,7 @@ def good(tmp_path_factory):
     evaluation.evaluate_run(run, episodes=2, max_steps=5)
     with pytest.raises(Interrupted):
         dqn.train(dqn.DQNConfig(**DQN), out=folder / "half", quiet=True, until=128)
-    shutil.copy(run.path / FILE_NAME, folder / "policy")
+    shutil.copy(run.path / POLICY, folder / "policy")
     (folder / "thesis").mkdir()
     (folder / "thesis" / "chapter.txt").write_text("It was a dark and stormy night.")
     return folder
@@ -256,9 +259,9 @@ def read_only(path):
 
 
 def newer_torch(path):
-    facts = runs._facts()
+    facts = recorder._facts()
     facts["versions"]["torch"] = "9.9.9"
-    return mock.patch.object(runs, "_facts", return_value=facts)
+    return mock.patch.object(recorder, "_facts", return_value=facts)
 
 
 def reseeded(path):
@@ -920,7 +923,7 @@ def test_a_run_whose_disk_is_full_says_so_in_one_line_and_goes_on_when_there_is_
     assert {path for path in left if not path.startswith("checkpoint/")} <= set(runs.FILES)
     assert not any(path.startswith("checkpoint/.") for path in left)
     again, whole = train(tmp_path / "run"), train(tmp_path / "whole")
-    for part in ("episodes.parquet", FILE_NAME):
+    for part in ("episodes.parquet", POLICY):
         assert (again.path / part).read_bytes() == (whole.path / part).read_bytes()
 
 

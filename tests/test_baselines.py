@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import uavnav
-from uavnav.baselines import BASELINES, reactive, straight_ahead, uniform_random
 from uavnav.evaluate import evaluate_policy
+from uavnav.tasks.baselines import BASELINES, reactive, straight_ahead, uniform_random
 
 EMPTY = uavnav.layouts.generate(3, k=0)
 LEFT_IN_PLACE = 50  # 5 degrees, 0 px

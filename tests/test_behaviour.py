@@ -13,17 +13,19 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uavnav import layouts
-from uavnav.baselines import BASELINES
-from uavnav.config import TrainConfig
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, fly
-from uavnav.metrics import EPISODE_COLUMNS
 from uavnav.networks import mlp
-from uavnav.policies import FILE_NAME, PolicyError, serialize
+from uavnav.policies import PolicyError
 from uavnav.report import behaviour
 from uavnav.report.behaviour import EMPTY_ARENA, MEASURES, crew, empty_arena, heat, measures, overestimation, read
-from uavnav.runs import Run, RunError
-from uavnav.world import World
+from uavnav.runs import POLICY, Run
+from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.tables import RunError
+from uavnav.tasks import layouts
+from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.world import World
+from uavnav.training.config import TrainConfig
+from uavnav.training.weights import serialize
 
 WORLD = World()
 STOP, FULL_SPEED = 0, 9  # straight ahead, 0 and 9 px
@@ -253,7 +255,7 @@ def write_run(path, seeds=(0,), algorithm="dqn", constant=None, **config):
             for agent, (action, value) in enumerate(constant):
                 network[-1].bias[agent, 0, action] = value
     facts = TrainConfig(activation="tanh", seed=seeds[0], n_seeds=len(seeds), hidden=(8,))
-    (path / FILE_NAME).write_bytes(serialize({"policy": network}, algorithm, facts, epsilon=0.05))
+    (path / POLICY).write_bytes(serialize({"policy": network}, algorithm, facts, epsilon=0.05))
     (path / "config.yaml").write_text(yaml.safe_dump({"algorithm": algorithm} | config))
     (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100}))
     pd.DataFrame(columns=[*EPISODE_COLUMNS]).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
@@ -298,7 +300,7 @@ def test_an_unknown_mode_and_a_missing_policy_are_named(tmp_path):
         crew(run, "best")
     with pytest.raises(ValueError, match="max_steps=0"):
         empty_arena([crew(run, "greedy")], steps=0)
-    (run.path / FILE_NAME).unlink()
+    (run.path / POLICY).unlink()
     with pytest.raises(PolicyError, match=r"no policy\.safetensors there"):
         crew(run, "greedy")
 
@@ -393,7 +395,13 @@ def test_a_damaged_table_is_refused_in_one_line(tmp_path):
 
 
 def test_nothing_that_trains_is_imported():
-    training = ["torchrl", "uavnav.ppo", "uavnav.dqn", "uavnav.learner", "uavnav.env"]
+    training = [
+        "torchrl",
+        "uavnav.algorithms.ppo",
+        "uavnav.algorithms.dqn",
+        "uavnav.training.learner",
+        "uavnav.envs.env",
+    ]
     code = f"import sys, uavnav.report.behaviour; sys.exit(str([name for name in {training} if name in sys.modules]))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.strip() == "[]"

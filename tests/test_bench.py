@@ -16,13 +16,13 @@ import pytest
 import torch
 
 from uavnav import DroneEnv
+from uavnav.algorithms.dqn import DQNConfig
+from uavnav.algorithms.ppo import PPOConfig
 from uavnav.bench import __main__ as bench
 from uavnav.bench import growth, jobs, parity, peers
 from uavnav.bench import report as bench_report
 from uavnav.bench.jobs import Clock, Job, JobError, Mark, Stages, rate, whole_run
 from uavnav.bench.report import Results, Target, number, ratio, read_sections, write_file
-from uavnav.dqn import DQNConfig
-from uavnav.ppo import PPOConfig
 
 
 def results_of(**rounds):
@@ -343,11 +343,11 @@ def test_growth_of_x_to_the_1_5_is_fitted_and_the_largest_between_two_neighbours
 def test_the_parameters_of_a_hidden_width_of_16_are_those_of_its_networks(algorithm):
     config = jobs._config(algorithm, {"hidden": (16, 16)})
     if algorithm == "ppo":
-        from uavnav.ppo import make_networks
+        from uavnav.algorithms.ppo import make_networks
 
         networks = make_networks(config)
     else:
-        from uavnav.dqn import make_network
+        from uavnav.algorithms.dqn import make_network
 
         networks = [make_network(config)]
     n = sum(part.numel() for network in networks for part in network.parameters())
@@ -670,7 +670,7 @@ def test_where_the_time_goes_is_taken_of_stable_baselines3_too(algorithm):
 
 def test_stable_baselines3_is_given_the_preset_paper_with_1_and_with_16_parallel_worlds():
     pytest.importorskip("stable_baselines3")
-    from uavnav.sb3 import DroneVecEnv
+    from uavnav.envs.sb3 import DroneVecEnv
 
     env = DroneVecEnv(16, seed=0)
     ppo = jobs.make_sb3("stable_baselines3", "ppo", env, 0, 16)

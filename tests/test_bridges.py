@@ -12,8 +12,9 @@ import torch
 from torch import nn
 
 import uavnav
-from uavnav import PolicyError, evaluate_policy, export, load_policy, play, policies, render
-from uavnav.sb3 import DroneVecEnv
+from uavnav import PolicyError, evaluate_policy, export, load_policy, policies, render
+from uavnav.envs.sb3 import DroneVecEnv
+from uavnav.window import play
 
 SHORT = {"ppo": {"n_steps": 16, "batch_size": 64}, "dqn": {"learning_starts": 64, "buffer_size": 1000}}
 MODELS = {
@@ -271,13 +272,14 @@ def test_a_zip_flies_in_the_window_with_its_activation(tmp_path, monkeypatch):
 def test_a_command_asks_for_the_activation_of_a_zip_by_its_option(command, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
+    name = f"uavnav.{command.__name__.rpartition('.')[2]}"
     out = ["--out", {render: "a.gif", play: "rows.parquet", export: "a.onnx"}[command]]
     assert command.main(["theirs.zip", *out]) == 2
     line = "theirs.zip: its weights do not tell the activation; give --activation, one of elu, "
-    assert capsys.readouterr().err.startswith(f"{command.__name__}: {line}")
+    assert capsys.readouterr().err.startswith(f"{name}: {line}")
     assert command.main(["reactive", "--activation", "tanh", *out]) == 2
     line = "--activation tanh: runs know their own; give it with a .zip\n"
-    assert capsys.readouterr().err == f"{command.__name__}: {line}"
+    assert capsys.readouterr().err == f"{name}: {line}"
 
 
 def test_the_package_unpickles_nowhere():

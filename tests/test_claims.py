@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from uavnav import paper, stats
+from uavnav import stats
 from uavnav.report import claims
 from uavnav.report.claims import (
     ACTIVATIONS,
@@ -27,6 +27,7 @@ from uavnav.report.claims import (
 )
 from uavnav.report.studies import of_paper
 from uavnav.report.tables import said
+from uavnav.runs import paper
 
 BY_NUMBER = {claim.number: claim for claim in CLAIMS}
 CELLS = list(itertools.product(ALGORITHMS, ACTIVATIONS))

@@ -5,11 +5,11 @@ import pickle
 
 import pytest
 
-from uavnav.config import ConfigError
-from uavnav.dqn import PRESETS as DQN_PRESETS
-from uavnav.dqn import DQNConfig
-from uavnav.ppo import PRESETS as PPO_PRESETS
-from uavnav.ppo import PPOConfig
+from uavnav.algorithms.dqn import PRESETS as DQN_PRESETS
+from uavnav.algorithms.dqn import DQNConfig
+from uavnav.algorithms.ppo import PRESETS as PPO_PRESETS
+from uavnav.algorithms.ppo import PPOConfig
+from uavnav.choices import ConfigError
 
 WRONG = [
     ({"activation": "rleu"}, "activation=rleu; choose from elu, .* (did you mean relu?)"),

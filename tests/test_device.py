@@ -4,9 +4,11 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from uavnav import dqn, layouts, ppo, probes, simulator
-from uavnav.env import DroneEnv
-from uavnav.world import World
+from uavnav.algorithms import dqn, ppo
+from uavnav.envs.env import DroneEnv
+from uavnav.tasks import layouts, simulator
+from uavnav.tasks.world import World
+from uavnav.training import probes
 
 WORLD = World()
 ALGORITHMS = {"ppo": ppo.PPOConfig(n_seeds=2), "dqn": dqn.DQNConfig(n_seeds=2)}

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from uavnav.decisions import DECISIONS, HEADER
 from uavnav.networks import ACTIVATIONS
+from uavnav.report.decisions import DECISIONS, HEADER
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -37,7 +37,7 @@ def test_every_file_that_the_readme_links_to_exists():
 
 
 def test_every_recipe_command_of_the_readme_names_a_recipe_and_keys_that_exist():
-    from uavnav.config import TrainConfig
+    from uavnav.training.config import TrainConfig
 
     commands = [line for code in blocks("console") for line in code.splitlines() if line.startswith("python recipes/")]
     assert len(commands) >= 3

@@ -16,8 +16,7 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from tensordict import TensorDict
 
 import uavnav
-from uavnav.config import ConfigError
-from uavnav.dqn import (
+from uavnav.algorithms.dqn import (
     PRESETS,
     DQNConfig,
     ExploringPolicy,
@@ -29,12 +28,13 @@ from uavnav.dqn import (
     rows,
     train,
 )
-from uavnav.gym import DroneVectorEnv
-from uavnav.learner import Learner
-from uavnav.replay import AgentSampler
-from uavnav.runs import Interrupted, Recorder
-from uavnav.seeding import Streams
-from uavnav.world import World
+from uavnav.choices import ConfigError
+from uavnav.envs.gym import DroneVectorEnv
+from uavnav.tasks.seeding import Streams
+from uavnav.tasks.world import World
+from uavnav.training.learner import Learner
+from uavnav.training.recorder import Interrupted, Recorder
+from uavnav.training.sampler import AgentSampler
 
 
 def transitions(*shape, dtype=torch.float32, seed=0):
@@ -284,8 +284,8 @@ def watch(config, folder):
         checkpoint(self, frames, parts, replay)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uavnav.dqn.make_buffer", watch_buffer)
-        patch.setattr("uavnav.dqn.LOG_FRAMES", 32)
+        patch.setattr("uavnav.algorithms.dqn.make_buffer", watch_buffer)
+        patch.setattr("uavnav.algorithms.dqn.LOG_FRAMES", 32)
         patch.setattr(Learner, "step", watch_step)
         patch.setattr(ExploringPolicy, "act", watch_act)
         patch.setattr(Recorder, "checkpoint", watch_checkpoint)
@@ -502,17 +502,17 @@ def test_the_target_is_copied_every_64_frames(tmp_path, monkeypatch):
     config = DQNConfig(total_frames=16 * 13, lr=1e-2, compile="off", **settings)
     kept = {}
     monkeypatch.setattr(
-        "uavnav.dqn.make_loss", lambda network, config: kept.setdefault("loss", make_loss(network, config))
+        "uavnav.algorithms.dqn.make_loss", lambda network, config: kept.setdefault("loss", make_loss(network, config))
     )
     targets, online = [], []
-    original = uavnav.runs.Recorder.add_episodes
+    original = uavnav.training.recorder.Recorder.add_episodes
 
     def watch(self, following, frame):
         targets.append(torch.cat([v.flatten() for v in kept["loss"].target_value_network_params.values(True, True)]))
         online.append(torch.cat([v.detach().flatten() for v in kept["loss"].value_network_params.values(True, True)]))
         original(self, following, frame)
 
-    monkeypatch.setattr("uavnav.runs.Recorder.add_episodes", watch)
+    monkeypatch.setattr("uavnav.training.recorder.Recorder.add_episodes", watch)
     train(config, out=tmp_path / "r", quiet=True)
     copied = [step for step in range(1, 13) if not torch.equal(targets[step], targets[step - 1])]
     assert copied == [4, 8, 12]  # seen at the beginning of the step after

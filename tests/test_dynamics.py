@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import uavnav
-from uavnav.dynamics import COSINE, SINE, decode, direction, move
+from uavnav.tasks.dynamics import COSINE, SINE, decode, direction, move
 
 WORLD = uavnav.World()
 ACTIONS = torch.arange(100)

@@ -9,7 +9,7 @@ import torch
 from torchrl.envs.utils import check_env_specs, step_mdp
 
 import uavnav
-from uavnav import layouts
+from uavnav.tasks import layouts
 
 COUNTS = ("steps", "stops", "full_stops", "turns", "distance")
 STRAIGHT = 9  # no turn, 9 px

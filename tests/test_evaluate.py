@@ -11,11 +11,13 @@ import pytest
 import torch
 
 import uavnav
-from uavnav import dqn, evaluate, ppo
-from uavnav.baselines import BASELINES, straight_ahead, uniform_random
+from uavnav import evaluate
+from uavnav.algorithms import dqn, ppo
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, fly
-from uavnav.metrics import EPISODE_COLUMNS
-from uavnav.runs import Run, read_table
+from uavnav.runs import Run
+from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.tables import read_table
+from uavnav.tasks.baselines import BASELINES, straight_ahead, uniform_random
 
 RUNS = {
     "ppo": (ppo.train, ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off")),
@@ -306,7 +308,7 @@ def test_a_compiled_evaluation_gives_the_rows_of_an_eager_one(monkeypatch):
     """Scripted policies, which do not depend on the last bit of what they see; flights end at many different steps."""
     population = {0: BASELINES["random"], 1: BASELINES["reactive"], 2: BASELINES["straight"]}
     eager = fly(population, episodes=40, max_steps=300)
-    monkeypatch.setattr(evaluate.compiling, "FLIGHTS_PAY_FROM", 1)
+    monkeypatch.setattr(evaluate.machine, "FLIGHTS_PAY_FROM", 1)
     compiled = fly(population, episodes=40, max_steps=300)
     assert compiled.episodes.steps.nunique() > 20
     pd.testing.assert_frame_equal(compiled.episodes, eager.episodes)
@@ -314,4 +316,4 @@ def test_a_compiled_evaluation_gives_the_rows_of_an_eager_one(monkeypatch):
 
 
 def test_short_evaluations_are_not_compiled():
-    assert not evaluate.compiling.flights(200, 10_000)
+    assert not evaluate.machine.flights(200, 10_000)

@@ -12,11 +12,12 @@ import onnxruntime
 import pytest
 import torch
 
-from uavnav import PolicyError, RunError, dqn, export, load_policy, ppo
+from uavnav import PolicyError, RunError, export, load_policy
+from uavnav.algorithms import dqn, ppo
 from uavnav.export import export_policy
 from uavnav.networks import ACTIVATIONS
 from uavnav.policies import Policy
-from uavnav.world import World
+from uavnav.tasks.world import World
 
 pytestmark = pytest.mark.slow  # exporters take seconds a policy: not in the quick suite
 

@@ -10,11 +10,12 @@ import pandas as pd
 import pytest
 import torch
 
-from uavnav import paper, stats
-from uavnav.metrics import EPISODE_COLUMNS
+from uavnav import stats
 from uavnav.report import behaviour, figures
 from uavnav.report.cells import BINS, EMPTY, Cell
-from uavnav.world import World
+from uavnav.runs import paper
+from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.tasks.world import World
 
 FRAMES = 1000
 

@@ -6,12 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uavnav import paper, stats
-from uavnav.metrics import EPISODE_COLUMNS, METRICS
+from uavnav import stats
 from uavnav.report import claims, frames, tables
 from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import PRIMARY
 from uavnav.report.studies import Studies, of_paper
+from uavnav.runs import paper
+from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS
 
 SPREAD = (-1.0, 0.0, 1.0)
 

@@ -12,8 +12,9 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 import uavnav
-from uavnav import layouts
-from uavnav.gym import DroneGymEnv, DroneVectorEnv
+from uavnav.envs import drawing
+from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
+from uavnav.tasks import layouts
 
 STRAIGHT = 9  # no turn, 9 px
 
@@ -335,7 +336,7 @@ def test_the_picture_has_the_drone_30_px_wide_where_info_says_with_y_upwards():
     env.reset(seed=0)
     for _ in range(10):
         *_, info = env.step(STRAIGHT)
-    rows, columns = np.nonzero((env.render() == uavnav.render.DRONE).all(-1))
+    rows, columns = np.nonzero((env.render() == drawing.DRONE).all(-1))
     assert (columns.min() + columns.max() + 1) / 2 == pytest.approx(info["x"], abs=2)
     assert 600 - (rows.min() + rows.max() + 1) / 2 == pytest.approx(info["y"], abs=2)
     assert (columns.max() - columns.min() + 1) / 2 == pytest.approx(30, abs=2)
@@ -351,7 +352,7 @@ def test_the_vector_renders_one_picture_for_each_of_3_rows():
 
 def test_sb3s_ppo_learns_256_steps_on_4_rows_and_goes_on_from_there():
     stable_baselines3 = pytest.importorskip("stable_baselines3")
-    from uavnav.sb3 import DroneVecEnv
+    from uavnav.envs.sb3 import DroneVecEnv
 
     env = DroneVecEnv(4, seed=0, layouts="test")
     model = stable_baselines3.PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
@@ -360,7 +361,7 @@ def test_sb3s_ppo_learns_256_steps_on_4_rows_and_goes_on_from_there():
 
 def test_sb3s_rows_equal_the_vectors_and_name_the_end_of_each_of_their_episodes():
     pytest.importorskip("stable_baselines3")
-    from uavnav.sb3 import DroneVecEnv
+    from uavnav.envs.sb3 import DroneVecEnv
 
     env, vector = DroneVecEnv(4, seed=6, layouts="test", max_steps=40), make_vec(4, max_steps=40)
     np.testing.assert_array_equal(env.reset(), vector.reset(seed=6)[0])

@@ -8,7 +8,7 @@ from safetensors.torch import save_file
 from scipy import stats
 
 import uavnav
-from uavnav import layouts
+from uavnav.tasks import layouts
 
 SHAPES = {"train": (10_000, 8, 3), "test": (1_000, 8, 3)}
 

@@ -8,10 +8,10 @@ from tensordict import TensorDict
 from torch import nn
 from torch.nn.utils import clip_grad_norm_
 
-from uavnav import dqn, ppo
-from uavnav.dqn import DQNConfig
-from uavnav.learner import Learner
-from uavnav.ppo import PPOConfig
+from uavnav.algorithms import dqn, ppo
+from uavnav.algorithms.dqn import DQNConfig
+from uavnav.algorithms.ppo import PPOConfig
+from uavnav.training.learner import Learner
 
 
 class Losses(nn.Module):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import uavnav
-from uavnav import dqn, ppo
-from uavnav.baselines import straight_ahead, uniform_random
+from uavnav.algorithms import dqn, ppo
 from uavnav.evaluate import evaluate_policy
+from uavnav.tasks.baselines import straight_ahead, uniform_random
 
 EPISODES = 100
 MAX_STEPS = 500

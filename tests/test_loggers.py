@@ -19,11 +19,14 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from uavnav import ConfigError, RunError, dqn, loggers, ppo
-from uavnav.loggers import Logs, chosen
-from uavnav.metrics import LAST
-from uavnav.policies import FILE_NAME
-from uavnav.runs import Interrupted, Run, with_reward
+from uavnav import ConfigError, RunError
+from uavnav.algorithms import dqn, ppo
+from uavnav.runs import POLICY, Run
+from uavnav.runs.metrics import LAST
+from uavnav.runs.tables import with_reward
+from uavnav.training import loggers
+from uavnav.training.loggers import Logs, chosen
+from uavnav.training.recorder import Interrupted
 
 pytestmark = pytest.mark.slow  # many runs in processes of their own: not in the quick suite
 
@@ -145,7 +148,7 @@ def test_a_log_holds_each_column_of_progress_and_the_recent_reward_of_each_seed(
 
 
 def test_a_run_with_logs_is_the_run_without_bit_for_bit(plain, logged):
-    for name in ("config.yaml", "episodes.parquet", FILE_NAME):
+    for name in ("config.yaml", "episodes.parquet", POLICY):
         assert (logged.path / name).read_bytes() == (plain.path / name).read_bytes()
     pd.testing.assert_frame_equal(*(run.progress.drop(columns="frames_per_second") for run in (plain, logged)))
     assert {path.name for path in logged.path.iterdir()} - {path.name for path in plain.path.iterdir()} == set(BOTH)
@@ -297,7 +300,7 @@ def test_a_logger_that_is_not_installed_names_what_to_install(monkeypatch, tmp_p
 
 def test_training_without_a_logger_imports_neither(tmp_path):
     code = (
-        "import sys; from uavnav.ppo import PPOConfig, train;"
+        "import sys; from uavnav.algorithms.ppo import PPOConfig, train;"
         "train(PPOConfig(total_frames=64, frames_per_batch=64, compile='off'), 'run', quiet=True);"
         "print([name for name in ('wandb', 'tensorboard') if name in sys.modules])"
     )

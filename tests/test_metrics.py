@@ -3,8 +3,8 @@
 import pandas as pd
 import pytest
 
-from uavnav import paper
-from uavnav.metrics import EPISODE_COLUMNS, METRICS, Metric, finished, last_episodes, per_seed
+from uavnav.runs import paper
+from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric, finished, last_episodes, per_seed
 
 
 def episode(seed, frame, steps, stops, full_stops, turns, distance, reward, terminated=True, truncated=False):

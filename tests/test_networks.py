@@ -7,8 +7,8 @@ import torch
 from torch import nn
 
 from uavnav.networks import ACTIVATIONS, Activation, AgentLinear, mlp
-from uavnav.paper import TABLES
-from uavnav.seeding import stream
+from uavnav.runs.paper import TABLES
+from uavnav.tasks.seeding import stream
 
 
 def generators(*seeds):

@@ -8,10 +8,10 @@ import oracle
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from uavnav import layouts
 from uavnav.bench.numpy_world import NumpyDroneEnv, border_squares
-from uavnav.gym import DroneGymEnv
-from uavnav.world import World
+from uavnav.envs.gym import DroneGymEnv
+from uavnav.tasks import layouts
+from uavnav.tasks.world import World
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from uavnav import dqn, ppo
+from uavnav.algorithms import dqn, ppo
 from uavnav.evaluate import evaluate_run
 from uavnav.report import SECTIONS, report
 from uavnav.report.claims import CLAIMS

@@ -13,14 +13,18 @@ import pytest
 import torch
 
 import uavnav
-from uavnav import game as rules
-from uavnav import hud, layouts, play, ppo, render
-from uavnav.baselines import BASELINES, straight_ahead
-from uavnav.game import ALIASES, KEYS, MOUSE, PACES
-from uavnav.metrics import EPISODE_COLUMNS, METRICS, per_seed
+from uavnav import render
+from uavnav.algorithms import ppo
+from uavnav.envs import drawing
 from uavnav.render import Pilot
 from uavnav.report import frames
-from uavnav.world import World
+from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, per_seed
+from uavnav.tasks import layouts
+from uavnav.tasks.baselines import BASELINES, straight_ahead
+from uavnav.tasks.world import World
+from uavnav.window import game as rules
+from uavnav.window import hud, play
+from uavnav.window.game import ALIASES, KEYS, MOUSE, PACES
 
 pygame = pytest.importorskip("pygame")
 
@@ -436,7 +440,7 @@ def test_the_window_shows_the_drone_of_the_pilots_colour_where_it_is(size, windo
     play.show(game)
     places = hud.arrange(size, WORLD)
     x, y = places.left + places.width * (400 + 12) / 800, places.top + places.height * (300 - 180) / 600
-    assert tuple(pygame.display.get_surface().get_at((round(x), round(y))))[:3] == render.PILOTS[1]
+    assert tuple(pygame.display.get_surface().get_at((round(x), round(y))))[:3] == drawing.PILOTS[1]
 
 
 def test_the_action_grid_has_the_best_action_in_the_brightest_colour_and_outlines_it(run):
@@ -455,7 +459,7 @@ def test_the_action_grid_has_the_best_action_in_the_brightest_colour_and_outline
     x, y = left + 26 + 24 * column, top + 24 + 21 * (9 - distance)
     assert tuple(picture[y + 10, x + 10]) == shades[action]
     assert tuple(picture[y, x + 10]) == hud.WHITE
-    assert tuple(picture[y - 2, x + 10]) == render.INK
+    assert tuple(picture[y - 2, x + 10]) == drawing.INK
 
 
 def test_the_figures_are_those_of_the_metrics_table_after_a_flight():

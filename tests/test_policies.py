@@ -8,8 +8,10 @@ import torch
 from safetensors.torch import load_file, save_file
 
 import uavnav
-from uavnav import dqn, ppo
-from uavnav.policies import FILE_NAME, PolicyError, serialize
+from uavnav.algorithms import dqn, ppo
+from uavnav.policies import PolicyError
+from uavnav.runs import POLICY
+from uavnav.training.weights import serialize
 
 
 @pytest.fixture(scope="module", params=["ppo", "dqn"])
@@ -40,7 +42,7 @@ def test_each_seed_has_weights_of_its_own_and_the_first_is_the_default(run):
     values = [uavnav.load_policy(run.path, seed=seed).values(observation) for seed in (4, 5, 6)]
     assert not torch.equal(values[0], values[1])
     assert not torch.equal(values[1], values[2])
-    assert torch.equal(uavnav.load_policy(run.path / FILE_NAME).values(observation), values[0])
+    assert torch.equal(uavnav.load_policy(run.path / POLICY).values(observation), values[0])
 
 
 def test_sampling_follows_its_generator(run):
@@ -64,8 +66,8 @@ def tensors_and_header(path):
 
 
 def damaged(run, tmp_path, change):
-    path = tmp_path / FILE_NAME
-    tensors, header = tensors_and_header(run.path / FILE_NAME)
+    path = tmp_path / POLICY
+    tensors, header = tensors_and_header(run.path / POLICY)
     change(tensors, header)
     save_file(tensors, path, metadata={"uavnav": json.dumps(header)})
     return path
@@ -94,7 +96,7 @@ class Bomb:
 
 @pytest.mark.parametrize("content", [b"", b"x" * 100, pickle.dumps(Bomb())])
 def test_files_of_another_kind_are_refused_and_never_unpickled(tmp_path, content):
-    (tmp_path / FILE_NAME).write_bytes(content)
+    (tmp_path / POLICY).write_bytes(content)
     with pytest.raises(PolicyError, match="not a readable policy file"):
         uavnav.load_policy(tmp_path)
 

@@ -16,8 +16,7 @@ from tensordict import TensorDict
 from torch.distributions import Categorical
 
 import uavnav
-from uavnav.learner import Learner
-from uavnav.ppo import (
+from uavnav.algorithms.ppo import (
     PPOConfig,
     SampledPolicy,
     estimate,
@@ -30,10 +29,11 @@ from uavnav.ppo import (
     rows,
     train,
 )
-from uavnav.replay import AgentSampler
-from uavnav.runs import Interrupted
-from uavnav.seeding import Streams
-from uavnav.world import World
+from uavnav.tasks.seeding import Streams
+from uavnav.tasks.world import World
+from uavnav.training.learner import Learner
+from uavnav.training.recorder import Interrupted
+from uavnav.training.sampler import AgentSampler
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 
@@ -341,7 +341,7 @@ def watched(tmp_path_factory):
         return losses[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uavnav.ppo.estimate", watch_estimate)
+        patch.setattr("uavnav.algorithms.ppo.estimate", watch_estimate)
         patch.setattr(Learner, "step", watch_step)
         run = train(WATCHED, out=tmp_path_factory.mktemp("watched") / "run", quiet=True)
     return SimpleNamespace(run=run, rollouts=rollouts, minibatches=minibatches, losses=losses)

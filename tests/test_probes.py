@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from uavnav import probes
 from uavnav.networks import ACTIVATIONS, mlp
-from uavnav.seeding import stream
-from uavnav.world import World
+from uavnav.tasks.seeding import stream
+from uavnav.tasks.world import World
+from uavnav.training import probes
 
 
 def network(activation, agents=2, hidden=4):

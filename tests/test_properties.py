@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torchrl.envs.utils import step_mdp
 
 import uavnav
-from uavnav import layouts, simulator
+from uavnav.tasks import layouts, simulator
 
 ROUNDING = 1e-3  # [px] of float32 positions and distances
 PENALTIES = {"eq14": (-0.01, 0.09), "additive": (-0.02, 0.09), "initial": (0.0, 0.09)}  # all that no collision earns

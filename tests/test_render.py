@@ -12,10 +12,15 @@ import torch
 from PIL import Image
 
 import uavnav
-from uavnav import evaluate, export, play, ppo, render, simulator
-from uavnav.baselines import BASELINES, straight_ahead
-from uavnav.render import BORDER, DRONE, GROUND, OBSTACLE, SENSED, Film, Flight, Pilot, draw_state, fly
-from uavnav.world import World
+from uavnav import evaluate, export, render
+from uavnav.algorithms import ppo
+from uavnav.envs import drawing
+from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
+from uavnav.render import Film, Flight, Pilot, fly
+from uavnav.tasks import simulator
+from uavnav.tasks.baselines import BASELINES, straight_ahead
+from uavnav.tasks.world import World
+from uavnav.window import play
 
 WORLD = World()
 
@@ -82,7 +87,7 @@ def test_two_flights_are_480_px_wide_each_with_a_gap_of_8_and_the_one_that_is_ov
     assert (width, height) == (2 * 480 + 8, 360 + 30)
     assert (frames[28][:, :480] == frames[40][:, :480]).all()
     assert not (frames[28][360:, 488:] == frames[40][360:, 488:]).all()  # its caption counts on
-    assert tuple(frames[5][180, 488 + 240 + 9]) == render.PILOTS[1]
+    assert tuple(frames[5][180, 488 + 240 + 9]) == drawing.PILOTS[1]
 
 
 @pytest.mark.parametrize(("n", "columns", "rows"), [(1, 1, 1), (3, 3, 1), (4, 2, 2), (5, 3, 2)])
@@ -255,7 +260,8 @@ def test_the_help_ends_with_an_example_that_the_command_understands(command, mon
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         command.main(["--help"])
-    (words,) = re.findall(rf"^example: python -m {command.__name__} (.*)$", capsys.readouterr().out, re.MULTILINE)
+    name = command.__name__.rpartition(".")[2]
+    (words,) = re.findall(rf"^example: python -m uavnav.{name} (.*)$", capsys.readouterr().out, re.MULTILINE)
     understood, original = [], argparse.ArgumentParser.parse_known_args
 
     def parse(self, args=None, namespace=None):

@@ -13,13 +13,16 @@ import torch
 import yaml
 from torch import nn
 
-from uavnav import layouts, scalar
-from uavnav.config import TrainConfig
-from uavnav.metrics import EPISODE_COLUMNS
+from uavnav.envs import scalar
 from uavnav.networks import mlp
-from uavnav.policies import FILE_NAME, load_policy, serialize
+from uavnav.policies import load_policy
 from uavnav.report.cells import collect
 from uavnav.report.replays import record
+from uavnav.runs import POLICY
+from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.tasks import layouts
+from uavnav.training.config import TrainConfig
+from uavnav.training.weights import serialize
 
 STRAIGHT, STAY = 9, 0  # actions
 MAX_STEPS = 60
@@ -43,7 +46,7 @@ def write_run(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), **changes):
     for agent, action in prefer:
         always(network, agent, action)
     path.mkdir(parents=True)
-    (path / FILE_NAME).write_bytes(serialize({"policy": nn.ModuleList(network)}, algorithm, config, epsilon=0.2))
+    (path / POLICY).write_bytes(serialize({"policy": nn.ModuleList(network)}, algorithm, config, epsilon=0.2))
     facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "preset": "paper"}
     (path / "config.yaml").write_text(yaml.safe_dump(facts | changes))
     (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}}))
@@ -194,9 +197,9 @@ def test_policies_that_cannot_be_loaded_are_named_and_the_next_seeds_fly(tmp_pat
     for seed in (0, 1, 2, 3):
         write_run(tmp_path / f"run-{seed}", seed=seed, n_seeds=1, prefer=[(0, STRAIGHT)])
     write_run(tmp_path / "other", "dqn", n_seeds=2)
-    (tmp_path / "run-0" / FILE_NAME).write_bytes(b"no policy")
-    (tmp_path / "run-2" / FILE_NAME).unlink()
-    (tmp_path / "other" / FILE_NAME).unlink()
+    (tmp_path / "run-0" / POLICY).write_bytes(b"no policy")
+    (tmp_path / "run-2" / POLICY).unlink()
+    (tmp_path / "other" / POLICY).unlink()
     data = recorded(tmp_path, n_seeds=2, n_layouts=1)
     (cell,) = data["cells"]
     assert [flight["seed"] for flight in cell["flights"]] == [1, 3]
@@ -241,4 +244,10 @@ def test_counts_that_make_no_sense_are_refused(counts):
 def test_no_training_is_imported():
     code = "import sys, uavnav.report.replays; print(*sys.modules)"
     there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert not {"torchrl", "uavnav.ppo", "uavnav.dqn", "uavnav.learner", "uavnav.env"} & {*there}
+    assert not {
+        "torchrl",
+        "uavnav.algorithms.ppo",
+        "uavnav.algorithms.dqn",
+        "uavnav.training.learner",
+        "uavnav.envs.env",
+    } & {*there}

@@ -19,12 +19,8 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from torch import nn
 
-from uavnav import paper
-from uavnav.config import TrainConfig
 from uavnav.evaluate import BEHAVIOUR_COLUMNS
-from uavnav.metrics import EPISODE_COLUMNS, METRICS, Metric
 from uavnav.networks import mlp
-from uavnav.policies import FILE_NAME, serialize
 from uavnav.report import SECTIONS, _write_all, conclusions, content, docs, markdown, report
 from uavnav.report.__main__ import main
 from uavnav.report.cells import BINS, collect, curve, label
@@ -33,7 +29,11 @@ from uavnav.report.content import gather
 from uavnav.report.figures import plot
 from uavnav.report.studies import of_paper
 from uavnav.report.tables import audit_rows, number, overview, table, with_interval
-from uavnav.runs import RunError
+from uavnav.runs import POLICY, paper
+from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric
+from uavnav.runs.tables import RunError
+from uavnav.training.config import TrainConfig
+from uavnav.training.weights import serialize
 
 CONFIG = {"preset": "paper", "total_frames": 1000, "n_worlds": 16, "reward": "eq14", "init": "default", "lr": 1e-4}
 BANK = {"n": 10_000, "k": 8, "split": "train", "generator_seed": 0, "sha256": "abc"}
@@ -360,7 +360,14 @@ def test_tables_of_nothing_still_hold_the_papers_4_rows():
 
 
 def test_it_imports_nothing_that_trains():
-    forbidden = ["uavnav.ppo", "uavnav.dqn", "uavnav.learner", "uavnav.env", "uavnav.replay", "torchrl"]
+    forbidden = [
+        "uavnav.algorithms.ppo",
+        "uavnav.algorithms.dqn",
+        "uavnav.training.learner",
+        "uavnav.envs.env",
+        "uavnav.training.sampler",
+        "torchrl",
+    ]
     code = f"import sys, uavnav.report; print([name for name in {forbidden} if name in sys.modules])"
     run = subprocess.run(
         [sys.executable, "-c", code],
@@ -437,7 +444,7 @@ def trained(path, algorithm, action):
         network[-1].weight.zero_()
         network[-1].bias[:, 0, action] = 50.0
     content = serialize({"policy": nn.ModuleList(network)}, algorithm, config, epsilon=0.05)
-    (path / FILE_NAME).write_bytes(content)
+    (path / POLICY).write_bytes(content)
 
 
 @pytest.fixture(scope="module")

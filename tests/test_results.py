@@ -7,12 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uavnav import paper
-from uavnav.metrics import last_episodes, per_seed
 from uavnav.report import markdown
 from uavnav.report.content import gather
 from uavnav.report.docs import BEGIN, END, results, summary
-from uavnav.runs import Run
+from uavnav.runs import Run, paper
+from uavnav.runs.metrics import last_episodes, per_seed
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "results"

@@ -15,8 +15,11 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from uavnav import checkpoints, dqn, ppo
-from uavnav.runs import FILES, Interrupted, Recorder, RunError
+from uavnav.algorithms import dqn, ppo
+from uavnav.runs import FILES
+from uavnav.runs.tables import RunError
+from uavnav.training import checkpoints, recorder
+from uavnav.training.recorder import Interrupted, Recorder
 
 ALGORITHMS = {
     "ppo": (
@@ -190,12 +193,10 @@ def test_a_missing_or_damaged_chunk_of_the_newest_snapshot_falls_back_to_the_old
 def test_a_snapshot_of_another_version_is_refused_in_one_line(whole, tmp_path, monkeypatch):
     train, config, run = whole
     interrupted(whole, tmp_path / "run", 1000)
-    from uavnav import runs
-
-    facts = runs._facts()
+    facts = recorder._facts()
     facts["versions"]["torch"] = "9.9.9"
     with monkeypatch.context() as patch:
-        patch.setattr(runs, "_facts", lambda: facts)
+        patch.setattr(recorder, "_facts", lambda: facts)
         with pytest.raises(RunError, match=r"saved with version of torch=2\.13.*, not 9\.9\.9") as refused:
             train(config, out=tmp_path / "run", quiet=True)
     assert "\n" not in str(refused.value)
@@ -225,7 +226,7 @@ def test_only_two_states_are_kept_and_a_chunk_is_written_once(whole, tmp_path, m
     monkeypatch.setattr(checkpoints.Checkpoints, "_write", write)
     kept = []
     stop_at(monkeypatch, 0, lambda recorder: kept.append(len(list(recorder.path.glob("checkpoint/state-*")))))
-    monkeypatch.setattr("uavnav.runs.CHECKPOINT_SHARE", 1e9)  # a snapshot after every iteration
+    monkeypatch.setattr("uavnav.training.recorder.CHECKPOINT_SHARE", 1e9)  # a snapshot after every iteration
     train(config, out=tmp_path / "run", quiet=True, checkpoint_seconds=0)
     assert max(kept) == 2
     chunks = [stem for stem in written if stem.startswith("replay")]
@@ -286,10 +287,10 @@ def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algo
 
 def test_a_resume_repeats_the_threads_that_the_run_began_with(tmp_path, monkeypatch):
     config = ppo.PPOConfig(n_seeds=4, total_frames=1024, frames_per_batch=256, epochs=1, compile="off")
-    monkeypatch.setattr("uavnav.compiling.threads", lambda config: 2)
+    monkeypatch.setattr("uavnav.training.machine.threads", lambda config: 2)
     with pytest.raises(Interrupted):
         ppo.train(config, out=tmp_path / "run", quiet=True, until=512)
-    monkeypatch.setattr("uavnav.compiling.threads", lambda config: 1)
+    monkeypatch.setattr("uavnav.training.machine.threads", lambda config: 1)
     before = torch.get_num_threads()
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     assert run.meta["threads"] == 2

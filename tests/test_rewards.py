@@ -5,8 +5,8 @@ import pytest
 import torch
 
 import uavnav
-from uavnav.dynamics import decode
-from uavnav.rewards import REWARDS
+from uavnav.tasks.dynamics import decode
+from uavnav.tasks.rewards import REWARDS
 
 WORLD = uavnav.World()
 NAMES = {

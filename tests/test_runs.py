@@ -12,9 +12,11 @@ from filelock import FileLock
 from safetensors.torch import load_file
 
 import uavnav
-from uavnav import dqn, ppo
-from uavnav.metrics import EPISODE_COLUMNS
-from uavnav.runs import FILES, Run, RunError, default_folder
+from uavnav.algorithms import dqn, ppo
+from uavnav.runs import FILES, Run
+from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.tables import RunError
+from uavnav.training.recorder import default_folder
 
 ALGORITHMS = {
     "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),

@@ -6,9 +6,9 @@ from scipy import stats
 from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
-from uavnav.replay import AgentSampler
-from uavnav.sampling import epsilon_greedy, sample_categorical
-from uavnav.seeding import Streams, headings, places, stream
+from uavnav.tasks.seeding import Streams, headings, places, stream
+from uavnav.training.sampler import AgentSampler
+from uavnav.training.sampling import epsilon_greedy, sample_categorical
 
 
 def test_sampled_actions_follow_the_softmax_of_their_logits():

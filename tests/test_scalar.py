@@ -7,8 +7,9 @@ import test_sensing as poses
 import torch
 
 import uavnav
-from uavnav import layouts, scalar, simulator
-from uavnav.rewards import REWARDS
+from uavnav.envs import scalar
+from uavnav.tasks import layouts, simulator
+from uavnav.tasks.rewards import REWARDS
 
 GROUPS = {
     "random": lambda n, generator: poses.random_poses(n, 1),

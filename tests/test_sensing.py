@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import uavnav
-from uavnav import layouts
-from uavnav.sensing import sense
+from uavnav.tasks import layouts
+from uavnav.tasks.sensing import sense
 
 WORLD = uavnav.World()
 EMPTY = torch.zeros(0, 3)

@@ -13,15 +13,18 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from uavnav import compiling, networks
-from uavnav.config import ConfigError
-from uavnav.dqn import DQNConfig
-from uavnav.dqn import train as train_dqn
-from uavnav.policies import FILE_NAME, load_policy
-from uavnav.ppo import PPOConfig, train
+from uavnav import networks
+from uavnav.algorithms.dqn import DQNConfig
+from uavnav.algorithms.dqn import train as train_dqn
+from uavnav.algorithms.ppo import PPOConfig, train
+from uavnav.choices import ConfigError
+from uavnav.policies import load_policy
 from uavnav.report.cells import run_folders
-from uavnav.runs import Interrupted, RunError
-from uavnav.shares import split
+from uavnav.runs import POLICY
+from uavnav.runs.tables import RunError
+from uavnav.training import machine
+from uavnav.training.recorder import Interrupted
+from uavnav.training.shares import split
 from uavnav.verify import verify
 
 SMALL = {"total_frames": 1024, "frames_per_batch": 256, "epochs": 2, "compile": "off"}
@@ -34,8 +37,8 @@ def rows(run):
 def assert_same(one, other):
     pd.testing.assert_frame_equal(one.episodes, other.episodes)
     pd.testing.assert_frame_equal(rows(one), rows(other))
-    theirs = load_file(other.path / FILE_NAME)
-    for name, tensor in load_file(one.path / FILE_NAME).items():
+    theirs = load_file(other.path / POLICY)
+    for name, tensor in load_file(one.path / POLICY).items():
         assert torch.equal(tensor, theirs[name])
 
 
@@ -114,7 +117,7 @@ def test_verify_repeats_it_in_as_many_processes(spread_run):
 
 
 COMMAND = """
-from uavnav.ppo import PPOConfig, train
+from uavnav.algorithms.ppo import PPOConfig, train
 from uavnav.report.cells import run_folders
 config = PPOConfig(n_seeds=3, total_frames=400_000, frames_per_batch=256, epochs=2, compile="off")
 train(config, {out!r}, quiet=True, processes=2, checkpoint_seconds={seconds})
@@ -235,19 +238,19 @@ def test_dqn_spreads_as_well_and_its_memory_is_counted_for_all_seeds(tmp_path):
 
 def test_only_runs_that_are_compiled_are_spread_by_themselves(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(4)))
-    assert compiling.processes(PPOConfig(n_seeds=10)) == 4
-    assert compiling.processes(PPOConfig(n_seeds=3)) == 3
-    assert compiling.processes(PPOConfig(n_seeds=10, compile="off")) == 1
-    assert compiling.processes(PPOConfig(n_seeds=10, total_frames=1000)) == 1
-    assert compiling.processes(PPOConfig(n_seeds=10, total_frames=1000, compile="on")) == 4
+    assert machine.processes(PPOConfig(n_seeds=10)) == 4
+    assert machine.processes(PPOConfig(n_seeds=3)) == 3
+    assert machine.processes(PPOConfig(n_seeds=10, compile="off")) == 1
+    assert machine.processes(PPOConfig(n_seeds=10, total_frames=1000)) == 1
+    assert machine.processes(PPOConfig(n_seeds=10, total_frames=1000, compile="on")) == 4
 
 
 def test_an_activation_of_ones_own_stays_in_the_process_that_knows_it(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setitem(networks.ACTIVATIONS, "mine", torch.sin)
-    assert compiling.processes(PPOConfig(n_seeds=10, activation="mine")) == 1
+    assert machine.processes(PPOConfig(n_seeds=10, activation="mine")) == 1
     monkeypatch.setitem(networks.ACTIVATIONS, "tanh", torch.sin)
-    assert compiling.processes(PPOConfig(n_seeds=10, activation="tanh")) == 1
+    assert machine.processes(PPOConfig(n_seeds=10, activation="tanh")) == 1
 
 
 @pytest.mark.parametrize("function", [train, train_dqn])

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uavnav import paper
-from uavnav.metrics import EPISODE_COLUMNS, LAST
 from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import PRIMARY
 from uavnav.report.studies import Rows, Studies, hours, in_none, of_paper, paper_cells, seeds, sort, wide
+from uavnav.runs import paper
+from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 
 SETTINGS = {"preset": "paper", "total_frames": 1_000_000, "frames": 1_000_000, "exploration_fraction": 0.1}
 SETTINGS |= {"layouts": None, "bank": "abc", "obstacles": 8, "reward": "eq14", "slots": "nearest", "world": "1"}

@@ -10,9 +10,10 @@ import pytest
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from uavnav import dqn, ppo, verify
-from uavnav.policies import FILE_NAME
-from uavnav.runs import Recorder, Run
+from uavnav import verify
+from uavnav.algorithms import dqn, ppo
+from uavnav.runs import POLICY, Run
+from uavnav.training.recorder import Recorder
 
 ALGORITHMS = {
     "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),
@@ -59,11 +60,11 @@ def edit(path, change):
 
 
 def edit_weights(folder, change):
-    with safe_open(folder / FILE_NAME, framework="pt") as file:
+    with safe_open(folder / POLICY, framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         header = file.metadata()
     change(tensors)
-    save_file(tensors, folder / FILE_NAME, metadata=header)
+    save_file(tensors, folder / POLICY, metadata=header)
 
 
 def test_a_repeat_of_the_whole_run_is_the_same_bit_for_bit_and_ends_with_0(trained, verdict):

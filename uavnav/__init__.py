@@ -6,97 +6,74 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
+import sys
 import warnings
+from importlib.abc import InspectLoader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import did_you_mean
 
 if TYPE_CHECKING:
     from uavnav import (
-        baselines,
         bench,
-        dqn,
-        dynamics,
-        env,
         evaluate,
         export,
-        gym,
-        layouts,
-        loggers,
-        metrics,
         networks,
-        paper,
         policies,
-        ppo,
         render,
-        replay,
         report,
-        rewards,
         runs,
-        sb3,
-        scalar,
-        sensing,
-        simulator,
         stats,
         verify,
-        world,
     )
-    from uavnav.config import ConfigError
-    from uavnav.env import DroneEnv
+    from uavnav.algorithms import dqn, ppo
+    from uavnav.choices import ConfigError
+    from uavnav.envs import env, gym, sb3, scalar
+    from uavnav.envs.env import DroneEnv
     from uavnav.evaluate import evaluate_policy
-    from uavnav.layouts import LayoutError
     from uavnav.policies import Policy, PolicyError, load_policy
-    from uavnav.runs import Run, RunError
-    from uavnav.world import World
+    from uavnav.runs import Run, metrics, paper
+    from uavnav.runs.tables import RunError
+    from uavnav.tasks import baselines, dynamics, layouts, rewards, sensing, simulator, world
+    from uavnav.tasks.layouts import LayoutError
+    from uavnav.tasks.world import World
+    from uavnav.training import config, loggers, sampler
+    from uavnav.window import play
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "ConfigError": "config",
-    "DroneEnv": "env",
+_NAMES = {
+    "ConfigError": "choices",
+    "DroneEnv": "envs.env",
     "evaluate_policy": "evaluate",
-    "LayoutError": "layouts",
+    "LayoutError": "tasks.layouts",
     "Policy": "policies",
     "PolicyError": "policies",
     "load_policy": "policies",
     "Run": "runs",
-    "RunError": "runs",
-    "World": "world",
+    "RunError": "runs.tables",
+    "World": "tasks.world",
 }
-_MODULES = (
-    "baselines",
-    "bench",
-    "dqn",
-    "dynamics",
-    "env",
-    "evaluate",
-    "export",
-    "gym",
-    "layouts",
-    "loggers",
-    "metrics",
-    "networks",
-    "paper",
-    "policies",
-    "ppo",
-    "render",
-    "replay",
-    "report",
-    "rewards",
-    "runs",
-    "sb3",
-    "scalar",
-    "sensing",
-    "simulator",
-    "stats",
-    "verify",
-    "world",
-)
+_ROOMS = {
+    "envs": ("env", "gym", "sb3", "scalar"),
+    "runs": ("metrics", "paper"),
+    "tasks": ("baselines", "dynamics", "layouts", "rewards", "sensing", "simulator", "world"),
+    "training": ("config", "loggers", "sampler"),
+    "window": ("play",),
+}
+"""Modules that are also known without their folder: `uavnav.layouts` is `uavnav.tasks.layouts`."""
+HOMES = {name: f"uavnav.{room}.{name}" for room, names in _ROOMS.items() for name in names}
+HOMES |= {name: algorithm.module for name, algorithm in ALGORITHMS.items()}
+_MODULES = ("bench", "evaluate", "export", "networks", "policies", "render", "report", "runs", "stats", "verify")
 
-__all__ = [*_HOMES, *_MODULES]
+__all__ = [*_NAMES, *HOMES, *_MODULES]
 
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, when it is imported
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that spin starve each other on a busy machine
@@ -104,16 +81,58 @@ warnings.filterwarnings("ignore", message=".*inline_inbuilt_nn_modules is deprec
 
 gymnasium.register(
     id="uavnav/Drone-v0",
-    entry_point="uavnav.gym:DroneGymEnv",
-    vector_entry_point="uavnav.gym:DroneVectorEnv",
+    entry_point="uavnav.envs.gym:DroneGymEnv",
+    vector_entry_point="uavnav.envs.gym:DroneVectorEnv",
 )
 
 
+class _ShortNames(MetaPathFinder, InspectLoader):
+    """Finds `uavnav.layouts` in its folder, also for `python -m uavnav.layouts`; it is one module by two names."""
+
+    def __init__(self) -> None:
+        self._specs: dict[str, ModuleSpec | None] = {}
+
+    def _home(self, name: str) -> ModuleSpec:
+        short = name.rpartition(".")[2]
+        home = importlib.util.find_spec(HOMES[short])
+        assert home is not None
+        return home
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        package, _, short = name.rpartition(".")
+        if package != __name__ or short not in HOMES:
+            return None
+        return ModuleSpec(name, self, origin=self._home(name).origin)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        module = importlib.import_module(HOMES[spec.name.rpartition(".")[2]])
+        self._specs[spec.name] = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        spec = module.__spec__
+        assert spec is not None
+        module.__spec__ = self._specs[spec.name]
+
+    def get_code(self, name: str) -> CodeType | None:
+        loader = self._home(name).loader
+        assert isinstance(loader, InspectLoader)
+        return loader.get_code(HOMES[name.rpartition(".")[2]])
+
+    def get_source(self, name: str) -> str | None:
+        loader = self._home(name).loader
+        assert isinstance(loader, InspectLoader)
+        return loader.get_source(HOMES[name.rpartition(".")[2]])
+
+
+sys.meta_path.append(_ShortNames())
+
+
 def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(f"uavnav.{_HOMES[name]}"), name)
-    if name in _MODULES:
-        return importlib.import_module(f"uavnav.{name}")
+    if name in _NAMES:
+        return getattr(importlib.import_module(f"uavnav.{_NAMES[name]}"), name)
+    if name in HOMES or name in _MODULES:
+        return importlib.import_module(HOMES.get(name, f"uavnav.{name}"))
     choices = f"{', '.join(__all__)}{did_you_mean(name, __all__)}"
     raise AttributeError(f"module 'uavnav' has no attribute {name!r}; it has {choices}")
 

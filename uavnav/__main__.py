@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import uavnav
+from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import choose_from
 
 HERE = Path(__file__).parent
 RECIPES = HERE.parent / "recipes"
-TRAINING = ("ppo", "dqn")
+TRAINING = tuple(ALGORITHMS)
 COMMANDS = ("evaluate", "play", "render", "report", "verify", "export", "layouts", "bench")
 """Modules that have a `main`, in the order in which one needs them."""
 EXAMPLE = "python -m uavnav.render reactive random --layout 20 --out flight.gif"
@@ -22,7 +23,8 @@ EXAMPLE = "python -m uavnav.render reactive random --layout 20 --out flight.gif"
 
 def module_of(command: str) -> str:
     """Where a command's `main` is."""
-    return f"uavnav.{command}.__main__" if (HERE / command).is_dir() else f"uavnav.{command}"
+    home = uavnav.HOMES.get(command, f"uavnav.{command}")
+    return f"{home}.__main__" if (HERE / command).is_dir() else home
 
 
 def said(path: Path, function: str = "") -> str:
@@ -38,7 +40,7 @@ def listing() -> str:
         training = {f"python recipes/{name}.py": said(RECIPES / f"{name}.py") for name in TRAINING}
         docs = f"{HERE.parent / 'README.md'} and the folder docs beside it"
     else:
-        training = {f"uavnav.{name}.train(...)": said(HERE / f"{name}.py", "train") for name in TRAINING}
+        training = {f"uavnav.{name}.train(...)": said(HERE / "algorithms" / f"{name}.py", "train") for name in TRAINING}
         docs = "README.md and the folder docs of the repository; help(uavnav.ppo.train) in Python"
     files = {name: HERE.joinpath(*module_of(name).split(".")[1:]).with_suffix(".py") for name in COMMANDS}
     others = {f"python -m uavnav.{name}": said(path, "main") for name, path in files.items()}

@@ -7,7 +7,6 @@ import difflib
 import io
 import os
 import sys
-import tempfile
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
@@ -37,17 +36,18 @@ def choose_from(value: object, choices: Collection[str]) -> str:
     return f"choose from {', '.join(sorted(choices))}{did_you_mean(value, choices)}"
 
 
-def check_out(path: Path) -> None:
-    """Raises ValueError, before anyone flies, for a file that could not be written; its folders may yet be made."""
-    try:
-        folder = next(one for one in path.absolute().parents if one.exists())
-        if path.is_dir():
-            raise IsADirectoryError("it is a folder")
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        reason = error.strerror or error
-        raise ValueError(f"{path}: cannot be written ({reason}); give a path that can be written") from error
+class ConfigError(ValueError):
+    """A key or a value of a configuration is wrong; the message is one line that names it and the choices."""
+
+
+def unknown(name: str, value: object, choices: Collection[str]) -> ConfigError:
+    """The error for a value that is not among the choices, with the nearest one suggested."""
+    return ConfigError(f"{name}={value!s}; {choose_from(value, choices)}")
+
+
+def unknown_key(key: str, choices: Collection[str]) -> ConfigError:
+    """The error for a key that is not among the choices, with the nearest one suggested."""
+    return ConfigError(f"there is no key {key!r}; {choose_from(key, choices)}")
 
 
 class Parser(argparse.ArgumentParser):

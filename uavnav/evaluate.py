@@ -15,16 +15,20 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from uavnav import compiling, policies, simulator
-from uavnav import layouts as banks
-from uavnav.baselines import BASELINES, AnyPolicy
-from uavnav.choices import Parser, check_out, did_you_mean_run
-from uavnav.display import evaluation_summary, flights, print_table
-from uavnav.metrics import EPISODE_COLUMNS, MODES
-from uavnav.runs import BEHAVIOUR, EVALUATION, Run, RunError, lock, write_table
-from uavnav.seeding import stream
-from uavnav.simulator import COUNTS, UP, Outcome, State
-from uavnav.world import World
+from uavnav import graph, policies
+from uavnav.choices import Parser, did_you_mean_run
+from uavnav.files import check_out
+from uavnav.runs import BEHAVIOUR, EVALUATION, Run
+from uavnav.runs.metrics import EPISODE_COLUMNS, MODES
+from uavnav.runs.tables import RunError, lock, write_table
+from uavnav.tasks import layouts as banks
+from uavnav.tasks import simulator
+from uavnav.tasks.baselines import BASELINES, AnyPolicy
+from uavnav.tasks.seeding import stream
+from uavnav.tasks.simulator import COUNTS, UP, Outcome, State
+from uavnav.tasks.world import World
+from uavnav.training import machine
+from uavnav.training.display import evaluation_summary, flights, print_table
 
 EPISODES = 200
 MAX_STEPS = 10_000
@@ -121,8 +125,8 @@ def fly(
         state, outcome = simulator.step(State(*fields), action, bank, world, reward, max_steps)
         return *state, *outcome
 
-    compiled = compiling.flights(len(layout), max_steps)
-    advance = compiling.Graph(step) if compiled else step
+    compiled = machine.flights(len(layout), max_steps)
+    advance = graph.Graph(step) if compiled else step
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
     up = torch.arange(len(layout))  # rows whose flight goes on; the others stand still, or are dropped
@@ -206,7 +210,7 @@ def evaluate_run(
         LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
     """
     flown = {}
-    with compiling.use_threads(1):
+    with machine.use_threads(1):
         for mode in MODES:
             population = {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
             own = population[run.seeds[0]]
@@ -281,7 +285,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             else:
                 bounds, flown = (arguments.layouts, arguments.episodes, arguments.max_steps), {}
                 for mode, policy in run.items():
-                    with compiling.use_threads(1), flights(f"{name}, {mode}", *bounds[1:]) as tell:
+                    with machine.use_threads(1), flights(f"{name}, {mode}", *bounds[1:]) as tell:
                         flown[mode] = fly({0: policy}, *bounds, tell=tell).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
                 print_table(evaluation_summary(rows, name if name in BASELINES else Path(name).stem))

@@ -23,8 +23,8 @@ from torch import Tensor, nn
 from uavnav.choices import Parser
 from uavnav.networks import AgentLinear
 from uavnav.policies import Policy, PolicyError, as_option, load_policy, zips
-from uavnav.runs import RunError, write_file
-from uavnav.world import VERSION
+from uavnav.runs.tables import RunError, write
+from uavnav.tasks.world import VERSION
 
 SUFFIXES = (".onnx", ".pt2")
 NEEDED = ("onnx", "onnxscript")
@@ -52,7 +52,7 @@ def export_policy(policy: Policy, path: str | Path) -> Path:
         "reward": policy.reward,
         "world_version": VERSION,
     }
-    write_file(path, _onnx(program, facts) if path.suffix == ".onnx" else _pt2(program, facts))
+    write(path, _onnx(program, facts) if path.suffix == ".onnx" else _pt2(program, facts))
     return path
 
 

@@ -7,25 +7,22 @@ import json
 import os
 import pickle
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor, nn
 
+from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import choose_from
-from uavnav.config import SWITCHES, TrainConfig
 from uavnav.networks import ACTIVATIONS, mlp
-from uavnav.rewards import REWARDS
-from uavnav.sampling import epsilon_greedy, sample_categorical
-from uavnav.world import VERSION, World
-
-FILE_NAME = "policy.safetensors"
-ALGORITHMS = ("ppo", "dqn")
+from uavnav.runs import POLICY
+from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.world import VERSION, World
+from uavnav.training.sampling import epsilon_greedy, sample_categorical
 
 SB3_WEIGHTS = "policy.pth"
 SB3_MAX_BYTES = 2**26
@@ -75,38 +72,6 @@ class Policy:
         return epsilon_greedy(values, self.epsilon, coin, choice)
 
 
-def serialize(networks: Mapping[str, nn.Module], algorithm: str, config: TrainConfig, epsilon: float = 0.0) -> bytes:
-    """The bytes of a policy file: the networks of all seeds, and in its header what rebuilds them and their world."""
-    facts = {
-        "algorithm": algorithm,
-        "activation": config.activation,
-        "hidden": list(config.hidden),
-        "seeds": config.seeds,
-        "epsilon": epsilon,
-        "reward": config.reward,
-        "world": {name: getattr(config, name) for name in SWITCHES},
-        "world_version": VERSION,
-    }
-    tensors = {
-        f"{name}.{key}": value.detach().cpu().contiguous()
-        for name, network in networks.items()
-        for key, value in network.state_dict().items()
-    }
-    return save(tensors, metadata={"uavnav": json.dumps(facts, sort_keys=True)})
-
-
-def join(paths: Sequence[Path]) -> bytes:
-    """The bytes of one policy file from those of runs that differ in nothing but their seeds, in that order."""
-    parts, seeds = [], []
-    for path in paths:
-        with safe_open(path, framework="pt") as file:
-            facts = json.loads(file.metadata()["uavnav"])
-            parts.append({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118
-        seeds += facts["seeds"]
-    tensors = {key: torch.cat([part[key] for part in parts]) for key in parts[0]}
-    return save(tensors, metadata={"uavnav": json.dumps(facts | {"seeds": seeds}, sort_keys=True)})
-
-
 def is_zip(run: str | Path) -> bool:
     """Whether it is read as what Stable-Baselines3 saved."""
     return Path(run).suffix == ".zip" and not os.path.isdir(run)
@@ -151,9 +116,9 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         return _from_sb3(path, greedy, activation)
     if activation is not None:
         raise PolicyError(f"{path}: activation={activation}; a run knows its own: give it for a .zip alone")
-    path = path / FILE_NAME if os.path.isdir(path) else path
+    path = path / POLICY if os.path.isdir(path) else path
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
-        raise PolicyError(f"{run}: no {FILE_NAME} there; give the folder of a finished run")
+        raise PolicyError(f"{run}: no {POLICY} there; give the folder of a finished run")
     try:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {}).get("uavnav", "{}"))

@@ -6,145 +6,50 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import io
 import itertools
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 import torch
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 from torch import Tensor
 
-from uavnav import compiling, policies, simulator
-from uavnav import layouts as banks
-from uavnav.baselines import BASELINES, AnyPolicy
-from uavnav.choices import Parser, check_out, did_you_mean, did_you_mean_run
-from uavnav.dynamics import direction
-from uavnav.sensing import sense
-from uavnav.simulator import UP, State
-from uavnav.world import World
-
-Picture = np.ndarray[Any, np.dtype[np.uint8]]
-Colour = tuple[int, int, int]
-Trail = tuple[Sequence[tuple[float, float]], tuple[int, ...]]
-"""Earlier positions (x, y) [px] and the colour of their line, red, green, blue and maybe opacity."""
-
-STEPS_PER_SECOND = 30
-"""The simulation's own rate."""
-
-# Okabe and Ito's colours, which people with any colour vision tell apart.
-GROUND, BORDER, OBSTACLE, INK = (250, 250, 247), (84, 88, 96), (150, 156, 166), (32, 36, 44)
-DRONE, SENSOR, SENSED = (0, 114, 178), (86, 180, 233, 56), (213, 94, 0)
-PILOTS = (DRONE, (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (84, 88, 96))
-"""One for each policy, in order: its drone and its trail."""
+from uavnav import policies
+from uavnav.choices import Parser, did_you_mean, did_you_mean_run
+from uavnav.envs.drawing import (
+    BORDER,
+    GROUND,
+    INK,
+    OBSTACLE,
+    PILOTS,
+    SENSED,
+    STEPS_PER_SECOND,
+    Colour,
+    Picture,
+    draw_arena,
+    font,
+)
+from uavnav.files import check_out
+from uavnav.tasks import layouts as banks
+from uavnav.tasks import simulator
+from uavnav.tasks.baselines import BASELINES, AnyPolicy
+from uavnav.tasks.simulator import UP, State
+from uavnav.tasks.world import World
+from uavnav.training import machine
 
 SUFFIXES = (".mp4", ".gif", ".png")
 COLOURS = 128  # of a GIF
-SMOOTHING = 2  # drawn so many times larger, then scaled down
 GAP = 8  # between flights side by side [px]
 WIDTHS = range(160, 3841)  # of one flight's picture [px]
 SLOWEST = Fraction(1, 100)  # pictures per second of a film
 FASTEST_GIF = 50  # pictures per second: viewers slow shorter pauses than 0.02 s down
-
-
-def draw_state(state: State, bank: Tensor, world: World, trail: Sequence[tuple[float, float]] = ()) -> Picture:
-    """One row's state at the world's own size; see `draw_arena`.
-
-    state: fields without a batch; bank [L, K, 3] px; trail: earlier positions (x, y) px.
-
-    Returns:
-        Array [height, width, 3] uint8.
-    """
-    return np.asarray(draw_arena(state, bank[state.layout], world, world.width, [(trail, DRONE)]))
-
-
-def draw_arena(
-    state: State, obstacles: Tensor, world: World, width: int, trails: Sequence[Trail] = (), colour: Colour = DRONE
-) -> Image.Image:
-    """The border, the obstacles, the drone with its sensor's arc, and the points that it senses.
-
-    state: fields without a batch; obstacles [K, 3] px; width: of the picture [px]; trails: under the drone.
-    """
-    slots, _ = sense(state.x, state.y, state.heading, obstacles, world)
-    x, y, heading = float(state.x), float(state.y), int(state.heading)
-    image = _backdrop(tuple((x, y, radius) for x, y, radius in obstacles.tolist()), world, width).copy()
-    canvas = ImageDraw.Draw(image, "RGBA")
-    at, disc = _places(world, width)
-    thickness = max(1, round(SMOOTHING * width / world.width))
-    for points, line in trails:
-        if len(points) > 1:
-            canvas.line([at(*point) for point in points], fill=line, width=thickness + SMOOTHING)
-    half = world.sensor_arc / 2
-    canvas.pieslice(disc(x, y, world.sensor_radius), -heading - half, -heading + half, fill=SENSOR)
-    cosine, sine = (float(part) for part in direction(state.heading))
-    sensed = []
-    for right, forward, proximity in slots.tolist():
-        if (right, forward) != (0, 0):
-            reach = world.drone_radius + proximity * (world.sensor_radius - world.drone_radius)
-            dx, dy = right * sine + forward * cosine, forward * sine - right * cosine
-            sensed.append((x + reach * dx, y + reach * dy))
-    for point in sensed:
-        canvas.line([at(x, y), at(*point)], fill=(*SENSED, 110), width=thickness)
-    canvas.ellipse(disc(x, y, world.drone_radius), fill=colour)
-    nose = at(x + world.drone_radius * cosine, y + world.drone_radius * sine)
-    canvas.line([at(x, y), nose], fill=GROUND, width=3 * thickness)
-    for point in sensed:
-        canvas.ellipse(disc(*point, 4), fill=SENSED)
-    return image.reduce(SMOOTHING)
-
-
-def height_of(width: int, world: World) -> int:
-    """Height of a picture of the arena [px]."""
-    return round(width * world.height / world.width)
-
-
-Point = Callable[[float, float], tuple[float, float]]
-Disc = Callable[[float, float, float], tuple[float, float, float, float]]
-
-
-def _places(world: World, width: int) -> tuple[Point, Disc]:
-    """Where a place of the world, or a disc, is in the enlarged picture. This is the one place where y is flipped."""
-    scale, height = SMOOTHING * width / world.width, SMOOTHING * height_of(width, world)
-
-    def at(x: float, y: float) -> tuple[float, float]:
-        return x * scale, height - y * scale
-
-    def disc(x: float, y: float, radius: float) -> tuple[float, float, float, float]:
-        return *at(x - radius, y + radius), *at(x + radius, y - radius)
-
-    return at, disc
-
-
-@functools.lru_cache(maxsize=16)
-def _backdrop(obstacles: tuple[tuple[float, float, float], ...], world: World, width: int) -> Image.Image:
-    """What does not move in a flight, enlarged: ground, obstacles (x, y, radius) px, border."""
-    image = Image.new("RGB", (width * SMOOTHING, height_of(width, world) * SMOOTHING), GROUND)
-    canvas = ImageDraw.Draw(image)
-    at, disc = _places(world, width)
-    for obstacle in obstacles:
-        canvas.ellipse(disc(*obstacle), fill=OBSTACLE)
-    for left in range(0, world.width, world.border):
-        for bottom in range(0, world.height, world.border):
-            if left in (0, world.width - world.border) or bottom in (0, world.height - world.border):
-                corners = (*at(left, bottom + world.border), *at(left + world.border, bottom))
-                canvas.rectangle(corners, fill=BORDER, outline=GROUND)
-    return image
-
-
-@functools.cache
-def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """The font that Matplotlib ships, which has arrows and signs; size [px]."""
-    import matplotlib
-
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
 
 
 # -- flights ---------------------------------------------------------------------------------------------------------
@@ -425,7 +330,7 @@ def main(argv: list[str] | None = None) -> int:
         check_out(arguments.out)
         pilots = load_pilots(arguments.runs, arguments.seed, arguments.sampled, arguments.activation)
         bank = load_layout(arguments.layouts, arguments.layout)
-        with compiling.use_threads(1):
+        with machine.use_threads(1):
             flights = [fly(pilot, bank, arguments.layout, arguments.steps) for pilot in pilots]
             film = Film(flights, bank[arguments.layout], arguments.width, arguments.every)
             save(film, arguments.out, rate)

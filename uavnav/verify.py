@@ -17,11 +17,14 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from uavnav import dqn, policies, ppo, shares
-from uavnav.choices import Parser, choose_from
-from uavnav.config import ConfigError, TrainConfig
-from uavnav.layouts import LayoutError
-from uavnav.runs import Interrupted, Run, RunError
+from uavnav.algorithms import dqn, ppo
+from uavnav.choices import ConfigError, Parser, choose_from
+from uavnav.runs import POLICY, Run
+from uavnav.runs.tables import RunError
+from uavnav.tasks.layouts import LayoutError
+from uavnav.training import shares
+from uavnav.training.config import TrainConfig
+from uavnav.training.recorder import Interrupted
 
 TIMING = ["frames_per_second"]
 """Columns that two equal runs may differ in."""
@@ -125,9 +128,9 @@ def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
 
 def _weights(folder: Path) -> dict[str, torch.Tensor]:
     try:
-        tensors: dict[str, torch.Tensor] = load_file(folder / policies.FILE_NAME)
+        tensors: dict[str, torch.Tensor] = load_file(folder / POLICY)
     except (OSError, SafetensorError) as error:
-        name = folder / policies.FILE_NAME
+        name = folder / POLICY
         raise RunError(f"{name}: missing or damaged ({error}); run again with overwrite=true") from error
     return tensors
 

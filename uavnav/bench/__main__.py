@@ -24,7 +24,6 @@ from pathlib import Path
 import pandas as pd
 from rich.console import Console
 
-from uavnav import runs
 from uavnav.bench import growth, parity
 from uavnav.bench.jobs import WHOLE, Job, JobError, Result
 from uavnav.bench.report import (
@@ -46,6 +45,7 @@ from uavnav.bench.report import (
     write_sections,
 )
 from uavnav.choices import Parser
+from uavnav.runs import tables
 
 MINUTES = {"full": 40.0, "quick": 2.8}
 WARM_SECONDS = 60.0
@@ -352,7 +352,7 @@ def measure_fast(runner: Runner, out: Path) -> dict[str, list[str]]:
         if found:
             paths[seed].parent.mkdir(parents=True, exist_ok=True)
             table = pd.DataFrame(found[0]).astype({"seconds": "float64", "frames": "float64"})
-            runs.write_table(paths[seed], table.assign(when=when()))
+            tables.write_table(paths[seed], table.assign(when=when()))
     if fast_rows(runner.store).empty:
         return {}
     refresh_fast_target(out, runner.store)
@@ -361,8 +361,8 @@ def measure_fast(runner: Runner, out: Path) -> dict[str, list[str]]:
 
 def measure_parity(runner: Runner, out: Path) -> dict[str, list[str]]:
     """Learning curves of ours and of SB3; what is there already is not run again."""
-    from uavnav.dqn import DQNConfig
-    from uavnav.ppo import PPOConfig
+    from uavnav.algorithms.dqn import DQNConfig
+    from uavnav.algorithms.ppo import PPOConfig
 
     seeds = parity.SEEDS
     if importlib.util.find_spec("stable_baselines3") is None:
@@ -428,7 +428,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 marks = [*(["one round each"] if arguments.quick else []), *(["cut short"] if runner.stopped else [])]
                 write_file(out, found, time.monotonic() - runner.began, ", ".join(marks))
                 print(f"wrote {out}")
-    except (OSError, runs.RunError) as error:
+    except (OSError, tables.RunError) as error:
         print(f"uavnav.bench: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from uavnav.bench.jobs import WHOLE, Result
-from uavnav.world import World
+from uavnav.tasks.world import World
 
 AXES = {
     "seeds": [1, 2, 5, 10, 20, 40],

@@ -212,7 +212,7 @@ def world(
     """
     import torch
 
-    from uavnav.env import DroneEnv
+    from uavnav.envs.env import DroneEnv
 
     found = {}
     for batch in batches:
@@ -345,8 +345,8 @@ def _time_stages(algorithm: str) -> Stages:
     from torchrl.data import ReplayBuffer
     from torchrl.objectives import HardUpdate
 
-    from uavnav.display import Display
-    from uavnav.runs import Recorder
+    from uavnav.training.display import Display
+    from uavnav.training.recorder import Recorder
 
     module, stages = importlib.import_module(f"uavnav.{algorithm}"), Stages()
     for owner, name, stage in (
@@ -435,7 +435,7 @@ def buffer_memory(launched: float, n_seeds: int, frames: int) -> Result:
 
 
 def _timed(marks: list[Mark], starts: int, algorithm: str) -> Result:
-    from uavnav.dqn import DQNConfig
+    from uavnav.algorithms.dqn import DQNConfig
 
     return whole_run(marks, starts, DQNConfig.learning_starts if algorithm == "dqn" else 0) | {"peak": peak_memory()}
 
@@ -450,8 +450,8 @@ def make_sb3(library: str, algorithm: str, env: Any, seed: int, n_envs: int = 1,
     """
     import torch
 
-    from uavnav.dqn import DQNConfig
-    from uavnav.ppo import PPOConfig
+    from uavnav.algorithms.dqn import DQNConfig
+    from uavnav.algorithms.ppo import PPOConfig
 
     activation = beyond.pop("activation", ACTIVATION)
     sizes = list(PPOConfig().hidden)
@@ -598,7 +598,7 @@ def curves_sb3(
     """Train one seed of Stable-Baselines3, in n_envs parallel worlds, and keep its flights as Parquet."""
     from stable_baselines3.common.callbacks import BaseCallback
 
-    from uavnav.sb3 import DroneVecEnv
+    from uavnav.envs.sb3 import DroneVecEnv
 
     flights: list[tuple[int, int, float]] = []
     steps, sums = np.zeros(n_envs, int), np.zeros(n_envs)
@@ -622,7 +622,7 @@ def curves_sb3(
 
 def _keep(table: pd.DataFrame, path: str) -> None:
     from uavnav.bench.report import when
-    from uavnav.runs import write_table
+    from uavnav.runs.tables import write_table
 
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     table.attrs["when"] = when()
@@ -642,9 +642,10 @@ def reach(launched: float, preset: str, seed: int, target: float, held_out: int,
     """
     from dataclasses import replace
 
-    from uavnav import layouts, ppo
+    from uavnav.algorithms import ppo
     from uavnav.evaluate import fly
     from uavnav.policies import Policy
+    from uavnav.tasks import layouts
 
     bank = layouts.load("train")
     kept: list[tuple[float, int, Any]] = []

@@ -15,11 +15,11 @@ import numpy as np
 from gymnasium import spaces
 from torch import Tensor
 
-from uavnav import layouts as banks
-from uavnav.seeding import places
-from uavnav.sensing import VIEW_TOLERANCE
-from uavnav.simulator import UP, check_rules
-from uavnav.world import World
+from uavnav.tasks import layouts as banks
+from uavnav.tasks.seeding import places
+from uavnav.tasks.sensing import VIEW_TOLERANCE
+from uavnav.tasks.simulator import UP, check_rules
+from uavnav.tasks.world import World
 
 Array = np.ndarray[Any, np.dtype[Any]]
 Info = dict[str, Any]

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import pandas as pd
 from matplotlib.figure import Figure
 
-from uavnav import compiling, runs
 from uavnav.bench.jobs import WHOLE, Result
+from uavnav.training import machine, recorder
 
-CORES = min(2, compiling.cores())
+CORES = min(2, machine.cores())
 TARGET_REWARD = 88.5
 """The paper's best: PPO with tanh."""
 FAST = f"PPO `fast`: first policy with a reward of {TARGET_REWARD}"
@@ -429,13 +429,13 @@ are medians over rounds; a ratio is the median of the rounds' ratios. Machines d
 
 def when() -> str:
     """The date and the commit, in a few words."""
-    commit = runs._git_commit() or "unknown"
+    commit = recorder._git_commit() or "unknown"
     return f"{datetime.datetime.now(datetime.UTC).date()}, commit {commit[:10]}{'+' * commit.endswith('+')}"
 
 
-def machine() -> str:
+def of_machine() -> str:
     """It and the versions, in a sentence."""
-    facts = runs._facts()
+    facts = recorder._facts()
     beside = {name: _version(name) for name in ("gymnasium", "stable-baselines3", "sbx-rl", "jax")}
     versions = facts["versions"] | {name: version for name, version in beside.items() if version}
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
@@ -466,7 +466,7 @@ def write_file(path: Path, sections: dict[str, list[str]], seconds: float, mark:
     Raises:
         OSError: it cannot be written.
     """
-    now, where = f"{when()}{mark and f', {mark}'}", machine()
+    now, where = f"{when()}{mark and f', {mark}'}", of_machine()
     fresh = {}
     for name, lines in sections.items():
         note = now if name in WRITERS or name == "targets" else f"{now}, in {clock(seconds)}; {where}"

@@ -20,14 +20,14 @@ import jinja2
 import pandas as pd
 from markupsafe import Markup, escape
 
-from uavnav import paper
-from uavnav.metrics import LAST
 from uavnav.report import conclusions, frames, studies, tables
 from uavnav.report.cells import BINS, label
 from uavnav.report.claims import CLAIMS, CONTRADICTED, PRIMARY, SUPPORTED, UNDECIDED, verdict
 from uavnav.report.content import LOOKED_AT, Content, gather
 from uavnav.report.figures import save
-from uavnav.runs import RunError
+from uavnav.runs import paper
+from uavnav.runs.metrics import LAST
+from uavnav.runs.tables import RunError
 
 SECTIONS = {
     "verdicts": "Verdicts",

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from uavnav.choices import Parser
 from uavnav.report import report
 from uavnav.report.cells import one_line
-from uavnav.runs import RunError
+from uavnav.runs.tables import RunError
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -15,13 +15,16 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from uavnav import compiling, layouts, policies, simulator
-from uavnav.dynamics import decode
+from uavnav import policies
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, MAX_STEPS
-from uavnav.metrics import MODES
-from uavnav.runs import BEHAVIOUR, Run, RunError, read_table
-from uavnav.simulator import UP, Outcome, State
-from uavnav.world import World
+from uavnav.runs import BEHAVIOUR, Run
+from uavnav.runs.metrics import MODES
+from uavnav.runs.tables import RunError, read_table
+from uavnav.tasks import layouts, simulator
+from uavnav.tasks.dynamics import decode
+from uavnav.tasks.simulator import UP, Outcome, State
+from uavnav.tasks.world import World
+from uavnav.training import machine
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
@@ -302,7 +305,7 @@ def _fly(crews: Sequence[Crew], bank: Tensor, heading: Tensor, steps: int) -> It
     layout = torch.arange(len(bank)).repeat(len(flyers))
     state = simulator.start(layout, heading[layout], own.world)
     up = torch.ones(len(layout), dtype=torch.bool)
-    with compiling.use_threads(1), torch.no_grad():
+    with machine.use_threads(1), torch.no_grad():
         observation, _ = simulator.observe(state, bank, own.world)
         while up.any():  # flights that have ended are flown on, and not told of
             seen = torch.split(observation.reshape(len(flyers), len(bank), -1), sizes)

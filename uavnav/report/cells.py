@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from uavnav import paper
-from uavnav.metrics import EPISODE_COLUMNS, FIRST_COLUMNS, LAST, MODES, finished, last_episodes
-from uavnav.runs import LOG_FOLDERS, Run, RunError
+from uavnav.runs import LOG_FOLDERS, Run, paper
+from uavnav.runs.metrics import EPISODE_COLUMNS, FIRST_COLUMNS, LAST, MODES, finished, last_episodes
+from uavnav.runs.tables import RunError
 
 BINS = 25
 """Of a run's frames, along a learning curve."""

@@ -24,9 +24,10 @@ import numpy as np
 import pandas as pd
 from scipy import stats as distributions
 
-from uavnav import paper, stats
+from uavnav import stats
 from uavnav.evaluate import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.metrics import METRICS
+from uavnav.runs import paper
+from uavnav.runs.metrics import METRICS
 from uavnav.stats import Array
 
 SEEDS = 8

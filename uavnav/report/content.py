@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavnav import compiling, layouts, paper
 from uavnav.evaluate import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.metrics import METRICS, MODES
 from uavnav.policies import PolicyError
 from uavnav.report import behaviour, claims, figures, frames, replays, studies, tables
 from uavnav.report.cells import Cell, collect, one_line, readings
@@ -21,8 +19,12 @@ from uavnav.report.claims import PRIMARY, Finding
 from uavnav.report.figures import DIAGNOSTICS, Drawn
 from uavnav.report.frames import name
 from uavnav.report.studies import Rows, Studies
-from uavnav.runs import RunError
-from uavnav.world import World
+from uavnav.runs import paper
+from uavnav.runs.metrics import METRICS, MODES
+from uavnav.runs.tables import RunError
+from uavnav.tasks import layouts
+from uavnav.tasks.world import World
+from uavnav.training import machine
 
 ALGORITHMS = tuple(dict.fromkeys(algorithm for algorithm, _ in paper.TABLES))
 """In the order of the paper's tables and figures."""
@@ -80,7 +82,7 @@ def gather(folders: Sequence[Path]) -> Content:
     sorted_cells = studies.sort(cells)
     left_out += studies.in_none(sorted_cells)
     of_paper = studies.paper_cells(sorted_cells.main)
-    with compiling.use_threads(1), ThreadPoolExecutor(1) as beside:  # what nothing else waits for flies meanwhile
+    with machine.use_threads(1), ThreadPoolExecutor(1) as beside:  # what nothing else waits for flies meanwhile
         valued = beside.submit(_overestimation, of_paper)
         replayed = beside.submit(replays.record, [*of_paper.values()])
         flights, watched, problems = watch(sorted_cells)

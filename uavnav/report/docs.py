@@ -28,7 +28,7 @@ from uavnav.report.conclusions import (
 from uavnav.report.content import Content, gather
 from uavnav.report.frames import total_frames, total_seeds
 from uavnav.report.studies import paper_cells, wide
-from uavnav.runs import RunError
+from uavnav.runs.tables import RunError
 
 BEGIN, END = "<!-- results -->", "<!-- end of results -->"
 

@@ -26,11 +26,12 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, PercentFor
 from matplotlib.typing import RcKeyType
 from torch import Tensor
 
-from uavnav import paper, stats
-from uavnav.metrics import METRICS, finished
+from uavnav import stats
 from uavnav.report.cells import BINS, Cell, curve
+from uavnav.runs import paper
+from uavnav.runs.metrics import METRICS, finished
 from uavnav.stats import Array, Interval
-from uavnav.world import World
+from uavnav.tasks.world import World
 
 DIAGNOSTICS = {
     "dormant": "dormant hidden units [share]",

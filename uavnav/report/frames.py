@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from uavnav import paper, stats
-from uavnav.metrics import FIRST_COLUMNS, METRICS, per_seed
+from uavnav import stats
 from uavnav.report.cells import Cell, readings
 from uavnav.report.claims import ALGORITHMS, PRIMARY, Finding, long, verdict
 from uavnav.report.figures import DIAGNOSTICS
 from uavnav.report.studies import TUNED, Cells, Studies, hours, seeds, timed
-from uavnav.runs import RunError, read_table
+from uavnav.runs import paper
+from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
+from uavnav.runs.tables import RunError, read_table
 
 CAP = 10_000
 """Steps at which the restricted mean of a survival curve ends: the evaluation's own cap."""

@@ -24,13 +24,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uavnav import compiling, layouts, simulator
-from uavnav.dynamics import decode
 from uavnav.policies import Policy, PolicyError, load_policy
 from uavnav.report.cells import Cell, one_line
-from uavnav.seeding import stream
-from uavnav.simulator import UP, State
-from uavnav.world import World
+from uavnav.tasks import layouts, simulator
+from uavnav.tasks.dynamics import decode
+from uavnav.tasks.seeding import stream
+from uavnav.tasks.simulator import UP, State
+from uavnav.tasks.world import World
+from uavnav.training import machine
 
 LEVELS = 64
 """So many different colours has an action's value."""
@@ -92,7 +93,7 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
         population, problems = _load(cell, n_seeds)
         left_out += problems
         ready += [(cell, population)] if population else []
-    with compiling.use_threads(1):
+    with machine.use_threads(1):
         flown = fly([population for _, population in ready], bank, max_steps)
     shown = []
     for (cell, population), flights in zip(ready, flown, strict=True):

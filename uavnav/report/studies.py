@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavnav import paper
-from uavnav.metrics import finished, per_seed
 from uavnav.report.cells import Cell, readings, show
 from uavnav.report.claims import PRIMARY, SURGE
-from uavnav.runs import Run
+from uavnav.runs import Run, paper
+from uavnav.runs.metrics import finished, per_seed
 from uavnav.stats import Array
 
 Key = tuple[str, str]

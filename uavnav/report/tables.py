@@ -9,15 +9,15 @@ from typing import Any
 
 import pandas as pd
 
-from uavnav import paper, stats
-from uavnav.decisions import DECISIONS, HEADER
-from uavnav.metrics import METRICS, finished, per_seed
+from uavnav import stats
 from uavnav.report.cells import Cell, one_line, readings, show
 from uavnav.report.claims import SEEDS, UNDECIDED, Claim, Finding, p_shown, verdict
+from uavnav.report.decisions import DECISIONS, HEADER
 from uavnav.report.figures import DIAGNOSTICS, MEASURES
 from uavnav.report.frames import estimates, name, per_seed_values
 from uavnav.report.studies import Cells
-from uavnav.runs import Run
+from uavnav.runs import Run, paper
+from uavnav.runs.metrics import METRICS, finished, per_seed
 
 Rows = list[list[str]]
 NOTHING = "–"

@@ -1,0 +1,179 @@
+"""Compiled graphs; and where nothing can be compiled, one line that says so and why, or an error where it was asked."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from uavnav import graph
+from uavnav.algorithms import dqn, ppo
+from uavnav.choices import ConfigError
+from uavnav.graph import Graph
+
+COMMAND = """
+from uavnav.algorithms.ppo import PPOConfig, train
+from uavnav.training import machine
+machine.PAYS_FROM = 1
+config = PPOConfig(n_seeds={n_seeds}, total_frames=256, frames_per_batch=256, epochs=1, compile={compile!r})
+print(train(config, {out!r}, quiet=True, processes={n_seeds}).meta["compiled"])
+"""
+NO_HEADER = """#!/bin/sh
+case "$*" in *--version*) exec g++ "$@";; esac
+echo "main.cpp:4:10: fatal error: Python.h: No such file or directory" >&2
+exit 1
+"""
+
+
+def trained(tmp_path, compile, n_seeds=1, **environment):
+    """A small run in a process whose tool chain is what the environment says."""
+    command = COMMAND.format(compile=compile, n_seeds=n_seeds, out=str(tmp_path / "run"))
+    env = os.environ | {"TORCHINDUCTOR_CACHE_DIR": str(tmp_path / "graphs")} | environment
+    return subprocess.run([sys.executable, "-c", command], env=env, capture_output=True, text=True, check=False)
+
+
+def warnings(result):
+    return [line for line in result.stderr.splitlines() if "runs without compilation" in line and "warn(" not in line]
+
+
+@pytest.mark.parametrize("n_seeds", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_without_a_compiler_a_run_of_1_and_2_processes_goes_on_with_one_line_that_says_why(tmp_path, n_seeds):
+    result = trained(tmp_path, "auto", n_seeds, CXX="/bin/false")
+    assert result.stdout == "False\n"
+    (line,) = warnings(result)
+    assert "several times slower: InvalidCxxCompiler: No working C++ compiler found" in line
+
+
+def test_without_a_compiler_compile_on_is_refused_in_one_line_before_anything_is_written(tmp_path):
+    result = trained(tmp_path, "on", CXX="/bin/false")
+    last = result.stderr.splitlines()[-1]
+    assert "ConfigError: compile=on: no graph can be compiled here (InvalidCxxCompiler: No working C++ compiler" in last
+    assert "install g++ and Python's headers" in last
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", ["header", "cache"])
+def test_a_missing_header_and_a_cache_that_cannot_be_written_are_named_and_the_run_goes_on(tmp_path, cause):
+    compiler = tmp_path / "c++"
+    compiler.write_text(NO_HEADER)
+    compiler.chmod(0o755)
+    environment, says = {
+        "header": ({"CXX": str(compiler)}, "fatal error: Python.h: No such file or directory"),
+        "cache": ({"TORCHINDUCTOR_CACHE_DIR": "/proc"}, "No such file or directory: '/proc/"),
+    }[cause]
+    result = trained(tmp_path, "auto", **environment)
+    assert result.stdout == "False\n"
+    (line,) = warnings(result)
+    assert says in line
+
+
+def counted(function):
+    """A graph of a function, and how often its Python has run."""
+    runs = []
+
+    def traced(*tensors):
+        runs.append(1)
+        return function(*tensors)
+
+    return Graph(traced), runs
+
+
+def test_a_graph_is_traced_once_for_each_shape_type_and_stride_and_says_what_its_function_says():
+    graph, runs = counted(lambda x, y: (x.sin() + y, x.sum(-1)))
+    rows = torch.arange(12.0).reshape(3, 4)
+    given = [rows, rows.double(), rows[:2], rows.T, rows[:, ::2], rows[1:]]  # the last is as the third
+    for _ in range(2):
+        for x in given:
+            y = torch.full_like(x, 0.5)
+            for found, right in zip(graph(x, y), (x.sin() + y, x.sum(-1)), strict=True):
+                torch.testing.assert_close(found, right)
+                assert found.dtype == right.dtype
+    assert len(runs) == 5
+
+
+def test_a_graph_that_writes_into_what_it_is_given_does_so_once_a_call():
+    graph, _ = counted(lambda total, x: (total.add_(x), x + 0)[1:])
+    total = torch.zeros(3)
+    for count in range(1, 4):
+        graph(total, torch.ones(3))
+        assert total.tolist() == [count] * 3
+
+
+def sampled():
+    config = ppo.PPOConfig(n_seeds=2)
+    network, _ = ppo.make_networks(config)
+    return network, [ppo.SampledPolicy(network, config, compile) for compile in (True, False)]
+
+
+def exploring():
+    config = dqn.DQNConfig(n_seeds=2, epsilon_start=0.1, learning_starts=0)
+    network = dqn.make_network(config)
+    return network, [dqn.ExploringPolicy(network, config, compile) for compile in (True, False)]
+
+
+@pytest.mark.parametrize("make", [sampled, exploring])
+def test_compiled_policies_choose_by_the_weights_of_now(make):
+    network, (compiled, eager) = make()
+    generator = torch.Generator().manual_seed(0)
+    observation = torch.rand(2, 16, 30, generator=generator)
+    chosen = []
+    for _ in range(3):
+        chosen.append(compiled.act(observation))
+        assert torch.equal(chosen[-1], eager.act(observation))
+        with torch.no_grad():
+            for parameter in network.parameters():
+                parameter.copy_(torch.randn(parameter.shape, generator=generator))
+    assert (chosen[0] != chosen[1]).float().mean() > 0.5
+
+
+def test_a_function_that_asks_for_values_is_refused_and_not_frozen_at_its_first_ones():
+    for function in (lambda x: (x + float(x.sum()),), lambda x: (x + torch.from_numpy(x.numpy()).max(),)):
+        with pytest.raises(
+            ConfigError, match=r"^no graph can be made \([^\n]+\); activations and rewards are torch op"
+        ):
+            Graph(function)(torch.ones(3))
+
+
+def descend(rate, weight, target, batch):
+    """A step on the mean square of batch [A, N] times weight [A], against a target; its loss [1, A]."""
+    weight = weight.detach().requires_grad_()
+    with torch.enable_grad():
+        loss = ((batch * weight[:, None] - target) ** 2).mean(1)
+        (gradient,) = torch.autograd.grad(loss.sum(), [weight])
+    return loss.detach()[None], weight.detach() - rate * gradient
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("missing", [None, "standalone_compile", "make_fx", "while_loop_op"])
+def test_five_updates_as_a_graph_are_those_of_a_slow_loop_also_where_torch_compile_must_do(missing, monkeypatch):
+    if missing:
+        monkeypatch.setattr(graph, missing, None)
+    rates, target = torch.full((5,), 0.1), torch.tensor(0.5)
+    batches = torch.rand(3, 5, 4, generator=torch.Generator().manual_seed(0))
+    weight, expected, losses = torch.ones(3), torch.ones(3), []
+    for index in range(5):
+        loss, expected = descend(rates[index], expected, target, batches[:, index])
+        losses.append(loss)
+    (found,) = graph.Loop(descend, 1, 1)(rates, weight, target, batches)
+    torch.testing.assert_close(weight, expected)
+    torch.testing.assert_close(found, torch.stack(losses).mean(0))
+
+
+@pytest.mark.compiled
+def test_a_pytorch_whose_parts_take_other_arguments_is_left_to_torch_compile(monkeypatch):
+    monkeypatch.setattr(graph, "standalone_compile", lambda traced, given: None)
+    (found,) = Graph(lambda x: (2 * x,))(torch.ones(3))
+    assert found.tolist() == [2, 2, 2]
+
+
+@pytest.mark.compiled
+def test_a_callers_own_torch_compile_sees_its_own_settings_after_a_graph():
+    settings = torch._inductor.config
+    with settings.patch(compile_threads=2):
+        before = settings.save_config_portable()
+        Graph(lambda x: (x + 1,))(torch.ones(3))
+        assert graph.problem("cpu") is None
+        assert settings.save_config_portable() == before
+        assert settings.compile_threads == 2

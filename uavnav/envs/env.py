@@ -1,0 +1,240 @@
+"""DroneEnv: the world as a native TorchRL environment. Wiring only; the arithmetic is in `simulator` and below it."""
+
+from __future__ import annotations
+
+import numbers
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from uavnav.graph import Graph
+from uavnav.tasks import layouts as banks
+from uavnav.tasks import seeding, simulator
+from uavnav.tasks.simulator import COUNTS, UP, State
+from uavnav.tasks.world import World
+from uavnav.training.config import TrainConfig
+
+LEAVES = ("observation", "reward", "done", "terminated", "truncated")
+N_LEAVES, N_STATE = len(LEAVES), len(State._fields)
+
+
+class DroneEnv(EnvBase):  # type: ignore[misc]
+    """A drone that must not hit anything, in a batch of independent worlds.
+
+    Action:
+        `action` [*B] int64 in 0..99: ten turns times ten distances, eqs (11) and (12).
+    Observation:
+        `observation` [*B, 30] float32: ten triplets (right, forward, distance), eq. (13).
+    Reward:
+        `reward` [*B, 1] float32: eq. (14), or another variant of `uavnav.rewards`.
+    Start:
+        The centre of the window, heading up; each row has a place of its own in the bank and takes the next set of
+        obstacles after each of its episodes.
+    End:
+        `terminated`: the drone touched an obstacle or the border. `truncated`: `max_steps` was reached (never both).
+    Episode:
+        `("next", "episode", ...)` holds the counts since the episode began (steps, stops, full_stops, turns,
+        distance [px], reward) and its layout: on the last step of an episode they describe all of it.
+    Version:
+        `uavnav.world.VERSION`.
+
+    Args:
+        batch_size: any shape B; a training run uses [agents, worlds].
+        layouts: `train`, `test`, a bank's path, or a tensor [n, k, 3].
+        world: constants and switches.
+        max_steps: a cap on steps, or None as in the paper.
+        reward: a name of `uavnav.rewards.REWARDS`.
+        device: where the tensors live.
+        seeds: one seed for all rows, or one for each entry of the first batch dimension. A row depends on its seed
+            and its index among that seed's rows, not on the other seeds.
+        compile: TorchRL's own keyword: run the step as one compiled graph (`env.compile()`, `env.eager()`).
+
+    Raises:
+        LayoutError: the bank cannot be read or is not valid.
+        ValueError: an unknown reward, a cap below 1, or seeds that do not fit the batch; in `step`, an action out of
+            range (`step_and_maybe_reset`, the path of collectors and rollouts, trusts its policy).
+    """
+
+    def __init__(
+        self,
+        batch_size: Sequence[int] = (),
+        layouts: str | Path | Tensor = "train",
+        world: World | None = None,
+        max_steps: int | None = None,
+        reward: str = "eq14",
+        device: str | torch.device = "cpu",
+        seeds: int | Sequence[int] = 0,
+    ) -> None:
+        super().__init__(device=torch.device(device), batch_size=torch.Size(batch_size))
+        simulator.check_rules(reward, max_steps)
+        self.world = world or World()
+        self.max_steps = max_steps
+        self.reward = reward
+        self.bank = banks.resolve(layouts, self.world).to(self.device)
+        self._first_observations = self._observe_starts()
+        self._advance: Callable[..., Sequence[Tensor]] = self._advance_rows
+        self._make_specs()
+        self._seed(seeds)
+
+    def _make_specs(self) -> None:
+        shape, world = self.batch_size, self.world
+        low = torch.tensor([-1.0, 0.0, 0.0], device=self.device).repeat(world.n_slots)
+        kind: dict[str, Any] = {"shape": shape, "device": self.device}
+        episode = Composite({name: Unbounded(dtype=torch.int64, **kind) for name in ("layout", *COUNTS[:-1])}, **kind)
+        episode["reward"] = Unbounded(dtype=torch.float64, **kind)
+        self.observation_spec = Composite(
+            observation=Bounded(
+                low.expand(*shape, -1), torch.ones_like(low).expand(*shape, -1), device=self.device, dtype=torch.float32
+            ),
+            episode=episode,
+            **kind,
+        )
+        self.action_spec = Categorical(world.n_actions, **kind)
+        self.reward_spec = Unbounded((*shape, 1), dtype=torch.float32, device=self.device)
+        flag = Categorical(2, shape=(*shape, 1), dtype=torch.bool, device=self.device)
+        self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), **kind)
+
+    # -- randomness: one stream of places and headings for each seed ------------------------------------------------
+
+    def _seed(self, seeds: int | Sequence[int]) -> None:
+        one = isinstance(seeds, numbers.Integral)
+        self.seeds = [int(seeds)] if one else [operator.index(seed) for seed in seeds]  # type: ignore[arg-type, union-attr]
+        if not one and (not self.batch_size or len(self.seeds) != self.batch_size[0]):
+            raise ValueError(
+                f"{len(self.seeds)} seeds for batch_size {list(self.batch_size)}; give one, or one per agent"
+            )
+        self._rows_per_seed = self.batch_size.numel() // len(self.seeds)
+        places = seeding.places(self.seeds, self._rows_per_seed, len(self.bank), self.device)
+        self._headings = seeding.Streams(self.seeds, "headings")
+        self._never = torch.zeros((), dtype=torch.bool, device=self.device).expand(*self.batch_size, 1)
+        self._nothing = torch.zeros(self.batch_size, dtype=torch.int64, device=self.device)
+        self._started = False
+        self.state = simulator.start(places.reshape(self.batch_size), self._draw_headings(), self.world)
+        self._observation, _ = simulator.observe(self.state, self.bank, self.world)
+
+    def _set_seed(self, seed: int | None) -> None:
+        """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... where there are agents."""
+        first = 0 if seed is None else seed
+        self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
+
+    def _observe_starts(self) -> list[Tensor]:
+        """What is seen at the beginning of an episode, by layout: [L, 30]; nothing where the heading is random."""
+        if self.world.start_heading != "up":
+            return []
+        layout = torch.arange(len(self.bank), device=self.device)
+        observation, _ = simulator.observe(simulator.start(layout, 0 * layout + UP, self.world), self.bank, self.world)
+        return [observation]
+
+    def _draw_headings(self) -> Tensor:
+        """Start headings [*B] for every row, drawn whether needed or not: the stream does not depend on who resets."""
+        if self.world.start_heading == "up":
+            return self._nothing + UP
+        return seeding.headings(self._headings, self._rows_per_seed, self.device).reshape(self.batch_size)
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the future depends on: each row's state and observation, and the streams of headings."""
+        state = {name: value.clone() for name, value in self.state._asdict().items()}
+        return {"state": state, "observation": self._observation.clone(), "headings": self._headings.state_dict()}
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Go on from where `state_dict` was taken, in an environment that was built alike; `root()` is where."""
+        self.state = State(**{name: value.to(self.device).clone() for name, value in state_dict["state"].items()})
+        self._observation = state_dict["observation"].to(self.device).clone()
+        self._headings.load_state_dict(state_dict["headings"])
+        self._started = True
+
+    # -- TorchRL's protocol -------------------------------------------------------------------------------------------
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        chosen = None if tensordict is None else tensordict.get("_reset", None)
+        if chosen is not None:
+            chosen = chosen.reshape(self.batch_size)
+        following = (self.state.layout + 1) % len(self.bank) if self._started else self.state.layout
+        fresh = simulator.start(following, self._draw_headings() if self._started else self.state.heading, self.world)
+        self.state = fresh if chosen is None else simulator.where(chosen, fresh, self.state)
+        self._started = True
+        self._observation, _ = simulator.observe(self.state, self.bank, self.world)
+        return self.root()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = tensordict["action"]
+        if bool(((action < 0) | (action >= self.world.n_actions)).any()):
+            raise ValueError(f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}")
+        self.state, outcome = simulator.step(self.state, action, self.bank, self.world, self.reward, self.max_steps)
+        self._observation = outcome.observation
+        return self._tensordict(_leaves(outcome), self.state)
+
+    @torch.no_grad()
+    def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
+        """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
+        given = (tensordict.get("action"), self._draw_headings(), self.bank, *self._first_observations)
+        found = self._advance(*self.state, *given)
+        leaves, final, following = found[:N_LEAVES], found[N_LEAVES : N_LEAVES + N_STATE], found[N_LEAVES + N_STATE :]
+        self._observation, self.state = following[0], State(*following[1:])
+        tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), State(*final)))
+        return tensordict, self.root()
+
+    def compile(self) -> DroneEnv:
+        """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it too.
+
+        World, reward and `max_steps` are then those of the first step.
+        """
+        self._advance = Graph(self._advance_rows)
+        return self
+
+    def eager(self) -> DroneEnv:
+        """Undo `compile`."""
+        self._advance = self._advance_rows
+        return self
+
+    def _advance_rows(self, *tensors: Tensor) -> Sequence[Tensor]:
+        """State, action, start headings, bank, first observations -> the step's leaves, its state, where to go on."""
+        state, (action, heading, bank, *first_observations) = State(*tensors[:N_STATE]), tensors[N_STATE:]
+        final, outcome = simulator.step(state, action, bank, self.world, self.reward, self.max_steps)
+        done = outcome.terminated | outcome.truncated
+        fresh = simulator.start((final.layout + 1) % bank.shape[0], heading, self.world)
+        state = simulator.where(done, fresh, final)
+        if first_observations:
+            observation = torch.where(done[..., None], first_observations[0][fresh.layout], outcome.observation)
+        else:
+            observation, _ = simulator.observe(state, bank, self.world)
+        return *_leaves(outcome).values(), *final, observation, *state
+
+    def root(self) -> TensorDict:
+        """What the next step starts from: the observation, flags and counts of now."""
+        flags = dict.fromkeys(("done", "terminated", "truncated"), self._never)
+        return self._tensordict({"observation": self._observation, **flags}, self.state)
+
+    def _tensordict(self, leaves: dict[str, Tensor], state: State) -> TensorDict:
+        """Made as TorchRL's own environments make theirs, without checks, which would cost more than a small step."""
+        where: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
+        counts = {name: getattr(state, name) for name in ("layout", *COUNTS)}
+        return TensorDict._new_unsafe({**leaves, "episode": TensorDict._new_unsafe(counts, **where)}, **where)
+
+
+def _leaves(outcome: simulator.Outcome) -> dict[str, Tensor]:
+    """What TorchRL wants to know of a step, in its shapes and types."""
+    terminated, truncated = outcome.terminated[..., None], outcome.truncated[..., None]
+    reward = outcome.reward[..., None].float()
+    return dict(zip(LEAVES, (outcome.observation, reward, terminated | truncated, terminated, truncated), strict=True))
+
+
+def make_env(config: TrainConfig, compile: bool) -> DroneEnv:
+    """The environment of a training run: [n_seeds, n_worlds] rows of the configured world."""
+    env = DroneEnv(
+        [config.n_seeds, config.n_worlds],
+        layouts=config.layouts,
+        world=config.world,
+        max_steps=config.max_steps,
+        reward=config.reward,
+        device=config.device,
+        seeds=config.seeds,
+    )
+    return env.compile() if compile else env

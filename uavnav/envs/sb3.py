@@ -1,0 +1,80 @@
+"""The batched world for Stable-Baselines3, which takes no Gymnasium VectorEnv. Needs the extra `sb3`.
+
+`PPO("MlpPolicy", DroneVecEnv(num_envs=16))` trains on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from uavnav.envs.gym import DroneVectorEnv
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise ImportError("uavnav.sb3 needs Stable-Baselines3: pip install 'uavnav[sb3]'") from error
+
+
+class DroneVecEnv(VecEnv):  # type: ignore[misc]
+    """Stable-Baselines3's VecEnv over `uavnav.gym.DroneVectorEnv`, whose keyword arguments it takes."""
+
+    def __init__(self, num_envs: int = 1, seed: int | None = None, **kwargs: Any) -> None:
+        self._env = DroneVectorEnv(num_envs, **kwargs)
+        super().__init__(num_envs, self._env.single_observation_space, self._env.single_action_space)
+        self.render_mode = self._env.render_mode
+        self._seed = seed
+        self._actions = np.zeros(num_envs, dtype=np.int64)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """The rows are the parallel worlds of this seed from the next reset on."""
+        self._seed = seed
+        return [seed] * self.num_envs
+
+    def reset(self) -> np.ndarray[Any, Any]:
+        observation, info = self._env.reset(seed=self._seed)
+        self._seed = None
+        self.reset_infos = self._rows(info)
+        return observation
+
+    def step_async(self, actions: np.ndarray[Any, Any]) -> None:
+        self._actions = actions
+
+    def step_wait(
+        self,
+    ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any], list[dict[str, Any]]]:
+        observation, reward, terminated, truncated, info = self._env.step(self._actions)
+        infos = self._rows(info)
+        done = terminated | truncated
+        for row in np.flatnonzero(done):
+            infos[row]["terminal_observation"] = info["final_obs"][row]
+            infos[row]["TimeLimit.truncated"] = bool(truncated[row])
+        return observation, reward.astype(np.float32), done, infos
+
+    def _rows(self, info: dict[str, Any]) -> list[dict[str, Any]]:
+        names = [name for name in info if not name.startswith("_") and not name.startswith("final")]
+        columns = [info[name].tolist() for name in names]
+        return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+    def get_images(self) -> Sequence[np.ndarray[Any, Any] | None]:
+        return self._env.render() or [None] * self.num_envs
+
+    def close(self) -> None:
+        self._env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self._env, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        setattr(self._env, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        return [getattr(self._env, method_name)(*args, **kwargs) for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
+    ) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]

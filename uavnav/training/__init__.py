@@ -1,0 +1,1 @@
+"""What every algorithm trains with: configuration, recorder, snapshots, processes, learner."""

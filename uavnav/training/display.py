@@ -1,0 +1,249 @@
+"""What a run shows on the terminal: what it will do, its progress, and at the end its metrics beside the paper's."""
+
+from __future__ import annotations
+
+import contextlib
+import statistics
+import time
+from collections.abc import Callable, Iterator, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pandas as pd
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from uavnav.runs import Run, paper
+from uavnav.runs.metrics import LAST, METRICS, finished, last_episodes, per_seed
+from uavnav.training.config import TrainConfig
+
+MICROSECONDS = {
+    ("ppo", "paper", True): (24.7, 25.9),
+    ("ppo", "paper", False): (338.4, 25.9),
+    ("ppo", "fast", True): (4.6, 35.4),
+    ("dqn", "paper", True): (30.0, 26.2),
+    ("dqn", "paper", False): (373.5, 26.2),
+}
+"""Of a frame of every seed of a process, by preset, compiled or not: a part that seeds share, and one for each of them.
+
+Of `paper` solved from docs/benchmarks.md: 1 seed, and 10 in two processes, make 19,762 and 64,829 frames/s with PPO,
+17,802 and 62,120 with DQN; one seed that is not compiled 2,745 and 2,502. Of `fast` from docs/performance.md and
+results/tuned/ppo/tanh: one seed makes 200,000 frames in 8 s, five in two processes 9,025 frames/s each.
+"""
+RATE_SECONDS = 5.0
+"""Of training, after which a run whose rate is not among these says how long it still takes."""
+TOLD_LATER = "the bar tells how long"
+COMPILATION = "3 s, or 15 to 30 s the first time"
+"""How long it takes, from the same place."""
+
+
+class Display:
+    """A progress bar: frames per seed, frames/s per seed, time left, reward of the last 100 episodes.
+
+    tell: is told as well what the bar shows: frames per seed, and each seed's reward.
+    """
+
+    def __init__(
+        self,
+        algorithm: str,
+        config: TrainConfig,
+        total_frames: int,
+        quiet: bool,
+        tell: Callable[[int, list[float]], None] | None = None,
+    ) -> None:
+        self._algorithm, self._config, self._quiet, self._tell = algorithm, config, quiet, tell
+        self._progress = Progress(
+            TextColumn(f"{algorithm} {config.activation}"),
+            BarColumn(bar_width=12),
+            TextColumn("{task.fields[done]} {task.fields[rate]} frames/s"),
+            TimeRemainingColumn(),
+            TextColumn("left, reward {task.fields[reward]}"),
+            disable=quiet,
+            console=_console(),
+        )
+        self._task = self._progress.add_task("", total=total_frames, done="-", rate="-", reward="-")
+        self._unknown = False
+        self._since: tuple[float, int] | None = None
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None or self._progress.tasks[0].completed:
+            self._progress.stop()
+        else:  # nothing was done: leave no empty bar
+            self._progress.live.transient = True
+            self._progress.live.stop()
+
+    def begin(self, path: Path, facts: Mapping[str, Any], until: int | None = None) -> None:
+        """Say, before the first frame, what the run does, how, and about how long that takes.
+
+        path: of its folder; facts: what its meta.json says of `compiled`, `processes` and `threads`; until: stop there.
+        """
+        if not self._quiet:
+            frames = int(self._progress.tasks[0].total or 0)
+            lines = opening(self._algorithm, self._config, min(frames, until or frames), path, facts)
+            self._unknown = lines[-1].endswith(TOLD_LATER)
+            for line in lines:
+                self._say(line)
+
+    def update(self, frames: int, rewards: list[float]) -> None:
+        """frames: per seed so far; rewards: each seed's mean over its last 100 episodes."""
+        task = self._progress.tasks[0]
+        rate = f"{task.speed / 1000:,.1f}k" if task.speed else "-"
+        done = f"{frames // 1000:,}k/{(task.total or 0) // 1000:,.0f}k"
+        self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=_with_spread(rewards, 1))
+        if self._unknown and frames >= getattr(self._config, "learning_starts", 0):
+            self._tell_how_long(frames, int(task.total or 0))
+        if self._tell is not None:
+            self._tell(frames, rewards)
+
+    def _tell_how_long(self, frames: int, total: int) -> None:
+        """Once, from the rate since learning began, which leaves out what was compiled before."""
+        now = time.monotonic()
+        first, done = self._since = self._since or (now, frames)
+        if now - first >= RATE_SECONDS and frames > done:
+            self._unknown = False
+            self._say(f"about {_rounded((now - first) / (frames - done) * (total - frames))} more at this rate")
+
+    def _say(self, line: str) -> None:
+        self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+@contextlib.contextmanager
+def flights(what: str, n: int, max_steps: int, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """A bar for an evaluation of n flights, on a terminal alone, that goes when they have ended.
+
+    Yields:
+        What is to be told each step's number and how many flights go on after it.
+    """
+    console = _console()
+    bar = Progress(
+        TextColumn(what),
+        BarColumn(bar_width=12),
+        TextColumn("step {task.completed:,.0f} of at most {task.total:,.0f}, {task.fields[up]:,} of"),
+        TextColumn(f"{n:,} flights go on"),
+        console=console,
+        transient=True,
+        disable=quiet or not console.is_terminal,
+    )
+    task = bar.add_task("", total=max_steps, up=n)
+    with bar:
+        yield lambda step, up: bar.update(task, completed=step, up=up)
+
+
+def opening(algorithm: str, config: TrainConfig, frames: int, path: Path, facts: Mapping[str, Any]) -> tuple[str, str]:
+    """What a run does and where it goes; how, and about how long it takes. Arguments as of `Display.begin`."""
+    first, last = config.seeds[0], config.seeds[-1]
+    seeds, each = (f"seed {first}", "") if first == last else (f"{config.n_seeds} seeds ({first} to {last})", " each")
+    worlds = f"{config.n_worlds} parallel world{'' if config.n_worlds == 1 else 's'}"
+    what = f"{algorithm} {config.activation}, preset {config.preset}: {seeds}, {frames:,} frames{each} in {worlds}"
+    n, threads = facts.get("processes", 1), facts["threads"]
+    spread = f"{n} process{'' if n == 1 else 'es'} of {threads} thread{'' if threads == 1 else 's'}"
+    how = f"compiled (takes {COMPILATION})" if facts["compiled"] else "not compiled"
+    took = seconds(algorithm, config, frames, n, facts["compiled"])
+    long = TOLD_LATER if took is None else f"about {_rounded(took)} on the two cores of docs/benchmarks.md"
+    return f"{what}, into {path}", f"{how}, {spread}: {long}"
+
+
+def seconds(algorithm: str, config: TrainConfig, frames: int, processes: int, compiled: bool) -> float | None:
+    """How long training takes, as measured with these presets on two cores; None for what was not measured."""
+    usual = type(config)(preset=config.preset, n_seeds=config.n_seeds)
+    known = MICROSECONDS.get((algorithm, config.preset, compiled))
+    if known is None or config.beyond(usual) or (config.n_worlds, config.device) != (usual.n_worlds, usual.device):
+        return None
+    shared, each = known
+    return 1e-6 * frames * (shared + each * -(-config.n_seeds // processes))
+
+
+def _rounded(took: float) -> str:
+    if took < 90:
+        return f"{max(10, round(took, -1)):.0f} s"
+    return f"{took / 60:.0f} min" if took < 90 * 60 else f"{took / 3600:.0f} h"
+
+
+def summary(run: Run) -> Table:
+    """The six metrics of a finished run in every reading of its training episodes, beside the paper's row."""
+    config, everything = run.config, finished(run.episodes)
+    readings = {"all episodes": everything, f"last {LAST}": last_episodes(run.episodes)}
+    printed = paper.TABLES.get((run.algorithm, config["activation"]), {})
+    counts = ", ".join(f"{len(part):,}" for part in readings.values())
+    seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
+    worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
+    changes = [f"{name}={value}" for name, value in run.meta.get("beyond_preset", {}).items()]
+    preset = " with ".join([f"preset {config['preset']}", *([", ".join(changes)] if changes else [])])
+    return _metric_table(
+        f"{run.algorithm} {config['activation']}, {preset}, {worlds}",
+        f"{run.frames:,} frames per seed; {seeds}; {counts} training episodes; {run.meta['bank']['k']} obstacles a set;"
+        f" reward {config['reward']}; init {config['init']}",
+        readings,
+        printed,
+    )
+
+
+def _metric_table(title: str, caption: str, readings: dict[str, pd.DataFrame], printed: dict[str, float]) -> Table:
+    table = Table(title=title, caption=caption, min_width=79)
+    table.add_column("metric")
+    for reading in readings:
+        table.add_column(reading, justify="right")
+    if printed:
+        table.add_column("paper", justify="right")
+    for name, metric in METRICS.items():
+        for ratio_of_means in [False] if metric.scale is None else [False, True]:
+            digits = min(metric.digits, 2)
+            cells = [_cell(per_seed(part, ratio_of_means)[name], digits) for part in readings.values()]
+            label = "  as ratio of means" if ratio_of_means else escape(str(metric))
+            beside = f"{printed[name]:,.{digits}f}" if name in printed and not ratio_of_means else ""
+            table.add_row(label, *cells, *([beside] if printed else []))
+    return table
+
+
+def evaluation_summary(rows: pd.DataFrame, algorithm: str, activation: str = "") -> Table:
+    """The six metrics of an evaluation in each of its modes, beside the paper's row where there is one.
+
+    rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`.
+    """
+    modes = {mode: rows[rows["mode"] == mode] for mode in rows["mode"].unique()}
+    censored = ", ".join(f"{part['truncated'].mean():.0%} {mode}" for mode, part in modes.items())
+    n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
+    seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
+    return _metric_table(
+        f"{f'{algorithm} {activation}'.strip()} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
+        f"{seeds}; cut off at the cap on steps: {censored}",
+        modes,
+        paper.TABLES.get((algorithm, activation), {}),
+    )
+
+
+def report(run: Run) -> None:
+    """Print the summary, how long the run took, and where it is."""
+    print_table(summary(run))
+    print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}")
+
+
+def print_table(table: Table) -> None:
+    """Print a table on the terminal."""
+    Console().print(table)
+
+
+def _console() -> Console:
+    """The terminal; in a notebook without ipywidgets plain text, where rich would warn at every step of a bar."""
+    return Console(force_jupyter=None if find_spec("ipywidgets") else False)
+
+
+def _cell(values: pd.Series[float], digits: int) -> str:
+    return _with_spread(values.dropna().tolist(), digits)
+
+
+def _with_spread(values: list[float], digits: int) -> str:
+    if not values:
+        return "-"
+    mean = f"{statistics.mean(values):,.{digits}f}"
+    return mean if len(values) == 1 else f"{mean} ± {statistics.stdev(values):,.{digits}f}"

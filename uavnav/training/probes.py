@@ -1,0 +1,87 @@
+"""What the units of a network do, on poses that are the same for every run: dormant, saturated, how many dimensions.
+
+Letters: A agents, P poses, H units of a layer.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+
+from uavnav.networks import ACTIVATIONS, Activation
+from uavnav.tasks import layouts, simulator
+from uavnav.tasks.seeding import stream
+from uavnav.tasks.world import World
+
+POSES = 512
+DORMANT = 0.025
+"""A unit is dormant whose mean |activation| is at most this share of its layer's mean (Sokar et al. 2023)."""
+SATURATED = 0.05
+"""An activation is saturated where its slope is at most this share of its steepest."""
+
+
+def poses(world: World) -> Tensor:
+    """What a drone sees at poses drawn once over the window and the shipped train split: observation [P, 30]."""
+    generator = stream(0, "probe")
+    bank = layouts.load("train")
+    x, y = (torch.rand(POSES, generator=generator) * size for size in (world.width, world.height))
+    heading, layout = (torch.randint(most, (POSES,), generator=generator) for most in (360, len(bank)))
+    state = simulator.start(layout, heading, world)._replace(x=x, y=y)
+    observation, _ = simulator.observe(state, bank, world)
+    return observation
+
+
+@torch.no_grad()
+def units(network: nn.Sequential, observation: Tensor) -> dict[str, Tensor]:
+    """Of the hidden units of each agent's network, on observation [P, 30]; each [A].
+
+    `dormant` and `saturated` are shares over all hidden layers. `effective_rank` is that of the last one's activations
+    [P, H]: the exponential of the entropy of its singular values as shares of their sum (Roy and Vetterli 2007).
+    """
+    dormant, saturated = [], []
+    layers = list(network)
+    hidden = observation.expand(len(next(network.parameters())), -1, -1)
+    for layer in layers[:-1]:
+        if isinstance(layer, Activation):
+            hidden, slope = _with_slope(layer, hidden)
+            mean = hidden.abs().mean(1)
+            dormant.append(mean <= DORMANT * mean.mean(1, keepdim=True))
+            saturated.append(slope.abs() <= SATURATED * steepest(ACTIVATIONS[layer.name]))
+        else:
+            hidden = layer(hidden)
+    return {
+        "dormant": torch.cat(dormant, -1).float().mean(-1),
+        "saturated": torch.cat([part.flatten(1) for part in saturated], -1).float().mean(-1),
+        "effective_rank": _effective_rank(hidden),
+    }
+
+
+@functools.cache
+def steepest(activation: Callable[[Tensor], Tensor]) -> float:
+    """The largest |slope| of an activation between -10 and 10."""
+    _, slope = _with_slope(activation, torch.linspace(-10, 10, 2001))
+    return slope.abs().max().item()
+
+
+def _with_slope(activation: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
+    """An activation's values at x and its derivatives there."""
+    with torch.enable_grad():
+        x = x.detach().requires_grad_()
+        y = activation(x)
+        (slope,) = torch.autograd.grad(y.sum(), x)
+    return y.detach(), slope
+
+
+def _effective_rank(x: Tensor) -> Tensor:
+    """Of matrices [A, P, H] -> [A]; 0 for a matrix of zeros, NaN for one that is not finite."""
+    gram = (x.mT @ x).double()
+    finite = gram.isfinite().flatten(1).all(1)
+    values = torch.linalg.eigvalsh(torch.where(finite[:, None, None], gram, 0.0)).clamp(min=0).sqrt()
+    shares = values / values.sum(-1, keepdim=True).clamp(min=torch.finfo(values.dtype).tiny)
+    entropy = -torch.xlogy(shares, shares).sum(-1)
+    rank = torch.where(values.sum(-1) > 0, entropy.exp(), 0.0)
+    return torch.where(finite, rank, math.nan).float()

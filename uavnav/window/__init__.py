@@ -1,0 +1,1 @@
+"""The live window of `python -m uavnav.play`."""

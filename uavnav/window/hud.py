@@ -1,0 +1,312 @@
+"""The live window as a picture: a game and a size in, pixels out. Who flies, what it sees, does next, and how it fares.
+
+Everything is laid out in units that are one pixel in a window of `DESIGN` and scale with it; the panel is beside the
+arena, or below it where that leaves more room.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from PIL import Image, ImageDraw
+
+from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, draw_arena, font, height_of
+from uavnav.runs.metrics import METRICS
+from uavnav.tasks.dynamics import decode
+from uavnav.tasks.world import World
+from uavnav.window.game import KEYS, MOUSE, PACES, Game, colour, problem
+
+MARGIN, BLOCK, FOOTER = 12, 330, 30  # [units]; a block of the panel is as wide as that
+ARENA_UNITS = 800, 600
+DESIGN = ARENA_UNITS[0] + BLOCK + 3 * MARGIN, ARENA_UNITS[1] + 2 * MARGIN + FOOTER
+"""Size of the window at first [px]."""
+BELOW = ARENA_UNITS[0] + 2 * MARGIN, ARENA_UNITS[1] + BLOCK + 3 * MARGIN + FOOTER
+FACTS_HEIGHT = 285  # of the block above the action grid [units]
+SMALLEST = 0.4  # pixels a unit
+FADED = 90  # opacity of earlier trails, of 255
+WHITE = (255, 255, 255)
+DARK = 350  # red + green + blue of a colour that white stands out from
+
+
+class Places(NamedTuple):
+    """Where things are in a window [px], and how many pixels a unit is."""
+
+    unit: float
+    left: int  # of the arena
+    top: int
+    width: int
+    height: int
+    facts: tuple[int, int]  # left, top of the block of facts
+    grid: tuple[int, int]  # and of the block with the action grid
+
+
+def arrange(size: tuple[int, int], world: World) -> Places:
+    """Lay a window of this size out [px]."""
+    beside, below = (min(size[0] / form[0], size[1] / form[1]) for form in (DESIGN, BELOW))
+    unit = max(beside, below, SMALLEST)
+    margin, block = round(MARGIN * unit), round(BLOCK * unit)
+    free_width, free_height = size[0] - 2 * margin, size[1] - 2 * margin - round(FOOTER * unit)
+    if beside >= below:
+        free_width -= block + margin
+    else:
+        free_height -= block + margin
+    width = max(40, min(free_width, int(free_height * world.width / world.height)))
+    height = height_of(width, world)
+    left, top = margin + max(0, free_width - width) // 2, margin + max(0, free_height - height) // 2
+    if beside >= below:
+        x = size[0] - margin - block
+        return Places(unit, left, top, width, height, (x, margin), (x, margin + round(FACTS_HEIGHT * unit)))
+    y = top + height + margin
+    first = max(margin, (size[0] - 2 * block - 4 * margin) // 2)
+    return Places(unit, left, top, width, height, (first, y), (first + block + 4 * margin, y))
+
+
+def to_world(position: tuple[int, int], size: tuple[int, int], world: World) -> tuple[float, float]:
+    """The place of the world [px], y upwards, under a pixel of the window."""
+    places = arrange(size, world)
+    scale = world.width / places.width
+    return (position[0] - places.left) * scale, world.height - (position[1] - places.top) * scale
+
+
+def draw(game: Game, size: tuple[int, int]) -> Image.Image:
+    """The whole window at a size [px]."""
+    places = arrange(size, game.world)
+    image = Image.new("RGB", size, WHITE)
+    image.paste(_arena(game, places.width), (places.left, places.top))
+    canvas = ImageDraw.Draw(image, "RGBA")
+    if game.drawing:
+        _sketch(canvas, game, places)
+    _banner(canvas, game, places)
+    _facts(_Block(canvas, places.facts, places.unit), game)
+    _grid(_Block(canvas, places.grid, places.unit), game)
+    _footer(_Block(canvas, (0, size[1] - round(FOOTER * places.unit)), places.unit), game, size[0])
+    if game.help:
+        _help(image, places, size)
+    return image
+
+
+class _Block:
+    """A canvas whose coordinates are units from a corner; y downwards."""
+
+    def __init__(self, canvas: ImageDraw.ImageDraw, corner: tuple[int, int], unit: float) -> None:
+        self.canvas, self.corner, self.unit = canvas, corner, unit
+
+    def at(self, x: float, y: float) -> tuple[float, float]:
+        return round(self.corner[0] + x * self.unit), round(self.corner[1] + y * self.unit)
+
+    def write(
+        self,
+        x: float,
+        y: float,
+        words: str,
+        size: float = 13,
+        bold: bool = False,
+        fill: tuple[int, ...] = INK,
+        anchor: str = "lm",
+        room: float | None = None,
+    ) -> None:
+        """Text at a place; shortened to the room that there is [units]."""
+        face = font(max(5, round(size * self.unit)), bold)
+        if room is not None and face.getlength(words) > room * self.unit:
+            while words and face.getlength(words + "…") > room * self.unit:
+                words = words[:-1]
+            words += "…"
+        self.canvas.text(self.at(x, y), words, fill, face, anchor=anchor)
+
+    def box(
+        self,
+        x: float,
+        y: float,
+        width: float,
+        height: float,
+        fill: tuple[int, ...] | None,
+        outline: tuple[int, ...] | None = None,
+        line: float = 1,
+    ) -> None:
+        corners = (*self.at(x, y), *self.at(x + width, y + height))
+        self.canvas.rectangle(corners, fill=fill, outline=outline, width=max(1, round(line * self.unit)))
+
+
+def _arena(game: Game, width: int) -> Image.Image:
+    faded = [(leg.points, (*colour(leg.pilot), FADED)) for leg in game.ghosts]
+    present = [(leg.points, colour(leg.pilot)) for leg in game.legs]
+    return draw_arena(game.state, game.obstacles[0], game.world, width, [*faded, *present], game.colour)
+
+
+def _sketch(canvas: ImageDraw.ImageDraw, game: Game, places: Places) -> None:
+    """While drawing: the zone around the start that stays free, and the obstacle under the mouse."""
+    scale = places.width / game.world.width
+
+    def ring(x: float, y: float, radius: float, line: tuple[int, ...], fill: tuple[int, ...] | None = None) -> None:
+        left, top = places.left + x * scale, places.top + places.height - y * scale
+        reach = radius * scale
+        corners = (left - reach, top - reach, left + reach, top + reach)
+        canvas.ellipse(corners, fill=fill, outline=line, width=max(2, round(2 * places.unit)))
+
+    ring(*game.world.start, game.world.safe_zone, INK)
+    if game.circle is not None:
+        line = SENSED if problem(game) else INK
+        ring(*game.circle, line, (*(SENSED if problem(game) else OBSTACLE), 150))
+
+
+def headline(game: Game) -> tuple[str, str]:
+    """What is going on, and what one can do now; empty while a drone flies."""
+    if game.drawing:
+        return "Drawing obstacles", "drag: one more · right click: one less · C: none · E: fly them · B: save them"
+    if game.ended:
+        return game.ended, "R: start again · N: next set"
+    if game.waiting:
+        return "You fly", "↑ ↓: speed · ← →: turn · the first key starts the flight"
+    if game.paused:
+        return "Paused", "Space: go on · the full stop: one step"
+    return "", ""
+
+
+def _banner(canvas: ImageDraw.ImageDraw, game: Game, places: Places) -> None:
+    title, hint = headline(game)
+    if not title:
+        return
+    unit = places.width / ARENA_UNITS[0]
+    block = _Block(canvas, (places.left, places.top), unit)
+    wide = (
+        40 + max(font(round(14 * unit) or 5).getlength(hint), font(round(20 * unit) or 5, True).getlength(title)) / unit
+    )
+    middle = ARENA_UNITS[0] / 2
+    block.box(middle - wide / 2, 36, wide, 62, (*WHITE, 225), SENSED if game.ended else BORDER, 2)
+    block.write(middle, 56, title, 20, bold=True, anchor="mm")
+    block.write(middle, 81, hint, 14, fill=BORDER, anchor="mm")
+
+
+def _facts(block: _Block, game: Game) -> None:
+    """Who flies, where, how fast time goes, and the metrics of the flight so far."""
+    block.canvas.ellipse((*block.at(0, 4), *block.at(16, 20)), fill=game.colour)
+    block.write(24, 12, game.pilots[game.pilot].name, 19, bold=True, room=BLOCK - 24)
+    where = "obstacles of your own" if game.own else f"{game.split}, set {game.index} of 0 to {len(game.bank) - 1}"
+    block.write(0, 36, f"{pace_of(game)} · {where}", fill=BORDER, room=BLOCK)
+    columns = 2 if len(game.pilots) <= 6 else 3
+    room = BLOCK / columns
+    for number, pilot in enumerate(game.pilots[:10]):
+        x, y = number % columns * room, 58 + number // columns * 19
+        here = number == game.pilot
+        block.box(x, y - 8, 17, 17, (*colour(number), 255 if here else 60))
+        ink = WHITE if here and sum(colour(number)) < DARK else INK
+        block.write(x + 8.5, y + 0.5, str(number), 12, bold=here, fill=ink, anchor="mm")
+        block.write(x + 23, y + 0.5, pilot.name, 12, bold=here, room=room - 28)
+    for number, (label, value) in enumerate(figures(game).items()):
+        x, y = number % 2 * BLOCK / 2, 140 + number // 2 * 37
+        block.write(x, y, label, 11, fill=BORDER)
+        block.write(x, y + 15, value, 17, bold=True)
+
+
+def pace_of(game: Game) -> str:
+    """How fast time goes."""
+    if game.paused:
+        return "paused"
+    return f"{STEPS_PER_SECOND * PACES[game.pace]:g} steps a second"
+
+
+def figures(game: Game) -> dict[str, str]:
+    """The metrics of the flight so far and the last step's reward, as label and value."""
+    steps, shown = int(game.state.steps), {}
+    for metric in METRICS.values():
+        value = float(getattr(game.state, metric.column))
+        label = f"{metric.label.removesuffix(' per episode')} {metric.unit}".strip()
+        if metric.scale is None:
+            shown[label] = f"{value:.2f}" if value % 1 else f"{value:.0f}"
+        else:
+            shown[label] = f"{metric.scale * value / steps:.{1 if metric.scale > 1 else 2}f}" if steps else "-"
+    for last in ("distance px", "speed px a step"):
+        shown[last] = shown.pop(last)
+    shown["reward, eq. (14)"] = f"{float(game.state.reward):+.2f}"
+    shown.pop("reward")
+    return shown | {"reward of the last step": f"{game.earned:+.2f}"}
+
+
+def _grid(block: _Block, game: Game) -> None:
+    """The 10 x 10 actions: turns from left to right as they turn, distances upwards; the next one outlined twice."""
+    world, choice = game.world, game.choice
+    angles, distances = decode(torch.arange(world.n_actions), world)
+    angle, distance = int(angles[choice.action]), int(distances[choice.action])
+    turn = f"turn {angle:+d}°" if angle else "straight on"
+    block.write(0, 8, f"{'Last' if game.ended else 'Next'} action: {turn}, {distance} px", 14, bold=True)
+    left, top, width, height = 26.0, 24.0, 24.0, 21.0
+    columns = {one: number for number, one in enumerate(sorted(set(angles.tolist()), reverse=True))}
+    rows = {one: number for number, one in enumerate(sorted(set(distances.tolist()), reverse=True))}
+    shades = _shades(choice.values)
+    for action, (one, far) in enumerate(zip(angles.tolist(), distances.tolist(), strict=True)):
+        fill = shades[action] if shades is not None else (236, 237, 240)
+        block.box(left + columns[one] * width, top + rows[far] * height, width - 2, height - 2, fill)
+    x, y = left + columns[angle] * width, top + rows[distance] * height
+    if shades is None:
+        block.box(x, y, width - 2, height - 2, game.colour)
+    block.box(x - 3, y - 3, width + 4, height + 4, None, INK, 3)
+    block.box(x, y, width - 2, height - 2, None, WHITE, 2)
+    for one, number in columns.items():
+        words, here = f"{one:+d}" if one else "0", one == angle
+        middle = left + (number + 0.5) * width
+        block.write(middle, top + len(rows) * height + 11, words, 11, here, INK if here else BORDER, "mm")
+    for far, number in rows.items():
+        here = far == distance
+        block.write(left - 8, top + (number + 0.5) * height, str(far), 11, here, INK if here else BORDER, "rm")
+    bottom = top + len(rows) * height + 29
+    block.write(left, bottom, "← left   turn [°]   right →     ↑ distance [px]", 11, fill=BORDER)
+    block.write(0, bottom + 21, f"nearest obstacle {game.clearance:.0f} px", 13)
+    block.write(BLOCK, bottom + 21, f"a collision at {world.drone_radius:.0f}", 11, fill=BORDER, anchor="rm")
+    _scale(block, game, left + len(columns) * width + 10, top, len(rows) * height)
+
+
+def _scale(block: _Block, game: Game, x: float, top: float, height: float) -> None:
+    """What the colours of the action grid mean."""
+    values = game.choice.values
+    if values is None:
+        return
+    for number, shade in enumerate(_colours()[::-8]):
+        block.box(x, top + number * height / 32, 10, height / 32, tuple(shade))
+    block.write(x + 15, top + 7, f"{float(values.max()):.3g}", 11)
+    block.write(x + 15, top + height - 7, f"{float(values.min()):.3g}", 11)
+    block.write(x + 15, top + height / 2, game.choice.meaning.replace(" ", "\n"), 11, fill=BORDER)
+
+
+@functools.cache
+def _colours() -> list[tuple[int, int, int]]:
+    """Viridis, whose order anyone sees: 256 colours."""
+    from matplotlib import colormaps
+
+    table = colormaps["viridis"](np.arange(256), bytes=True)
+    return [(int(red), int(green), int(blue)) for red, green, blue, _ in table]
+
+
+def _shades(values: torch.Tensor | None) -> list[tuple[int, int, int]] | None:
+    """A colour for each action, from the lowest value to the highest."""
+    if values is None:
+        return None
+    low, high = float(values.min()), float(values.max())
+    places = ((values - low) / max(high - low, 1e-12) * 255).long().tolist()
+    return [_colours()[place] for place in places]
+
+
+def _footer(block: _Block, game: Game, width: int) -> None:
+    room = width / block.unit - 2 * MARGIN
+    hints = "H: all keys · Space: pause · R: again · N: next set · Tab: next pilot · E: draw obstacles"
+    message = problem(game) if game.circle else game.message
+    block.write(MARGIN, 13, message or hints, 14, bool(message), INK if message else BORDER, room=room)
+
+
+def _help(image: Image.Image, places: Places, size: tuple[int, int]) -> None:
+    """Every key over a veil, as large as the window allows."""
+    rows = [(key.shown, key.does) for key in KEYS if key.shown] + list(MOUSE)
+    wide, high = 620, 24 * len(rows) + 74
+    unit = min(size[0] / (wide + 20), size[1] / (high + 20), 1.25 * places.unit)
+    canvas = ImageDraw.Draw(image, "RGBA")
+    canvas.rectangle((0, 0, *size), fill=(*GROUND, 170))
+    corner = round((size[0] - wide * unit) / 2), round((size[1] - high * unit) / 2)
+    block = _Block(canvas, corner, unit)
+    block.box(0, 0, wide, high, (*WHITE, 250), BORDER, 2)
+    block.write(24, 30, "Keys", 20, bold=True)
+    block.write(wide - 24, 30, "H closes this", 13, fill=BORDER, anchor="rm")
+    for number, (shown, does) in enumerate(rows):
+        block.write(24, 66 + 24 * number, shown, 14, bold=True)
+        block.write(140, 66 + 24 * number, does, 14, room=wide - 164)

@@ -384,7 +384,9 @@ def _draw(part: Part, seed: int) -> Array:
     if min(len(sample) for sample in part.samples) < 2:
         return np.empty(0)
     cells = [sample.tobytes() for sample in part.samples]
-    streams = [(zlib.crc32(cell), cells[:place].count(cell)) for place, cell in enumerate(cells)]
+    # of a cell's values to nine digits: sums of the last places differ from processor to processor
+    keys = [zlib.crc32(" ".join(f"{value:.9g}" for value in sample).encode()) for sample in part.samples]
+    streams = [(key, keys[:place].count(key)) for place, key in enumerate(keys)]
     if part.paired and len({len(cell) for cell in cells}) == 1:
         streams = [streams[0]] * len(streams)
     means = [_drawn_means(cell, (seed, *stream)) for cell, stream in zip(cells, streams, strict=True)]

@@ -14,7 +14,7 @@ test: .venv/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m ""
+	$(BIN)/pytest -n 2 --dist worksteal -m ""
 
 .venv/.installed: pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -57,9 +57,9 @@ tuned: .venv/.installed # the presets `fast`
 sensitivity: .venv/.installed # one unsaid choice at a time, beside the baseline of `initial`
 	$(foreach k,4 12,$(BIN)/python -m uavnav.layouts --split train --k $(k) --out $(RESULTS)/banks/$(k) && ) true
 	$(foreach k,4 12,$(call both,obstacles-$(k),$(PAIR) n_seeds=5 layouts=$(RESULTS)/banks/$(k)/train.safetensors))
-	$(call both,listed,$(PAIR) n_seeds=5 slots=listed)
-	$(call both,zeros,$(PAIR) n_seeds=5 padding=zeros)
-	$(call both,heading,$(PAIR) n_seeds=5 start_heading=random)
+	$(call both,listed,$(PAIR) n_seeds=5 world.slots=listed)
+	$(call both,zeros,$(PAIR) n_seeds=5 world.padding=zeros)
+	$(call both,heading,$(PAIR) n_seeds=5 world.start_heading=random)
 	$(call cells,starts,dqn,$(PAIR) n_seeds=5 learning_starts=100 $(SHORT) $(SHORT_dqn))
 	$(call cells,init,ppo,$(PAIR) n_seeds=5 init=default $(SHORT))
 	$(call cells,init,dqn,$(PAIR) n_seeds=5 init=orthogonal $(SHORT) $(SHORT_dqn))
@@ -85,7 +85,7 @@ layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/python -m uavnav.layouts --out uavnav/tasks/banks
 
 picture: .venv/.installed # the flights in the README, and the window in docs/start.md
-	$(BIN)/python -m uavnav.render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --sampled --layout 56 --steps 400 \
+	$(BIN)/python -m uavnav.render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --layout 56 --steps 400 \
 	    --every 4 --speed 4 --width 400 --out docs/flight.gif
 	$(BIN)/python docs/window.py $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu
 

@@ -15,9 +15,9 @@ STEPS = 180, 100
 
 def main(runs: list[str]) -> None:
     """Fly, and keep the last picture."""
-    shown = game.new(load_pilots(runs, None, True), load_layout("test", LAYOUT), "test", LAYOUT)
+    shown = game.new(load_pilots(runs), load_layout("test", LAYOUT), "test", LAYOUT)
     for pilot, steps in enumerate(STEPS, 1):
-        shown = game.seat(pilot)(shown)
+        shown = game.seat(shown, pilot)
         for _ in range(steps):
             shown = game.step(shown)
     hud.draw(shown, hud.DESIGN).save(Path(__file__).parent / "flight-window.png")

@@ -9,7 +9,5 @@ Every key is a field of uavnav.dqn.DQNConfig; `--cfg job` shows them all with th
 
 from launch import launch
 
-from uavnav.algorithms.dqn import ALGORITHM, PRESETS, train
-
 if __name__ == "__main__":
-    launch(ALGORITHM, PRESETS, train)
+    launch("dqn")

@@ -9,7 +9,5 @@ Every key is a field of uavnav.ppo.PPOConfig; `--cfg job` shows them all with th
 
 from launch import launch
 
-from uavnav.algorithms.ppo import ALGORITHM, PRESETS, train
-
 if __name__ == "__main__":
-    launch(ALGORITHM, PRESETS, train)
+    launch("ppo")

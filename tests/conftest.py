@@ -1,4 +1,5 @@
 import functools
+import gc
 
 import pytest
 import torch
@@ -21,3 +22,37 @@ def problem() -> str | None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("compiled") and problem():
         pytest.skip(f"nothing can be compiled here: {problem()}")
+
+
+@pytest.fixture(scope="session")
+def little_garbage():
+    """statsmodels collects garbage at every correction of p values; what is there before the tests is left out."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Reports without figures, which take most of their time."""
+    monkeypatch.setattr("uavnav.report.figures.draw", lambda *anything: [])
+
+
+@pytest.fixture
+def results(tmp_path):
+    """A folder of run folders written by hand."""
+    from runs_by_hand import write_results
+
+    return write_results(tmp_path / "results")
+
+
+@pytest.fixture(scope="session")
+def gathered(tmp_path_factory):
+    """What a report without figures says of such a folder; not to be changed."""
+    from runs_by_hand import write_results
+
+    from uavnav.report.content import gather
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uavnav.report.figures.draw", lambda *anything: [])
+        return gather([write_results(tmp_path_factory.mktemp("report") / "results")])

@@ -5,18 +5,41 @@ Candidates are (d, x, y): distance in px of the nearest point, its direction's c
 
 import itertools
 import math
+from typing import NamedTuple
 
-WIDTH, HEIGHT, SIDE = 800, 600, 20
-SENSOR, DRONE, SLOTS = 120, 30, 10
 START = (400, 300)
-BEHIND = -1e-6
+BEHIND = 1e-6
 
-SQUARES = (
-    [(20 * i, 0) for i in range(40)]
-    + [(20 * i, 580) for i in range(40)]
-    + [(0, 20 * j) for j in range(1, 29)]
-    + [(780, 20 * j) for j in range(1, 29)]
-)
+
+class Arena(NamedTuple):
+    """What is around the drone, and what of it its sensor covers; the defaults are the paper's."""
+
+    width: int = 800
+    height: int = 600
+    side: int = 20
+    sensor: float = 120
+    drone: float = 30
+    slots: int = 10
+    arc: float = 180
+
+    def squares(self):
+        """Lower left corners of the border's squares in index order."""
+        columns, rows, side = self.width // self.side, self.height // self.side, self.side
+        return (
+            [(side * i, 0) for i in range(columns)]
+            + [(side * i, self.height - side) for i in range(columns)]
+            + [(0, side * j) for j in range(1, rows - 1)]
+            + [(self.width - side, side * j) for j in range(1, rows - 1)]
+        )
+
+    @property
+    def edge(self):
+        """The forward component of a direction at the edge of view, exactly 0 for half a turn."""
+        return round(math.cos(math.radians(self.arc / 2)), 12)
+
+
+PAPER = Arena()
+SQUARES = PAPER.squares()
 
 
 def cosine(heading):
@@ -27,7 +50,7 @@ def sine(heading):
     return {0: 0.0, 90: 1.0, 180: 0.0, 270: -1.0}.get(heading, math.sin(math.radians(heading)))
 
 
-def look(x, y, heading, circles):
+def look(x, y, heading, circles, arena=PAPER):
     """Every circle, then every border square, in index order, in view or not."""
     cos, sin = cosine(heading), sine(heading)
     found = []
@@ -36,9 +59,9 @@ def look(x, y, heading, circles):
         distance = math.sqrt(dx * dx + dy * dy)
         ux, uy = (dx / distance, dy / distance) if distance > 0 else (0.0, 0.0)
         found.append((distance - radius, ux * sin - uy * cos, ux * cos + uy * sin))
-    for left, bottom in SQUARES:
-        dx = min(max(x, left), left + SIDE) - x
-        dy = min(max(y, bottom), bottom + SIDE) - y
+    for left, bottom in SQUARES if arena is PAPER else arena.squares():
+        dx = min(max(x, left), left + arena.side) - x
+        dy = min(max(y, bottom), bottom + arena.side) - y
         d = math.sqrt(dx * dx + dy * dy)
         ux, uy = (dx / d, dy / d) if d > 0 else (0.0, 0.0)
         found.append((d, ux * sin - uy * cos, ux * cos + uy * sin))
@@ -54,22 +77,23 @@ def clearance(x, y, circles):
     return min(distances(x, y, circles))
 
 
-def in_view(candidate):
-    return candidate[0] <= SENSOR and candidate[2] >= BEHIND
+def in_view(candidate, arena=PAPER):
+    return candidate[0] <= arena.sensor and candidate[2] >= arena.edge - BEHIND
 
 
-def triple(candidate):
+def triple(candidate, arena=PAPER):
     d, x, y = candidate
-    return min(max(x, -1.0), 1.0), min(max(y, 0.0), 1.0), min(max((d - DRONE) / (SENSOR - DRONE), 0.0), 1.0)
+    proximity = (d - arena.drone) / (arena.sensor - arena.drone)
+    return min(max(x, -1.0), 1.0), min(max(y, 0.0), 1.0), min(max(proximity, 0.0), 1.0)
 
 
-def slots_of(found, slots="nearest", padding="far"):
-    seen = [c for c in found if in_view(c)]
+def slots_of(found, slots="nearest", padding="far", arena=PAPER):
+    seen = [c for c in found if in_view(c, arena)]
     if slots == "nearest":
         seen.sort(key=lambda c: c[0])  # stable: ties keep their index order
-    filled = [triple(c) for c in seen[:SLOTS]]
+    filled = [triple(c, arena) for c in seen[: arena.slots]]
     empty = (0.0, 0.0, 1.0) if padding == "far" else (0.0, 0.0, 0.0)
-    return filled + [empty] * (SLOTS - len(filled))
+    return filled + [empty] * (arena.slots - len(filled))
 
 
 def clearance_of(found):
@@ -81,16 +105,19 @@ def sense(x, y, heading, circles, slots="nearest", padding="far"):
     return slots_of(found, slots, padding), clearance_of(found)
 
 
-def doubtful(found):
+def doubtful(found, arena=PAPER):
     """Whether float32 may rightly decide otherwise: within 1e-3 px of a threshold or a tie but not exactly on it."""
-    if 0 < abs(clearance_of(found) - DRONE) < 1e-3:
+    if 0 < abs(clearance_of(found) - arena.drone) < 1e-3:
         return True
     for d, _, y in found:
-        if d < SENSOR + 1e-3 and y > -1e-5 and (0 < abs(d - SENSOR) < 1e-3 or 0 < abs(y) < 1e-5):
+        near = d < arena.sensor + 1e-3 and y > arena.edge - 1e-5
+        if near and (0 < abs(d - arena.sensor) < 1e-3 or 0 < abs(y - arena.edge) < 1e-5):
             return True
-    ranked = sorted((c for c in found if in_view(c)), key=lambda c: c[0])[: SLOTS + 1]
+    ranked = sorted((c for c in found if in_view(c, arena)), key=lambda c: c[0])[: arena.slots + 1]
     for a, b in itertools.pairwise(ranked):
-        if 0 < b[0] - a[0] < 1e-3 and any(abs(p - q) > 1e-5 for p, q in zip(triple(a), triple(b), strict=True)):
+        if 0 < b[0] - a[0] < 1e-3 and any(
+            abs(p - q) > 1e-5 for p, q in zip(triple(a, arena), triple(b, arena), strict=True)
+        ):
             return True
     return False
 
@@ -148,7 +175,7 @@ class Flight:
         turn, distance = decode(action)
         self.x, self.y, self.heading = move(self.x, self.y, self.heading, turn, distance)
         self.sense()
-        self.terminated = self.clearance <= DRONE
+        self.terminated = self.clearance <= PAPER.drone
         self.reward = reward(turn, distance, self.terminated, self.variant)
         self.steps += 1
         self.stops += distance == 0

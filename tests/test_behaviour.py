@@ -12,8 +12,9 @@ import torch
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from runs_by_hand import policy_bytes
 
-from uavnav.evaluate import BEHAVIOUR_COLUMNS, fly
+from uavnav.evaluate import BEHAVIOUR_COLUMNS, fly, on
 from uavnav.networks import mlp
 from uavnav.policies import PolicyError
 from uavnav.report import behaviour
@@ -23,9 +24,8 @@ from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.simulator import make_task
 from uavnav.tasks.world import World
-from uavnav.training.config import TrainConfig
-from uavnav.training.weights import serialize
 
 WORLD = World()
 STOP, FULL_SPEED = 0, 9  # straight ahead, 0 and 9 px
@@ -109,7 +109,7 @@ def slow_surroundings(x, y, circles):
 
 def test_flights_agree_with_a_slow_loop_and_with_the_simulators_clearance():
     obstacles = layouts.load("test")
-    flown = fly({3: BASELINES["random"], 4: BASELINES["reactive"]}, episodes=8, max_steps=120).behaviour
+    flown = fly({3: BASELINES["random"], 4: BASELINES["reactive"]}, on(make_task(), "test", 8, 120)).behaviour
     slow = pd.DataFrame(
         [slow_surroundings(row.x, row.y, obstacles[row.layout].tolist()) for row in flown.itertuples()],
         columns=["clearance", "border", "corridor"],
@@ -207,7 +207,7 @@ def test_flights_weigh_by_their_steps():
 
 def test_a_row_for_each_mode_and_seed_that_do_not_see_each_other():
     obstacles = layouts.load("test")
-    flown = fly({3: BASELINES["random"], 4: BASELINES["random"]}, episodes=4, max_steps=60).behaviour
+    flown = fly({3: BASELINES["random"], 4: BASELINES["random"]}, on(make_task(), "test", 4, 60)).behaviour
     rows = pd.concat([flown.assign(mode="sampled"), flown[flown["seed"] == 4].assign(mode="greedy")])
     found = measures(rows, obstacles, WORLD)
     assert {*found.columns} == {"mode", "seed", *MEASURES}
@@ -254,8 +254,8 @@ def write_run(path, seeds=(0,), algorithm="dqn", constant=None, **config):
                 parameter.zero_()
             for agent, (action, value) in enumerate(constant):
                 network[-1].bias[agent, 0, action] = value
-    facts = TrainConfig(activation="tanh", seed=seeds[0], n_seeds=len(seeds), hidden=(8,))
-    (path / POLICY).write_bytes(serialize({"policy": network}, algorithm, facts, epsilon=0.05))
+    content = policy_bytes(network, algorithm, activation="tanh", seed=seeds[0], n_seeds=len(seeds), hidden=(8,))
+    (path / POLICY).write_bytes(content)
     (path / "config.yaml").write_text(yaml.safe_dump({"algorithm": algorithm} | config))
     (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100}))
     pd.DataFrame(columns=[*EPISODE_COLUMNS]).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
@@ -320,7 +320,7 @@ def test_overestimation_of_a_drone_that_stands_still_for_ever(tmp_path):
 @pytest.mark.parametrize("steps", [300, 5])
 def test_overestimation_of_a_drone_that_flies_straight_into_what_comes(tmp_path, steps):
     """Nine pixels a step earn 0.09, and the last step -10: all states of the first steps count."""
-    lengths = fly({0: BASELINES["straight"]}, episodes=6).episodes["steps"]
+    lengths = fly({0: BASELINES["straight"]}, on(make_task(), "test", 6)).episodes["steps"]
     returns = [
         sum(0.09 * 0.9**i for i in range(left - 1)) - 10 * 0.9 ** (left - 1)
         for length in lengths

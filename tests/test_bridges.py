@@ -251,8 +251,8 @@ def test_a_zip_is_drawn_with_its_activation_beside_a_script(tmp_path, capsys):
     path = zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
     words = [str(path), "straight", "--activation", "tanh", "--steps", "5", "--out", str(tmp_path / "a.png")]
     assert render.main(words) == 0
-    assert f"{tmp_path.name}/theirs.zip: 5 steps" in capsys.readouterr().out
-    (pilot,) = render.load_pilots([str(path)], activation="relu")
+    assert f"{tmp_path.name}/theirs.zip, sampled: 5 steps" in capsys.readouterr().out
+    (pilot,) = render.load_pilots([str(path)], greedy=True, activation="relu")
     observation = torch.rand(5, 30)
     assert torch.equal(pilot.policy(observation), load_policy(path, activation="relu")(observation))
 

@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 
 from uavnav.report import conclusions
-from uavnav.report.claims import CLAIMS, audit
+from uavnav.report.claims import CLAIMS
 from uavnav.report.studies import Studies, of_paper
+from uavnav.report.verdicts import audit
 
 
 def of_claim(number):
@@ -41,7 +42,7 @@ def test_a_part_that_other_readings_decide_the_other_way_is_named_with_them():
     turning = of_claim(1)[2]._replace(verdict="contradicted")
     supported = turning._replace(value=12.0, low=11.0, high=13.0, verdict="supported")
     audits = {"here": [turning], "last": [supported], "greedy": [turning._replace(verdict="undecided")]}
-    assert conclusions.elsewhere(turning, audits) == {"last": supported}
+    assert conclusions.other_way(turning, audits) == "by last"
     assert conclusions.turned([turning], audits) == (
         "Decided the other way, with intervals in tables/verdicts.csv: turning [%]: PPO better than DQN, means of four"
         " activations (by last)."

@@ -4,12 +4,17 @@ import dataclasses
 import pickle
 
 import pytest
+import yaml
 
+from uavnav.algorithms.a2c import PRESETS as A2C_PRESETS
+from uavnav.algorithms.a2c import A2CConfig
 from uavnav.algorithms.dqn import PRESETS as DQN_PRESETS
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PRESETS as PPO_PRESETS
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.choices import ConfigError
+from uavnav.tasks.world import World
+from uavnav.training.config import plain
 
 WRONG = [
     ({"activation": "rleu"}, "activation=rleu; choose from elu, .* (did you mean relu?)"),
@@ -33,17 +38,24 @@ WRONG = [
     ({"hidden": [64, 0]}, "hidden=[64, 0]; give at least one layer, each of at least 1 unit"),
     ({"hidden": [64, "x"]}, "hidden=x; give a whole number"),
     ({"reward": "eq15"}, "reward=eq15; choose from additive, eq14, initial (did you mean eq14?)"),
-    ({"slots": "first"}, "slots=first; choose from listed, nearest"),
-    ({"padding": "ones"}, "padding=ones; choose from far, zeros"),
-    ({"start_heading": "down"}, "start_heading=down; choose from random, up"),
+    ({"task": "dron"}, "task=dron; choose from drone (did you mean drone?)"),
+    ({"world": {"slots": "first"}}, "world.slots=first; choose from listed, nearest"),
+    ({"world": {"padding": "ones"}}, "world.padding=ones; choose from far, zeros"),
+    ({"world": {"start_heading": "down"}}, "world.start_heading=down; choose from random, up"),
+    ({"world": {"slot": "listed"}}, "there is no key 'world.slot'; choose from .*(did you mean world.slots?)"),
+    ({"world": {"sensor_arc": "wide"}}, "world.sensor_arc=wide; give a number"),
+    ({"world": {"n_slots": 0}}, "world.n_slots=0"),
+    ({"world": {"drone_radius": True}}, "world.drone_radius=True; give a number"),
+    ({"world": "flat"}, "world=flat; give fields of the world, such as world.sensor_arc=90"),
+    ({"slots": "listed"}, "there is no key 'slots'; choose from .*(did you mean world.slots?)"),
     ({"init": "xavier"}, "init=xavier; choose from default, orthogonal"),
     ({"compile": "maybe"}, "compile=maybe; choose from auto, off, on"),
     ({"device": "gpu"}, "device=gpu; choose cpu, or a device that this machine has"),
-    ({"n_worlds": 7}, "n_worlds=7; give a .*"),
+    ({"n_worlds": 0}, "n_worlds=0; give a number of at least 1"),
 ]
 
 
-@pytest.mark.parametrize("kind", [PPOConfig, DQNConfig])
+@pytest.mark.parametrize("kind", [PPOConfig, DQNConfig, A2CConfig])
 @pytest.mark.parametrize(("settings", "message"), WRONG, ids=[str(settings) for settings, _ in WRONG])
 def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
     with pytest.raises(ConfigError) as caught:
@@ -62,6 +74,8 @@ def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
         (DQNConfig, {"loss": "l1"}, "loss=l1; choose from huber, squared"),
         (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give more than n_worlds=64"),
         (DQNConfig, {"epochs": 3}, "there is no key 'epochs'"),
+        (A2CConfig, {"minibatch_size": 64}, "there is no key 'minibatch_size'"),
+        (A2CConfig, {"gae_lambda": 1.1}, "gae_lambda=1.1; give a number of at least 0 and at most 1"),
     ],
 )
 def test_each_algorithm_checks_its_own_keys(kind, settings, message):
@@ -83,9 +97,27 @@ def test_seeds_are_counted_from_seed():
     assert PPOConfig(seed=5, n_seeds=3).seeds == [5, 6, 7]
 
 
-def test_the_worlds_switches_reach_the_world():
-    world = DQNConfig(slots="listed", padding="zeros", start_heading="random").world
-    assert (world.slots, world.padding, world.start_heading) == ("listed", "zeros", "random")
+SWITCHES = {"slots": "listed", "padding": "zeros", "start_heading": "random", "sensor_arc": 90}
+
+
+def test_fields_of_the_world_reach_it_and_its_task_and_the_others_keep_their_defaults():
+    config = DQNConfig(world=SWITCHES)
+    assert config.world == config.make_task().world == World(**SWITCHES) != World()
+    assert isinstance(config.world.sensor_arc, float)
+    assert DQNConfig(world=World(**SWITCHES)) == config
+    assert DQNConfig().world == DQNConfig(world={}).world == World()
+
+
+def test_a_configuration_is_the_same_again_from_its_plain_settings_world_included():
+    for config in (PPOConfig(world=SWITCHES, hidden=[8]), DQNConfig(preset="fast"), A2CConfig(max_steps=9)):
+        settings = yaml.safe_load(yaml.safe_dump(plain(config)))
+        assert type(config).from_mapping(settings) == config
+
+
+def test_one_million_frames_are_run_in_whole_iterations():
+    assert (PPOConfig().iterations, PPOConfig().frames) == (489, 1_001_472)
+    assert (DQNConfig().iterations, DQNConfig().frames) == (15_625, 1_000_000)
+    assert (A2CConfig().iterations, A2CConfig().frames) == (12_500, 1_000_000)
 
 
 def test_the_preset_paper_of_ppo_is_sb3s_defaults():
@@ -108,7 +140,9 @@ def test_the_preset_paper_of_dqn_is_sb3s_defaults_and_paper_2_3_learns_from_fram
     }
 
 
-@pytest.mark.parametrize(("kind", "presets"), [(PPOConfig, PPO_PRESETS), (DQNConfig, DQN_PRESETS)])
+@pytest.mark.parametrize(
+    ("kind", "presets"), [(PPOConfig, PPO_PRESETS), (DQNConfig, DQN_PRESETS), (A2CConfig, A2C_PRESETS)]
+)
 def test_each_preset_bears_its_own_name_and_no_other_name_is_taken(kind, presets):
     assert {name: preset.preset for name, preset in presets.items()} == {name: name for name in presets}
     with pytest.raises(ConfigError, match="preset=quick; choose from"):
@@ -121,10 +155,12 @@ def test_a_preset_named_in_python_sets_its_values_and_a_given_one_goes_before():
     assert PPOConfig(preset="fast").n_worlds == 128
     assert PPOConfig(preset="fast", n_worlds=64).n_worlds == 64
     assert DQNConfig(preset="paper-2.3").learning_starts == 100
-    assert dataclasses.replace(PPO_PRESETS["fast"], lr=0.5).beyond(PPO_PRESETS["fast"]) == {"lr": 0.5}
+    assert dataclasses.replace(PPO_PRESETS["fast"], lr=0.5).beyond_preset() == {"lr": 0.5}
     assert pickle.loads(pickle.dumps(PPO_PRESETS["fast"])) == PPO_PRESETS["fast"]
 
 
 def test_what_a_run_changes_of_its_preset_is_named_but_for_what_every_table_says():
     changed = PPOConfig(lr=1e-3, hidden=[32], n_worlds=32, activation="relu", seed=3)
-    assert changed.beyond(PPO_PRESETS["paper"]) == {"lr": 1e-3, "hidden": [32]}
+    assert changed.beyond_preset() == {"lr": 1e-3, "hidden": [32]}
+    elsewhere = PPOConfig(world={"sensor_arc": 90, "slots": "listed"}, reward="initial")
+    assert elsewhere.beyond_preset() == {"reward": "initial", "world.sensor_arc": 90.0, "world.slots": "listed"}

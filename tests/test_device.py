@@ -1,39 +1,38 @@
 """Another device than the CPU: torch's `meta` device computes nothing, and refuses what would mix devices."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from tensordict import TensorDict
 
-from uavnav.algorithms import dqn, ppo
+from uavnav.algorithms import a2c, dqn, ppo
 from uavnav.envs.env import DroneEnv
-from uavnav.tasks import layouts, simulator
-from uavnav.tasks.world import World
+from uavnav.tasks.simulator import make_task
 from uavnav.training import probes
+from uavnav.training.sampling import Actor
 
-WORLD = World()
-ALGORITHMS = {"ppo": ppo.PPOConfig(n_seeds=2), "dqn": dqn.DQNConfig(n_seeds=2)}
+ALGORITHMS = {"ppo": ppo.PPOConfig(n_seeds=2), "dqn": dqn.DQNConfig(n_seeds=2), "a2c": a2c.A2CConfig(n_seeds=2)}
 
 
 @pytest.fixture(scope="module")
 def meta():
-    """The test bank [L, K, 3] and the poses of the probe [P, 30]."""
-    return layouts.load("test").to("meta"), probes.poses(WORLD).to("meta")
+    """The paper's task on the test bank [L, K, 3], and the poses of the probe [P, 30]."""
+    task = make_task("test", max_steps=10)
+    return task.with_bank(task.bank.to("meta")), probes.poses(task).to("meta")
 
 
 def test_a_hidden_cpu_tensor_would_be_refused(meta):
-    bank, _ = meta
+    bank = meta[0].bank
     with pytest.raises(RuntimeError, match="device cpu"):
         bank + torch.rand(bank.shape)
 
 
 @pytest.mark.parametrize("reward", ["eq14", "additive", "initial"])
 def test_a_step_of_the_world_stays_on_its_device(meta, reward):
-    bank, _ = meta
-    state = simulator.start(
-        torch.zeros(2, 5, dtype=torch.int64, device="meta"), torch.full((2, 5), 90, device="meta"), WORLD
-    )
-    action = torch.full((2, 5), 37, device="meta")
-    state, outcome = simulator.step(state, action, bank, WORLD, reward, 10)
+    task = replace(meta[0], reward=reward)
+    state = task.start(torch.zeros(2, 5, dtype=torch.int64, device="meta"), torch.full((2, 5), 90, device="meta"))
+    state, outcome = task.step(state, torch.full((2, 5), 37, device="meta"))
     assert {value.device.type for value in (*state, *outcome)} == {"meta"}
 
 
@@ -60,15 +59,14 @@ def transitions(config):
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_updates_and_diagnostics_stay_on_their_device(meta, algorithm):
     config, (_, poses) = ALGORITHMS[algorithm], meta
-    if algorithm == "ppo":
-        policy, value = ppo.make_networks(config)
-        loss = ppo.make_loss(policy, value, config).to("meta")
-        learner = ppo.make_learner(loss, config, compile=False)
-    else:
+    module = {"ppo": ppo, "dqn": dqn, "a2c": a2c}[algorithm]
+    if algorithm == "dqn":
         policy = dqn.make_network(config).to("meta")
         loss = dqn.make_loss(policy, config)
-        learner = dqn.make_learner(loss, config, compile=False)
-    losses = learner.learn(transitions(config))
+    else:
+        policy, value = ppo.make_networks(config)
+        loss = module.make_loss(policy, value, config).to("meta")
+    losses = module.make_learner(loss, config, compile=False).learn(transitions(config))
     assert all(value.device.type == "meta" for value in losses.values())
     assert all(value.device.type == "meta" for value in probes.units(policy, poses).values())
 
@@ -82,18 +80,46 @@ def collected(env, actor, n_steps):
     return torch.stack(steps, 2)
 
 
-def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(monkeypatch):
-    """What `ppo.train` does in an iteration but for the recorder, which reads numbers and takes them to the CPU."""
-    monkeypatch.setattr(DroneEnv, "_make_specs", lambda env: None)  # TorchRL's ask for numbers that `meta` has not
+@pytest.fixture
+def unspecified(monkeypatch):
+    """An environment without TorchRL's specs, which ask for numbers that `meta` has not."""
+    monkeypatch.setattr(DroneEnv, "_make_specs", lambda env: None)
+
+
+def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(unspecified):
+    """What an iteration does but for TorchRL's buffer, and the recorder, which takes numbers to the CPU."""
     config = ppo.PPOConfig(n_seeds=2, frames_per_batch=128, minibatch_size=64, epochs=1)
-    env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds)
+    env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds, task=config.make_task())
     policy, value = ppo.make_networks(config)
     loss = ppo.make_loss(policy, value, config).to("meta")
-    batch = collected(env, ppo.SampledPolicy(policy, config, compile=False), 8)
+    batch = collected(env, Actor(policy, config.seeds, ppo.HOW.acts, ppo.HOW.head, compile=False), 8)
     assert batch.shape == (2, config.n_worlds, 8)
-    ppo.estimate(batch, loss, ppo.make_advantage(config))
+    ppo.estimate(batch, loss, ppo.make_advantage(config.gamma, config.gae_lambda))
     losses = ppo.make_learner(loss, config, compile=False).step(ppo.rows(batch).transpose(0, 1))
     moved = ppo.diagnostics(batch, loss, config.clip_epsilon)
     found = [*batch.values(include_nested=True, leaves_only=True), *losses.values(), *moved.values()]
     assert {value.device.type for value in found} == {"meta"}
     assert all(value.shape == (2,) for value in moved.values())
+
+
+def test_two_iterations_of_a2c_collect_and_learn_on_one_device(unspecified):
+    config = a2c.A2CConfig(n_seeds=2)
+    object.__setattr__(config, "device", "meta")  # as a configuration it is refused, for it has no numbers
+    env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds, task=config.make_task())
+    trainee = config.make(compile=False)
+    for frames in (80, 2 * a2c.LOG_FRAMES):
+        batch = collected(env, trainee.actor, 5)
+        row = trainee.learn(batch, frames)
+    found = [*batch.values(include_nested=True, leaves_only=True), *row.values(), *trainee.policy.parameters()]
+    assert {value.device.type for value in found} == {"meta"}
+    assert {tuple(value.shape) for value in row.values()} == {(2,)}
+
+
+def test_dqn_acts_on_one_device_whose_epsilon_too_lies_there(unspecified):
+    config = dqn.DQNConfig(n_seeds=2)
+    env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds, task=config.make_task())
+    network = dqn.make_network(config).to("meta")
+    actor = Actor(network, config.seeds, dqn.HOW.acts, dqn.HOW.head, compile=False, epsilon=1.0)
+    batch = collected(env, actor, 1)
+    assert {value.device.type for value in (actor.epsilon, *batch.values(True, True))} == {"meta"}
+    assert dqn.rows(batch, config).batch_size == (config.n_worlds, 2)

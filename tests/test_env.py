@@ -55,7 +55,7 @@ def flights_of(env, **how):
     bank = env.bank.tolist()
     state = env.state
     return [
-        oracle.Flight(bank, layout, heading, max_steps=env.max_steps, **how)
+        oracle.Flight(bank, layout, heading, max_steps=env.task.max_steps, **how)
         for layout, heading in zip(state.layout.tolist(), state.heading.tolist(), strict=True)
     ]
 
@@ -340,7 +340,11 @@ def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_f
             "2 seeds for batch_size [3, 2]; give one, or one per agent",
         ),
         ({"seeds": [1, 2]}, ValueError, "2 seeds for batch_size []"),
-        ({"layouts": "trian"}, uavnav.LayoutError, "layouts='trian': no such bank; choose from train, test"),
+        (
+            {"layouts": "trian"},
+            uavnav.LayoutError,
+            "layouts='trian': no such bank; choose from train, validation, test",
+        ),
         ({"layouts": torch.zeros(2, 8, 3)}, uavnav.LayoutError, "radius outside 30 ... 100 px"),
     ],
 )
@@ -355,6 +359,41 @@ def test_step_refuses_an_action_outside_0_to_99(action):
     env = uavnav.DroneEnv([2])
     with pytest.raises(ValueError, match="0 to 99"):
         env.step(env.reset().set("action", torch.tensor([5, action])))
+
+
+@pytest.mark.parametrize("start_heading", ["up", "random"])
+def test_a_restored_environment_goes_on_after_its_reset_where_the_saved_one_went_on(bank, start_heading):
+    world = uavnav.World(start_heading=start_heading)
+
+    def make():
+        return uavnav.DroneEnv([2, 4], layouts=bank, seeds=[1, 2], world=world)
+
+    def fly(env, chosen, **how):
+        chosen = iter(chosen)
+        return env.rollout(125, lambda td: td.set("action", next(chosen)), break_when_any_done=False, **how)
+
+    env = make()
+    actions = actions_of(env, 250)
+    fly(env, actions[:125])
+    saved = env.state_dict()
+    expected = fly(env, actions[125:], auto_reset=False, tensordict=env.root())
+    restored = make()
+    restored.load_state_dict(saved)
+    assert (fly(restored, actions[125:]) == expected).all()
+    assert all(torch.equal(a, b) for a, b in zip(restored.state, env.state, strict=True))
+    env.load_state_dict(saved)
+    env.reset()
+    assert (env.reset()["episode", "steps"] == 0).all()  # a second reset begins anew
+    assert torch.equal(env.state.layout, (saved["state"]["layout"] + 1) % 1000)
+
+
+def test_the_first_reset_after_a_step_begins_anew_though_none_came_before():
+    for driver in DRIVERS:
+        env = uavnav.DroneEnv([3], layouts="test")
+        first = env.state.layout
+        driver(env, env.root().set("action", torch.full((3,), STRAIGHT)))
+        assert torch.equal(env.reset()["episode", "layout"], first + 1)
+        assert env.state.y.tolist() == [300] * 3
 
 
 @pytest.mark.compiled

@@ -1,6 +1,7 @@
 """Evaluation: one row a set of obstacles, repeatable, censored where it was cut off."""
 
 import math
+import re
 import shutil
 import subprocess
 import sys
@@ -13,11 +14,13 @@ import torch
 import uavnav
 from uavnav import evaluate
 from uavnav.algorithms import dqn, ppo
-from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, fly
+from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, files_of, fly, on
 from uavnav.runs import Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import read_table
-from uavnav.tasks.baselines import BASELINES, straight_ahead, uniform_random
+from uavnav.tasks import layouts
+from uavnav.tasks.baselines import straight_ahead, uniform_random
+from uavnav.tasks.simulator import EMPTY, make_task
 
 RUNS = {
     "ppo": (ppo.train, ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off")),
@@ -98,10 +101,11 @@ def test_3_seeds_in_one_batch_fly_as_each_does_alone(trained, greedy):
     # Exactly so, though they share a batch: each policy is called on its own rows alone, so that its products have the
     # same shape and round alike, and the world's arithmetic is elementwise.
     population = {seed: uavnav.load_policy(trained.path, seed, greedy) for seed in trained.seeds}
-    together = fly(population, episodes=12, max_steps=80)
+    task = on(make_task(EMPTY), episodes=12, max_steps=80)
+    together = fly(population, task)
     assert together.episodes.seed.tolist() == [4] * 12 + [5] * 12 + [6] * 12
     for seed, policy in population.items():
-        alone = fly({seed: policy}, episodes=12, max_steps=80)
+        alone = fly({seed: policy}, task)
         for all_rows, rows in zip(together, alone, strict=True):
             mine = all_rows[all_rows.seed == seed].reset_index(drop=True)
             pd.testing.assert_frame_equal(mine, rows, check_exact=True)
@@ -113,7 +117,7 @@ def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(
     assert torch.equal(torch.get_rng_state(), state)
     after = contents(run.path)
     assert {name: after.pop(name) for name in before} == before
-    assert sorted(after) == ["behaviour.parquet", "evaluation.parquet"]
+    assert sorted(after) == ["behaviour-test-5-50.parquet", "evaluation-test-5-50.parquet"]
     train, config = RUNS[run.algorithm]
     again = train(config, out=tmp_path / "again", quiet=True)
     assert (again.path / "policy.safetensors").read_bytes() == before["policy.safetensors"]
@@ -141,7 +145,7 @@ def test_each_seed_and_mode_of_a_run_has_a_row_a_test_set_and_the_run_reads_them
 
 def test_behaviour_is_the_flight_step_by_step_whose_counts_are_the_episodes(run):
     episodes = evaluate_run(run, episodes=12, max_steps=90)
-    behaviour = pd.read_parquet(run.path / "behaviour.parquet")
+    behaviour = pd.read_parquet(run.behaviour_file())
     assert list(behaviour.columns) == [*BEHAVIOUR_COLUMNS, "mode"]
     flights = {key: steps.sort_values("step") for key, steps in behaviour.groupby(["mode", "seed", "layout"])}
     assert len(flights) == 2 * 3 * 10  # of the first ten sets
@@ -166,7 +170,8 @@ def test_behaviour_is_the_flight_step_by_step_whose_counts_are_the_episodes(run)
 
 
 def test_of_a_flight_of_600_steps_500_are_watched():
-    flights = fly({0: lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64)}, max_steps=600)
+    task = on(make_task(EMPTY), episodes=20, max_steps=600)
+    flights = fly({0: lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64)}, task)
     assert (flights.episodes.steps == 600).all()
     assert (
         flights.behaviour.groupby("layout").step.agg(["min", "max", "size"]).to_numpy().tolist() == [[1, 500, 500]] * 10
@@ -179,7 +184,7 @@ def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
     rows = pd.read_parquet(tmp_path / "baselines" / "random.parquet")
     assert rows.layout.tolist() == [0, 1, 2, 3, 4]
     assert list(rows.columns) == list(EPISODE_COLUMNS)
-    assert rows.attrs == {"layouts": "test", "max_steps": 50}
+    assert rows.attrs == {"layouts": "test", "episodes": 5, "max_steps": 50}
 
 
 @pytest.mark.parametrize("out", ["/proc/x", "file", "file/rows"])
@@ -264,7 +269,8 @@ def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_e
     assert result.stdout.count("reward per episode") == 2
     rows = Run(run.path).evaluation()
     assert rows.groupby(["mode", "seed"]).size().tolist() == [5] * 6
-    assert (run.path / "behaviour.parquet").is_file()
+    assert run.behaviour_file().name == "behaviour-test-5-50.parquet"
+    assert run.behaviour_file().is_file()
 
 
 def test_the_command_evaluates_nothing_where_one_of_two_runs_is_not_there(run, capsys):
@@ -293,27 +299,88 @@ def test_a_policy_that_gives_no_actions_is_refused_in_one_line(action):
     assert "\n" not in str(refused.value)
 
 
-def test_rows_of_another_bank_are_shown_and_not_kept(tmp_path):
+# -- protocols --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
     config = ppo.PPOConfig(total_frames=64, frames_per_batch=64, hidden=[8], compile="off")
-    run = ppo.train(config, out=tmp_path / "run", quiet=True)
-    assert len(evaluate_run(run, episodes=2, max_steps=5, layouts="train")) == 4
-    assert run.evaluation() is None
+    return ppo.train(config, out=tmp_path_factory.mktemp("protocols") / "run", quiet=True)
+
+
+def test_200_test_sets_and_10000_steps_alone_are_evaluation_parquet():
+    assert files_of("test", 200, 10_000) == ("evaluation.parquet", "behaviour.parquet")
+    assert files_of("test", 100, 10_000)[0] == "evaluation-test-100-10000.parquet"
+    assert files_of("test", 200, 500)[0] == "evaluation-test-200-500.parquet"
+    assert files_of("train", 200, 10_000)[0] == "evaluation-train-200-10000.parquet"
+    assert files_of("validation", 200, 10_000)[1] == "behaviour-validation-200-10000.parquet"
+
+
+def test_banks_of_one_name_and_other_obstacles_have_files_of_their_own(tmp_path):
+    names = set()
+    for folder, seed in (("a", 0), ("b", 0), ("c", 1)):
+        path = tmp_path / folder / "bank.safetensors"
+        layouts.save(layouts.generate(3, 4, seed), path, seed=seed, split="train")
+        names.add(files_of(path, 3, 50)[0])
+    assert len(names) == 2
+    assert all(re.fullmatch(r"evaluation-bank-[0-9a-f]{8}-3-50\.parquet", name) for name in names)
+
+
+def test_another_number_of_episodes_cap_or_bank_goes_to_its_own_file_and_replaces_no_other(
+    small, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(evaluate, "EPISODES", 4)
+    monkeypatch.setattr(evaluate, "MAX_STEPS", 9)
+    run = Run(shutil.copytree(small.path, tmp_path / "run"))
+    bank = tmp_path / "own"
+    layouts.save(layouts.generate(5, 4), bank, seed=0, split="train")
+    protocols = [("test", 4, 9), ("test", 3, 9), ("test", 4, 8), ("train", 4, 9), ("validation", 4, 9), (bank, 4, 9)]
+    written = {}
+    for protocol in protocols:
+        layouts_, episodes, cap = protocol
+        rows = evaluate_run(run, episodes, cap, layouts_)
+        path = run.path / files_of(*protocol)[0]
+        pd.testing.assert_frame_equal(pd.read_parquet(path), rows, check_exact=True)
+        assert pd.read_parquet(path).attrs == {"layouts": str(layouts_), "episodes": episodes, "max_steps": cap}
+        there = contents(run.path)
+        assert {name: there[name] for name in written} == written
+        written = {name: there[name] for name in there if name.startswith(("evaluation", "behaviour"))}
+    assert len(written) == 2 * len(protocols)
+    assert Run(run.path).evaluation().attrs == {"layouts": "test", "episodes": 4, "max_steps": 9}
+
+
+def test_an_evaluation_of_another_protocol_is_read_where_there_is_no_evaluation_parquet(small, tmp_path):
+    run = Run(shutil.copytree(small.path, tmp_path / "run"))
     evaluate_run(run, episodes=2, max_steps=5)
-    assert run.evaluation().attrs == {"layouts": "test", "max_steps": 5}
+    assert run.evaluation().attrs == {"layouts": "test", "episodes": 2, "max_steps": 5}
+    assert run.behaviour_file() == run.path / "behaviour-test-2-5.parquet"
 
 
-@pytest.mark.slow
-@pytest.mark.compiled
-def test_a_compiled_evaluation_gives_the_rows_of_an_eager_one(monkeypatch):
-    """Scripted policies, which do not depend on the last bit of what they see; flights end at many different steps."""
-    population = {0: BASELINES["random"], 1: BASELINES["reactive"], 2: BASELINES["straight"]}
-    eager = fly(population, episodes=40, max_steps=300)
-    monkeypatch.setattr(evaluate.machine, "FLIGHTS_PAY_FROM", 1)
-    compiled = fly(population, episodes=40, max_steps=300)
-    assert compiled.episodes.steps.nunique() > 20
-    pd.testing.assert_frame_equal(compiled.episodes, eager.episodes)
-    pd.testing.assert_frame_equal(compiled.behaviour, eager.behaviour, rtol=1e-5)
+def test_the_command_says_in_which_file_the_rows_of_a_protocol_are(small, tmp_path, capsys):
+    run = shutil.copytree(small.path, tmp_path / "run")
+    assert evaluate.main([str(run), "--episodes", "3", "--max-steps", "5", "--layouts", "validation"]) == 0
+    path = run / "evaluation-validation-3-5.parquet"
+    assert f"the rows are in {path}\n" in capsys.readouterr().out
+    assert len(pd.read_parquet(path)) == 2 * 3
 
 
-def test_short_evaluations_are_not_compiled():
-    assert not evaluate.machine.flights(200, 10_000)
+# -- worlds -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained_in(tmp_path):
+    config = ppo.PPOConfig(
+        total_frames=64, frames_per_batch=64, hidden=[8], compile="off", reward="additive", world={"sensor_arc": 90}
+    )
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    rows = evaluate_run(run, episodes=6, max_steps=40)
+    policy = uavnav.load_policy(run.path)
+    assert policy.world == uavnav.World(sensor_arc=90)
+    greedy = rows[rows["mode"] == "greedy"].drop(columns="mode").reset_index(drop=True)
+    own = evaluate_policy(policy, episodes=6, max_steps=40)
+    pd.testing.assert_frame_equal(greedy, own, check_exact=True)
+    pd.testing.assert_frame_equal(
+        own, evaluate_policy(policy, episodes=6, max_steps=40, world=uavnav.World(sensor_arc=90), reward="additive")
+    )
+    other = evaluate_policy(policy, episodes=6, max_steps=40, reward="initial")
+    assert (other.reward >= own.reward).all()
+    assert (other.reward > own.reward).any()  # no penalties

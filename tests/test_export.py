@@ -1,5 +1,6 @@
 """An exported policy says the same numbers to programs that know nothing of this package."""
 
+import dataclasses
 import importlib.util
 import io
 import json
@@ -15,9 +16,12 @@ import torch
 from uavnav import PolicyError, RunError, export, load_policy
 from uavnav.algorithms import dqn, ppo
 from uavnav.export import export_policy
-from uavnav.networks import ACTIVATIONS
+from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.policies import Policy
+from uavnav.tasks import layouts
+from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.tasks.world import World
+from uavnav.training.sampling import HEADS
 
 pytestmark = pytest.mark.slow  # exporters take seconds a policy: not in the quick suite
 
@@ -36,7 +40,7 @@ def run(request, tmp_path_factory):
 def policy_with(activation):
     """An untrained policy whose values differ by more than rounding."""
     network, _ = ppo.make_networks(ppo.PPOConfig(activation=activation, init="default"))
-    return Policy(network, "ppo", True, 0.0, World(), "eq14")
+    return Policy(network, "ppo", True, make_task(EMPTY), "categorical", "direct")
 
 
 def by_onnxruntime(path, observation):
@@ -93,8 +97,27 @@ def test_onnx_is_three_products_two_activations_and_says_what_it_is(run, tmp_pat
 
 
 def facts(run):
-    values = {"ppo": "logits", "dqn": "Q"}[run.algorithm]
-    return {"algorithm": run.algorithm, "values": values, "reward": "eq14", "world_version": "1"}
+    own = {
+        "ppo": {"values": "logits", "acts": "categorical", "epsilon": 0.0},
+        "dqn": {"values": "Q values", "acts": "epsilon-greedy", "epsilon": 0.05},
+    }[run.algorithm]
+    task = {"task": "drone", "world": dataclasses.asdict(World()), "reward": "eq14", "max_steps": None}
+    bank = layouts.checksum(layouts.load("train"))
+    return {"algorithm": run.algorithm, **own, **task, "bank": bank, "world_version": "1"}
+
+
+def test_a_policy_trained_with_a_sensor_of_90_degrees_says_so_in_its_metadata(tmp_path):
+    config = ppo.PPOConfig(
+        frames_per_batch=512, hidden=[16], world={"sensor_arc": 90}, reward="additive", max_steps=70, **SHORT
+    )
+    run = ppo.train(config, tmp_path / "run", quiet=True)
+    model = onnx.load(export_policy(load_policy(run.path), tmp_path / "policy.onnx"))
+    said = {"uavnav.json": ""}
+    torch.export.load(export_policy(load_policy(run.path), tmp_path / "policy.pt2"), extra_files=said)
+    for text in (model.metadata_props[0].value, said["uavnav.json"]):
+        found = json.loads(text)
+        assert found["world"] == dataclasses.asdict(World(sensor_arc=90.0))
+        assert (found["task"], found["reward"], found["max_steps"]) == ("drone", "additive", 70)
 
 
 def test_an_archive_of_torch_says_what_it_is_and_pickles_no_weight(run, tmp_path):
@@ -107,6 +130,19 @@ def test_an_archive_of_torch_says_what_it_is_and_pickles_no_weight(run, tmp_path
         entries = json.loads(archive.read(name))["config"].values()
     assert len(entries) == 2 * len(load_policy(run.path).network[::2])
     assert not any(entry["use_pickle"] for entry in entries)
+
+
+@pytest.mark.parametrize("suffix", READ)
+def test_values_are_those_after_the_head_whose_largest_is_the_greedy_action(tmp_path, suffix, monkeypatch):
+    """As of a distribution of values: 100 actions with 3 numbers each."""
+    monkeypatch.setitem(HEADS, "mean of 3", lambda outputs: outputs.unflatten(-1, (100, 3)).mean(-1))
+    network = mlp([30, 16, 300], "relu", [torch.Generator().manual_seed(3)], "default")
+    policy = Policy(network, "dqn", True, make_task(EMPTY), "epsilon-greedy", "mean of 3")
+    observation = torch.rand(50, 30)
+    values = READ[suffix](export_policy(policy, tmp_path / f"policy{suffix}"), observation)
+    assert values.shape == (50, 100)
+    assert (values - policy.values(observation)).abs().max() <= CLOSE
+    assert torch.equal(values.argmax(-1), policy(observation))
 
 
 @pytest.mark.parametrize("suffix", READ)

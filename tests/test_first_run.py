@@ -4,6 +4,7 @@ import argparse
 import ast
 import importlib
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -51,7 +52,9 @@ def test_python_m_uavnav_lists_every_command_by_its_own_first_line(capsys):
 
 def test_without_the_repository_training_is_a_call(monkeypatch, tmp_path):
     monkeypatch.setattr(listing, "RECIPES", tmp_path / "recipes")
-    assert "  uavnav.ppo.train(...)      Train one agent a seed and keep the run in a folder.\n" in listing.listing()
+    told = listing.listing()
+    assert "  uavnav.ppo.train(...)      Proximal Policy Optimization, sec. 3.3, from top to bottom: " in told
+    assert "  uavnav.a2c.train(...)      Advantage Actor-Critic, the synchronous A3C of Mnih et al. (2016): " in told
     assert str(PACKAGE.parent) not in listing.listing()
 
 
@@ -127,12 +130,13 @@ def test_the_help_of_a_command_says_what_it_does_and_explains_each_argument(name
         assert action.help, action.option_strings or action.dest
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
+@pytest.mark.parametrize("algorithm", listing.TRAINING)
 def test_the_help_of_a_recipe_is_its_docstring_with_every_choice_and_setting(algorithm, tmp_path):
     result = python(RECIPES / f"{algorithm}.py", "--help", "activation=relu", cwd=tmp_path)
     assert (result.returncode, result.stderr) == (0, "")
     assert result.stdout.startswith(ast.get_docstring(ast.parse((RECIPES / f"{algorithm}.py").read_text())))
-    assert "  reward         additive, eq14, initial\n" in result.stdout
+    assert "  reward               additive, eq14, initial\n" in result.stdout
+    assert "  world.start_heading  random, up\n" in result.stdout
     assert "\nactivation: relu\n" in result.stdout
     assert not list(tmp_path.iterdir())
 
@@ -140,11 +144,14 @@ def test_the_help_of_a_recipe_is_its_docstring_with_every_choice_and_setting(alg
 # -- names spelt wrongly ---------------------------------------------------------------------------------------------
 
 WORDS = [
-    ("layouts --split trian", "argument --split: trian: choose from both, test, train (did you mean train?)"),
+    (
+        "layouts --split trian",
+        "argument --split: trian: choose from all, test, train, validation (did you mean train?)",
+    ),
     ("layouts --slpit train", "there is no argument --slpit (did you mean --split?)"),
     (
         "layouts --check tset",
-        "layouts='tset': no such bank; choose from train, test or a file's path (did you mean test?)",
+        "layouts='tset': no such bank; choose from train, validation, test or a file's path (did you mean test?)",
     ),
     ("evaluate reactiv", "reactiv: no such run folder; give a run's folder (did you mean reactive?)"),
     ("evaluate random --epsiodes 3", "there is no argument --epsiodes (did you mean --episodes?)"),
@@ -156,6 +163,8 @@ WORDS = [
         "play reactiv",
         "reactiv: no policy.safetensors there; give the folder of a finished run (did you mean reactive?)",
     ),
+    ("render random --sampled", "there is no argument --sampled"),
+    ("play random --sampled", "there is no argument --sampled"),
     ("bench --only trainig", "argument --only: trainig: choose from compile, "),
     ("verify --frame=3x run", "argument --frames: invalid int value: '3x'"),
 ]
@@ -202,27 +211,27 @@ RATES = {("ppo", 1): 19_762, ("ppo", 10): 64_829, ("dqn", 1): 17_802, ("dqn", 10
 @pytest.mark.parametrize(("algorithm", "n_seeds"), RATES)
 def test_the_estimate_gives_the_measured_rates_back(algorithm, n_seeds):
     config = {"ppo": PPOConfig, "dqn": DQNConfig}[algorithm](n_seeds=n_seeds)
-    found = display.seconds(algorithm, config, 1_000_000, processes=min(n_seeds, 2), compiled=True)
+    found = display.seconds(config, 1_000_000, processes=min(n_seeds, 2), compiled=True)
     assert found == pytest.approx(1_000_000 * n_seeds / RATES[algorithm, n_seeds], rel=0.01)
     assert f"{RATES[algorithm, n_seeds]:,}" in (PACKAGE.parent / "docs" / "benchmarks.md").read_text()
 
 
 def test_the_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_docs_and_the_rate_of_five_seeds():
-    found = display.seconds("ppo", PPOConfig(preset="fast"), 200_000, processes=1, compiled=True)
+    found = display.seconds(PPOConfig(preset="fast"), 200_000, processes=1, compiled=True)
     assert found == pytest.approx(8, rel=0.01)
     text = (PACKAGE.parent / "docs" / "performance.md").read_text()
-    assert "200,000 frames of PPO are there 15 s after the command" in text
+    assert re.search(r"200,000 frames of PPO\b[^.]*\b15 s\b", text)
     run = uavnav.Run(PACKAGE.parent / "results" / "tuned" / "ppo" / "tanh")
     rate = run.progress["frames_per_second"].mean()
-    found = display.seconds("ppo", PPOConfig(preset="fast", n_seeds=5), run.frames, processes=2, compiled=True)
+    found = display.seconds(PPOConfig(preset="fast", n_seeds=5), run.frames, processes=2, compiled=True)
     assert found == pytest.approx(run.frames / rate, rel=0.2)
 
 
 def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_long_it_still_takes(monkeypatch, capsys):
     clock = [0.0]
     monkeypatch.setattr(display.time, "monotonic", lambda: clock[0])
-    config = DQNConfig(n_worlds=32, learning_starts=1000)
-    with display.Display("dqn", config, 80_000, quiet=False) as shown:
+    config = DQNConfig(n_worlds=32, learning_starts=1000, total_frames=80_000)
+    with display.Display(config, quiet=False) as shown:
         shown.begin(Path("run"), {"compiled": False, "threads": 1})
         for clock[0], frames in [(0.0, 500), (9.0, 1000), (13.0, 3000), (14.0, 6000), (20.0, 9000)]:
             shown.update(frames, [0.0])
@@ -235,14 +244,14 @@ def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_l
 )
 def test_there_is_no_estimate_of_what_was_not_measured(given, tmp_path):
     config = PPOConfig(**given)
-    assert display.seconds("ppo", config, 1_000_000, processes=1, compiled=True) is None
-    _, how = display.opening("ppo", config, 1_000_000, tmp_path, {"compiled": True, "threads": 1})
+    assert display.seconds(config, 1_000_000, processes=1, compiled=True) is None
+    _, how = display.opening(config, 1_000_000, tmp_path, {"compiled": True, "threads": 1})
     assert how.endswith("1 process of 1 thread: the bar tells how long")
 
 
 def test_a_run_says_what_it_does_how_and_about_how_long():
     facts = {"compiled": True, "processes": 2, "threads": 1}
-    what, how = display.opening("ppo", PPOConfig(n_seeds=10, seed=5), 1_001_472, Path("runs/ppo/tanh"), facts)
+    what, how = display.opening(PPOConfig(n_seeds=10, seed=5), 1_001_472, Path("runs/ppo/tanh"), facts)
     assert what == (
         "ppo tanh, preset paper: 10 seeds (5 to 14), 1,001,472 frames each in 16 parallel worlds, into runs/ppo/tanh"
     )

@@ -7,10 +7,11 @@ import pandas as pd
 import pytest
 
 from uavnav import stats
-from uavnav.report import claims, frames, tables
+from uavnav.report import frames, tables
 from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import PRIMARY
 from uavnav.report.studies import Studies, of_paper
+from uavnav.report.verdicts import audit
 from uavnav.runs import paper
 from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS
 
@@ -104,7 +105,7 @@ def test_interactions_by_metric_and_reading_of_the_papers_cells_alone():
 
 def test_seeds_for_a_difference_of_one_standard_deviation_are_17_and_only_within_an_algorithm():
     found = frames.power(cells(ppo_tanh=1, ppo_relu=0, dqn_tanh=5, dqn_sigmoid=5, ppo_mish=9))
-    assert found.to_numpy().tolist() == [["PPO: tanh and relu", 3, 17], ["DQN: tanh and sigmoid", 3, np.inf]]
+    assert found.to_numpy().tolist() == [["DQN: tanh and sigmoid", 3, np.inf], ["PPO: tanh and relu", 3, 17]]
     assert frames.power({}).shape == (0, 3)
 
 
@@ -270,7 +271,7 @@ def test_baselines_are_read_and_a_foreign_file_is_named(tmp_path):
 
 
 def test_a_claims_own_verdict_stands_beside_each_of_its_parts_in_every_reading():
-    finding = claims.audit(lambda *_, **__: np.empty(0), of_paper)[0]
+    finding = audit(lambda *_, **__: np.empty(0), of_paper)[0]
     one = finding._replace(claim=1, verdict="supported")
     audits = {
         "first": [one, one, one._replace(claim=2, verdict="undecided")],

@@ -8,9 +8,11 @@ import pytest
 import torch
 
 from uavnav import graph
-from uavnav.algorithms import dqn, ppo
 from uavnav.choices import ConfigError
 from uavnav.graph import Graph
+from uavnav.networks import mlp
+from uavnav.tasks.seeding import stream
+from uavnav.training.sampling import ACTS, Actor
 
 COMMAND = """
 from uavnav.algorithms.ppo import PPOConfig, train
@@ -101,21 +103,10 @@ def test_a_graph_that_writes_into_what_it_is_given_does_so_once_a_call():
         assert total.tolist() == [count] * 3
 
 
-def sampled():
-    config = ppo.PPOConfig(n_seeds=2)
-    network, _ = ppo.make_networks(config)
-    return network, [ppo.SampledPolicy(network, config, compile) for compile in (True, False)]
-
-
-def exploring():
-    config = dqn.DQNConfig(n_seeds=2, epsilon_start=0.1, learning_starts=0)
-    network = dqn.make_network(config)
-    return network, [dqn.ExploringPolicy(network, config, compile) for compile in (True, False)]
-
-
-@pytest.mark.parametrize("make", [sampled, exploring])
-def test_compiled_policies_choose_by_the_weights_of_now(make):
-    network, (compiled, eager) = make()
+@pytest.mark.parametrize("acts", list(ACTS))
+def test_compiled_policies_choose_by_the_weights_of_now(acts):
+    network = mlp([30, 64, 64, 100], "tanh", [stream(seed, "test") for seed in range(2)], "default")
+    compiled, eager = (Actor(network, [0, 1], acts, "direct", compile, epsilon=0.1) for compile in (True, False))
     generator = torch.Generator().manual_seed(0)
     observation = torch.rand(2, 16, 30, generator=generator)
     chosen = []

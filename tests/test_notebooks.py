@@ -73,7 +73,8 @@ def test_a_notebook_runs_in_an_empty_folder(name, tmp_path):
     text, pictures = execute(name, tmp_path)
     assert pictures == PICTURES[name]
     if name == "1-the-world":
-        assert "10,000 sets of 8 obstacles" in text
+        assert "train: 10,000 sets of 8 obstacles" in text
+        assert "validation: 1,000 sets of 8 obstacles" in text
     if name == "2-train-and-watch":
         assert "(did you mean tanh?)" in text
         assert "49,152 frames: reward" in text

@@ -120,7 +120,7 @@ def test_wrong_layouts_actions_caps_and_banks_are_refused_and_a_step_before_the_
             env.step(action)
     with pytest.raises(ValueError, match="max_steps=0"):
         NumpyDroneEnv(max_steps=0)
-    with pytest.raises(layouts.LayoutError, match="choose from train, test"):
+    with pytest.raises(layouts.LayoutError, match="choose from train, validation, test"):
         NumpyDroneEnv("trian")
 
 

@@ -21,8 +21,9 @@ from selenium.webdriver.support.ui import Select, WebDriverWait
 
 from uavnav.algorithms import dqn, ppo
 from uavnav.evaluate import evaluate_run
-from uavnav.report import SECTIONS, report
+from uavnav.report import report
 from uavnav.report.claims import CLAIMS
+from uavnav.report.page import SECTIONS
 
 pytestmark = pytest.mark.slow
 
@@ -275,9 +276,12 @@ def test_a_replay_scrubs_and_the_picture_and_the_words_follow(browser, player):
 
 def test_cells_seeds_and_obstacles_can_be_chosen(browser, player):
     cell, seed, layout = (Select(select) for select in find(browser, ".replay > .replay-row select"))
-    assert [option.text for option in cell.options] in (["PPO tanh", "DQN tanh"], ["DQN tanh", "PPO tanh"])
+    assert [option.text for option in cell.options] in (
+        ["PPO tanh, sampled", "DQN tanh, sampled"],
+        ["DQN tanh, sampled", "PPO tanh, sampled"],
+    )
     caption, status, shown = one(browser, ".replay-side figcaption"), one(browser, ".replay-status"), set()
-    for name, words in (("PPO tanh", "probability"), ("DQN tanh", "Q value")):
+    for name, words in (("PPO tanh, sampled", "probability"), ("DQN tanh, sampled", "Q value")):
         cell.select_by_visible_text(name)
         wait(browser, lambda words=words: caption.text.startswith(words))
         assert [option.text for option in seed.options] == ["0", "1"]

@@ -1,4 +1,4 @@
-"""The live window: keys and mouse do what the help says, time passes as it should, and what is saved can be used."""
+"""The live window's rules: keys and mouse do what the help says, time passes as it should, rows are kept."""
 
 import dataclasses
 import io
@@ -11,88 +11,30 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from playing import EMPTY, REACTIVE, STRAIGHT, click, drag, fly, new, opened, place, press, pygame, trained
 
 import uavnav
 from uavnav import render
-from uavnav.algorithms import ppo
-from uavnav.envs import drawing
-from uavnav.render import Pilot
-from uavnav.report import frames
-from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, per_seed
+from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
-from uavnav.tasks.baselines import BASELINES, straight_ahead
-from uavnav.tasks.world import World
+from uavnav.tasks.baselines import straight_ahead
 from uavnav.window import game as rules
-from uavnav.window import hud, play
-from uavnav.window.game import ALIASES, KEYS, MOUSE, PACES
+from uavnav.window import hud, keys, play
+from uavnav.window.game import PACES
+from uavnav.window.keys import ALIASES, KEYS, MOUSE
 
-pygame = pytest.importorskip("pygame")
-
-WORLD = World()
-EMPTY = layouts.generate(30, k=0)
-STRAIGHT = Pilot("straight", straight_ahead, WORLD)
-REACTIVE = Pilot("reactive", BASELINES["reactive"], WORLD)
 NAMES = [name for key in KEYS for name in key.names]
-SIZES = [hud.DESIGN, (760, 900), (1920, 1080), (640, 480), play.SMALLEST]
-
-
-def new(*pilots, bank=EMPTY, **how):
-    return rules.new(list(pilots), bank, **how)
-
-
-def fly(game, steps):
-    for _ in range(steps):
-        game = rules.step(game)
-    return game
-
-
-def press(game, *names):
-    for name in names:
-        game = rules.release(rules.press(game, name), name)
-    return game
-
-
-def place(game):
-    return float(game.state.x), float(game.state.y), int(game.state.heading)
 
 
 @pytest.fixture
 def window(monkeypatch):
-    """A window without a screen, to which events are posted; `window(game, *keys)` is the game after them."""
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    play.open_window(hud.DESIGN)
-    pygame.event.clear()
-
-    def after(game, *names, seconds=0.0):
-        for name in names:
-            for kind in (pygame.KEYDOWN, pygame.KEYUP):
-                pygame.event.post(pygame.event.Event(kind, key=pygame.key.key_code(name), mod=0))
-        return play.turn(game, seconds)
-
-    yield after
-    pygame.display.quit()
-
-
-def mouse(kind, x, y, button=1):
-    """An event at a place of the world [px]."""
-    places = hud.arrange(hud.DESIGN, WORLD)
-    scale = places.width / WORLD.width
-    at = round(places.left + x * scale), round(places.top + (WORLD.height - y) * scale)
-    if kind == pygame.MOUSEMOTION:
-        return pygame.event.Event(kind, pos=at, rel=(0, 0), buttons=(1, 0, 0))
-    return pygame.event.Event(kind, pos=at, button=button)
-
-
-def drag(x, y, to_x, to_y):
-    pygame.event.post(mouse(pygame.MOUSEBUTTONDOWN, x, y))
-    pygame.event.post(mouse(pygame.MOUSEMOTION, to_x, to_y))
-    pygame.event.post(mouse(pygame.MOUSEBUTTONUP, to_x, to_y))
+    with opened(monkeypatch) as after:
+        yield after
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    config = ppo.PPOConfig(total_frames=256, frames_per_batch=256, compile="off")
-    return ppo.train(config, out=tmp_path_factory.mktemp("play") / "run", quiet=True)
+    return trained(tmp_path_factory.mktemp("play"))
 
 
 # -- keys ------------------------------------------------------------------------------------------------------------
@@ -201,20 +143,20 @@ def test_a_tap_shorter_than_a_step_turns_once():
     assert game.state.turns == 1
 
 
-@pytest.mark.parametrize(("keys", "angle", "distance"), [((), 0, 0), (("left",), 5, 0), (("right", "up"), -4, 1)])
-def test_keys_become_the_action_of_eqs_11_and_12(keys, angle, distance):
+@pytest.mark.parametrize(("names", "angle", "distance"), [((), 0, 0), (("left",), 5, 0), (("right", "up"), -4, 1)])
+def test_keys_become_the_action_of_eqs_11_and_12(names, angle, distance):
     game = new()
-    for name in keys:
-        game = rules.press(game, name)
+    for name in names:
+        game = keys.press(game, name)
     assert game.choice.action == angle % 10 * 10 + distance
 
 
 # -- time ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("keys", "steps"), [((), 24), (("-",), 12), (("-",) * 3, 2), (("space",), 0), (("h",), 0)])
-def test_in_0_8_seconds_30_steps_a_second_are_24_and_at_a_tenth_2(keys, steps):
-    game = press(new(STRAIGHT), *keys)
+@pytest.mark.parametrize(("names", "steps"), [((), 24), (("-",), 12), (("-",) * 3, 2), (("space",), 0), (("h",), 0)])
+def test_in_0_8_seconds_30_steps_a_second_are_24_and_at_a_tenth_2(names, steps):
+    game = press(new(STRAIGHT), *names)
     for _ in range(32):
         game = rules.advance(game, 0.025)
     assert game.state.steps == steps
@@ -245,7 +187,7 @@ def test_nine_px_a_step_by_hand_is_the_row_that_straight_ahead_has_in_an_evaluat
 
 
 def test_a_watched_policy_flies_as_it_does_in_a_film(run):
-    (pilot,) = render.load_pilots([str(run.path)])
+    (pilot,) = render.load_pilots([str(run.path)], greedy=True)
     bank = layouts.load("test")
     film = render.fly(pilot, bank, 3, 60)
     game = fly(new(pilot, bank=bank, index=3), 60)
@@ -275,8 +217,9 @@ def test_flights_of_other_sets_are_not_kept_and_one_that_is_cut_off_is_truncated
     assert flags == ([] if "split" in how else [(False, True, 5)])
 
 
-def test_a_sampled_policy_flies_the_same_way_again_after_a_reset(run):
-    (pilot,) = render.load_pilots([str(run.path)], sampled=True)
+def test_a_pilot_is_sampled_as_in_training_and_flies_the_same_way_again_after_a_reset(run):
+    (pilot,) = render.load_pilots([str(run.path)])
+    assert pilot.mode == "sampled"
     first = fly(new(pilot), 15)
     again = fly(press(first, "r"), 15)
     assert again.legs == first.legs
@@ -298,6 +241,8 @@ def test_rows_of_three_flights_saved_in_two_goes_are_in_one_file_that_the_report
     assert pd.read_parquet("results/baselines/human.parquet").attrs == {"layouts": "test", "max_steps": 10_000}
     assert press(game, "k").message == "No finished flight by hand to save"
     game = press(fly(press(game, "up", "up", "up"), 300), "k")
+    from uavnav.report import frames
+
     found, left_out = frames.baselines([tmp_path / "results"])
     assert left_out == []
     rows = found["human"]
@@ -343,6 +288,8 @@ def test_a_flight_flown_beside_a_run_is_found_by_the_report_of_its_folder(run, w
     press_and_close = iter([lambda game: press(fly(press(game, "0", "up"), 300), "k"), rules.leave])
     monkeypatch.setattr(play, "turn", lambda game, seconds: next(press_and_close)(game))
     assert play.main(["runs/ppo/relu"]) == 0
+    from uavnav.report import frames
+
     found, left_out = frames.baselines([Path("runs")])
     assert (list(found), left_out) == (["human"], [])
     assert found["human"]["terminated"].tolist() == [True]
@@ -401,162 +348,10 @@ def test_an_obstacle_on_the_start_is_refused_and_a_right_click_takes_one_away(wi
     game = window(game)
     assert game.message == "Not there: obstacle 2 of set 0 is nearer than 50 px to the start"
     assert game.obstacles.shape == (1, 2, 3)
-    pygame.event.post(mouse(pygame.MOUSEBUTTONDOWN, 620, 110, button=3))
+    pygame.event.post(click(pygame.MOUSEBUTTONDOWN, 620, 110, button=3))
     game = window(game)
     assert game.obstacles.tolist() == [[[200, 100, 50]]]
-    pygame.event.post(mouse(pygame.MOUSEBUTTONDOWN, 200, 110, button=3))
+    pygame.event.post(click(pygame.MOUSEBUTTONDOWN, 200, 110, button=3))
     drag(100, 100, 150, 150)
     game = window(press(game, "e"))  # the drawing is over: the mouse does nothing
     assert game.obstacles.tolist() == [[[200, 100, 50]]]
-
-
-# -- the picture -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_at_five_sizes_everything_is_inside_the_window_and_nothing_covers_the_arena(size):
-    places = hud.arrange(size, WORLD)
-    arena = places.left, places.top, places.left + places.width, places.top + places.height
-    assert places.width * 3 == pytest.approx(places.height * 4, abs=4)
-    block = hud.BLOCK * places.unit
-    for left, top in (places.facts, places.grid):
-        assert left >= arena[2] or top >= arena[3]
-        assert min(left, top) >= 0
-        if size != play.SMALLEST:
-            assert left + block <= size[0] + 1
-            assert top + hud.FACTS_HEIGHT * places.unit <= size[1]
-    assert min(arena) >= 0
-    assert arena[2] <= size[0]
-    assert arena[3] <= size[1]
-    assert hud.to_world((places.left, places.top), size, WORLD) == (0, 600)
-    middle = (places.left + places.width // 2, places.top + places.height // 2)
-    assert hud.to_world(middle, size, WORLD) == pytest.approx((400, 300), abs=4)
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_the_window_shows_the_drone_of_the_pilots_colour_where_it_is(size, window):
-    pygame.display.set_mode(size, pygame.RESIZABLE)
-    game = fly(new(STRAIGHT), 20)
-    play.show(game)
-    places = hud.arrange(size, WORLD)
-    x, y = places.left + places.width * (400 + 12) / 800, places.top + places.height * (300 - 180) / 600
-    assert tuple(pygame.display.get_surface().get_at((round(x), round(y))))[:3] == drawing.PILOTS[1]
-
-
-def test_the_action_grid_has_the_best_action_in_the_brightest_colour_and_outlines_it(run):
-    (pilot,) = render.load_pilots([str(run.path)])
-    game = fly(new(pilot, bank=layouts.load("test")), 4)
-    values, action = game.choice.values, game.choice.action
-    assert values.shape == (100,)
-    assert action == int(values.argmax())
-    shades = hud._shades(values)
-    assert shades[action] == hud._colours()[255]
-    assert shades[int(values.argmin())] == hud._colours()[0]
-    picture = np.asarray(hud.draw(game, hud.DESIGN))
-    turn, distance = divmod(action, 10)
-    column = [5, 4, 3, 2, 1, 0, 9, 8, 7, 6].index(turn)
-    left, top = hud.arrange(hud.DESIGN, WORLD).grid
-    x, y = left + 26 + 24 * column, top + 24 + 21 * (9 - distance)
-    assert tuple(picture[y + 10, x + 10]) == shades[action]
-    assert tuple(picture[y, x + 10]) == hud.WHITE
-    assert tuple(picture[y - 2, x + 10]) == drawing.INK
-
-
-def test_the_figures_are_those_of_the_metrics_table_after_a_flight():
-    game = fly(press(new(), "up", "up", "up", "left"), 300)
-    rows = pd.DataFrame([game.flights[0]])
-    expected = per_seed(rows).iloc[0]
-    shown = list(hud.figures(game).values())
-    wanted = [expected[name] for name in METRICS if name not in ("distance", "speed", "reward")]
-    wanted += [expected["distance"], expected["speed"], expected["reward"], -10]
-    assert [float(value) for value in shown] == pytest.approx(wanted, abs=0.051)
-    assert len(shown) == 8
-
-
-def test_every_moment_has_a_picture_of_its_own():
-    flying = fly(new(STRAIGHT), 3)
-    drawing = press(flying, "e")
-    moments = [new(), flying, press(flying, "space"), drawing, rules.grab(drawing, 100, 100), fly(flying, 99)]
-    moments += [press(flying, "h"), rules.grab(drawing, 420, 320)]
-    pictures = [np.asarray(hud.draw(game, (700, 500))) for game in moments]
-    assert all(picture.shape == (500, 700, 3) for picture in pictures)
-    assert len({picture.tobytes() for picture in pictures}) == len(moments)
-
-
-# -- the command -----------------------------------------------------------------------------------------------------
-
-
-def test_the_command_opens_its_window_obeys_and_closes(run, window, tmp_path, capsys):
-    out = tmp_path / "some" / "rows.parquet"
-    for name in ("0", *["up"] * 9):
-        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.key.key_code(name), mod=0))
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    assert play.main([str(run.path), "reactive", "--layout", "20", "--out", str(out)]) == 0
-    assert capsys.readouterr() == ("", "")
-    assert not out.parent.exists()
-
-
-def test_flights_that_the_x_lost_are_counted_in_the_last_line(window, monkeypatch, capsys):
-    game = fly(press(fly(press(new(), "up"), 300), "r", "up"), 300)
-    monkeypatch.setattr(rules, "new", lambda *words, **paths: game)
-    for _ in range(2):
-        pygame.event.post(pygame.event.Event(pygame.QUIT))
-    assert play.main([]) == 0
-    assert capsys.readouterr() == ("2 flights by hand were not saved\n", "")
-
-
-def test_ctrl_c_closes_the_window_and_says_what_was_not_saved(window, monkeypatch, capsys):
-    def interrupted(game, seconds):
-        raise KeyboardInterrupt
-
-    landed = fly(press(new(), "up"), 300)
-    monkeypatch.setattr(play, "turn", interrupted)
-    monkeypatch.setattr(rules, "new", lambda *words, **paths: landed)
-    assert play.main([]) == 0
-    assert capsys.readouterr() == ("1 flight by hand was not saved\n", "")
-
-
-def test_without_the_extra_it_is_one_line_that_says_which_and_status_2(capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    assert play.main([]) == 2
-    assert capsys.readouterr() == ("", "uavnav.play: needs pygame-ce: pip install 'uavnav[play]'\n")
-
-
-@pytest.mark.parametrize("driver", ["none such", None])
-def test_without_a_screen_it_is_one_line_and_status_2(driver, capsys, monkeypatch):
-    pygame.display.quit()
-    for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(variable, raising=False)
-    if driver:
-        monkeypatch.setenv("SDL_VIDEODRIVER", driver)
-    monkeypatch.setattr(pygame.display, "get_driver", lambda: "offscreen")
-    assert play.main([]) == 2
-    printed, err = capsys.readouterr()
-    assert (printed, err.count("\n")) == ("", 1)
-    assert "no window can be opened" in err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nowhere"], "no policy.safetensors there"),
-        (["RUN", "--seed", "9"], "seed=9 is not there"),
-        (["--layout", "1000"], "--layout 1000: choose from 0 to 999"),
-        (["--layouts", "nowhere"], "no such bank"),
-        (["--max-steps", "0"], "--max-steps 0: give at least 1"),
-        (["--out", "file/human.parquet"], "file/human.parquet: cannot be written"),
-        (["--out", "."], ".: cannot be written"),
-        (["--out", "file"], "file: missing or damaged; move it away"),
-        (["--bank", "file/own.safetensors"], "file/own.safetensors: cannot be written (Not a directory)"),
-        (["--out", "/proc/x/human.parquet"], "/proc/x/human.parquet: cannot be written ("),
-        (["--activation", "tanh"], "--activation tanh: runs know their own; give it with a .zip"),
-    ],
-)
-def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").write_text("no table")
-    assert play.main([str(run.path) if word == "RUN" else word for word in arguments]) == 2
-    printed, err = capsys.readouterr()
-    assert message in err
-    assert err.startswith("uavnav.play: ")
-    assert (printed, err.count("\n")) == ("", 1)

@@ -2,15 +2,18 @@
 
 import json
 import pickle
+from pathlib import Path
 
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
 import uavnav
+from uavnav import render
 from uavnav.algorithms import dqn, ppo
 from uavnav.policies import PolicyError
 from uavnav.runs import POLICY
+from uavnav.tasks import layouts
 from uavnav.training.weights import serialize
 
 
@@ -109,7 +112,45 @@ def test_a_missing_policy_and_a_missing_seed_are_named(run, tmp_path):
 
 
 def test_both_networks_of_ppo_are_kept():
-    policy, value = ppo.make_networks(ppo.PPOConfig())
-    content = serialize({"policy": policy, "value": value}, "ppo", ppo.PPOConfig())
+    trainee = ppo.PPOConfig().make(compile=False)
+    content = serialize(trainee.networks(), trainee.config, trainee.actor)
     assert b"policy.0.weight" in content
     assert b"value.4.bias" in content
+
+
+# -- the task --------------------------------------------------------------------------------------------------------
+
+RESULTS = Path(uavnav.__file__).parent.parent / "results"
+COMMITTED = sorted(path.relative_to(RESULTS) for path in RESULTS.rglob(POLICY))
+
+
+def test_every_committed_policy_loads_whatever_version_wrote_its_header():
+    assert len(COMMITTED) > 20
+    for path in COMMITTED:
+        policy = uavnav.load_policy(RESULTS / path)
+        config = uavnav.Run(RESULTS / path.parent).config
+        how = {"ppo": ("categorical", 0.0), "dqn": ("epsilon-greedy", config.get("epsilon_end"))}[policy.algorithm]
+        assert (policy.acts, policy.epsilon) == how, path
+        assert policy.world == uavnav.World(**config.get("world", {})), path
+        assert (policy.reward, policy.head) == (config["reward"], "direct"), path
+        assert policy(torch.rand(3, 30)).shape == (3,)
+
+
+def test_a_committed_run_with_random_headings_comes_back_with_that_world():
+    assert uavnav.load_policy(RESULTS / "heading" / "ppo" / "relu").world == uavnav.World(start_heading="random")
+    assert uavnav.load_policy(RESULTS / "ppo" / "relu").world == uavnav.World()
+
+
+def test_a_policy_comes_back_with_the_world_reward_and_cap_that_it_was_trained_in(tmp_path):
+    config = dqn.DQNConfig(
+        total_frames=256, learning_starts=64, world={"sensor_arc": 90}, reward="additive", max_steps=70, compile="off"
+    )
+    run = dqn.train(config, tmp_path / "run", quiet=True)
+    policy = uavnav.load_policy(run.path)
+    assert policy.world == policy.task.world == config.world == uavnav.World(sensor_arc=90)
+    assert (policy.reward, policy.task.max_steps, policy.seed) == ("additive", 70, 0)
+    assert policy.bank == layouts.checksum(layouts.load("train"))
+    (pilot,) = render.load_pilots([str(run.path)])
+    assert (pilot.task.world, pilot.task.reward, pilot.mode) == (config.world, "additive", "sampled")
+    flown = render.fly(pilot, layouts.load("test"), 0, 30)
+    assert flown.pilot.task.world.sensor_arc == 90

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from torchrl.envs.utils import step_mdp
 
 import uavnav
-from uavnav.tasks import layouts, simulator
+from uavnav.tasks import layouts
+from uavnav.tasks.simulator import make_task
 
 ROUNDING = 1e-3  # [px] of float32 positions and distances
 PENALTIES = {"eq14": (-0.01, 0.09), "additive": (-0.02, 0.09), "initial": (0.0, 0.09)}  # all that no collision earns
@@ -46,21 +47,20 @@ def flights(draw):
     actions = torch.tensor([action for action, times in stretches for _ in range(times)])
     rows = [actions.roll(-11 * row) for row in range(math.prod(shape))]
     actions = torch.stack(rows, 1).reshape(len(actions), *shape)
-    env = uavnav.DroneEnv(
-        shape,
-        layouts=bank,
-        reward=draw(st.sampled_from(sorted(PENALTIES))),
-        world=uavnav.World(
+    how = {
+        "layouts": bank,
+        "reward": draw(st.sampled_from(sorted(PENALTIES))),
+        "world": uavnav.World(
             start_heading=draw(st.sampled_from(["random", "up"])),
             slots=draw(st.sampled_from(["nearest", "listed"])),
             padding=draw(st.sampled_from(["far", "zeros"])),
         ),
-        seeds=(seed := draw(st.integers(0, 2**31 - 1))),
-    )
+        "seeds": draw(st.integers(0, 2**31 - 1)),
+    }
     cap = draw(st.sampled_from([None, "a collision", 1, 7, 30]))
-    env.max_steps = first_collision(env, actions) if cap == "a collision" else cap
-    env.set_seed(seed)
-    return env, actions
+    if cap == "a collision":
+        cap = first_collision(uavnav.DroneEnv(shape, **how), actions)
+    return uavnav.DroneEnv(shape, **how, max_steps=cap), actions
 
 
 def first_collision(env, actions):
@@ -89,7 +89,7 @@ def rows_of(*tensors):
 @given(flights())
 def test_observations_are_finite_and_within_their_spec_and_rewards_within_minus_10_and_0_09(flight):
     env, actions = flight
-    low, high = PENALTIES[env.reward]
+    low, high = PENALTIES[env.task.reward]
     spec = env.observation_spec["observation"]
     assert spec.is_in(env.reset()["observation"])
     for _, _, _, after in drive(env, actions):
@@ -111,7 +111,7 @@ def test_a_flight_terminates_where_the_oracles_clearance_is_at_most_30_px_and_ne
             clearance = oracle.clearance(x, y, env.bank[layout].tolist())
             if abs(clearance - 30) > ROUNDING:
                 assert terminated == (clearance <= 30)
-            assert truncated == (steps == env.max_steps and not terminated)
+            assert truncated == (steps == env.task.max_steps and not terminated)
             assert done == (terminated or truncated)
             assert terminated or (50 < x < 750 and 50 < y < 550)  # the border squares' 20 px and the drone's 30
 
@@ -147,11 +147,11 @@ def test_no_step_leads_through_an_obstacle(flight):
 @pytest.mark.parametrize(("gap", "hit"), [(59.84, False), (59.82, True)])
 def test_the_bound_is_attained_a_circle_of_30_px_may_be_passed_0_16_px_too_near_and_not_0_18(gap, hit):
     # Straight up at x = 400, 9 px a step: the circle's centre is beside the middle of step 15, `gap` px to the right.
-    bank = torch.tensor([[[400 + gap, 300 + 14.5 * 9, 30.0]]])
-    state = simulator.start(torch.tensor([0]), torch.tensor([90]), uavnav.World())
+    task = make_task(torch.tensor([[[400 + gap, 300 + 14.5 * 9, 30.0]]]))
+    state = task.start(torch.tensor([0]), torch.tensor([90]))
     collisions = []
     for _ in range(19):
-        state, outcome = simulator.step(state, torch.tensor([9]), bank, uavnav.World(), "eq14", None)
+        state, outcome = task.step(state, torch.tensor([9]))
         collisions.append(outcome.terminated.item())
     assert collisions == [hit and step in (14, 15) for step in range(1, 20)]
 
@@ -173,7 +173,7 @@ def test_counts_and_rewards_are_what_the_actions_add_up_to_in_whole_numbers(flig
             layout = counts.pop("layout")
             assert 0 <= layout < len(env.bank)
             assert counts == counted(flown[row])
-            assert earned == pytest.approx(hundredths(flown[row], env.reward) / 100, abs=1e-9)
+            assert earned == pytest.approx(hundredths(flown[row], env.task.reward) / 100, abs=1e-9)
             if done[row]:
                 flown[row] = []
 

@@ -7,12 +7,14 @@ from pathlib import Path
 import pytest
 import yaml
 
+from uavnav import PolicyError, load_policy
 from uavnav.runs import Run
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 SHORT = {
     "ppo": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "evaluate=false"],
     "dqn": ["total_frames=1e3", "learning_starts=500", "evaluate=false"],
+    "a2c": ["total_frames=1e3", "evaluate=false"],
 }
 
 
@@ -23,16 +25,13 @@ def recipe(tmp_path, monkeypatch, capfd):
     monkeypatch.syspath_prepend(str(RECIPES))
     monkeypatch.setenv("COLUMNS", "100")
 
-    def run(algorithm, *arguments):
+    def run(name, *arguments):
         from launch import launch
 
-        import uavnav
-
-        module = getattr(uavnav, algorithm)
-        monkeypatch.setattr(sys, "argv", [f"recipes/{algorithm}.py", *arguments])
+        monkeypatch.setattr(sys, "argv", [f"recipes/{name}.py", *arguments])
         status = 0
         try:
-            launch(module.ALGORITHM, module.PRESETS, module.train)
+            launch(name)
         except SystemExit as stop:
             status = stop.code
         out, err = capfd.readouterr()
@@ -41,7 +40,14 @@ def recipe(tmp_path, monkeypatch, capfd):
     return run
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
+def process(folder, name, *arguments):
+    """The same as a process of its own."""
+    command = [sys.executable, RECIPES / f"{name}.py", *arguments]
+    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    return result.returncode, result.stdout, result.stderr
+
+
+@pytest.mark.parametrize("algorithm", list(SHORT))
 def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, tmp_path, algorithm):
     status, out, err = recipe(algorithm, "activation=relu", "n_seeds=2", *SHORT[algorithm])
     assert (status, err) == (0, "")
@@ -57,13 +63,14 @@ def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, 
         "reward per episode",
         "all episodes",
         "last 100",
-        "paper",
         "ratio of means",
-        {"ppo": "16 parallel worlds", "dqn": "64 parallel worlds"}[algorithm],
+        {"ppo": "16 parallel worlds", "dqn": "64 parallel worlds", "a2c": "16 parallel worlds"}[algorithm],
         "2 seeds",
     ):
         assert words in out, words
-    assert {"ppo": "1,730.6", "dqn": "205.6"}[algorithm] in out  # the paper's steps (1730.587, 205.576)
+    of_the_paper = {"ppo": "1,730.6", "dqn": "205.6", "a2c": ""}[algorithm]  # its steps (1730.587, 205.576), or none
+    assert of_the_paper in out
+    assert ("paper ┃" in out) == bool(of_the_paper)
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]  # Hydra writes nothing of its own
 
 
@@ -83,6 +90,67 @@ def test_a_sweep_trains_each_activation_into_its_own_folder(recipe, tmp_path):
         assert run.config["activation"] == activation
         assert set(run.episodes.seed) == {3}
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+
+
+PLUGIN = '''
+"""A user's own module: an activation, a reward, and an algorithm that is A2C by another name."""
+
+from dataclasses import dataclass
+
+import torch
+
+from uavnav.algorithms import ALGORITHMS, Algorithm, a2c
+from uavnav.networks import ACTIVATIONS
+from uavnav.tasks.rewards import REWARDS
+from uavnav.training.loop import train
+
+ACTIVATIONS["sine"] = torch.sin
+REWARDS["still"] = lambda step: {"still": (step.distance == 0).double()}
+ALGORITHMS["mine"] = Algorithm("a_plugin", "categorical", "logits", "probability")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MineConfig(a2c.A2CConfig):
+    algorithm = "mine"
+
+
+PRESETS = {"paper": MineConfig()}
+'''
+
+
+def test_train_py_runs_a_plugins_algorithm_activation_and_reward_and_what_needs_it_says_so(tmp_path):
+    (tmp_path / "a_plugin.py").write_text(PLUGIN)
+    words = ["algorithm=mine", "plugins=a_plugin", "activation=sine", "reward=still", "total_frames=480", "out=run"]
+    status, out, err = process(tmp_path, "train", *words, "evaluate=false")
+    assert (status, err) == (0, "")
+    assert "the run is in run" in out
+    run = Run(tmp_path / "run")
+    assert (run.algorithm, run.config["activation"], run.config["reward"]) == ("mine", "sine", "still")
+    assert list(run.meta["plugins"]) == ["a_plugin"]
+    stops = run.episodes.reward == run.episodes.stops
+    assert stops.all()
+    with pytest.raises(PolicyError, match=r"it was made with plugins, give --plugins a_plugin"):
+        load_policy(run.path)
+
+
+@pytest.mark.parametrize("word", ["algorithm=pppo", "activation=relu"])
+def test_train_py_without_an_algorithm_of_the_table_names_them(recipe, tmp_path, word):
+    status, out, err = recipe("train", word)
+    assert (status, out) == (1, "")
+    assert err.startswith(f"train: algorithm={'pppo' if 'algorithm' in word else ''}; choose from a2c, dqn, ppo")
+    assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_train_py_with_a2c_is_the_recipe_a2c_bit_for_bit(recipe, tmp_path):
+    short = [*SHORT["a2c"], "world.sensor_arc=90", "compile=off"]
+    assert recipe("train", "algorithm=a2c", "out=one", *short)[0] == 0
+    assert recipe("a2c", "out=other", *short)[0] == 0
+    one, other = (Run(tmp_path / name) for name in ("one", "other"))
+    assert one.config == other.config
+    assert one.config["world"]["sensor_arc"] == 90.0
+    for name in ("episodes.parquet", "policy.safetensors"):
+        assert (one.path / name).read_bytes() == (other.path / name).read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -108,8 +176,14 @@ WRONG = {
     "n_seeds=two": "ppo: n_seeds=two; give a whole number",
     "n_seeds=0": "ppo: n_seeds=0; give a number of at least 1",
     "overwrite=2": "ppo: overwrite=2; choose from false, true",
-    "layouts=nowhere": "ppo: layouts='nowhere': no such bank; choose from train, test or a file's path",
+    "layouts=nowhere": "ppo: layouts='nowhere': no such bank; choose from train, validation, test or a file's path",
     "out=/proc/nowhere": "ppo: out=/proc/nowhere: ",
+    "slots=listed": "ppo: there is no key 'slots'; choose from .*world.slots.* (did you mean world.slots?)",
+    "world.slot=listed": "ppo: there is no key 'world.slot'; choose from .* (did you mean world.slots?)",
+    "world.slots=first": "ppo: world.slots=first; choose from listed, nearest",
+    "world.sensor_arc=wide": "ppo: world.sensor_arc=wide; give a number",
+    "task=dron": "ppo: task=dron; choose from drone (did you mean drone?)",
+    "plugins=no_such_module": "ppo: plugins=no_such_module: is no module in .*; give a module's name, without .py",
     "device=gpu": "ppo: device=gpu; choose cpu, or a device that this machine has",
     "relu": "ppo: 'relu' is no setting; settings are key=value: activation=tanh",
     "=3": "ppo: '=3' is no setting; ",
@@ -118,7 +192,7 @@ WRONG = {
     "--n-seeds=4": "ppo: there is no flag --n-seeds; settings are key=value: n_seeds=4",
     "--helpp": "ppo: there is no flag --helpp (did you mean --help?); settings are key=value: activation=tanh",
     "--cfg everything": "ppo: argument --cfg/-c: invalid choice: 'everything' (choose from 'job', .*; --help says more",
-    "--run -m": "ppo: Only one of --run, --multirun, --cfg, ",
+    "--cfg job -m": "ppo: Only one of --run, --multirun, --cfg, ",
     "-m activation=tanh,rleu": "ppo: activation=rleu; choose from ",
     "-m activation=tanh,relu out=one": "ppo: out=one: two runs of the sweep would share it",
     "activation=tanh,relu -m out=one": "ppo: out=one: two runs of the sweep would share it",
@@ -138,23 +212,15 @@ def test_a_wrong_word_is_one_line_a_status_and_no_folder(recipe, tmp_path, words
 
 
 def test_as_a_process_a_wrong_word_ends_with_status_1_and_no_traceback(tmp_path):
-    result = subprocess.run(
-        [sys.executable, RECIPES / "dqn.py", "activation=rleu"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == 1
-    assert result.stdout == ""
-    assert result.stderr.startswith("dqn: activation=rleu; choose from ")
-    assert result.stderr.count("\n") == 1
+    status, out, err = process(tmp_path, "dqn", "activation=rleu")
+    assert (status, out) == (1, "")
+    assert err.startswith("dqn: activation=rleu; choose from ")
+    assert err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
 def test_as_a_process_a_short_run_leaves_its_folder_and_no_warning(tmp_path):
-    command = [sys.executable, RECIPES / "ppo.py", "activation=tanh", "out=mine", *SHORT["ppo"]]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (result.returncode, result.stderr) == (0, "")
-    assert "the run is in mine" in result.stdout
-    assert "arn" not in result.stdout.replace("learn", "")
+    status, out, err = process(tmp_path, "ppo", "activation=tanh", "out=mine", *SHORT["ppo"])
+    assert (status, err) == (0, "")
+    assert "the run is in mine" in out
+    assert "arn" not in out.replace("learn", "")

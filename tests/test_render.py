@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import Image, ImageDraw
 
 import uavnav
 from uavnav import evaluate, export, render
@@ -17,8 +17,9 @@ from uavnav.algorithms import ppo
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
 from uavnav.render import Film, Flight, Pilot, fly
-from uavnav.tasks import simulator
 from uavnav.tasks.baselines import BASELINES, straight_ahead
+from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.state import COUNTS
 from uavnav.tasks.world import World
 from uavnav.window import play
 
@@ -26,7 +27,7 @@ WORLD = World()
 
 
 def state(x, y, heading):
-    start = simulator.start(torch.tensor(0), torch.tensor(heading), WORLD)
+    start = make_task(EMPTY).start(torch.tensor(0), torch.tensor(heading))
     return start._replace(x=torch.tensor(float(x)), y=torch.tensor(float(y)))
 
 
@@ -37,7 +38,7 @@ def colour(picture, x, y):
 
 def test_the_picture_is_the_window_with_y_upwards():
     bank = torch.tensor([[[100.0, 500.0, 40.0]]])
-    picture = draw_state(state(600, 150, 90), bank, WORLD)
+    picture = draw_state(state(600, 150, 90), make_task(bank))
     assert picture.shape == (600, 800, 3)
     assert picture.dtype == np.uint8
     assert colour(picture, 100, 500) == OBSTACLE
@@ -49,7 +50,7 @@ def test_the_picture_is_the_window_with_y_upwards():
 
 @pytest.mark.parametrize("heading", [0, 45, 90, 200])
 def test_the_sensors_arc_lies_in_front_of_the_drone(heading):
-    picture = draw_state(state(400, 300, heading), torch.zeros(1, 0, 3), WORLD)
+    picture = draw_state(state(400, 300, heading), make_task(EMPTY))
     for offset, inside in ((0, True), (80, True), (-80, True), (100, False), (180, False)):
         angle = math.radians(heading + offset)
         shade = colour(picture, 400 + 90 * math.cos(angle), 300 + 90 * math.sin(angle))
@@ -57,12 +58,12 @@ def test_the_sensors_arc_lies_in_front_of_the_drone(heading):
 
 
 def standing(observation, generator=None):
-    return torch.tensor(0)
+    return torch.zeros(len(observation), dtype=torch.int64)
 
 
 def flight(policy=straight_ahead, steps=1000, k=0):
     bank = uavnav.layouts.generate(1, k=k)
-    return fly(Pilot("a pilot", policy, WORLD), bank, 0, steps), bank[0]
+    return fly(Pilot("a pilot", policy, make_task(EMPTY)), bank, 0, steps), bank[0]
 
 
 def film(*policies, steps=30, width=160, every=1):
@@ -145,7 +146,7 @@ def test_a_gif_of_60_pictures_a_second_and_an_mp4_without_pyav_are_refused(tmp_p
 
 def test_the_first_picture_of_a_gif_has_the_sensed_points_colour_though_the_last_senses_none(tmp_path):
     bank = uavnav.layouts.load("test")
-    frames = Film([fly(Pilot("reactive", BASELINES["reactive"], WORLD), bank, 26, 60)], bank[26], 480)
+    frames = Film([fly(Pilot("reactive", BASELINES["reactive"], make_task(EMPTY)), bank, 26, 60)], bank[26], 480)
     first, last = ((frames[index] == SENSED).all(-1) for index in (0, -1))
     assert first.sum() == 35
     assert not last.any()
@@ -193,10 +194,10 @@ def run(tmp_path_factory):
 
 def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third_step(run, tmp_path, capsys):
     path = tmp_path / "flight.gif"
-    words = [str(run.path), "reactive", "--sampled", "--steps", "30", "--every", "3", "--out", str(path)]
+    words = [str(run.path), "reactive", "--steps", "30", "--every", "3", "--out", str(path)]
     assert render.main(words) == 0
     first, second, last = capsys.readouterr().out.splitlines()
-    assert first.startswith(f"{run.path.parent.name}/run: ")
+    assert first.startswith(f"{run.path.parent.name}/run, sampled: ")
     assert second.startswith("reactive: 30 steps, ")
     assert last == f"wrote {path}"
     with Image.open(path) as image:
@@ -208,11 +209,30 @@ def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third
 def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run):
     policy = uavnav.load_policy(run.path)
     (row,) = uavnav.evaluate_policy(policy, episodes=1, max_steps=100).to_dict("records")
-    flown: Flight = fly(Pilot("", policy, policy.world), uavnav.layouts.load("test"), 0, 100)
+    flown: Flight = fly(Pilot("", policy, policy.task), uavnav.layouts.load("test"), 0, 100)
     last = flown.states[-1]
-    counts = {name: getattr(last, name).item() for name in simulator.COUNTS}
-    assert counts == {name: pytest.approx(row[name], abs=1e-9) for name in simulator.COUNTS}
+    assert {name: getattr(last, name).item() for name in COUNTS} == {name: row[name] for name in COUNTS}
     assert flown.collided == row["terminated"]
+
+
+@pytest.mark.parametrize(("words", "mode"), [([], "sampled"), (["--greedy"], "greedy")])
+def test_the_caption_and_the_printed_line_say_greedy_or_sampled_and_sampled_is_the_default(
+    run, words, mode, tmp_path, capsys, monkeypatch
+):
+    captions, original = [], ImageDraw.ImageDraw.text
+
+    def text(self, xy, words, *rest, **how):
+        captions.append(words)
+        return original(self, xy, words, *rest, **how)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
+    command = [str(run.path), "straight", *words, "--steps", "2", "--out", str(tmp_path / "flight.png")]
+    assert render.main(command) == 0
+    name = f"{run.path.parent.name}/run"
+    first, second, _ = capsys.readouterr().out.splitlines()
+    assert first.startswith(f"{name}, {mode}: 2 steps, ")
+    assert second.startswith("straight: 2 steps, 18 px, ")
+    assert [word for word in captions if not word.startswith("step ")] == [name, mode, "straight"]
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,10 @@ import pandas as pd
 import pytest
 import torch
 import yaml
-from torch import nn
+from runs_by_hand import policy_bytes
 
 from uavnav.envs import scalar
+from uavnav.evaluate import EPISODES
 from uavnav.networks import mlp
 from uavnav.policies import load_policy
 from uavnav.report.cells import collect
@@ -21,8 +22,6 @@ from uavnav.report.replays import record
 from uavnav.runs import POLICY
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
-from uavnav.training.config import TrainConfig
-from uavnav.training.weights import serialize
 
 STRAIGHT, STAY = 9, 0  # actions
 MAX_STEPS = 60
@@ -38,15 +37,15 @@ def always(network, agent, action):
 
 def write_run(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), **changes):
     """A finished run of `n_seeds` random networks; `prefer` names the action of those that know but one."""
-    config = TrainConfig(seed=seed, n_seeds=n_seeds, hidden=(8,), **changes)
-    generators = [torch.Generator().manual_seed(one) for one in config.seeds]
-    network = mlp([30, 8, 100], config.activation, generators, "default")
+    generators = [torch.Generator().manual_seed(one) for one in range(seed, seed + n_seeds)]
+    network = mlp([30, 8, 100], "tanh", generators, "default")
     with torch.no_grad():
         network[-1].weight.mul_(8.0)  # so that values differ, from action to action and from step to step
     for agent, action in prefer:
         always(network, agent, action)
     path.mkdir(parents=True)
-    (path / POLICY).write_bytes(serialize({"policy": nn.ModuleList(network)}, algorithm, config, epsilon=0.2))
+    settings = {"seed": seed, "n_seeds": n_seeds, "hidden": (8,)} | changes
+    (path / POLICY).write_bytes(policy_bytes(network, algorithm, epsilon=0.2, **settings))
     facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "preset": "paper"}
     (path / "config.yaml").write_text(yaml.safe_dump(facts | changes))
     (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}}))
@@ -74,12 +73,17 @@ def unpack(flight, fields):
 
 
 def flown(path, seed, n_layouts):
-    """The same flights, each drone in plain numbers: lists of poses and of choices a set of obstacles."""
+    """The same flights, each drone in plain numbers and beside those of all 200 sets, as an evaluation flies them.
+
+    Lists of poses and of choices, a set of obstacles.
+    """
     policy = load_policy(path, seed, greedy=False)
-    generator, bank = torch.Generator().manual_seed(seed), layouts.load("test")
-    drones = [scalar.Flight(bank, policy.world, policy.reward, MAX_STEPS) for _ in range(n_layouts)]
+    generator = torch.Generator().manual_seed(seed)
+    task = policy.task.on(layouts.load("test")[:EPISODES], MAX_STEPS)
+    drones = [scalar.fly(task) for _ in range(EPISODES)]
     seen = {layout: drone.start(layout, 90) for layout, drone in enumerate(drones)}
-    poses, choices, ended, total = [{place: [] for place in range(n_layouts)} for _ in range(2)] + [{}, [0.0] * 3]
+    poses, choices = ({place: [] for place in range(EPISODES)} for _ in range(2))
+    ended, total = {}, [0.0] * EPISODES
 
     def note(layout, observation):
         drone = drones[layout]
@@ -101,7 +105,7 @@ def flown(path, seed, n_layouts):
             if collided or capped:
                 ended[layout] = "collision" if collided else "cut off"
                 del seen[layout]
-    return {place: (np.array(poses[place]), np.array(choices[place]), ended[place]) for place in ended}
+    return {place: (np.array(poses[place]), np.array(choices[place]), ended[place]) for place in range(n_layouts)}
 
 
 @pytest.fixture(scope="module", params=["ppo", "dqn"])
@@ -228,7 +232,7 @@ def test_each_of_3_cells_flies_in_a_batch_as_it_flies_alone(tmp_path):
 
 
 def test_a_random_start_heading_is_that_of_the_set_of_obstacles(tmp_path):
-    write_run(tmp_path / "run", n_seeds=2, start_heading="random", slots="listed")
+    write_run(tmp_path / "run", n_seeds=2, world={"start_heading": "random", "slots": "listed"})
     data = recorded(tmp_path, n_layouts=3)
     first = [unpack(flight, data["fields"])["heading"][0, 0] for flight in data["cells"][0]["flights"]]
     assert first[:3] == first[3:]

@@ -1,100 +1,28 @@
-"""The report, on run folders written by hand whose metrics are known in closed form."""
+"""The report on run folders written by hand: what is read, merged, labelled and left out, and what report.md says."""
 
-import json
-import math
 import os
-import re
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
-import torch
-import yaml
-from hypothesis import given
-from hypothesis import strategies as st
-from matplotlib.figure import Figure
-from torch import nn
+from runs_by_hand import BANK, behaved, found, rows, two, write_run
 
-from uavnav.evaluate import BEHAVIOUR_COLUMNS
-from uavnav.networks import mlp
-from uavnav.report import SECTIONS, _write_all, conclusions, content, docs, markdown, report
+from uavnav.report import _write_all, docs, report
 from uavnav.report.__main__ import main
-from uavnav.report.cells import BINS, collect, curve, label
-from uavnav.report.claims import CLAIMS, PRIMARY, audit
+from uavnav.report.cells import BINS, collect, curve
+from uavnav.report.claims import PRIMARY
 from uavnav.report.content import gather
-from uavnav.report.figures import plot
-from uavnav.report.studies import of_paper
-from uavnav.report.tables import audit_rows, number, overview, table, with_interval
-from uavnav.runs import POLICY, paper
+from uavnav.report.page import markdown
+from uavnav.report.tables import table
+from uavnav.runs import paper
 from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric
 from uavnav.runs.tables import RunError
-from uavnav.training.config import TrainConfig
-from uavnav.training.weights import serialize
 
-CONFIG = {"preset": "paper", "total_frames": 1000, "n_worlds": 16, "reward": "eq14", "init": "default", "lr": 1e-4}
-BANK = {"n": 10_000, "k": 8, "split": "train", "generator_seed": 0, "sha256": "abc"}
-
-
-def rows(seed, *episodes):
-    """Episodes (frame, steps, stops, full stops, turns, distance, reward[, terminated, truncated]) of one seed."""
-    padded = [(*episode, True, False)[:9] for episode in episodes]
-    full = [(seed, frame, 0, 0, *counts) for frame, *counts in padded]
-    return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
-
-
-def two(seed, reward):
-    """100 steps at 4 px/step and 300 at 8: the mean of speeds is 6, the speed of the means 7; stops 10 and 0 %."""
-    return rows(seed, (100, 100, 10, 1, 90, 400, reward), (400, 300, 0, 0, 150, 2400, reward))
-
-
-def write_run(path, *tables, algorithm="dqn", activation="tanh", seed=0, evaluation=None, meta=None, **changes):
-    path.mkdir(parents=True)
-    config = {"algorithm": algorithm, "activation": activation, "seed": seed, "n_seeds": len(tables)}
-    config |= {"gamma": 0.99} if algorithm == "dqn" else {}
-    (path / "config.yaml").write_text(yaml.safe_dump(config | CONFIG | changes))
-    facts = {"status": "finished", "frames": 1000, "wall_seconds": 3725.4, "git_commit": "c0ffee", "bank": BANK}
-    facts |= {"versions": {"torch": "2.13.0", "world": "1"}, "machine": {"processor": "an abacus", "cores": 2}}
-    (path / "meta.json").write_text(json.dumps(facts | (meta or {})))
-    pd.concat(tables).to_parquet(path / "episodes.parquet")
-    pd.DataFrame({"seed": [seed], "frame": [1000]}).to_parquet(path / "progress.parquet")
-    if evaluation is not None:
-        evaluation.to_parquet(path / "evaluation.parquet")
-    return path
-
-
-def found(text, *start):
-    """The cells after the given first cells, of each line of the report's tables that starts with them."""
-    lines = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in text.splitlines() if line[:1] == "|"]
-    return [line[len(start) :] for line in lines if line[: len(start)] == list(start)]
-
-
-def write_results(path):
-    """Two seeds of dqn tanh, evaluated on two sets, and one of ppo relu, not evaluated."""
-    flown = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True))
-    flights = pd.concat([flown.assign(mode="greedy"), flown.assign(mode="sampled", reward=0.5)])
-    write_run(path / "dqn" / "tanh", two(0, -6.0), two(1, -8.0), evaluation=flights)
-    write_run(path / "ppo" / "relu", two(0, 5.0), algorithm="ppo", activation="relu")
-    return path
-
+pytestmark = pytest.mark.usefixtures("little_garbage", "undrawn")
 
 REWARD = "−7.00 [−8.00, −6.00]"
 MISSING = "all training episodes: missing"
-FIGURES = content._figures
-
-
-@pytest.fixture(autouse=True)
-def undrawn(monkeypatch):
-    """Without figures, which take most of a report's time; those that are looked at are asked for."""
-    monkeypatch.setattr("uavnav.report.content._figures", lambda *anything: [])
-
-
-@pytest.fixture
-def results(tmp_path):
-    return write_results(tmp_path / "results")
 
 
 def said(*folders):
@@ -107,8 +35,8 @@ def no_policy(*paths):
 
 
 @pytest.fixture(scope="module")
-def text(tmp_path_factory):
-    return said(write_results(tmp_path_factory.mktemp("report") / "results"))
+def text(gathered):
+    return markdown(gathered)
 
 
 def test_speed_6_as_mean_of_ratios_and_7_as_ratio_of_means_over_two_seeds(text):
@@ -194,20 +122,20 @@ def test_runs_on_other_banks_or_in_another_world_are_not_merged(tmp_path):
 
 def test_the_second_run_of_the_same_seed_is_named_and_skipped(results):
     write_run(results / "dqn" / "twin", two(1, 99.0), two(2, 99.0), seed=1)
-    gathered = gather([results])
+    content = gather([results])
     first, second = results / "dqn" / "tanh", results / "dqn" / "twin"
     twin = f"{second}: its seed 1 is in {first} already, with the same settings"
-    assert gathered.left_out == [twin, *no_policy(first, results / "ppo" / "relu")]
-    assert found(markdown(gathered), "tanh", "all training episodes")[0][-1] == REWARD
+    assert content.left_out == [twin, *no_policy(first, results / "ppo" / "relu")]
+    assert found(markdown(content), "tanh", "all training episodes")[0][-1] == REWARD
 
 
 def test_a_run_without_a_policy_is_named_once_and_its_rows_count(results):
-    gathered = gather([results])
-    assert gathered.left_out == no_policy(results / "dqn" / "tanh", results / "ppo" / "relu")
-    assert gathered.replays is None
-    assert found(markdown(gathered), "tanh", "all training episodes")[0][-1] == REWARD
+    content = gather([results])
+    assert content.left_out == no_policy(results / "dqn" / "tanh", results / "ppo" / "relu")
+    assert content.replays is None
+    assert found(markdown(content), "tanh", "all training episodes")[0][-1] == REWARD
     behaved(results / "dqn" / "tanh")  # of whose flights is a table, but no more can be flown
-    assert gather([results]).left_out == gathered.left_out
+    assert gather([results]).left_out == content.left_out
 
 
 def test_broken_unfinished_and_foreign_folders_are_named_on_stderr_and_in_the_report(results, capsys):
@@ -254,12 +182,12 @@ def test_a_run_that_is_in_no_study_is_named(results):
 
 def test_control_c_is_one_line_and_status_130_and_nothing_is_written(results, tmp_path, monkeypatch, capsys):
     before = sorted(tmp_path.rglob("*"))
-    monkeypatch.setattr("uavnav.report.markdown", interrupted)
+    monkeypatch.setattr("uavnav.report.page.markdown", interrupted)
     monkeypatch.setattr("uavnav.report.docs.results", interrupted)
     assert main([str(results)]) == 130
     assert capsys.readouterr().err == "uavnav.report: stopped; no report was written\n"
     monkeypatch.chdir(tmp_path)
-    Path("README.md").write_text(f"{BEGIN}\n{END}")
+    Path("README.md").write_text(f"{docs.BEGIN}\n{docs.END}")
     assert docs.main([str(results)]) == 130
     assert capsys.readouterr().err == "uavnav.report.docs: stopped; nothing was written\n"
     assert sorted(tmp_path.rglob("*")) == [tmp_path / "README.md", *before]
@@ -321,19 +249,6 @@ def test_curves_average_the_episodes_that_ended_in_a_25th_of_the_frames(tmp_path
     assert means[1].dropna().tolist() == [4.0]
 
 
-def test_a_panel_holds_a_line_an_activation_with_n_and_the_papers_mean_dashed_in_its_colour(results):
-    axes = Figure().subplots()
-    cells, _ = collect([results])
-    plot(axes, label([cell for cell in cells if cell.algorithm == "dqn"])[0], "reward")
-    line, dashed = axes.lines
-    assert line.get_label() == "tanh, n = 2"
-    assert line.get_ydata().tolist() == [-7.0, -7.0]  # two episodes a seed, in bins of their own
-    assert (dashed.get_linestyle(), dashed.get_ydata()) == ("--", [-6.982, -6.982])
-    assert dashed.get_color() == line.get_color()
-    (band,) = axes.collections
-    assert band.get_datalim(axes.transData).intervaly.tolist() == [-8.0, -6.0]
-
-
 def test_the_report_says_how_runs_were_made(text):
     assert "- versions: torch 2.13.0, world 1\n" in text
     assert "- git commit: c0ffee\n" in text
@@ -359,42 +274,28 @@ def test_tables_of_nothing_still_hold_the_papers_4_rows():
     assert len(paper.TABLES) == 8
 
 
-def test_it_imports_nothing_that_trains():
-    forbidden = [
-        "uavnav.algorithms.ppo",
-        "uavnav.algorithms.dqn",
-        "uavnav.training.learner",
-        "uavnav.envs.env",
-        "uavnav.training.sampler",
-        "torchrl",
-    ]
-    code = f"import sys, uavnav.report; print([name for name in {forbidden} if name in sys.modules])"
+def imported(code):
+    """The modules that some code loads in a process of its own."""
     run = subprocess.run(
-        [sys.executable, "-c", code],
+        [sys.executable, "-c", f"import sys, {code}; print(*sys.modules)"],
         capture_output=True,
         text=True,
         check=True,
         cwd=Path(__file__).parents[1],
         env=os.environ | {"OMP_NUM_THREADS": "1"},
     )
-    assert run.stdout.strip() == "[]"
+    return {*run.stdout.split()}
 
 
-# -- a further metric, activation or column ----------------------------------------------------------------------------
+def test_it_imports_nothing_that_trains():
+    training = {f"uavnav.training.{name}" for name in ("loop", "learner", "sampler", "recorder", "shares")}
+    training |= {"uavnav.algorithms.ppo", "uavnav.algorithms.dqn", "uavnav.envs.env", "torchrl"}
+    assert training & imported("uavnav.report.content, uavnav.report.page, uavnav.report.docs") == set()
 
 
-def test_a_metric_is_one_line_and_on_the_page_in_the_csv_in_latex_and_in_report_md(results, monkeypatch):
-    monkeypatch.setitem(METRICS, "stood", Metric("stood", "stops", 1000.0, unit="‰", better=-1))
-    written = report([results])
-    page, text = written.path.read_text(), written.path.with_suffix(".md").read_text()
-    assert page.count('<th scope="col">stood [‰]</th>') == 4  # two algorithms, means and interquartile means
-    assert '<td>50.00 <span class="interval">[50.00, 50.00]</span></td>' in page
-    assert '<td>25.00 <span class="interval">[25.00, 25.00]</span></td>' in page  # as a ratio of means
-    assert found(text, "tanh", PRIMARY)[0][-1] == "50.00 [50.00, 50.00]"
-    assert found(text, "sigmoid", "the paper")[0][-1] == "–"
-    csv = pd.read_csv(results / "tables" / "metrics.csv").set_index(["algorithm", "reading", "ratio", "metric"])
-    assert csv.loc[("dqn", PRIMARY, "ratio of means", "stood"), "mean"] == 25
-    assert "stood [‰]" in (results / "tables" / "paper-dqn.tex").read_text()
+def test_what_does_not_fly_loads_no_torch():
+    modules = ("cells", "claims", "verdicts", "studies", "frames", "tables", "conclusions", "curves", "charts", "arena")
+    assert "torch" not in imported(", ".join(f"uavnav.report.{name}" for name in modules))
 
 
 def test_runs_from_before_a_column_was_added_are_read_beside_those_that_have_it(results, monkeypatch):
@@ -402,291 +303,73 @@ def test_runs_from_before_a_column_was_added_are_read_beside_those_that_have_it(
     write_run(results / "columns", two(0, 1.0).drop(columns="turns"), lr=3.0)
     monkeypatch.setitem(EPISODE_COLUMNS, "near", "int64")
     monkeypatch.setitem(METRICS, "near", Metric("near misses per episode", "near"))
-    gathered = gather([results])
-    (refused,) = [line for line in gathered.left_out if "parquet" in line]
+    content = gather([results])
+    (refused,) = [line for line in content.left_out if "parquet" in line]
     assert refused.startswith(f"{results / 'columns' / 'episodes.parquet'}: ")
-    text = markdown(gathered)
+    text = markdown(content)
     assert found(text, "tanh", PRIMARY)[0][-2:] == [REWARD, "–"]
     assert found(text, "sigmoid", PRIMARY)[0][-1] == "3.00"
 
 
-def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_papers_four(results, monkeypatch):
-    for activation in ("tanh", "sigmoid", "relu", "leaky_relu"):
-        write_run(results / "four" / activation, two(0, 1.0), two(1, 2.0), activation=activation, lr=0.5)
-    write_run(results / "four" / "gelu", two(0, 1.0), activation="gelu", lr=0.5)
-    monkeypatch.setattr("uavnav.report.content._figures", FIGURES)
-    gathered = gather([results])
-    speed, intervals = (next(one for one in gathered.figures if one.name == name) for name in ("speed", "cells-reward"))
-    assert "gelu" not in speed.drawn.alt + intervals.drawn.alt
-    assert {*gathered.tables["wide"]["activation"]} == {"tanh", "sigmoid", "relu", "leaky_relu", "gelu"}
-    assert docs.summary(gathered).count("1 to 2 seeds a cell") == 1  # PPO's relu has one
-    text = docs.results(gathered)
-    assert found(text, "DQN gelu", PRIMARY) == [["1", "1.00"]]
-    assert "after 1,000 frames a seed" in text
+# -- settings ----------------------------------------------------------------------------------------------------------
 
 
-# -- the whole of it ---------------------------------------------------------------------------------------------------
+def test_fields_of_the_world_are_the_same_setting_in_the_old_and_the_new_layout(tmp_path):
+    flat = {"slots": "nearest", "padding": "far", "start_heading": "up"}
+    nested = {"task": "drone", "world": {"sensor_radius": 120, "slots": "nearest"}}
+    for seed, changes in enumerate((flat, nested, {})):
+        write_run(tmp_path / str(seed), two(seed, -1.0), seed=seed, **changes)
+    ((cell,), _) = collect([tmp_path])
+    assert len(cell.runs) == 3
+    assert cell.settings["task"] == "drone"
+    assert cell.settings["world.sensor_radius"] == 120.0
+    assert {"slots", "padding", "start_heading", "world"} & {*cell.settings} == set()
 
 
-def behaved(path):
-    """Give a run the steps of two sampled flights: seed 0 straight up, seed 1 turning on the spot."""
-    steps = [(0, 0, n, 400.0, 300.0 + 9 * n, 90, 80.0, 9) for n in range(1, 6)]
-    steps += [(1, 1, n, 400.0, 300.0, 5 * n % 360, 60.0, 50) for n in range(1, 6)]
-    table = pd.DataFrame(steps, columns=list(BEHAVIOUR_COLUMNS)).astype(BEHAVIOUR_COLUMNS)
-    table.assign(mode="sampled").to_parquet(path / "behaviour.parquet")
+def test_a_field_of_the_world_otherwise_is_labelled_whatever_the_layout(tmp_path):
+    write_run(tmp_path / "usual", two(0, -1.0), two(1, -1.0))
+    write_run(tmp_path / "old", two(0, -1.0), slots="listed")
+    write_run(tmp_path / "new", two(1, -1.0), seed=1, world={"slots": "listed"})
+    write_run(tmp_path / "arc", two(0, -1.0), world={"sensor_arc": 360})
+    text = said(tmp_path)
+    assert found(text, "tanh (world.slots=listed)", PRIMARY)[0][0] == "2"
+    assert found(text, "tanh (world.sensor_arc=360.0)", PRIMARY)[0][0] == "1"
 
 
-def trained(path, algorithm, action):
-    """Give a run of two seeds a network that knows one action."""
-    config = TrainConfig(seed=0, n_seeds=2, hidden=(4,))
-    network = mlp([30, 4, 100], "tanh", [torch.Generator().manual_seed(seed) for seed in config.seeds], "default")
-    with torch.no_grad():
-        network[-1].weight.zero_()
-        network[-1].bias[:, 0, action] = 50.0
-    content = serialize({"policy": nn.ModuleList(network)}, algorithm, config, epsilon=0.05)
-    (path / POLICY).write_bytes(content)
+def test_another_task_is_another_cell_and_its_world_has_no_defaults_of_the_drones(tmp_path):
+    write_run(tmp_path / "drone", two(0, -1.0))
+    write_run(tmp_path / "other", two(0, -1.0), task="gates", world={"width": 5})
+    cells, _ = collect([tmp_path])
+    assert [cell.settings["task"] for cell in cells] == ["drone", "gates"]
+    assert [name for name in cells[1].settings if name.startswith("world.")] == ["world.width", "world.version"]
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A folder with the runs, and the report on it."""
-    path = tmp_path_factory.mktemp("whole") / "results"
-    flights = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(mode="sampled")
-    for algorithm in ("dqn", "ppo"):
-        run = write_run(
-            path / algorithm, two(0, -6.0), two(1, -8.0), algorithm=algorithm, gamma=0.9, evaluation=flights
-        )
-        behaved(run)
-        trained(run, algorithm, action=9)
-    write_run(path / "short", two(0, 5.0), meta={"frames": 500}, gamma=0.9)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uavnav.report.content._figures", FIGURES)
-        return path, report([path], path.parent / "one")
+def test_a_world_that_is_no_table_is_named(tmp_path):
+    write_run(tmp_path / "good", two(0, -1.0))
+    strange = write_run(tmp_path / "strange", two(0, -1.0), world="flat")
+    assert collect([tmp_path])[1] == [f"{strange / 'config.yaml'}: world is no table; not a run of this package"]
 
 
-@pytest.mark.slow
-def test_two_reports_are_the_same_bytes(whole, monkeypatch):
-    path, first = whole
-    assert first.left_out == []
-    monkeypatch.setattr("uavnav.report.content._figures", FIGURES)
-    second = report([path], path.parent / "two")
-    files = [
-        {
-            str(file.relative_to(one.path.parent)): file.read_bytes()
-            for file in one.path.parent.rglob("*")
-            if file.is_file()
-        }
-        for one in (first, second)
-    ]
-    assert sorted(files[0]) == sorted(files[1])
-    assert [name for name in files[0] if files[0][name] != files[1][name]] == []
+def test_one_bank_by_a_relative_and_a_full_path_is_the_same_setting(tmp_path):
+    for seed, path in enumerate(("mine.safetensors", str(tmp_path / "mine.safetensors"))):
+        write_run(tmp_path / "runs" / str(seed), two(seed, -1.0), seed=seed, layouts=path, meta={"bank": BANK})
+    write_run(tmp_path / "runs" / "other", two(0, -1.0), layouts="yours.safetensors", meta={"bank": {}})
+    mine, yours = collect([tmp_path / "runs"])[0]
+    assert len(mine.runs) == 2
+    assert "layouts" not in mine.settings
+    assert yours.settings["bank"] == "yours.safetensors"
 
 
-def test_a_report_is_a_page_its_markdown_tables_and_figures_in_two_forms(whole):
-    _, written = whole
-    assert written.path.name == "report.html"
-    out = written.path.parent
-    kinds = {"report.html", "report.md", "figures", "tables"}
-    assert {file.name for file in out.iterdir()} == kinds
-    drawn = {file.stem for file in out.glob("figures/*.svg")}
-    assert drawn == {file.stem for file in out.glob("figures/*.png")}
-    assert drawn >= {"curves-dqn-reward", "curves-ppo-steps", "cells-reward", "trajectories", "heat", "heat-empty"}
-    assert drawn >= {"survival", "improvement", "power", "behaviour", "speed"}
-    assert all(file.read_bytes().startswith(b"\x89PNG") for file in out.glob("figures/*.png"))
-    page = written.path.read_text()
-    assert page.count("data:image/svg+xml;base64,") == len(drawn)
-    for section in SECTIONS:
-        assert f'id="{section}"' in page
-    text = (out / "report.md").read_text()
-    for picture in re.findall(r"]\((figures/[^)]*)\)", text):
-        assert (out / picture).is_file()
-    assert "](figures/curves-dqn-reward.png)" in text
-
-
-def test_the_tables_are_csv_that_say_what_the_content_says_and_latex(whole):
-    path, written = whole
-    folder = written.path.parent / "tables"
-    gathered = gather([path])
-    assert {file.stem for file in folder.glob("*.csv")} == {*gathered.tables}
-    metrics = pd.read_csv(folder / "metrics.csv")
-    row = metrics.set_index(["algorithm", "reading", "ratio", "metric"]).sort_index()
-    assert row.loc["dqn", PRIMARY, "ratio of means", "speed"]["mean"] == 7
-    assert row.loc["ppo", PRIMARY, "mean of ratios", "reward"]["mean"] == -7
-    behaviour = pd.read_csv(folder / "behaviour.csv").set_index(["cell", "seed"])
-    assert behaviour["clearance"].tolist() == [80, 60, 80, 60]
-    assert behaviour["reversals"].tolist() == [0] * 4
-    assert behaviour.loc["PPO tanh", "empty_straight_speed"].tolist() == [9, 9]
-    assert behaviour.loc["DQN tanh", "empty_straight_speed"].tolist() == pytest.approx([9, 9], abs=0.3)  # explores
-    overestimated = pd.read_csv(folder / "overestimation.csv")
-    assert overestimated["q"].tolist() == pytest.approx([50, 50])
-    latex = (folder / "paper-ppo.tex").read_text()
-    assert latex.count(r" \\") == 1 + 4 + 2 + 3  # header, the paper's rows, two of tanh, three cells without a run
-    assert r"\%" in latex
-    assert "_" not in latex.replace(r"\_", "")
-
-
-def test_no_warning_escapes_a_report_on_few_and_equal_seeds(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr("uavnav.report.content._figures", FIGURES)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        write_run(tmp_path / "open", rows(0, (1000, 10, 0, 0, 0, 0, -1.0, False, False)))
-        assert report([tmp_path]).path.is_file()
-        gather([whole[0]])
-
-
-# -- tables in words ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("value", "digits", "shown"),
-    [
-        (math.nan, 2, "–"),
-        (math.inf, 2, "∞"),
-        (-math.inf, 2, "−∞"),
-        (0.0, 2, "0.00"),
-        (-1234.5, 1, "−1,234.5"),
-        (0.0004, 2, "0.0004"),
-        (-0.0004, 3, "−0.0004"),
-        (12.345, 0, "12"),
-    ],
-)
-def test_numbers_for_people(value, digits, shown):
-    assert number(value, digits) == shown
-
-
-def test_an_interval_stands_in_brackets_where_there_is_one():
-    assert with_interval(1.0, -2.0, 3.5, 1) == "1.0 [−2.0, 3.5]"
-    assert with_interval(1.0, math.nan, math.nan, 1) == "1.0"
-
-
-def findings_of(*verdicts):
-    """The first claims' parts have one verdict each; the other claims have no runs."""
-    of = dict(enumerate(verdicts, start=1))
-    found = audit(lambda *_, **__: np.empty(0), of_paper)
-    return [one._replace(verdict=of.get(one.claim, one.verdict)) for one in found]
-
-
-def test_the_overview_counts_parts_and_names_the_other_readings_verdicts():
-    other = [one._replace(n=8) if one.claim == 1 else one for one in findings_of("contradicted")]
-    audits = {"first": findings_of("supported", "contradicted"), "second": other}
-    header, first, second, third, *_ = overview(CLAIMS, audits, "first")
-    assert header[-1] == "second"
-    assert first[2:] == ["supported", "12, 0, 0", "contradicted"]
-    assert second[2:] == ["contradicted", "0, 9, 0", "–"]  # of which that reading has no runs
-    assert third[2:] == ["undecided", "0, 0, 6", "–"]
-
-
-def test_a_part_that_a_test_decides_shows_its_p_where_an_interval_would_be():
-    (part,) = [one for one in findings_of() if one.claim == 8]
-    shown = [audit_rows([part._replace(value=2.0, n=8, p_holm=p)])[1][2] for p in (0.0123, 0.0001, math.nan)]
-    assert [one.partition(" ")[2] for one in shown] == ["(p = 0.012)", "(p < 0.001)", ""]
-
-
-# -- conclusions -------------------------------------------------------------------------------------------------------
-
-
-def test_the_lead_counts_and_names_the_claims():
-    assert conclusions.lead(findings_of("supported", "contradicted", "supported")) == (
-        f"Of the paper's {len(CLAIMS)} claims, 2 are supported (1, 3), 1 is contradicted (2) and {len(CLAIMS) - 3} are"
-        f" undecided ({', '.join(str(claim.number) for claim in CLAIMS[3:])})."
-    )
-    assert conclusions.lead(findings_of()).startswith(f"Of the paper's {len(CLAIMS)} claims, 0 are supported, 0 ")
-
-
-def test_a_sentence_counts_parts_and_says_where_the_paper_speaks_against_itself():
-    claim, found = CLAIMS[1], [one for one in findings_of() if one.claim == 2]
-    mixed = [one._replace(verdict="contradicted") for one in found[:4]] + found[4:]
-    assert conclusions.sentence(claim, mixed) == (
-        "4 of 9 parts are contradicted, 5 of 9 parts are undecided. The paper's own tables speak against it in 2: "
-        f"{'; '.join(one.text for one in found if one.against_itself)}. {claim.note}"
-    )
-    assert "speak against" not in conclusions.sentence(CLAIMS[2], [one for one in findings_of() if one.claim == 3])
-
-
-def test_the_headline_is_the_first_part_with_the_claims_own_verdict():
-    found = [one for one in findings_of("supported") if one.claim == 1]
-    known = {"value": 3.0, "low": 1.0, "high": 4.5, "n": 8}
-    contradicted = found[4]._replace(verdict="contradicted", **known)
-    text, *numbers = conclusions.headline([*found[:4], contradicted, *found[5:]])
-    assert text == "speed [px a step]: PPO better than DQN, means of four activations"
-    assert numbers == ["the paper −0.35", "ours 3.00 [1.00, 4.50]", "claimed > 0", "n = 8"]
-    (interaction,) = [one for one in findings_of() if one.claim == 8]
-    assert conclusions.headline([interaction])[1:] == ["no runs"]
-    assert conclusions.headline([interaction._replace(n=8, p_holm=0.0123)])[-2:] == ["p = 0.012", "n = 8"]
-
-
-def test_results_put_every_claim_under_its_verdict_with_its_parts(results):
-    gathered = gather([results])
-    gathered.audits[PRIMARY] = findings_of("supported", "contradicted")
-    text = docs.results(gathered)
-    holds, rest = text.split("## What holds\n")[1].split("## What does not\n")
-    fails, open_ = rest.split("## What cannot be known from this\n")
-    assert re.findall(r"^\*\*(\d+)\.", holds, re.MULTILINE) == ["1"]
-    assert re.findall(r"^\*\*(\d+)\.", fails, re.MULTILINE) == ["2"]
-    assert re.findall(r"^\*\*(\d+)\.", open_, re.MULTILINE) == [str(place) for place in range(3, len(CLAIMS) + 1)]
-    assert len(found(holds, "reward per episode: PPO better than DQN, means of four activations")) == 1
-    assert conclusions.lead(gathered.findings) in text
-    assert docs.results(gathered) == text
-    gathered.audits[PRIMARY] = findings_of()
-    assert docs.results(gathered).count("No claim.") == 2
-
-
-def test_the_readmes_block_has_a_row_a_claim(results):
-    text = docs.summary(gather([results]))
-    assert conclusions.lead(gather([results]).findings) in text
-    assert "1 to 2 seeds a cell" in text
-    for claim in CLAIMS:
-        ((verdict, by),) = found(text, str(claim.number), claim.sentence)
-        assert verdict == "undecided"
-        assert by.endswith(("no runs", "n = 1", "n = 2"))
-    assert "**Not complete:** no finished run of dqn sigmoid," in text
-    assert "**Not complete:** no finished run of dqn sigmoid," in docs.results(gather([results]))
-
-
-BEGIN, END = docs.BEGIN, docs.END
-
-
-@given(st.text(), st.text(), st.text(), st.text())
-def test_between_marks_is_the_new_text_and_around_them_the_old(before, old, new, after):
-    text = f"{before}{BEGIN}\n{old}\n{END}{after}"
-    if not any(mark in part for mark in (BEGIN, END) for part in (before, old, new, after)):
-        replaced = docs.between_marks(text, new)
-        assert replaced == f"{before}{BEGIN}\n{new}\n{END}{after}"
-        assert docs.between_marks(replaced, new) == replaced
-
-
-@pytest.mark.parametrize("text", ["", "no marks", BEGIN, END, f"{END}\n{BEGIN}"])
-def test_a_text_without_marks_is_refused(text):
-    with pytest.raises(RunError, match=f"README.md: has no lines {BEGIN} and {END}; put"):
-        docs.between_marks(text, "new")
-
-
-def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_marks(results, monkeypatch, capsys):
-    monkeypatch.chdir(results.parent)
-    Path("docs").mkdir()
-    Path("README.md").write_text("# Title\n")
-    assert docs.main([]) == 2
-    assert capsys.readouterr().err.startswith("uavnav.report.docs: README.md: has no lines")
-    assert not Path("docs/results.md").exists()
-    Path("README.md").write_text(f"# Title\n{BEGIN}\nold\n{END}\nrest\n")
-    assert docs.main(["results"]) == 0
-    gathered = gather([Path("results")])
-    assert Path("docs/results.md").read_text() == docs.results(gathered)
-    assert Path("README.md").read_text() == f"# Title\n{BEGIN}\n{docs.summary(gathered)}\n{END}\nrest\n"
-    assert docs.main(["nowhere"]) == 2
-
-
-def test_a_persons_flights_and_a_policy_from_elsewhere_are_rows_of_all_six_metrics_on_the_page_and_in_report_md(
-    results,
-):
-    flown = rows(0, (100, 100, 10, 0, 50, 400, -6.0), (200, 100, 0, 0, 10, 600, -4.0))
-    (results / "baselines").mkdir()
-    for who in ("human", "theirs-sampled"):
-        flown.to_parquet(results / "baselines" / f"{who}.parquet")
-    report([results])
-    text = (results / "report.md").read_text()
-    for who in ("human", "theirs-sampled"):
-        (row,) = found(text, who)
-        seeds, flights, cut, steps, *_, speed, reward = row
-        assert (seeds, flights, cut, steps, speed, reward) == ("1", "2", "0.0%", "100.0", "5.00", "−5.00")
-        assert f">{who}<" in (results / "report.html").read_text()
+def test_the_report_says_which_evaluation_it_read_and_which_not(tmp_path):
+    flown = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(mode="greedy")
+    flown["layout"] = [0, 1]
+    write_run(tmp_path / "old", two(0, -1.0), evaluation=flown)
+    flown.attrs = {"layouts": "test", "max_steps": 10_000}
+    new = write_run(tmp_path / "new", two(1, -1.0), seed=1, evaluation=flown.assign(seed=1))
+    flown.to_parquet(new / "evaluation-long.parquet")
+    write_run(tmp_path / "none", two(2, -1.0), seed=2)
+    text = said(tmp_path)
+    read = "- evaluation: evaluation.parquet, 2 sets of obstacles"
+    assert f"{read} (bank not known), at most 40 steps ({tmp_path / 'old'})" in text
+    assert f"{read} (bank test), at most 10,000 steps; not read: evaluation-long.parquet ({new})" in text
+    assert f"- evaluation: none ({tmp_path / 'none'})" in text

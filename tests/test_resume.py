@@ -18,7 +18,7 @@ from safetensors.torch import load_file
 from uavnav.algorithms import dqn, ppo
 from uavnav.runs import FILES
 from uavnav.runs.tables import RunError
-from uavnav.training import checkpoints, recorder
+from uavnav.training import checkpoints, provenance
 from uavnav.training.recorder import Interrupted, Recorder
 
 ALGORITHMS = {
@@ -35,7 +35,12 @@ ALGORITHMS = {
     "dqn, a small ring": (
         dqn.train,
         dqn.DQNConfig(
-            n_seeds=2, total_frames=2048, learning_starts=64, buffer_size=200, start_heading="random", compile="off"
+            n_seeds=2,
+            total_frames=2048,
+            learning_starts=64,
+            buffer_size=200,
+            world={"start_heading": "random"},
+            compile="off",
         ),
     ),
 }
@@ -182,7 +187,7 @@ def test_a_missing_or_damaged_chunk_of_the_newest_snapshot_falls_back_to_the_old
     folder, _ = two_states
     chunks = sorted((folder / "checkpoint").glob("replay-*"))
     if not chunks:
-        assert train is ppo.train
+        assert config.algorithm == "ppo"
         return
     chunks[-1].unlink()
     with pytest.warns(UserWarning, match="missing or not readable; going on from the one before"):
@@ -193,10 +198,10 @@ def test_a_missing_or_damaged_chunk_of_the_newest_snapshot_falls_back_to_the_old
 def test_a_snapshot_of_another_version_is_refused_in_one_line(whole, tmp_path, monkeypatch):
     train, config, run = whole
     interrupted(whole, tmp_path / "run", 1000)
-    facts = recorder._facts()
+    facts = provenance.facts()
     facts["versions"]["torch"] = "9.9.9"
     with monkeypatch.context() as patch:
-        patch.setattr(recorder, "_facts", lambda: facts)
+        patch.setattr(provenance, "facts", lambda: facts)
         with pytest.raises(RunError, match=r"saved with version of torch=2\.13.*, not 9\.9\.9") as refused:
             train(config, out=tmp_path / "run", quiet=True)
     assert "\n" not in str(refused.value)
@@ -231,7 +236,7 @@ def test_only_two_states_are_kept_and_a_chunk_is_written_once(whole, tmp_path, m
     assert max(kept) == 2
     chunks = [stem for stem in written if stem.startswith("replay")]
     assert len(chunks) == len(set(chunks))
-    assert bool(chunks) == (train is dqn.train)
+    assert bool(chunks) == (config.algorithm == "dqn")
 
 
 RECIPES = Path(__file__).parent.parent / "recipes"
@@ -287,10 +292,10 @@ def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algo
 
 def test_a_resume_repeats_the_threads_that_the_run_began_with(tmp_path, monkeypatch):
     config = ppo.PPOConfig(n_seeds=4, total_frames=1024, frames_per_batch=256, epochs=1, compile="off")
-    monkeypatch.setattr("uavnav.training.machine.threads", lambda config: 2)
+    monkeypatch.setattr("uavnav.training.machine.threads", lambda config, processes: 2)
     with pytest.raises(Interrupted):
         ppo.train(config, out=tmp_path / "run", quiet=True, until=512)
-    monkeypatch.setattr("uavnav.training.machine.threads", lambda config: 1)
+    monkeypatch.setattr("uavnav.training.machine.threads", lambda config, processes: 1)
     before = torch.get_num_threads()
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     assert run.meta["threads"] == 2
@@ -314,7 +319,7 @@ def test_a_damaged_snapshot_is_put_aside_and_does_not_count_among_the_two_that_a
 
 def test_a_start_that_another_process_overtook_leaves_the_finished_run_as_it_is(whole, tmp_path):
     train, config, run = whole
-    late = Recorder(tmp_path / "run", run.algorithm, config)
+    late = Recorder(tmp_path / "run", config)
     finished = train(config, out=tmp_path / "run", quiet=True)
     with pytest.raises(RunError, match="was finished by another process meanwhile"), late:
         pass

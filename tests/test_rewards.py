@@ -6,7 +6,8 @@ import torch
 
 import uavnav
 from uavnav.tasks.dynamics import decode
-from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.rewards import BY_ACTION, KNOWN, REWARDS, Step
+from uavnav.tasks.simulator import EMPTY, make_task
 
 WORLD = uavnav.World()
 NAMES = {
@@ -18,9 +19,13 @@ NAMES = {
 
 def terms_of(variant, world=WORLD):
     """The terms of all 100 actions, first without and then with a collision: each [2, 100]."""
-    angle, distance = decode(torch.arange(100).expand(2, 100), world)
+    action = torch.arange(100).expand(2, 100)
+    angle, distance = decode(action, world)
     collided = torch.tensor([[False], [True]]).expand(2, 100)
-    return REWARDS[variant](collided, distance, angle, world)
+    task = make_task(EMPTY, world)
+    state = task.start(torch.zeros_like(action), torch.full_like(action, 90))
+    observation, clearance = task.observe(state)
+    return REWARDS[variant](Step(state, state, action, angle, distance, collided, clearance, observation, world))
 
 
 def total(terms):
@@ -28,7 +33,9 @@ def total(terms):
 
 
 def test_there_are_three_variants_and_eq14_is_the_first():
-    assert list(REWARDS) == ["eq14", "additive", "initial"]
+    assert list(KNOWN) == ["eq14", "additive", "initial"]
+    assert list(KNOWN.values()) == list(BY_ACTION)
+    assert list(REWARDS)[:3] == list(KNOWN)
 
 
 @pytest.mark.parametrize("variant", NAMES)

@@ -12,7 +12,7 @@ from filelock import FileLock
 from safetensors.torch import load_file
 
 import uavnav
-from uavnav.algorithms import dqn, ppo
+from uavnav.algorithms import a2c, dqn, ppo
 from uavnav.runs import FILES, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import RunError
@@ -21,6 +21,7 @@ from uavnav.training.recorder import default_folder
 ALGORITHMS = {
     "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),
     "dqn": (dqn.train, dqn.DQNConfig(total_frames=1024, learning_starts=256, n_seeds=2, compile="off")),
+    "a2c": (a2c.train, a2c.A2CConfig(total_frames=1024, n_steps=4, n_seeds=2, compile="off")),
 }
 
 
@@ -197,5 +198,5 @@ def test_missing_parts_of_a_run_are_named(trained, tmp_path):
 
 
 def test_runs_go_to_a_folder_of_their_algorithm_preset_and_activation():
-    assert default_folder("ppo", ppo.PPOConfig(activation="relu")) == Path("runs/ppo/relu")
-    assert default_folder("dqn", dqn.PRESETS["paper-2.3"]) == Path("runs/dqn-paper-2.3/tanh")
+    assert default_folder(ppo.PPOConfig(activation="relu")) == Path("runs/ppo/relu")
+    assert default_folder(dqn.PRESETS["paper-2.3"]) == Path("runs/dqn-paper-2.3/tanh")

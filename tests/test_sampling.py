@@ -6,9 +6,11 @@ from scipy import stats
 from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
+from uavnav.algorithms import ALGORITHMS
+from uavnav.networks import mlp
 from uavnav.tasks.seeding import Streams, headings, places, stream
 from uavnav.training.sampler import AgentSampler
-from uavnav.training.sampling import epsilon_greedy, sample_categorical
+from uavnav.training.sampling import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical
 
 
 def test_sampled_actions_follow_the_softmax_of_their_logits():
@@ -43,6 +45,86 @@ def test_epsilon_of_0_never_explores_and_of_1_always_does(epsilon):
     coin, choice = torch.rand(2, 1000)
     actions = epsilon_greedy(torch.zeros(1000, 100), epsilon, coin, choice)
     assert torch.equal(actions, (choice * 100).long() if epsilon else torch.zeros(1000, dtype=torch.int64))
+
+
+def actor(seeds, acts, head="direct", **how):
+    """A network of each seed's own, and what it acts by."""
+    network = mlp([30, 16, 100], "tanh", [stream(seed, "test network") for seed in seeds], "default")
+    return Actor(network, seeds, acts, head, compile=False, **how)
+
+
+OBSERVATION = torch.rand(3, 40, 30, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize(("acts", "epsilon"), [("categorical", 0.0), ("epsilon-greedy", 0.4)])
+def test_an_actor_of_3_agents_chooses_by_its_table_with_the_numbers_of_each_agents_own_stream(acts, epsilon):
+    together = actor([7, 8, 9], acts, epsilon=epsilon)
+    streams = [stream(seed, "actions") for seed in (7, 8, 9)]
+    for _ in range(3):
+        root = TensorDict({"observation": OBSERVATION}, [3, 40])
+        assert together(root) is root
+        for agent, generator in enumerate(streams):
+            values = together.network(OBSERVATION)[agent]
+            uniform = torch.rand(ACTS[acts].uniforms, 40, generator=generator)
+            assert torch.equal(root["action"][agent], ACTS[acts].choose(values, epsilon, list(uniform)))
+
+
+@pytest.mark.parametrize("acts", ACTS)
+def test_an_actor_of_seed_8_acts_alone_as_among_3(acts):
+    alone, among = (actor(seeds, acts, epsilon=0.5) for seeds in ([8], [7, 8, 9]))
+    for _ in range(3):
+        assert torch.equal(alone.act(OBSERVATION[1:2])[0], among.act(OBSERVATION)[1])
+
+
+def test_an_actor_goes_on_from_its_streams_and_its_epsilon_of_0_3():
+    one, other = actor([1, 2, 3], "epsilon-greedy", epsilon=1.0), actor([1, 2, 3], "epsilon-greedy", epsilon=1.0)
+    one.act(OBSERVATION)
+    one.epsilon.fill_(0.3)
+    saved = one.state_dict()
+    expected = [one.act(OBSERVATION) for _ in range(3)]
+    assert not torch.equal(other.act(OBSERVATION), expected[0])
+    for again in (other, one):
+        again.load_state_dict(saved)
+        assert again.epsilon.item() == pytest.approx(0.3)
+        assert all(torch.equal(again.act(OBSERVATION), actions) for actions in expected)
+
+
+def test_a_head_turns_3_outputs_an_action_into_the_one_that_counts(monkeypatch):
+    monkeypatch.setitem(HEADS, "mean of three", lambda outputs: outputs.unflatten(-1, (-1, 3)).mean(-1))
+    network = mlp([30, 16, 300], "tanh", [stream(0, "test network")], "default")
+    greedy = Actor(network, [0], "epsilon-greedy", "mean of three", compile=False)
+    outputs = network(OBSERVATION[:1])
+    expected = (outputs[..., 0::3] + outputs[..., 1::3] + outputs[..., 2::3]).argmax(-1)
+    assert torch.equal(greedy.act(OBSERVATION[:1]), expected)
+
+
+def test_learning_in_place_is_seen_by_the_actor_in_its_next_choice():
+    greedy = actor([0], "epsilon-greedy")
+    with torch.no_grad():
+        greedy.network[-1].bias.zero_()[..., 77] = 1e6
+    assert (greedy.act(OBSERVATION[:1]) == 77).all()
+
+
+def test_a_picture_shows_probabilities_that_sum_to_1_and_q_values_as_they_are():
+    values = OBSERVATION[0] * 10
+    torch.testing.assert_close(SHOWN["probability"](values).sum(-1), torch.ones(40))
+    assert torch.equal(SHOWN["Q value"](values), values)
+    assert torch.equal(HEADS["direct"](values), values)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_algorithms_record_names_lines_of_the_three_tables(name):
+    how = ALGORITHMS[name]
+    assert (how.acts in ACTS, how.head in HEADS, how.shown in SHOWN) == (True, True, True)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("acts", ACTS)
+def test_a_compiled_actor_chooses_as_the_eager_one(acts):
+    eager = actor([1, 2, 3], acts, epsilon=0.5)
+    compiled = Actor(eager.network, [1, 2, 3], acts, "direct", compile=True, epsilon=0.5)
+    for _ in range(3):
+        assert torch.equal(compiled.act(OBSERVATION), eager.act(OBSERVATION))
 
 
 def buffer(seeds, replace, batch_size):

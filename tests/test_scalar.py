@@ -8,8 +8,8 @@ import torch
 
 import uavnav
 from uavnav.envs import scalar
-from uavnav.tasks import layouts, simulator
-from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.rewards import KNOWN
+from uavnav.tasks.simulator import make_task
 
 GROUPS = {
     "random": lambda n, generator: poses.random_poses(n, 1),
@@ -38,17 +38,31 @@ def test_1000_poses_of_each_group_equal_a_loop_over_136_squares(group, switches)
     assert compared > 900
 
 
-@pytest.mark.parametrize("variant", REWARDS)
+@pytest.mark.parametrize(("fields", "arena"), poses.OTHERS)
+def test_200_poses_in_each_of_7_other_worlds_equal_a_loop_over_all_their_squares(fields, arena):
+    world, arena, compared = uavnav.World(**fields), oracle.Arena(**arena), 0
+    for x, y, heading, circles in zip(*(part.tolist() for part in poses.poses_in(world, 200)), strict=True):
+        found = oracle.look(x, y, heading, circles, arena)
+        slots, clearance = scalar.sense(x, y, heading, circles, world)
+        assert clearance == pytest.approx(oracle.clearance_of(found), abs=1e-9)
+        if not oracle.doubtful(found, arena):
+            np.testing.assert_allclose(slots, sum(oracle.slots_of(found, arena=arena), ()), rtol=0, atol=1e-6)
+            compared += 1
+    assert compared > 180
+
+
+@pytest.mark.parametrize("variant", KNOWN)
 @pytest.mark.parametrize("max_steps", [None, 40])
 def test_1000_steps_are_at_the_batchs_places_bit_for_bit_with_its_rewards_and_ends(variant, max_steps):
-    bank, world = layouts.load("test"), uavnav.World()
-    flight = scalar.Flight(bank, world, variant, max_steps)
+    task = make_task("test", reward=variant, max_steps=max_steps)
+    flight = scalar.fly(task)
+    assert type(flight) is scalar.Flight
     flight.start(5, 90)
-    state = simulator.start(torch.tensor(5), torch.tensor(90), world)
+    state = task.start(torch.tensor(5), torch.tensor(90))
     ends = 0
     for action in np.random.default_rng(3).integers(100, size=1000).tolist():
         observation, reward, terminated, truncated = flight.step(action)
-        state, outcome = simulator.step(state, torch.tensor(action), bank, world, variant, max_steps)
+        state, outcome = task.step(state, torch.tensor(action))
         assert (flight.x, flight.y, flight.heading) == (state.x.item(), state.y.item(), state.heading.item())
         assert (reward, terminated, truncated) == (
             outcome.reward.item(),
@@ -56,12 +70,12 @@ def test_1000_steps_are_at_the_batchs_places_bit_for_bit_with_its_rewards_and_en
             outcome.truncated.item(),
         )
         assert observation.dtype == np.float32
-        if not oracle.doubtful(oracle.look(flight.x, flight.y, flight.heading, bank[flight.layout].tolist())):
+        if not oracle.doubtful(oracle.look(flight.x, flight.y, flight.heading, task.bank[flight.layout].tolist())):
             np.testing.assert_allclose(observation, outcome.observation.numpy(), rtol=0, atol=1e-5)
         if terminated or truncated:
             ends += 1
             flight.start(5 + ends, 90)
-            state = simulator.start(torch.tensor(5 + ends), torch.tensor(90), world)
+            state = task.start(torch.tensor(5 + ends), torch.tensor(90))
     assert ends >= 10
 
 

@@ -85,16 +85,17 @@ def on_a_circles_centre(n, generator):
     return circles[:, 3, 0].clone(), circles[:, 3, 1].clone(), heading, circles
 
 
-def agree_with_the_oracle(poses, **switches):
+def agree_with_the_oracle(poses, world=WORLD, arena=oracle.PAPER):
     """Compare every pose that is not doubtful; the share of the doubtful ones."""
-    slots, clearance = sense(*poses, uavnav.World(**switches))
+    slots, clearance = sense(*poses, world)
     x, y, heading, circles = (part.tolist() for part in poses)
     expected, kept = [], []
     for row in range(len(x)):
-        found = oracle.look(x[row], y[row], heading[row], circles[row])
-        if not oracle.doubtful(found):
+        found = oracle.look(x[row], y[row], heading[row], circles[row], arena)
+        if not oracle.doubtful(found, arena):
             kept.append(row)
-            expected.append([oracle.clearance_of(found), *sum(oracle.slots_of(found, **switches), ())])
+            slots_there = oracle.slots_of(found, world.slots, world.padding, arena)
+            expected.append([oracle.clearance_of(found), *sum(slots_there, ())])
     got = torch.cat([clearance[:, None], slots.flatten(1)], -1)[kept]
     torch.testing.assert_close(got, torch.tensor(expected), rtol=0, atol=1e-4)
     return 1 - len(kept) / len(x)
@@ -116,7 +117,31 @@ def test_a_thousand_difficult_poses_equal_a_loop_over_136_squares(group):
     "switches", [{"slots": "listed"}, {"padding": "zeros"}, {"slots": "listed", "padding": "zeros"}]
 )
 def test_both_switches_equal_the_loop_on_a_thousand_poses_among_24_circles(switches):
-    assert agree_with_the_oracle(random_poses(1000, 3, k=24), **switches) < 0.05
+    assert agree_with_the_oracle(random_poses(1000, 3, k=24), uavnav.World(**switches)) < 0.05
+
+
+OTHERS = [
+    ({"sensor_arc": 90}, {"arc": 90}),
+    ({"sensor_arc": 270}, {"arc": 270}),
+    ({"sensor_arc": 360}, {"arc": 360}),
+    ({"sensor_radius": 200, "n_slots": 25}, {"sensor": 200, "slots": 25}),
+    ({"sensor_radius": 75.5, "drone_radius": 10, "n_slots": 3}, {"sensor": 75.5, "drone": 10, "slots": 3}),
+    ({"border": 10, "n_slots": 40}, {"side": 10, "slots": 40}),
+    ({"width": 1000, "height": 500, "border": 50}, {"width": 1000, "height": 500, "side": 50}),
+]
+"""Fields of other worlds than the paper's, and the same for the oracle."""
+
+
+def poses_in(world, n=600):
+    x, y, heading, circles = near_walls(n, torch.Generator().manual_seed(3))
+    across, up = world.width / 800, world.height / 600
+    return x * across, y * up, heading, circles * torch.tensor([across, up, 1.0])
+
+
+@pytest.mark.parametrize(("fields", "arena"), OTHERS)
+def test_seven_other_worlds_equal_the_loop_over_all_their_squares_on_600_poses_each(fields, arena):
+    world = uavnav.World(**fields)
+    assert agree_with_the_oracle(poses_in(world), world, oracle.Arena(**arena)) < 0.05
 
 
 def sense_at(x, y, heading, circles=EMPTY, world=WORLD):

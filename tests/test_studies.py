@@ -16,8 +16,9 @@ from uavnav.runs import paper
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 
 SETTINGS = {"preset": "paper", "total_frames": 1_000_000, "frames": 1_000_000, "exploration_fraction": 0.1}
-SETTINGS |= {"layouts": None, "bank": "abc", "obstacles": 8, "reward": "eq14", "slots": "nearest", "world": "1"}
+SETTINGS |= {"bank": "abc", "obstacles": 8, "reward": "eq14", "world.slots": "nearest", "world.version": "1"}
 SHORT = {"total_frames": 300_000, "frames": 300_000, "exploration_fraction": 1 / 3}
+LISTED = {"world.slots": "listed"}
 ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
 
 
@@ -52,11 +53,11 @@ def test_the_group_with_most_of_the_papers_activations_is_the_main_study_and_a_s
 
 
 def test_of_equally_many_activations_the_longer_runs_are_the_main_study_and_then_those_of_more_seeds():
-    found = sort([cell(**SHORT), cell(), cell(slots="listed", n_seeds=1)])
+    found = sort([cell(**SHORT), cell(), cell(**LISTED, n_seeds=1)])
     assert found.main["ppo", "tanh"].settings == SETTINGS
     assert found.baseline["ppo", "tanh"].settings == SETTINGS | SHORT
-    assert [*found.switches] == ["slots=listed"]
-    assert sort([cell(slots="listed", n_seeds=3), cell()]).main["ppo", "tanh"].settings["slots"] == "listed"
+    assert [*found.switches] == ["world.slots=listed"]
+    assert sort([cell(**LISTED, n_seeds=3), cell()]).main["ppo", "tanh"].settings["world.slots"] == "listed"
 
 
 def test_a_million_frames_of_one_activation_are_the_main_study_beside_300000_of_two():
@@ -74,10 +75,10 @@ def test_four_activations_under_another_reward_are_not_the_main_study():
 
 
 def test_a_run_in_no_study_is_named_with_what_differs():
-    strange = cell(slots="listed", reward="initial")
+    strange = cell(**LISTED, reward="initial")
     strange.runs[0].path = "results/strange"
     assert in_none(sort([*grid(), strange])) == [
-        "results/strange: in no study; it differs from the main one in reward=initial, slots=listed"
+        "results/strange: in no study; it differs from the main one in reward=initial, world.slots=listed"
     ]
     assert in_none(sort(grid())) == []
 
@@ -114,12 +115,12 @@ def test_the_first_reward_is_a_study_of_its_own_at_any_length(changes):
 @pytest.mark.parametrize(
     ("changes", "name"),
     [
-        ({"slots": "listed"}, "slots=listed"),
-        ({"slots": "listed"} | SHORT, "slots=listed"),
+        (LISTED, "world.slots=listed"),
+        (LISTED | SHORT, "world.slots=listed"),
         ({"reward": "additive"}, "reward=additive"),
-        ({"obstacles": 4, "bank": "def", "layouts": "four.safetensors"}, "obstacles=4"),
+        ({"obstacles": 4, "bank": "def"}, "obstacles=4"),
         ({"n_worlds": 1024}, "n_worlds=1,024"),
-        ({"world": "2"}, "world=2"),
+        ({"world.version": "2"}, "world.version=2"),
     ],
 )
 def test_one_setting_otherwise_is_a_switch_by_its_name(changes, name):
@@ -130,7 +131,7 @@ def test_one_setting_otherwise_is_a_switch_by_its_name(changes, name):
 
 
 def test_two_settings_otherwise_another_bank_alone_and_a_twin_are_among_the_others():
-    strange = [cell(slots="listed", reward="initial"), cell(bank="def")]
+    strange = [cell(**LISTED, reward="initial"), cell(bank="def")]
     found = sort([*grid(), *strange, cell(**SHORT), cell(**SHORT | {"exploration_fraction": 0.5})])
     assert found.others[:2] == strange
     assert len(found.baseline) == 1
@@ -138,7 +139,7 @@ def test_two_settings_otherwise_another_bank_alone_and_a_twin_are_among_the_othe
 
 
 def test_the_preset_fast_is_tuned_whatever_else_it_changes():
-    found = sort([*grid(), cell(preset="fast", lr=1.0, slots="listed", **SHORT), cell("dqn", preset="fast")])
+    found = sort([*grid(), cell(preset="fast", lr=1.0, **LISTED, **SHORT), cell("dqn", preset="fast")])
     assert [*found.tuned] == [("dqn", "tanh"), ("ppo", "tanh")]
     assert found.others == []
 
@@ -161,7 +162,7 @@ def test_algorithms_have_their_main_study_each_by_itself():
 @settings(max_examples=30, deadline=None)
 @given(st.randoms(use_true_random=False))
 def test_the_order_in_which_runs_are_found_changes_nothing(random):
-    cells = [*grid(), *grid(activations=("tanh",), **SHORT), cell(reward="initial"), cell(slots="listed"), cell("sac")]
+    cells = [*grid(), *grid(activations=("tanh",), **SHORT), cell(reward="initial"), cell(**LISTED), cell("sac")]
     shuffled = random.sample(cells, len(cells))
     assert sort(shuffled) == sort(cells)
     assert [*sort(shuffled).main] == [*sort(cells).main]

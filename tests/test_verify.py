@@ -208,3 +208,27 @@ def test_an_interrupted_repeat_compares_nothing_and_ends_with_130(tmp_path, monk
     out, err = capsys.readouterr()
     assert "same" not in out
     assert err == "uavnav.verify: stopped, nothing was compared\n"
+
+
+def test_a_run_with_a_sensor_of_90_degrees_is_repeated_in_that_world(tmp_path, verdict):
+    config = ppo.PPOConfig(
+        total_frames=1024, frames_per_batch=512, epochs=1, reward="additive", world={"sensor_arc": 90}, compile="off"
+    )
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    status, lines = verdict(run.path)
+    assert (status, len(lines)) == (0, 1)
+    path = run.path / "config.yaml"
+    path.write_text(path.read_text().replace("  sensor_arc: 90.0\n", "  sensor_arc: 180.0\n"))
+    status, lines = verdict(run.path)
+    assert status == 1
+    assert lines[1].startswith("  episodes: ")
+
+
+def test_where_a_run_parts_and_a_plugin_has_changed_it_is_named(run, verdict, monkeypatch):
+    edit(run / "meta.json", lambda meta: meta.update(plugins={"mine": "0" * 64}))
+    monkeypatch.setitem(verify.plugins.LOADED, "mine", "1" * 64)
+    assert verdict(run)[0] == 0
+    edit_weights(run, lambda tensors: tensors["policy.0.bias"].add_(1))
+    status, lines = verdict(run)
+    assert status == 1
+    assert lines[-1] == f"  plugins.mine: {'0' * 64} then, {'1' * 64} now"

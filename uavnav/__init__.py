@@ -5,14 +5,19 @@
 
 from __future__ import annotations
 
+import sys
+
+from uavnav.terminal import end_quietly
+
+if sys.argv[:1] == ["-m"]:  # as `python -m uavnav.x` begins: the imports that follow may be stopped too
+    end_quietly("uavnav")
+
 import importlib
 import importlib.util
 import os
-import sys
 import warnings
-from importlib.abc import InspectLoader, MetaPathFinder
-from importlib.machinery import ModuleSpec
-from types import CodeType, ModuleType
+from importlib.machinery import ModuleSpec, SourceFileLoader
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -25,7 +30,9 @@ if TYPE_CHECKING:
         bench,
         evaluate,
         export,
+        flights,
         networks,
+        plugins,
         policies,
         render,
         report,
@@ -33,7 +40,7 @@ if TYPE_CHECKING:
         stats,
         verify,
     )
-    from uavnav.algorithms import dqn, ppo
+    from uavnav.algorithms import a2c, dqn, ppo
     from uavnav.choices import ConfigError
     from uavnav.envs import env, gym, sb3, scalar
     from uavnav.envs.env import DroneEnv
@@ -71,7 +78,20 @@ _ROOMS = {
 """Modules that are also known without their folder: `uavnav.layouts` is `uavnav.tasks.layouts`."""
 HOMES = {name: f"uavnav.{room}.{name}" for room, names in _ROOMS.items() for name in names}
 HOMES |= {name: algorithm.module for name, algorithm in ALGORITHMS.items()}
-_MODULES = ("bench", "evaluate", "export", "networks", "policies", "render", "report", "runs", "stats", "verify")
+_MODULES = (
+    "bench",
+    "evaluate",
+    "export",
+    "flights",
+    "networks",
+    "plugins",
+    "policies",
+    "render",
+    "report",
+    "runs",
+    "stats",
+    "verify",
+)
 
 __all__ = [*_NAMES, *HOMES, *_MODULES]
 
@@ -86,46 +106,25 @@ gymnasium.register(
 )
 
 
-class _ShortNames(MetaPathFinder, InspectLoader):
+class _ShortName(SourceFileLoader):
     """Finds `uavnav.layouts` in its folder, also for `python -m uavnav.layouts`; it is one module by two names."""
 
-    def __init__(self) -> None:
-        self._specs: dict[str, ModuleSpec | None] = {}
-
-    def _home(self, name: str) -> ModuleSpec:
-        short = name.rpartition(".")[2]
-        home = importlib.util.find_spec(HOMES[short])
-        assert home is not None
-        return home
-
-    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+    @classmethod
+    def find_spec(cls, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         package, _, short = name.rpartition(".")
-        if package != __name__ or short not in HOMES:
-            return None
-        return ModuleSpec(name, self, origin=self._home(name).origin)
+        home = importlib.util.find_spec(HOMES[short]) if package == __name__ and short in HOMES else None
+        return home and ModuleSpec(name, cls(name, str(home.origin)), origin=home.origin)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         module = importlib.import_module(HOMES[spec.name.rpartition(".")[2]])
-        self._specs[spec.name] = module.__spec__
+        self._home = module.__spec__
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        spec = module.__spec__
-        assert spec is not None
-        module.__spec__ = self._specs[spec.name]
-
-    def get_code(self, name: str) -> CodeType | None:
-        loader = self._home(name).loader
-        assert isinstance(loader, InspectLoader)
-        return loader.get_code(HOMES[name.rpartition(".")[2]])
-
-    def get_source(self, name: str) -> str | None:
-        loader = self._home(name).loader
-        assert isinstance(loader, InspectLoader)
-        return loader.get_source(HOMES[name.rpartition(".")[2]])
+        module.__spec__ = self._home
 
 
-sys.meta_path.append(_ShortNames())
+sys.meta_path.append(_ShortName)
 
 
 def __getattr__(name: str) -> Any:

@@ -40,7 +40,7 @@ def listing() -> str:
         training = {f"python recipes/{name}.py": said(RECIPES / f"{name}.py") for name in TRAINING}
         docs = f"{HERE.parent / 'README.md'} and the folder docs beside it"
     else:
-        training = {f"uavnav.{name}.train(...)": said(HERE / "algorithms" / f"{name}.py", "train") for name in TRAINING}
+        training = {f"uavnav.{name}.train(...)": said(HERE / "algorithms" / f"{name}.py") for name in TRAINING}
         docs = "README.md and the folder docs of the repository; help(uavnav.ppo.train) in Python"
     files = {name: HERE.joinpath(*module_of(name).split(".")[1:]).with_suffix(".py") for name in COMMANDS}
     others = {f"python -m uavnav.{name}": said(path, "main") for name, path in files.items()}
@@ -55,11 +55,8 @@ def listing() -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """List the commands, or run the one that is named, with the arguments after it."""
     words = list(sys.argv[1:] if argv is None else argv)
-    if not words or words[0] in ("-h", "--help"):
-        print(listing())
-        return 0
-    if words[0] == "--version":
-        print(uavnav.__version__)
+    if not words or words[0] in ("-h", "--help", "--version"):
+        print(uavnav.__version__ if words[:1] == ["--version"] else listing())
         return 0
     if words[0] in TRAINING:
         how = f"python recipes/{words[0]}.py" if RECIPES.is_dir() else f"uavnav.{words[0]}.train(...) in Python"

@@ -14,7 +14,8 @@ from typing import Any, NoReturn
 
 def did_you_mean(value: object, choices: Collection[str]) -> str:
     """` (did you mean relu?)`, the nearest of the choices, as the end of a message; empty where none is near."""
-    near = difflib.get_close_matches(str(value), choices, n=1)
+    of_a_part = [choice for choice in choices if choice.endswith(f".{value}")]  # `slots` for `world.slots`
+    near = of_a_part or difflib.get_close_matches(str(value), choices, n=1)
     return f" (did you mean {near[0]}?)" if near else ""
 
 

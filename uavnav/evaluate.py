@@ -7,36 +7,38 @@ whatever else flies (scripted baselines, zips of Stable-Baselines3), whose rows 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
 import torch
+from rich.console import Console
 from torch import Tensor
 
-from uavnav import graph, policies
+from uavnav import flights, plugins, policies
 from uavnav.choices import Parser, did_you_mean_run
 from uavnav.files import check_out
+from uavnav.policies import Policy
+from uavnav.repeats import Repeats
 from uavnav.runs import BEHAVIOUR, EVALUATION, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
-from uavnav.tasks import simulator
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
-from uavnav.tasks.seeding import stream
-from uavnav.tasks.simulator import COUNTS, UP, Outcome, State
+from uavnav.tasks.rewards import BY_ACTION, REWARDS
+from uavnav.tasks.simulator import EMPTY, Task, make_task
+from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
-from uavnav.training import machine
-from uavnav.training.display import evaluation_summary, flights, print_table
+from uavnav.training import display, machine
+from uavnav.training.display import evaluation_summary
 
 EPISODES = 200
 MAX_STEPS = 10_000
 WATCHED_LAYOUTS = 10
 WATCHED_STEPS = 500
 """Behaviour is kept of so many sets of obstacles, and of so many steps of each."""
-
-DEFAULT = World()
 
 BEHAVIOUR_COLUMNS = {
     "seed": "int64",
@@ -70,7 +72,7 @@ def evaluate_policy(
 
     Args:
         policy: what `uavnav.load_policy` returns, or any callable of that form.
-        layouts: `train`, `test`, a bank's path, or a tensor [n, k, 3].
+        layouts: `train`, `validation`, `test`, a bank's path, or a tensor [n, k, 3].
         episodes: how many sets, from the first.
         max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no collision.
         world: constants and switches; by default those that the policy was trained in, if it has any.
@@ -84,104 +86,82 @@ def evaluate_policy(
         LayoutError: the bank cannot be read.
         ValueError: an unknown reward, more episodes than the bank has sets, or a count below 1.
     """
-    world = world or getattr(policy, "world", None) or World()
-    reward = reward or getattr(policy, "reward", None) or "eq14"
-    return fly({seed: policy}, layouts, episodes, max_steps, world, reward).episodes
+    own = policy.task if isinstance(policy, Policy) else make_task(EMPTY, world)
+    own = replace(own, world=world or own.world, reward=reward or own.reward)
+    return fly({seed: policy}, on(own, layouts, episodes, max_steps)).episodes
 
 
-def fly(
-    population: dict[int, AnyPolicy],
-    layouts: str | Path | Tensor = "test",
-    episodes: int = EPISODES,
-    max_steps: int = MAX_STEPS,
-    world: World = DEFAULT,
-    reward: str = "eq14",
-    tell: Callable[[int, int], object] = lambda step, up: None,
-) -> Flights:
-    """Evaluate one policy a seed, the flights of all of them in one batch; arguments as of `evaluate_policy`.
+def on(task: Task, layouts: str | Path | Tensor = "test", episodes: int = EPISODES, max_steps: int = MAX_STEPS) -> Task:
+    """The task of an evaluation: the first sets of a bank, with a cap.
 
-    `tell` is called after each step with its number and how many flights go on.
-
-    What one seed does depends neither on the others nor on anything but its policy and a generator of its own. Random
-    start headings, where the world has them, are those of the set of obstacles, the same for every policy.
+    Raises:
+        LayoutError: the bank cannot be read.
+        ValueError: more episodes than the bank has sets, or a count below 1.
     """
     if not isinstance(episodes, int) or not isinstance(max_steps, int):
         raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give whole numbers")
-    simulator.check_rules(reward, max_steps if max_steps >= 1 else None)
-    bank = banks.resolve(layouts, world)
+    bank = banks.resolve(layouts, task.world)
     if not 1 <= episodes <= len(bank) or max_steps < 1:
         raise ValueError(
             f"episodes={episodes}, max_steps={max_steps}; give 1 to {len(bank)} episodes of at least 1 step"
         )
-    generators = {seed: torch.Generator().manual_seed(seed) for seed in population}
-    layout = torch.arange(episodes).repeat(len(population))
-    seed = torch.tensor(list(population)).repeat_interleave(episodes)
-    heading = torch.full((episodes,), UP)
-    if world.start_heading == "random":
-        heading = torch.randint(360, (episodes,), generator=stream(0, "headings in evaluation"))
-    state = simulator.start(layout, heading.repeat(len(population)), world)
+    return replace(task, bank=bank[:episodes], max_steps=max_steps)
 
-    def step(action: Tensor, bank: Tensor, *fields: Tensor) -> tuple[Tensor, ...]:
-        state, outcome = simulator.step(State(*fields), action, bank, world, reward, max_steps)
-        return *state, *outcome
 
-    compiled = machine.flights(len(layout), max_steps)
-    advance = graph.Graph(step) if compiled else step
+def fly(
+    population: Mapping[int, AnyPolicy],
+    task: Task,
+    tell: Callable[[int, int], object] = lambda step, up: None,
+) -> Flights:
+    """Evaluate one policy a seed on every set of the task's bank, the flights of all of them in one batch.
+
+    `tell` is called after each step with its number and how many flights go on. Flights that go round for ever are
+    counted to the cap instead of flown (`uavnav.repeats`).
+    """
+    seeds = torch.tensor(list(population)).repeat_interleave(len(task.bank))
+    repeats = Repeats(len(seeds), task.max_steps or 0, WATCHED_STEPS) if _repeatable(population, task) else None
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
-    up = torch.arange(len(layout))  # rows whose flight goes on; the others stand still, or are dropped
-    with torch.no_grad():
-        observation, _ = simulator.observe(state, bank, world)
-        for count in range(1, max_steps + 1):
-            rows = [observation[up[seed[up] == one]] for one in population]
-            flying = [(one, seen) for one, seen in zip(population, rows, strict=True) if len(seen)]
-            chosen = [_checked(population[one](seen, generators[one]), len(seen), world) for one, seen in flying]
-            action = torch.zeros_like(seed)
-            action[up] = torch.cat(chosen)
-            found = advance(action, bank, *state)
-            state, outcome = State(*found[: len(state)]), Outcome(*found[len(state) :])
-            if count <= WATCHED_STEPS:
-                watched.append(_watch(up, seed, state, outcome, action))
-            done = (outcome.terminated | outcome.truncated)[up]
-            observation = outcome.observation
-            if done.any():
-                ended.append(_end(up[done], seed, state, outcome))
-                up = up[~done]
-                if not compiled:
-                    seed, observation, state = seed[up], observation[up], State(*(field[up] for field in state))
-                    up = torch.arange(len(up))
-            tell(count, len(up))
-            if not len(up):
-                break
+    for step in flights.fly(list(population.items()), task):
+        up = ~step.ended
+        if step.number <= WATCHED_STEPS:
+            watched.append(_watch(step, seeds[step.flight]))
+        if not up.all():
+            over = step.place[~up]
+            state = State(*(field[over] for field in step.states))
+            ended.append(_end(seeds[step.flight[~up]], state, step.outcomes.terminated[over]))
+        tell(step.number, int(up.sum()))
+        if repeats is not None and (state_at_cap := repeats.see(step)) is not None:
+            cut_off = torch.zeros(len(state_at_cap.x), dtype=torch.bool)
+            ended.append(_end(seeds[step.flight[up]], state_at_cap, cut_off))
+            break
     return Flights(
         _table(ended, EPISODE_COLUMNS).sort_values(["seed", "layout"], ignore_index=True),
         _table(watched, BEHAVIOUR_COLUMNS).sort_values(["seed", "layout", "step"], ignore_index=True),
     )
 
 
-def _checked(action: Tensor, n: int, world: World) -> Tensor:
-    """A policy's actions, if they are some."""
-    fits = isinstance(action, Tensor) and action.shape == (n,) and action.dtype in (torch.int64, torch.int32)
-    if not fits or not 0 <= int(action.min()) <= int(action.max()) < world.n_actions:
-        shown = f"{action.dtype} {list(action.shape)}" if isinstance(action, Tensor) and not fits else repr(action)
-        raise ValueError(f"a policy chose {shown}; it must give int64 [{n}] from 0 to {world.n_actions - 1}")
-    return action
+def _repeatable(population: Mapping[int, AnyPolicy], task: Task) -> bool:
+    """Whether the same pose is always followed by the same steps and rewards."""
+    greedy = all(isinstance(policy, Policy) and policy.greedy for policy in population.values())
+    return greedy and task.STATIC and REWARDS[task.reward] in BY_ACTION
 
 
-def _end(rows: Tensor, seed: Tensor, state: State, outcome: Outcome) -> dict[str, Tensor]:
-    counts = {name: getattr(state, name)[rows] for name in ("layout", *COUNTS)}
-    flags = {"terminated": outcome.terminated[rows], "truncated": outcome.truncated[rows]}
-    return {"seed": seed[rows], "frame": state.steps[rows], "world": state.layout[rows], **counts, **flags}
+def _end(seed: Tensor, state: State, terminated: Tensor) -> dict[str, Tensor]:
+    counts = {name: getattr(state, name) for name in ("layout", *COUNTS)}
+    flags = {"terminated": terminated, "truncated": ~terminated}
+    return {"seed": seed, "frame": state.steps, "world": state.layout, **counts, **flags}
 
 
-def _watch(rows: Tensor, seed: Tensor, state: State, outcome: Outcome, action: Tensor) -> dict[str, Tensor]:
-    kept = rows[state.layout[rows] < WATCHED_LAYOUTS]
-    fields = {name: getattr(state, name)[kept] for name in ("layout", "x", "y", "heading")}
+def _watch(step: flights.Step, seed: Tensor) -> dict[str, Tensor]:
+    kept = step.states.layout[step.place] < WATCHED_LAYOUTS
+    place = step.place[kept]
+    fields = {name: getattr(step.states, name)[place] for name in ("layout", "x", "y", "heading")}
     return {
         "seed": seed[kept],
-        "step": state.steps[kept],
-        "clearance": outcome.clearance[kept],
-        "action": action[kept],
+        "step": step.states.steps[place],
+        "clearance": step.outcomes.clearance[place],
+        "action": step.action[kept],
         **fields,
     }
 
@@ -197,39 +177,52 @@ def evaluate_run(
     layouts: str | Path = "test",
     quiet: bool = False,
 ) -> pd.DataFrame:
-    """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder if it is on the test split.
+    """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder (`files_of` says where).
 
     Training's generators play no part, and nothing else in the folder changes. On a terminal a bar shows how far it is,
     unless it is `quiet`.
 
     Returns:
-        What `evaluation.parquet` holds: the columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs`, and in the
-        file's header, the bank and the cap.
+        The columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs`, and in the file's header, the protocol.
 
     Raises:
         LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
     """
-    flown = {}
+    flown, task = {}, None
     with machine.use_threads(1):
         for mode in MODES:
             population = {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
-            own = population[run.seeds[0]]
+            task = task or on(population[run.seeds[0]].task, layouts, episodes, max_steps)
             what = f"{run.algorithm} {run.config['activation']}, {mode}"
-            with flights(what, episodes * len(population), max_steps, quiet) as tell:
-                flown[mode] = fly({**population}, layouts, episodes, max_steps, own.world, own.reward, tell)
+            with display.flights(what, episodes * len(population), max_steps, quiet) as tell:
+                flown[mode] = fly(population, task, tell)
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
-    rows.attrs = header(layouts, max_steps)
+    rows.attrs = header(layouts, episodes, max_steps)
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
-    if layouts == "test":
-        with lock(run.path):
-            write_table(run.path / EVALUATION, rows)
-            write_table(run.path / BEHAVIOUR, behaviour)
+    with lock(run.path):
+        for name, table in zip(files_of(layouts, episodes, max_steps), (rows, behaviour), strict=True):
+            write_table(run.path / name, table)
     return rows
 
 
-def header(layouts: str | Path, max_steps: int) -> dict[Any, Any]:
-    """What the header of a file of rows says of how they were flown."""
-    return {"layouts": str(layouts), "max_steps": max_steps}
+def header(layouts: str | Path, episodes: int, max_steps: int) -> dict[Any, Any]:
+    """What the header of a file of rows says of how they were flown: the protocol."""
+    return {"layouts": str(layouts), "episodes": episodes, "max_steps": max_steps}
+
+
+def files_of(layouts: str | Path, episodes: int, max_steps: int) -> tuple[str, str]:
+    """The files of rows and of behaviour of a protocol, in a run's folder.
+
+    `evaluation.parquet` is for 200 test sets and 10,000 steps alone; another protocol has a file of its own, such as
+    `evaluation-test-10-500.parquet`.
+    """
+    if (str(layouts), episodes, max_steps) == ("test", EPISODES, MAX_STEPS):
+        return EVALUATION, BEHAVIOUR
+    bank = str(layouts)
+    if layouts not in banks.SPLITS:
+        bank = f"{Path(layouts).stem}-{banks.checksum(banks.load(layouts))[:8]}"
+    own = f"-{bank}-{episodes}-{max_steps}.parquet"
+    return EVALUATION.replace(".parquet", own), BEHAVIOUR.replace(".parquet", own)
 
 
 def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
@@ -261,13 +254,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
     parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
-    parser.add_argument("--layouts", default="test", help="test, train or a bank's path (default: test)")
+    parser.add_argument("--layouts", default="test", help=f"{', '.join(banks.SPLITS)} or a bank's path (default: test)")
     parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"
     )
+    plugins.argument(parser)
     arguments = parser.parse_args(argv)
     try:
+        plugins.load(arguments.plugins)
         zips = policies.zips(arguments.runs, arguments.activation)
         if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
             raise ValueError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
@@ -276,23 +271,24 @@ def main(argv: Sequence[str] | None = None) -> int:
             for name, run in found.items():
                 for mode in () if isinstance(run, Run) else run:
                     check_out(arguments.out / _rows_file(name, mode))
+        bounds = arguments.layouts, arguments.episodes, arguments.max_steps
         for name, run in found.items():
             if isinstance(run, Run):
                 rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts)
-                print_table(evaluation_summary(rows, run.algorithm, run.config["activation"]))
-                kept = arguments.layouts == "test"
-                print(f"the rows are in {run.path / EVALUATION}" if kept else "rows of the test split alone are kept")
+                Console().print(evaluation_summary(rows, run.algorithm, run.config["activation"]))
+                print(f"the rows are in {run.path / files_of(*bounds)[0]}")
             else:
-                bounds, flown = (arguments.layouts, arguments.episodes, arguments.max_steps), {}
+                flown = {}
                 for mode, policy in run.items():
-                    with machine.use_threads(1), flights(f"{name}, {mode}", *bounds[1:]) as tell:
-                        flown[mode] = fly({0: policy}, *bounds, tell=tell).episodes
+                    task = on(policy.task if isinstance(policy, Policy) else make_task(EMPTY), *bounds)
+                    with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:]) as tell:
+                        flown[mode] = fly({0: policy}, task, tell).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
-                print_table(evaluation_summary(rows, name if name in BASELINES else Path(name).stem))
+                Console().print(evaluation_summary(rows, name if name in BASELINES else Path(name).stem))
                 for mode, part in flown.items() if arguments.out is not None else ():
                     path = arguments.out / _rows_file(name, mode)
                     path.parent.mkdir(parents=True, exist_ok=True)
-                    part.attrs = header(arguments.layouts, arguments.max_steps)
+                    part.attrs = header(*bounds)
                     write_table(path, part)
                     print(f"the rows are in {path}")
     except (RunError, ValueError, OSError) as error:

@@ -2,8 +2,9 @@
 
 `python -m uavnav.export RUN [--seed S] --out policy.onnx` (or `policy.pt2`)
 
-What is written maps `observation` [N, 30] float32 to `values` [N, 100]: PPO's logits or DQN's Q, whose largest is the
-greedy action. Neither file holds a pickle of code, nor where it was written.
+What is written maps `observation` [N, 30] float32 to `values` [N, 100]: logits or Q values, whose largest is the greedy
+action. The file's metadata say which, how the policy acted in training, and in which task. Neither file holds a pickle
+of code, nor where it was written.
 """
 
 from __future__ import annotations
@@ -16,15 +17,19 @@ import warnings
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from uavnav.choices import Parser
+from uavnav import plugins
+from uavnav.algorithms import ALGORITHMS
+from uavnav.choices import ConfigError, Parser
 from uavnav.networks import AgentLinear
 from uavnav.policies import Policy, PolicyError, as_option, load_policy, zips
 from uavnav.runs.tables import RunError, write
 from uavnav.tasks.world import VERSION
+from uavnav.training.sampling import HEADS
 
 SUFFIXES = (".onnx", ".pt2")
 NEEDED = ("onnx", "onnxscript")
@@ -48,8 +53,11 @@ def export_policy(policy: Policy, path: str | Path) -> Path:
     program = _program(policy)
     facts = {
         "algorithm": policy.algorithm,
-        "values": "logits" if policy.algorithm == "ppo" else "Q",
-        "reward": policy.reward,
+        "values": ALGORITHMS[policy.algorithm].values,
+        "acts": policy.acts,
+        "epsilon": policy.epsilon,
+        **policy.task.header(),
+        "bank": policy.bank,
         "world_version": VERSION,
     }
     write(path, _onnx(program, facts) if path.suffix == ".onnx" else _pt2(program, facts))
@@ -61,7 +69,7 @@ def _program(policy: Policy) -> torch.export.ExportedProgram:
     layers = [_linear(layer) if isinstance(layer, AgentLinear) else layer for layer in policy.network.children()]
     rows = torch.zeros(2, policy.world.observation_size)
     shapes = ({0: torch.export.Dim("rows")},)
-    program = torch.export.export(_Values(nn.Sequential(*layers)).eval(), (rows,), dynamic_shapes=shapes)
+    program = torch.export.export(_Values(nn.Sequential(*layers), policy.head).eval(), (rows,), dynamic_shapes=shapes)
     for node in program.graph.nodes:
         for name in ("stack_trace", "nn_module_stack", "source_fn_stack", "from_node"):  # paths of this machine
             node.meta.pop(name, None)
@@ -69,40 +77,35 @@ def _program(policy: Policy) -> torch.export.ExportedProgram:
 
 
 class _Values(nn.Module):
-    """Names the input."""
+    """The network and its head; names the input."""
 
-    def __init__(self, network: nn.Sequential) -> None:
+    def __init__(self, network: nn.Sequential, head: str) -> None:
         super().__init__()
-        self.network = network
+        self.network, self.head = network, head
 
     def forward(self, observation: Tensor) -> Tensor:
-        values: Tensor = self.network(observation)
-        return values
+        return HEADS[self.head](self.network(observation))
 
 
 def _linear(layer: AgentLinear) -> nn.Linear:
     """The one agent's layer as PyTorch's own."""
-    _, inputs, outputs = layer.weight.shape
-    result = nn.Linear(inputs, outputs)
-    with torch.no_grad():
-        result.weight.copy_(layer.weight[0].T)
-        result.bias.copy_(layer.bias[0, 0])
+    result = nn.Linear(*layer.weight.shape[1:])
+    result.load_state_dict({"weight": layer.weight[0].T, "bias": layer.bias[0, 0]})
     return result
 
 
-def _pt2(program: torch.export.ExportedProgram, facts: dict[str, str]) -> bytes:
+def _pt2(program: torch.export.ExportedProgram, facts: dict[str, Any]) -> bytes:
     buffer = io.BytesIO()
     torch.export.save(program, buffer, extra_files={f"{FACTS}.json": json.dumps(facts)})
     return buffer.getvalue()
 
 
-def _onnx(program: torch.export.ExportedProgram, facts: dict[str, str]) -> bytes:
+def _onnx(program: torch.export.ExportedProgram, facts: dict[str, Any]) -> bytes:
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)  # else it tells of each package that it could have used
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             result = torch.onnx.export(
                 program, dynamo=True, verbose=False, input_names=["observation"], output_names=["values"]
             )
@@ -128,12 +131,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, help="which training seed (default: the first)")
     parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
     parser.add_argument("--out", required=True, metavar="FILE", help="policy.onnx or policy.pt2")
+    plugins.argument(parser)
     arguments = parser.parse_args(argv)
     try:
+        plugins.load(arguments.plugins)
         zips([arguments.run], arguments.activation)
         policy = load_policy(arguments.run, arguments.seed, activation=arguments.activation)
         path = export_policy(policy, arguments.out)
-    except (PolicyError, RunError) as error:
+    except (ConfigError, PolicyError, RunError) as error:
         print(f"uavnav.export: {as_option(error)}", file=sys.stderr)
         return 2
     print(f"{path}: observation [N, {policy.world.observation_size}] -> values [N, {policy.world.n_actions}]")

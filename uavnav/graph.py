@@ -1,14 +1,13 @@
-"""Functions of tensors as compiled graphs. All that is private of PyTorch lies in this file.
+"""Functions of tensors as compiled graphs. Only this file uses private parts of PyTorch.
 
-`torch.compile` looks at every call whether the function's Python is still the same, which takes a small step as long as
-its arithmetic. A `Graph` is traced once instead. Where a later PyTorch lacks these parts, `torch.compile` takes over.
+`torch.compile` checks at every call whether the function's Python has changed. For a small step, this check takes as
+long as the arithmetic, so a `Graph` is traced once instead. If PyTorch lacks a private part, `torch.compile` is used.
 """
 
 from __future__ import annotations
 
-import contextlib
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -21,29 +20,29 @@ try:
     from torch._higher_order_ops.while_loop import while_loop_op
     from torch._inductor import standalone_compile
     from torch.fx.experimental.proxy_tensor import make_fx
-except ImportError:  # torch.compile takes over
+except ImportError:  # torch.compile is used instead
     make_fx = standalone_compile = while_loop_op = None  # type: ignore[assignment]
 
 Tensors = Sequence[Tensor]
 Function = Callable[..., Tensors]
 
 SETTINGS: dict[str, Any] = {
-    "compile_threads": 1,  # a pool of processes takes longer to start than these few kernels
-    "cpp.vec_isa_ok": True,  # or ten processes are started to see what the first graph shows
-    "unsafe_marked_cacheable_functions": {"torch.ops.higher_order.while_loop": "1"},  # loops are kept on disk too
+    "compile_threads": 1,  # these few kernels compile faster than a pool of processes starts
+    "cpp.vec_isa_ok": True,  # else inductor starts ten processes to test what the first graph shows
+    "unsafe_marked_cacheable_functions": {"torch.ops.higher_order.while_loop": "1"},  # keep loops on disk too
 }
-"""Inductor's, while a graph is compiled; then it has its own again."""
+"""Inductor's settings while a graph is compiled; afterwards the caller's settings are restored."""
 
 
 class Graph:
-    """A pure function from tensors to a tuple of tensors, compiled: a graph for each shape, stride, type and device.
+    """A compiled function from tensors to a tuple of tensors, with one graph per shape, stride, type and device.
 
     Whatever is not an argument is frozen at the first call. The function may write into its arguments. Graphs are kept
-    on disk, as those of `torch.compile` are.
+    on disk, like those of `torch.compile`.
 
     Args:
-        function: traceable without values: no branches on data, no NumPy.
-        options: inductor's.
+        function: torch operations alone, without branches on values and without NumPy.
+        options: inductor's options.
 
     Raises:
         ConfigError: at the first call, if the function cannot be traced.
@@ -55,7 +54,7 @@ class Graph:
 
     @torch.no_grad()
     def __call__(self, *tensors: Tensor) -> Tensors:
-        """Its outputs for these tensors."""
+        """The function's outputs for these tensors."""
         key = tuple([(tensor.shape, tensor.stride(), tensor.dtype, tensor.device) for tensor in tensors])
         graph = self._graphs.get(key)
         if graph is None:
@@ -63,12 +62,12 @@ class Graph:
         return graph(*tensors)
 
     def _compile(self, tensors: Tensors) -> Function:
-        with _settings():
+        with torch._inductor.config.patch(SETTINGS):
             try:
                 traced = self._traced(tensors)
             except _MissingError:
                 return _left_to_torch(self.function)
-            except Exception as error:  # whatever an activation or a reward of the caller's raises
+            except Exception as error:  # a caller's activation or reward may raise any kind
                 raise ConfigError(
                     f"no graph can be made ({telling_line(error)}); activations and rewards are torch operations alone,"
                     " without NumPy and branches on values: or give compile=off"
@@ -80,17 +79,17 @@ class Graph:
 
 
 class Loop(Graph):
-    """Updates of a state, one after the other, as one graph.
+    """Successive updates of a state, as one graph.
 
     Autograd cannot run inside a traced loop, so one update, backward included, is traced first and becomes its body.
 
     Args:
         update: (rate, *state, *constants, *batch) -> (found, *next state); `found` is one tensor.
-        n_state, n_constants: how many tensors there are of either.
-        options: inductor's.
+        n_state, n_constants: numbers of tensors in the state and in the constants.
+        options: inductor's options.
 
-    Call it with the rates of M updates [M, ...], the state, which is written in place, the constants, and the
-    batches [A, M, ...]; it returns the mean of what the updates found.
+    Call: (rates [M, ...] of M updates, *state, *constants, *batches [A, M, ...]) -> (mean of `found`,). The state is
+    updated in place.
     """
 
     def __init__(self, update: Function, n_state: int, n_constants: int, **options: Any) -> None:
@@ -144,12 +143,12 @@ class Loop(Graph):
 
 
 class _MissingError(Exception):
-    """This PyTorch has not what a graph is traced with, or has it in another form."""
+    """This PyTorch lacks a private part that tracing needs, or has changed it."""
 
 
 def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> Function:
     """Trace a function and compile the trace."""
-    given: list[Any] = [  # only what they are like: values are not looked at, and shared memory would be refused
+    given: list[Any] = [  # without values: tracing needs none, and refuses shared memory
         torch.empty_strided(tensor.shape, tensor.stride(), dtype=tensor.dtype, device=tensor.device)
         for tensor in tensors
     ]
@@ -174,31 +173,24 @@ def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> 
 
 
 def _left_to_torch(function: Function) -> Function:
-    """The public way: checked at every call, and with breaks where it cannot trace."""
+    """Compile by `torch.compile`, which checks the function at every call and runs in Python what it cannot trace."""
     compiled = torch.compile(function, dynamic=False)
 
     def run(*tensors: Tensor) -> Tensors:
-        with _settings():
+        with torch._inductor.config.patch(SETTINGS):
             return compiled(*tensors)
 
     return run
 
 
-@contextlib.contextmanager
-def _settings() -> Iterator[None]:
-    """Inductor's own while a graph is compiled; afterwards the caller's are back."""
-    with torch._inductor.config.patch(SETTINGS):
-        yield
-
-
 def problem(device: str) -> str | None:
-    """Compile something tiny: what a compiler, its headers or a driver lack shows only when they are used."""
+    """Why no graph can be compiled on a device, found by compiling a tiny one; None if compilation works."""
     logger = logging.getLogger("torch._inductor")
     level = logger.level
     logger.setLevel(logging.CRITICAL)
     try:
         Graph(lambda x: (x.exp(),))(torch.ones(64, device=device))
-    except Exception as error:  # whatever the tool chain raises: the run goes on without it
+    except Exception as error:  # the tool chain may raise any kind; the run continues uncompiled
         return telling_line(error.__cause__ or error)
     finally:
         logger.setLevel(level)
@@ -206,7 +198,7 @@ def problem(device: str) -> str | None:
 
 
 def telling_line(error: BaseException) -> str:
-    """Of a message of many: the compiler's own word where there is one, else the first that says more than who failed.
+    """The most telling line of an error's message: the compiler's own error, else the first line that names a cause.
 
     >>> telling_line(Exception("backend='inductor' raised:\\nCppCompileError: C++ compile error"))
     'CppCompileError: C++ compile error'

@@ -1,6 +1,6 @@
-"""Multilayer perceptrons over the agent axis: A independent networks of one shape, evaluated as one.
+"""Multilayer perceptrons over the agent axis: A independent networks of one shape, evaluated together.
 
-Letters: A agents, N rows an agent. To add an activation, add a line to `ACTIVATIONS`.
+Letters: A agents. To add an activation, add a line to `ACTIVATIONS`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import Literal
 
 import torch
 from torch import Tensor, nn
-from torch.func import functional_call
 from torch.nn import functional as F
 
 from uavnav.choices import choose_from
@@ -32,17 +31,17 @@ ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "identity": lambda x: x,
 }
 
-BUILT_IN = dict(ACTIVATIONS)
-"""Those that every process has, whatever its caller adds to the table."""
+KNOWN = dict(ACTIVATIONS)
+"""Those that every process of a run has: built in, or of a plugin."""
 
 Init = Literal["orthogonal", "default"]
 
 
 class AgentLinear(nn.Module):
-    """A linear layer for each agent, all in one product: x [A, ..., in] -> [A, ..., out].
+    """One linear layer per agent, computed as one product: x [A, ..., in] -> [A, ..., out].
 
-    `init="orthogonal"` with a gain and zero biases is SB3's for PPO, `"default"` is PyTorch's own (uniform within
-    1 / sqrt(in) for weights and biases), SB3's for DQN. Agent a is initialised from generators[a] alone.
+    `init="orthogonal"`, with a gain and zero biases, is SB3's choice for PPO. `"default"` is PyTorch's initialisation
+    (weights and biases uniform within 1 / sqrt(in)) and SB3's choice for DQN. generators[a] alone initialises agent a.
     """
 
     def __init__(
@@ -67,10 +66,10 @@ class AgentLinear(nn.Module):
 
 
 class Activation(nn.Module):
-    """One of `ACTIVATIONS` by name.
+    """An activation of `ACTIVATIONS`, by name.
 
     Raises:
-        ValueError: there is no activation of that name.
+        ValueError: `ACTIVATIONS` has no such name.
     """
 
     def __init__(self, name: str) -> None:
@@ -86,13 +85,6 @@ class Activation(nn.Module):
         return self.name
 
 
-def call(network: nn.Module, weights: Sequence[Tensor], x: Tensor) -> Tensor:
-    """What the network says of x with these parameters in place of its own, so that a graph can be given them."""
-    names = [name for name, _ in network.named_parameters()]
-    result: Tensor = functional_call(network, dict(zip(names, weights, strict=True)), (x,))
-    return result
-
-
 def mlp(
     sizes: Sequence[int],
     activation: str,
@@ -102,8 +94,8 @@ def mlp(
 ) -> nn.Sequential:
     """Linear layers of the given sizes with the activation between them: x [A, ..., sizes[0]] -> [A, ..., sizes[-1]].
 
-    With `init="orthogonal"` hidden layers have the gain sqrt(2) and the last one `output_gain`, whatever the
-    activation (SB3's habit, decision 15).
+    With `init="orthogonal"`, hidden layers have the gain sqrt(2) and the last layer has `output_gain`, whatever the
+    activation (as in SB3, decision 15).
     """
     layers: list[nn.Module] = []
     for index, (inputs, outputs) in enumerate(pairwise(sizes)):

@@ -6,8 +6,10 @@ import io
 import json
 import os
 import pickle
+import re
 import zipfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,13 +18,15 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
+from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import choose_from
 from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.runs import POLICY
 from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.tasks.world import VERSION, World
-from uavnav.training.sampling import epsilon_greedy, sample_categorical
+from uavnav.training.sampling import ACTS, HEADS, SHOWN
 
 SB3_WEIGHTS = "policy.pth"
 SB3_MAX_BYTES = 2**26
@@ -35,27 +39,39 @@ class PolicyError(ValueError):
     """A policy cannot be found, read or trusted; the message says what is wrong and what would be right."""
 
 
+@dataclass(frozen=True, eq=False)
 class Policy:
-    """One seed's network with a way to act: greedy, or as in training (PPO samples, DQN explores with `epsilon`).
+    """One seed's network with a way to act: greedy, or as in training."""
 
-    `world` and `reward` are those that it was trained in.
-    """
+    network: nn.Module
+    algorithm: str
+    greedy: bool
+    task: Task  # that it was trained in, without the bank
+    acts: str  # in training: a name of `uavnav.training.sampling.ACTS`
+    head: str  # how outputs become one number an action: a name of `HEADS` there
+    epsilon: float = 0.0  # the share of random actions, where its way to act has one
+    seed: int = 0  # that it was trained with
+    bank: str | None = None  # SHA-256 of the bank that it was trained on
 
-    def __init__(
-        self, network: nn.Module, algorithm: str, greedy: bool, epsilon: float, world: World, reward: str
-    ) -> None:
-        self.network = network
-        self.algorithm = algorithm
-        self.greedy = greedy
-        self.epsilon = epsilon
-        self.world = world
-        self.reward = reward
+    @property
+    def world(self) -> World:
+        """The world that it was trained in."""
+        return self.task.world
+
+    @property
+    def reward(self) -> str:
+        """The reward that it was trained with."""
+        return self.task.reward
+
+    @property
+    def mode(self) -> str:
+        """How it flies: `greedy` or `sampled`."""
+        return "greedy" if self.greedy else "sampled"
 
     @torch.no_grad()
     def values(self, observation: Tensor) -> Tensor:
-        """What the network says of each action: observation [..., 30] -> logits (PPO) or Q (DQN) [..., 100]."""
-        result: Tensor = self.network(observation[None])[0]
-        return result
+        """One number an action, such as logits or Q: observation [..., 30] -> [..., 100]."""
+        return HEADS[self.head](self.network(observation[None])[0])
 
     def __call__(self, observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """An action for each row: observation [..., 30] -> int64 [...]; `generator` is used unless greedy."""
@@ -65,11 +81,13 @@ class Policy:
         """An action for each row of what `values` gives: [..., 100] -> int64 [...]."""
         if self.greedy:
             return values.argmax(-1)
-        shape = values.shape[:-1]
-        if self.algorithm == "ppo":
-            return sample_categorical(values, torch.rand(shape, generator=generator).to(values.device))
-        coin, choice = torch.rand((2, *shape), generator=generator).to(values.device)
-        return epsilon_greedy(values, self.epsilon, coin, choice)
+        way = ACTS[self.acts]
+        uniforms = torch.rand((way.uniforms, *values.shape[:-1]), generator=generator).to(values.device)
+        return way.choose(values, self.epsilon, uniforms.unbind())
+
+    def shown(self, values: Tensor) -> Tensor:
+        """What a picture shows of `values` [..., 100], which `ALGORITHMS` names."""
+        return SHOWN[ALGORITHMS[self.algorithm].shown](values)
 
 
 def is_zip(run: str | Path) -> bool:
@@ -91,7 +109,7 @@ def zips(words: Sequence[str], activation: str | None) -> list[str]:
 
 def as_option(error: Exception) -> str:
     """An error's line as a command says it."""
-    return str(error).replace("activation=...", "--activation")
+    return re.sub("^plugins=", "--plugins ", str(error)).replace("activation=...", "--activation")
 
 
 def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, activation: str | None = None) -> Policy:
@@ -103,7 +121,7 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         run: a run's folder, its policy file, or the zip that `model.save` of Stable-Baselines3 wrote.
         seed: which training seed; the first one if None. A zip has no seeds.
         greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon (0.05 for a
-            zip, see `Policy.epsilon`).
+            zip).
         activation: of a zip's hidden layers, which its weights do not tell; a run knows its own.
 
     Raises:
@@ -125,7 +143,11 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
         seeds, hidden, algorithm = list(header["seeds"]), list(header["hidden"]), str(header["algorithm"])
         activation, version, reward = header["activation"], header["world_version"], header["reward"]
-        epsilon, world = float(header["epsilon"]), World(**header["world"])
+        task, cap, epsilon = header.get("task", "drone"), header.get("max_steps"), float(header["epsilon"])
+        world, noted = dict(header["world"]), list(header.get("plugins", []))
+        how = ALGORITHMS.get(algorithm)
+        acts = header.get("acts", how and how.acts)  # files of earlier versions do not say
+        head = header.get("head", how and how.head)
         if not all(type(one) is int for one in seeds):
             raise TypeError("its seeds are no whole numbers")
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -135,10 +157,18 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     for name, value, choices in (
         ("activation", activation, ACTIVATIONS),
         ("reward", reward, REWARDS),
+        ("task", task, TASKS),
         ("algorithm", algorithm, ALGORITHMS),
+        ("way to act", acts, ACTS),
+        ("head", head, HEADS),
     ):
         if value not in list(choices):
-            raise PolicyError(f"{path}: unknown {name} {value!r}; {choose_from(value, choices)}")
+            hint = plugins.missing(noted) or f"; {choose_from(value, choices)}"
+            raise PolicyError(f"{path}: unknown {name} {value!r}{hint}")
+    try:
+        trained_in = make_task(EMPTY, world, reward, cap, task)
+    except (TypeError, ValueError) as error:
+        raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
     if not seeds:
         raise PolicyError(f"{path}: holds no seed; give the policy of a finished run")
     seed = seeds[0] if seed is None else seed
@@ -154,15 +184,16 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         inputs, outputs = policy["0.weight"].shape[1], policy[f"{2 * len(hidden)}.weight"].shape[2]
         network = mlp([inputs, *hidden, outputs], activation, [torch.Generator()], "default")
         network.load_state_dict(policy)
+        outputs = HEADS[head](torch.zeros(1, outputs)).shape[-1]
         if any(len(tensor) != len(seeds) for tensor in tensors.values()):
             raise RuntimeError(f"not {len(seeds)} networks for {len(seeds)} seeds")
     except (KeyError, IndexError, RuntimeError, TypeError) as error:
         raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
-    _check_sizes(path, inputs, outputs, world)
+    _check_sizes(path, inputs, outputs, trained_in.world)
     for key, tensor in policy.items():
         if not tensor.isfinite().all():
             raise PolicyError(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
-    return Policy(network, algorithm, greedy, epsilon, world, reward)
+    return Policy(network, algorithm, greedy, trained_in, acts, head, epsilon, seed, header.get("bank"))
 
 
 def _check_sizes(path: Path, inputs: int, outputs: int, world: World) -> None:
@@ -188,8 +219,8 @@ def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
     tensors = _sb3_tensors(path)
     algorithm, layers = _sb3_layers(path, tensors)
     sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
-    world = World()
-    _check_sizes(path, sizes[0], sizes[-1], world)
+    task, how = make_task(EMPTY), ALGORITHMS[algorithm]
+    _check_sizes(path, sizes[0], sizes[-1], task.world)
     if activation is None:
         choices = ", ".join(sorted(ACTIVATIONS))
         raise PolicyError(f"{path}: its weights do not tell the activation; give activation=..., one of {choices}")
@@ -200,7 +231,7 @@ def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
         if not (weight.isfinite().all() and bias.isfinite().all()):
             raise PolicyError(f"{path}: layer {index} is not finite, it diverged; train with a lower learning_rate")
         network[2 * index].load_state_dict({"weight": weight.T[None], "bias": bias[None, None]})
-    return Policy(network, algorithm, greedy, SB3_EPSILON, world, "eq14")
+    return Policy(network, algorithm, greedy, task, how.acts, how.head, SB3_EPSILON)
 
 
 def _sb3_layers(path: Path, tensors: dict[str, Tensor]) -> tuple[str, list[tuple[Tensor, Tensor]]]:
@@ -223,7 +254,10 @@ def _sb3_layers(path: Path, tensors: dict[str, Tensor]) -> tuple[str, list[tuple
 def _sb3_tensors(path: Path) -> dict[str, Tensor]:
     """The weights in a zip of Stable-Baselines3, by torch's own reader of tensors alone."""
     try:
-        content = _member(path, SB3_WEIGHTS)
+        with zipfile.ZipFile(path) as archive, archive.open(SB3_WEIGHTS) as file:
+            content = file.read(SB3_MAX_BYTES + 1)  # whatever the zip says of its size
+        if len(content) > SB3_MAX_BYTES:
+            raise ValueError(f"{SB3_WEIGHTS} has more than {SB3_MAX_BYTES:,} bytes")
         with zipfile.ZipFile(io.BytesIO(content)) as inner:  # what torch.save writes is a zip too
             if sum(one.file_size for one in inner.infolist()) > SB3_MAX_BYTES:
                 raise ValueError(f"more than {SB3_MAX_BYTES:,} bytes of weights")
@@ -241,16 +275,6 @@ def _sb3_tensors(path: Path) -> dict[str, Tensor]:
     return {str(name): value for name, value in tensors.items()}
 
 
-def _member(path: Path, name: str) -> bytes:
-    """A file in a zip, if it is of a sane size whatever the zip says of it."""
-    with zipfile.ZipFile(path) as archive, archive.open(name) as file:
-        content = file.read(SB3_MAX_BYTES + 1)
-    if len(content) > SB3_MAX_BYTES:
-        raise ValueError(f"{name} has more than {SB3_MAX_BYTES:,} bytes")
-    return content
-
-
 def _is_plain(value: Any) -> bool:
-    if not isinstance(value, Tensor):
-        return False
-    return (value.device.type, value.layout, value.dtype) == ("cpu", torch.strided, torch.float32)
+    kind = "cpu", torch.strided, torch.float32
+    return isinstance(value, Tensor) and (value.device.type, value.layout, value.dtype) == kind

@@ -6,42 +6,31 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import io
 import itertools
 import math
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple, overload
 
 import numpy as np
-import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from uavnav import policies
+from uavnav import files, flights, plugins, policies
 from uavnav.choices import Parser, did_you_mean, did_you_mean_run
-from uavnav.envs.drawing import (
-    BORDER,
-    GROUND,
-    INK,
-    OBSTACLE,
-    PILOTS,
-    SENSED,
-    STEPS_PER_SECOND,
-    Colour,
-    Picture,
-    draw_arena,
-    font,
-)
+from uavnav.envs import drawing
+from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, PILOTS, SENSED, STEPS_PER_SECOND, Colour, Picture, font
+from uavnav.evaluate import EPISODES
 from uavnav.files import check_out
 from uavnav.tasks import layouts as banks
-from uavnav.tasks import simulator
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
-from uavnav.tasks.simulator import UP, State
-from uavnav.tasks.world import World
+from uavnav.tasks.simulator import EMPTY, Task, make_task
+from uavnav.tasks.state import State
 from uavnav.training import machine
 
 SUFFIXES = (".mp4", ".gif", ".png")
@@ -56,11 +45,22 @@ FASTEST_GIF = 50  # pictures per second: viewers slow shorter pauses than 0.02 s
 
 
 class Pilot(NamedTuple):
-    """Who flies: a policy, and the world whose switches say what it sees."""
+    """Who flies: a policy, in its task, with the generator of its seed."""
 
     name: str
     policy: AnyPolicy
-    world: World
+    task: Task
+    seed: int = 0
+
+    @property
+    def mode(self) -> str:
+        """`greedy` or `sampled`; nothing of a script."""
+        return self.policy.mode if isinstance(self.policy, policies.Policy) else ""
+
+    @property
+    def title(self) -> str:
+        """Its name and its mode."""
+        return f"{self.name}, {self.mode}" if self.mode else self.name
 
 
 class Flight(NamedTuple):
@@ -72,7 +72,7 @@ class Flight(NamedTuple):
 
 
 def load_pilots(
-    words: Sequence[str], seed: int | None = None, sampled: bool = False, activation: str | None = None
+    words: Sequence[str], seed: int | None = None, greedy: bool = False, activation: str | None = None
 ) -> list[Pilot]:
     """Runs' folders, zips, or names of scripted policies, as pilots; named by the last two parts of the path.
 
@@ -84,13 +84,13 @@ def load_pilots(
     zips, pilots = policies.zips(words, activation), []
     for word in words:
         if word in BASELINES:
-            pilots.append(Pilot(word, BASELINES[word], World()))
+            pilots.append(Pilot(word, BASELINES[word], make_task(EMPTY)))
         else:
             try:
-                policy = policies.load_policy(word, seed, not sampled, activation if word in zips else None)
+                policy = policies.load_policy(word, seed, greedy, activation if word in zips else None)
             except policies.PolicyError as error:
                 raise policies.PolicyError(f"{error}{did_you_mean_run(word, BASELINES)}") from error
-            pilots.append(Pilot("/".join(Path(word).resolve().parts[-2:]), policy, policy.world))
+            pilots.append(Pilot("/".join(Path(word).resolve().parts[-2:]), policy, policy.task, policy.seed))
     return pilots
 
 
@@ -107,18 +107,19 @@ def load_layout(layouts: str, layout: int) -> Tensor:
 
 
 def fly(pilot: Pilot, bank: Tensor, layout: int, max_steps: int) -> Flight:
-    """One episode of a policy on one set of obstacles, from the centre, heading up."""
-    generator = torch.Generator().manual_seed(0)
-    states = [simulator.start(torch.tensor(layout), torch.tensor(UP), pilot.world)]
-    observation, _ = simulator.observe(states[0], bank, pilot.world)
-    for _ in range(max_steps):
-        action = pilot.policy(observation, generator)
-        state, outcome = simulator.step(states[-1], action, bank, pilot.world, "eq14", None)
-        states.append(state)
-        observation = outcome.observation
-        if outcome.terminated:
-            return Flight(pilot, states, True)
-    return Flight(pilot, states, False)
+    """One episode of a policy on one set of obstacles: the very flight that an evaluation of 200 sets counts.
+
+    An evaluation flies its sets as one batch, in which sampled actions of one flight follow others; so does this.
+    """
+    task = pilot.task.on(bank[: max(EPISODES, layout + 1)], max_steps)
+    start = flights.start(task)
+    states = [State(*(field[layout] for field in start))]
+    for step in flights.fly([(pilot.seed, pilot.policy)], task):
+        mine = step.place[step.flight == layout].squeeze()
+        states.append(State(*(field[mine] for field in step.states)))
+        if step.outcomes.terminated[mine] or step.outcomes.truncated[mine]:
+            return Flight(pilot, states, bool(step.outcomes.terminated[mine]))
+    raise AssertionError("every flight ends at its cap")
 
 
 class Film(Sequence[Picture]):
@@ -131,7 +132,7 @@ class Film(Sequence[Picture]):
     def __init__(self, flights: Sequence[Flight], obstacles: Tensor, width: int, every: int = 1) -> None:
         self.flights, self.obstacles, self.width = flights, obstacles, width
         self._trails = [[(float(state.x), float(state.y)) for state in flight.states] for flight in flights]
-        self._drawn: dict[int, tuple[int, Image.Image]] = {}
+        self._panel = functools.lru_cache(len(flights))(self._draw)  # what stands still is drawn once
         last = max(len(flight.states) for flight in flights) - 1
         self.steps = [*range(0, last, every), last]
 
@@ -157,28 +158,30 @@ class Film(Sequence[Picture]):
             picture.paste(panel, (number % columns * width, number // columns * height))
         return np.asarray(picture)
 
-    def _panel(self, number: int, step: int) -> Image.Image:
-        """One flight with its caption; what stands still is drawn once."""
-        if number not in self._drawn or self._drawn[number][0] != step:
-            flight, colour = self.flights[number], PILOTS[number % len(PILOTS)]
-            state, trail = flight.states[step], self._trails[number][: step + 1]
-            arena = draw_arena(state, self.obstacles, flight.pilot.world, self.width, [(trail, colour)], colour)
-            over = flight.collided and step == len(flight.states) - 1
-            strip = _caption(self.width, flight.pilot.name, state, over, colour)
-            panel = Image.new("RGB", (self.width, arena.height + strip.height))
-            panel.paste(arena, (0, 0))
-            panel.paste(strip, (0, arena.height))
-            self._drawn[number] = step, panel
-        return self._drawn[number][1]
+    def _draw(self, number: int, step: int) -> Image.Image:
+        """One flight with its caption."""
+        flight, colour = self.flights[number], PILOTS[number % len(PILOTS)]
+        state, trail = flight.states[step], self._trails[number][: step + 1]
+        world = flight.pilot.task.world
+        arena = drawing.draw_arena(state, self.obstacles, world, self.width, [(trail, colour)], colour)
+        over = flight.collided and step == len(flight.states) - 1
+        strip = _caption(self.width, flight.pilot, state, over, colour)
+        panel = Image.new("RGB", (self.width, arena.height + strip.height))
+        panel.paste(arena, (0, 0))
+        panel.paste(strip, (0, arena.height))
+        return panel
 
 
-def _caption(width: int, name: str, state: State, collided: bool, colour: Colour) -> Image.Image:
-    """A line below a flight: who flies, how far it is."""
+def _caption(width: int, pilot: Pilot, state: State, collided: bool, colour: Colour) -> Image.Image:
+    """A line below a flight: who flies, greedy or sampled, and how far it is."""
     size = max(8, width // 32)
     strip = Image.new("RGB", (width, 2 * size), GROUND)
     canvas = ImageDraw.Draw(strip)
     canvas.ellipse((size // 2, size // 2, size // 2 + size, size // 2 + size), fill=colour)
-    canvas.text((2 * size, size), name, INK, font(size, bold=True), anchor="lm")
+    canvas.text((2 * size, size), pilot.name, INK, font(size, bold=True), anchor="lm")
+    if pilot.mode:
+        after = 2 * size + canvas.textlength(pilot.name, font(size, bold=True)) + size / 2
+        canvas.text((after, size), pilot.mode, INK, font(size), anchor="lm")
     counts = f"{'collided at ' if collided else ''}step {int(state.steps)}   reward {float(state.reward):.2f}"
     canvas.text((width - size // 2, size), counts, SENSED if collided else INK, font(size), anchor="rm")
     return strip
@@ -226,13 +229,8 @@ def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PE
         Image.fromarray(frames[-1]).save(content, "PNG")
     else:
         content = (_mp4 if kind == ".mp4" else _gif)(frames, rate)
-    aside = path.with_name(f".{path.name}.aside")
     try:
-        try:
-            aside.write_bytes(content.getvalue())
-            os.replace(aside, path)
-        finally:
-            aside.unlink(missing_ok=True)
+        files.write(path, content.getvalue())
     except OSError as error:
         raise ValueError(f"{path}: cannot be written ({error}); give a path that can be written") from error
 
@@ -258,21 +256,17 @@ def _palette(frames: Sequence[Picture]) -> Image.Image:
     return palette
 
 
-def _mp4(frames: Iterable[Picture], rate: Fraction) -> io.BytesIO:
+def _mp4(frames: Sequence[Picture], rate: Fraction) -> io.BytesIO:
     """H.264 as every player reads it."""
-    av = _pyav()
-    content = io.BytesIO()
+    av, content = _pyav(), io.BytesIO()
+    height, width = frames[0].shape[:2]
     with av.open(content, "w", format="mp4") as film:
-        stream = None
+        stream = film.add_stream("libx264", rate=rate, options={"crf": "20", "preset": "veryfast"})
+        stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
         for frame in frames:
-            height, width = frame.shape[:2]
-            if stream is None:
-                stream = film.add_stream("libx264", rate=rate, options={"crf": "20", "preset": "veryfast"})
-                stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
             padded = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
             film.mux(stream.encode(av.VideoFrame.from_ndarray(padded, format="rgb24")))
-        if stream is not None:
-            film.mux(stream.encode(None))
+        film.mux(stream.encode(None))
     return content
 
 
@@ -285,16 +279,17 @@ def _pyav() -> Any:
 
 
 RUN_HELP = f"a run's folder, a Stable-Baselines3 .zip, or {', '.join(BASELINES)}"
-SAMPLED = "act as in training, PPO by its probabilities and DQN with its final epsilon, instead of greedily"
+GREEDY = "take the best action always, instead of acting as in training (sampled, or with the final epsilon)"
 
 
 def flight_arguments(parser: argparse.ArgumentParser) -> None:
     """What every command that flies policies asks: which seed, how, and where."""
     parser.add_argument("--seed", type=int, help="training seed (default: each run's first)")
-    parser.add_argument("--sampled", action="store_true", help=SAMPLED)
+    parser.add_argument("--greedy", action="store_true", help=GREEDY)
     parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
-    parser.add_argument("--layouts", default="test", help="train, test or a bank's path (default: test)")
+    parser.add_argument("--layouts", default="test", help=f"{', '.join(banks.SPLITS)} or a bank's path (default: test)")
     parser.add_argument("--layout", type=int, default=0, help="index of the obstacle set (default: 0)")
+    plugins.argument(parser)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -326,21 +321,22 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.width not in WIDTHS:
             raise ValueError(f"--width {arguments.width}: give {WIDTHS.start} to {WIDTHS.stop - 1}")
         rate = Fraction(arguments.speed).limit_denominator(100) * STEPS_PER_SECOND / arguments.every
+        plugins.load(arguments.plugins)
         check_picture(arguments.out, rate)
         check_out(arguments.out)
-        pilots = load_pilots(arguments.runs, arguments.seed, arguments.sampled, arguments.activation)
+        pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation)
         bank = load_layout(arguments.layouts, arguments.layout)
         with machine.use_threads(1):
-            flights = [fly(pilot, bank, arguments.layout, arguments.steps) for pilot in pilots]
-            film = Film(flights, bank[arguments.layout], arguments.width, arguments.every)
+            flown = [fly(pilot, bank, arguments.layout, arguments.steps) for pilot in pilots]
+            film = Film(flown, bank[arguments.layout], arguments.width, arguments.every)
             save(film, arguments.out, rate)
     except ValueError as error:
         print(f"uavnav.render: {policies.as_option(error)}", file=sys.stderr)
         return 2
-    for flight in flights:
+    for flight in flown:
         last = flight.states[-1]
         told = f"{int(last.steps)} steps, {int(last.distance)} px, reward {float(last.reward):.2f}"
-        print(f"{flight.pilot.name}: {told}{', collided' if flight.collided else ''}")
+        print(f"{flight.pilot.title}: {told}{', collided' if flight.collided else ''}")
     print(f"wrote {arguments.out}")
     return 0
 

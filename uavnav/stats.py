@@ -1,7 +1,7 @@
 """Intervals and tests over training seeds. Seeds are resampled, never episodes alone; every number has its n.
 
-Thin over scipy, statsmodels and lifelines: what is here is which question is asked of which rows. Letters: S seeds of a
-cell, E episodes of a seed.
+scipy, statsmodels and lifelines compute; this module chooses the question and the rows. Letters: S seeds of a cell,
+E episodes of a seed.
 """
 
 from __future__ import annotations
@@ -24,26 +24,19 @@ from statsmodels.stats.power import TTestIndPower
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
 CONFIDENCE = 0.95
+TAILS = (1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2
 RESAMPLES = 2_000
 PERMUTATIONS = 19_999
-"""Of a test: after Holm over 12 ordered pairs its smallest p value is 0.0006."""
+"""Permutations per test; the smallest p value after Holm over 12 ordered pairs is 0.0006."""
 
 
 class Interval(NamedTuple):
-    """An estimate with its interval; a single seed has none."""
+    """An estimate with its interval; the interval of a single seed is NaN."""
 
     value: float
     low: float
     high: float
     n: int
-
-    def inside(self, low: float = -np.inf, high: float = np.inf) -> bool:
-        """Whether the whole interval lies in a region."""
-        return bool(low <= self.low and self.high <= high)
-
-    def outside(self, low: float = -np.inf, high: float = np.inf) -> bool:
-        """Whether no point of the interval lies in a region."""
-        return bool(self.high < low or high < self.low)
 
 
 def interquartile_mean(values: Array, axis: int = -1) -> Any:
@@ -51,47 +44,33 @@ def interquartile_mean(values: Array, axis: int = -1) -> Any:
     return stats.trim_mean(values, 0.25, axis=axis)
 
 
-def interval(
-    values: Sequence[float] | Array,
-    statistic: Callable[..., Any] = np.mean,
-    confidence: float = CONFIDENCE,
-    seed: int = 0,
-) -> Interval:
-    """A statistic of one number a seed [S], with its bootstrap interval over seeds: BCa, or percentiles where
-    few or equal seeds leave it undefined.
+def interval(values: Sequence[float] | Array, statistic: Callable[..., Any] = np.mean, seed: int = 0) -> Interval:
+    """A statistic of one number per seed [S], with its bootstrap interval over seeds.
 
-    NaN (a seed without an episode) is left out; from fewer than two seeds the interval is NaN.
+    The interval is BCa, or of percentiles if BCa is undefined (few or equal seeds). Seeds with NaN (no episode) are
+    left out. The interval of fewer than two seeds is NaN.
     """
     seeds = np.asarray(values, dtype=np.float64)
     seeds = seeds[~np.isnan(seeds)]
-    if not len(seeds):
-        return Interval(np.nan, np.nan, np.nan, 0)
-    value = float(statistic(seeds, axis=-1))
+    value = float(statistic(seeds, axis=-1)) if len(seeds) else np.nan
     if len(seeds) < 2:
         return Interval(value, np.nan, np.nan, len(seeds))
     if np.ptp(seeds) == 0:
         return Interval(value, value, value, len(seeds))
-    with warnings.catch_warnings(action="ignore"):  # it says that BCa has no acceleration, and gives NaN
+    with warnings.catch_warnings(action="ignore"):  # scipy warns when BCa is undefined, and returns NaN
         for method in ("BCa", "percentile"):
             found = stats.bootstrap(
-                (seeds,),
-                statistic,
-                n_resamples=RESAMPLES,
-                confidence_level=confidence,
-                method=method,
-                rng=np.random.default_rng(seed),
+                (seeds,), statistic, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method=method, rng=seed
             ).confidence_interval
             if not np.isnan(found.low):
                 break
     return Interval(value, float(found.low), float(found.high), len(seeds))
 
 
-def contrast(
-    values: Sequence[Array], statistic: Callable[..., Any], confidence: float = CONFIDENCE, seed: int = 0
-) -> Interval:
-    """A statistic of several cells' seeds, `statistic(a, b, ..., axis=-1)`, with its percentile bootstrap interval.
+def contrast(values: Sequence[Array], statistic: Callable[..., Any], seed: int = 0) -> Interval:
+    """A statistic of several cells, `statistic(a, b, ..., axis=-1)`, with its percentile bootstrap interval.
 
-    Each cell's seeds are resampled by themselves; n is that of the smallest cell.
+    values: [S] per cell. Each cell's seeds are resampled separately; n is the smallest cell's number of seeds.
     """
     samples = [np.asarray(one, dtype=np.float64) for one in values]
     n = min(len(one) for one in samples)
@@ -100,28 +79,29 @@ def contrast(
         return Interval(value, np.nan, np.nan, n)
     rng = np.random.default_rng(seed)
     drawn = [one[rng.integers(len(one), size=(RESAMPLES, len(one)))] for one in samples]
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(statistic(*drawn, axis=-1), [tail, 1 - tail])
+    low, high = np.quantile(statistic(*drawn, axis=-1), TAILS)
     return Interval(value, float(low), float(high), n)
 
 
-def nested_interval(episodes: Mapping[int, Array], confidence: float = CONFIDENCE, seed: int = 0) -> Interval:
-    """The mean over seeds of each seed's mean episode: seeds resampled, then episodes within each; seed -> [E]."""
+def nested_interval(episodes: Mapping[int, Array], seed: int = 0) -> Interval:
+    """The mean over seeds of each seed's mean over episodes: seeds are resampled, then episodes within each seed.
+
+    episodes: seed -> [E].
+    """
     rng = np.random.default_rng(seed)
     means = [float(np.mean(values)) for values in episodes.values()]
     if len(means) < 2:
         return Interval(means[0] if means else np.nan, np.nan, np.nan, len(means))
     drawn = np.stack(
         [values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(1) for values in episodes.values()], 1
-    )  # each seed's mean over its episodes drawn anew
+    )  # each seed's mean over its resampled episodes
     picked = np.take_along_axis(drawn, rng.integers(len(means), size=drawn.shape), 1).mean(1)
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(picked, [tail, 1 - tail])
+    low, high = np.quantile(picked, TAILS)
     return Interval(float(np.mean(means)), float(low), float(high), len(means))
 
 
 def holm(p_values: Sequence[float]) -> Array:
-    """Holm's adjustment; NaN stays NaN and counts for none."""
+    """P values adjusted by Holm; NaN stays NaN and does not count as a test."""
     adjusted = np.array(p_values, dtype=np.float64)
     known = ~np.isnan(adjusted)
     if known.any():
@@ -130,26 +110,25 @@ def holm(p_values: Sequence[float]) -> Array:
 
 
 def improvement(cells: Mapping[str, Array]) -> pd.DataFrame:
-    """For every pair of cells, [S] a cell: the probability that a seed of `a` beats one of `b`, and whether it is 1/2.
+    """For every pair of cells, the probability that a seed of `a` beats a seed of `b`, and a test against 1/2.
 
-    Columns a, b, n_a, n_b, probability (Mann and Whitney's U over n_a n_b, ties half), p, p_holm.
+    cells: [S] per cell. Columns: a, b, n_a, n_b, probability (Mann and Whitney's U divided by n_a n_b; a tie counts
+    half), p, p_holm.
     """
-    names, rows = list(cells), []
-    for index, a in enumerate(names):
-        for b in names[index + 1 :]:
-            mine, theirs = cells[a], cells[b]
-            probability = p = np.nan
-            if len(mine) and len(theirs):
-                found = stats.mannwhitneyu(mine, theirs, alternative="two-sided")
-                probability = found.statistic / (len(mine) * len(theirs))
-                p = found.pvalue if min(len(mine), len(theirs)) > 1 else np.nan
-            rows.append({"a": a, "b": b, "n_a": len(mine), "n_b": len(theirs), "probability": probability, "p": p})
+    rows = []
+    for (a, mine), (b, theirs) in itertools.combinations(cells.items(), 2):
+        probability = p = np.nan
+        if len(mine) and len(theirs):
+            found = stats.mannwhitneyu(mine, theirs, alternative="two-sided")
+            probability = found.statistic / (len(mine) * len(theirs))
+            p = found.pvalue if min(len(mine), len(theirs)) > 1 else np.nan
+        rows.append((a, b, len(mine), len(theirs), probability, p))
     table = pd.DataFrame(rows, columns=["a", "b", "n_a", "n_b", "probability", "p"])
     return table.assign(p_holm=holm(table["p"].tolist()))
 
 
 class Interaction(NamedTuple):
-    """Whether activations change places between the algorithms, and whether they interact on the raw scale."""
+    """P values of two tests: activations change places between algorithms; both interact on the raw scale."""
 
     p_ranks: float
     p_raw: float
@@ -157,7 +136,7 @@ class Interaction(NamedTuple):
 
 
 def _above_and_below(a: Array, b: Array, rng: np.random.Generator) -> Array:
-    """One-sided p values of a's mean above b's and below it, the seeds of the two permuted: [S], [S] -> [2]."""
+    """One-sided p values, by permuting seeds, of a's mean above b's mean and below it: [S], [S] -> [2]."""
     pooled = np.concatenate([a, b])
     dealt = rng.permuted(np.tile(pooled, (PERMUTATIONS, 1)), axis=1)
     differences = dealt[:, : len(a)].mean(1) - dealt[:, len(a) :].mean(1)
@@ -167,7 +146,7 @@ def _above_and_below(a: Array, b: Array, rng: np.random.Generator) -> Array:
 
 
 def _crossover(first: Sequence[Array], second: Sequence[Array], rng: np.random.Generator) -> float:
-    """P value of two cells in one order in the first list and in the other in the second; [S] a cell."""
+    """P value of a crossover: two cells of one order in the first list and the other order in the second; [S] each."""
     p_values: list[float] = []
     for a, b in itertools.combinations(range(len(first)), 2):
         here, there = (_above_and_below(cells[a], cells[b], rng) for cells in (first, second))
@@ -176,12 +155,12 @@ def _crossover(first: Sequence[Array], second: Sequence[Array], rng: np.random.G
 
 
 def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
-    """Of algorithm and activation on one number a seed; columns algorithm, activation, value.
+    """Test the interaction of algorithm and activation; table: one row per seed; columns algorithm, activation, value.
 
-    p_ranks: whether two activations change places, a crossover: a above b under the first algorithm and b above a under
-    the second. Equal orders are none, whatever their scale, spacing and noise. An intersection-union test: of each
-    ordered pair the larger of the two one-sided p values, by permuting seeds; of these the smallest, adjusted by Holm.
-    p_raw: Wald's test of the interaction in least squares on the values themselves, with HC3 errors.
+    p_ranks tests for a crossover: a is above b under the first algorithm, and b is above a under the second. Equal
+    orders are no crossover, whatever their scale, spacing and noise. The test is an intersection-union test: an ordered
+    pair has the larger of its two one-sided p values (seeds permuted), and p_ranks is the smallest of these by Holm.
+    p_raw is Wald's test of the interaction by least squares on the values, with HC3 errors.
     """
     cells = {key: part.to_numpy() for key, part in table.groupby(["algorithm", "activation"])["value"]}
     n = min(map(len, cells.values()), default=0)
@@ -198,25 +177,24 @@ def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
 
 
 def survival(steps: Array, ended: Array) -> pd.Series[float]:
-    """Kaplan and Meier's estimate: share of flights that are still up after so many steps (the index).
+    """Kaplan and Meier's estimate of the share of flights still in the air, indexed by steps.
 
-    ended [E]: false where a cap on steps or the end of training cut a flight off.
+    steps [E], ended [E]: false if a cap on steps or the end of training cut the flight off.
     """
-    curve = KaplanMeierFitter().fit(steps, event_observed=ended).survival_function_
-    result: pd.Series[float] = curve.iloc[:, 0]
-    return result
+    curve: pd.Series[float] = KaplanMeierFitter().fit(steps, event_observed=ended).survival_function_.iloc[:, 0]
+    return curve
 
 
 def restricted_mean(steps: Array, ended: Array, limit: float) -> float:
-    """Mean steps up to a limit, censoring allowed for: the area below the survival curve."""
+    """Mean steps up to a limit, corrected for censoring: the area below the survival curve."""
     fitted = KaplanMeierFitter().fit(steps, event_observed=ended)
     return float(restricted_mean_survival_time(fitted, t=limit))
 
 
 def seeds_needed(mine: Array, theirs: Array, power: float = 0.8, alpha: float = 0.05) -> float:
-    """Seeds a cell with which a difference as large as this one would be found by a t test.
+    """Seeds per cell with which a t test finds a difference as large as this one; mine, theirs: [S].
 
-    NaN where none is known, infinitely many where a billion would not do.
+    NaN with fewer than two seeds in a cell; infinite if a billion seeds are too few.
     """
     if min(len(mine), len(theirs)) < 2:
         return float("nan")

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import json
+import importlib
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -17,13 +17,17 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from uavnav.algorithms import dqn, ppo
+from uavnav import plugins
+from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError, Parser, choose_from
-from uavnav.runs import POLICY, Run
+from uavnav.policies import as_option
+from uavnav.runs import POLICY, Run, read_settings
+from uavnav.runs.metrics import finished
 from uavnav.runs.tables import RunError
 from uavnav.tasks.layouts import LayoutError
 from uavnav.training import shares
 from uavnav.training.config import TrainConfig
+from uavnav.training.loop import train
 from uavnav.training.recorder import Interrupted
 
 TIMING = ["frames_per_second"]
@@ -45,7 +49,7 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     Raises:
         ConfigError, LayoutError, RunError: the run cannot be repeated.
     """
-    config, train = _recipe(run)
+    config = _config(run)
     original = _weights(run.path)
     whole = frames is None or frames >= run.frames
     processes = int(run.meta.get("processes", 1))
@@ -56,14 +60,17 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
             reached, meta, weights = again.frames, again.meta, _weights(folder)
             tables = {"episodes": again.episodes, "progress": again.progress}
         else:
-            reached, tables, meta = _beginning(config, train, run.algorithm, folder, frames, quiet, processes)
-            weights = None
+            try:
+                train(config, out=folder, quiet=quiet, until=frames, processes=processes)
+            except Interrupted as stop:
+                if not stop.wanted:
+                    raise
+            reached, tables = shares.snapshot_tables(folder, config)
+            meta, weights = read_settings(folder / "meta.json"), None
     originals = {"episodes": run.episodes, "progress": run.progress}
     if not whole:
         originals = {name: table[table["frame"] <= reached] for name, table in originals.items()}
-        originals["episodes"] = originals["episodes"][
-            originals["episodes"]["terminated"] | originals["episodes"]["truncated"]
-        ]
+        originals["episodes"] = finished(originals["episodes"])
     partings = [_parting(name, originals[name], tables[name]) for name in originals]
     if weights is not None:
         partings.append(_weights_parting(original, weights))
@@ -76,32 +83,17 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     return Verdict(True, [f"{run.path}: the same, bit for bit: {compared} at {reached:,} frames per seed"])
 
 
-def _recipe(run: Run) -> tuple[Any, Any]:
-    algorithms: dict[str, tuple[type[TrainConfig], Any]] = {
-        ppo.ALGORITHM: (ppo.PPOConfig, ppo.train),
-        dqn.ALGORITHM: (dqn.DQNConfig, dqn.train),
-    }
-    if run.algorithm not in algorithms:
-        choices = choose_from(run.algorithm, algorithms)
-        raise RunError(f"{run.path / 'config.yaml'}: algorithm={run.algorithm}; {choices}")
-    kind, train = algorithms[run.algorithm]
+def _config(run: Run) -> TrainConfig:
+    if run.algorithm not in ALGORITHMS:
+        hint = plugins.missing(run.meta.get("plugins", {})) or f"; {choose_from(run.algorithm, ALGORITHMS)}"
+        raise RunError(f"{run.path / 'config.yaml'}: algorithm={run.algorithm}{hint}")
+    presets = importlib.import_module(ALGORITHMS[run.algorithm].module).PRESETS
+    kind: type[TrainConfig] = type(next(iter(presets.values())))
     try:
-        return kind.from_mapping(run.config), train
-    except ConfigError as error:
-        raise ConfigError(f"{run.path / 'config.yaml'}: {error}") from error
-
-
-def _beginning(
-    config: TrainConfig, train: Any, algorithm: str, folder: Path, frames: int | None, quiet: bool, processes: int
-) -> tuple[int, dict[str, pd.DataFrame], dict[str, Any]]:
-    """The first frames of a run: it is stopped there, and its snapshot is read. How many there are, rows and facts."""
-    try:
-        train(config, out=folder, quiet=quiet, until=frames, processes=processes)
-    except Interrupted as stop:
-        if not stop.wanted:
-            raise
-    reached, tables = shares.snapshot_tables(folder, algorithm, config)
-    return reached, tables, json.loads((folder / "meta.json").read_text())
+        return kind.from_mapping(kind.as_run(run.config))
+    except (ConfigError, KeyError, TypeError) as error:
+        hint = plugins.missing(run.meta.get("plugins", {}))
+        raise ConfigError(f"{run.path / 'config.yaml'}: {error}{hint}") from error
 
 
 def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
@@ -127,12 +119,11 @@ def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
 
 
 def _weights(folder: Path) -> dict[str, torch.Tensor]:
+    path = folder / POLICY
     try:
-        tensors: dict[str, torch.Tensor] = load_file(folder / POLICY)
+        return load_file(path)
     except (OSError, SafetensorError) as error:
-        name = folder / POLICY
-        raise RunError(f"{name}: missing or damaged ({error}); run again with overwrite=true") from error
-    return tensors
+        raise RunError(f"{path}: missing or damaged ({error}); run again with overwrite=true") from error
 
 
 def _weights_parting(there: dict[str, torch.Tensor], here: dict[str, torch.Tensor]) -> str:
@@ -153,9 +144,9 @@ def _kind(tensor: torch.Tensor) -> str:
 
 def _differing(there: dict[str, Any], here: dict[str, Any]) -> list[tuple[str, Any, Any]]:
     """Facts of version, machine and bank in which two runs differ."""
-    pairs = [("git_commit", there.get("git_commit"), here.get("git_commit"))]
-    pairs += [(key, there.get(key), here.get(key)) for key in ("threads", "processes", "compiled")]
-    for group in ("versions", "machine", "bank"):
+    single = ("git_commit", "threads", "processes", "compiled")
+    pairs = [(key, there.get(key), here.get(key)) for key in single]
+    for group in ("versions", "machine", "bank", "plugins"):
         old, new = (facts[group] if isinstance(facts.get(group), dict) else {} for facts in (there, here))
         pairs += [(f"{group}.{key}", old.get(key), new.get(key)) for key in sorted({*old, *new})]
     return [pair for pair in pairs if pair[1] != pair[2]]
@@ -166,8 +157,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser(prog="python -m uavnav.verify", description=main.__doc__)
     parser.add_argument("run", type=Path, metavar="RUN", help="a finished run's folder")
     parser.add_argument("--frames", type=int, help="repeat only the first so many frames per seed")
+    plugins.argument(parser)
     arguments = parser.parse_args(argv)
     try:
+        plugins.load(arguments.plugins)
         if arguments.frames is not None and arguments.frames < 1:
             raise ConfigError(f"--frames {arguments.frames}: give a number of at least 1")
         verdict = verify(Run(arguments.run), arguments.frames)
@@ -175,7 +168,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("uavnav.verify: stopped, nothing was compared", file=sys.stderr)
         return 128 + stop.signum
     except (ConfigError, LayoutError, RunError) as error:
-        print(f"uavnav.verify: {error}", file=sys.stderr)
+        print(f"uavnav.verify: {as_option(error)}", file=sys.stderr)
         return 2
     print("\n".join(verdict.lines))
     return 0 if verdict.same else 1

@@ -1,47 +1,43 @@
-"""Deep Q-Network, sec. 3.2, from top to bottom: config, network, collector, buffer, loss, loop.
+"""Deep Q-Network, sec. 3.2, from top to bottom: config, network, loss, buffer, learning.
 
     L(theta) = E[(R + gamma max_a' Q(s', a'; theta-) - Q(s, a; theta))^2]        eq. (1)
 
 over transitions (s, a, R, s') drawn uniformly from the buffer, with SB3's Huber loss in place of the square by default.
 theta- is a copy of theta, renewed every so many frames; where an episode terminated at s' the target is R alone.
 
-Everything has a leading axis of agents A, one a seed, that learn side by side and independently of each other.
-Letters: A agents, W worlds an agent.
+Letters: A agents, one a seed, that learn side by side and independently of each other; W worlds an agent.
 """
 
 from __future__ import annotations
 
 import os
-import time
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
-from torch import Tensor, nn
-from torchrl.collectors import Collector
+from torch import nn
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
-from uavnav import graph, networks
+from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError
-from uavnav.envs.env import make_env
 from uavnav.networks import mlp
-from uavnav.runs import Run
-from uavnav.tasks.seeding import Streams, stream
-from uavnav.training import machine, probes, shares, weights
+from uavnav.tasks.seeding import stream
+from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, at_least, within
-from uavnav.training.display import Display
 from uavnav.training.learner import Learner
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Log, Recorder, default_folder
+from uavnav.training.loop import Row, train
+from uavnav.training.optimisers import Adam
 from uavnav.training.sampler import AgentSampler
-from uavnav.training.sampling import epsilon_greedy
+from uavnav.training.sampling import Actor
 
-ALGORITHM = "dqn"
+__all__ = ["DQN", "PRESETS", "DQNConfig", "train"]
+
+HOW = ALGORITHMS["dqn"]
 LOG_FRAMES = 5_000
 """Frames per seed between two rows of progress."""
 FRAME_BYTES = 14
@@ -52,6 +48,7 @@ FRAME_BYTES = 14
 class DQNConfig(TrainConfig):
     """DQN's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
 
+    algorithm: ClassVar[str] = "dqn"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "paper": {},
         "paper-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
@@ -70,6 +67,10 @@ class DQNConfig(TrainConfig):
             "n_steps": 5,
             "double": True,
         },
+    }
+    MICROSECONDS: ClassVar[dict[tuple[str, bool], tuple[float, float]]] = {
+        ("paper", True): (30.0, 26.2),
+        ("paper", False): (373.5, 26.2),
     }
 
     n_worlds: int = at_least(64, 1)  # parallel worlds per seed, 16 updates after each step of all of them
@@ -95,24 +96,37 @@ class DQNConfig(TrainConfig):
                 f"n_worlds={self.n_worlds}; give a multiple or a divisor of frames_per_update={self.frames_per_update}"
             )
         if self.buffer_size <= self.n_steps * self.n_worlds:
-            least = (
-                f"n_worlds={self.n_worlds}"
-                if self.n_steps == 1
-                else f"n_steps x n_worlds={self.n_steps * self.n_worlds}"
-            )
-            raise ConfigError(f"buffer_size={self.buffer_size}; give more than {least}")
+            least = "n_worlds" if self.n_steps == 1 else "n_steps x n_worlds"
+            raise ConfigError(f"buffer_size={self.buffer_size}; give more than {least}={self.n_steps * self.n_worlds}")
         if self.n_steps > 1 and self.max_steps is not None:
             raise ConfigError(f"n_steps={self.n_steps}, max_steps={self.max_steps}; give n_steps=1, or no cap on steps")
 
+    def make(self, compile: bool) -> DQN:
+        return DQN(self, compile)
+
+    def check_machine(self) -> None:
+        """Raise a ConfigError where the buffers of all seeds would not fit into the machine's memory."""
+        capacity = min(self.buffer_size, self.frames)
+        observations = 2 if self.keeps_next_observations else 1
+        needed = self.n_seeds * capacity * (observations * 4 * self.world.observation_size + FRAME_BYTES) / 2**30
+        available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+        if self.device == "cpu" and needed > available:
+            raise ConfigError(
+                f"buffer_size={self.buffer_size}, n_seeds={self.n_seeds}: the buffer would take {needed:.1f} GiB of the"
+                f" machine's {available:.1f}; give a smaller buffer_size or fewer seeds"
+            )
+
     @property
-    def iterations(self) -> int:
-        """Steps of all worlds at once."""
-        return -(-self.total_frames // self.n_worlds)
+    def final_epsilon(self) -> float:
+        return self.epsilon_end
 
     @property
     def keeps_next_observations(self) -> bool:
-        """Whether the buffer stores s' too. Else it is the next row of the same world, or belongs to a collision, where
-        it is worth nothing; a step at the cap bootstraps from an observation that no other row has."""
+        """Whether the buffer stores s' too.
+
+        Without a cap, s' is the same world's next row, or unused after a collision. A step at the cap bootstraps from
+        an observation that no other row has.
+        """
         return self.max_steps is not None
 
     @property
@@ -124,6 +138,12 @@ class DQNConfig(TrainConfig):
     def updates_per_step(self) -> int:
         """Gradient steps in such a round."""
         return max(self.n_worlds // self.frames_per_update, 1)
+
+    @property
+    def steps_between_rows(self) -> int:
+        """Steps of all worlds from one row of progress to the next, whole rounds of updates."""
+        frames_a_round = self.n_worlds * self.steps_between_updates
+        return max(LOG_FRAMES // frames_a_round, 1) * self.steps_between_updates
 
     def epsilon(self, frames: int) -> float:
         """The share of random actions after so many frames: all, until learning starts, then a linear fall."""
@@ -144,35 +164,6 @@ def make_network(config: DQNConfig) -> nn.Sequential:
     return mlp([inputs, *config.hidden, outputs], config.activation, generators, config.init)
 
 
-class ExploringPolicy(TensorDictModuleBase):  # type: ignore[misc]
-    """Acts in training: observation [A, W, 30] -> action [A, W], epsilon-greedy, each agent's from its own stream."""
-
-    in_keys: ClassVar[list[str]] = ["observation"]
-    out_keys: ClassVar[list[str]] = ["action"]
-
-    def __init__(self, network: nn.Module, config: DQNConfig, compile: bool) -> None:
-        super().__init__()
-        self.network = network
-        self.streams = Streams(config.seeds, "actions")
-        self.epsilon = torch.tensor(config.epsilon(0), device=config.device)
-        self._weights = list(network.parameters())  # learning writes them in place
-        self._choose = graph.Graph(self.choose) if compile else self.choose
-
-    def choose(self, observation: Tensor, uniform: Tensor, epsilon: Tensor, *weights: Tensor) -> tuple[Tensor]:
-        """Actions from uniform numbers [A, 2, W], by the network with these weights."""
-        values = networks.call(self.network, weights, observation)
-        return (epsilon_greedy(values, epsilon, *uniform.unbind(1)),)
-
-    def act(self, observation: Tensor) -> Tensor:
-        """Actions from the streams' next numbers."""
-        uniform = self.streams.draw(torch.rand, 2, observation.shape[1], device=observation.device)
-        return self._choose(observation, uniform, self.epsilon, *self._weights)[0]
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """As a collector calls it, without the Python of a TensorDictModule around `act`."""
-        return tensordict.set("action", self.act(tensordict.get("observation")))
-
-
 def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
     """Equation (1) as TorchRL's DQNLoss with a target network, one loss a row."""
     loss = DQNLoss(
@@ -189,28 +180,14 @@ def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
 
 def make_learner(loss: DQNLoss, config: DQNConfig, compile: bool) -> Learner:
     """Adam as SB3 sets it."""
-    return Learner(
-        loss, ["loss"], lr=config.lr, eps=config.adam_eps, max_grad_norm=config.max_grad_norm, compile=compile
-    )
+    adam = Adam(config.lr, config.adam_eps)
+    return Learner(loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=compile)
 
 
-def check_memory(config: DQNConfig) -> None:
-    """Raise a ConfigError where the buffers of all seeds would not fit into the machine's memory."""
-    capacity = min(config.buffer_size, config.n_worlds * config.iterations)
-    observations = 2 if config.keeps_next_observations else 1
-    needed = config.n_seeds * capacity * (observations * 4 * config.world.observation_size + FRAME_BYTES) / 2**30
-    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    if config.device == "cpu" and needed > available:
-        raise ConfigError(
-            f"buffer_size={config.buffer_size}, n_seeds={config.n_seeds}: the buffer would take {needed:.1f} GiB of the"
-            f" machine's {available:.1f}; give a smaller buffer_size or fewer seeds"
-        )
-
-
-def make_buffer(sampler: AgentSampler, config: DQNConfig, total: int) -> ReplayBuffer:
+def make_buffer(sampler: AgentSampler, config: DQNConfig) -> ReplayBuffer:
     """A ring of transitions with a draw of its own for each agent: all minibatches of a round at once."""
     return ReplayBuffer(
-        storage=LazyTensorStorage(min(config.buffer_size, total), device=config.device),
+        storage=LazyTensorStorage(min(config.buffer_size, config.frames), device=config.device),
         sampler=sampler,
         batch_size=config.batch_size * config.updates_per_step,
     )
@@ -238,7 +215,7 @@ def draw(buffer: ReplayBuffer, config: DQNConfig) -> TensorDictBase:
     if not config.keeps_next_observations:
         batch, *later = batch.unbind(0)
         following = batch["next"]
-        following["observation"] = later[-1]["observation"].clone()  # inputs of a compiled loop share no memory
+        following["observation"] = later[-1]["observation"]
         for n, step in enumerate(later[:-1], 1):
             reward = config.gamma**n * step["next", "reward"]
             following["reward"] = following["reward"] + torch.where(following["terminated"], 0, reward)
@@ -247,107 +224,38 @@ def draw(buffer: ReplayBuffer, config: DQNConfig) -> TensorDictBase:
     return batch.reshape(config.n_seeds, -1, config.batch_size)
 
 
-def learn(buffer: ReplayBuffer, learner: Learner, config: DQNConfig) -> dict[str, Tensor]:
-    """A round of gradient steps, each on a batch of its own; each agent's loss and gradient norm, their mean, [A]."""
-    return learner.learn(draw(buffer, config))
+class DQN:
+    """All seeds' agents, as the training loop needs them."""
 
+    def __init__(self, config: DQNConfig, compile: bool) -> None:
+        self.config = config
+        self.network = make_network(config).to(config.device)
+        self.actor = Actor(self.network, config.seeds, HOW.acts, HOW.head, compile, epsilon=config.epsilon(0))
+        self.loss = make_loss(self.network, config)
+        self.copy_to_target = HardUpdate(self.loss, value_network_update_interval=0)
+        self.learner = make_learner(self.loss, config, compile)
+        sampler = make_sampler(config)
+        self.replay = make_buffer(sampler, config)
+        self.probe = probes.poses(config.make_task()).to(config.device)
+        self.parts: Mapping[str, Stateful] = {"replay": sampler, "learner": self.learner}
 
-@shares.spread(check=check_memory)
-def train(
-    config: DQNConfig,
-    out: str | Path | None = None,
-    overwrite: bool = False,
-    quiet: bool = False,
-    checkpoint_seconds: float = CHECKPOINT_SECONDS,
-    until: int | None = None,
-    tell: shares.Tell | None = None,
-    log: Log | None = None,
-) -> Run:
-    """Train one agent a seed and keep the run in a folder.
+    def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
+        """A step [A, W, 1] into the buffer, then a round of updates where one is due; now and then a row, [A]."""
+        config = self.config
+        step, losses = frames // config.n_worlds, {}
+        self.replay.extend(rows(batch, config))
+        if step % max(config.target_update_frames // config.n_worlds, 1) == 0:
+            self.copy_to_target.step()
+        ready = max(config.learning_starts, config.n_steps * config.n_worlds)  # a row has its successors
+        if frames > ready and step % config.steps_between_updates == 0:
+            losses = self.learner.learn(draw(self.replay, config))
+        self.actor.epsilon.fill_(config.epsilon(frames))
+        if step % config.steps_between_rows and frames < config.frames:
+            return None
+        with torch.no_grad():
+            q_value = self.network(batch["observation"]).amax(-1).flatten(1).mean(1)
+        epsilon = self.actor.epsilon.item()
+        return {**losses, "q_value": q_value, "epsilon": epsilon, **probes.units(self.network, self.probe)}
 
-    Args:
-        config: the settings.
-        out: the run's folder; by default runs/dqn[-preset]/activation.
-        overwrite: start anew where the folder holds a run.
-        quiet: show no progress.
-        checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
-        until: stop after so many frames per seed, as if by a signal.
-        tell: called now and then with the frames per seed so far and each seed's mean reward over its last 100
-            episodes.
-        logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see `uavnav.loggers`.
-        processes: how many share the seeds; by default one for each core, where that pays.
-
-    Returns:
-        The finished run; at once, where the folder already holds this very run.
-
-    Raises:
-        ConfigError, LayoutError, RunError: before anything is written.
-        Interrupted: by SIGINT, SIGTERM or `until`; saved, or the message says what is not.
-    """
-    out = out or default_folder(ALGORITHM, config)
-    recorder = Recorder(out, ALGORITHM, config, overwrite, checkpoint_seconds, until, log)
-    if recorder.finished:
-        return recorder.read()
-    total = config.n_worlds * config.iterations
-    sampler = make_sampler(config)
-    buffer = make_buffer(sampler, config, total)
-    compile = recorder.repeat(machine.decide(config))
-    env = make_env(config, compile)
-    network = make_network(config).to(config.device)
-    policy = ExploringPolicy(network, config, compile)
-    collector = Collector(
-        env,
-        policy,
-        frames_per_batch=config.n_seeds * config.n_worlds,
-        total_frames=-1,
-        auto_register_policy_transforms=False,
-        track_traj_ids=False,
-        trust_policy=True,
-        use_buffers=False,
-        return_same_td=True,
-        device=config.device,
-    )
-    loss = make_loss(network, config)
-    learner = make_learner(loss, config, compile)
-    probe = probes.poses(config.world).to(config.device)
-    steps_between_copies = max(config.target_update_frames // config.n_worlds, 1)
-    target = HardUpdate(loss, value_network_update_interval=steps_between_copies - 1)  # it copies on every n-th + 1
-
-    parts: dict[str, Stateful] = {"env": env, "actions": policy.streams, "replay": sampler, "learner": learner}
-
-    steps_between_rows = (
-        max(LOG_FRAMES // (config.n_worlds * config.steps_between_updates), 1) * config.steps_between_updates
-    )
-    with recorder, Display(ALGORITHM, config, total, quiet, tell) as display:
-        recorder.note(
-            compiled=compile, threads=torch.get_num_threads(), beyond_preset=config.beyond(PRESETS[config.preset])
-        )
-        frames = recorder.resume(parts, buffer)
-        display.begin(recorder.path, recorder.meta, until)
-        if frames:
-            collector._carrier = env.root()  # the collector has no public way to go on from there
-            policy.epsilon.fill_(config.epsilon(frames))
-            target.counter = frames // config.n_worlds % steps_between_copies
-        began, logged = time.perf_counter(), frames
-        for step, batch in zip(range(frames // config.n_worlds + 1, config.iterations + 1), collector, strict=False):
-            recorder.add_episodes(batch["next"], frames)
-            frames += config.n_worlds
-            buffer.extend(rows(batch, config))
-            target.step()
-            learning = (
-                frames > max(config.learning_starts, config.n_steps * config.n_worlds)
-                and step % config.steps_between_updates == 0
-            )
-            losses = learn(buffer, learner, config) if learning else {}
-            policy.epsilon.fill_(config.epsilon(frames))
-            if step % steps_between_rows == 0 or step == config.iterations:
-                rate = (frames - logged) / (time.perf_counter() - began)
-                began, logged = time.perf_counter(), frames
-                with torch.no_grad():
-                    q_value = network(batch["observation"]).amax(-1).flatten(1).mean(1)
-                facts = {"q_value": q_value, "epsilon": policy.epsilon.item(), **probes.units(network, probe)}
-                recorder.add_progress(frames, **losses, **facts, frames_per_second=rate)
-                display.update(frames, recorder.recent_rewards())
-            recorder.checkpoint(frames, parts, buffer)
-        recorder.add_open_episodes(env.state, frames)
-        return recorder.finish(weights.serialize({"policy": network}, ALGORITHM, config, config.epsilon_end), frames)
+    def networks(self) -> Mapping[str, nn.Module]:
+        return {"policy": self.network}

@@ -1,4 +1,4 @@
-"""Proximal Policy Optimization, sec. 3.3, from top to bottom: config, networks, collector, buffer, loss, loop.
+"""Proximal Policy Optimization, sec. 3.3, from top to bottom: config, networks, loss, learning.
 
     L_clip  = E[min(r A, clip(r, 1 - epsilon, 1 + epsilon) A)],  r = pi(a|s) / pi_old(a|s)        eq. (2)
     A       = generalised advantage estimate of delta = R + gamma V(s') - V(s)                     eq. (3), lambda = 0
@@ -10,44 +10,43 @@ Letters: A agents, W worlds an agent, T steps of a rollout.
 
 from __future__ import annotations
 
-import time
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torch.distributions import Categorical
-from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from uavnav import graph, networks
+from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError
-from uavnav.envs.env import make_env
 from uavnav.networks import Init, mlp
-from uavnav.runs import Run
-from uavnav.tasks.seeding import Streams, stream
-from uavnav.training import machine, probes, shares, weights
+from uavnav.tasks.seeding import stream
+from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, at_least, within
-from uavnav.training.display import Display
 from uavnav.training.learner import Learner
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Log, Recorder, default_folder
+from uavnav.training.loop import Row, train
+from uavnav.training.optimisers import Adam
 from uavnav.training.sampler import AgentSampler
-from uavnav.training.sampling import sample_categorical
+from uavnav.training.sampling import Actor
 
-ALGORITHM = "ppo"
+__all__ = ["PPO", "PRESETS", "PPOConfig", "train"]
+
+HOW = ALGORITHMS["ppo"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PPOConfig(TrainConfig):
     """PPO's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
 
+    algorithm: ClassVar[str] = "ppo"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "paper": {},
         "fast": {  # a good drone soon: few, large steps of both collection and learning
@@ -58,6 +57,11 @@ class PPOConfig(TrainConfig):
             "epochs": 8,
             "lr": 1e-3,
         },
+    }
+    MICROSECONDS: ClassVar[dict[tuple[str, bool], tuple[float, float]]] = {
+        ("paper", True): (24.7, 25.9),
+        ("paper", False): (338.4, 25.9),
+        ("fast", True): (4.6, 35.4),
     }
 
     frames_per_batch: int = at_least(2048, 1)  # collected per seed and iteration, in n_worlds parallel worlds
@@ -80,15 +84,17 @@ class PPOConfig(TrainConfig):
             )
 
     @property
-    def iterations(self) -> int:
-        """Whole iterations, as SB3 runs them: 489 of 2,048 frames for 1,000,000."""
-        return -(-self.total_frames // self.frames_per_batch)
+    def frames_per_iteration(self) -> int:
+        return self.frames_per_batch
+
+    def make(self, compile: bool) -> PPO:
+        return PPO(self, compile)
 
 
 PRESETS = {name: PPOConfig(preset=name) for name in PPOConfig.PRESETS}
 
 
-def make_networks(config: PPOConfig) -> tuple[nn.Sequential, nn.Sequential]:
+def make_networks(config: TrainConfig) -> tuple[nn.Sequential, nn.Sequential]:
     """Separate policy [A, ..., 30] -> [A, ..., 100] logits and value [A, ..., 30] -> [A, ..., 1] networks."""
     inputs, outputs = config.world.observation_size, config.world.n_actions
     policy = [stream(seed, "policy network") for seed in config.seeds]
@@ -99,45 +105,30 @@ def make_networks(config: PPOConfig) -> tuple[nn.Sequential, nn.Sequential]:
     )
 
 
-class SampledPolicy(TensorDictModuleBase):  # type: ignore[misc]
-    """Acts in training: observation [A, W, 30] -> action [A, W], each agent's from its own stream."""
+def make_actor_critic(policy: nn.Module, value: nn.Module) -> tuple[ProbabilisticActor, TensorDictModule]:
+    """The networks as TorchRL's losses call them."""
+    actor = ProbabilisticActor(
+        TensorDictModule(policy, in_keys=["observation"], out_keys=["logits"]),
+        in_keys=["logits"],
+        distribution_class=Categorical,
+        distribution_kwargs={"validate_args": False},
+        return_log_prob=True,
+    )
+    return actor, TensorDictModule(value, in_keys=["observation"], out_keys=["state_value"])
 
-    in_keys: ClassVar[list[str]] = ["observation"]
-    out_keys: ClassVar[list[str]] = ["action"]
 
-    def __init__(self, network: nn.Module, config: PPOConfig, compile: bool) -> None:
-        super().__init__()
-        self.network = network
-        self.streams = Streams(config.seeds, "actions")
-        self._weights = list(network.parameters())  # learning writes them in place
-        self._choose = graph.Graph(self.choose) if compile else self.choose
+class _Loss(ClipPPOLoss):  # type: ignore[misc]
+    """TorchRL's own asks whether the entropy is finite, which no graph can be made of."""
 
-    def choose(self, observation: Tensor, uniform: Tensor, *weights: Tensor) -> tuple[Tensor]:
-        """Actions from uniform numbers [A, W], by the network with these weights."""
-        return (sample_categorical(networks.call(self.network, weights, observation), uniform),)
-
-    def act(self, observation: Tensor) -> Tensor:
-        """Actions from the streams' next numbers."""
-        uniform = self.streams.draw(torch.rand, observation.shape[1], device=observation.device)
-        return self._choose(observation, uniform, *self._weights)[0]
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """As a collector calls it, without the Python of a TensorDictModule around `act`."""
-        return tensordict.set("action", self.act(tensordict.get("observation")))
+    def _get_entropy(self, dist: Categorical, adv_shape: torch.Size) -> Tensor:
+        entropy: Tensor = dist.entropy()[..., None]  # type: ignore[no-untyped-call]
+        return entropy
 
 
 def make_loss(policy: nn.Module, value: nn.Module, config: PPOConfig) -> ClipPPOLoss:
     """Equations (2) and (4) as TorchRL's ClipPPOLoss with SB3's settings, one loss a row."""
-    logits = TensorDictModule(policy, in_keys=["observation"], out_keys=["logits"])
-    return ClipPPOLoss(
-        ProbabilisticActor(
-            logits,
-            in_keys=["logits"],
-            distribution_class=Categorical,
-            distribution_kwargs={"validate_args": False},
-            return_log_prob=True,
-        ),
-        TensorDictModule(value, in_keys=["observation"], out_keys=["state_value"]),
+    return _Loss(
+        *make_actor_critic(policy, value),
         clip_epsilon=config.clip_epsilon,
         critic_coeff=config.critic_coeff,
         loss_critic_type="l2",
@@ -154,7 +145,8 @@ def make_loss(policy: nn.Module, value: nn.Module, config: PPOConfig) -> ClipPPO
 def make_learner(loss: ClipPPOLoss, config: PPOConfig, compile: bool) -> Learner:
     """Adam as SB3 sets it."""
     losses = ["loss_objective", "loss_critic", *(["loss_entropy"] if config.entropy_coeff > 0 else [])]
-    return Learner(loss, losses, lr=config.lr, eps=config.adam_eps, max_grad_norm=config.max_grad_norm, compile=compile)
+    adam = Adam(config.lr, config.adam_eps)
+    return Learner(loss, losses, adam, max_grad_norm=config.max_grad_norm, compile=compile)
 
 
 def make_buffer(sampler: AgentSampler, config: PPOConfig) -> ReplayBuffer:
@@ -163,9 +155,9 @@ def make_buffer(sampler: AgentSampler, config: PPOConfig) -> ReplayBuffer:
     return ReplayBuffer(storage=storage, sampler=sampler, batch_size=config.frames_per_batch)
 
 
-def make_advantage(config: PPOConfig) -> GAE:
+def make_advantage(gamma: float, gae_lambda: float) -> GAE:
     """Generalised advantage estimation over the time of a rollout; a collision and a cap end its sums."""
-    return GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, vectorized=False)
+    return GAE(gamma=gamma, lmbda=gae_lambda, value_network=None, vectorized=False)
 
 
 @torch.no_grad()
@@ -181,15 +173,6 @@ def rows(batch: TensorDictBase) -> TensorDictBase:
     """What the loss needs of a rollout [A, W, T], as rows [W T, A] of a buffer whose agents stay apart."""
     needed = batch.select("observation", "action", "action_log_prob", "advantage", "value_target")
     return needed.flatten(1, 2).transpose(0, 1)
-
-
-def learn(batch: TensorDictBase, buffer: ReplayBuffer, learner: Learner, config: PPOConfig) -> dict[str, Tensor]:
-    """Epochs of minibatches over a rollout [A, W, T] with its advantages; each agent's losses, their mean, [A]."""
-    buffer.empty()
-    buffer.extend(rows(batch))
-    minibatches = (config.n_seeds, -1, config.minibatch_size)
-    epochs = [learner.learn(buffer.sample().reshape(minibatches)) for _ in range(config.epochs)]
-    return {name: torch.stack([losses[name] for losses in epochs]).mean(0) for name in epochs[0]}
 
 
 @torch.no_grad()
@@ -208,87 +191,34 @@ def diagnostics(batch: TensorDictBase, loss: ClipPPOLoss, clip_epsilon: float) -
     }
 
 
-@shares.spread()
-def train(
-    config: PPOConfig,
-    out: str | Path | None = None,
-    overwrite: bool = False,
-    quiet: bool = False,
-    checkpoint_seconds: float = CHECKPOINT_SECONDS,
-    until: int | None = None,
-    tell: shares.Tell | None = None,
-    log: Log | None = None,
-) -> Run:
-    """Train one agent a seed and keep the run in a folder.
+class PPO:
+    """All seeds' agents, as the training loop needs them."""
 
-    Args:
-        config: the settings.
-        out: the run's folder; by default runs/ppo[-preset]/activation.
-        overwrite: start anew where the folder holds a run.
-        quiet: show no progress.
-        checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
-        until: stop after so many frames per seed, as if by a signal.
-        tell: called now and then with the frames per seed so far and each seed's mean reward over its last 100
-            episodes.
-        logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see `uavnav.loggers`.
-        processes: how many share the seeds; by default one for each core, where that pays.
+    replay = None
 
-    Returns:
-        The finished run; at once, where the folder already holds this very run.
+    def __init__(self, config: PPOConfig, compile: bool) -> None:
+        self.config = config
+        self.policy, self.value = (network.to(config.device) for network in make_networks(config))
+        self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
+        self.advantage = make_advantage(config.gamma, config.gae_lambda)
+        self.loss = make_loss(self.policy, self.value, config)
+        self.learner = make_learner(self.loss, config, compile)
+        minibatches = AgentSampler(config.seeds, "minibatches", replace=False)
+        self.buffer = make_buffer(minibatches, config)
+        self.probe = probes.poses(config.make_task()).to(config.device)
+        self.parts: Mapping[str, Stateful] = {"minibatches": minibatches, "learner": self.learner}
 
-    Raises:
-        ConfigError, LayoutError, RunError: before anything is written.
-        Interrupted: by SIGINT, SIGTERM or `until`; saved, or the message says what is not.
-    """
-    out = out or default_folder(ALGORITHM, config)
-    recorder = Recorder(out, ALGORITHM, config, overwrite, checkpoint_seconds, until, log)
-    if recorder.finished:
-        return recorder.read()
-    compile = recorder.repeat(machine.decide(config))
-    env = make_env(config, compile)
-    policy, value = (network.to(config.device) for network in make_networks(config))
-    actor = SampledPolicy(policy, config, compile)
-    collector = Collector(
-        env,
-        actor,
-        frames_per_batch=config.n_seeds * config.frames_per_batch,
-        total_frames=-1,
-        auto_register_policy_transforms=False,
-        track_traj_ids=False,
-        trust_policy=True,
-        use_buffers=False,
-        return_same_td=True,
-        device=config.device,
-    )
-    sampler = AgentSampler(config.seeds, "minibatches", replace=False)
-    buffer = make_buffer(sampler, config)
-    advantage = make_advantage(config)
-    loss = make_loss(policy, value, config)
-    learner = make_learner(loss, config, compile)
-    probe = probes.poses(config.world).to(config.device)
+    def learn(self, batch: TensorDictBase, frames: int) -> Row:
+        """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses and what became of it, [A]."""
+        config = self.config
+        estimate(batch, self.loss, self.advantage)
+        self.buffer.empty()
+        self.buffer.extend(rows(batch))
+        minibatches = (config.n_seeds, -1, config.minibatch_size)
+        epochs = [self.learner.learn(self.buffer.sample().reshape(minibatches)) for _ in range(config.epochs)]
+        losses = {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
+        moved = diagnostics(batch, self.loss, config.clip_epsilon)
+        return {**losses, **moved, **probes.units(self.policy, self.probe)}
 
-    parts: dict[str, Stateful] = {"env": env, "actions": actor.streams, "minibatches": sampler, "learner": learner}
-
-    total = config.frames_per_batch * config.iterations
-    with recorder, Display(ALGORITHM, config, total, quiet, tell) as display:
-        recorder.note(
-            compiled=compile, threads=torch.get_num_threads(), beyond_preset=config.beyond(PRESETS[config.preset])
-        )
-        frames = recorder.resume(parts)
-        display.begin(recorder.path, recorder.meta, until)
-        if frames:
-            collector._carrier = env.root()  # the collector has no public way to go on from there
-        began = time.perf_counter()
-        for _, batch in zip(range(frames, total, config.frames_per_batch), collector, strict=False):
-            recorder.add_episodes(batch["next"], frames)
-            frames += config.frames_per_batch
-            estimate(batch, loss, advantage)
-            losses = learn(batch, buffer, learner, config)
-            rate = config.frames_per_batch / (time.perf_counter() - began)
-            began = time.perf_counter()
-            moved, hidden = diagnostics(batch, loss, config.clip_epsilon), probes.units(policy, probe)
-            recorder.add_progress(frames, **losses, **moved, **hidden, frames_per_second=rate)
-            display.update(frames, recorder.recent_rewards())
-            recorder.checkpoint(frames, parts)
-        recorder.add_open_episodes(env.state, frames)
-        return recorder.finish(weights.serialize({"policy": policy, "value": value}, ALGORITHM, config), frames)
+    def networks(self) -> Mapping[str, nn.Module]:
+        return {"policy": self.policy, "value": self.value}

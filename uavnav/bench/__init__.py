@@ -1,1 +1,1 @@
-"""Benchmarks, `python -m uavnav.bench`: jobs, peers, a NumPy world to measure against, and what was found."""
+"""Benchmarks, `python -m uavnav.bench`: sections of measurements, the peers, and a NumPy world to measure against."""

@@ -15,10 +15,10 @@ import numpy as np
 from gymnasium import spaces
 from torch import Tensor
 
-from uavnav.tasks import layouts as banks
 from uavnav.tasks.seeding import places
 from uavnav.tasks.sensing import VIEW_TOLERANCE
-from uavnav.tasks.simulator import UP, check_rules
+from uavnav.tasks.simulator import make_task
+from uavnav.tasks.state import UP
 from uavnav.tasks.world import World
 
 Array = np.ndarray[Any, np.dtype[Any]]
@@ -41,9 +41,8 @@ class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own declaration
 
     def __init__(self, layouts: str | Path | Tensor = "train", max_steps: int | None = None) -> None:
-        check_rules("eq14", max_steps)
         self.world = world = World()
-        self.bank: Array = banks.resolve(layouts, world).cpu().numpy().astype(np.float64)
+        self.bank: Array = make_task(layouts, world, max_steps=max_steps).bank.cpu().numpy().astype(np.float64)
         self.max_steps = max_steps
         self._low = np.tile(np.array([-1, 0, 0], dtype=np.float32), world.n_slots)
         self.observation_space = spaces.Box(self._low, np.ones_like(self._low), dtype=np.float32)

@@ -13,13 +13,16 @@ from torch import Tensor
 
 from uavnav.tasks.dynamics import direction
 from uavnav.tasks.sensing import sense
-from uavnav.tasks.simulator import State
+from uavnav.tasks.simulator import Task
+from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 
 Picture = np.ndarray[Any, np.dtype[np.uint8]]
 Colour = tuple[int, int, int]
-Trail = tuple[Sequence[tuple[float, float]], tuple[int, ...]]
-"""Earlier positions (x, y) [px] and the colour of their line, red, green, blue and maybe opacity."""
+Ink = tuple[int, ...]
+"""Red, green, blue and maybe opacity."""
+Trail = tuple[Sequence[tuple[float, float]], Ink]
+"""Earlier positions (x, y) [px] and the colour of their line."""
 
 # Okabe and Ito's colours, which people with any colour vision tell apart.
 GROUND, BORDER, OBSTACLE, INK = (250, 250, 247), (84, 88, 96), (150, 156, 166), (32, 36, 44)
@@ -32,15 +35,9 @@ STEPS_PER_SECOND = 30
 SMOOTHING = 2  # drawn so many times larger, then scaled down
 
 
-def draw_state(state: State, bank: Tensor, world: World, trail: Sequence[tuple[float, float]] = ()) -> Picture:
-    """One row's state at the world's own size; see `draw_arena`.
-
-    state: fields without a batch; bank [L, K, 3] px; trail: earlier positions (x, y) px.
-
-    Returns:
-        Array [height, width, 3] uint8.
-    """
-    return np.asarray(draw_arena(state, bank[state.layout], world, world.width, [(trail, DRONE)]))
+def draw_state(state: State, task: Task) -> Picture:
+    """One row's state, without a batch, at the world's own size [height, width, 3]; see `draw_arena`."""
+    return np.asarray(draw_arena(state, task.obstacles(state), task.world, task.world.width))
 
 
 def draw_arena(
@@ -52,7 +49,7 @@ def draw_arena(
     """
     slots, _ = sense(state.x, state.y, state.heading, obstacles, world)
     x, y, heading = float(state.x), float(state.y), int(state.heading)
-    image = _backdrop(tuple((x, y, radius) for x, y, radius in obstacles.tolist()), world, width).copy()
+    image = _backdrop(tuple(map(tuple, obstacles.tolist())), world, width).copy()
     canvas = ImageDraw.Draw(image, "RGBA")
     at, disc = _places(world, width)
     thickness = max(1, round(SMOOTHING * width / world.width))
@@ -68,8 +65,7 @@ def draw_arena(
             reach = world.drone_radius + proximity * (world.sensor_radius - world.drone_radius)
             dx, dy = right * sine + forward * cosine, forward * sine - right * cosine
             sensed.append((x + reach * dx, y + reach * dy))
-    for point in sensed:
-        canvas.line([at(x, y), at(*point)], fill=(*SENSED, 110), width=thickness)
+            canvas.line([at(x, y), at(*sensed[-1])], fill=(*SENSED, 110), width=thickness)
     canvas.ellipse(disc(x, y, world.drone_radius), fill=colour)
     nose = at(x + world.drone_radius * cosine, y + world.drone_radius * sine)
     canvas.line([at(x, y), nose], fill=GROUND, width=3 * thickness)

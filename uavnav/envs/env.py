@@ -15,11 +15,10 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from uavnav.graph import Graph
-from uavnav.tasks import layouts as banks
-from uavnav.tasks import seeding, simulator
-from uavnav.tasks.simulator import COUNTS, UP, State
+from uavnav.tasks import seeding
+from uavnav.tasks.simulator import Outcome, Task, make_task
+from uavnav.tasks.state import COUNTS, UP, State, where
 from uavnav.tasks.world import World
-from uavnav.training.config import TrainConfig
 
 LEAVES = ("observation", "reward", "done", "terminated", "truncated")
 N_LEAVES, N_STATE = len(LEAVES), len(State._fields)
@@ -47,10 +46,11 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     Args:
         batch_size: any shape B; a training run uses [agents, worlds].
-        layouts: `train`, `test`, a bank's path, or a tensor [n, k, 3].
+        layouts: `train`, `validation`, `test`, a bank's path, or a tensor [n, k, 3].
         world: constants and switches.
         max_steps: a cap on steps, or None as in the paper.
         reward: a name of `uavnav.rewards.REWARDS`.
+        task: a name of `uavnav.simulator.TASKS`; or a whole task, which then says layouts, world, cap and reward.
         device: where the tensors live.
         seeds: one seed for all rows, or one for each entry of the first batch dimension. A row depends on its seed
             and its index among that seed's rows, not on the other seeds.
@@ -71,13 +71,12 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         reward: str = "eq14",
         device: str | torch.device = "cpu",
         seeds: int | Sequence[int] = 0,
+        task: str | Task = "drone",
     ) -> None:
         super().__init__(device=torch.device(device), batch_size=torch.Size(batch_size))
-        simulator.check_rules(reward, max_steps)
-        self.world = world or World()
-        self.max_steps = max_steps
-        self.reward = reward
-        self.bank = banks.resolve(layouts, self.world).to(self.device)
+        whole = make_task(layouts, world, reward, max_steps, task)
+        self.task = whole.with_bank(whole.bank.to(self.device))
+        self.world, self.bank = self.task.world, self.task.bank
         self._first_observations = self._observe_starts()
         self._advance: Callable[..., Sequence[Tensor]] = self._advance_rows
         self._make_specs()
@@ -114,10 +113,9 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         places = seeding.places(self.seeds, self._rows_per_seed, len(self.bank), self.device)
         self._headings = seeding.Streams(self.seeds, "headings")
         self._never = torch.zeros((), dtype=torch.bool, device=self.device).expand(*self.batch_size, 1)
-        self._nothing = torch.zeros(self.batch_size, dtype=torch.int64, device=self.device)
-        self._started = False
-        self.state = simulator.start(places.reshape(self.batch_size), self._draw_headings(), self.world)
-        self._observation, _ = simulator.observe(self.state, self.bank, self.world)
+        self._begins_here = True  # the next reset of all rows leaves them where they are
+        self.state = self.task.start(places.reshape(self.batch_size), self._draw_headings())
+        self._observation, _ = self.task.observe(self.state)
 
     def _set_seed(self, seed: int | None) -> None:
         """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... where there are agents."""
@@ -129,13 +127,13 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         if self.world.start_heading != "up":
             return []
         layout = torch.arange(len(self.bank), device=self.device)
-        observation, _ = simulator.observe(simulator.start(layout, 0 * layout + UP, self.world), self.bank, self.world)
+        observation, _ = self.task.observe(self.task.start(layout, 0 * layout + UP))
         return [observation]
 
     def _draw_headings(self) -> Tensor:
         """Start headings [*B] for every row, drawn whether needed or not: the stream does not depend on who resets."""
         if self.world.start_heading == "up":
-            return self._nothing + UP
+            return torch.full(self.batch_size, UP, device=self.device)
         return seeding.headings(self._headings, self._rows_per_seed, self.device).reshape(self.batch_size)
 
     def state_dict(self) -> dict[str, Any]:
@@ -144,11 +142,11 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return {"state": state, "observation": self._observation.clone(), "headings": self._headings.state_dict()}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Go on from where `state_dict` was taken, in an environment that was built alike; `root()` is where."""
+        """Go on from where `state_dict` was taken, in an environment built alike; the next reset leaves it there."""
         self.state = State(**{name: value.to(self.device).clone() for name, value in state_dict["state"].items()})
         self._observation = state_dict["observation"].to(self.device).clone()
         self._headings.load_state_dict(state_dict["headings"])
-        self._started = True
+        self._begins_here = True
 
     # -- TorchRL's protocol -------------------------------------------------------------------------------------------
 
@@ -156,19 +154,19 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         chosen = None if tensordict is None else tensordict.get("_reset", None)
         if chosen is not None:
             chosen = chosen.reshape(self.batch_size)
-        following = (self.state.layout + 1) % len(self.bank) if self._started else self.state.layout
-        fresh = simulator.start(following, self._draw_headings() if self._started else self.state.heading, self.world)
-        self.state = fresh if chosen is None else simulator.where(chosen, fresh, self.state)
-        self._started = True
-        self._observation, _ = simulator.observe(self.state, self.bank, self.world)
+        if chosen is not None or not self._begins_here:
+            fresh = self.task.start((self.state.layout + 1) % len(self.bank), self._draw_headings())
+            self.state = fresh if chosen is None else where(chosen, fresh, self.state)
+            self._observation, _ = self.task.observe(self.state)
+        self._begins_here = False
         return self.root()
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict["action"]
         if bool(((action < 0) | (action >= self.world.n_actions)).any()):
             raise ValueError(f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}")
-        self.state, outcome = simulator.step(self.state, action, self.bank, self.world, self.reward, self.max_steps)
-        self._observation = outcome.observation
+        self.state, outcome = self.task.step(self.state, action)
+        self._observation, self._begins_here = outcome.observation, False
         return self._tensordict(_leaves(outcome), self.state)
 
     @torch.no_grad()
@@ -177,14 +175,14 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         given = (tensordict.get("action"), self._draw_headings(), self.bank, *self._first_observations)
         found = self._advance(*self.state, *given)
         leaves, final, following = found[:N_LEAVES], found[N_LEAVES : N_LEAVES + N_STATE], found[N_LEAVES + N_STATE :]
-        self._observation, self.state = following[0], State(*following[1:])
+        self._observation, self.state, self._begins_here = following[0], State(*following[1:]), False
         tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), State(*final)))
         return tensordict, self.root()
 
     def compile(self) -> DroneEnv:
         """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it too.
 
-        World, reward and `max_steps` are then those of the first step.
+        The task is then that of the first step.
         """
         self._advance = Graph(self._advance_rows)
         return self
@@ -197,14 +195,15 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     def _advance_rows(self, *tensors: Tensor) -> Sequence[Tensor]:
         """State, action, start headings, bank, first observations -> the step's leaves, its state, where to go on."""
         state, (action, heading, bank, *first_observations) = State(*tensors[:N_STATE]), tensors[N_STATE:]
-        final, outcome = simulator.step(state, action, bank, self.world, self.reward, self.max_steps)
+        task = self.task.with_bank(bank)
+        final, outcome = task.step(state, action)
         done = outcome.terminated | outcome.truncated
-        fresh = simulator.start((final.layout + 1) % bank.shape[0], heading, self.world)
-        state = simulator.where(done, fresh, final)
+        fresh = task.start((final.layout + 1) % bank.shape[0], heading)
+        state = where(done, fresh, final)
         if first_observations:
             observation = torch.where(done[..., None], first_observations[0][fresh.layout], outcome.observation)
         else:
-            observation, _ = simulator.observe(state, bank, self.world)
+            observation, _ = task.observe(state)
         return *_leaves(outcome).values(), *final, observation, *state
 
     def root(self) -> TensorDict:
@@ -214,27 +213,13 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     def _tensordict(self, leaves: dict[str, Tensor], state: State) -> TensorDict:
         """Made as TorchRL's own environments make theirs, without checks, which would cost more than a small step."""
-        where: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
+        kind: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
         counts = {name: getattr(state, name) for name in ("layout", *COUNTS)}
-        return TensorDict._new_unsafe({**leaves, "episode": TensorDict._new_unsafe(counts, **where)}, **where)
+        return TensorDict._new_unsafe({**leaves, "episode": TensorDict._new_unsafe(counts, **kind)}, **kind)
 
 
-def _leaves(outcome: simulator.Outcome) -> dict[str, Tensor]:
+def _leaves(outcome: Outcome) -> dict[str, Tensor]:
     """What TorchRL wants to know of a step, in its shapes and types."""
     terminated, truncated = outcome.terminated[..., None], outcome.truncated[..., None]
     reward = outcome.reward[..., None].float()
     return dict(zip(LEAVES, (outcome.observation, reward, terminated | truncated, terminated, truncated), strict=True))
-
-
-def make_env(config: TrainConfig, compile: bool) -> DroneEnv:
-    """The environment of a training run: [n_seeds, n_worlds] rows of the configured world."""
-    env = DroneEnv(
-        [config.n_seeds, config.n_worlds],
-        layouts=config.layouts,
-        world=config.world,
-        max_steps=config.max_steps,
-        reward=config.reward,
-        device=config.device,
-        seeds=config.seeds,
-    )
-    return env.compile() if compile else env

@@ -1,6 +1,6 @@
-"""The world for Gymnasium: one drone (`DroneGymEnv`, in plain numbers) or many at once (`DroneVectorEnv`, in tensors).
+"""The world for Gymnasium: one drone (`DroneGymEnv`, in plain numbers) or a batch (`DroneVectorEnv`, in tensors).
 
-Registered as `uavnav/Drone-v0`: `gymnasium.make` gives the one, `gymnasium.make_vec` the other.
+Both are registered as `uavnav/Drone-v0`: `gymnasium.make` returns the first, and `gymnasium.make_vec` the second.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
+from uavnav.envs import scalar
 from uavnav.envs.drawing import draw_state
-from uavnav.envs.scalar import Flight
-from uavnav.tasks import layouts as banks
-from uavnav.tasks import seeding, simulator
-from uavnav.tasks.simulator import UP, State
+from uavnav.tasks import seeding
+from uavnav.tasks.simulator import Task, make_task
+from uavnav.tasks.state import UP, State, where
 from uavnav.tasks.world import World
 
 Observation = np.ndarray[Any, np.dtype[np.floating[Any] | np.integer[Any]]]
@@ -31,16 +31,16 @@ METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
 
 
 def observation_space(world: World) -> spaces.Box:
-    """Ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13)."""
+    """A Box of ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13)."""
     low = np.tile(np.array([-1, 0, 0], dtype=np.float32), world.n_slots)
     return spaces.Box(low, np.ones_like(low), dtype=np.float32)
 
 
 def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any, Any]:
-    """The layout that a reset's options name: one index, or one for each row of `shape`.
+    """The layouts given to `reset`: one index, or one index per row of `shape`.
 
     Raises:
-        ValueError: it is not one of the bank's.
+        ValueError: an index is not in the bank.
     """
     chosen = np.asarray(layout)
     fits = chosen.dtype.kind in "iu" and chosen.shape in ((), shape)
@@ -49,82 +49,18 @@ def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any,
     return chosen
 
 
-class _Flights:
-    """A batch of rows, each flying its own set of obstacles: the vector environment in tensors."""
-
-    def __init__(
-        self,
-        num_envs: int,
-        layouts: str | Path | Tensor,
-        world: World | None,
-        max_steps: int | None,
-        reward: str,
-    ) -> None:
-        simulator.check_rules(reward, max_steps)
-        self.world = world or World()
-        self.bank = banks.resolve(layouts, self.world).cpu()
-        self.max_steps, self.reward = max_steps, reward
-        self.shape = torch.Size([num_envs])
-        self.state: State | None = None
-
-    def seed(self, seeds: Sequence[int]) -> None:
-        """Put every row at its place: all rows are one seed's, or each row is a seed's first."""
-        rows = self.shape.numel() // len(seeds)
-        self._n_seeds, self._streams = len(seeds), seeding.Streams(seeds, "headings")
-        self._first = seeding.places(seeds, rows, len(self.bank), "cpu").reshape(self.shape)
-        self.state = None
-
-    def reset(self, layout: Any = None) -> None:
-        """Start every row on its next set, or on the given ones."""
-        following = self._first if self.state is None else (self.state.layout + 1) % len(self.bank)
-        if layout is not None:
-            chosen = torch.as_tensor(pick(layout, tuple(self.shape), len(self.bank)), dtype=torch.int64)
-            following = chosen.expand(self.shape).clone()
-        self.state = simulator.start(following, self._headings(), self.world)
-
-    def step(self, action: Any) -> simulator.Outcome:
-        if self.state is None:
-            raise gymnasium.error.ResetNeeded("call reset() before step()")
-        given = np.asarray(action)
-        fits = given.dtype.kind in "iu" and given.size == self.shape.numel()
-        if not fits or not ((given >= 0) & (given < self.world.n_actions)).all():
-            raise ValueError(
-                f"action={action}; give a whole number from 0 to {self.world.n_actions - 1} for each of the"
-                f" {self.shape.numel()} rows"
-            )
-        actions = torch.as_tensor(given, dtype=torch.int64).reshape(self.shape)
-        self.state, outcome = simulator.step(self.state, actions, self.bank, self.world, self.reward, self.max_steps)
-        return outcome
-
-    def restart(self, done: Tensor) -> None:
-        """Start the next episode where one ended."""
-        assert self.state is not None
-        fresh = simulator.start((self.state.layout + 1) % len(self.bank), self._headings(), self.world)
-        self.state = simulator.where(done, fresh, self.state)
-
-    def observe(self) -> tuple[Tensor, Tensor]:
-        assert self.state is not None
-        return simulator.observe(self.state, self.bank, self.world)
-
-    def _headings(self) -> Tensor:
-        if self.world.start_heading == "up":
-            return torch.full(self.shape, UP)
-        rows = self.shape.numel() // self._n_seeds
-        return seeding.headings(self._streams, rows, "cpu").reshape(self.shape)
-
-
 class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
-    """One drone that must not hit anything.
+    """One drone that must avoid obstacles.
 
     Action:
         Discrete(100): ten turns times ten distances, eqs (11) and (12).
     Observation:
-        Box of 30 float32: ten triplets (right, forward, distance), eq. (13).
+        Box of 30 float32: ten triplets (right, forward, proximity), eq. (13).
     Reward:
         Eq. (14), or another variant of `uavnav.rewards`.
     Start:
-        The centre of the window, heading up. `reset(seed=...)` fixes the place in the bank, every later reset takes
-        the next set, and `reset(options={"layout": 3})` picks one.
+        The centre of the window, heading up. `reset(seed=...)` chooses the first layout of the bank, every later reset
+        takes the next layout, and `reset(options={"layout": 3})` takes layout 3.
     End:
         `terminated`: the drone touched an obstacle or the border. `truncated`: `max_steps` was reached.
     Info:
@@ -143,16 +79,17 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
         max_steps: int | None = None,
         reward: str = "eq14",
         render_mode: str | None = None,
+        task: str | Task = "drone",
     ) -> None:
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        simulator.check_rules(reward, max_steps)
-        self.world = world or World()
-        self.bank = banks.resolve(layouts, self.world).cpu()
+        whole = make_task(layouts, world, reward, max_steps, task)
+        self.task = whole.with_bank(whole.bank.cpu())
+        self.world, self.bank = self.task.world, self.task.bank
         self.render_mode = render_mode
         self.observation_space = observation_space(self.world)
         self.action_space = spaces.Discrete(self.world.n_actions)
-        self._flight = Flight(self.bank, self.world, reward, max_steps)
+        self._flight = scalar.fly(self.task)
         self._layout: int | None = None  # of the present episode
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
@@ -183,16 +120,16 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
         return *self._flight.step(index), self._info()
 
     def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
-        """The picture [600, 800, 3] of the present state, with `render_mode="rgb_array"`."""
+        """The picture [600, 800, 3] of the current state, with `render_mode="rgb_array"`."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() shows nothing without render_mode="rgb_array"')
             return None
         if self._layout is None:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
         flight = self._flight
-        state = simulator.start(torch.tensor(flight.layout), torch.tensor(flight.heading), self.world)
+        state = self.task.start(torch.tensor(flight.layout), torch.tensor(flight.heading))
         state = state._replace(x=torch.tensor(flight.x), y=torch.tensor(flight.y))
-        return draw_state(state, self.bank, self.world)
+        return draw_state(state, self.task)
 
     def _info(self) -> Info:
         flight = self._flight
@@ -200,12 +137,12 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
 
 
 class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]], Any]):
-    """Many drones in one batch, as `DroneGymEnv` each; an episode that ends is followed by the next in the same step.
+    """A batch of drones, each as in `DroneGymEnv`; when an episode ends, the next one starts in the same step.
 
-    `reset(seed=s)` makes the rows the parallel worlds of seed s, each at a place of its own; a list gives each row a
-    seed. At the end of an episode the observation is the next one's first, and the info's `final_obs` and
-    `final_info` hold the last of the one that ended. The layout of `reset(options={"layout": ...})` is one number or
-    one a row.
+    `reset(seed=s)` turns the rows into the parallel worlds of seed s, each with its own first layout; a list gives each
+    row its own seed. `reset(options={"layout": ...})` takes one index, or one index per row. When an episode ends,
+    `step` returns the next episode's first observation, and `final_obs` and `final_info` of the info describe the last
+    state of the ended episode.
     """
 
     metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -218,20 +155,23 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         max_steps: int | None = None,
         reward: str = "eq14",
         render_mode: str | None = None,
+        task: str | Task = "drone",
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs={num_envs}; give at least 1")
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        self._flights = _Flights(num_envs, layouts, world, max_steps, reward)
+        whole = make_task(layouts, world, reward, max_steps, task)
+        self.task = whole.with_bank(whole.bank.cpu())
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode.SAME_STEP
-        self.single_observation_space = observation_space(self._flights.world)
-        self.single_action_space = spaces.Discrete(self._flights.world.n_actions)
+        self.single_observation_space = observation_space(self.task.world)
+        self.single_action_space = spaces.Discrete(self.task.world.n_actions)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
         self._seeded = False
+        self._state: State | None = None
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
@@ -242,53 +182,76 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
             draws = [int(self.np_random.integers(2**31)) if one is None else operator.index(one) for one in seed]
             if min(draws) < 0:
                 raise ValueError(f"seed={list(seed)}; give whole numbers of at least 0, or None")
-            self._flights.seed(draws)
+            self._seed_rows(draws)
         elif seed is not None or not self._seeded:
             super().reset(seed=seed)
-            self._flights.seed([int(self.np_random.integers(2**31)) if seed is None else seed])
-        self._seeded = True
-        self._flights.reset((options or {}).get("layout"))
-        observation, clearance = self._flights.observe()
-        return observation.numpy(), self._info(clearance)
+            self._seed_rows([int(self.np_random.integers(2**31)) if seed is None else seed])
+        following = self._first if self._state is None else (self._state.layout + 1) % len(self.task.bank)
+        layout = (options or {}).get("layout")
+        if layout is not None:
+            chosen = torch.as_tensor(pick(layout, (self.num_envs,), len(self.task.bank)), dtype=torch.int64)
+            following = chosen.expand(self.num_envs).clone()
+        self._state = self.task.start(following, self._headings())
+        observation, clearance = self.task.observe(self._state)
+        return observation.numpy(), self._info(self._state, clearance)
 
     def step(
         self, actions: np.ndarray[Any, np.dtype[np.int64]]
     ) -> tuple[Observation, np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any], Info]:
-        outcome = self._flights.step(actions)
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        given, n_actions = np.asarray(actions), self.task.world.n_actions
+        fits = given.dtype.kind in "iu" and given.size == self.num_envs
+        if not fits or not ((given >= 0) & (given < n_actions)).all():
+            whole = f"give a whole number from 0 to {n_actions - 1} for each of the {self.num_envs} rows"
+            raise ValueError(f"action={actions}; {whole}")
+        action = torch.as_tensor(given, dtype=torch.int64).reshape(self.num_envs)
+        state, outcome = self.task.step(self._state, action)
         observation, clearance = outcome.observation, outcome.clearance
         done = outcome.terminated | outcome.truncated
-        final = self._info(clearance)
         info = {}
         if done.any():
             ended = done.numpy()
             final_observations = np.full(self.num_envs, None, dtype=object)
             for row in np.flatnonzero(ended):
                 final_observations[row] = observation[row].numpy()
+            final = self._info(state, clearance)
             masked = {key: np.where(ended, value, 0) for key, value in final.items() if not key.startswith("_")}
             masks = {f"_{key}": ended.copy() for key in masked}
             info = {"final_obs": final_observations, "final_info": masked | masks}
             info |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
-            self._flights.restart(done)
-            observation, clearance = self._flights.observe()
+            fresh = self.task.start((state.layout + 1) % len(self.task.bank), self._headings())
+            state = where(done, fresh, state)
+            observation, clearance = self.task.observe(state)
+        self._state = state
         return (
             observation.numpy(),
             outcome.reward.numpy(),
             outcome.terminated.numpy(),
             outcome.truncated.numpy(),
-            self._info(clearance) | info,
+            self._info(state, clearance) | info,
         )
 
     def render(self) -> tuple[np.ndarray[Any, np.dtype[np.uint8]], ...] | None:
-        """One picture [600, 800, 3] a row, with `render_mode="rgb_array"`."""
-        state = self._flights.state
-        if self.render_mode is None or state is None:
+        """One picture [600, 800, 3] per row, with `render_mode="rgb_array"`."""
+        if self.render_mode is None or self._state is None:
             return None
-        rows = [State(*(field[row] for field in state)) for row in range(self.num_envs)]
-        return tuple(draw_state(row, self._flights.bank, self._flights.world) for row in rows)
+        rows = [State(*(field[row] for field in self._state)) for row in range(self.num_envs)]
+        return tuple(draw_state(row, self.task) for row in rows)
 
-    def _info(self, clearance: Tensor) -> Info:
-        state = self._flights.state
-        assert state is not None
+    def _seed_rows(self, seeds: Sequence[int]) -> None:
+        """Choose every row's first layout: all rows share one seed, or each row has its own."""
+        self._rows_per_seed = self.num_envs // len(seeds)
+        self._streams = seeding.Streams(seeds, "headings")
+        self._first = seeding.places(seeds, self._rows_per_seed, len(self.task.bank), "cpu").flatten()
+        self._seeded, self._state = True, None
+
+    def _headings(self) -> Tensor:
+        if self.task.world.start_heading == "up":
+            return torch.full((self.num_envs,), UP)
+        return seeding.headings(self._streams, self._rows_per_seed, "cpu").flatten()
+
+    def _info(self, state: State, clearance: Tensor) -> Info:
         values = {name: getattr(state, name).numpy().copy() for name in ("layout", "x", "y", "heading")}
         values["clearance"] = clearance.numpy().copy()
         return values | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in values}

@@ -1,6 +1,6 @@
-"""The batched world for Stable-Baselines3, which takes no Gymnasium VectorEnv. Needs the extra `sb3`.
+"""The batched world as Stable-Baselines3's VecEnv; Stable-Baselines3 does not accept a Gymnasium VectorEnv.
 
-`PPO("MlpPolicy", DroneVecEnv(num_envs=16))` trains on it.
+The module needs the extra `sb3`. `PPO("MlpPolicy", DroneVecEnv(num_envs=16))` trains in the world.
 """
 
 from __future__ import annotations
@@ -20,17 +20,16 @@ except ImportError as error:
 
 
 class DroneVecEnv(VecEnv):  # type: ignore[misc]
-    """Stable-Baselines3's VecEnv over `uavnav.gym.DroneVectorEnv`, whose keyword arguments it takes."""
+    """A VecEnv around `uavnav.gym.DroneVectorEnv`; `kwargs` are that class's keyword arguments."""
 
     def __init__(self, num_envs: int = 1, seed: int | None = None, **kwargs: Any) -> None:
         self._env = DroneVectorEnv(num_envs, **kwargs)
         super().__init__(num_envs, self._env.single_observation_space, self._env.single_action_space)
         self.render_mode = self._env.render_mode
         self._seed = seed
-        self._actions = np.zeros(num_envs, dtype=np.int64)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """The rows are the parallel worlds of this seed from the next reset on."""
+        """Make the rows the parallel worlds of this seed, from the next reset on."""
         self._seed = seed
         return [seed] * self.num_envs
 

@@ -1,8 +1,7 @@
-"""One drone in plain numbers: what `dynamics`, `sensing` and `simulator` do for a batch, without tensors.
+"""One drone in plain numbers: the same world as `dynamics`, `sensing` and `simulator`, without tensors.
 
-For a single row the arithmetic is nothing and the calls are all, so that this is some thirty times faster. The tests
-hold it against the same oracle and against the batch: places are the same bit for bit (rounded to float32 as there),
-observations up to rounding. Turns, distances, rewards, sines and cosines are read off the batched functions.
+For a single row, tensor calls cost far more than the arithmetic (docs/benchmarks.md). Positions agree with the batch
+bit for bit, and observations up to rounding. Turns, distances, rewards, sines and cosines come from the batch.
 """
 
 from __future__ import annotations
@@ -15,8 +14,10 @@ import torch
 from torch import Tensor
 
 from uavnav.tasks.dynamics import COSINE, SINE, decode
-from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.rewards import BY_ACTION, REWARDS, Step
 from uavnav.tasks.sensing import VIEW_TOLERANCE
+from uavnav.tasks.simulator import Task
+from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 
 COSINES, SINES = COSINE.tolist(), SINE.tolist()
@@ -25,33 +26,36 @@ Circle = tuple[float, float, float]
 """x, y, radius [px]."""
 
 
+def fly(task: Task) -> Flight | BatchOfOne:
+    """A drone in plain numbers where a table holds the reward of the paper's task, else as a batch of one."""
+    known = type(task) is Task and REWARDS[task.reward] in BY_ACTION
+    return Flight(task) if known else BatchOfOne(task)
+
+
 class Flight:
-    """A drone among the obstacles of one set: `start`, then `step` until it is over.
+    """A drone among the obstacles of one set: `start`, then `step` until it is over."""
 
-    Args:
-        bank: Tensor [n, k, 3] of (x, y, radius) px.
-        world: constants and switches.
-        reward: a name of `uavnav.rewards.REWARDS`.
-        max_steps: a cap on steps, or None.
-    """
-
-    def __init__(self, bank: Tensor, world: World, reward: str, max_steps: int | None) -> None:
-        self.world, self.max_steps = world, max_steps
-        self._bank: list[list[Circle]] = bank.tolist()
-        angle, distance = decode(torch.arange(world.n_actions), world)
+    def __init__(self, task: Task) -> None:
+        self.world, self.max_steps = task.world, task.max_steps
+        self._bank: list[list[Circle]] = task.bank.tolist()
+        action = torch.arange(self.world.n_actions)
+        angle, distance = decode(action, self.world)
         self._angles, self._distances = angle.tolist(), distance.tolist()
-        terms = REWARDS[reward](torch.tensor([[False], [True]]), distance, angle, world)
-        shape = 2, world.n_actions
-        self._rewards = torch.stack([term.expand(shape) for term in terms.values()]).sum(0).tolist()
+        nowhere = task.start(torch.zeros_like(action), torch.zeros_like(action))
+        collided = torch.tensor([[False], [True]])
+        step = Step(nowhere, nowhere, action, angle, distance, collided, angle, angle, self.world)
+        terms = REWARDS[task.reward](step).values()
+        shape = 2, self.world.n_actions
+        self._rewards = torch.stack([term.expand(shape) for term in terms]).sum(0).tolist()
 
     def start(self, layout: int, heading: int) -> Observation:
-        """Put the drone at the centre; layout: index in the bank, heading: whole degrees. Returns the observation."""
+        """Put the drone at the start; layout: index in the bank; heading: whole degrees -> observation [30] float32."""
         self.layout, self.heading, self.steps = layout, heading, 0
         self.x, self.y = self.world.start
         return self._observe()
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool]:
-        """Turn, move, sense, then judge: observation [30] float32, reward, terminated, truncated."""
+        """Turn, move, sense, then judge: action -> observation [30] float32, reward, terminated, truncated."""
         distance = self._distances[action]
         self.heading = (self.heading + self._angles[action]) % 360
         self.x = _float32(self.x + _float32(distance * COSINES[self.heading]))
@@ -67,12 +71,37 @@ class Flight:
         return np.array(slots, dtype=np.float32)
 
 
+class BatchOfOne:
+    """The same of any task: its own functions on a batch without a shape."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+
+    def start(self, layout: int, heading: int) -> Observation:
+        """As `Flight.start`."""
+        state = self.task.start(torch.tensor(layout), torch.tensor(heading))
+        observation, clearance = self.task.observe(state)
+        return self._keep(state, observation, clearance)
+
+    def step(self, action: int) -> tuple[Observation, float, bool, bool]:
+        """As `Flight.step`."""
+        state, outcome = self.task.step(self.state, torch.tensor(action))
+        observation = self._keep(state, outcome.observation, outcome.clearance)
+        return observation, float(outcome.reward), bool(outcome.terminated), bool(outcome.truncated)
+
+    def _keep(self, state: State, observation: Tensor, clearance: Tensor) -> Observation:
+        self.state, self.clearance = state, float(clearance)
+        self.layout, self.heading = int(state.layout), int(state.heading)
+        self.x, self.y = float(state.x), float(state.y)
+        return observation.numpy()
+
+
 def _float32(value: float) -> float:
     return float(np.float32(value))
 
 
 def sense(x: float, y: float, heading: int, circles: list[Circle], world: World) -> tuple[list[float], float]:
-    """Eqs (9), (10) and (13): the slots one after the other, and the clearance [px]; as `sensing.sense` of one row."""
+    """The slots, flattened, and the clearance [px]: `sensing.sense` for one row. Eqs (9), (10) and (13)."""
     cosine, sine, reach, side = COSINES[heading], SINES[heading], world.sensor_radius, world.border
     least = world.view_cosine - VIEW_TOLERANCE
     to_wall = min(x - side, world.width - side - x, y - side, world.height - side - y)
@@ -92,7 +121,7 @@ def sense(x: float, y: float, heading: int, circles: list[Circle], world: World)
             if length <= reach:
                 candidates.append((length, dx, dy, length))
     if world.slots == "nearest":
-        candidates.sort(key=itemgetter(0))  # stable: ties stay in the order of their index
+        candidates.sort(key=itemgetter(0))  # a stable sort: ties keep the order of their index
     slots: list[float] = []
     size, radius, span = world.observation_size, world.drone_radius, reach - world.drone_radius
     for distance, dx, dy, length in candidates:
@@ -112,8 +141,10 @@ def sense(x: float, y: float, heading: int, circles: list[Circle], world: World)
 
 
 def _offsets_to_squares(x: float, y: float, world: World) -> list[tuple[float, float]]:
-    """Offsets to the nearest points of the border squares within the sensor's reach, and a few more; in index order:
-    bottom and top row from left to right, left and right column from bottom to top without the corners."""
+    """Offsets [px] to the nearest points of the border squares within the sensor's reach, and of a few more.
+
+    Index order: bottom and top row from left to right, then left and right column from bottom to top without corners.
+    """
     side, reach, width, height = world.border, world.sensor_radius, world.width, world.height
     found = []
     for bottom in (0, height - side):
@@ -130,13 +161,13 @@ def _offsets_to_squares(x: float, y: float, world: World) -> list[tuple[float, f
 
 
 def _to_interval(place: float, start: float, length: float) -> float:
-    """From a place to the nearest one in [start, start + length]; zero inside."""
+    """Offset [px] from a place to the nearest point of [start, start + length]; zero inside."""
     if place < start:
         return start - place
     return start + length - place if place > start + length else 0.0
 
 
 def _within(place: float, reach: float, side: int, lowest: int, highest: int) -> range:
-    """Where the squares begin, along a wall, that reach can touch."""
+    """Starts [px] of the squares along a wall that lie within reach of a place."""
     first = int((place - reach) // side) * side - side
     return range(max(first, lowest), min(int(place + reach) + side, highest + 1), side)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from uavnav.choices import Parser
+from uavnav import plugins
+from uavnav.choices import ConfigError, Parser
 from uavnav.report import report
 from uavnav.report.cells import one_line
 from uavnav.runs.tables import RunError
@@ -16,10 +17,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser(prog="python -m uavnav.report", description=main.__doc__)
     parser.add_argument("folders", nargs="*", default=["results"], metavar="FOLDER", help="of runs (default: results)")
     parser.add_argument("--out", metavar="DIR", help="where the report goes (default: the first FOLDER)")
+    plugins.argument(parser)
     arguments = parser.parse_args(argv)
     try:
+        plugins.load(arguments.plugins)
         written = report(arguments.folders, arguments.out)
-    except RunError as error:
+    except (ConfigError, RunError) as error:
         print(f"uavnav.report: {one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

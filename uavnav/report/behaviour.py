@@ -7,7 +7,8 @@ walls), F flights of all seeds together, T steps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,30 +16,30 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from uavnav import policies
+from uavnav import flights, policies
+from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, MAX_STEPS
-from uavnav.runs import BEHAVIOUR, Run
+from uavnav.report.frames import MEASURES
+from uavnav.runs import Run
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, read_table
-from uavnav.tasks import layouts, simulator
+from uavnav.stats import Array
+from uavnav.tasks import layouts
 from uavnav.tasks.dynamics import decode
-from uavnav.tasks.simulator import UP, Outcome, State
+from uavnav.tasks.state import UP
 from uavnav.tasks.world import World
 from uavnav.training import machine
 
-Array = np.ndarray[Any, np.dtype[np.float64]]
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 FLIGHT = ["mode", "seed", "layout"]
-PLACES = ("clearance", "corridor", "corridor_flown", "border")
-MEASURES = (*PLACES, "reversals", "trembling", "straight_speed", "turning_speed")
 OPPOSITE = -0.5
 """Cosine of 120 degrees: two directions at least so far apart are on opposite sides of the drone."""
 CHUNK = 8192
 """Poses at a time: their pairs of bodies stay in a processor's cache."""
 AGAIN = "evaluate the run again"
 HEADINGS = (0, 90, 180, 270)
-"""Of the flights in the empty arena [degrees]."""
+"""Start headings of the flights in the empty arena [degrees]."""
 EMPTY_ARENA = torch.empty(len(HEADINGS), 0, 3)
 """The bank [4, 0, 3] that belongs to `empty_arena`: as many sets without an obstacle as it has flights a seed."""
 
@@ -49,7 +50,7 @@ def read(run: Run) -> pd.DataFrame | None:
     Raises:
         RunError: the file is damaged, or is not a run's.
     """
-    path = run.path / BEHAVIOUR
+    path = run.behaviour_file()
     if not path.exists():
         return None
     table = read_table(path, BEHAVIOUR_COLUMNS | {"mode": "object"}, AGAIN)
@@ -71,8 +72,7 @@ def read(run: Run) -> pd.DataFrame | None:
 def measures(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
     """One row for each mode and seed: columns mode, seed and `MEASURES`, all of them means over steps.
 
-    A seed's steps weigh alike, whichever flight they are of: what is described is where and how it spends its time, of
-    which a flight of 20 steps says less than one of 500.
+    A seed's steps weigh alike, whichever flight they are of.
 
     - clearance: distance [px] from the drone's centre to the nearest body, as the simulator measured it.
     - corridor: share of steps between two close bodies. Of the circles of the layout and the four walls (each one body,
@@ -140,10 +140,8 @@ def _bodies(x: Tensor, y: Tensor, circles: Tensor, world: World) -> tuple[Tensor
     left, right = x - world.border, world.width - world.border - x
     below, above = y - world.border, world.height - world.border - y
     distance = torch.cat([length - circles[..., 2].T, torch.stack([left, right, below, above])])
-    walls = torch.tensor([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]], dtype=x.dtype)[..., None].expand(
-        4, 2, len(x)
-    )
-    return distance, torch.cat([dx * scale, walls[:, 0]]), torch.cat([dy * scale, walls[:, 1]])
+    toward_x, toward_y = x.new_tensor([[-1, 1, 0, 0], [0, 0, -1, 1]])[..., None].expand(2, 4, len(x))  # the walls
+    return distance, torch.cat([dx * scale, toward_x]), torch.cat([dy * scale, toward_y])
 
 
 def _reversals(table: pd.DataFrame, sign: Array) -> pd.DataFrame:
@@ -164,16 +162,10 @@ def heat(table: pd.DataFrame, world: World, cell: int = 20) -> Array:
     Every seed weighs the same, however long it flew; a table of several modes is not told apart. No rows: all zeros.
     cell: side of a square [px]; where it does not divide the window, the last row and column are cut by its edge.
     """
-    rows, columns = -(-world.height // cell), -(-world.width // cell)
-    row = (table["y"].to_numpy() // cell).clip(0, rows - 1).astype(np.int64)
-    column = (table["x"].to_numpy() // cell).clip(0, columns - 1).astype(np.int64)
-    seeds = table["seed"].to_numpy()
-    shares = np.zeros((rows, columns))
-    for seed in np.unique(seeds):
-        own = seeds == seed
-        counts = np.bincount(row[own] * columns + column[own], minlength=rows * columns)
-        shares += counts.reshape(rows, columns) / own.sum()
-    return shares / max(len(np.unique(seeds)), 1)
+    edges = [np.arange(0, side + cell, cell) for side in (world.height, world.width)]
+    counts = [np.histogram2d(seed["y"], seed["x"], edges)[0] for _, seed in table.groupby("seed")]
+    none = np.zeros([len(axis) - 1 for axis in edges])
+    return np.asarray(sum((one / one.sum() for one in counts), none) / max(len(counts), 1))
 
 
 class Crew(NamedTuple):
@@ -198,10 +190,9 @@ def crew(run: Run, mode: str) -> Crew:
 
 
 def empty_arena(crews: Sequence[Crew], steps: int = 500) -> list[pd.DataFrame]:
-    """Fly where there is no obstacle, from the centre: four flights a seed, by start heading.
+    """Fly where there is no obstacle, from the centre: a flight a seed for each start heading of `HEADINGS`.
 
-    Flight 0 starts at a heading of 0 degrees, 1 at 90, 2 at 180 and 3 at 270; each ends at a collision or after `steps`
-    steps. A seed's flights depend on its policy and a generator of its own alone.
+    It ends at a collision or after `steps` steps. A seed's flights depend on its policy and its own generator alone.
 
     Returns:
         For each crew a table of behaviour, whose `layout` is the flight: for `measures` with the bank `EMPTY_ARENA`.
@@ -209,45 +200,48 @@ def empty_arena(crews: Sequence[Crew], steps: int = 500) -> list[pd.DataFrame]:
     Raises:
         ValueError: steps is below 1.
     """
-    tables: dict[int, pd.DataFrame] = {}
-    rules = [(one.policies[0].world, one.policies[0].reward) for one in crews]
-    for own in dict.fromkeys(rules):  # those of one world and reward fly as one batch
-        places = [place for place, one in enumerate(rules) if one == own]
-        together = [crews[place] for place in places]
-        number = torch.arange(len(together)).repeat_interleave(torch.tensor([len(one.seeds) for one in together]))
-        number = number.repeat_interleave(len(HEADINGS))
-        seed = torch.tensor([seed for one in together for seed in one.seeds]).repeat_interleave(len(HEADINGS))
-        parts: list[dict[str, Tensor]] = []
-        for one in _fly(together, EMPTY_ARENA, torch.tensor(HEADINGS), steps):
-            fields = {name: getattr(one.state, name) for name in ("layout", "x", "y", "heading")}
-            counted = {"step": one.state.steps, "clearance": one.outcome.clearance, "action": one.action}
-            parts.append({"crew": number[one.flight], "seed": seed[one.flight], **fields, **counted})
-        columns = {name: torch.cat([part[name] for part in parts]).numpy() for name in ("crew", *BEHAVIOUR_COLUMNS)}
-        for which, table in pd.DataFrame(columns).groupby("crew"):
-            rows = table.drop(columns="crew").astype(BEHAVIOUR_COLUMNS).assign(mode=together[int(str(which))].mode)
-            tables[places[int(str(which))]] = rows.sort_values([*FLIGHT, "step"], ignore_index=True)
-    return [tables[place] for place in range(len(crews))]
+    flyers = [flyer for one in crews for flyer in zip(one.seeds, one.policies, strict=True)]
+    number = np.repeat(np.arange(len(crews)), [len(one.seeds) for one in crews])
+    seeds = np.array([seed for seed, _ in flyers])
+    parts: list[pd.DataFrame] = []
+    for places in flights.alike([policy for _, policy in flyers]):
+        together = [flyers[place] for place in places]
+        task = replace(together[0][1].task, bank=EMPTY_ARENA, max_steps=steps)
+        with machine.use_threads(1):
+            for step in flights.fly(together, task, torch.tensor(HEADINGS)):
+                flyer = np.array(places)[step.flight.numpy() // len(HEADINGS)]
+                state, outcome = step.state, step.outcome
+                fields = {name: getattr(state, name) for name in ("layout", "x", "y", "heading")}
+                counted = {"step": state.steps, "clearance": outcome.clearance, "action": step.action}
+                parts.append(pd.DataFrame({"crew": number[flyer], "seed": seeds[flyer], **fields, **counted}))
+    of_crews = pd.concat(parts).astype(BEHAVIOUR_COLUMNS).sort_values(["seed", "layout", "step"]).groupby("crew")
+    rows = (table[list(BEHAVIOUR_COLUMNS)].reset_index(drop=True) for _, table in of_crews)
+    return [own.assign(mode=one.mode) for own, one in zip(rows, crews, strict=True)]
+
+
+def with_values() -> list[str]:
+    """The algorithms whose outputs are values of actions, which returns can be held against."""
+    return [name for name, algorithm in ALGORITHMS.items() if algorithm.shown == "Q value"]
 
 
 def overestimation(run: Run, steps: int = 300, n_layouts: int = 20, tail: float = 0.01) -> pd.DataFrame:
-    """How much more a DQN's seeds expect than they get: columns seed, q, realised, overestimation = q - realised.
+    """How much more a run's seeds expect than they get: columns seed, q, realised, overestimation = q - realised.
 
     q is the mean of max_a Q(s, a) over the states of greedy flights, one on each of the first test layouts, and
-    realised the mean of the discounted return from the same states on, under the discount that the run was trained
-    with. States are those of the first `steps` steps of a flight, collision or not; the flight goes on until the rest
-    of its return is worth less than `tail` of what it would be now (gamma^n < tail, 459 steps at 0.99), so that no
-    state is left out for lack of a future. Where that takes more than `evaluate.MAX_STEPS` steps in all (gamma near 1),
-    only states with so much future, or with a collision ahead, count: NaN where there is none.
-
-    All flights start upwards, whatever the start heading in training.
+    realised the mean of the discounted return from the same states on, under the discount of training. States are those
+    of the first `steps` steps of a flight, collision or not; the flight goes on until the rest of its return is worth
+    less than `tail` of what it would be now (gamma^n < tail, 459 steps at 0.99). Where that takes more than
+    `evaluate.MAX_STEPS` steps in all (gamma near 1), only states with so much future, or with a collision ahead, count:
+    NaN where there is none. All flights start upwards.
 
     Raises:
         LayoutError, PolicyError: the test bank or the run's policy cannot be read.
         RunError: the run's gamma is missing or no discount.
-        ValueError: the run is not of DQN, or there are not so many layouts or steps.
+        ValueError: the run's algorithm has no values of actions, or there are not so many layouts or steps.
     """
-    if run.algorithm != "dqn":
-        raise ValueError(f"{run.path}: its algorithm is {run.algorithm}; only dqn has values of actions")
+    if run.algorithm not in with_values():
+        choices = ", ".join(with_values())
+        raise ValueError(f"{run.path}: its algorithm is {run.algorithm}; only {choices} has values of actions")
     gamma = run.config.get("gamma")
     if not isinstance(gamma, (int, float)) or not 0 <= gamma <= 1:
         raise RunError(f"{run.path / 'config.yaml'}: its gamma={gamma} is no discount; give a run's folder")
@@ -261,78 +255,24 @@ def overestimation(run: Run, steps: int = 300, n_layouts: int = 20, tail: float 
     q, returned = (torch.zeros(limit, n_flights, dtype=torch.float64) for _ in range(2))
     flown = torch.zeros(limit, n_flights, dtype=torch.bool)
     collided = torch.zeros(n_flights, dtype=torch.bool)
-    for step, one in enumerate(_fly([crew(run, "greedy")], bank[:n_layouts], heading, limit)):
-        q[step, one.flight] = one.values.amax(-1).double()
-        returned[step, one.flight] = one.outcome.reward
-        flown[step, one.flight] = True
-        collided[one.flight] = one.outcome.terminated
+    flyers = crew(run, "greedy")
+    task = replace(flyers.policies[0].task, bank=bank[:n_layouts], max_steps=limit)
+    with machine.use_threads(1):
+        for one in flights.fly([*zip(run.seeds, flyers.policies, strict=True)], task, heading, values=True):
+            assert one.values is not None
+            step = one.number - 1
+            q[step, one.flight] = one.values.amax(-1).double()
+            returned[step, one.flight] = one.outcome.reward
+            flown[step, one.flight] = True
+            collided[one.flight] = one.outcome.terminated
     for step in reversed(range(limit - 1)):
         returned[step] += gamma * returned[step + 1]
     known = collided | (torch.arange(limit)[:, None] + horizon <= limit)
     counts = (flown & known)[:steps].reshape(-1, len(run.seeds), n_layouts)
-    result = {"seed": run.seeds}
-    for name, values in {"q": q, "realised": returned}.items():
-        summed = (values[:steps].reshape(counts.shape) * counts).sum((0, 2))
-        result[name] = (summed / counts.sum((0, 2))).tolist()  # 0 / 0 is NaN
-    table = pd.DataFrame(result)
-    return table.assign(overestimation=table["q"] - table["realised"])
-
-
-class _Step(NamedTuple):
-    """One step of the flights that are still up: every field has a row for each."""
-
-    flight: Tensor  # its index: first all flights of the first seed
-    values: Tensor  # [F, 100] what the network said of each action
-    action: Tensor
-    state: State  # after it
-    outcome: Outcome
-
-
-def _fly(crews: Sequence[Crew], bank: Tensor, heading: Tensor, steps: int) -> Iterator[_Step]:
-    """Fly every seed of some crews on every set of a bank, in the world and by the reward that they were trained with.
-
-    bank [L, K, 3] px, heading [L] whole degrees. A flight ends at a collision or after so many steps. A seed's flights
-    depend on its policy and a generator of its own alone.
-
-    Raises:
-        ValueError: steps is below 1.
-    """
-    own = crews[0].policies[0]
-    simulator.check_rules(own.reward, steps)
-    stacked, sizes = [_stacked(one.policies) for one in crews], [len(one.seeds) for one in crews]
-    flyers = [policy for one in crews for policy in one.policies]
-    generators = [torch.Generator().manual_seed(seed) for one in crews for seed in one.seeds]
-    layout = torch.arange(len(bank)).repeat(len(flyers))
-    state = simulator.start(layout, heading[layout], own.world)
-    up = torch.ones(len(layout), dtype=torch.bool)
-    with machine.use_threads(1), torch.no_grad():
-        observation, _ = simulator.observe(state, bank, own.world)
-        while up.any():  # flights that have ended are flown on, and not told of
-            seen = torch.split(observation.reshape(len(flyers), len(bank), -1), sizes)
-            parts = [
-                torch.func.functional_call(one.policies[0].network, weights, (part,))
-                for one, weights, part in zip(crews, stacked, seen, strict=True)
-            ]
-            values = torch.cat(parts)
-            chosen = zip(flyers, values, generators, strict=True)
-            action = torch.cat([policy.act(own_values, generator) for policy, own_values, generator in chosen])
-            state, outcome = simulator.step(state, action, bank, own.world, own.reward, steps)
-            flight = up.nonzero()[:, 0]
-            yield _Step(
-                flight,
-                values.flatten(0, 1)[flight],
-                action[flight],
-                State(*(field[flight] for field in state)),
-                Outcome(*(field[flight] for field in outcome)),
-            )
-            up &= ~(outcome.terminated | outcome.truncated)
-            observation = outcome.observation
-
-
-def _stacked(population: Sequence[policies.Policy]) -> dict[str, Tensor]:
-    """The weights of policies of one shape, along the agent axis."""
-    weights = [policy.network.state_dict() for policy in population]
-    return {name: torch.cat([one[name] for one in weights]) for name in weights[0]}
+    sums = ((values[:steps].reshape(counts.shape) * counts).sum((0, 2)) for values in (q, returned))
+    expected, realised = (summed / counts.sum((0, 2)) for summed in sums)  # 0 / 0 is NaN
+    columns = {"q": expected, "realised": realised, "overestimation": expected - realised}
+    return pd.DataFrame({"seed": run.seeds, **columns})
 
 
 def _tensor(column: pd.Series[Any], dtype: torch.dtype) -> Tensor:

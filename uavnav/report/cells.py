@@ -1,4 +1,4 @@
-"""From run folders to cells: runs of the same settings, whatever their seeds. Nothing here trains.
+"""Cells from run folders: runs of the same settings, whatever their seeds. Nothing here trains.
 
 A *cell* is an algorithm with an activation and all other settings. Frames are per seed throughout.
 """
@@ -9,25 +9,36 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
-from uavnav.runs import LOG_FOLDERS, Run, paper
-from uavnav.runs.metrics import EPISODE_COLUMNS, FIRST_COLUMNS, LAST, MODES, finished, last_episodes
+from uavnav.algorithms import ALGORITHMS
+from uavnav.runs import EVALUATION, LOG_FOLDERS, Run, paper
+from uavnav.runs.metrics import EPISODE_COLUMNS, LAST, MODES, finished, last_episodes
 from uavnav.runs.tables import RunError
+from uavnav.tasks.world import World
 
 BINS = 25
-"""Of a run's frames, along a learning curve."""
+"""Points of a learning curve: a run's frames fall into so many bins."""
 NO_RUNS = ("checkpoint", *LOG_FOLDERS)
-"""Folders that are not looked into."""
-OF_REPORTS = ("baselines", "tables", "figures")
-"""Folders whose files are no run's, and read or written by a report."""
+"""Folders that hold no runs."""
+OF_REPORTS = ("baselines", "bench", "tables", "figures")
+"""Folders that a report reads or writes itself."""
+TASK = "drone"
+"""The task of a run that names none."""
+ONCE_FLAT = ("slots", "padding", "start_heading")
+"""Fields of `World` that older configurations hold beside `world` and not in it."""
+NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
 NAMED = ("preset", "frames", "n_worlds", "obstacles", "reward", "init")
-"""Settings that every section names; others are named where cells differ in them, or from their preset."""
+"""Settings that every section names; it names others where cells differ in them or from their preset."""
 EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)
+Key = tuple[str, str]
+"""Algorithm and activation."""
 
 
 class Cell(NamedTuple):
@@ -42,17 +53,14 @@ class Cell(NamedTuple):
     label: str = ""
 
 
-def run_folders(folder: Path) -> list[Path]:
-    """Every folder with a config.yaml in or below a folder, in order of name; hidden ones are not looked into.
+def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
+    """Every folder with a config.yaml in or below a folder, in order of name, hidden ones aside; and strays.
+
+    Strays are tables that lie where no run is, one line each.
 
     Raises:
-        RunError: it is missing, a file, or holds none.
+        RunError: it is missing, a file, or holds no run.
     """
-    return _walk(folder)[0]
-
-
-def _walk(folder: Path) -> tuple[list[Path], list[str]]:
-    """The same, and one line for each table that lies where no run is."""
     if not folder.is_dir():
         problem = "is a file" if folder.exists() else "there is no such folder"
         raise RunError(f"{folder}: {problem}; give a folder that holds runs")
@@ -76,7 +84,7 @@ def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
     Raises:
         RunError: a folder is missing or holds no run, or no run can be used.
     """
-    walked = [_walk(folder) for folder in folders]
+    walked = [run_folders(folder) for folder in folders]
     paths = {path.resolve(): path for found, _ in walked for path in found}
     cells: dict[str, Cell] = {}
     left_out = []
@@ -99,41 +107,71 @@ def read(path: Path) -> Cell:
         RunError: it is missing, damaged, not finished, or lacks what a report needs.
     """
     run = Run(path)
-    config = {"algorithm": run.algorithm} | run.config
-    for key, kind in {"algorithm": str, "activation": str, "seed": int, "n_seeds": int}.items():
-        if not isinstance(config.pop(key, None), kind):
-            raise RunError(f"{path / 'config.yaml'}: has no {key}; not a run of this package")
-    if not re.fullmatch(r"[\w-]+", run.algorithm) or not run.seeds:
-        raise RunError(f"{path / 'config.yaml'}: names no algorithm or no seeds; not a run of this package")
+    if not re.fullmatch(r"[\w-]+", run.algorithm):
+        raise RunError(f"{path / 'config.yaml'}: names no algorithm; not a run of this package")
     for key in ("bank", "versions", "beyond_preset"):
         if not isinstance(run.meta.setdefault(key, {}), dict):
             raise RunError(f"{path / 'meta.json'}: {key} is no table; not a run of this package")
-    if not isinstance(run.meta.get("frames"), int) or run.frames < 1:
+    if run.frames < 1:
         raise RunError(f"{path / 'meta.json'}: does not say how many frames were run; not a run of this package")
-    bank, world = run.meta["bank"], run.meta["versions"].get("world", "not known")
-    facts = {"obstacles": bank.get("k", "not known"), "bank": bank.get("sha256", "not known"), "world": world}
-    settings = config | {"frames": run.frames} | facts
     evaluation = run.evaluation()
+    run.meta["evaluation"] = "none" if evaluation is None else _protocol(run, evaluation)
     return Cell(
         run.algorithm,
         run.config["activation"],
-        settings,
+        _settings(run),
         [run],
         _checked(run, "episodes", run.episodes),
-        EMPTY if evaluation is None else _checked(run, "evaluation", evaluation, "mode"),
+        EMPTY if evaluation is None else _checked(run, "evaluation", evaluation),
     )
 
 
-def _checked(run: Run, name: str, rows: pd.DataFrame, *more: str) -> pd.DataFrame:
-    """The columns that rows of episodes have, in their types, and more; or a RunError."""
-    kinds = {name: kind for name, kind in EPISODE_COLUMNS.items() if name in FIRST_COLUMNS or name in rows}
-    try:
-        rows = rows[[*kinds, *more]].astype(kinds)
-    except (KeyError, ValueError, TypeError) as error:
-        raise RunError(f"{run.path / name}.parquet: not a table of episodes ({error})") from error
+def _protocol(run: Run, rows: pd.DataFrame) -> str:
+    """Which evaluation was read: its file, its sets of obstacles, its bank and its cap; and which files were not."""
+    cut = rows.loc[rows["truncated"], "steps"]
+    cap = rows.attrs.get("max_steps", cut.max() if len(cut) else "not known")
+    bank = rows.attrs.get("layouts", "not known")
+    read = f"{EVALUATION}, {rows['layout'].nunique()} sets of obstacles (bank {bank}), at most {show(cap)} steps"
+    others = [path.name for path in sorted(run.path.glob("evaluation-*.parquet"))]
+    return read + (f"; not read: {', '.join(others)}" if others else "")
+
+
+def _settings(run: Run) -> dict[str, Any]:
+    """All that a run's episodes depend on, except algorithm, activation and seeds.
+
+    A field of the world is `world.<field>`; whatever a run of the task `drone` does not name is a default of `World`. A
+    bank is its checksum, whatever path led to it.
+    """
+    later = ALGORITHMS[run.algorithm].came_later if run.algorithm in ALGORITHMS else {}
+    config = {"task": TASK, "layouts": "train", **later, **_flat(run.config)}
+    if "world" in config:
+        raise RunError(f"{run.path / 'config.yaml'}: world is no table; not a run of this package")
+    if config["task"] == TASK:
+        config = _flat({"world": asdict(World())}) | config
+    bank, layouts = run.meta["bank"], str(config.pop("layouts"))
+    facts = {
+        "frames": run.frames,
+        "obstacles": bank.get("k", "not known"),
+        "bank": bank.get("sha256", layouts),
+        "world.version": run.meta["versions"].get("world", "not known"),
+    }
+    return {key: value for key, value in config.items() if key not in NO_SETTINGS} | facts
+
+
+def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration with the fields of its table `world` as `world.<field>`; so are the three of older ones."""
+    rest = dict(config)
+    world = rest.pop("world") if isinstance(rest.get("world"), dict) else {}
+    own = {name: rest.pop(name) for name in ONCE_FLAT if name in rest} | world
+    floats = {name for name, value in own.items() if type(value) is int and isinstance(getattr(World, name, 0), float)}
+    return rest | {f"world.{name}": float(value) if name in floats else value for name, value in own.items()}
+
+
+def _checked(run: Run, name: str, rows: pd.DataFrame) -> pd.DataFrame:
+    """The columns that rows of episodes have; or a RunError."""
     if not set(rows["seed"]) <= set(run.seeds):
         raise RunError(f"{run.path / name}.parquet: has seeds that config.yaml has not")
-    return rows
+    return rows[[column for column in (*EPISODE_COLUMNS, "mode") if column in rows]]
 
 
 def _merged(cell: Cell, other: Cell) -> Cell:
@@ -149,8 +187,20 @@ def _merged(cell: Cell, other: Cell) -> Cell:
 
 
 def _joined(*tables: pd.DataFrame) -> pd.DataFrame:
-    filled = [table for table in tables if len(table)]
-    return pd.concat(filled, ignore_index=True) if filled else tables[0]
+    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
+
+
+def algorithms(keys: Iterable[Key]) -> list[str]:
+    """The algorithms of some cells, in order."""
+    return list(dict.fromkeys(algorithm for algorithm, _ in sorted(keys, key=order)))
+
+
+def order(key: Key) -> tuple[int | bool | str, ...]:
+    """Where a cell stands: the paper's activations before others, the paper's algorithms before those of the table."""
+    algorithm, activation = key
+    known, of_paper = [*paper.TABLE_OF, *ALGORITHMS, algorithm], [*paper.ACTIVATIONS, activation]
+    is_other = activation not in paper.ACTIVATIONS
+    return is_other, known.index(algorithm), algorithm, of_paper.index(activation), activation
 
 
 def label(cells: list[Cell]) -> tuple[list[Cell], str]:
@@ -158,15 +208,14 @@ def label(cells: list[Cell]) -> tuple[list[Cell], str]:
     settings = [{key: show(value) for key, value in cell.settings.items()} for cell in cells]
     differing = {key for one in settings for key in one if len({other.get(key) for other in settings}) > 1}
     differing -= {"total_frames"} if "frames" in differing else set()
-    beyond = {key for cell in cells for run in cell.runs for key in run.meta["beyond_preset"]}
+    beyond = {key for cell in cells for run in cell.runs for key in _flat(run.meta["beyond_preset"])} - {"layouts"}
     named = [*NAMED, *sorted((differing | beyond).difference(NAMED))]
     usual = {key: Counter(one.get(key) for one in settings).most_common(1)[0][0] for key in named if cells}
     labelled = []
     for cell, own in zip(cells, settings, strict=True):
         changes = ", ".join(f"{key}={own.get(key)}" for key in usual if own.get(key) != usual[key])
         labelled.append(cell._replace(label=f"{cell.activation} ({changes})" if changes else cell.activation))
-    order = [activation for _, activation in paper.TABLES]
-    labelled.sort(key=lambda cell: ([*order, cell.activation].index(cell.activation), cell.label))
+    labelled.sort(key=lambda cell: (*order((cell.algorithm, cell.activation)), cell.label))
     return labelled, ", ".join(f"{key}={value}" for key, value in usual.items())
 
 
@@ -178,14 +227,19 @@ def readings(cell: Cell) -> dict[str, pd.DataFrame]:
 
 
 def curve(cell: Cell, column: str) -> pd.DataFrame:
-    """Means per bin of frames (index: its middle) and seed (columns), over the episodes that ended in it."""
-    ended, width = finished(cell.episodes), cell.settings["frames"] / BINS
-    middle = (((ended["frame"] - 1) // width).clip(0, BINS - 1) + 0.5) * width
-    return ended.groupby([middle, "seed"])[column].mean().unstack("seed")
+    """Means per bin and seed (`binned`) over a cell's episodes that ended."""
+    return binned(finished(cell.episodes), column, cell.settings["frames"])
+
+
+def binned(rows: pd.DataFrame, column: str, frames: int) -> pd.DataFrame:
+    """Means of a column per bin of frames (index: its middle) and seed (columns); rows without a value are left out."""
+    rows, width = rows[rows[column].notna()], frames / BINS
+    middle = (((rows["frame"] - 1) // width).clip(0, BINS - 1) + 0.5) * width
+    return rows.groupby([middle, "seed"])[column].mean().unstack("seed")
 
 
 def show(value: object) -> str:
-    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else one_line(value)
+    return f"{value:,}" if isinstance(value, (int, np.integer)) and not isinstance(value, bool) else one_line(value)
 
 
 def one_line(text: object) -> str:

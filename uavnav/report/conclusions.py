@@ -7,51 +7,11 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from uavnav.evaluate import WATCHED_LAYOUTS, WATCHED_STEPS
 from uavnav.report import tables
-from uavnav.report.claims import (
-    CLAIMS,
-    CONTRADICTED,
-    PRIMARY,
-    SEEDS,
-    SUPPORTED,
-    UNDECIDED,
-    Claim,
-    Finding,
-    p_shown,
-    verdict,
-)
+from uavnav.report.claims import CLAIMS, Claim
 from uavnav.report.frames import AS_DECIDED, total_frames
 from uavnav.report.studies import Studies, paper_cells
-
-RULE = (
-    "A part of a claim is supported or contradicted only if the 95 % bootstrap interval over training seeds, "
-    "adjusted by Holm for all parts of all claims, lies wholly inside or outside the claimed region, with at least "
-    f"{SEEDS} seeds in every cell; else it is undecided. A claim is contradicted if one of its parts is, supported if"
-    f" all are. The primary reading is {PRIMARY}; the others stand beside it; an episode's stops, turns and speed are"
-    " ratios to its own steps, and a seed's their mean over episodes, but in the reading of ratios of means. Claim 8"
-    " asks a test instead (p < 0.05 by Holm), which can support and never contradict."
-)
-FIXED = (
-    "The rule's code is of commit 8c7dc96, written after a pilot of three seeds a cell had been read, when the first"
-    " of the study's eight cells had ended and the second was in its last minute; paired resampling for claim 4's "
-    "times, the levels after the first failure of Holm, and claim 9's share of the distance flown were added while "
-    "runs were under way and before their results were read. After results had been read, on 2026-11-21, claim 8's "
-    f"test, which rejected equal orders at unequal noise, gave way to one of crossovers ({PRIMARY}: undecided under "
-    "both, Holm's p 0.41 and 1; last 100: supported under the old one, undecided under the new), claim 9's drones "
-    "came to fly the empty arena as each reading says, which they had done sampled in all (commit 178ace5; greedy: "
-    "undecided before, contradicted since), and claim 11 came to count seeds instead of runs."
-)
-BEHAVIOUR = (
-    f"Flights of at most {WATCHED_STEPS} steps on {WATCHED_LAYOUTS} test sets, acting as in training. A drone is in a"
-    " corridor where two bodies (circles or walls) are within 120 px of its centre in directions at least 120° "
-    "apart; “flown” weighs by distance, so that standing between two obstacles is no steering. Reversals are changes"
-    " of the turn's sign from one turning step to the next, per step."
-)
-NOT_OF_TRAINING = (
-    "Claim 9 and the reversals of claim 10 are of flights on test sets, sampled but in the greedy reading, and claim"
-    " 11 is of run times: their verdicts by training episodes are the same evidence again, and no further agreement."
-)
+from uavnav.report.verdicts import CONTRADICTED, KINDS, SEEDS, SUPPORTED, Finding, of_claim, p_in_words, verdict
 
 
 def sensitivity(studies: Studies, found: pd.DataFrame) -> str:
@@ -92,9 +52,9 @@ def by_default(studies: Studies, found: pd.DataFrame) -> str:
 
 def lead(findings: Sequence[Finding]) -> str:
     """One sentence: how many claims hold."""
-    of = {claim.number: verdict([one for one in findings if one.claim == claim.number]) for claim in CLAIMS}
+    of = {claim.number: verdict(of_claim(findings, claim.number)) for claim in CLAIMS}
     parts = []
-    for kind in (SUPPORTED, CONTRADICTED, UNDECIDED):
+    for kind in KINDS:
         numbers = [str(number) for number, found in of.items() if found == kind]
         listed = f" ({', '.join(numbers)})" if numbers else ""
         parts.append(f"{_are(len(numbers))} {kind}{listed}")
@@ -107,7 +67,7 @@ def _are(count: int, of: str = "") -> str:
 
 def sentence(claim: Claim, findings: Sequence[Finding]) -> str:
     """What the parts of a claim come to."""
-    kinds = [(kind, sum(one.verdict == kind for one in findings)) for kind in (SUPPORTED, CONTRADICTED, UNDECIDED)]
+    kinds = [(kind, sum(one.verdict == kind for one in findings)) for kind in KINDS]
     parts = [f"{_are(count, f' of {len(findings)} parts')} {kind}" for kind, count in kinds if count]
     said = [", ".join(parts) + "." if len(findings) > 1 else f"Its one part is {verdict(findings)}."]
     if against := [one for one in findings if one.against_itself]:
@@ -115,21 +75,6 @@ def sentence(claim: Claim, findings: Sequence[Finding]) -> str:
             f"The paper's own tables speak against it in {len(against)}: {'; '.join(one.text for one in against)}."
         )
     return " ".join([*said, claim.note]).strip()
-
-
-def elsewhere(finding: Finding, audits: Mapping[str, Sequence[Finding]]) -> dict[str, Finding]:
-    """The same part in the readings that decide it the other way."""
-    same = {reading: [one for one in found if _part(one) == _part(finding)] for reading, found in audits.items()}
-    return {
-        reading: one
-        for reading, found in same.items()
-        for one in found
-        if {one.verdict, finding.verdict} == {SUPPORTED, CONTRADICTED}
-    }
-
-
-def _part(finding: Finding) -> tuple[int, str]:
-    return finding.claim, finding.text
 
 
 def turned(findings: Sequence[Finding], audits: Mapping[str, Sequence[Finding]]) -> str:
@@ -141,7 +86,12 @@ def turned(findings: Sequence[Finding], audits: Mapping[str, Sequence[Finding]])
 
 def other_way(finding: Finding, audits: Mapping[str, Sequence[Finding]]) -> str:
     """The readings that decide a part the other way, in words."""
-    found = elsewhere(finding, audits)
+    found = [
+        reading
+        for reading, findings in audits.items()
+        for one in findings
+        if one[:2] == finding[:2] and {one.verdict, finding.verdict} == {SUPPORTED, CONTRADICTED}
+    ]
     every = len(found) > 1 and len(found) == len(audits) - 1
     return "by every other reading" if every else "by " + ", by ".join(found) if found else ""
 
@@ -153,7 +103,5 @@ def headline(findings: Sequence[Finding]) -> list[str]:
         return [decisive.text, "no runs"]
     own = [] if math.isnan(decisive.paper) else [f"the paper {tables.number(decisive.paper, decisive.digits)}"]
     ours = tables.with_interval(decisive.value, decisive.low, decisive.high, decisive.digits)
-    p = p_shown(decisive)
-    of_test = decisive.region.startswith("p")
-    criterion = f"claimed {decisive.region}" if not of_test else f"p {p}" if p[0] in "<≤" else f"p = {p}"
+    criterion = p_in_words(decisive) if decisive.by_test else f"claimed {decisive.region}"
     return [decisive.text, *own, f"ours {ours}", criterion, f"n = {decisive.n}"]

@@ -16,21 +16,51 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats
-from uavnav.report.cells import Cell, readings
-from uavnav.report.claims import ALGORITHMS, PRIMARY, Finding, long, verdict
-from uavnav.report.figures import DIAGNOSTICS
-from uavnav.report.studies import TUNED, Cells, Studies, hours, seeds, timed
+from uavnav.report import claims
+from uavnav.report.cells import Cell, Key, algorithms, readings
+from uavnav.report.claims import PRIMARY, halves, long
+from uavnav.report.studies import TUNED, Cells, Studies, hours, paper_cells, seeds, timed
+from uavnav.report.verdicts import Finding, of_claim, verdict
 from uavnav.runs import paper
 from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
 from uavnav.runs.tables import RunError, read_table
 
 CAP = 10_000
 """Steps at which the restricted mean of a survival curve ends: the evaluation's own cap."""
+DIAGNOSTICS = {
+    "dormant": "dormant hidden units [share]",
+    "saturated": "saturated activations [share]",
+    "effective_rank": "effective rank of the last hidden layer [dimensions]",
+    "grad_norm": "gradient norm before clipping",
+    "entropy": "entropy of the policy [nat]",
+    "q_value": "mean of max Q in training [reward]",
+}
+"""What a run's progress tells of its networks: columns that may say why activations differ."""
+MEASURES = {
+    "clearance": "clearance [px]",
+    "corridor": "steps in corridors [share]",
+    "corridor_flown": "distance flown in corridors [share]",
+    "reversals": "reversals of turn [share of steps]",
+    "trembling": "trembling [share of steps]",
+    "straight_speed": "speed going straight [px a step]",
+    "turning_speed": "speed in turns [px a step]",
+    "border": "steps nearest to the border [share]",
+}
+"""How a policy flies: the columns of `behaviour.measures`."""
+OVERESTIMATION = {"q": "max Q [reward]", "realised": "realised [reward]", "overestimation": "overestimation [reward]"}
+"""What a seed expects and gets: columns of `behaviour.overestimation`."""
+AS_DECIDED = "default"
+"""The switch that changes nothing."""
 
 
 def name(algorithm: str, activation: str) -> str:
     """A cell, in words."""
     return f"{algorithm.upper()} {activation}"
+
+
+def of_seeds(cell: Cell, reading: str, metric: str = "reward") -> stats.Array:
+    """A metric of a cell in one reading: a number a seed [S]."""
+    return per_seed(readings(cell)[reading])[metric].dropna().to_numpy()
 
 
 def per_seed_values(cells: Cells) -> pd.DataFrame:
@@ -54,13 +84,10 @@ def estimates(values: pd.DataFrame) -> pd.DataFrame:
     keys = ["algorithm", "activation", "reading", "ratio", "metric"]
     numbers = ["n", "mean", "low", "high", "interquartile_mean", "iqm_low", "iqm_high", "paper"]
     for key, part in values.groupby(keys, sort=False)["value"]:
-        row: dict[str, Any] = dict(zip(keys, key, strict=True))
+        algorithm, activation, *_, metric = map(str, key)
         values_of = np.asarray(part, dtype=np.float64).tobytes()
         mean, middle = _interval(values_of), _interval(values_of, stats.interquartile_mean)
-        printed = paper.TABLES.get((row["algorithm"], row["activation"]), {}).get(row["metric"], np.nan)
-        row |= {"n": mean.n, "mean": mean.value, "low": mean.low, "high": mean.high}
-        row |= {"interquartile_mean": middle.value, "iqm_low": middle.low, "iqm_high": middle.high}
-        rows.append(row | {"paper": printed})
+        rows.append([*key, mean.n, *mean[:3], *middle[:3], paper.printed(algorithm, activation, metric)])
     return pd.DataFrame(rows, columns=[*keys, *numbers])
 
 
@@ -75,38 +102,31 @@ def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
     parts = []
     for reading, findings in audits.items():
         table = pd.DataFrame([finding._asdict() for finding in findings])
-        of_claim = {
-            number: verdict([one for one in findings if one.claim == number]) for number in table["claim"].unique()
-        }
-        parts.append(table.assign(reading=reading, verdict_of_claim=table["claim"].map(of_claim)))
+        decided = {number: verdict(of_claim(findings, number)) for number in table["claim"].unique()}
+        parts.append(table.assign(reading=reading, verdict_of_claim=table["claim"].map(decided)))
     return pd.concat(parts, ignore_index=True).drop(columns="digits")
 
 
-def improvement(cells: Cells, reading: str = PRIMARY, metric: str = "reward") -> pd.DataFrame:
+def improvement(cells: Cells) -> pd.DataFrame:
     """For each pair of cells, how probably a seed of the one beats a seed of the other (`stats.improvement`)."""
-    values = {name(*key): per_seed(readings(cell)[reading])[metric].dropna().to_numpy() for key, cell in cells.items()}
-    return stats.improvement(values)
+    return stats.improvement({name(*key): of_seeds(cell, PRIMARY) for key, cell in cells.items()})
 
 
 def interactions(cells: Cells) -> pd.DataFrame:
-    """Whether activations change places between the two algorithms: by metric and reading, `stats.interaction`."""
+    """Whether activations change places between the paper's algorithms: by metric and reading, `stats.interaction`."""
     rows = []
     for reading, metric in itertools.product((PRIMARY, "sampled evaluation"), ("reward", "steps", "distance")):
-        samples = {
-            key: per_seed(readings(cell)[reading])[metric].dropna().to_numpy()
-            for key, cell in cells.items()
-            if key in paper.TABLES
-        }
+        samples = {key: of_seeds(cell, reading, metric) for key, cell in cells.items() if key in paper.TABLES}
         found = stats.interaction(long(samples))
         rows.append({"reading": reading, "metric": metric, **found._asdict()})
     return pd.DataFrame(rows)
 
 
-def survival(cells: Cells, mode: str = "sampled") -> tuple[dict[str, pd.Series], pd.DataFrame]:
-    """Kaplan-Meier curves of test flights, all seeds together, and each seed's restricted mean with its interval."""
+def survival(cells: Cells) -> tuple[dict[str, pd.Series], pd.DataFrame]:
+    """Kaplan-Meier curves of sampled flights, all seeds together, and restricted means over seeds with intervals."""
     curves, rows = {}, []
     for key, cell in cells.items():
-        part = readings(cell)[f"{mode} evaluation"]
+        part = readings(cell)["sampled evaluation"]
         if part.empty:
             continue
         curves[name(*key)] = stats.survival(part["steps"].to_numpy(), part["terminated"].to_numpy())
@@ -115,32 +135,30 @@ def survival(cells: Cells, mode: str = "sampled") -> tuple[dict[str, pd.Series],
             for _, one in part.groupby("seed")
         ]
         mean = stats.interval(means)
-        cut = float(part["truncated"].mean())
-        row = {"cell": name(*key), "n": mean.n, "episodes": len(part), "cut_off": cut, "restricted_mean": mean.value}
-        rows.append(row | {"low": mean.low, "high": mean.high})
+        rows.append([name(*key), mean.n, len(part), part["truncated"].mean(), *mean[:3]])
     columns = ["cell", "n", "episodes", "cut_off", "restricted_mean", "low", "high"]
     return curves, pd.DataFrame(rows, columns=columns)
 
 
-def power(cells: Cells, metric: str = "reward") -> pd.DataFrame:
-    """Seeds a cell that it would take to tell each pair of activations of an algorithm apart: 80 % power, 5 %."""
+def power(cells: Cells) -> pd.DataFrame:
+    """Seeds a cell that would tell the rewards of two activations apart, for each pair of an algorithm: 80 %, 5 %."""
     rows = []
-    for algorithm in ALGORITHMS:
-        mine = {key: cell for key, cell in cells.items() if key[0] == algorithm and key in paper.TABLES}
-        values = {key: per_seed(readings(cell)[PRIMARY])[metric].dropna().to_numpy() for key, cell in mine.items()}
+    for algorithm in algorithms(cells):
+        mine = {activation: cell for (which, activation), cell in paper_cells(cells).items() if which == algorithm}
+        values = {activation: of_seeds(cell, PRIMARY) for activation, cell in mine.items()}
         for a, b in itertools.combinations(values, 2):
-            pair = f"{algorithm.upper()}: {a[1]} and {b[1]}"
             n = min(len(values[a]), len(values[b]))
-            rows.append({"pair": pair, "n": n, "seeds": stats.seeds_needed(values[a], values[b])})
+            seeds_needed = stats.seeds_needed(values[a], values[b])
+            rows.append({"pair": f"{algorithm.upper()}: {a} and {b}", "n": n, "seeds": seeds_needed})
     return pd.DataFrame(rows, columns=["pair", "n", "seeds"])
 
 
-def flown(flights: Mapping[tuple[str, str, str], pd.DataFrame], study: str = "main") -> pd.DataFrame:
-    """What flights look like, one row a cell, mode and seed."""
+def flown(flights: Mapping[tuple[str, str, str], pd.DataFrame]) -> pd.DataFrame:
+    """What flights of the main study look like, one row a cell, mode and seed."""
     parts = [
         table.assign(cell=name(algorithm, activation), algorithm=algorithm, activation=activation)
-        for (which, algorithm, activation), table in flights.items()
-        if which == study
+        for (study, algorithm, activation), table in flights.items()
+        if study == "main"
     ]
     columns = ["mode", "seed", "cell", "algorithm", "activation"]
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
@@ -159,13 +177,12 @@ def diagnostics(cells: Cells) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["cell", "diagnostic", "n", "value", "low", "high"])
 
 
-CONCLUSIONS = {
-    "PPO above DQN": [("ppo", "tanh"), ("ppo", "relu"), ("dqn", "tanh"), ("dqn", "relu")],
-    "PPO: tanh above ReLU": [("ppo", "tanh"), ("ppo", "relu")],
-    "DQN: tanh above ReLU": [("dqn", "tanh"), ("dqn", "relu")],
-}
-"""What a choice may flip: the mean reward of the first half of these cells minus that of the second."""
-AS_DECIDED = "default"
+def compared(cells: Iterable[Key]) -> dict[str, list[Key]]:
+    """What a choice may flip: the mean reward of the first half of these cells minus that of the second."""
+    pair = ("tanh", "relu")
+    within = dict.fromkeys([*claims.ALGORITHMS, *algorithms(cells)])
+    between = {" above ".join(map(str.upper, claims.ALGORITHMS)): list(itertools.product(claims.ALGORITHMS, pair))}
+    return between | {f"{one.upper()}: tanh above ReLU": list(itertools.product([one], pair)) for one in within}
 
 
 def sensitivity(studies: Studies) -> pd.DataFrame:
@@ -176,11 +193,11 @@ def sensitivity(studies: Studies) -> pd.DataFrame:
     """
     rows = []
     for switch, cells in {AS_DECIDED: studies.baseline, **studies.switches}.items():
-        for conclusion, keys in CONCLUSIONS.items():
+        for conclusion, keys in compared(studies.baseline).items():
             there = [cells.get(key) or studies.baseline.get(key) for key in keys]
             if None in there or not any(key in cells for key in keys):
                 continue
-            samples = [_rewards(cell, PRIMARY) for cell in there if cell is not None]
+            samples = [of_seeds(cell, PRIMARY) for cell in there if cell is not None]
             found = stats.contrast(samples, _first_minus_second)
             rows.append({"switch": switch, "conclusion": conclusion, **found._asdict()})
     decided = {row["conclusion"]: row for row in rows if row["switch"] == AS_DECIDED}
@@ -189,14 +206,8 @@ def sensitivity(studies: Studies) -> pd.DataFrame:
     return table.assign(flips=flips)
 
 
-def _rewards(cell: Cell, reading: str) -> stats.Array:
-    return per_seed(readings(cell)[reading])["reward"].dropna().to_numpy()
-
-
 def _first_minus_second(*samples: stats.Array, axis: int = -1) -> stats.Array:
-    means = [sample.mean(axis) for sample in samples]
-    half = len(means) // 2
-    return np.asarray(np.mean(means[:half], axis=0) - np.mean(means[half:], axis=0))
+    return halves(*(sample.mean(axis) for sample in samples))
 
 
 def _flips(row: Mapping[str, Any], decided: Mapping[str, Any] | None) -> str:
@@ -208,17 +219,17 @@ def _flips(row: Mapping[str, Any], decided: Mapping[str, Any] | None) -> str:
     return "yes" if clear else "sign"
 
 
-def by_default(studies: Studies, reading: str = "sampled evaluation") -> pd.DataFrame:
+def by_default(studies: Studies) -> pd.DataFrame:
     """PPO's reward minus DQN's, tuned and in the main study: columns settings, activations, value, low, high, n.
 
-    Of the activations that both algorithms have in the study `tuned`, alike in both rows.
+    Both rows are of the activations that both algorithms have in the study `tuned`.
     """
-    tuned = [activation for algorithm, activation in studies.tuned if algorithm == "ppo"]
-    shared = [activation for activation in tuned if ("dqn", activation) in studies.tuned]
-    keys, rows = list(itertools.product(("ppo", "dqn"), shared)), []
+    first, second = ([activation for which, activation in studies.tuned if which == one] for one in claims.ALGORITHMS)
+    shared = [activation for activation in first if activation in second]
+    keys, rows = list(itertools.product(claims.ALGORITHMS, shared)), []
     for settings, cells in {f"preset {TUNED}": studies.tuned, "main study": studies.main}.items():
-        samples = [_rewards(cells[key], reading) if key in cells else np.empty(0) for key in keys] or [np.empty(0)]
-        found = stats.contrast(samples, _first_minus_second)
+        samples = [of_seeds(cells[key], "sampled evaluation") if key in cells else np.empty(0) for key in keys]
+        found = stats.contrast(samples or [np.empty(0)], _first_minus_second)
         rows.append({"settings": settings, "activations": ", ".join(shared), **found._asdict()})
     return pd.DataFrame(rows)
 
@@ -230,14 +241,13 @@ def speed(cells: Cells) -> pd.DataFrame:
         for run, took in zip(timed(cell), hours(cell), strict=True):
             machine = run.meta.get("machine", {})
             processor = machine.get("processor", "not known") if isinstance(machine, dict) else str(machine)
-            rows.append({"cell": name(*key), "seconds": 3600 * took, "seeds": len(run.seeds), "machine": processor})
+            rows.append([name(*key), 3600 * took, len(run.seeds), processor])
     return pd.DataFrame(rows, columns=["cell", "seconds", "seeds", "machine"])
 
 
 def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
     """Rows of scripted policies and of people: `baselines/*.parquet` in the report's folders; what cannot be read."""
-    found: dict[str, pd.DataFrame] = {}
-    left_out = []
+    found, left_out = {}, []
     for path in (path for folder in folders for path in sorted((folder / "baselines").glob("*.parquet"))):
         try:
             found[path.stem] = read_table(path, FIRST_COLUMNS, "evaluate it again")
@@ -252,11 +262,11 @@ def total_seeds(cells: Cells) -> str:
 
 
 def total_frames(cells: Cells) -> str:
-    """How many frames a seed has, likewise."""
+    """How many frames a seed has: one number, or from ... to ..."""
     return least_to_most(cell.settings["frames"] for cell in cells.values())
 
 
 def least_to_most(counts: Iterable[int]) -> str:
-    """Of some counts; one number where they are the same."""
+    """The range of some counts; one number where they are the same."""
     ordered = sorted({*counts})
     return " to ".join(f"{count:,}" for count in dict.fromkeys([*ordered[:1], *ordered[-1:]])) or "0"

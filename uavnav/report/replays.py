@@ -1,12 +1,9 @@
 """Flights of trained policies for the report's player, small enough for a page: nothing here trains.
 
-A policy flies as in training, so PPO samples and DQN explores; what it sees and thinks is kept at every step.
-
-Numbers are rounded to what a picture shows, put into bytes field by field, deflated, and written as base64. Positions
-are kept to 0.1 px. Action values are rounded to 64 levels between the least and the greatest of their step: a colour
-scale shows no more, and noise in the lowest bits is what deflates worst (of DQN's 100 values a step about 85 bytes are
-left with 256 levels, 50 with 64, 40 with 32). A page then holds 40 kB of text for 1,000 steps of PPO, 110 of DQN.
-`FIELDS` says how each number is kept, and the player reads it from there.
+Numbers are rounded to what a picture shows, put into bytes field by field (`FIELDS`), deflated, and written as base64.
+Action values have 64 levels between the least and the greatest of their step: noise in the lowest bits deflates worst
+(of DQN's 100 values a step about 85 bytes are left with 256 levels, 50 with 64, 40 with 32). A page then holds 40 kB of
+text for 1,000 steps of PPO, 110 of DQN.
 
 Letters: R rows, one a flight, T steps of a flight, K obstacles of a set.
 """
@@ -14,9 +11,8 @@ Letters: R rows, one a flight, T steps of a flight, K obstacles of a set.
 from __future__ import annotations
 
 import base64
-import itertools
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
@@ -24,19 +20,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uavnav import flights
+from uavnav.algorithms import ALGORITHMS
+from uavnav.evaluate import EPISODES
 from uavnav.policies import Policy, PolicyError, load_policy
 from uavnav.report.cells import Cell, one_line
-from uavnav.tasks import layouts, simulator
+from uavnav.tasks import layouts
 from uavnav.tasks.dynamics import decode
-from uavnav.tasks.seeding import stream
-from uavnav.tasks.simulator import UP, State
+from uavnav.tasks.simulator import Task
+from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 from uavnav.training import machine
 
 LEVELS = 64
 """So many different colours has an action's value."""
-VALUES = {"ppo": "probability", "dqn": "Q value"}
-"""What the numbers behind an action are."""
 
 
 class Field(NamedTuple):
@@ -75,9 +72,9 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
 
     Returns:
         What the player reads, as JSON can hold it: `world` (its constants), `layouts` (sets of [x, y, radius] px),
-        `actions` ([degrees, px] of each), `fields` (as `FIELDS`, in the order of the bytes, and how many columns each
-        has; a field lies column by column), `cells` (algorithm, label, what its values are, and `flights` with seed,
-        layout, steps, reward, how it ended, and the bytes), and `left_out`: a line for each policy that cannot fly.
+        `actions` ([degrees, px] of each), `fields` (`FIELDS` in the order of the bytes, and the columns of each),
+        `cells` (algorithm, label, mode, what its values are, and `flights` with seed, layout, steps, reward, how it
+        ended, and the bytes), and `left_out`: a line for each policy that cannot fly.
 
     Raises:
         ValueError: a count is below 1, or the bank has fewer sets.
@@ -86,27 +83,27 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
     if min(n_seeds, n_layouts, max_steps) < 1 or n_layouts > len(bank):
         counts = f"n_seeds={n_seeds}, n_layouts={n_layouts}, max_steps={max_steps}"
         raise ValueError(f"{counts}; give whole numbers from 1, and at most {len(bank)} layouts")
-    bank = bank[:n_layouts]
     ready: list[tuple[Cell, dict[int, Policy]]] = []
     left_out: list[str] = []
     for cell in cells:
         population, problems = _load(cell, n_seeds)
         left_out += problems
         ready += [(cell, population)] if population else []
+    flyers = [flyer for _, population in ready for flyer in population.items()]
     with machine.use_threads(1):
-        flown = fly([population for _, population in ready], bank, max_steps)
+        flown = iter(fly(flyers, bank[:EPISODES], n_layouts, max_steps))
     shown = []
-    for (cell, population), flights in zip(ready, flown, strict=True):
-        values = VALUES[next(iter(population.values())).algorithm]
+    for cell, population in ready:
         name = {"algorithm": cell.algorithm, "label": cell.label or cell.activation}
-        shown.append(name | {"values": values, "flights": [_pack(flight) for flight in flights]})
+        own = [_pack(flight) for _ in population for flight in next(flown)]
+        shown.append(name | {"values": ALGORITHMS[cell.algorithm].shown, "mode": "sampled", "flights": own})
     angle, distance = decode(torch.arange(world.n_actions), world)
     columns = {"value": world.n_actions} | dict.fromkeys(("right", "forward", "proximity"), world.n_slots)
     return {
         "world": asdict(world),
-        "layouts": [[[round(number, 2) for number in circle] for circle in circles] for circles in bank.tolist()],
+        "layouts": bank[:n_layouts].double().numpy().round(2).tolist(),
         "actions": torch.stack([angle, distance], -1).tolist(),
-        "fields": [{"name": name, "columns": columns.get(name, 1)} | field._asdict() for name, field in FIELDS.items()],
+        "fields": [{"name": name, "columns": columns.get(name, 1), **one._asdict()} for name, one in FIELDS.items()],
         "cells": shown,
         "left_out": list(dict.fromkeys(left_out)),
     }
@@ -136,71 +133,59 @@ class Flight(NamedTuple):
     choices: Columns  # T rows: action, and values [T, 100], the numbers behind it
 
 
-def fly(populations: Sequence[dict[int, Policy]], bank: Tensor, max_steps: int) -> list[list[Flight]]:
-    """For each population, seed -> policy, a flight of each seed on each set of obstacles: bank [L, K, 3] px.
+def fly(flyers: Sequence[tuple[int, Policy]], bank: Tensor, n_layouts: int, max_steps: int) -> list[list[Flight]]:
+    """For each seed and policy its flights on the first sets of a bank [L, K, 3] px: those that an evaluation counts.
 
-    As in `uavnav.evaluate`, a seed's flights depend on its policy and on a generator of its own, and on no other seed.
+    All sets of the bank are flown, as an evaluation flies them: sampled actions of one flight follow others.
     """
-    rules = [(one.world, one.reward) for one in (next(iter(population.values())) for population in populations)]
-    found: dict[int, list[Flight]] = {}
-    for rule in dict.fromkeys(rules):
-        places = [place for place, own in enumerate(rules) if own == rule]
-        flights = iter(_fly_together([one for place in places for one in populations[place].items()], bank, max_steps))
-        for place in places:
-            found[place] = list(itertools.islice(flights, len(populations[place]) * len(bank)))
-    return [found[place] for place in range(len(populations))]
+    found: list[list[Flight]] = [[] for _ in flyers]
+    for places in flights.alike([policy for _, policy in flyers]):
+        together = [flyers[place] for place in places]
+        task = together[0][1].task.on(bank, max_steps)
+        for place, own in zip(places, _fly_together(together, task, n_layouts), strict=True):
+            found[place] = own
+    return found
 
 
-def _fly_together(flyers: Sequence[tuple[int, Policy]], bank: Tensor, max_steps: int) -> list[Flight]:
-    """All flights of some seeds and their policies, of one world and reward, as one batch."""
-    first = flyers[0][1]
-    world, reward = first.world, first.reward
-    generators = [torch.Generator().manual_seed(seed) for seed, _ in flyers]
-    layout = torch.arange(len(bank)).repeat(len(flyers))
-    flyer = torch.arange(len(flyers)).repeat_interleave(len(bank))
-    row = torch.arange(len(flyer))
-    heading = torch.full((len(bank),), UP)
-    if world.start_heading == "random":  # that of the set of obstacles, the same for every policy
-        heading = torch.randint(360, (len(bank),), generator=stream(0, "headings in evaluation"))
-    state = simulator.start(layout, heading.repeat(len(flyers)), world)
-    observation, clearance = simulator.observe(state, bank, world)
-    collided = torch.zeros(len(row), dtype=torch.bool)
-    poses, choices = [_pose(row, state, observation, clearance)], []
-    flying = row
-    while len(flying):
-        chosen = []
-        for place, (_, policy) in enumerate(flyers):
-            seen = observation[flyer[flying] == place]
-            if len(seen):
-                values = policy.values(seen)
-                action = policy.act(values, generators[place])
-                chosen.append({"action": action, "values": values.softmax(-1) if policy.algorithm == "ppo" else values})
-        choices.append({"row": flying} | _joined(chosen))
-        state, outcome = simulator.step(state, choices[-1]["action"], bank, world, reward, max_steps)
-        poses.append(_pose(flying, state, outcome.observation, outcome.clearance))
-        collided[flying] = outcome.terminated
-        on = ~(outcome.terminated | outcome.truncated)
-        flying, state, observation = flying[on], State(*(field[on] for field in state)), outcome.observation[on]
-    seeds = [seed for seed, _ in flyers for _ in range(len(bank))]
-    seen_by, done_by = _split(_joined(poses), len(row)), _split(_joined(choices), len(row))
-    rows = zip(seeds, layout.tolist(), collided.tolist(), seen_by, done_by, strict=True)
-    return [Flight(*parts) for parts in rows]
+def _fly_together(flyers: Sequence[tuple[int, Policy]], task: Task, n_layouts: int) -> Iterator[list[Flight]]:
+    """The flights of each flyer on the first sets, all of them as one batch."""
+    n = len(task.bank)
+    start = flights.start(task, len(flyers))
+    kept = torch.arange(len(start.x)) % n < n_layouts
+    going = int(kept.sum())
+    observation, clearance = task.observe(start)
+    poses, choices = [_pose(torch.arange(len(kept)), start, observation, clearance, kept)], []
+    collided = torch.zeros(len(kept), dtype=torch.bool)
+    for step in flights.fly(flyers, task, values=True):
+        assert step.values is not None
+        mine = kept[step.flight]
+        choices.append({"row": step.flight[mine], "action": step.action[mine], "values": step.values[mine]})
+        poses.append(_pose(step.flight, step.state, step.outcome.observation, step.outcome.clearance, mine))
+        collided[step.flight] = step.outcome.terminated
+        going -= int((step.ended & mine).sum())
+        if not going:
+            break
+    seen, done = (dict(_by_row(parts)) for parts in (poses, choices))
+    for place, (seed, policy) in enumerate(flyers):
+        rows = range(place * n, place * n + n_layouts)
+        for row in rows:
+            done[row]["values"] = policy.shown(done[row]["values"])
+        yield [Flight(seed, row - rows[0], bool(collided[row]), seen[row], done[row]) for row in rows]
 
 
-def _pose(row: Tensor, state: State, observation: Tensor, clearance: Tensor) -> Columns:
+def _pose(row: Tensor, state: State, observation: Tensor, clearance: Tensor, kept: Tensor) -> Columns:
+    """Those of a step's flights that are shown; row [F]: which they are, kept [F] bool."""
     fields = {name: getattr(state, name) for name in ("x", "y", "heading", "reward")}
-    return {"row": row, "clearance": clearance, "slots": observation.reshape(len(row), -1, 3)} | fields
+    columns = {"row": row, "clearance": clearance, "slots": observation.reshape(len(row), -1, 3)} | fields
+    return {name: column[kept] for name, column in columns.items()}
 
 
-def _joined(parts: Sequence[Columns]) -> Columns:
-    return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
-
-
-def _split(table: Columns, n: int) -> Iterable[Columns]:
-    """Each flight's part of a table of all of them, in order of time."""
-    for row in range(n):
+def _by_row(steps: Sequence[Columns]) -> Iterator[tuple[int, Columns]]:
+    """Each flight's part of the steps of all of them, in order of time."""
+    table = {name: torch.cat([step[name] for step in steps]) for name in steps[0]}
+    for row in sorted(set(table["row"].tolist())):
         own = table["row"] == row
-        yield {name: column[own] for name, column in table.items() if name != "row"}
+        yield row, {name: column[own] for name, column in table.items() if name != "row"}
 
 
 def _pack(flight: Flight) -> dict[str, Any]:

@@ -9,22 +9,21 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from uavnav.report.cells import Cell, readings, show
+from uavnav.report.cells import Cell, Key, order, readings, show
 from uavnav.report.claims import PRIMARY, SURGE
 from uavnav.runs import Run, paper
 from uavnav.runs.metrics import finished, per_seed
 from uavnav.stats import Array
 
-Key = tuple[str, str]
-"""Algorithm and activation."""
 Cells = dict[Key, Cell]
 
-FOLLOWING = {"frames", "total_frames", "exploration_fraction", "layouts", "bank", "compile"}
+FOLLOWING = {"frames", "total_frames", "exploration_fraction", "bank", "compile"}
 """Settings that a shorter study or another bank changes along with what it is named after."""
 TUNED = "fast"
 """The preset of the study `tuned`."""
@@ -46,7 +45,7 @@ class Studies(NamedTuple):
 
 
 def sort(cells: Sequence[Cell]) -> Studies:
-    """Deal cells out to the studies; of two that would be in the same place the later one is among the others."""
+    """Deal cells out to the studies; where two fit the same place, the later one is among the others."""
     studies = Studies({}, {}, {}, {}, {}, [])
     for algorithm in dict.fromkeys(cell.algorithm for cell in cells):
         mine = [cell for cell in cells if cell.algorithm == algorithm]
@@ -57,9 +56,8 @@ def sort(cells: Sequence[Cell]) -> Studies:
                 studies.others.append(cell)
             else:
                 place[algorithm, cell.activation] = cell
-    order = [*paper.TABLES]
     for cells_of in (studies.main, studies.baseline, studies.initial, studies.tuned, *studies.switches.values()):
-        in_order = sorted(cells_of.items(), key=lambda item: ([*order, item[0]].index(item[0]), item[0]))
+        in_order = sorted(cells_of.items(), key=lambda item: order(item[0]))
         cells_of.clear()
         cells_of.update(in_order)
     return studies
@@ -73,7 +71,7 @@ def _main(cells: Sequence[Cell]) -> dict[str, Any]:
 
     def rank(group: list[Cell]) -> tuple[bool, bool, int, int, int]:
         own = group[0].settings
-        of_paper = sum((cell.algorithm, cell.activation) in paper.TABLES for cell in group)
+        of_paper = sum(cell.activation in paper.ACTIVATIONS for cell in group)
         as_long = own.get("total_frames", own["frames"]) == paper.FRAMES
         return own.get("reward") == "eq14", as_long, of_paper, own["frames"], sum(map(seeds, group))
 
@@ -88,7 +86,7 @@ def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | No
     named = changed - FOLLOWING
     if own.get("preset") == TUNED != usual.get("preset"):
         return studies.tuned
-    if changed <= FOLLOWING - {"layouts", "bank"} and own["frames"] < usual["frames"]:
+    if changed <= FOLLOWING - {"bank"} and own["frames"] < usual["frames"]:
         return studies.baseline
     if named == {"reward"} and own["reward"] == "initial":
         return studies.initial
@@ -114,8 +112,8 @@ def in_none(studies: Studies) -> list[str]:
 
 
 def paper_cells(cells: Cells) -> Cells:
-    """Those of the paper's activations."""
-    return {key: cell for key, cell in cells.items() if key in paper.TABLES}
+    """Those of the paper's activations, of whatever algorithm."""
+    return {key: cell for key, cell in cells.items() if key[1] in paper.ACTIVATIONS}
 
 
 def wide(studies: Studies) -> Cells:
@@ -124,31 +122,23 @@ def wide(studies: Studies) -> Cells:
 
 
 def seeds(cell: Cell) -> int:
-    """How many there are."""
+    """How many seeds a cell has."""
     return sum(len(run.seeds) for run in cell.runs)
 
 
+@dataclass(eq=False)
 class Rows:
     """Each metric of the studies' cells in one reading: an `Evidence`.
 
-    Args:
-        studies: all cells.
-        reading: a name that `cells.readings` gives.
-        flights: measures of flights by study, algorithm and activation: rows of `seed`, `mode` and measures.
-        ratio_of_means: of stops, turns and speed (decision 13).
+    flights: rows of `seed`, `mode` and measures by study, algorithm and activation.
     """
 
-    def __init__(
-        self,
-        studies: Studies,
-        reading: str,
-        flights: Mapping[tuple[str, str, str], pd.DataFrame],
-        ratio_of_means: bool = False,
-    ) -> None:
-        self.studies = studies
-        self.reading = reading
-        self.flights = flights
-        self.ratio_of_means = ratio_of_means
+    studies: Studies
+    reading: str  # a name that `cells.readings` gives
+    flights: Mapping[tuple[str, str, str], pd.DataFrame]
+    ratio_of_means: bool = False  # of stops, turns and speed (decision 13)
+
+    def __post_init__(self) -> None:
         self._table = functools.cache(self._per_seed)
 
     def _per_seed(self, study: str, algorithm: str, activation: str) -> pd.DataFrame:
@@ -170,18 +160,14 @@ class Rows:
             return hours(cell)
         flown = self.flights.get((study, algorithm, activation))
         if flown is not None and metric in flown:
-            mode = "greedy" if self.reading.startswith("greedy") else "sampled"
-            return _values(flown.loc[flown["mode"] == mode, metric])
-        table = self._table(study, algorithm, activation)
-        return _values(table[metric]) if metric in table else np.empty(0)
-
-
-def _values(column: pd.Series[Any]) -> Array:
-    return np.asarray(column.dropna(), dtype=np.float64)
+            table = flown[flown["mode"] == ("greedy" if self.reading.startswith("greedy") else "sampled")]
+        else:
+            table = self._table(study, algorithm, activation)
+        return np.asarray(table[metric].dropna(), dtype=np.float64) if metric in table else np.empty(0)
 
 
 def timed(cell: Cell) -> list[Run]:
-    """Its runs whose wall time is known."""
+    """The runs of a cell whose wall time is known."""
     return [run for run in cell.runs if isinstance(run.meta.get("wall_seconds"), (int, float))]
 
 
@@ -194,5 +180,5 @@ def of_paper(algorithm: str, activation: str, metric: str, study: str = "main") 
     """The paper's printed tables, and its ten hours, as an `Evidence` of one number a cell."""
     if metric == "hours":
         return np.array([paper.HOURS])
-    printed = paper.TABLES.get((algorithm, activation), {}) if study == "main" else {}
-    return np.array([printed[metric]]) if metric in printed else np.empty(0)
+    value = paper.printed(algorithm, activation, metric) if study == "main" else np.nan
+    return np.array([value])[np.isfinite([value])]

@@ -1,30 +1,29 @@
-"""A run's folder: what is in it, who may write it, and how it is read.
+"""A run's folder: its files and how they are read.
 
-    config.yaml         all that is needed to repeat the run
+    config.yaml         every setting needed to repeat the run
     meta.json           versions, git commit, machine, threads, wall time, status, frames per seed
-    episodes.parquet    one row a training episode, the columns of `metrics.EPISODE_COLUMNS`
-    progress.parquet    one row an iteration and seed: losses and diagnostics
+    episodes.parquet    one row per training episode, the columns of `metrics.EPISODE_COLUMNS`
+    progress.parquet    one row per iteration and seed: losses and diagnostics
     policy.safetensors  the networks of all seeds
-    evaluation.parquet  one row a test episode, the same columns and `mode`: greedy or sampled
-    behaviour.parquet   poses, clearances and actions of some of those flights, step by step
-    checkpoint/         while the run is under way: what it goes on from (see `checkpoints`)
-    tensorboard/ wandb/ logs, where they were asked for (see `loggers`)
+    evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled)
+    behaviour.parquet   poses, clearances and actions of some test flights, one row per step
+    checkpoint/         the snapshots of an unfinished run (see `uavnav.training.checkpoints`)
+    tensorboard/ wandb/ logs, if the run has them (see `uavnav.training.loggers`)
 
-Files appear whole or not at all, and a folder is locked while a run writes it.
+Files appear whole or not at all. A folder is locked while a run writes to it.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import yaml
 
-from uavnav.algorithms import ALGORITHMS
 from uavnav.runs.metrics import FIRST_COLUMNS
 from uavnav.runs.tables import RunError, read_table
 
@@ -40,33 +39,32 @@ class Run:
     """A finished run, read from its folder.
 
     Args:
-        path: the folder.
-        fresh: this very call trained it; false where it was there before.
+        path: the run's folder.
+        fresh: true if this call trained the run, false if the run existed before.
 
     Raises:
-        RunError: the folder is missing, not a run's, not finished, or damaged.
+        RunError: the folder is missing or is no run's, or the run is not finished or damaged.
     """
 
     def __init__(self, path: str | Path, fresh: bool = False) -> None:
         self.path = Path(path)
         self.fresh = fresh
-        if not os.path.isdir(path):  # as Path.is_dir, which raises for a name that is too long
+        if not os.path.isdir(path):  # Path.is_dir would raise for a name that is too long
             raise RunError(f"{path}: no such run folder; give a run's folder")
-        self.config: dict[str, Any] = read_yaml(self.path / "config.yaml")
-        self.meta: dict[str, Any] = read_json(self.path / "meta.json")
-        self.algorithm: str = self.config.get("algorithm", "?")
+        self.config: dict[str, Any] = read_settings(self.path / "config.yaml")
+        self.meta: dict[str, Any] = read_settings(self.path / "meta.json")
         if self.meta.get("status") != FINISHED:
             raise RunError(f"{path}: the run is not finished; give the same command again to complete it")
         self._check("config.yaml", self.config, {"algorithm": str, "activation": str, "seed": int, "n_seeds": int})
         self._check("meta.json", self.meta, {"frames": int})
-        del self.config["algorithm"]
-        self.config = came_later(self.algorithm) | self.config
+        self.algorithm: str = self.config.pop("algorithm")
+        self.config = modern(self.config)
         self.episodes = self._table("episodes.parquet", FIRST_COLUMNS)
         self.progress = self._table("progress.parquet", {"seed": "int64", "frame": "int64"})
 
     @property
     def frames(self) -> int:
-        """Frames per seed that were really run."""
+        """Frames per seed, in whole iterations: at least `total_frames`."""
         return int(self.meta["frames"])
 
     @property
@@ -74,10 +72,20 @@ class Run:
         """The training seeds."""
         return list(range(self.config["seed"], self.config["seed"] + self.config["n_seeds"]))
 
+    def evaluations(self) -> list[Path]:
+        """The files of its evaluations, the run's own before those of other protocols."""
+        others = sorted(self.path.glob(f"{Path(EVALUATION).stem}-*.parquet"))
+        return [path for path in (self.path / EVALUATION, *others) if path.exists()]
+
     def evaluation(self) -> pd.DataFrame | None:
-        """The rows of its evaluation on the test split, with their mode; None where it was not evaluated."""
-        there = (self.path / EVALUATION).exists()
-        return self._table(EVALUATION, FIRST_COLUMNS | {"mode": "object"}) if there else None
+        """The rows of the first of `evaluations`, with their mode; None where it was not evaluated."""
+        there = self.evaluations()
+        return self._table(there[0].name, FIRST_COLUMNS | {"mode": "object"}) if there else None
+
+    def behaviour_file(self) -> Path:
+        """The watched steps that belong to `evaluation`."""
+        name = next((path.name for path in self.evaluations()), EVALUATION)
+        return self.path / name.replace(Path(EVALUATION).stem, Path(BEHAVIOUR).stem, 1)
 
     def _check(self, name: str, there: Mapping[str, Any], kinds: Mapping[str, type]) -> None:
         for key, kind in kinds.items():
@@ -85,19 +93,13 @@ class Run:
                 raise RunError(f"{self.path / name}: not a run's, its {key}={there.get(key)}; give a run's folder")
 
     def _table(self, name: str, columns: Mapping[str, str]) -> pd.DataFrame:
-        again = "evaluate the run again" if name == EVALUATION else "run again with overwrite=true"
+        again = "evaluate the run again" if name.startswith(Path(EVALUATION).stem) else "run again with overwrite=true"
         return read_table(self.path / name, columns, again)
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    return _read(path, yaml.safe_load, "a run's configuration")
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    return _read(path, json.loads, "a run's facts")
-
-
-def _read(path: Path, parse: Callable[[str], Any], what: str) -> dict[str, Any]:
+def read_settings(path: Path) -> dict[str, Any]:
+    """What a run's config.yaml or meta.json holds; raises a RunError where it is missing, damaged, or no table."""
+    parse, what = (json.loads, "a run's facts") if path.suffix == ".json" else (yaml.safe_load, "a run's configuration")
     try:
         content = parse(path.read_text())
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
@@ -107,6 +109,8 @@ def _read(path: Path, parse: Callable[[str], Any], what: str) -> dict[str, Any]:
     return content
 
 
-def came_later(algorithm: str) -> dict[str, Any]:
-    """Settings that the configurations of older runs lack, as those were run."""
-    return dict(ALGORITHMS[algorithm].came_later) if algorithm in ALGORITHMS else {}
+def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """A run's settings as they are written today: three fields of the world once lay beside the others."""
+    moved = {name: settings[name] for name in ("slots", "padding", "start_heading") if name in settings}
+    there = {key: value for key, value in settings.items() if key not in moved}
+    return there | ({"world": moved} if moved else {})

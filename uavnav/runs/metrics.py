@@ -1,7 +1,7 @@
-"""The six metrics of sec. 4.3, from rows of episodes, in every reading that the paper's words allow.
+"""The six metrics of sec. 4.3, computed from tables of episodes, in every reading that the paper's words allow.
 
-A table of episodes has one row an episode and the columns of `EPISODE_COLUMNS`. To add a metric, add a line to
-`METRICS`, and if it counts something new a column to `EPISODE_COLUMNS`.
+A table of episodes has one row per episode and the columns of `EPISODE_COLUMNS`. To add a metric, add a line to
+`METRICS`. A metric that counts something new also needs a column in `EPISODE_COLUMNS`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import pandas as pd
 
 FIRST_COLUMNS = {
     "seed": "int64",
-    "frame": "int64",  # of its seed, at the end of the episode
-    "world": "int64",  # which of the seed's parallel worlds
+    "frame": "int64",  # frames of its seed at the end of the episode
+    "world": "int64",  # index of the parallel world
     "layout": "int64",  # index of the obstacle set in the bank
     "steps": "int64",
     "stops": "int64",
@@ -25,26 +25,26 @@ FIRST_COLUMNS = {
     "terminated": "bool",
     "truncated": "bool",
 }
-"""What every run has."""
+"""Columns that every run has."""
 EPISODE_COLUMNS: dict[str, str] = FIRST_COLUMNS | {}
-"""These and what came later, which older runs lack: metrics of it are NaN for them."""
+"""`FIRST_COLUMNS` and later columns; metrics of a column that an older run lacks are NaN."""
 
 MODES = ("greedy", "sampled")
-"""How a trained policy is evaluated: its best action always, or as in training (sampled DQN means epsilon = 0.05)."""
+"""How a policy is evaluated: always the best action, or as at the end of training (sampled DQN: epsilon = 0.05)."""
 
 LAST = 100
-"""Episodes in the second reading: what Stable-Baselines3 averages in its log."""
+"""Number of episodes in the reading `last 100`; Stable-Baselines3's log averages the same number."""
 
 
 class Metric(NamedTuple):
-    """A metric as printed: a count per episode, or scale x count / steps (of: the column, as a ratio to steps)."""
+    """A metric of a column: its mean per episode, or its ratio to the steps, times `scale`."""
 
     label: str
     column: str
-    scale: float | None = None  # None: per episode; else a ratio to steps, times this
-    digits: int = 3  # decimals in a report, at most
+    scale: float | None = None  # None: per episode; a number: ratio to steps, times this number
+    digits: int = 3  # most decimals in a report
     unit: str = ""
-    better: int = 1  # 1: more is better, -1: less is
+    better: int = 1  # 1: more is better, -1: less is better
 
     def __str__(self) -> str:
         return f"{self.label} [{self.unit}]" if self.unit else self.label
@@ -59,11 +59,11 @@ METRICS: dict[str, Metric] = {
     "speed": Metric("speed", "distance", 1.0, unit="px a step"),
     "reward": Metric("reward per episode", "reward"),
 }
-"""To show one more in the report takes no more than its line here."""
+"""The report shows every metric of this table."""
 
 
 def finished(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The episodes that ended; those still open when a run stopped have neither flag."""
+    """The episodes that ended; an episode still open when training ended has neither flag."""
     return episodes[episodes["terminated"] | episodes["truncated"]]
 
 
@@ -74,10 +74,10 @@ def last_episodes(episodes: pd.DataFrame, n: int = LAST) -> pd.DataFrame:
 
 
 def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFrame:
-    """One row a seed, one column a metric, over the episodes that ended.
+    """Mean metrics over the episodes that ended: one row per seed, one column per metric.
 
-    Ratios (stops, full stops, turns, speed) are the mean of each episode's ratio, or, with `ratio_of_means`, the ratio
-    of the sums (decision 13). A metric whose column the rows lack is NaN.
+    Ratios (stops, full stops, turns, speed) are means of the episodes' ratios. With `ratio_of_means`, they are ratios
+    of sums (decision 13). A metric is NaN if the table lacks its column.
     """
     ended = finished(episodes)
     ended = ended.assign(**{one.column: np.nan for one in METRICS.values() if one.column not in ended})

@@ -1,9 +1,11 @@
-"""The paper's tables 1 and 2, as printed: one run a cell, over 1,000,000 steps."""
+"""The paper's tables 1 and 2, as printed: one run per cell, of 1,000,000 steps."""
 
 from __future__ import annotations
 
+import math
+
 COLUMNS = ("steps", "full_stops", "turns", "distance", "speed", "reward")
-"""The six metrics in the tables' order: per episode, in %, in %, px per episode, px a step, per episode."""
+"""The six metrics in the tables' order; their units: per episode, %, %, px per episode, px per step, per episode."""
 
 TABLES: dict[tuple[str, str], dict[str, float]] = {
     cell: dict(zip(COLUMNS, row, strict=True))
@@ -18,8 +20,20 @@ TABLES: dict[tuple[str, str], dict[str, float]] = {
         ("ppo", "leaky_relu"): (1444.961, 0.088, 51.174, 6546.359, 4.269, 33.8),
     }.items()
 }
+TABLE_OF, CURVES_OF = {"dqn": 1, "ppo": 2}, {"dqn": 4, "ppo": 5}
+"""Numbers of an algorithm's table and of its figure with learning curves; the algorithms in the paper's order."""
+PATHS = (6, 7)
+"""Numbers of the figures with flown paths."""
+ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
+"""In the tables' order."""
+
+
+def printed(algorithm: str, activation: str, metric: str) -> float:
+    """A number of the tables; NaN where they have none."""
+    return TABLES.get((algorithm, activation), {}).get(metric, math.nan)
+
 
 FRAMES = 1_000_000
-"""Steps of a run."""
+"""Steps of one run."""
 HOURS = 10.0
-"""What one took, sec. 4.1."""
+"""Hours that one run took, sec. 4.1."""

@@ -1,4 +1,4 @@
-"""The tables of a run's folder as Parquet files: whole or not there, checked when read, locked while written."""
+"""The Parquet tables of a run's folder: files appear whole or not at all, and are checked when read."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ LOCK = ".lock"
 
 
 class RunError(RuntimeError):
-    """A run's folder cannot be used or read; the message says what is wrong and what would be right."""
+    """A run's folder cannot be read or used; the message says what is wrong and what to do."""
 
 
 @contextlib.contextmanager
 def lock(path: Path) -> Iterator[None]:
-    """Keep others from writing into a run's folder meanwhile.
+    """Keep other processes from writing into a run's folder while the context is open.
 
     Raises:
-        RunError: another process writes there now, or it cannot be written.
+        RunError: another process is writing there, or the folder cannot be written.
     """
     held = FileLock(path / LOCK)
     try:
@@ -46,16 +46,16 @@ def lock(path: Path) -> Iterator[None]:
 
 
 def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFrame:
-    """A Parquet file that has these columns in these types, and maybe more.
+    """Read a Parquet file that has at least these columns; columns: name -> dtype.
 
-    again: how to get a good one, for the message.
+    again: how to write the file again, for the error message.
 
     Raises:
-        RunError: it is missing, damaged, or another table.
+        RunError: the file is missing or damaged, or its columns differ.
     """
     try:
         table = pd.read_parquet(io.BytesIO(path.read_bytes()), page_checksum_verification=True)
-    except Exception as error:  # pyarrow raises nearly every kind for a damaged file, in any number of lines
+    except Exception as error:  # pyarrow raises many kinds, in many lines
         raise RunError(f"{path}: missing or damaged; {again}") from error
     for column, kind in columns.items():
         if str(table.dtypes.get(column)) != kind:
@@ -64,15 +64,15 @@ def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFra
 
 
 def write_table(path: Path, table: pd.DataFrame) -> None:
-    """Write a table as Parquet; raises as `write` does."""
+    """Write a table as Parquet; raises RunError as `write` does."""
     write(path, parquet(table))
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write a file that is whole or not there.
+    """Write a file, which appears whole or not at all.
 
     Raises:
-        RunError: it cannot be written.
+        RunError: the file cannot be written.
     """
     try:
         files.write(path, content)
@@ -81,7 +81,7 @@ def write(path: Path, content: bytes) -> None:
 
 
 def parquet(table: pd.DataFrame) -> bytes:
-    """With the bytes of float32 apart: positions, of which no two are alike, take 40 % less so."""
+    """A table as Parquet; float32 columns are split by byte, which makes positions 40 % smaller."""
     buffer = io.BytesIO()
     split = [name for name, kind in table.dtypes.items() if kind == "float32"]
     rest = [name for name in table if name not in split]
@@ -97,7 +97,7 @@ def parquet(table: pd.DataFrame) -> bytes:
 
 
 def with_reward(progress: pd.DataFrame, episodes: pd.DataFrame) -> Columns:
-    """Rows of progress, and at each the mean reward over its seed's last 100 episodes until then (nan: none ended)."""
+    """The columns of progress, and `reward`: the mean over the seed's last 100 finished episodes (NaN: none yet)."""
     reward = np.full(len(progress), np.nan)
     if len(episodes):
         of_seed = dict(list(finished(episodes).sort_values(["frame", "world"], kind="stable").groupby("seed")))

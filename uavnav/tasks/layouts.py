@@ -1,7 +1,7 @@
-"""Banks of obstacle sets: generate, save, load and validate; the disjoint splits `train` and `test`.
+"""Banks of obstacle sets: generate, save, load and validate; the disjoint splits `train`, `validation` and `test`.
 
 A bank is a float32 tensor [n, k, 3] of (x, y, radius) in px, stored as safetensors with a header that says how it was
-made. `python -m uavnav.layouts` writes the two that ship with the package, or others; see its --help.
+made. `python -m uavnav.layouts` writes the three that ship with the package, or others; see its --help.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialize
 from torch import Tensor
 
+from uavnav import files
 from uavnav.choices import Parser, did_you_mean
 from uavnav.tasks.world import VERSION, World
 
@@ -33,8 +34,8 @@ class Split(NamedTuple):
     seed: int
 
 
-SPLITS = {"train": Split(10_000, 0), "test": Split(1_000, 1)}
-"""Train on one, judge on the other: different seeds of the same distribution, with no set in common."""
+SPLITS = {"train": Split(10_000, 0), "validation": Split(1_000, 2), "test": Split(1_000, 1)}
+"""Train on one, choose on the second, judge on the third: seeds of one distribution, with no set in common."""
 
 
 class LayoutError(ValueError):
@@ -80,22 +81,17 @@ def save(bank: Tensor, path: str | Path, *, seed: int, split: str) -> None:
         "n": str(bank.shape[0]),
         "k": str(bank.shape[1]),
         "split": split,
-        "sha256": _checksum(bank),
+        "sha256": checksum(bank),
     }
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            aside.write_bytes(_in_order(serialize({"obstacles": bank.contiguous()}, header)))
-            os.replace(aside, path)
-        finally:
-            aside.unlink(missing_ok=True)
+        files.write(path, _in_order(serialize({"obstacles": bank.contiguous()}, header)))
     except (OSError, SafetensorError) as error:
         raise LayoutError(f"{path}: cannot be written ({error}); give a path that can be written") from error
 
 
 def load(layouts: str | Path) -> Tensor:
-    """Read a bank: `train`, `test`, or the path of a file that `python -m uavnav.layouts` wrote.
+    """Read a bank: `train`, `validation`, `test`, or the path of a file that `python -m uavnav.layouts` wrote.
 
     Returns:
         Tensor [n, k, 3] float32 of (x, y, radius) px.
@@ -103,8 +99,7 @@ def load(layouts: str | Path) -> Tensor:
     Raises:
         LayoutError: there is no such file, or its header, shape, numbers or checksum are not right.
     """
-    bank, _ = read(layouts)
-    return bank
+    return read(layouts)[0]
 
 
 def resolve(layouts: str | Path | Tensor, world: World) -> Tensor:
@@ -112,7 +107,12 @@ def resolve(layouts: str | Path | Tensor, world: World) -> Tensor:
     if isinstance(layouts, Tensor):
         validate(layouts, world)
         return layouts
-    return load(layouts)
+    bank = load(layouts)
+    try:
+        validate(bank, world)
+    except LayoutError as error:
+        raise LayoutError(f"layouts={str(layouts)!r}: {error}; give a bank that fits this world") from error
+    return bank
 
 
 def read(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
@@ -143,7 +143,7 @@ def read(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
             f"{path}: its header says n={header.get('n')}, k={header.get('k')}, not n={n}, k={k} as its obstacles are;"
             " generate it anew"
         )
-    if header.get("sha256") != _checksum(bank):
+    if header.get("sha256") != checksum(bank):
         raise LayoutError(f"{path}: the checksum does not match, the file is damaged; generate it anew")
     return bank, header
 
@@ -201,18 +201,21 @@ def _in_order(content: bytes) -> bytes:
     return len(header).to_bytes(8, "little") + header + content[8 + size :]
 
 
-def _checksum(bank: Tensor) -> str:
+def checksum(bank: Tensor) -> str:
+    """SHA-256 of a bank's numbers."""
     return hashlib.sha256(bank.cpu().contiguous().numpy().tobytes()).hexdigest()
 
 
 def main(argv: list[str] | None = None) -> int:
     """Generate banks, or check that files are what their headers say."""
+    sizes = ", ".join(f"{split.n:,} {name}" for name, split in SPLITS.items())
+    seeds = ", ".join(f"{split.seed} {name}" for name, split in SPLITS.items())
     parser = Parser(prog="python -m uavnav.layouts", description=main.__doc__)
     parser.add_argument("--out", type=Path, default=Path("banks"), help="folder for the banks (default: banks)")
-    parser.add_argument("--split", choices=[*SPLITS, "both"], default="both", help="which bank to write")
+    parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which bank to write")
     parser.add_argument("--k", type=int, default=DEFAULT_K, help="obstacles per set, 0 for an empty arena")
-    parser.add_argument("--n", type=int, help="sets in the bank (default: 10,000 train, 1,000 test)")
-    parser.add_argument("--seed", type=int, help="generator seed (default: 0 train, 1 test)")
+    parser.add_argument("--n", type=int, help=f"sets in the bank (default: {sizes})")
+    parser.add_argument("--seed", type=int, help=f"generator seed (default: {seeds})")
     parser.add_argument("--check", nargs="+", metavar="BANK", help="regenerate these from their headers and compare")
     arguments = parser.parse_args(argv)
     try:
@@ -222,9 +225,9 @@ def main(argv: list[str] | None = None) -> int:
                 made = f"as generated by seed {header['generator_seed']}"
                 print(f"{layouts}: {len(bank)} sets of {bank.shape[1]} obstacles, world {VERSION}, {made}")
             return 0
-        if arguments.seed is not None and arguments.split == "both":
-            raise LayoutError(f"--seed {arguments.seed}: give --split too, or both banks would hold the same sets")
-        for split in SPLITS if arguments.split == "both" else [arguments.split]:
+        if arguments.seed is not None and arguments.split == "all":
+            raise LayoutError(f"--seed {arguments.seed}: give --split too, or all banks would hold the same sets")
+        for split in SPLITS if arguments.split == "all" else [arguments.split]:
             n = SPLITS[split].n if arguments.n is None else arguments.n
             seed = SPLITS[split].seed if arguments.seed is None else arguments.seed
             path = arguments.out / f"{split}.safetensors"

@@ -1,58 +1,70 @@
 """Equation (14) and the other readings of the paper's reward, each as named terms whose sum is the reward.
 
-Every variant has the same form: collided [...] bool, distance [...] px and angle [...] degrees (whole numbers) and the
-world's amounts -> a dict of float64 tensors [...]. To add one, write a function and name it in `REWARDS`.
+A reward is a function of a `Step` and gives float64 tensors [*B] by name. To add one, write a function and a line of
+`REWARDS`; it may look at everything in the step.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
+from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 
 Terms = dict[str, Tensor]
 
 
-def eq14(collided: Tensor, distance: Tensor, angle: Tensor, world: World) -> Terms:
+class Step(NamedTuple):
+    """A step of every row of a batch B, as a reward sees it."""
+
+    before: State  # where each drone was
+    after: State  # where it is, with the counts of this step; the reward is still that of `before`
+    action: Tensor  # [*B] int64
+    angle: Tensor  # [*B] whole degrees that it turned, left positive
+    distance: Tensor  # [*B] whole px that it flew
+    collided: Tensor  # [*B] bool
+    clearance: Tensor  # [*B] px from the drone's centre to the nearest obstacle
+    observation: Tensor  # [*B, observation_size] that the step led to
+    world: World  # with the reward's amounts
+
+
+def eq14(step: Step) -> Terms:
     """Exclusive cases: -10 on collision; else -0.01 if distance = 0 or angle != 0; else 0.01 distance. Eq. (14)."""
-    penalised = ~collided & ((distance == 0) | (angle != 0))
+    penalised = ~step.collided & ((step.distance == 0) | (step.angle != 0))
     return {
-        "collision": _where(collided, world.collision_reward),
-        "penalty": _where(penalised, world.penalty),
-        "progress": _where(~collided & ~penalised, world.reward_per_pixel * distance.double()),
+        "collision": step.world.collision_reward * step.collided.double(),
+        "penalty": step.world.penalty * penalised.double(),
+        "progress": step.world.reward_per_pixel * step.distance.double() * ~(step.collided | penalised),
     }
 
 
-def additive(collided: Tensor, distance: Tensor, angle: Tensor, world: World) -> Terms:
+def additive(step: Step) -> Terms:
     """The text of sec. 4.2: -10 on collision; else 0.01 distance - 0.01 [distance = 0] - 0.01 [angle != 0]."""
-    return initial(collided, distance, angle, world) | {
-        "stop": _where(~collided & (distance == 0), world.penalty),
-        "turn": _where(~collided & (angle != 0), world.penalty),
+    return initial(step) | {
+        "stop": step.world.penalty * (~step.collided & (step.distance == 0)).double(),
+        "turn": step.world.penalty * (~step.collided & (step.angle != 0)).double(),
     }
 
 
-def initial(collided: Tensor, distance: Tensor, angle: Tensor, world: World) -> Terms:
+def initial(step: Step) -> Terms:
     """The first version of sec. 4.2, before the penalties: -10 on collision; else 0.01 distance."""
     return {
-        "collision": _where(collided, world.collision_reward),
-        "progress": _where(~collided, world.reward_per_pixel * distance.double()),
+        "collision": step.world.collision_reward * step.collided.double(),
+        "progress": step.world.reward_per_pixel * step.distance.double() * ~step.collided,
     }
 
 
-def _where(condition: Tensor, amount: float | Tensor) -> Tensor:
-    if isinstance(amount, float):
-        return condition.double() * amount
-    return torch.where(condition, amount, 0.0)
-
-
-REWARDS: dict[str, Callable[[Tensor, Tensor, Tensor, World], Terms]] = {
+REWARDS: dict[str, Callable[[Step], Terms]] = {
     "eq14": eq14,
     "additive": additive,
     "initial": initial,
 }
 
-BUILT_IN = dict(REWARDS)
-"""Those that every process has, whatever its caller adds to the table."""
+BY_ACTION = (eq14, additive, initial)
+"""Those that follow from the action and the collision alone, whatever else a step holds."""
+
+KNOWN = dict(REWARDS)
+"""Those that every process of a run has: built in, or of a plugin."""

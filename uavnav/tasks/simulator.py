@@ -1,119 +1,167 @@
-"""One flight, step by step: start, observe, move, judge, count. Pure functions over a batch of independent rows.
+"""A task: where flights start, what is sensed, how an action moves the drone, what a step earns and ends.
 
-The environments (TorchRL in `env`, Gymnasium in `gym`) are thin shells around these functions; nothing here knows of
+A `Task` holds no state. Its functions are pure and work on a batch of independent rows; the shells around them (TorchRL
+in `env`, Gymnasium in `gym`, flights, pictures) ask it and do not know which world it is. Nothing here knows of
 TensorDicts, specs or agents. Letters: B the batch shape (any, also none), L layouts of a bank, K obstacles of a layout.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Self
 
 import torch
 from torch import Tensor
 
-from uavnav.choices import did_you_mean
+from uavnav.choices import did_you_mean, unknown_key
+from uavnav.tasks import layouts as banks
 from uavnav.tasks.dynamics import decode, move
-from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.rewards import REWARDS, Step
 from uavnav.tasks.sensing import sense
+from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
-
-UP = 90
-"""The default start heading [degrees]."""
-
-
-class State(NamedTuple):
-    """Where each drone is and what it did since its episode began; every field has the batch shape."""
-
-    x: Tensor  # [px] float32
-    y: Tensor  # [px] float32
-    heading: Tensor  # whole degrees in 0..359, int64
-    layout: Tensor  # index of the obstacle set in the bank, int64
-    steps: Tensor  # int64, as are the next four
-    stops: Tensor  # steps with distance = 0
-    full_stops: Tensor  # steps with distance = 0 and angle = 0
-    turns: Tensor  # steps with angle != 0
-    distance: Tensor  # [px]
-    reward: Tensor  # sum over the episode, float64
-
-
-COUNTS = ("steps", "stops", "full_stops", "turns", "distance", "reward")
-"""The fields of `State` that describe an episode as a whole: one column each of every table of episodes."""
 
 
 class Outcome(NamedTuple):
     """What a step led to."""
 
-    observation: Tensor  # [*B, 30] float32, at the collision where there was one
+    observation: Tensor  # [*B, observation_size] float32, at the collision where there was one
     clearance: Tensor  # [*B] px
     reward: Tensor  # [*B] float64
     terminated: Tensor  # [*B] bool: a collision
     truncated: Tensor  # [*B] bool: the cap on steps, and no collision
 
 
-def check_rules(reward: str, max_steps: int | None) -> None:
-    """Refuse an unknown reward and a cap that is no whole number from 1.
+@dataclass(frozen=True, eq=False)
+class Task:
+    """The paper's task: a drone among circles in a window, whose observation is eq. (13).
+
+    Another world is another class: a subclass that says what is different, and a line of `TASKS`.
 
     Raises:
-        ValueError: naming the choices.
+        ValueError: an unknown reward, or a cap that is no whole number from 1.
+        LayoutError: the bank is not valid for the world.
     """
-    if reward not in REWARDS:
-        raise ValueError(f"reward={reward!r}; choose from {', '.join(REWARDS)}{did_you_mean(reward, REWARDS)}")
-    if max_steps is not None and (not isinstance(max_steps, int) or max_steps < 1):
-        raise ValueError(f"max_steps={max_steps}; choose None or a whole number from 1")
+
+    WORLD: ClassVar[type[World]] = World
+    """What is physical about it; every field can be set in a run."""
+
+    STATIC: ClassVar[bool] = True
+    """Nothing moves but the drone, and nothing is random: from the same place the same actions lead the same way."""
+
+    world: World
+    bank: Tensor  # [L, K, 3] of (x, y, radius) px
+    reward: str = "eq14"  # a name of `REWARDS`
+    max_steps: int | None = None  # a cap on steps, or none as in the paper
+
+    def __post_init__(self) -> None:
+        if self.reward not in REWARDS:
+            hint = did_you_mean(self.reward, REWARDS)
+            raise ValueError(f"reward={self.reward!r}; choose from {', '.join(REWARDS)}{hint}")
+        if self.max_steps is not None and (not isinstance(self.max_steps, int) or self.max_steps < 1):
+            raise ValueError(f"max_steps={self.max_steps}; choose None or a whole number from 1")
+
+    def start(self, layout: Tensor, heading: Tensor) -> State:
+        """The state at the beginning of an episode: layout [*B] index, heading [*B] whole degrees."""
+        x, y = (torch.full_like(layout, place, dtype=torch.float32) for place in self.world.start)
+        counts = {name: torch.zeros_like(layout) for name in COUNTS[:-1]}
+        return State(x, y, heading, layout, **counts, reward=torch.zeros_like(layout, dtype=torch.float64))
+
+    def obstacles(self, state: State) -> Tensor:
+        """Where the obstacles of each row are now: [*B, K, 3] px."""
+        return self.bank[state.layout]
+
+    def observe(self, state: State) -> tuple[Tensor, Tensor]:
+        """What is sensed, as one vector a row: observation [*B, observation_size], clearance [*B] px."""
+        slots, clearance = sense(state.x, state.y, state.heading, self.obstacles(state), self.world)
+        return slots.flatten(-2), clearance
+
+    def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
+        """Turn, then fly: where the drone is after action [*B], angle [*B] degrees, distance [*B] px."""
+        angle, distance = decode(action, self.world)
+        x, y, heading = move(state.x, state.y, state.heading, angle, distance)
+        return state._replace(x=x, y=y, heading=heading), angle, distance
+
+    def step(self, state: State, action: Tensor) -> tuple[State, Outcome]:
+        """Move, sense, then judge: one step of every row, action [*B] int64 in 0..n_actions - 1.
+
+        A collision is `terminated`; the cap on steps, where there is one, is `truncated` and never also a collision.
+        """
+        moved, angle, distance = self.move(state, action)
+        observation, clearance = self.observe(moved)
+        collided = clearance <= self.world.drone_radius
+        stopped, turned = distance == 0, angle != 0
+        after = moved._replace(
+            steps=state.steps + 1,
+            stops=state.stops + stopped,
+            full_stops=state.full_stops + (stopped & ~turned),
+            turns=state.turns + turned,
+            distance=state.distance + distance,
+        )
+        seen = Step(state, after, action, angle, distance, collided, clearance, observation, self.world)
+        earned = torch.stack(list(REWARDS[self.reward](seen).values())).sum(0)
+        capped = torch.zeros_like(collided) if self.max_steps is None else after.steps >= self.max_steps
+        outcome = Outcome(observation, clearance, earned, collided, capped & ~collided)
+        return after._replace(reward=state.reward + earned), outcome
+
+    def with_bank(self, bank: Tensor) -> Self:
+        """The same task on a bank that is known to be valid."""
+        return replace(self, bank=bank)
+
+    def on(self, layouts: str | Path | Tensor, max_steps: int | None) -> Self:
+        """The same world and reward on another bank, with another cap.
+
+        Raises:
+            LayoutError, ValueError: the bank or the cap is not right.
+        """
+        return replace(self, bank=banks.resolve(layouts, self.world), max_steps=max_steps)
+
+    def header(self) -> dict[str, Any]:
+        """All of it, as the header of a policy's file holds it; of the bank its SHA-256."""
+        name = next(name for name, kind in TASKS.items() if kind is type(self))
+        own = {"task": name, "world": asdict(self.world), "reward": self.reward, "max_steps": self.max_steps}
+        return own | {"bank": banks.checksum(self.bank)}
 
 
-def start(layout: Tensor, heading: Tensor, world: World) -> State:
-    """The state at the beginning of an episode: layout [*B] index, heading [*B] whole degrees."""
-    x, y = world.start
-    steps, stops, full_stops, turns, distance = (torch.zeros_like(layout) for _ in range(5))
-    return State(
-        x=torch.full_like(layout, x, dtype=torch.float32),
-        y=torch.full_like(layout, y, dtype=torch.float32),
-        heading=heading,
-        layout=layout,
-        steps=steps,
-        stops=stops,
-        full_stops=full_stops,
-        turns=turns,
-        distance=distance,
-        reward=torch.zeros_like(layout, dtype=torch.float64),
-    )
+TASKS: dict[str, type[Task]] = {"drone": Task}
+
+KNOWN = dict(TASKS)
+"""Those that every process of a run has: built in, or of a plugin."""
+
+EMPTY = torch.empty(1, 0, 3)
+"""A bank of one set without an obstacle."""
 
 
-def observe(state: State, bank: Tensor, world: World) -> tuple[Tensor, Tensor]:
-    """Eq. (13) as one vector a row: bank [L, K, 3] px -> observation [*B, 30], clearance [*B] px."""
-    slots, clearance = sense(state.x, state.y, state.heading, bank[state.layout], world)
-    return slots.flatten(-2), clearance
+def make_task(
+    layouts: str | Path | Tensor = "train",
+    world: World | Mapping[str, Any] | None = None,
+    reward: str = "eq14",
+    max_steps: int | None = None,
+    task: str | Task = "drone",
+) -> Task:
+    """A task from its parts.
 
+    Args:
+        layouts: `train`, `validation`, `test`, a bank's path, or a tensor [L, K, 3].
+        world: constants and switches; by default, or where a mapping leaves them out, the task's own.
+        reward, max_steps: as of `Task`.
+        task: a name of `TASKS`; or a whole task, which then says all that is above.
 
-def step(
-    state: State, action: Tensor, bank: Tensor, world: World, reward: str, max_steps: int | None
-) -> tuple[State, Outcome]:
-    """Turn, move, sense, then judge: one step of every row.
-
-    action [*B] int64 in 0..99, bank [L, K, 3] px, reward a name of `REWARDS`. A collision is `terminated`; the cap on
-    steps, where there is one, is `truncated` and never also a collision.
+    Raises:
+        LayoutError: the bank cannot be read or is not valid.
+        ValueError: there is no such task, or as for `Task` and its world.
     """
-    angle, distance = decode(action, world)
-    x, y, heading = move(state.x, state.y, state.heading, angle, distance)
-    moved = state._replace(x=x, y=y, heading=heading)
-    observation, clearance = observe(moved, bank, world)
-    collided = clearance <= world.drone_radius
-    terms = REWARDS[reward](collided, distance, angle, world)
-    earned = torch.stack(list(terms.values())).sum(0)
-    stopped, turned = distance == 0, angle != 0
-    after = moved._replace(
-        steps=state.steps + 1,
-        stops=state.stops + stopped,
-        full_stops=state.full_stops + (stopped & ~turned),
-        turns=state.turns + turned,
-        distance=state.distance + distance,
-        reward=state.reward + earned,
-    )
-    capped = torch.zeros_like(collided) if max_steps is None else after.steps >= max_steps
-    return after, Outcome(observation, clearance, earned, collided, capped & ~collided)
-
-
-def where(condition: Tensor, chosen: State, other: State) -> State:
-    """Row by row, one state or the other: condition [*B] bool."""
-    return State(*(torch.where(condition, a, b) for a, b in zip(chosen, other, strict=True)))
+    if isinstance(task, Task):
+        return task
+    if task not in TASKS:
+        raise ValueError(f"task={task!r}; choose from {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
+    kind = TASKS[task]
+    if not isinstance(world, World):
+        names = [field.name for field in fields(kind.WORLD)]
+        for name in world or {}:
+            if name not in names:
+                raise unknown_key(f"world.{name}", [f"world.{one}" for one in names])
+        world = kind.WORLD(**(world or {}))
+    return kind(world, EMPTY, reward, max_steps).on(layouts, max_steps)

@@ -16,6 +16,10 @@ VERSION = "1"
 """Version of the world's semantics and of the distribution of obstacles; written into every bank, run and policy."""
 
 
+POSITIVE = ("width", "height", "border", "sensor_radius", "sensor_arc", "n_slots", "n_turns", "n_distances")
+"""The fields of `World` that are above 0."""
+
+
 @dataclass(frozen=True)
 class World:
     """The arena, the drone, its sensor and the reward's amounts.
@@ -54,7 +58,13 @@ class World:
             if choices and value not in choices:
                 hint = did_you_mean(value, choices)
                 raise ValueError(f"{field.name}={value!r}; choose from {', '.join(choices)}{hint}")
-        if self.border <= 0 or self.width % self.border or self.height % self.border:
+            elif not choices and (isinstance(value, bool) or not isinstance(value, (int, float))):
+                raise ValueError(f"{field.name}={value!r}; give a number")
+            elif field.name in POSITIVE and not 0 < value < math.inf:
+                raise ValueError(f"{field.name}={value:g}; give a number above 0")
+        if not self.sensor_arc <= 360:
+            raise ValueError(f"sensor_arc={self.sensor_arc:g}; give at most 360 degrees")
+        if self.width % self.border or self.height % self.border:
             raise ValueError(f"border={self.border} must divide width={self.width} and height={self.height}")
         if min(self.width, self.height) // self.border < self.sensed_squares_of_a_wall + 2:
             raise ValueError("the sensor must never reach two opposite walls at once: enlarge the window")

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -22,6 +21,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from tensordict import TensorDict
 from torch import Tensor
+
+from uavnav import files
+from uavnav.runs.tables import RunError
 
 if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer
@@ -34,10 +36,6 @@ CHUNK_BYTES = 8 * 2**20
 
 Nested = Mapping[str, Any]
 """Tensors and further such mappings by name."""
-
-
-class CheckpointError(RuntimeError):
-    """No snapshot of a run can be used; the message says why and how to go on."""
 
 
 class Stateful(Protocol):
@@ -53,7 +51,7 @@ class Stateful(Protocol):
 class Snapshot(NamedTuple):
     """What a state file holds."""
 
-    tensors: dict[str, Tensor]
+    state: dict[str, Any]
     facts: dict[str, Any]
     chunks: list[str]
 
@@ -78,38 +76,32 @@ class Checkpoints:
         if replay is not None:
             self._save_new_rows(replay, frames)
         header = {"facts": dict(facts), "chunks": self._chunks, "identity": self.identity}
-        self._write(f"state-{frames:012d}", dict(_flat(state)), header)
+        self._write(f"state-{frames:012d}", TensorDict(state), header)
         for old in self._states()[KEPT:]:
             old.unlink()
 
     def _save_new_rows(self, replay: ReplayBuffer, rows: int) -> None:
         capacity = replay.storage.max_size
         first = max(self._rows_saved, rows - capacity)
-        step = max(CHUNK_BYTES // _bytes(replay[:1]), 1) if first < rows else 1
+        step = max(CHUNK_BYTES // replay[:1].bytes(), 1) if first < rows else 1
         for begin in range(first, rows, step):
             end = min(begin + step, rows)
             positions = [row % capacity for row in range(begin, end)]
-            tensors = dict(_flat(replay[positions].to_dict()))
-            self._chunks = [*self._chunks, self._write(f"replay-{begin:012d}", tensors, {})]
+            self._chunks = [*self._chunks, self._write(f"replay-{begin:012d}", replay[positions], {})]
             self._rows_saved = end
 
-    def _write(self, stem: str, tensors: dict[str, Tensor], header: Nested) -> str:
-        content = save({name: value.contiguous() for name, value in tensors.items()}, {"uavnav": json.dumps(header)})
+    def _write(self, stem: str, nested: TensorDict, header: Nested) -> str:
+        tensors = {name: value.contiguous() for name, value in nested.flatten_keys("/").items()}
+        content = save(tensors, {"uavnav": json.dumps(header)})
         name = f"{stem}-{_digest(content)}.safetensors"
-        aside = self.folder / f".{name}"
-        try:
-            aside.write_bytes(content)
-            os.replace(aside, self.folder / name)
-        except OSError:
-            aside.unlink(missing_ok=True)
-            raise
+        files.write(self.folder / name, content)
         return name
 
     def load(self, replay: ReplayBuffer | None = None) -> Snapshot | None:
         """The newest snapshot that is whole; the buffer, if one is given, is filled from it. None where there is none.
 
         Raises:
-            CheckpointError: there are snapshots, and none can be used.
+            RunError: there are snapshots, and none can be used.
         """
         states = self._states()
         for path in states:
@@ -117,7 +109,7 @@ class Checkpoints:
                 snapshot = self._read_state(path)
                 for name in snapshot.chunks:
                     self._read(self.folder / name)  # is it whole? they are read again one by one: all would fill memory
-            except CheckpointError as error:
+            except RunError as error:
                 problem = error
                 if path is not states[-1]:
                     warnings.warn(f"{error}; going on from the one before", stacklevel=2)
@@ -132,7 +124,7 @@ class Checkpoints:
             self._drop_strays()
             return snapshot
         if states:
-            raise CheckpointError(f"{problem}, and there is no other; overwrite=true starts the run anew")
+            raise RunError(f"{problem}, and there is no other; overwrite=true starts the run anew")
         return None
 
     def _read_state(self, path: Path) -> Snapshot:
@@ -140,22 +132,22 @@ class Checkpoints:
         theirs = header.get("identity", {})
         for key in self.identity:
             if theirs.get(key) != self.identity[key]:
-                raise CheckpointError(f"{path}: saved with {key}={theirs.get(key)}, not {self.identity[key]}")
-        return Snapshot(tensors, header["facts"], header["chunks"])
+                raise RunError(f"{path}: saved with {key}={theirs.get(key)}, not {self.identity[key]}")
+        return Snapshot(TensorDict(tensors).unflatten_keys("/").to_dict(), header["facts"], header["chunks"])
 
     def _read(self, path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         try:
             content = path.read_bytes()
         except OSError as error:
-            raise CheckpointError(f"{path}: missing or not readable") from error
+            raise RunError(f"{path}: missing or not readable") from error
         if _digest(content) != path.stem.rsplit("-", 1)[-1]:
-            raise CheckpointError(f"{path}: damaged, its checksum does not match")
+            raise RunError(f"{path}: damaged, its checksum does not match")
         try:
             size = int.from_bytes(content[:8], "little")
             header = json.loads(json.loads(content[8 : 8 + size])["__metadata__"]["uavnav"])
             return load(content), header
         except (SafetensorError, ValueError, KeyError) as error:
-            raise CheckpointError(f"{path}: not a snapshot") from error
+            raise RunError(f"{path}: not a snapshot") from error
 
     def _states(self) -> list[Path]:
         """Newest first."""
@@ -173,48 +165,13 @@ class Checkpoints:
             shutil.rmtree(self.folder)
 
 
-def collect(parts: Mapping[str, Stateful]) -> dict[str, Any]:
-    """The state of each part, by its name."""
-    return {name: part.state_dict() for name, part in parts.items()}
-
-
-def restore(parts: Mapping[str, Stateful], tensors: Mapping[str, Tensor]) -> None:
-    """Set each part to what `collect` took and a snapshot kept."""
-    state = _nested(tensors)
-    for name, part in parts.items():
-        part.load_state_dict(state[name])
-
-
-def _bytes(rows: TensorDict) -> int:
-    return sum(value.nbytes for value in rows.values(include_nested=True, leaves_only=True))
-
-
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
 
 
-def _flat(state: Nested, prefix: str = "") -> Iterator[tuple[str, Tensor]]:
-    for name, value in state.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}/")
-        else:
-            yield f"{prefix}{name}", value
-
-
-def _nested(tensors: Mapping[str, Tensor]) -> dict[str, Any]:
-    state: dict[str, Any] = {}
-    for path, value in tensors.items():
-        *parents, name = path.split("/")
-        place = state
-        for parent in parents:
-            place = place.setdefault(parent, {})
-        place[name] = value
-    return state
-
-
 def _refill(replay: ReplayBuffer, first: int, chunk: Mapping[str, Tensor]) -> None:
     """Append rows to a buffer so that they come to lie where they were: row `first` at its place in the ring."""
-    rows = TensorDict(_nested(chunk), batch_size=chunk["action"].shape)
+    rows = TensorDict(chunk, batch_size=chunk["action"].shape).unflatten_keys("/")
     while skipped := (first - replay.write_count) % replay.storage.max_size:
         replay.extend(rows[:skipped])  # more than the whole ring was written between two snapshots: no row counts yet
     replay.extend(rows)

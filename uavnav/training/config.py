@@ -1,4 +1,4 @@
-"""What a training run is configured by: the fields that both algorithms share, and the checks that answer back."""
+"""What a training run is configured by: the fields that all algorithms share, and the checks that answer back."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ import torch
 
 from uavnav.choices import ConfigError, unknown, unknown_key
 from uavnav.networks import ACTIVATIONS, Init
+from uavnav.runs import modern
 from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.world import World
-
-SWITCHES = ("slots", "padding", "start_heading")
-"""The fields of `World` that a run may set."""
 
 
 def one_of(default: str, choices: Collection[str]) -> Any:
@@ -35,7 +34,7 @@ def within(default: float, least: float, most: float) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """The fields that both algorithms have. Counts of frames are per seed.
+    """The fields that all algorithms have. Counts of frames are per seed.
 
     Raises:
         ConfigError: a value has the wrong type, is out of range, or is not among the choices.
@@ -43,6 +42,12 @@ class TrainConfig:
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}}
     """What each preset sets, where it is not given, instead of the defaults."""
+    MICROSECONDS: ClassVar[Mapping[tuple[str, bool], tuple[float, float]]] = {}
+    """Measured, by preset and compiled or not: of a frame of every seed of a process, a part that seeds share, and one
+    for each of them. The two cores of docs/benchmarks.md; a preset that is not there was not measured."""
+
+    algorithm: ClassVar[str]
+    """Its name in `uavnav.algorithms.ALGORITHMS`."""
 
     preset: str = "paper"
     activation: str = one_of("tanh", ACTIVATIONS)
@@ -58,9 +63,8 @@ class TrainConfig:
     layouts: str = "train"
     max_steps: int | None = field(default=None, metadata={"least": 1})
     reward: str = one_of("eq14", REWARDS)
-    slots: Literal["nearest", "listed"] = World.slots
-    padding: Literal["far", "zeros"] = World.padding
-    start_heading: Literal["up", "random"] = World.start_heading
+    task: str = one_of("drone", TASKS)
+    world: World = None  # type: ignore[assignment]  # the task's own, unless some of its fields are given
     device: str = "cpu"
     compile: Literal["auto", "on", "off"] = "auto"
 
@@ -77,9 +81,10 @@ class TrainConfig:
                 object.__setattr__(self, name, value)
         object.__delattr__(self, "_given")
         hints = get_type_hints(type(self))
-        for item in fields(self):
+        for item in (item for item in fields(self) if item.name != "world"):
             value = _checked(item.name, getattr(self, item.name), hints[item.name], item.metadata)
             object.__setattr__(self, item.name, value)
+        object.__setattr__(self, "world", _world(self.world, TASKS[self.task].WORLD))
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError(f"hidden={list(self.hidden)}; give at least one layer, each of at least 1 unit")
         try:
@@ -89,7 +94,7 @@ class TrainConfig:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> Self:
-        """Build from plain keys and values, as of a command line or a run's config.yaml.
+        """Build from plain keys and values, as of a command line.
 
         Raises:
             ConfigError: there is no such key, or as for the constructor.
@@ -97,29 +102,91 @@ class TrainConfig:
         names = [item.name for item in fields(cls)]
         for key in mapping:
             if key not in names:
-                raise unknown_key(key, names)
+                raise unknown_key(key, [*names, *(f"world.{item.name}" for item in fields(World))])
         return cls(**mapping)
 
-    def beyond(self, preset: Self) -> dict[str, Any]:
+    @classmethod
+    def as_run(cls, mapping: Mapping[str, Any]) -> dict[str, Any]:
+        """The settings in a run's config.yaml; what came later than the run is as a run had it then: the default."""
+        default = plain(cls(preset="paper"))
+        there = {key: value for key, value in modern(mapping).items() if key != "algorithm"}
+        there["world"] = asdict(TASKS[there.get("task", "drone")].WORLD()) | dict(there.get("world", {}))
+        return default | there
+
+    def beyond_preset(self) -> dict[str, Any]:
         """The settings in which this configuration differs from its preset, apart from what every table names."""
         named = ("preset", "activation", "seed", "n_seeds", "total_frames", "n_worlds", "device", "compile")
-        mine, theirs = plain(self), plain(preset)
+        usual = type(self)(preset=self.preset, task=self.task)
+        mine, theirs = (_flat(plain(config)) for config in (self, usual))
+        theirs["task"] = TrainConfig.task
         return {name: value for name, value in mine.items() if name not in named and value != theirs[name]}
+
+    def make(self, compile: bool) -> Any:
+        """The algorithm with these settings, as `uavnav.training.loop` needs it."""
+        raise NotImplementedError(f"{type(self).__name__} has no algorithm to make")
+
+    def check_machine(self) -> None:
+        """Raise a ConfigError where this machine cannot train with these settings."""
+
+    @property
+    def frames_per_iteration(self) -> int:
+        """Collected per seed between two calls of `learn`: here a step of all worlds."""
+        return self.n_worlds
+
+    @property
+    def iterations(self) -> int:
+        """Whole ones, as SB3 runs them."""
+        return -(-self.total_frames // self.frames_per_iteration)
+
+    @property
+    def frames(self) -> int:
+        """That are really run, per seed."""
+        return self.iterations * self.frames_per_iteration
+
+    @property
+    def final_epsilon(self) -> float:
+        """The share of random actions of the trained policy, where it acts as in training."""
+        return 0.0
 
     @property
     def seeds(self) -> list[int]:
         """One seed an agent."""
         return list(range(self.seed, self.seed + self.n_seeds))
 
-    @property
-    def world(self) -> World:
-        """The world with this configuration's switches."""
-        return World(**{name: getattr(self, name) for name in SWITCHES})
+    def make_task(self) -> Task:
+        """The task with these settings; raises a LayoutError where its bank is not right."""
+        return make_task(self.layouts, self.world, self.reward, self.max_steps, self.task)
 
 
 def plain(config: TrainConfig) -> dict[str, Any]:
     """Its settings as YAML and JSON hold them, with lists for tuples."""
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(config).items()}
+
+
+def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with a name for each field of the world, as a command line gives them: `world.sensor_arc`."""
+    world = {f"world.{name}": value for name, value in settings["world"].items()}
+    return {name: value for name, value in settings.items() if name != "world"} | world
+
+
+def _world(given: World | Mapping[str, Any] | None, kind: type[World]) -> World:
+    """A world from some of its fields; a ConfigError names the one that is wrong."""
+    if isinstance(given, World):
+        if type(given) is not kind:
+            raise ConfigError(f"world={given}; give a {kind.__name__}")
+        return given
+    if given is not None and not isinstance(given, Mapping):
+        raise ConfigError(f"world={given}; give fields of the world, such as world.sensor_arc=90")
+    hints, names = get_type_hints(kind), [item.name for item in fields(kind)]
+    checked = {}
+    for name, value in (given or {}).items():
+        if name not in names:
+            raise unknown_key(f"world.{name}", [f"world.{one}" for one in names])
+        checked[name] = _checked(f"world.{name}", value, hints[name], {})
+    try:
+        return kind(**checked)
+    except ValueError as error:
+        raise ConfigError(f"world.{error}") from error
 
 
 def _checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any:

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import pandas as pd
@@ -21,24 +20,12 @@ from uavnav.runs import Run, paper
 from uavnav.runs.metrics import LAST, METRICS, finished, last_episodes, per_seed
 from uavnav.training.config import TrainConfig
 
-MICROSECONDS = {
-    ("ppo", "paper", True): (24.7, 25.9),
-    ("ppo", "paper", False): (338.4, 25.9),
-    ("ppo", "fast", True): (4.6, 35.4),
-    ("dqn", "paper", True): (30.0, 26.2),
-    ("dqn", "paper", False): (373.5, 26.2),
-}
-"""Of a frame of every seed of a process, by preset, compiled or not: a part that seeds share, and one for each of them.
+Tell = Callable[[int, list[float]], None]
+"""Is told the frames per seed so far, and each seed's mean reward over its last 100 episodes."""
 
-Of `paper` solved from docs/benchmarks.md: 1 seed, and 10 in two processes, make 19,762 and 64,829 frames/s with PPO,
-17,802 and 62,120 with DQN; one seed that is not compiled 2,745 and 2,502. Of `fast` from docs/performance.md and
-results/tuned/ppo/tanh: one seed makes 200,000 frames in 8 s, five in two processes 9,025 frames/s each.
-"""
 RATE_SECONDS = 5.0
-"""Of training, after which a run whose rate is not among these says how long it still takes."""
+"""Of training, after which a run that was not measured says how long it still takes."""
 TOLD_LATER = "the bar tells how long"
-COMPILATION = "3 s, or 15 to 30 s the first time"
-"""How long it takes, from the same place."""
 
 
 class Display:
@@ -47,17 +34,10 @@ class Display:
     tell: is told as well what the bar shows: frames per seed, and each seed's reward.
     """
 
-    def __init__(
-        self,
-        algorithm: str,
-        config: TrainConfig,
-        total_frames: int,
-        quiet: bool,
-        tell: Callable[[int, list[float]], None] | None = None,
-    ) -> None:
-        self._algorithm, self._config, self._quiet, self._tell = algorithm, config, quiet, tell
+    def __init__(self, config: TrainConfig, quiet: bool, tell: Tell | None = None) -> None:
+        self._config, self._quiet, self._tell = config, quiet, tell
         self._progress = Progress(
-            TextColumn(f"{algorithm} {config.activation}"),
+            TextColumn(f"{config.algorithm} {config.activation}"),
             BarColumn(bar_width=12),
             TextColumn("{task.fields[done]} {task.fields[rate]} frames/s"),
             TimeRemainingColumn(),
@@ -65,7 +45,7 @@ class Display:
             disable=quiet,
             console=_console(),
         )
-        self._task = self._progress.add_task("", total=total_frames, done="-", rate="-", reward="-")
+        self._task = self._progress.add_task("", total=config.frames, done="-", rate="-", reward="-")
         self._unknown = False
         self._since: tuple[float, int] | None = None
 
@@ -73,10 +53,8 @@ class Display:
         self._progress.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is None or self._progress.tasks[0].completed:
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if kind is None or self._progress.tasks[0].completed:
             self._progress.stop()
         else:  # nothing was done: leave no empty bar
             self._progress.live.transient = True
@@ -88,8 +66,8 @@ class Display:
         path: of its folder; facts: what its meta.json says of `compiled`, `processes` and `threads`; until: stop there.
         """
         if not self._quiet:
-            frames = int(self._progress.tasks[0].total or 0)
-            lines = opening(self._algorithm, self._config, min(frames, until or frames), path, facts)
+            frames = self._config.frames
+            lines = opening(self._config, min(frames, until or frames), path, facts)
             self._unknown = lines[-1].endswith(TOLD_LATER)
             for line in lines:
                 self._say(line)
@@ -98,20 +76,21 @@ class Display:
         """frames: per seed so far; rewards: each seed's mean over its last 100 episodes."""
         task = self._progress.tasks[0]
         rate = f"{task.speed / 1000:,.1f}k" if task.speed else "-"
-        done = f"{frames // 1000:,}k/{(task.total or 0) // 1000:,.0f}k"
+        done = f"{frames // 1000:,}k/{self._config.frames // 1000:,}k"
         self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=_with_spread(rewards, 1))
         if self._unknown and frames >= getattr(self._config, "learning_starts", 0):
-            self._tell_how_long(frames, int(task.total or 0))
+            self._tell_how_long(frames)
         if self._tell is not None:
             self._tell(frames, rewards)
 
-    def _tell_how_long(self, frames: int, total: int) -> None:
+    def _tell_how_long(self, frames: int) -> None:
         """Once, from the rate since learning began, which leaves out what was compiled before."""
         now = time.monotonic()
         first, done = self._since = self._since or (now, frames)
         if now - first >= RATE_SECONDS and frames > done:
             self._unknown = False
-            self._say(f"about {_rounded((now - first) / (frames - done) * (total - frames))} more at this rate")
+            left = (now - first) / (frames - done) * (self._config.frames - frames)
+            self._say(f"about {_rounded(left)} more at this rate")
 
     def _say(self, line: str) -> None:
         self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
@@ -139,25 +118,27 @@ def flights(what: str, n: int, max_steps: int, quiet: bool = False) -> Iterator[
         yield lambda step, up: bar.update(task, completed=step, up=up)
 
 
-def opening(algorithm: str, config: TrainConfig, frames: int, path: Path, facts: Mapping[str, Any]) -> tuple[str, str]:
+def opening(config: TrainConfig, frames: int, path: Path, facts: Mapping[str, Any]) -> tuple[str, str]:
     """What a run does and where it goes; how, and about how long it takes. Arguments as of `Display.begin`."""
     first, last = config.seeds[0], config.seeds[-1]
     seeds, each = (f"seed {first}", "") if first == last else (f"{config.n_seeds} seeds ({first} to {last})", " each")
     worlds = f"{config.n_worlds} parallel world{'' if config.n_worlds == 1 else 's'}"
-    what = f"{algorithm} {config.activation}, preset {config.preset}: {seeds}, {frames:,} frames{each} in {worlds}"
+    who = f"{config.algorithm} {config.activation}, preset {config.preset}"
+    what = f"{who}: {seeds}, {frames:,} frames{each} in {worlds}"
     n, threads = facts.get("processes", 1), facts["threads"]
     spread = f"{n} process{'' if n == 1 else 'es'} of {threads} thread{'' if threads == 1 else 's'}"
-    how = f"compiled (takes {COMPILATION})" if facts["compiled"] else "not compiled"
-    took = seconds(algorithm, config, frames, n, facts["compiled"])
+    how = "compiled (takes 3 s, or 15 to 30 s the first time)" if facts["compiled"] else "not compiled"
+    took = seconds(config, frames, n, facts["compiled"])
     long = TOLD_LATER if took is None else f"about {_rounded(took)} on the two cores of docs/benchmarks.md"
     return f"{what}, into {path}", f"{how}, {spread}: {long}"
 
 
-def seconds(algorithm: str, config: TrainConfig, frames: int, processes: int, compiled: bool) -> float | None:
+def seconds(config: TrainConfig, frames: int, processes: int, compiled: bool) -> float | None:
     """How long training takes, as measured with these presets on two cores; None for what was not measured."""
     usual = type(config)(preset=config.preset, n_seeds=config.n_seeds)
-    known = MICROSECONDS.get((algorithm, config.preset, compiled))
-    if known is None or config.beyond(usual) or (config.n_worlds, config.device) != (usual.n_worlds, usual.device):
+    known = config.MICROSECONDS.get((config.preset, compiled))
+    other = (config.n_worlds, config.device) != (usual.n_worlds, usual.device)
+    if known is None or other or config.beyond_preset():
         return None
     shared, each = known
     return 1e-6 * frames * (shared + each * -(-config.n_seeds // processes))
@@ -173,7 +154,6 @@ def summary(run: Run) -> Table:
     """The six metrics of a finished run in every reading of its training episodes, beside the paper's row."""
     config, everything = run.config, finished(run.episodes)
     readings = {"all episodes": everything, f"last {LAST}": last_episodes(run.episodes)}
-    printed = paper.TABLES.get((run.algorithm, config["activation"]), {})
     counts = ", ".join(f"{len(part):,}" for part in readings.values())
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
@@ -184,7 +164,7 @@ def summary(run: Run) -> Table:
         f"{run.frames:,} frames per seed; {seeds}; {counts} training episodes; {run.meta['bank']['k']} obstacles a set;"
         f" reward {config['reward']}; init {config['init']}",
         readings,
-        printed,
+        paper.TABLES.get((run.algorithm, config["activation"]), {}),
     )
 
 
@@ -198,7 +178,8 @@ def _metric_table(title: str, caption: str, readings: dict[str, pd.DataFrame], p
     for name, metric in METRICS.items():
         for ratio_of_means in [False] if metric.scale is None else [False, True]:
             digits = min(metric.digits, 2)
-            cells = [_cell(per_seed(part, ratio_of_means)[name], digits) for part in readings.values()]
+            means = [per_seed(part, ratio_of_means)[name].dropna() for part in readings.values()]
+            cells = [_with_spread(values.tolist(), digits) for values in means]
             label = "  as ratio of means" if ratio_of_means else escape(str(metric))
             beside = f"{printed[name]:,.{digits}f}" if name in printed and not ratio_of_means else ""
             table.add_row(label, *cells, *([beside] if printed else []))
@@ -224,22 +205,13 @@ def evaluation_summary(rows: pd.DataFrame, algorithm: str, activation: str = "")
 
 def report(run: Run) -> None:
     """Print the summary, how long the run took, and where it is."""
-    print_table(summary(run))
+    Console().print(summary(run))
     print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}")
-
-
-def print_table(table: Table) -> None:
-    """Print a table on the terminal."""
-    Console().print(table)
 
 
 def _console() -> Console:
     """The terminal; in a notebook without ipywidgets plain text, where rich would warn at every step of a bar."""
     return Console(force_jupyter=None if find_spec("ipywidgets") else False)
-
-
-def _cell(values: pd.Series[float], digits: int) -> str:
-    return _with_spread(values.dropna().tolist(), digits)
 
 
 def _with_spread(values: list[float], digits: int) -> str:

@@ -1,13 +1,13 @@
-"""Gradient steps of a whole population: TorchRL's loss, the gradient of each agent, its norm clipped, Adam.
+"""Gradient steps of a whole population: TorchRL's loss, the gradient of each agent, its norm clipped, an optimiser.
 
 Agents share no parameter, so the gradient of the sum of their losses is, agent by agent, the gradient of each one's
-own loss; Adam is elementwise; only the norm must be taken per agent. Letters: A agents, the leading axis of every
-parameter; M minibatches of N rows.
+own loss; optimisers are elementwise; only the norm must be taken per agent. Letters: A agents, the leading axis of
+every parameter; M minibatches of N rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -16,11 +16,10 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from uavnav.graph import Loop
+from uavnav.training.optimisers import Optimiser, Tensors
 
-BETA1, BETA2 = 0.9, 0.999
-"""Adam's, as everywhere."""
-
-Tensors = Sequence[Tensor]
+After = Callable[[Mapping[str, Tensor], Mapping[str, Tensor]], Mapping[str, Tensor]]
+"""What follows a step: (parameters, buffers) of the loss by name -> the buffers that it changes, such as targets."""
 
 
 class _Objective(nn.Module):
@@ -38,28 +37,36 @@ class _Objective(nn.Module):
 
 
 class Learner:
-    """Adam on the parameters of a TorchRL loss module, in place, any number of minibatches a call.
+    """Steps on the parameters of a TorchRL loss module, in place, any number of minibatches a call.
 
     Args:
         loss: built with `reduction="none"` on networks whose parameters lead with the agent axis.
         losses: names of what it returns; an agent's loss is the sum of their means over the agent's rows.
-        lr, eps: Adam's.
+        optimiser: of `uavnav.training.optimisers`.
         max_grad_norm: each agent's gradient is scaled down to this norm.
         compile: run all minibatches of a call as one compiled graph.
+        after: what follows each step, such as targets that move softly; a pure function.
     """
 
     def __init__(
-        self, loss: LossModule, losses: Sequence[str], *, lr: float, eps: float, max_grad_norm: float, compile: bool
+        self,
+        loss: LossModule,
+        losses: Sequence[str],
+        optimiser: Optimiser,
+        *,
+        max_grad_norm: float,
+        compile: bool,
+        after: After | None = None,
     ) -> None:
-        self.lr, self.eps, self.max_grad_norm = lr, eps, max_grad_norm
+        self.optimiser, self.max_grad_norm, self.after = optimiser, max_grad_norm, after
         self.compile = compile
         self.names = (*losses, "grad_norm")
         self.objective = _Objective(loss, losses)
         self.parameters = dict(self.objective.named_parameters())
         self.buffers = dict(self.objective.named_buffers())
-        self.moments = [torch.zeros_like(value) for value in (*self.parameters.values(), *self.parameters.values())]
-        self.steps = torch.zeros((), dtype=torch.float64, device=self.moments[0].device)
-        self._updates: dict[Any, Loop] = {}  # by the keys and rows of minibatches
+        self.moments = [torch.zeros_like(value) for _ in range(optimiser.moments) for value in self.parameters.values()]
+        self.steps = torch.zeros((), dtype=torch.float64, device=next(iter(self.parameters.values())).device)
+        self._updates: dict[Any, Loop] = {}  # by the keys of minibatches
 
     def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
         """Updates from minibatches [A, M, N], one after the other; each agent's mean losses and gradient norm, [A]."""
@@ -68,11 +75,10 @@ class Learner:
             return {name: torch.stack([losses[name] for losses in steps]).mean(0) for name in self.names}
         with torch.no_grad():
             keys, leaves = zip(*batches.items(include_nested=True, leaves_only=True), strict=True)
-            kind = (keys, batches.shape[2])
-            if kind not in self._updates:
-                self._updates[kind] = self._compile(keys, leaves[0].device.type == "cpu")
-            given = (self._rates(batches.shape[1]), *self._state, *self.buffers.values(), *leaves)
-            (found,) = self._updates[kind](*given)
+            if keys not in self._updates:
+                self._updates[keys] = self._compile(keys)
+            given = (self._rates(batches.shape[1]), *self._state, *self._constants.values(), *leaves)
+            (found,) = self._updates[keys](*given)
             self.steps += batches.shape[1]
         return dict(zip(self.names, found, strict=True))
 
@@ -91,7 +97,7 @@ class Learner:
         return dict(zip(self.parameters, gradient, strict=True))
 
     def state_dict(self) -> dict[str, dict[str, Tensor]]:
-        """Weights, targets, Adam's moments and steps."""
+        """Weights, targets, the optimiser's moments and steps."""
         network = {name: value.detach().clone() for name, value in (self.parameters | self.buffers).items()}
         moments = {str(index): value.clone() for index, value in enumerate(self.moments)}
         return {"network": network, "moments": moments, "steps": {"all": self.steps.clone()}}
@@ -106,16 +112,24 @@ class Learner:
             self.steps.copy_(state_dict["steps"]["all"])
 
     @property
+    def _followers(self) -> dict[str, Tensor]:
+        """The buffers that `after` changes with each step."""
+        return self.buffers if self.after is not None else {}
+
+    @property
+    def _constants(self) -> dict[str, Tensor]:
+        """The buffers that no step changes."""
+        return self.buffers if self.after is None else {}
+
+    @property
     def _state(self) -> list[Tensor]:
-        """What an update changes: the parameters, then Adam's first moments, then the second."""
-        return [*self.parameters.values(), *self.moments]
+        """What an update changes: the parameters, then the optimiser's moments, then the buffers that follow."""
+        return [*self.parameters.values(), *self.moments, *self._followers.values()]
 
     def _rates(self, n: int) -> Tensor:
-        """Adam's step size and epsilon of the next n steps, with the corrections of the moments' bias: [n, 2]."""
+        """What the optimiser needs of the next n steps: [n, rates]."""
         step = self.steps + torch.arange(1, n + 1, device=self.steps.device)
-        correction = (1 - BETA2**step).sqrt()
-        rates = torch.stack([self.lr * correction / (1 - BETA1**step), self.eps * correction], -1)
-        return rates.to(self.moments[0].dtype)
+        return self.optimiser.rates(step).to(next(iter(self.parameters.values())).dtype)
 
     def _gradient(self, parameters: Tensors, batch: TensorDictBase) -> tuple[Tensors, Tensor]:
         """By parameter, of those that the objective holds now; and the losses [losses, A]."""
@@ -124,34 +138,36 @@ class Learner:
             return torch.autograd.grad(total, parameters), losses
 
     def _update(self, rate: Tensor, state: Tensors, batch: TensorDictBase) -> tuple[Tensor, list[Tensor]]:
-        """One step: the losses and the gradient's norm [losses + 1, A], and the next state.
-
-        Adam as at the end of section 2 of Kingma and Ba (2015), the moments' bias corrected in the rate [2]: fewer
-        divisions for every parameter.
-        """
+        """One step: the losses and the gradient's norm [losses + 1, A], and the next state."""
         n = len(self.parameters)
-        values, first, second = state[:n], state[n : 2 * n], state[2 * n :]
+        kept = n * (1 + self.optimiser.moments)
+        values, *moments = (state[first : first + n] for first in range(0, kept, n))
         gradient, losses = self._gradient(values, batch)
         norm = torch.stack([part.flatten(1).square().sum(1) for part in gradient]).sum(0).sqrt()
         scale = (self.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)  # as torch.nn.utils.clip_grad_norm_
         clipped = [part * scale.reshape(-1, *[1] * (part.ndim - 1)) for part in gradient]
-        first = [torch.lerp(m, g, 1 - BETA1) for m, g in zip(first, clipped, strict=True)]
-        second = [v * BETA2 + (1 - BETA2) * g * g for v, g in zip(second, clipped, strict=True)]
-        lr, eps = rate.unbind()
-        values = [value - lr * m / (v.sqrt() + eps) for value, m, v in zip(values, first, second, strict=True)]
-        return torch.cat([losses, norm[None]]), [*values, *first, *second]
+        values, *moments = self.optimiser.update(rate, values, clipped, *moments)
+        following = [*values, *(value for part in moments for value in part)]
+        if self.after is not None:
+            buffers = dict(zip(self.buffers, state[kept:], strict=True))
+            changed = self.after(dict(zip(self.parameters, values, strict=True)), buffers)
+            # a copy of the others: a graph must not give back what it was given
+            following += [changed[name] if name in changed else value.clone() for name, value in buffers.items()]
+        return torch.cat([losses, norm[None]]), following
 
-    def _compile(self, keys: Sequence[Any], on_cpu: bool) -> Loop:
+    def _compile(self, keys: Sequence[Any]) -> Loop:
         """All updates of a call as one graph, however many there are; keys: of the leaves of minibatches [A, M, N]."""
-        n, n_state, n_buffers = len(self.parameters), len(self._state), len(self.buffers)
+        n, n_state, n_constants = len(self.parameters), len(self._state), len(self._constants)
+        kept = n * (1 + self.optimiser.moments)
         names = [tuple(name.split(".")) for name in (*self.parameters, *self.buffers)]
 
         def update(rate: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
             values = [value.detach().requires_grad_() for value in tensors[:n]]
-            buffers, leaves = tensors[n_state : n_state + n_buffers], tensors[n_state + n_buffers :]
+            buffers, leaves = tensors[kept : n_state + n_constants], tensors[n_state + n_constants :]
             batch = TensorDict(dict(zip(keys, leaves, strict=True)), leaves[0].shape[:2])
             with TensorDict(dict(zip(names, (*values, *buffers), strict=True))).to_module(self.objective):
                 found, following = self._update(rate, [*values, *tensors[n:n_state]], batch)
             return found, *following
 
-        return Loop(update, n_state, n_buffers, cpp_wrapper=on_cpu)  # elsewhere it needs that device's own headers
+        on_cpu = self.steps.device.type == "cpu"  # elsewhere the wrapper needs that device's own headers
+        return Loop(update, n_state, n_constants, cpp_wrapper=on_cpu)

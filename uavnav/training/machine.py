@@ -10,9 +10,8 @@ from collections.abc import Iterator
 
 import torch
 
-from uavnav import graph, networks
+from uavnav import graph, plugins
 from uavnav.choices import ConfigError
-from uavnav.tasks import rewards
 from uavnav.training.config import TrainConfig
 
 MAPPED_FROM = 2**20
@@ -21,8 +20,10 @@ M_MMAP_THRESHOLD = -3
 """As malloc.h calls it."""
 PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
-FLIGHTS_PAY_FROM = 10_000_000
-"""Steps of all drones of an evaluation, if none ended, from which compilation is paid back."""
+FLIGHTS_PAY_FROM = 2_000
+"""Steps that a flight may last from which the compilation of the world's step is paid back."""
+EAGER_STEPS = 1_024
+"""Of an evaluation, before its step is compiled: most flights have ended by then, and often all of them."""
 EAGER = "runs without compilation, several times slower"
 """Begins the warning where `compile=auto` finds no compiler."""
 
@@ -43,17 +44,15 @@ def decide(config: TrainConfig) -> bool:
     return problem is None
 
 
-def flights(n_drones: int, max_steps: int) -> bool:
-    """Whether to compile the world's step for an evaluation: a long one, where a compiler is at hand."""
-    if n_drones * max_steps < FLIGHTS_PAY_FROM:
-        return False
-    return graph.problem("cpu") is None
+def flights(max_steps: int | None) -> bool:
+    """Whether to compile the world's step for flights that may last so long, where a compiler is at hand."""
+    return max_steps is not None and max_steps >= FLIGHTS_PAY_FROM and graph.problem("cpu") is None
 
 
 def processes(config: TrainConfig) -> int:
     """A process a core, each with its share of the seeds, where a run is long enough to be compiled.
 
-    An activation or a reward that the caller has added is not there in another process.
+    What the caller has added without a plugin is not there in another process.
     """
     if own_parts(config) or torch.device(config.device).type != "cpu" or not _wanted(config):
         return 1
@@ -61,13 +60,15 @@ def processes(config: TrainConfig) -> int:
 
 
 def own_parts(config: TrainConfig) -> str:
-    """The activation and the reward that the caller has added or changed, which no other process knows; often none."""
-    activation, reward = config.activation, config.reward
-    own = {
-        f"activation={activation}": networks.ACTIVATIONS[activation] is not networks.BUILT_IN.get(activation),
-        f"reward={reward}": rewards.REWARDS[reward] is not rewards.BUILT_IN.get(reward),
-    }
-    return ", ".join(part for part, added in own.items() if added)
+    """What the caller has added or changed without a plugin, so that no other process knows it; often nothing."""
+    own = []
+    for setting, (table, known) in plugins.TABLES.items():
+        name = getattr(config, setting)
+        if table[name] is not known.get(name):
+            own.append(f"{setting}={name}")
+    if type(config).__module__ == "__main__":
+        own.append(f"algorithm={config.algorithm}")
+    return ", ".join(own)
 
 
 def cores() -> int:
@@ -75,9 +76,9 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def threads(config: TrainConfig) -> int:
-    """Within one process, two threads are slower than one for fewer than 4 agents, and faster from there on."""
-    return 1 if config.n_seeds < 4 else min(2, cores())
+def threads(config: TrainConfig, processes: int) -> int:
+    """One where processes share the seeds; two are slower than one for fewer than 4 agents, and faster from there."""
+    return 1 if config.n_seeds < 4 or processes > 1 else min(2, cores())
 
 
 def keep_memory_flat() -> None:

@@ -1,6 +1,7 @@
-"""What the units of a network do, on poses that are the same for every run: dormant, saturated, how many dimensions.
+"""Statistics of a network's hidden units, on poses that are the same for every run.
 
-Letters: A agents, P poses, H units of a layer.
+The statistics are the shares of dormant and saturated units, and the effective rank. Letters: A agents, P poses,
+H units of a layer.
 """
 
 from __future__ import annotations
@@ -13,39 +14,38 @@ import torch
 from torch import Tensor, nn
 
 from uavnav.networks import ACTIVATIONS, Activation
-from uavnav.tasks import layouts, simulator
+from uavnav.tasks import layouts
 from uavnav.tasks.seeding import stream
-from uavnav.tasks.world import World
+from uavnav.tasks.simulator import Task
 
 POSES = 512
 DORMANT = 0.025
-"""A unit is dormant whose mean |activation| is at most this share of its layer's mean (Sokar et al. 2023)."""
+"""A unit is dormant if its mean |activation| is at most this share of its layer's mean (Sokar et al. 2023)."""
 SATURATED = 0.05
-"""An activation is saturated where its slope is at most this share of its steepest."""
+"""A unit is saturated at a pose if its activation's slope there is at most this share of the steepest slope."""
 
 
-def poses(world: World) -> Tensor:
+def poses(task: Task) -> Tensor:
     """What a drone sees at poses drawn once over the window and the shipped train split: observation [P, 30]."""
     generator = stream(0, "probe")
-    bank = layouts.load("train")
-    x, y = (torch.rand(POSES, generator=generator) * size for size in (world.width, world.height))
-    heading, layout = (torch.randint(most, (POSES,), generator=generator) for most in (360, len(bank)))
-    state = simulator.start(layout, heading, world)._replace(x=x, y=y)
-    observation, _ = simulator.observe(state, bank, world)
+    x, y = (torch.rand(POSES, generator=generator) * size for size in (task.world.width, task.world.height))
+    task = task.with_bank(layouts.load("train"))
+    heading, layout = (torch.randint(most, (POSES,), generator=generator) for most in (360, len(task.bank)))
+    observation, _ = task.observe(task.start(layout, heading)._replace(x=x, y=y))
     return observation
 
 
 @torch.no_grad()
 def units(network: nn.Sequential, observation: Tensor) -> dict[str, Tensor]:
-    """Of the hidden units of each agent's network, on observation [P, 30]; each [A].
+    """Statistics [A] of the hidden units of each agent's network, on observation [P, 30].
 
-    `dormant` and `saturated` are shares over all hidden layers. `effective_rank` is that of the last one's activations
-    [P, H]: the exponential of the entropy of its singular values as shares of their sum (Roy and Vetterli 2007).
+    `dormant` and `saturated` are shares over all hidden layers. `effective_rank` belongs to the last hidden layer's
+    activations [P, H]: the exponential of the entropy of their singular values, as shares of the sum (Roy and Vetterli
+    2007).
     """
     dormant, saturated = [], []
-    layers = list(network)
     hidden = observation.expand(len(next(network.parameters())), -1, -1)
-    for layer in layers[:-1]:
+    for layer in list(network)[:-1]:
         if isinstance(layer, Activation):
             hidden, slope = _with_slope(layer, hidden)
             mean = hidden.abs().mean(1)
@@ -68,7 +68,7 @@ def steepest(activation: Callable[[Tensor], Tensor]) -> float:
 
 
 def _with_slope(activation: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
-    """An activation's values at x and its derivatives there."""
+    """An activation's values and derivatives at x."""
     with torch.enable_grad():
         x = x.detach().requires_grad_()
         y = activation(x)
@@ -77,7 +77,7 @@ def _with_slope(activation: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tens
 
 
 def _effective_rank(x: Tensor) -> Tensor:
-    """Of matrices [A, P, H] -> [A]; 0 for a matrix of zeros, NaN for one that is not finite."""
+    """The effective ranks of matrices: [A, P, H] -> [A]; 0 for a matrix of zeros, NaN for a matrix not finite."""
     gram = (x.mT @ x).double()
     finite = gram.isfinite().flatten(1).all(1)
     values = torch.linalg.eigvalsh(torch.where(finite[:, None, None], gram, 0.0)).clamp(min=0).sqrt()

@@ -1,9 +1,22 @@
-"""The random choice of an action, from uniform numbers that the caller draws: nothing here has a generator."""
+"""How a policy acts: what its network says of each action, and the random choice of one.
+
+`ACTS`, `HEADS` and `SHOWN` are tables. A record of `uavnav.algorithms`, or the header of a policy's file, names a line
+of each. Nothing but `Actor` has a generator; uniform numbers are arguments.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, NamedTuple
+
 import torch
-from torch import Tensor
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+from torch.func import functional_call
+
+from uavnav import graph
+from uavnav.tasks.seeding import Streams
 
 
 def sample_categorical(logits: Tensor, uniform: Tensor) -> Tensor:
@@ -23,3 +36,84 @@ def epsilon_greedy(values: Tensor, epsilon: Tensor | float, coin: Tensor, choice
     n_actions = values.shape[-1]
     explored = (choice * n_actions).long().clamp(max=n_actions - 1)
     return torch.where(coin < epsilon, explored, values.argmax(-1))
+
+
+class Act(NamedTuple):
+    """A way to act in training."""
+
+    uniforms: int  # random numbers an action
+    choose: Callable[[Tensor, Tensor | float, Sequence[Tensor]], Tensor]  # (values, epsilon, uniforms) -> actions
+
+
+ACTS: dict[str, Act] = {
+    "categorical": Act(1, lambda values, epsilon, uniforms: sample_categorical(values, *uniforms)),
+    "epsilon-greedy": Act(2, lambda values, epsilon, uniforms: epsilon_greedy(values, epsilon, *uniforms)),
+}
+
+HEADS: dict[str, Callable[[Tensor], Tensor]] = {
+    "direct": lambda outputs: outputs,
+}
+"""How a network's outputs [..., outputs] become one number an action [..., actions]; the largest is the greedy one."""
+
+SHOWN: dict[str, Callable[[Tensor], Tensor]] = {
+    "probability": lambda values: values.softmax(-1),
+    "Q value": lambda values: values,
+}
+"""What a picture shows of those numbers, by its name there."""
+
+
+class Actor(TensorDictModuleBase):  # type: ignore[misc]
+    """Acts in training: observation [A, W, obs] -> action [A, W], each agent's from a stream of its own.
+
+    Args:
+        network: observation -> outputs, with the agent axis in front.
+        seeds: one for each agent.
+        acts, head: names of `ACTS` and `HEADS`.
+        compile: run network and choice as one graph.
+        epsilon: the first share of random actions, where the way to act has one.
+    """
+
+    in_keys: ClassVar[list[str]] = ["observation"]
+    out_keys: ClassVar[list[str]] = ["action"]
+
+    def __init__(
+        self,
+        network: nn.Module,
+        seeds: Sequence[int],
+        acts: str,
+        head: str,
+        compile: bool,
+        epsilon: float = 0.0,
+    ) -> None:
+        super().__init__()
+        self.network, self.acts, self.head = network, acts, head
+        self.streams = Streams(seeds, "actions")
+        self._weights = dict(network.named_parameters())  # learning writes them in place
+        self.epsilon = torch.tensor(epsilon, device=next(network.parameters()).device)
+        self._choose = graph.Graph(self.choose) if compile else self.choose
+
+    def choose(self, observation: Tensor, uniform: Tensor, epsilon: Tensor, *weights: Tensor) -> tuple[Tensor]:
+        """Actions from uniform numbers [A, uniforms, W], by the network with these weights."""
+        named = dict(zip(self._weights, weights, strict=True))
+        values = HEADS[self.head](functional_call(self.network, named, (observation,)))
+        return (ACTS[self.acts].choose(values, epsilon, uniform.unbind(1)),)
+
+    def act(self, observation: Tensor) -> Tensor:
+        """Actions from the streams' next numbers."""
+        uniform = self.streams.draw(
+            torch.rand, ACTS[self.acts].uniforms, observation.shape[1], device=observation.device
+        )
+        return self._choose(observation, uniform, self.epsilon, *self._weights.values())[0]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """As a collector calls it, without the Python of a TensorDictModule around `act`."""
+        return tensordict.set("action", self.act(tensordict.get("observation")))
+
+    def state_dict(self, *args: Any, **how: Any) -> dict[str, Any]:
+        """Where the streams are, and epsilon; the network's weights are the learner's to save."""
+        return {**self.streams.state_dict(), "epsilon": self.epsilon.clone()}
+
+    def load_state_dict(self, state_dict: Any, *args: Any, **how: Any) -> None:
+        """Go on from there."""
+        self.streams.load_state_dict(state_dict)
+        self.epsilon.copy_(state_dict["epsilon"])

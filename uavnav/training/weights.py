@@ -11,21 +11,25 @@ from safetensors import safe_open
 from safetensors.torch import save
 from torch import nn
 
+from uavnav import plugins
 from uavnav.tasks.world import VERSION
-from uavnav.training.config import SWITCHES, TrainConfig
+from uavnav.training.config import TrainConfig
+from uavnav.training.sampling import Actor
 
 
-def serialize(networks: Mapping[str, nn.Module], algorithm: str, config: TrainConfig, epsilon: float = 0.0) -> bytes:
-    """The bytes of a policy file: the networks of all seeds, and in its header what rebuilds them and their world."""
+def serialize(networks: Mapping[str, nn.Module], config: TrainConfig, actor: Actor) -> bytes:
+    """The bytes of a policy file: the networks of all seeds; in its header what rebuilds them, and their whole task."""
     facts = {
-        "algorithm": algorithm,
+        "algorithm": config.algorithm,
         "activation": config.activation,
         "hidden": list(config.hidden),
         "seeds": config.seeds,
-        "epsilon": epsilon,
-        "reward": config.reward,
-        "world": {name: getattr(config, name) for name in SWITCHES},
+        "acts": actor.acts,
+        "head": actor.head,
+        "epsilon": config.final_epsilon,
+        **config.make_task().header(),
         "world_version": VERSION,
+        **({"plugins": list(plugins.LOADED)} if plugins.LOADED else {}),
     }
     tensors = {
         f"{name}.{key}": value.detach().cpu().contiguous()

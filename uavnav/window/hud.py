@@ -6,18 +6,20 @@ arena, or below it where that leaves more room.
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
-import numpy as np
 import torch
+from matplotlib import colormaps
 from PIL import Image, ImageDraw
 
-from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, draw_arena, font, height_of
+from uavnav.envs import drawing
+from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Ink, font, height_of
 from uavnav.runs.metrics import METRICS
 from uavnav.tasks.dynamics import decode
 from uavnav.tasks.world import World
-from uavnav.window.game import KEYS, MOUSE, PACES, Game, colour, problem
+from uavnav.window.game import PACES, Game, colour
+from uavnav.window.keys import HELP
+from uavnav.window.mouse import problem
 
 MARGIN, BLOCK, FOOTER = 12, 330, 30  # [units]; a block of the panel is as wide as that
 ARENA_UNITS = 800, 600
@@ -27,7 +29,7 @@ BELOW = ARENA_UNITS[0] + 2 * MARGIN, ARENA_UNITS[1] + BLOCK + 3 * MARGIN + FOOTE
 FACTS_HEIGHT = 285  # of the block above the action grid [units]
 SMALLEST = 0.4  # pixels a unit
 FADED = 90  # opacity of earlier trails, of 255
-WHITE = (255, 255, 255)
+WHITE, UNKNOWN = (255, 255, 255), (236, 237, 240)
 DARK = 350  # red + green + blue of a colour that white stands out from
 
 
@@ -48,11 +50,9 @@ def arrange(size: tuple[int, int], world: World) -> Places:
     beside, below = (min(size[0] / form[0], size[1] / form[1]) for form in (DESIGN, BELOW))
     unit = max(beside, below, SMALLEST)
     margin, block = round(MARGIN * unit), round(BLOCK * unit)
-    free_width, free_height = size[0] - 2 * margin, size[1] - 2 * margin - round(FOOTER * unit)
-    if beside >= below:
-        free_width -= block + margin
-    else:
-        free_height -= block + margin
+    panel = (block + margin, 0) if beside >= below else (0, block + margin)
+    free_width = size[0] - 2 * margin - panel[0]
+    free_height = size[1] - 2 * margin - panel[1] - round(FOOTER * unit)
     width = max(40, min(free_width, int(free_height * world.width / world.height)))
     height = height_of(width, world)
     left, top = margin + max(0, free_width - width) // 2, margin + max(0, free_height - height) // 2
@@ -75,7 +75,10 @@ def draw(game: Game, size: tuple[int, int]) -> Image.Image:
     """The whole window at a size [px]."""
     places = arrange(size, game.world)
     image = Image.new("RGB", size, WHITE)
-    image.paste(_arena(game, places.width), (places.left, places.top))
+    trails: list[drawing.Trail] = [(leg.points, (*colour(leg.pilot), FADED)) for leg in game.ghosts]
+    trails += [(leg.points, colour(leg.pilot)) for leg in game.legs]
+    arena = drawing.draw_arena(game.state, game.obstacles[0], game.world, places.width, trails, colour(game.pilot))
+    image.paste(arena, (places.left, places.top))
     canvas = ImageDraw.Draw(image, "RGBA")
     if game.drawing:
         _sketch(canvas, game, places)
@@ -104,7 +107,7 @@ class _Block:
         words: str,
         size: float = 13,
         bold: bool = False,
-        fill: tuple[int, ...] = INK,
+        fill: Ink = INK,
         anchor: str = "lm",
         room: float | None = None,
     ) -> None:
@@ -117,39 +120,23 @@ class _Block:
         self.canvas.text(self.at(x, y), words, fill, face, anchor=anchor)
 
     def box(
-        self,
-        x: float,
-        y: float,
-        width: float,
-        height: float,
-        fill: tuple[int, ...] | None,
-        outline: tuple[int, ...] | None = None,
-        line: float = 1,
+        self, x: float, y: float, wide: float, high: float, fill: Ink | None, outline: Ink | None = None, line: int = 1
     ) -> None:
-        corners = (*self.at(x, y), *self.at(x + width, y + height))
+        corners = (*self.at(x, y), *self.at(x + wide, y + high))
         self.canvas.rectangle(corners, fill=fill, outline=outline, width=max(1, round(line * self.unit)))
-
-
-def _arena(game: Game, width: int) -> Image.Image:
-    faded = [(leg.points, (*colour(leg.pilot), FADED)) for leg in game.ghosts]
-    present = [(leg.points, colour(leg.pilot)) for leg in game.legs]
-    return draw_arena(game.state, game.obstacles[0], game.world, width, [*faded, *present], game.colour)
 
 
 def _sketch(canvas: ImageDraw.ImageDraw, game: Game, places: Places) -> None:
     """While drawing: the zone around the start that stays free, and the obstacle under the mouse."""
     scale = places.width / game.world.width
-
-    def ring(x: float, y: float, radius: float, line: tuple[int, ...], fill: tuple[int, ...] | None = None) -> None:
-        left, top = places.left + x * scale, places.top + places.height - y * scale
-        reach = radius * scale
-        corners = (left - reach, top - reach, left + reach, top + reach)
-        canvas.ellipse(corners, fill=fill, outline=line, width=max(2, round(2 * places.unit)))
-
-    ring(*game.world.start, game.world.safe_zone, INK)
+    rings: list[tuple[float, float, float, Ink, Ink | None]] = [(*game.world.start, game.world.safe_zone, INK, None)]
     if game.circle is not None:
-        line = SENSED if problem(game) else INK
-        ring(*game.circle, line, (*(SENSED if problem(game) else OBSTACLE), 150))
+        edge, fill = (SENSED, SENSED) if problem(game) else (INK, OBSTACLE)
+        rings.append((*game.circle, edge, (*fill, 150)))
+    for x, y, radius, line, inside in rings:
+        left, top, reach = places.left + x * scale, places.top + places.height - y * scale, radius * scale
+        corners = (left - reach, top - reach, left + reach, top + reach)
+        canvas.ellipse(corners, fill=inside, outline=line, width=max(2, round(2 * places.unit)))
 
 
 def headline(game: Game) -> tuple[str, str]:
@@ -171,9 +158,8 @@ def _banner(canvas: ImageDraw.ImageDraw, game: Game, places: Places) -> None:
         return
     unit = places.width / ARENA_UNITS[0]
     block = _Block(canvas, (places.left, places.top), unit)
-    wide = (
-        40 + max(font(round(14 * unit) or 5).getlength(hint), font(round(20 * unit) or 5, True).getlength(title)) / unit
-    )
+    lengths = font(round(14 * unit) or 5).getlength(hint), font(round(20 * unit) or 5, True).getlength(title)
+    wide = 40 + max(lengths) / unit
     middle = ARENA_UNITS[0] / 2
     block.box(middle - wide / 2, 36, wide, 62, (*WHITE, 225), SENSED if game.ended else BORDER, 2)
     block.write(middle, 56, title, 20, bold=True, anchor="mm")
@@ -182,10 +168,11 @@ def _banner(canvas: ImageDraw.ImageDraw, game: Game, places: Places) -> None:
 
 def _facts(block: _Block, game: Game) -> None:
     """Who flies, where, how fast time goes, and the metrics of the flight so far."""
-    block.canvas.ellipse((*block.at(0, 4), *block.at(16, 20)), fill=game.colour)
-    block.write(24, 12, game.pilots[game.pilot].name, 19, bold=True, room=BLOCK - 24)
+    block.canvas.ellipse((*block.at(0, 4), *block.at(16, 20)), fill=colour(game.pilot))
+    block.write(24, 12, game.pilots[game.pilot].title, 19, bold=True, room=BLOCK - 24)
     where = "obstacles of your own" if game.own else f"{game.split}, set {game.index} of 0 to {len(game.bank) - 1}"
-    block.write(0, 36, f"{pace_of(game)} · {where}", fill=BORDER, room=BLOCK)
+    pace = "paused" if game.paused else f"{STEPS_PER_SECOND * PACES[game.pace]:g} steps a second"
+    block.write(0, 36, f"{pace} · {where}", fill=BORDER, room=BLOCK)
     columns = 2 if len(game.pilots) <= 6 else 3
     room = BLOCK / columns
     for number, pilot in enumerate(game.pilots[:10]):
@@ -201,13 +188,6 @@ def _facts(block: _Block, game: Game) -> None:
         block.write(x, y + 15, value, 17, bold=True)
 
 
-def pace_of(game: Game) -> str:
-    """How fast time goes."""
-    if game.paused:
-        return "paused"
-    return f"{STEPS_PER_SECOND * PACES[game.pace]:g} steps a second"
-
-
 def figures(game: Game) -> dict[str, str]:
     """The metrics of the flight so far and the last step's reward, as label and value."""
     steps, shown = int(game.state.steps), {}
@@ -218,10 +198,7 @@ def figures(game: Game) -> dict[str, str]:
             shown[label] = f"{value:.2f}" if value % 1 else f"{value:.0f}"
         else:
             shown[label] = f"{metric.scale * value / steps:.{1 if metric.scale > 1 else 2}f}" if steps else "-"
-    for last in ("distance px", "speed px a step"):
-        shown[last] = shown.pop(last)
-    shown["reward, eq. (14)"] = f"{float(game.state.reward):+.2f}"
-    shown.pop("reward")
+    shown["reward, eq. (14)"] = f"{float(shown.pop('reward')):+.2f}"
     return shown | {"reward of the last step": f"{game.earned:+.2f}"}
 
 
@@ -235,13 +212,12 @@ def _grid(block: _Block, game: Game) -> None:
     left, top, width, height = 26.0, 24.0, 24.0, 21.0
     columns = {one: number for number, one in enumerate(sorted(set(angles.tolist()), reverse=True))}
     rows = {one: number for number, one in enumerate(sorted(set(distances.tolist()), reverse=True))}
-    shades = _shades(choice.values)
-    for action, (one, far) in enumerate(zip(angles.tolist(), distances.tolist(), strict=True)):
-        fill = shades[action] if shades is not None else (236, 237, 240)
+    shades = [UNKNOWN] * world.n_actions if choice.values is None else _shades(choice.values)
+    if choice.values is None:
+        shades[choice.action] = colour(game.pilot)
+    for one, far, fill in zip(angles.tolist(), distances.tolist(), shades, strict=True):
         block.box(left + columns[one] * width, top + rows[far] * height, width - 2, height - 2, fill)
     x, y = left + columns[angle] * width, top + rows[distance] * height
-    if shades is None:
-        block.box(x, y, width - 2, height - 2, game.colour)
     block.box(x - 3, y - 3, width + 4, height + 4, None, INK, 3)
     block.box(x, y, width - 2, height - 2, None, WHITE, 2)
     for one, number in columns.items():
@@ -255,37 +231,28 @@ def _grid(block: _Block, game: Game) -> None:
     block.write(left, bottom, "← left   turn [°]   right →     ↑ distance [px]", 11, fill=BORDER)
     block.write(0, bottom + 21, f"nearest obstacle {game.clearance:.0f} px", 13)
     block.write(BLOCK, bottom + 21, f"a collision at {world.drone_radius:.0f}", 11, fill=BORDER, anchor="rm")
-    _scale(block, game, left + len(columns) * width + 10, top, len(rows) * height)
+    if choice.values is not None:
+        _scale(block, choice.values, choice.meaning, left + len(columns) * width + 10, top, len(rows) * height)
 
 
-def _scale(block: _Block, game: Game, x: float, top: float, height: float) -> None:
+def _scale(block: _Block, values: torch.Tensor, meaning: str, x: float, top: float, height: float) -> None:
     """What the colours of the action grid mean."""
-    values = game.choice.values
-    if values is None:
-        return
-    for number, shade in enumerate(_colours()[::-8]):
-        block.box(x, top + number * height / 32, 10, height / 32, tuple(shade))
+    for number, shade in enumerate(_viridis(torch.arange(255, 0, -8))):
+        block.box(x, top + number * height / 32, 10, height / 32, shade)
     block.write(x + 15, top + 7, f"{float(values.max()):.3g}", 11)
     block.write(x + 15, top + height - 7, f"{float(values.min()):.3g}", 11)
-    block.write(x + 15, top + height / 2, game.choice.meaning.replace(" ", "\n"), 11, fill=BORDER)
+    block.write(x + 15, top + height / 2, meaning.replace(" ", "\n"), 11, fill=BORDER)
 
 
-@functools.cache
-def _colours() -> list[tuple[int, int, int]]:
-    """Viridis, whose order anyone sees: 256 colours."""
-    from matplotlib import colormaps
-
-    table = colormaps["viridis"](np.arange(256), bytes=True)
-    return [(int(red), int(green), int(blue)) for red, green, blue, _ in table]
-
-
-def _shades(values: torch.Tensor | None) -> list[tuple[int, int, int]] | None:
+def _shades(values: torch.Tensor) -> list[Ink]:
     """A colour for each action, from the lowest value to the highest."""
-    if values is None:
-        return None
     low, high = float(values.min()), float(values.max())
-    places = ((values - low) / max(high - low, 1e-12) * 255).long().tolist()
-    return [_colours()[place] for place in places]
+    return _viridis(((values - low) / max(high - low, 1e-12) * 255).long())
+
+
+def _viridis(places: torch.Tensor) -> list[Ink]:
+    """Colours whose order anyone sees: places [n] of 0 to 255."""
+    return [tuple(one) for one in colormaps["viridis"](places.numpy(), bytes=True)[:, :3].tolist()]
 
 
 def _footer(block: _Block, game: Game, width: int) -> None:
@@ -297,8 +264,7 @@ def _footer(block: _Block, game: Game, width: int) -> None:
 
 def _help(image: Image.Image, places: Places, size: tuple[int, int]) -> None:
     """Every key over a veil, as large as the window allows."""
-    rows = [(key.shown, key.does) for key in KEYS if key.shown] + list(MOUSE)
-    wide, high = 620, 24 * len(rows) + 74
+    wide, high = 620, 24 * len(HELP) + 74
     unit = min(size[0] / (wide + 20), size[1] / (high + 20), 1.25 * places.unit)
     canvas = ImageDraw.Draw(image, "RGBA")
     canvas.rectangle((0, 0, *size), fill=(*GROUND, 170))
@@ -307,6 +273,6 @@ def _help(image: Image.Image, places: Places, size: tuple[int, int]) -> None:
     block.box(0, 0, wide, high, (*WHITE, 250), BORDER, 2)
     block.write(24, 30, "Keys", 20, bold=True)
     block.write(wide - 24, 30, "H closes this", 13, fill=BORDER, anchor="rm")
-    for number, (shown, does) in enumerate(rows):
+    for number, (shown, does) in enumerate(HELP):
         block.write(24, 66 + 24 * number, shown, 14, bold=True)
         block.write(140, 66 + 24 * number, does, 14, room=wide - 164)

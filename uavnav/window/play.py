@@ -12,8 +12,8 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import Parser
 from uavnav.envs.drawing import STEPS_PER_SECOND
@@ -25,15 +25,18 @@ from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
 from uavnav.training.machine import use_threads
 from uavnav.window import game as rules
-from uavnav.window import hud
-from uavnav.window.game import BANK, KEYS, MOUSE, ROWS, Game
+from uavnav.window import hud, mouse
+from uavnav.window.game import BANK, ROWS, Game
+from uavnav.window.keys import HELP, press, release, release_all
 
-if TYPE_CHECKING:
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+try:
     import pygame
+except ImportError:
+    pygame = None  # type: ignore[assignment]
 
 SMALLEST = 320, 240  # of a window [px]
 UNSEEN = ("dummy", "offscreen", "evdev")  # SDL's drivers without a screen: good where they are asked for
-LEFT_BUTTON, RIGHT_BUTTON = 1, 3
 ROWS_HELP = (
     "file for rows of flights by hand (default: where a report of the first RUN's root looks, as"
     f" runs/baselines/{ROWS.name}; without a run {ROWS})"
@@ -46,11 +49,8 @@ def open_window(size: tuple[int, int]) -> pygame.Surface:
     Raises:
         ValueError: pygame is not installed, or there is no screen.
     """
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    try:
-        import pygame
-    except ImportError as error:
-        raise ValueError("needs pygame-ce: pip install 'uavnav[play]'") from error
+    if pygame is None:
+        raise ValueError("needs pygame-ce: pip install 'uavnav[play]'")
     try:
         pygame.display.init()
         if "SDL_VIDEODRIVER" not in os.environ and pygame.display.get_driver() in UNSEEN:
@@ -63,32 +63,28 @@ def open_window(size: tuple[int, int]) -> pygame.Surface:
 
 def handle(game: Game, event: pygame.event.Event, size: tuple[int, int]) -> Game:
     """What an event of pygame makes of a game in a window of this size [px]."""
-    import pygame
-
     if event.type == pygame.QUIT:
         return rules.leave(game)
     if event.type == pygame.KEYDOWN:
-        return rules.press(game, pygame.key.name(event.key))
+        return press(game, pygame.key.name(event.key))
     if event.type == pygame.KEYUP:
-        return rules.release(game, pygame.key.name(event.key))
+        return release(game, pygame.key.name(event.key))
     if event.type == pygame.WINDOWFOCUSLOST:
-        return rules.release_all(game)
-    if event.type in (pygame.MOUSEBUTTONDOWN, pygame.MOUSEMOTION, pygame.MOUSEBUTTONUP):
-        place = hud.to_world(event.pos, size, game.world)
-        if event.type == pygame.MOUSEMOTION:
-            return rules.drag(game, *place)
-        if event.type == pygame.MOUSEBUTTONUP:
-            return rules.drop(game) if event.button == LEFT_BUTTON else game
-        if event.button == LEFT_BUTTON:
-            return rules.grab(game, *place)
-        return rules.erase(game, *place) if event.button == RIGHT_BUTTON else game
-    return game
+        return release_all(game)
+    if event.type not in (pygame.MOUSEBUTTONDOWN, pygame.MOUSEMOTION, pygame.MOUSEBUTTONUP):
+        return game
+    place = hud.to_world(event.pos, size, game.world)
+    if event.type == pygame.MOUSEMOTION:
+        return mouse.drag(game, *place)
+    if event.type == pygame.MOUSEBUTTONUP:
+        return mouse.drop(game) if event.button == pygame.BUTTON_LEFT else game
+    if event.button == pygame.BUTTON_LEFT:
+        return mouse.grab(game, *place)
+    return mouse.erase(game, *place) if event.button == pygame.BUTTON_RIGHT else game
 
 
 def turn(game: Game, seconds: float) -> Game:
     """One round of the window: what happened meanwhile, then the time that passed."""
-    import pygame
-
     for event in pygame.event.get():
         game = handle(game, event, pygame.display.get_window_size())
     return rules.advance(game, seconds)
@@ -96,8 +92,6 @@ def turn(game: Game, seconds: float) -> Game:
 
 def show(game: Game) -> None:
     """Draw the game into the window."""
-    import pygame
-
     surface = pygame.display.get_surface()
     assert surface is not None
     size = max(surface.get_width(), SMALLEST[0]), max(surface.get_height(), SMALLEST[1])
@@ -108,16 +102,13 @@ def show(game: Game) -> None:
 
 def play(game: Game) -> Game:
     """Until the window is closed, or Ctrl-C; a picture is drawn where something changed."""
-    import pygame
-
     clock = pygame.time.Clock()
     shown: tuple[Game, tuple[int, int]] | None = None
     with contextlib.suppress(KeyboardInterrupt):
         while not game.closed:
-            seconds = clock.tick(STEPS_PER_SECOND) / 1000
-            game = turn(game, seconds)
+            game = turn(game, clock.tick(STEPS_PER_SECOND) / 1000)
             now = game, pygame.display.get_window_size()
-            if shown is None or now[0] is not shown[0] or now[1] != shown[1]:
+            if now != shown:
                 show(game)
                 shown = now
     return game
@@ -132,25 +123,19 @@ def rows_file(words: Sequence[str]) -> Path:
     runs = [Path(word) for word in words if word not in BASELINES and not is_zip(word)]
     if not runs:
         return ROWS
-    above = runs[0].parent if os.path.isfile(runs[0]) else runs[0]
-    above = above.parent
+    above = (runs[0].parent if os.path.isfile(runs[0]) else runs[0]).parent
     above = above.parent if above.name.partition("-")[0] in ALGORITHMS else above
     root = above if above.is_absolute() or ".." in above.parts else Path(*above.parts[:1])
     return root / "baselines" / ROWS.name
 
 
-def keys() -> str:
-    """The table of keys, as the help of the command shows it."""
-    rows = [(key.shown, key.does) for key in KEYS if key.shown] + list(MOUSE)
-    return "\n".join(["keys:", *(f"  {shown:12} {does}" for shown, does in rows)])
-
-
 def main(argv: list[str] | None = None) -> int:
     """Fly a drone with the keyboard, or watch policies fly it, in a window."""
+    table = "\n".join(f"  {shown:12} {does}" for shown, does in HELP)
     parser = Parser(
         prog="python -m uavnav.play",
         description=main.__doc__,
-        epilog=f"example: python -m uavnav.play runs/ppo/relu reactive --layout 20\n\n{keys()}",
+        epilog=f"example: python -m uavnav.play runs/ppo/relu reactive --layout 20\n\nkeys:\n{table}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN_HELP}; keys 1 to 9 (default: you fly)")
@@ -163,32 +148,22 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if arguments.max_steps < 1:
             raise ValueError(f"--max-steps {arguments.max_steps}: give at least 1")
-        for path in (arguments.out, arguments.bank):
-            if path is not None:
-                check_out(path)
+        for path in filter(None, (arguments.out, arguments.bank)):
+            check_out(path)
+        plugins.load(arguments.plugins)
         rows_path = arguments.out or rows_file(arguments.runs)
         bank = load_layout(arguments.layouts, arguments.layout)
-        pilots = load_pilots(arguments.runs, arguments.seed, arguments.sampled, arguments.activation)
+        pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation)
         rules.read_rows(rows_path)
         open_window(hud.DESIGN)
     except (RunError, ValueError) as error:
         print(f"uavnav.play: {as_option(error)}", file=sys.stderr)
         return 2
     with use_threads(1):
-        game = play(
-            rules.new(
-                pilots,
-                bank,
-                arguments.layouts,
-                arguments.layout,
-                arguments.max_steps,
-                arguments.person,
-                rows_path=rows_path,
-                bank_path=arguments.bank or BANK,
-            )
-        )
-    if game.flights:
-        lost = len(game.flights)
+        paths = {"rows_path": rows_path, "bank_path": arguments.bank or BANK}
+        how = {"max_steps": arguments.max_steps, "person": arguments.person}
+        game = play(rules.new(pilots, bank, arguments.layouts, arguments.layout, **how, **paths))
+    if lost := len(game.flights):
         print(f"{rules.counted(lost)} by hand {'was' if lost == 1 else 'were'} not saved")
     return 0
 

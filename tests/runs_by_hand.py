@@ -1,0 +1,86 @@
+"""Run folders written by hand, whose metrics are known in closed form."""
+
+import json
+from types import SimpleNamespace
+
+import pandas as pd
+import torch
+import yaml
+from torch import nn
+
+from uavnav.algorithms import ALGORITHMS
+from uavnav.evaluate import BEHAVIOUR_COLUMNS
+from uavnav.networks import mlp
+from uavnav.runs import POLICY
+from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.training.config import TrainConfig
+from uavnav.training.weights import serialize
+
+CONFIG = {"preset": "paper", "total_frames": 1000, "n_worlds": 16, "reward": "eq14", "init": "default", "lr": 1e-4}
+BANK = {"n": 10_000, "k": 8, "split": "train", "generator_seed": 0, "sha256": "abc"}
+
+
+def rows(seed, *episodes):
+    """Episodes (frame, steps, stops, full stops, turns, distance, reward[, terminated, truncated]) of one seed."""
+    padded = [(*episode, True, False)[:9] for episode in episodes]
+    full = [(seed, frame, 0, 0, *counts) for frame, *counts in padded]
+    return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+
+
+def two(seed, reward):
+    """100 steps at 4 px/step and 300 at 8: the mean of speeds is 6, the speed of the means 7; stops 10 and 0 %."""
+    return rows(seed, (100, 100, 10, 1, 90, 400, reward), (400, 300, 0, 0, 150, 2400, reward))
+
+
+def write_run(path, *tables, algorithm="dqn", activation="tanh", seed=0, evaluation=None, meta=None, **changes):
+    path.mkdir(parents=True)
+    config = {"algorithm": algorithm, "activation": activation, "seed": seed, "n_seeds": len(tables)}
+    config |= {"gamma": 0.99} if algorithm == "dqn" else {}
+    (path / "config.yaml").write_text(yaml.safe_dump(config | CONFIG | changes))
+    facts = {"status": "finished", "frames": 1000, "wall_seconds": 3725.4, "git_commit": "c0ffee", "bank": BANK}
+    facts |= {"versions": {"torch": "2.13.0", "world": "1"}, "machine": {"processor": "an abacus", "cores": 2}}
+    (path / "meta.json").write_text(json.dumps(facts | (meta or {})))
+    pd.concat(tables).to_parquet(path / "episodes.parquet")
+    pd.DataFrame({"seed": [seed], "frame": [1000]}).to_parquet(path / "progress.parquet")
+    if evaluation is not None:
+        evaluation.to_parquet(path / "evaluation.parquet")
+    return path
+
+
+def found(text, *start):
+    """The cells after the given first cells, of each line of the report's tables that starts with them."""
+    lines = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in text.splitlines() if line[:1] == "|"]
+    return [line[len(start) :] for line in lines if line[: len(start)] == list(start)]
+
+
+def write_results(path):
+    """Two seeds of dqn tanh, evaluated on two sets, and one of ppo relu, not evaluated."""
+    flown = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True))
+    flights = pd.concat([flown.assign(mode="greedy"), flown.assign(mode="sampled", reward=0.5)])
+    write_run(path / "dqn" / "tanh", two(0, -6.0), two(1, -8.0), evaluation=flights)
+    write_run(path / "ppo" / "relu", two(0, 5.0), algorithm="ppo", activation="relu")
+    return path
+
+
+def policy_bytes(network, algorithm, epsilon=0.05, **settings):
+    """A policy file whose algorithm and epsilon are given, and no configuration of its own."""
+    kind = type("Config", (TrainConfig,), {"algorithm": algorithm, "final_epsilon": epsilon})
+    actor = SimpleNamespace(acts=ALGORITHMS[algorithm].acts, head=ALGORITHMS[algorithm].head)
+    return serialize({"policy": nn.ModuleList(network)}, kind(**settings), actor)
+
+
+def behaved(path):
+    """Give a run the steps of two sampled flights: seed 0 straight up, seed 1 turning on the spot."""
+    steps = [(0, 0, n, 400.0, 300.0 + 9 * n, 90, 80.0, 9) for n in range(1, 6)]
+    steps += [(1, 1, n, 400.0, 300.0, 5 * n % 360, 60.0, 50) for n in range(1, 6)]
+    table = pd.DataFrame(steps, columns=list(BEHAVIOUR_COLUMNS)).astype(BEHAVIOUR_COLUMNS)
+    table.assign(mode="sampled").to_parquet(path / "behaviour.parquet")
+
+
+def trained(path, algorithm, action):
+    """Give a run of two seeds a network that knows one action."""
+    network = mlp([30, 4, 100], "tanh", [torch.Generator().manual_seed(seed) for seed in (0, 1)], "default")
+    with torch.no_grad():
+        network[-1].weight.zero_()
+        network[-1].bias[:, 0, action] = 50.0
+    (path / POLICY).write_bytes(policy_bytes(network, algorithm, seed=0, n_seeds=2, hidden=(4,)))

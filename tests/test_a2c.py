@@ -1,0 +1,165 @@
+"""A2C: returns by hand, each agent alone, Stable-Baselines3's own update, RMSprop, and compiled as eager."""
+
+import peers
+import pytest
+import stable_baselines3
+import torch
+from tensordict import TensorDict
+from torch.distributions import Categorical
+from torch.nn.utils import clip_grad_norm_
+
+import uavnav
+from uavnav.algorithms.a2c import PRESETS, A2CConfig, make_learner, make_loss, train
+from uavnav.algorithms.ppo import make_networks
+
+CLOSE = {"rtol": 1e-5, "atol": 1e-5}
+
+
+def made_up(*shape, dtype=torch.float32, seed=0):
+    """Rows of any shape with what the loss needs."""
+    g = torch.Generator().manual_seed(seed)
+    return TensorDict(
+        {
+            "observation": torch.rand(*shape, 30, generator=g, dtype=dtype),
+            "action": torch.randint(100, shape, generator=g),
+            "advantage": torch.randn(*shape, 1, generator=g, dtype=dtype),
+            "value_target": torch.randn(*shape, 1, generator=g, dtype=dtype),
+        },
+        list(shape),
+    )
+
+
+def test_the_targets_of_5_steps_are_the_returns_by_hand_and_a_cap_bootstraps_its_own_last_observation():
+    """Straight ahead at 9 px: 0.09 a step, the cap after the third; lambda = 1, so that V enters at the ends alone."""
+    a2c = A2CConfig(n_worlds=1, lr=0.0, max_steps=3).make(compile=False)
+    env = uavnav.DroneEnv([1, 1], max_steps=3)
+    batch = env.rollout(5, lambda td: td.set("action", torch.full((1, 1), 9)), break_when_any_done=False)
+    assert batch["next", "truncated"].flatten().tolist() == [False, False, True, False, False]
+    a2c.learn(batch, 5)
+    with torch.no_grad():
+        at_cap, at_end = a2c.value(batch["next", "observation"]).flatten()[[2, 4]].tolist()
+        values = a2c.value(batch["observation"]).flatten()
+    expected = [0.09 * (1 + 0.99 + 0.99**2) + 0.99**3 * at_cap, 0.09 * 1.99 + 0.99**2 * at_cap, 0.09 + 0.99 * at_cap]
+    expected += [0.09 * 1.99 + 0.99**2 * at_end, 0.09 + 0.99 * at_end]
+    assert batch["value_target"].flatten().tolist() == pytest.approx(expected, abs=1e-5)
+    torch.testing.assert_close(batch["advantage"].flatten(), torch.tensor(expected) - values, **CLOSE)
+    assert abs(0.99 * at_cap) > 1e-3  # what a collision would have left out
+
+
+def test_the_gradient_of_3_agents_is_each_ones_own():
+    config = A2CConfig(n_seeds=3, entropy_coeff=0.01)
+    batch = made_up(3, 80, dtype=torch.float64)
+
+    def gradient(config, rows):
+        policy, value = (network.double() for network in make_networks(config))
+        return make_learner(make_loss(policy, value, config), config, compile=False).gradient(rows)
+
+    population = gradient(config, batch)
+    for agent in range(3):
+        own = gradient(A2CConfig(seed=agent, entropy_coeff=0.01), batch[agent : agent + 1])
+        for name, part in own.items():
+            assert part.abs().max() > 0
+            torch.testing.assert_close(population[name][agent], part[0], rtol=1e-12, atol=1e-12)
+
+
+# -- an update, against Stable-Baselines3's --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_one_update_of_a_rollout_from_sb3s_own_weights_equals_sb3s_train(activation):
+    """Two worlds of 40 steps, caps and a collision among them: weights within 1e-5, with the norm clipped to 0.1."""
+    shared = {"ent_coef": 0.02, "vf_coef": 0.7, "max_grad_norm": 0.1, "learning_rate": 3e-3, "gamma": 0.9}
+    theirs = peers.on_policy(stable_baselines3.A2C, activation, steps=40, max_steps=12, **shared)
+    config = A2CConfig(
+        activation=activation,
+        n_worlds=2,
+        n_steps=40,
+        entropy_coeff=0.02,
+        critic_coeff=0.7,
+        max_grad_norm=0.1,
+        lr=3e-3,
+        gamma=0.9,
+        total_frames=80,
+    )
+    ours = config.make(compile=False)
+    pairs = peers.actor_critic(ours.policy, ours.value, theirs)
+    with torch.no_grad():
+        for own, sb3 in pairs:
+            own.copy_(sb3)
+    before = [own.clone() for own, _ in pairs]
+    batch, buffer = peers.rollout(theirs, 80), theirs.rollout_buffer
+    done, terminated = batch["next", "done"], batch["next", "terminated"]
+    assert (done & ~terminated).sum() >= 4
+    assert terminated.sum() >= 1
+    row = ours.learn(batch, 80)
+    torch.testing.assert_close(batch["advantage"][0, ..., 0].T, torch.as_tensor(buffer.advantages), **CLOSE)
+    torch.testing.assert_close(batch["value_target"][0, ..., 0].T, torch.as_tensor(buffer.returns), **CLOSE)
+    theirs._current_progress_remaining = 1.0
+    theirs.train()
+    assert row["grad_norm"].item() > 5 * 0.1
+    said = theirs.logger.name_to_value
+    assert row["loss_objective"].item() == pytest.approx(said["train/policy_loss"], abs=1e-5)
+    assert row["loss_critic"].item() == pytest.approx(0.7 * said["train/value_loss"], abs=1e-5)
+    assert row["loss_entropy"].item() == pytest.approx(0.02 * said["train/entropy_loss"], abs=1e-5)
+    for (own, sb3), first in zip(pairs, before, strict=True):
+        torch.testing.assert_close(own, sb3.detach(), **CLOSE)
+        assert (own - first).abs().max() > 1e-3
+
+
+def test_20_updates_of_2_agents_are_those_of_torchs_rmsprop_on_the_loss_by_hand():
+    """Every number that is not a default is written out here once more; the cap is among the gradients' norms."""
+    config = A2CConfig(
+        n_seeds=2, lr=3e-3, rms_eps=1e-4, max_grad_norm=0.6, entropy_coeff=0.05, critic_coeff=0.8, hidden=(16,)
+    )
+    policy, value = make_networks(config)
+    learner = make_learner(make_loss(policy, value, config), config, compile=False)
+    batches = made_up(2, 20, 40)
+    found = learner.learn(batches)
+    for agent in range(2):
+        own_policy, own_value = make_networks(A2CConfig(seed=agent, hidden=(16,)))
+        parameters = [*own_policy.parameters(), *own_value.parameters()]
+        optimiser, norms = torch.optim.RMSprop(parameters, lr=3e-3, alpha=0.99, eps=1e-4), []
+        for batch in batches[agent : agent + 1].unbind(1):
+            distribution = Categorical(logits=own_policy(batch["observation"]))
+            objective = (distribution.log_prob(batch["action"]) * batch["advantage"][..., 0]).mean()
+            error = (own_value(batch["observation"]) - batch["value_target"]).square().mean()
+            optimiser.zero_grad()
+            (-objective + 0.8 * error - 0.05 * distribution.entropy().mean()).backward()
+            norms.append(clip_grad_norm_(parameters, 0.6).item())
+            optimiser.step()
+        assert min(norms) < 0.6 < max(norms)
+        assert found["grad_norm"][agent].item() == pytest.approx(sum(norms) / 20, rel=1e-4)
+        for network, own in ((policy, own_policy), (value, own_value)):
+            for ours, theirs in zip(network.parameters(), own.parameters(), strict=True):
+                torch.testing.assert_close(ours[agent], theirs[0], **CLOSE)
+
+
+# -- its settings and its runs ---------------------------------------------------------------------------------------
+
+
+def test_the_preset_paper_is_sb3s_a2c_at_16_worlds():
+    p = PRESETS["paper"]
+    assert (p.lr, p.rms_eps, p.n_steps, p.n_worlds) == (7e-4, 1e-5, 5, 16)
+    assert (p.gamma, p.gae_lambda, p.critic_coeff, p.entropy_coeff, p.max_grad_norm) == (0.99, 1.0, 0.5, 0.0, 0.5)
+    assert (p.hidden, p.init, p.total_frames, p.iterations) == ((64, 64), "orthogonal", 10**6, 12_500)
+
+
+def test_a_row_of_progress_comes_with_the_first_rollout_past_each_2_000_frames_and_with_the_last(tmp_path):
+    config = A2CConfig(total_frames=4_800, n_seeds=2, hidden=(8,), compile="off")
+    progress = train(config, out=tmp_path / "run", quiet=True).progress
+    assert progress.frame.tolist() == [2_000, 2_000, 4_000, 4_000, 4_800, 4_800]
+    assert progress.seed.tolist() == [0, 1] * 3
+    assert progress[["loss_objective", "loss_critic", "grad_norm", "entropy"]].notna().all(axis=None)
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_a_compiled_run_equals_an_eager_one_to_rounding(tmp_path):
+    settings = {"n_seeds": 2, "total_frames": 240}
+    runs = [train(A2CConfig(compile=c, **settings), out=tmp_path / c, quiet=True) for c in ("on", "off")]
+    observation = torch.rand(50, 30)
+    for seed in (0, 1):
+        values = [uavnav.load_policy(run.path, seed=seed).values(observation) for run in runs]
+        torch.testing.assert_close(values[0], values[1], rtol=1e-4, atol=1e-4)
+    columns = ["frame", "layout", "steps", "turns", "distance"]
+    assert runs[0].episodes[columns].equals(runs[1].episodes[columns])

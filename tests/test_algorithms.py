@@ -1,0 +1,216 @@
+"""What every algorithm of the table keeps, whatever it does inside: add one, and all of this asks it too."""
+
+import importlib
+
+import numpy as np
+import onnxruntime
+import pandas as pd
+import pytest
+import torch
+from PIL import Image
+from safetensors.torch import load_file
+
+from uavnav import export, render
+from uavnav.algorithms import ALGORITHMS
+from uavnav.evaluate import evaluate_run
+from uavnav.policies import load_policy
+from uavnav.report import report
+from uavnav.runs import POLICY
+from uavnav.runs.metrics import MODES
+from uavnav.tasks.rewards import REWARDS
+from uavnav.training.loop import make_collector, make_env, train
+from uavnav.training.recorder import Interrupted
+from uavnav.training.sampling import ACTS
+from uavnav.verify import verify
+
+SMALL = {"n_seeds": 2, "n_worlds": 8, "total_frames": 640, "hidden": (16,), "lr": 1e-2, "compile": "off"}
+"""Of every run here."""
+TINY = {
+    "ppo": {"frames_per_batch": 128, "epochs": 2},
+    "dqn": {"learning_starts": 64, "target_update_frames": 64, "frames_per_update": 8},
+}
+"""And what an algorithm needs beside that, so that it learns within 640 frames; a new one often needs nothing."""
+
+pytestmark = pytest.mark.parametrize("algorithm", list(ALGORITHMS), scope="module")
+
+
+def configured(algorithm, **more):
+    presets = importlib.import_module(ALGORITHMS[algorithm].module).PRESETS
+    return type(next(iter(presets.values())))(**SMALL | TINY.get(algorithm, {}) | more)
+
+
+@pytest.fixture(scope="module")
+def run(algorithm, tmp_path_factory):
+    """A run of two seeds that the tests share."""
+    return train(configured(algorithm), tmp_path_factory.mktemp("runs") / algorithm / "tanh", quiet=True)
+
+
+def assert_same(one, other):
+    pd.testing.assert_frame_equal(one.episodes, other.episodes, check_exact=True)
+    tables = (each.progress.drop(columns="frames_per_second") for each in (one, other))
+    pd.testing.assert_frame_equal(*tables, check_exact=True)
+    here, there = (load_file(each.path / POLICY) for each in (one, other))
+    assert here.keys() == there.keys()
+    assert all(torch.equal(here[name], there[name]) for name in here)
+
+
+def weights(trainee):
+    return torch.cat([value.detach().flatten() for one in trainee.networks().values() for value in one.parameters()])
+
+
+def observations(n=50):
+    return torch.rand(n, 30, generator=torch.Generator().manual_seed(0))
+
+
+# -- seeds, bits and stops -------------------------------------------------------------------------------------------
+
+
+def test_seed_1_among_3_is_seed_1_alone(algorithm, tmp_path):
+    among = train(configured(algorithm, n_seeds=3), tmp_path / "three", quiet=True)
+    alone = train(configured(algorithm, n_seeds=1, seed=1), tmp_path / "one", quiet=True)
+    values = [load_policy(one.path, seed=1).values(observations()) for one in (among, alone)]
+    torch.testing.assert_close(values[0], values[1], rtol=1e-4, atol=1e-4)
+    before = configured(algorithm, n_seeds=1, seed=1).make(compile=False).networks()["policy"](observations()[None])[0]
+    assert (values[0] - before).abs().max() > 1e-2  # it did learn
+    own = among.episodes[among.episodes.seed == 1].reset_index(drop=True)
+    assert len(own) > 0
+    assert own.equals(alone.episodes)
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_others(algorithm, run, tmp_path):
+    torch.manual_seed(12345)  # the global state plays no part
+    assert_same(train(configured(algorithm), tmp_path / "again", quiet=True), run)
+    other = train(configured(algorithm, seed=5), tmp_path / "other", quiet=True)
+    for name, tensor in load_file(other.path / POLICY).items():
+        assert not torch.equal(tensor, load_file(run.path / POLICY)[name])
+
+
+def test_a_run_stopped_at_160_and_at_400_frames_and_resumed_ends_the_same(algorithm, run, tmp_path):
+    for until in (160, 400):
+        with pytest.raises(Interrupted) as stop:
+            train(configured(algorithm), tmp_path / "run", quiet=True, until=until)
+        assert stop.value.wanted
+        assert until <= stop.value.frames < 640
+    assert_same(train(configured(algorithm), tmp_path / "run", quiet=True), run)
+
+
+# -- what it learns from ---------------------------------------------------------------------------------------------
+
+
+def test_a_cap_bootstraps_from_its_own_last_observation_and_a_collision_does_not(algorithm):
+    """The same steps four times: ended by the cap or by a collision, in one place or in another."""
+    config = configured(algorithm, max_steps=3, total_frames=256, n_seeds=1)
+    flown = make_collector(make_env(config, False), config.make(compile=False).actor, config)
+    batches = [batch.clone() for batch, _ in zip(flown, range(config.iterations), strict=False)]
+    capped = sum(int(batch["next", "truncated"].sum()) for batch in batches)
+    assert capped > 60  # nearly a third of 256 steps
+    elsewhere = torch.Generator().manual_seed(0)
+
+    def learned(collided, moved):
+        """The weights after those steps, where the ended flights ended so."""
+        trainee = config.make(compile=False)
+        before = weights(trainee)
+        for index, original in enumerate(batches, start=1):
+            batch = original.clone()
+            following, done = batch["next"], batch["next", "done"]
+            if collided:
+                following["terminated"], following["truncated"] = done.clone(), torch.zeros_like(done)
+            if moved:
+                place = torch.rand(following["observation"].shape, generator=elsewhere)
+                following["observation"] = torch.where(done, place, following["observation"])
+            trainee.learn(batch, index * config.frames_per_iteration)
+        assert (weights(trainee) - before).abs().max() > 1e-3
+        return weights(trainee)
+
+    at_cap = learned(collided=False, moved=False)
+    assert torch.equal(at_cap, learned(collided=False, moved=False))
+    assert (at_cap - learned(collided=False, moved=True)).abs().max() > 1e-4  # V(s') counts, of this very s'
+    collision = learned(collided=True, moved=False)
+    assert (at_cap - collision).abs().max() > 1e-4
+    assert torch.equal(collision, learned(collided=True, moved=True))  # and here it does not
+
+
+@pytest.fixture
+def paid_turn(monkeypatch):
+    """A reward of 1 for the ten actions that turn by one of the ten angles, in the table for one test."""
+    monkeypatch.setitem(REWARDS, "one turn", lambda step: {"turn": (step.action // 10 == 3).double()})
+    return "one turn"
+
+
+def paid(algorithm, reward, folder, **more):
+    """Each seed's reward a step over a run's first 512 frames and its last 1,024: a tenth, where actions are random."""
+    how = {"n_seeds": 3, "total_frames": 4096, "gamma": 0.0, "max_steps": 10, "reward": reward}
+    found = train(configured(algorithm, **how | more), folder, quiet=True)
+    episodes = found.episodes
+    parts = [episodes[episodes.frame <= 512], episodes[episodes.frame > found.frames - 1024]]
+    sums = [part.groupby("seed")[["reward", "steps"]].sum() for part in parts]
+    return [(part.reward / part.steps).to_numpy() for part in sums]
+
+
+def test_every_one_of_3_seeds_learns_which_of_10_turns_is_paid_and_without_a_learning_rate_none_does(
+    algorithm, paid_turn, tmp_path
+):
+    first, last = paid(algorithm, paid_turn, tmp_path / "learns")
+    assert last.min() > 0.5
+    assert (last > first + 0.2).all()
+    first, last = paid(algorithm, paid_turn, tmp_path / "does not", lr=0.0, total_frames=1536)
+    assert max(last.max(), first.max()) < 0.3
+
+
+# -- what it leaves --------------------------------------------------------------------------------------------------
+
+
+def test_sampled_flights_act_as_training_acted_with_the_same_uniform_numbers(algorithm, run):
+    """The actor of a run that has ended, beside the policies of its file: 2 seeds, 500 places each."""
+    config = configured(algorithm)
+    trainee, saved = config.make(compile=False), load_file(run.path / POLICY)
+    network, actor = trainee.networks()["policy"], trainee.actor
+    network.load_state_dict({name: saved[f"policy.{name}"] for name in network.state_dict()})
+    actor.epsilon.fill_(config.final_epsilon)
+    observation = observations(1000).reshape(2, 500, 30)
+    generators = [torch.Generator().manual_seed(7 + seed) for seed in config.seeds]
+    uniform = torch.stack([torch.rand(ACTS[actor.acts].uniforms, 500, generator=one) for one in generators])
+    with torch.no_grad():
+        (trained,) = actor.choose(observation, uniform, actor.epsilon, *network.parameters())
+    for agent, seed in enumerate(config.seeds):
+        policy = load_policy(run.path, seed, greedy=False)
+        assert (policy.acts, policy.head, policy.epsilon) == (actor.acts, actor.head, config.final_epsilon)
+        flown = policy(observation[agent], torch.Generator().manual_seed(7 + seed))
+        assert torch.equal(flown, trained[agent])
+        greedy = load_policy(run.path, seed)(observation[agent])
+        assert torch.equal(greedy, policy.values(observation[agent]).argmax(-1))
+        assert not torch.equal(greedy, flown)
+
+
+def test_an_evaluation_has_a_row_for_each_seed_way_and_set(algorithm, run):
+    rows = evaluate_run(run, episodes=4, max_steps=50, quiet=True)
+    assert rows.groupby(["seed", "mode"]).size().to_dict() == {(seed, mode): 4 for seed in (0, 1) for mode in MODES}
+    assert rows.steps.between(1, 50).all()
+    assert (rows.terminated ^ rows.truncated).all()
+
+
+def test_an_exported_policy_gives_the_same_values(algorithm, run, tmp_path):
+    policy = load_policy(run.path, seed=1)
+    path = export.export_policy(policy, tmp_path / "policy.onnx")
+    (values,) = onnxruntime.InferenceSession(path).run(["values"], {"observation": observations().numpy()})
+    np.testing.assert_allclose(values, policy.values(observations()), rtol=1e-4, atol=1e-4)
+    assert np.ptp(values) > 0
+
+
+def test_verify_repeats_it_bit_for_bit(algorithm, run):
+    verdict = verify(run, quiet=True)
+    assert verdict.same, verdict.lines
+
+
+def test_a_flight_of_it_is_a_gif_of_more_than_one_picture(algorithm, run, tmp_path):
+    path = tmp_path / "flight.gif"
+    assert render.main([str(run.path), "--out", str(path), "--steps", "12", "--width", "160"]) == 0
+    with Image.open(path) as film:
+        assert (film.format, film.n_frames > 1) == ("GIF", True)
+
+
+def test_a_report_of_it_has_its_cell(algorithm, run, tmp_path):
+    report([run.path], tmp_path / "report")
+    page = (tmp_path / "report" / "report.md").read_text()
+    assert algorithm.upper() in page
+    assert "tanh" in page

@@ -1,0 +1,191 @@
+"""One loop flies: evaluations, films and the window show the same flights, compiled or not."""
+
+import dataclasses
+
+import pandas as pd
+import pytest
+import torch
+
+from uavnav import evaluate, flights, render
+from uavnav.evaluate import evaluate_policy, on
+from uavnav.networks import mlp
+from uavnav.policies import Policy
+from uavnav.render import Pilot
+from uavnav.tasks import layouts
+from uavnav.tasks.baselines import BASELINES, straight_ahead
+from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.state import COUNTS
+from uavnav.tasks.world import World
+from uavnav.training import machine
+from uavnav.window import game as rules
+
+ACTS = {"ppo": "categorical", "dqn": "epsilon-greedy"}
+WORLDS = {
+    "up, eq14": make_task(EMPTY),
+    "random, additive": make_task(EMPTY, World(start_heading="random"), "additive"),
+}
+
+
+def untrained(algorithm="ppo", greedy=True, task=WORLDS["up, eq14"], seed=5):
+    """A policy of random weights, whose flights end by collisions at many steps."""
+    network = mlp([30, 64, 64, 100], "tanh", [torch.Generator().manual_seed(seed)], "default")
+    return Policy(
+        network, algorithm, greedy, task, ACTS[algorithm], "direct", 0.05 if algorithm == "dqn" else 0.0, seed
+    )
+
+
+@pytest.fixture
+def compiled_steps(monkeypatch):
+    """Compile the world's step after 5 steps; how often the graph ran."""
+    ran, advance = [], flights._advance
+
+    def counted(*how):
+        ran.append(1)
+        return advance(*how)
+
+    monkeypatch.setattr(machine, "FLIGHTS_PAY_FROM", 1)
+    monkeypatch.setattr(machine, "EAGER_STEPS", 5)
+    monkeypatch.setattr(flights, "_advance", counted)
+    return ran
+
+
+# -- a film is a row -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", WORLDS.values(), ids=WORLDS)
+@pytest.mark.parametrize("greedy", [True, False])
+@pytest.mark.parametrize("algorithm", ACTS)
+def test_a_films_numbers_are_the_row_of_the_evaluation_to_the_last_bit(algorithm, greedy, task):
+    policy, bank = untrained(algorithm, greedy, task), layouts.load("test")
+    rows = evaluate_policy(policy, max_steps=300, seed=policy.seed)
+    assert (len(rows), rows.steps.nunique() > 20) == (200, True)
+    assert rows.terminated.sum() > 0
+    for layout in (0, 3, 40, 199):
+        flown = render.fly(Pilot("", policy, policy.task, policy.seed), bank, layout, 300)
+        row, last = rows.iloc[layout], flown.states[-1]
+        assert row.layout == layout
+        assert len(flown.states) == row.steps + 1
+        assert flown.collided == row.terminated
+        assert {name: getattr(last, name).item() for name in COUNTS} == {name: row[name] for name in COUNTS}
+
+
+def test_a_film_of_set_260_is_the_row_of_an_evaluation_of_261_sets():
+    policy = untrained(greedy=False)
+    row = evaluate_policy(policy, episodes=261, max_steps=100, seed=5).iloc[260]
+    flown = render.fly(Pilot("", policy, policy.task, 5), layouts.load("test"), 260, 100)
+    assert (len(flown.states) - 1, float(flown.states[-1].reward)) == (row.steps, row.reward)
+
+
+def test_the_window_starts_at_the_heading_of_the_film_and_flies_it_greedily():
+    policy, bank = untrained(task=WORLDS["random, additive"]), layouts.load("test")
+    pilot = Pilot("", policy, policy.task, policy.seed)
+    for index in (0, 7):
+        film = render.fly(pilot, bank, index, 60)
+        game = rules.new([pilot], bank, index=index, max_steps=60)
+        assert game.state.heading == film.states[0].heading
+        while not game.ended:
+            game = rules.step(game)
+        assert game.legs[0].points == tuple((float(state.x), float(state.y)) for state in film.states)
+
+
+def test_random_headings_belong_to_the_set_whoever_flies_and_however_many_sets_there_are():
+    task = on(WORLDS["random, additive"], episodes=200)
+    headings = flights.headings(task, 200)
+    assert ((headings >= 0) & (headings < 360)).all()
+    assert headings.unique().numel() > 100
+    for n in (1, 2, 17, 100):
+        assert torch.equal(flights.headings(task, n), headings[:n])
+    both = flights.start(task, flyers=2)
+    assert torch.equal(both.heading, headings.repeat(2))
+    assert torch.equal(flights.headings(on(WORLDS["up, eq14"]), 3), torch.tensor([90, 90, 90]))
+
+
+# -- steps -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+@pytest.mark.parametrize("algorithm", ACTS)
+def test_values_that_are_asked_for_change_no_action(algorithm, greedy):
+    flyers = [(seed, untrained(algorithm, greedy, seed=seed)) for seed in (5, 6)]
+    task = on(flyers[0][1].task, episodes=10, max_steps=60)
+    n, actions = 0, 0
+    for plain, asked in zip(flights.fly(flyers, task), flights.fly(flyers, task, values=True), strict=True):
+        n, actions = n + 1, actions + len(plain.action)
+        assert plain.values is None
+        assert asked.values.shape == (len(asked.flight), 100)
+        assert torch.equal(plain.action, asked.action)
+        assert torch.equal(plain.flight, asked.flight)
+        if greedy:
+            assert torch.equal(asked.values.argmax(-1), asked.action)
+    assert n > 20
+    assert actions > 300
+
+
+def test_a_flight_that_has_ended_is_not_there_any_more_and_steps_count_from_1():
+    task = on(make_task(EMPTY), layouts.generate(3, k=0), 3, 100)
+    slow = torch.tensor([9, 3, 1])
+
+    def policy(observation, generator):
+        return slow[-len(observation) :]  # the first is over first
+
+    steps = list(flights.fly([(0, policy)], task))
+    assert [step.number for step in steps] == list(range(1, 101))
+    assert [len(step.flight) for step in steps] == [3] * 28 + [2] * (84 - 28) + [1] * (100 - 84)  # ceil(250 / 9), / 3
+    assert steps[28].flight.tolist() == [1, 2]
+    assert steps[99].flight.tolist() == [2]
+    assert steps[99].ended.tolist() == [True]
+    assert steps[99].outcome.truncated.tolist() == [True]
+    assert steps[99].state.distance.tolist() == [100]
+
+
+def test_a_heading_that_is_given_is_that_of_the_start():
+    task = on(make_task(EMPTY), layouts.generate(2, k=0), 2, 100)
+    steps = list(flights.fly([(0, straight_ahead)], task, heading=torch.tensor([0, 90])))
+    ends = {int(one): step.number for step in steps for one in step.flight[step.ended]}
+    assert ends == {0: 39, 1: 28}  # ceil(350 / 9) to the right, ceil(250 / 9) upwards
+
+
+# -- compiled --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_compiled_flights_give_the_rows_of_eager_ones(monkeypatch, compiled_steps):
+    """Scripted policies, which do not depend on the last bit of what they see; flights end at many different steps."""
+    population = {0: BASELINES["random"], 1: BASELINES["reactive"], 2: BASELINES["straight"]}
+    task = on(make_task(EMPTY), episodes=40, max_steps=300)
+    compiled = evaluate.fly(population, task)
+    assert len(compiled_steps) == 300 - 5 + 1
+    monkeypatch.setattr(machine, "FLIGHTS_PAY_FROM", 301)
+    eager = evaluate.fly(population, task)
+    assert len(compiled_steps) == 300 - 5 + 1
+    assert compiled.episodes.steps.nunique() > 20
+    pd.testing.assert_frame_equal(compiled.episodes, eager.episodes)
+    pd.testing.assert_frame_equal(compiled.behaviour, eager.behaviour, rtol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.parametrize("greedy", [True, False])
+def test_a_compiled_film_is_the_row_of_a_compiled_evaluation(greedy, compiled_steps):
+    policy = dataclasses.replace(untrained(greedy=greedy), task=make_task(EMPTY, reward="additive"))
+    rows = evaluate_policy(policy, max_steps=80, seed=5)
+    flown = render.fly(Pilot("", policy, policy.task, 5), layouts.load("test"), 11, 80)
+    assert compiled_steps
+    assert {name: getattr(flown.states[-1], name).item() for name in COUNTS} == {
+        name: rows.iloc[11][name] for name in COUNTS
+    }
+
+
+def test_flights_of_fewer_than_2000_steps_or_without_a_cap_or_a_compiler_are_not_compiled(monkeypatch):
+    monkeypatch.setattr(machine.graph, "problem", lambda device: None)
+    assert (machine.flights(1_999), machine.flights(None)) == (False, False)
+    assert machine.flights(2_000)
+    monkeypatch.setattr(machine.graph, "problem", lambda device: "no compiler")
+    assert not machine.flights(10_000)
+
+
+def test_flights_that_have_ended_before_are_not_compiled(monkeypatch):
+    monkeypatch.setattr(flights.graph, "Graph", None)
+    rows = evaluate_policy(straight_ahead, max_steps=10_000)
+    assert rows.steps.max() < machine.EAGER_STEPS

@@ -1,0 +1,243 @@
+"""The pages say what the code says: tables, names, symbols and error lines are compared with it."""
+
+import ast
+import dataclasses
+import importlib
+import inspect
+import re
+
+import pytest
+import yaml
+from pages import CONFIGS, MINE, PAGES, ROOT, blocks, code, table
+
+import uavnav
+from uavnav import runs
+from uavnav.runs import metrics
+from uavnav.tasks.layouts import SPLITS
+from uavnav.tasks.rewards import Step
+from uavnav.tasks.simulator import Outcome, Task
+from uavnav.tasks.state import State
+from uavnav.tasks.world import World
+
+CLASSES = {one.__name__: one for one in (World, State, Outcome, Step, Task, *CONFIGS.values())}
+
+
+def written(value):
+    """A default as the tables write it."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"{value:_}" if value >= 10_000 else str(value)
+    return str(value)
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("algorithm", CONFIGS)
+def test_the_table_of_settings_is_the_configuration_field_by_field(algorithm):
+    rows = table(PAGES[algorithm], "| key | default | unit | meaning |")
+    defaults = [(field.name, written(field.default)) for field in dataclasses.fields(CONFIGS[algorithm])]
+    assert [(code(row[0])[0], code(row[1])[0]) for row in rows] == defaults
+    assert all(row[3] for row in rows)
+
+
+@pytest.mark.parametrize("algorithm", CONFIGS)
+def test_the_table_of_presets_is_that_of_the_configuration(algorithm):
+    rows = table(PAGES[algorithm], "| preset | sets |")
+    presets = CONFIGS[algorithm].PRESETS
+    shown = {code(name)[0]: dict(word.split("=") for word in code(sets)) for name, sets in rows}
+    assert shown == {name: {key: str(value) for key, value in sets.items()} for name, sets in presets.items()}
+
+
+@pytest.mark.parametrize("algorithm", CONFIGS)
+def test_the_table_beside_sb3_holds_both_defaults(algorithm):
+    sb3 = pytest.importorskip("stable_baselines3")
+    theirs = inspect.signature(getattr(sb3, algorithm.upper())).parameters
+    ours = {field.name: field.default for field in dataclasses.fields(CONFIGS[algorithm])}
+    rows = table(PAGES[algorithm], "| here | | there | | |")
+    assert len(rows) >= 12
+    for row in rows:
+        for name, value, defaults in ((*row[:2], ours), (*row[2:4], {k: v.default for k, v in theirs.items()})):
+            if name:
+                assert ast.literal_eval(code(value)[0]) == defaults[code(name)[0]], name
+
+
+SHORT = {
+    "ppo": {"n_worlds": 2, "frames_per_batch": 64, "total_frames": 64, "entropy_coeff": 0.01},
+    "a2c": {"n_worlds": 2, "total_frames": 64, "entropy_coeff": 0.01},
+    "dqn": {"n_worlds": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
+}
+
+
+@pytest.mark.parametrize("algorithm", CONFIGS)
+def test_every_logged_column_has_its_line(algorithm, tmp_path):
+    first = blocks(PAGES[algorithm], "console")[0].splitlines()[0].partition("#")[0].split()[2:]
+    config = CONFIGS[algorithm].from_mapping({**dict(word.split("=") for word in first), **SHORT[algorithm]})
+    run = importlib.import_module(f"uavnav.{algorithm}").train(config, out=tmp_path / "run", quiet=True)
+    rows = table(PAGES[algorithm], "| column | meaning |")
+    assert sorted(code(row[0])[0] for row in rows) == sorted(run.progress.columns)
+    assert all(row[1] for row in rows)
+
+
+def test_the_tables_of_the_start_are_the_recipes_keys_the_runs_files_and_the_episodes_columns():
+    page = PAGES["start"]
+    keys = {code(row[0])[0]: code(row[1])[0] for row in table(page, "| key | default | meaning |")}
+    recipes = sorted((ROOT / "recipes/conf").glob("*.yaml"))
+    assert {path.stem for path in recipes} == {*CONFIGS, "train"}
+    for path in recipes:
+        own = yaml.safe_load(path.read_text())
+        assert keys == {key: yaml.dump(own[key]).split("\n")[0] for key in own if key not in ("defaults", "hydra")}
+    files = [code(row[0])[0] for row in table(page, "| file | holds |")]
+    assert {*files} == {*runs.FILES, runs.EVALUATION, runs.BEHAVIOUR, "checkpoint/"}
+    assert [code(row[0])[0] for row in table(page, "| column | meaning |")] == list(metrics.EPISODE_COLUMNS)
+
+
+# -- names in code ----------------------------------------------------------------------------------------------------
+
+
+def modules():
+    """Every module of the package by its own name; a name that two of them have is that of the one uavnav offers."""
+    paths = [path.relative_to(ROOT).with_suffix("") for path in sorted((ROOT / "uavnav").rglob("*.py"))]
+    names = [".".join(path.parent.parts if path.stem == "__init__" else path.parts) for path in paths]
+    offered = {name: f"uavnav.{name}" for name in uavnav._MODULES} | uavnav.HOMES
+    return {name.rpartition(".")[2]: name for name in names} | offered
+
+
+MODULES = modules()
+MISSING = object()
+FILES = (".py", ".parquet", ".yaml", ".safetensors")
+
+
+def resolved(dotted):
+    """What `World.width`, `PPOConfig.lr`, `sensing.sense` or `simulator.Task.step` names, or MISSING.
+
+    A field without a default is its annotation.
+    """
+    first, *rest = dotted.split(".")
+    here = CLASSES[first] if first in CLASSES else importlib.import_module(MODULES[first])
+    for name in rest:
+        here = getattr(here, name, getattr(here, "__annotations__", {}).get(name, MISSING))
+    return here
+
+
+@pytest.mark.parametrize("name", MINE)
+def test_every_name_in_code_exists(name):
+    prose = re.sub(r"```.*?```", "", PAGES[name], flags=re.DOTALL)
+    dotted = {one for one in code(prose) if re.fullmatch(r"\w+(\.\w+)+", one) and not one.endswith(FILES)}
+    known = {one for one in dotted if one.split(".")[0] in {*MODULES, *CLASSES}}
+    assert not [one for one in known if resolved(one) is MISSING]
+    assert len(known) >= {"world": 35, "ppo": 15, "dqn": 15, "a2c": 12, "extending": 8}.get(name, 0)
+
+
+GREEK = r"\\(?:alpha|beta|gamma|delta|epsilon|theta|lambda|pi|rho|sigma|tau)(?![A-Za-z])"
+
+
+def symbols(tex):
+    """The letters of an equation, with a prime and a subscript that is no index: x', R_s, V_target."""
+    tex = re.sub(r"_\{\\text\{(\w+)\}\}", r"_\1 ", tex.replace("\\\\", " "))
+    tex = re.sub(r"\\(?:begin|end|text|operatorname|mathbb)\{[^}]*\}(?:\{rcl\})?", " ", tex)
+    tex = re.sub(rf"(?!{GREEK})\\[A-Za-z]+", " ", tex)
+    found = re.findall(rf"({GREEK}|[A-Za-z])('?)(?:_(\w+))?", tex)
+    return {name + prime + (f"_{index}" if index not in {"", *"itk1n"} else "") for name, prime, index in found}
+
+
+@pytest.mark.parametrize(("name", "least"), [("world", 14), ("ppo", 18), ("dqn", 11), ("a2c", 12)])
+def test_every_symbol_of_an_equation_is_in_a_table_of_its_page(name, least):
+    equations = re.findall(r"\$\$(.*?)\$\$", PAGES[name], flags=re.DOTALL)
+    cells = re.findall(r"^\| ([^|]*\$[^|]*) \|", PAGES[name], flags=re.MULTILINE)
+    explained = set().union(*(symbols(tex) for cell in cells for tex in re.findall(r"\$([^$]+)\$", cell)))
+    used = set().union(*map(symbols, equations))
+    assert len(used) >= least
+    assert not used - explained
+
+
+def test_every_symbol_of_the_world_is_a_variable_of_the_function_that_it_is_said_to_be():
+    count = 0
+    for names, function in re.findall(r"((?:`\w+`(?:, )?)+) of `(\w+(?:\.\w+)+)`", PAGES["world"]):
+        body = resolved(function)
+        for name in code(names):
+            there = name in body.__code__.co_varnames or f'"{name}"' in inspect.getsource(body)
+            assert there, f"{name} of {function}"
+            count += 1
+    assert count >= 15
+
+
+def test_every_field_of_the_world_is_in_the_table_of_its_settings_and_beside_its_symbol():
+    fields = {field.name: written(field.default) for field in dataclasses.fields(World)}
+    rows = table(PAGES["world"], "| field | default | unit | meaning |")
+    assert [(code(row[0])[0], code(row[1])[0]) for row in rows] == [*fields.items()]
+    in_words = {"width", "height"}  # 800 x 600 px
+    assert {one for one in fields if f"World.{one}`" not in PAGES["world"]} == in_words
+    assert "800 × 600 px" in PAGES["world"]
+
+
+def test_the_tables_of_the_world_hold_every_bank_and_every_field_of_a_step():
+    banks = [(row[0], row[1], row[2]) for row in table(PAGES["world"], "| bank | sets | seed | for |")]
+    assert banks == [(f"`{name}`", f"{split.n:,}", str(split.seed)) for name, split in SPLITS.items()]
+    held = [name for row in table(PAGES["world"], "| field | holds |") for name in code(row[0])]
+    assert held == [f"Step.{name}" for name in Step._fields]
+
+
+# -- error lines ------------------------------------------------------------------------------------------------------
+
+ERRORS = {
+    *("ConfigError", "LayoutError", "PolicyError", "RunError", "HydraException"),
+    *("ValueError", "AttributeError", "ImportError", "ResetNeeded"),
+}
+IN_BRACKETS = {"more than … bytes of weights", "not a table of float32 tensors", "… has more than … bytes"}
+"""Said in the brackets of another line alone."""
+
+
+def message(node):
+    """A string of the source, with … for what it is filled with; hints of the nearest choice are left out."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value.replace("{}", "…").strip()
+    if isinstance(node, ast.JoinedStr):
+        hints = {"choose_from": "choose from …", "did_you_mean": ""}
+        parts = []
+        for part in node.values:
+            called = getattr(getattr(getattr(part, "value", None), "func", None), "id", "")
+            parts.append(part.value if isinstance(part, ast.Constant) else hints.get(called, "…"))
+        return re.sub("…+", "…", "".join(parts)).strip()
+    return None
+
+
+def says(line, message):
+    """Whether a line of the page is one that the message can become: `…` may be more words on the page."""
+    return re.fullmatch(".*".join(map(re.escape, message.split("…"))), line) is not None
+
+
+def telling(message):
+    return message is not None and len(re.findall(r"[a-z]", message)) >= 7
+
+
+def sources():
+    for path in [*(ROOT / "uavnav").rglob("*.py"), ROOT / "recipes" / "launch.py"]:
+        yield from ast.walk(ast.parse(path.read_text()))
+
+
+def on_the_page():
+    lines = re.findall(r"^\| (`{1,2})(.+?)\1 \| (.+) \| (.+) \|$", PAGES["troubleshooting"], flags=re.MULTILINE)
+    return [line for _, line, _, _ in lines]
+
+
+def test_every_error_line_of_the_page_is_in_the_source():
+    there = {message(node) for node in sources()}
+    assert len(on_the_page()) >= 100
+    gone = [
+        line
+        for line in on_the_page()
+        if line not in there and not any(says(line, one) for one in there if telling(one))
+    ]
+    assert not gone
+    assert len(set(on_the_page())) == len(on_the_page())
+
+
+def test_every_error_line_of_the_source_is_on_the_page():
+    missing = []
+    for node in sources():
+        called = isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", ""))
+        if called in ERRORS and node.args:
+            line = message(node.args[0])
+            if telling(line) and line not in IN_BRACKETS and not any(says(shown, line) for shown in on_the_page()):
+                missing.append(line)
+    assert not missing, "a row for each in docs/troubleshooting.md"

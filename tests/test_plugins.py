@@ -1,0 +1,264 @@
+"""Plugins: the file of docs/extending.md trains, is noted, and is imported where its name is given and nowhere else."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import yaml
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+
+import uavnav
+from uavnav import ConfigError, PolicyError, Run, evaluate, export, load_policy, plugins, render, verify
+from uavnav.algorithms import ppo
+from uavnav.runs import POLICY
+from uavnav.window import play
+
+ROOT = Path(uavnav.__file__).parent.parent
+PARTS = {"activation": "hardswish", "reward": "roomy", "task": "narrow"}
+SHORT = {"n_seeds": 2, "total_frames": 1024, "frames_per_batch": 512, "hidden": [8], "compile": "off"}
+WORDS = [f"{key}={value}".replace(" ", "") for key, value in (PARTS | SHORT).items()]
+
+
+def python(folder, *words):
+    """A process in a folder: what it printed; it must end well and complain of nothing."""
+    command = [sys.executable, *map(str, words)]
+    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, ""), result.stderr
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Holds my_study.py of the docs, and the run of its algorithm that `recipes/train.py` made of it."""
+    folder = tmp_path_factory.mktemp("plugins")
+    text = (ROOT / "docs" / "extending.md").read_text()
+    (code,) = re.findall(r'```python title="my_study.py"\n(.*?)```', text, re.DOTALL)
+    (folder / "my_study.py").write_text(code)
+    words = ["algorithm=reinforce", "plugins=my_study", *WORDS, "evaluate=false"]
+    said = python(folder, ROOT / "recipes" / "train.py", *words)
+    assert "reinforce hardswish, preset paper: 2 seeds (0 to 1), 1,024 frames each" in said
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(folder):
+    return Run(folder / "runs" / "reinforce" / "hardswish")
+
+
+def header_of(path):
+    with safe_open(path, framework="pt") as file:
+        return json.loads(file.metadata()["uavnav"])
+
+
+# -- training --------------------------------------------------------------------------------------------------------
+
+
+def test_a_run_notes_its_plugins_by_name_and_hash_and_the_world_of_its_task(folder, run):
+    sha = hashlib.sha256((folder / "my_study.py").read_bytes()).hexdigest()
+    assert run.meta["plugins"] == {"my_study": sha}
+    header = header_of(run.path / POLICY)
+    assert header["plugins"] == ["my_study"]
+    assert {key: header[key] for key in PARTS} == PARTS
+    assert header["world"]["sensor_arc"] == 90
+    assert run.config["world"]["sensor_arc"] == 90
+
+
+TOGETHER_AND_ALONE = """
+import uavnav
+from uavnav.training.loop import train
+uavnav.plugins.load("my_study")
+import my_study
+how = dict(n_seeds=2, total_frames=1024, frames_per_batch=512, hidden=[8], compile="off", activation="hardswish",
+    reward="roomy", task="narrow")
+for name, config in ("ppo", uavnav.ppo.PPOConfig(epochs=1, **how)), ("reinforce", my_study.Config(**how)):
+    for n in (1, 2):
+        run = train(config, out=f"shares/{name}-{n}", quiet=True, processes=n)
+        assert run.meta.get("processes", 1) == n, run.meta
+"""
+
+
+@pytest.mark.slow
+def test_in_the_processes_of_shares_a_plugins_parts_and_algorithm_give_what_one_process_gives(folder):
+    python(folder, "-c", TOGETHER_AND_ALONE)
+    for name in ("ppo", "reinforce"):
+        alone, together = (Run(folder / "shares" / f"{name}-{n}") for n in (1, 2))
+        pd.testing.assert_frame_equal(alone.episodes, together.episodes)
+        assert alone.meta["plugins"] == together.meta["plugins"]
+        first, second = (load_file(one.path / POLICY) for one in (alone, together))
+        assert first.keys() == second.keys()
+        assert max(float((first[key] - second[key]).abs().max()) for key in first) < 1e-6  # products of 1 and 2 agents
+        assert header_of(together.path / POLICY)["plugins"] == ["my_study"]
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: one process")
+def test_a_recipe_with_a_plugin_trains_compiled_in_two_processes(folder):
+    words = [word for word in WORDS if not word.startswith("compile=")]
+    python(folder, ROOT / "recipes/ppo.py", "plugins=my_study", *words, "compile=on", "evaluate=false", "out=compiled")
+    meta = Run(folder / "compiled").meta
+    assert (meta["compiled"], meta["processes"], list(meta["plugins"])) == (True, 2, ["my_study"])
+
+
+def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monkeypatch):
+    monkeypatch.setitem(uavnav.networks.ACTIVATIONS, "cubed", lambda x: x**3)
+    config = ppo.PPOConfig(activation="cubed", **SHORT)
+    with pytest.raises(ConfigError, match="processes=2: activation=cubed is known to this process alone"):
+        ppo.train(config, out=tmp_path / "run", quiet=True, processes=2)
+    assert not (tmp_path / "run").exists()
+
+
+# -- commands --------------------------------------------------------------------------------------------------------
+
+COMMANDS = {
+    "evaluate": (evaluate.main, ["RUN", "--episodes", "3", "--max-steps", "20"]),
+    "verify": (verify.main, ["RUN", "--frames", "512"]),
+    "render": (render.main, ["RUN", "--steps", "5", "--out", "flight.png"]),
+    "export": (export.main, ["RUN", "--out", "policy.pt2"]),
+    "play": (play.main, ["RUN"]),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_without_the_flag_a_command_says_in_one_line_which_to_give_and_imports_nothing(
+    command, folder, run, monkeypatch, capsys
+):
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(str(folder))
+    main, words = COMMANDS[command]
+    before = sorted(folder.rglob("*"))
+    assert main([str(run.path) if word == "RUN" else word for word in words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"uavnav.{command}: {run.path}/")
+    assert "it was made with plugins, give --plugins my_study (plugins= to a recipe)" in err
+    assert err.count("\n") == 1
+    assert "my_study" not in sys.modules
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_each_command_has_the_flag(command, capsys):
+    with pytest.raises(SystemExit):
+        COMMANDS[command][0](["--help"])
+    assert "--plugins NAME,..." in capsys.readouterr().out
+
+
+def test_with_the_flag_each_command_works(folder, run, tmp_path):
+    shutil.copy(folder / "my_study.py", tmp_path)
+    own = shutil.copytree(run.path, tmp_path / "own")
+    said = python(tmp_path, "-m", "uavnav.evaluate", own, "--episodes", 3, "--max-steps", 20, "--plugins", "my_study")
+    assert "reinforce hardswish on 3 test sets" in said
+    assert len(Run(own).evaluation()) == 2 * 2 * 3
+    lines = ["from uavnav.__main__ import main"]
+    for name in ("verify", "render", "export"):
+        words = [str(own) if word == "RUN" else word for word in COMMANDS[name][1]]
+        lines.append(f"assert main({[name, *words, '--plugins', 'my_study']}) == 0")
+    said = python(tmp_path, "-c", "\n".join(lines))
+    assert "own: the same, bit for bit: " in said
+    assert "own, sampled: " in said
+    assert (tmp_path / "flight.png").is_file()
+    assert "policy.pt2: observation [N, 30] -> values [N, 100]" in said
+
+
+def test_a_recipe_without_the_flag_refuses_a_plugins_names_like_any_other(folder, monkeypatch, capfd):
+    monkeypatch.chdir(folder)
+    command = [sys.executable, ROOT / "recipes" / "ppo.py", "activation=hardswish"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout) == (1, "")
+    assert result.stderr.startswith("ppo: activation=hardswish; choose from elu, ")
+    assert result.stderr.count("\n") == 1
+
+
+# -- nothing is imported that was not named --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def bomb(tmp_path, monkeypatch):
+    """A folder with a module that leaves a mark when it is imported, and a run whose every file names it."""
+    (tmp_path / "bomb.py").write_text("from pathlib import Path\nPath(__file__).with_name('exploded').touch()\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    made = ppo.train(ppo.PPOConfig(**SHORT), out=tmp_path / "run", quiet=True)
+    path = made.path / "config.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"plugins": ["bomb"], "algorithm": "bomb"}))
+    path = made.path / "meta.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"plugins": {"bomb": "0" * 64}}))
+    path = made.path / POLICY
+    header = header_of(path) | {"plugins": ["bomb"], "algorithm": "bomb", "module": "bomb"}
+    save_file(load_file(path), path, metadata={"uavnav": json.dumps(header)})
+    yield made.path
+    assert not (tmp_path / "exploded").exists()
+    assert "bomb" not in sys.modules
+
+
+def test_files_of_a_run_that_name_a_plugin_have_it_never_imported(bomb, capsys):
+    assert Run(bomb).algorithm == "bomb"
+    with pytest.raises(PolicyError, match="unknown algorithm 'bomb'; it was made with plugins, give --plugins bomb"):
+        load_policy(bomb)
+    for main, words in COMMANDS.values():
+        assert main([str(bomb) if word == "RUN" else word for word in words]) == 2
+        assert "give --plugins bomb" in capsys.readouterr().err
+
+
+def test_a_plugin_that_adds_nothing_a_run_needs_is_not_asked_for(bomb):
+    path = bomb / POLICY
+    save_file(load_file(path), path, metadata={"uavnav": json.dumps(header_of(path) | {"algorithm": "ppo"})})
+    assert load_policy(bomb).algorithm == "ppo"
+
+
+# -- loading ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("raise ValueError('one\\ntwo')", "ValueError: one"),
+        ("import nowhere_at_all", "ModuleNotFoundError: No module named 'nowhere_at_all'"),
+        ("def (", "SyntaxError: "),
+    ],
+)
+def test_a_plugin_that_cannot_be_imported_is_one_line_with_the_reason(code, reason, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "faulty.py").write_text(code)
+    with pytest.raises(ConfigError) as refused:
+        plugins.load(["faulty"])
+    assert str(refused.value).startswith(f"plugins=faulty: cannot be imported ({reason}")
+    assert "\n" not in str(refused.value)
+    assert "faulty" not in plugins.LOADED
+
+
+def test_a_module_that_is_not_there_is_one_line_and_no_names_are_no_import(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path not in ("", str(tmp_path))])
+    before = list(sys.path)
+    for none in ([], None):
+        plugins.load(none)
+    assert sys.path == before
+    with pytest.raises(ConfigError, match=r"plugins=nowhere: is no module in .*; give a module's name, without \.py"):
+        plugins.load("nowhere")
+
+
+def test_a_module_is_imported_once_and_what_it_adds_is_known_to_all_processes(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(plugins, "LOADED", {})
+    for table in ("ACTIVATIONS", "KNOWN"):
+        monkeypatch.setattr(uavnav.networks, table, dict(getattr(uavnav.networks, table)))
+    tables = {"activation": (uavnav.networks.ACTIVATIONS, uavnav.networks.KNOWN)}
+    monkeypatch.setattr(plugins, "TABLES", tables)
+    code = "from uavnav import networks\nnetworks.ACTIVATIONS['twice'] = lambda x: 2 * x\nprint('imported')\n"
+    (tmp_path / "adds_one.py").write_text(code)
+    plugins.load("adds_one")
+    plugins.load(["adds_one", "adds_one"])
+    assert {"adds_one": hashlib.sha256(code.encode()).hexdigest()} == plugins.LOADED
+    assert uavnav.networks.KNOWN["twice"] is uavnav.networks.ACTIVATIONS["twice"]
+    assert " give --plugins other,more (" in plugins.missing(["adds_one", "other", "more"])
+    assert plugins.missing({"adds_one": ""}) == ""

@@ -1,0 +1,270 @@
+"""Flights that go round for ever are counted to their cap, and their rows are those of flying it all, bit for bit."""
+
+import itertools
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import nn
+
+import uavnav
+from uavnav import evaluate, flights
+from uavnav.evaluate import WATCHED_STEPS, evaluate_policy, on
+from uavnav.networks import mlp
+from uavnav.policies import Policy, load_policy
+from uavnav.repeats import counted
+from uavnav.tasks import layouts, rewards, simulator
+from uavnav.tasks.simulator import EMPTY, Task, make_task
+from uavnav.tasks.state import COUNTS, State
+from uavnav.training import machine
+
+RESULTS = Path(uavnav.__file__).parent.parent / "results"
+OPEN = layouts.generate(3, k=0)
+
+
+class Always(nn.Module):
+    """The same action everywhere."""
+
+    def __init__(self, action):
+        super().__init__()
+        self.action = action
+
+    def forward(self, observation):
+        values = torch.zeros(*observation.shape[:-1], 100)
+        values[..., self.action] = 1
+        return values
+
+
+def policy_of(network, greedy=True, task=None):
+    return Policy(network, "ppo", greedy, task or make_task(EMPTY), "categorical", "direct")
+
+
+def untrained(seed=5):
+    """One of its flights on 20 test sets goes round for ever, the others collide."""
+    return policy_of(mlp([30, 64, 64, 100], "tanh", [torch.Generator().manual_seed(seed)], "default"))
+
+
+@pytest.fixture(autouse=True)
+def eager(monkeypatch, request):
+    """Compile nothing, unless a test is marked as compiled."""
+    if not request.node.get_closest_marker("compiled"):
+        monkeypatch.setattr(machine, "FLIGHTS_PAY_FROM", 10**9)
+
+
+@pytest.fixture
+def flown(monkeypatch):
+    """The steps that are flown, one entry each."""
+    steps, fly = [], flights.fly
+
+    def counting(*what, **how):
+        for step in fly(*what, **how):
+            steps.append(step.number)
+            yield step
+
+    monkeypatch.setattr(flights, "fly", counting)
+    return steps
+
+
+def both(population, task, monkeypatch):
+    """What is left when rounds are counted, and when all is flown."""
+    counted = evaluate.fly(population, task)
+    with monkeypatch.context() as patch:
+        patch.setattr(evaluate, "_repeatable", lambda population, task: False)
+        return counted, evaluate.fly(population, task)
+
+
+def assert_same(first, second):
+    for mine, other in zip(first, second, strict=True):
+        pd.testing.assert_frame_equal(mine, other, check_exact=True)
+
+
+# -- counted instead of flown ----------------------------------------------------------------------------------------
+
+ROUNDS = {
+    "standing": (0, 1),
+    "1 degree left on the spot": (10, 360),
+    "5 degrees left on the spot": (50, 72),
+    "1 degree right on the spot": (90, 360),
+    "a circle of 1 px a step, 5 degrees left": (51, 72),
+    "a circle of 3 px a step, 5 degrees left": (53, 72),
+    "a circle of 2 px a step, 4 degrees right": (62, 90),
+}
+
+
+@pytest.mark.parametrize(("action", "steps"), ROUNDS.values(), ids=ROUNDS)
+def test_who_goes_round_is_flown_for_a_few_rounds_and_has_the_row_of_flying_on(action, steps, flown, monkeypatch):
+    cap = 2_500
+    one, other = both({0: policy_of(Always(action))}, on(make_task(EMPTY), OPEN, 3, cap), monkeypatch)
+    most = flown.index(cap) - cap + 1  # the second evaluation flew all
+    assert WATCHED_STEPS < most < 1_500
+    assert one.episodes.truncated.all()
+    assert (one.episodes.steps == cap).all()
+    assert one.episodes.reward.tolist()[0] == sum(itertools.repeat(-0.01, cap))  # one by one, and not 2,500 x -0.01
+    assert one.episodes.reward.tolist()[0] != cap * -0.01
+    assert_same(one, other)
+
+
+def test_who_goes_round_for_a_million_steps_is_counted_in_the_time_of_a_thousand(flown):
+    (row,) = evaluate_policy(policy_of(Always(50)), OPEN[:1], 1, 1_000_000).to_dict("records")
+    assert len(flown) < 1_000
+    assert (row["steps"], row["turns"], row["stops"], row["full_stops"]) == (1_000_000, 1_000_000, 1_000_000, 0)
+    assert row["reward"] == pytest.approx(-10_000)
+
+
+@pytest.mark.parametrize("cap", [499, 500, 501, 600, 871, 872, 873, 1_231])
+def test_any_cap_gives_the_rows_of_flying_it_all(cap, monkeypatch):
+    population = {0: policy_of(Always(11)), 1: policy_of(Always(50))}
+    assert_same(*both(population, on(make_task(EMPTY), OPEN, 2, cap), monkeypatch))
+
+
+@pytest.mark.parametrize("reward", ["eq14", "additive", "initial"])
+def test_among_flights_that_collide_the_one_that_goes_round_is_counted_and_no_row_changes(reward, flown, monkeypatch):
+    population = {0: untrained(), 1: policy_of(Always(50)), 2: policy_of(Always(9))}
+    one, other = both(population, on(make_task(EMPTY, reward=reward), "test", 20, 1_500), monkeypatch)
+    assert flown.index(1_500) - 1_500 + 1 < 1_200
+    assert one.episodes.groupby("seed").truncated.sum().tolist() == [1, 20, 0]
+    assert (one.episodes[one.episodes.seed == 0].terminated.sum(), one.episodes.steps.nunique() > 10) == (19, True)
+    assert_same(one, other)
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_trained_policies_that_circle_have_the_rows_of_flying_it_all(monkeypatch):
+    population = {seed: load_policy(RESULTS / "ppo" / "relu", seed) for seed in (1, 2)}
+    one, other = both(population, on(make_task(EMPTY), "test", 20, 4_000), monkeypatch)
+    assert one.episodes.truncated.sum() >= 1
+    assert_same(one, other)
+
+
+def test_all_500_watched_steps_of_ten_sets_are_there():
+    left = evaluate.fly({0: policy_of(Always(50)), 1: policy_of(Always(0))}, on(make_task(EMPTY), "test", 12, 10_000))
+    sizes = left.behaviour.groupby(["seed", "layout"]).step.agg(["min", "max", "size"])
+    assert sizes.to_numpy().tolist() == [[1, WATCHED_STEPS, WATCHED_STEPS]] * 20
+    assert WATCHED_STEPS == 500
+    assert (left.episodes.steps == 10_000).all()
+
+
+# -- flown all the same ----------------------------------------------------------------------------------------------
+
+
+def test_a_sampled_policy_is_flown(flown):
+    class Certain(Always):
+        def forward(self, observation):
+            return 1e4 * super().forward(observation)  # sampled, it is the same action each time
+
+    rows = evaluate_policy(policy_of(Certain(50), greedy=False), OPEN, 3, 1_500)
+    assert len(flown) == 1_500
+    assert (rows.steps == 1_500).all()
+
+
+def test_one_sampled_policy_among_greedy_ones_is_enough_and_a_script_too(flown):
+    task = on(make_task(EMPTY), OPEN, 1, 1_300)
+    evaluate.fly({0: policy_of(Always(0)), 1: policy_of(Always(0), greedy=False)}, task)
+    assert max(flown) == 1_300 or len(flown) < 1_300  # the sampled one may collide
+    flown.clear()
+    evaluate.fly({0: lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64)}, task)
+    assert len(flown) == 1_300
+
+
+def test_with_a_reward_of_a_plugin_it_is_flown(flown, monkeypatch):
+    monkeypatch.setitem(rewards.REWARDS, "patience", lambda step: {"patience": 1e-3 * step.after.steps.double()})
+    rows = evaluate_policy(policy_of(Always(0)), OPEN, 2, 1_200, reward="patience")
+    assert len(flown) == 1_200
+    assert rows.reward.tolist() == pytest.approx([1e-3 * 1_200 * 1_201 / 2] * 2)
+
+
+def test_a_reward_that_replaces_a_built_in_one_is_flown_too(flown, monkeypatch):
+    monkeypatch.setitem(rewards.REWARDS, "eq14", lambda step: {"patience": 1e-3 * step.after.steps.double()})
+    evaluate_policy(policy_of(Always(0)), OPEN, 1, 700)
+    assert len(flown) == 700
+
+
+def test_in_a_task_in_which_something_moves_it_is_flown(flown, monkeypatch):
+    class Wind(Task):
+        """Every 300th step the drone is blown 60 px upwards."""
+
+        STATIC = False
+
+        def move(self, state, action):
+            moved, angle, distance = super().move(state, action)
+            gust = torch.where((state.steps + 1) % 300 == 0, 60.0, 0.0)
+            return moved._replace(y=moved.y + gust), angle, distance
+
+    monkeypatch.setitem(simulator.TASKS, "wind", Wind)
+    task = on(make_task(EMPTY, task="wind"), OPEN, 2, 2_000)
+    rows = evaluate.fly({0: policy_of(Always(0))}, task).episodes
+    assert len(flown) == 1_500
+    assert (rows.steps == 1_500).all()  # 300 + 5 x 60 px: beyond the wall's 250
+    assert rows.terminated.all()
+
+
+# -- the arithmetic --------------------------------------------------------------------------------------------------
+
+
+def slowly(flight, rewards_of, increments, start, steps):
+    """A loop over the steps of one made-up flight: its counts and reward after so many."""
+    counts, reward = dict(start), 0.0
+    for step in range(steps):
+        at = step % len(rewards_of)
+        for name in COUNTS[:-1]:
+            counts[name] += increments[at][name]
+        reward += rewards_of[at]
+    return counts, reward
+
+
+def state_of(made, after):
+    """Where made-up flights are after so many steps; a pose belongs to a place of the round."""
+    found = [slowly(one, one["rewards"], one["increments"], one["start"], after) for one in made]
+    at = torch.tensor([after % len(one["rewards"]) for one in made])
+    return State(
+        x=(at * 3).float(),
+        y=(at * 5).float() + 0.1,
+        heading=at,
+        layout=torch.arange(len(made)),
+        **{name: torch.tensor([counts[name] for counts, _ in found]) for name in COUNTS[:-1]},
+        reward=torch.tensor([reward for _, reward in found], dtype=torch.float64),
+    )
+
+
+COUNT = st.integers(0, 9)
+INCREMENT = st.fixed_dictionaries(dict.fromkeys(COUNTS[:-1], COUNT))
+
+
+@st.composite
+def flights_that_go_round(draw):
+    length = draw(st.integers(1, 6))
+    return {
+        "start": draw(st.fixed_dictionaries({name: st.integers(0, 1_000) for name in COUNTS[:-1]})),
+        "rewards": draw(st.lists(st.floats(-10, 10), min_size=length, max_size=length)),
+        "increments": draw(st.lists(INCREMENT, min_size=length, max_size=length)),
+    }
+
+
+@given(st.lists(flights_that_go_round(), min_size=1, max_size=4), st.integers(0, 7), st.integers(0, 60))
+@settings(max_examples=60, deadline=None)
+def test_counting_is_a_slow_loop_bit_for_bit(made, before, steps):
+    rounds = torch.tensor([len(one["rewards"]) for one in made])
+    longest = int(rounds.max())
+    states = [state_of(made, before + step) for step in range(longest + 1)]
+    earned = [
+        torch.tensor([one["rewards"][(before + step) % len(one["rewards"])] for one in made], dtype=torch.float64)
+        for step in range(longest)
+    ]
+    found = counted(states, earned, rounds, steps)
+    expected = state_of(made, before + longest + steps)
+    for name in COUNTS:
+        assert torch.equal(getattr(found, name), getattr(expected, name)), name
+        assert getattr(found, name).dtype == getattr(expected, name).dtype
+
+
+def test_a_flight_that_has_not_come_back_to_its_pose_is_not_counted():
+    made = [
+        {"start": dict.fromkeys(COUNTS[:-1], 0), "rewards": [0.1] * 3, "increments": [dict.fromkeys(COUNTS, 1)] * 3}
+    ]
+    states, earned = [state_of(made, step) for step in range(4)], [torch.full((1,), 0.1, dtype=torch.float64)] * 3
+    assert counted(states, earned, torch.tensor([3]), 5).steps.tolist() == [8]
+    states[-1] = states[-1]._replace(x=states[-1].x + 1e-5)
+    assert counted(states, earned, torch.tensor([3]), 5) is None

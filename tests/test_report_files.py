@@ -1,0 +1,218 @@
+"""The whole of a report: its page, Markdown, tables and figures, and what else may be in them."""
+
+import re
+import warnings
+
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+from runs_by_hand import behaved, found, rows, trained, two, write_run
+
+from uavnav.algorithms import ALGORITHMS
+from uavnav.report import _write_all, docs, report
+from uavnav.report.cells import collect, label
+from uavnav.report.claims import PRIMARY
+from uavnav.report.content import gather
+from uavnav.report.curves import plot
+from uavnav.report.page import SECTIONS, contents
+from uavnav.runs.metrics import METRICS, Metric
+
+pytestmark = pytest.mark.usefixtures("little_garbage")
+
+
+def test_a_panel_holds_a_line_an_activation_with_n_and_the_papers_mean_dashed_in_its_colour(results):
+    axes = Figure().subplots()
+    cells, _ = collect([results])
+    plot(axes, label([cell for cell in cells if cell.algorithm == "dqn"])[0], "reward")
+    line, dashed = axes.lines
+    assert line.get_label() == "tanh, n = 2"
+    assert line.get_ydata().tolist() == [-7.0, -7.0]  # two episodes a seed, in bins of their own
+    assert (dashed.get_linestyle(), dashed.get_ydata()) == ("--", [-6.982, -6.982])
+    assert dashed.get_color() == line.get_color()
+    (band,) = axes.collections
+    assert band.get_datalim(axes.transData).intervaly.tolist() == [-8.0, -6.0]
+
+
+def test_a_metric_is_one_line_and_on_the_page_in_the_csv_in_latex_and_in_report_md(results, monkeypatch, undrawn):
+    monkeypatch.setitem(METRICS, "stood", Metric("stood", "stops", 1000.0, unit="‰", better=-1))
+    written = report([results])
+    page, text = written.path.read_text(), written.path.with_suffix(".md").read_text()
+    assert page.count('<th scope="col">stood [‰]</th>') == 4  # two algorithms, two tables each
+    assert '<td>50.00 <span class="interval">[50.00, 50.00]</span></td>' in page
+    assert '<td>25.00 <span class="interval">[25.00, 25.00]</span></td>' in page  # as a ratio of means
+    assert found(text, "tanh", PRIMARY)[0][-1] == "50.00 [50.00, 50.00]"
+    assert found(text, "sigmoid", "the paper")[0][-1] == "–"
+    csv = pd.read_csv(results / "tables" / "metrics.csv").set_index(["algorithm", "reading", "ratio", "metric"])
+    assert csv.loc[("dqn", PRIMARY, "ratio of means", "stood"), "mean"] == 25
+    assert "stood [‰]" in (results / "tables" / "paper-dqn.tex").read_text()
+
+
+def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_papers_four(results, monkeypatch):
+    for activation in ("tanh", "sigmoid", "relu", "leaky_relu"):
+        write_run(results / "four" / activation, two(0, 1.0), two(1, 2.0), activation=activation, lr=0.5)
+    write_run(results / "four" / "gelu", two(0, 1.0), activation="gelu", lr=0.5)
+    gathered = gather([results])
+    speed, intervals = (next(one for one in gathered.figures if one.name == name) for name in ("speed", "cells-reward"))
+    assert "gelu" not in speed.drawn.alt + intervals.drawn.alt
+    assert {*gathered.tables["wide"]["activation"]} == {"tanh", "sigmoid", "relu", "leaky_relu", "gelu"}
+    assert docs.summary(gathered).count("1 to 2 seeds a cell") == 1  # PPO's relu has one
+    text = docs.results(gathered)
+    assert found(text, "DQN gelu", PRIMARY) == [["1", "1.00"]]
+    assert "after 1,000 frames a seed" in text
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder with the runs, and the report on it."""
+    path = tmp_path_factory.mktemp("whole") / "results"
+    flights = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(mode="sampled")
+    for algorithm in ("dqn", "ppo"):
+        run = write_run(
+            path / algorithm, two(0, -6.0), two(1, -8.0), algorithm=algorithm, gamma=0.9, evaluation=flights
+        )
+        behaved(run)
+        trained(run, algorithm, action=9)
+    write_run(path / "short", two(0, 5.0), meta={"frames": 500}, gamma=0.9)
+    return path, report([path], path.parent / "one")
+
+
+@pytest.mark.slow
+def test_two_reports_are_the_same_bytes(whole, monkeypatch):
+    path, first = whole
+    assert first.left_out == []
+    second = report([path], path.parent / "two")
+    files = [
+        {
+            str(file.relative_to(one.path.parent)): file.read_bytes()
+            for file in one.path.parent.rglob("*")
+            if file.is_file()
+        }
+        for one in (first, second)
+    ]
+    assert sorted(files[0]) == sorted(files[1])
+    assert [name for name in files[0] if files[0][name] != files[1][name]] == []
+
+
+def test_a_report_is_a_page_its_markdown_tables_and_figures_in_two_forms(whole):
+    _, written = whole
+    assert written.path.name == "report.html"
+    out = written.path.parent
+    kinds = {"report.html", "report.md", "figures", "tables"}
+    assert {file.name for file in out.iterdir()} == kinds
+    drawn = {file.stem for file in out.glob("figures/*.svg")}
+    assert drawn == {file.stem for file in out.glob("figures/*.png")}
+    assert drawn >= {"curves-dqn-reward", "curves-ppo-steps", "cells-reward", "trajectories", "heat", "heat-empty"}
+    assert drawn >= {"survival", "improvement", "power", "behaviour", "speed"}
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in out.glob("figures/*.png"))
+    page = written.path.read_text()
+    assert page.count("data:image/svg+xml;base64,") == len(drawn)
+    for section in SECTIONS:
+        assert f'id="{section}"' in page
+    text = (out / "report.md").read_text()
+    for picture in re.findall(r"]\((figures/[^)]*)\)", text):
+        assert (out / picture).is_file()
+    assert "](figures/curves-dqn-reward.png)" in text
+
+
+def test_the_tables_are_csv_that_say_what_the_content_says_and_latex(whole):
+    path, written = whole
+    folder = written.path.parent / "tables"
+    gathered = gather([path])
+    assert {file.stem for file in folder.glob("*.csv")} == {*gathered.tables}
+    metrics = pd.read_csv(folder / "metrics.csv")
+    row = metrics.set_index(["algorithm", "reading", "ratio", "metric"]).sort_index()
+    assert row.loc["dqn", PRIMARY, "ratio of means", "speed"]["mean"] == 7
+    assert row.loc["ppo", PRIMARY, "mean of ratios", "reward"]["mean"] == -7
+    behaviour = pd.read_csv(folder / "behaviour.csv").set_index(["cell", "seed"])
+    assert behaviour["clearance"].tolist() == [80, 60, 80, 60]
+    assert behaviour["reversals"].tolist() == [0] * 4
+    assert behaviour.loc["PPO tanh", "empty_straight_speed"].tolist() == [9, 9]
+    assert behaviour.loc["DQN tanh", "empty_straight_speed"].tolist() == pytest.approx([9, 9], abs=0.3)  # explores
+    overestimated = pd.read_csv(folder / "overestimation.csv")
+    assert overestimated["q"].tolist() == pytest.approx([50, 50])
+    latex = (folder / "paper-ppo.tex").read_text()
+    assert latex.count(r" \\") == 1 + 4 + 2 + 3  # header, the paper's rows, two of tanh, three cells without a run
+    assert r"\%" in latex
+    assert "_" not in latex.replace(r"\_", "")
+
+
+def test_no_warning_escapes_a_report_on_few_and_equal_seeds(whole, tmp_path, monkeypatch):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_run(tmp_path / "open", rows(0, (1000, 10, 0, 0, 0, 0, -1.0, False, False)))
+        assert report([tmp_path]).path.is_file()
+        gather([whole[0]])
+
+
+def test_a_persons_flights_and_a_policy_from_elsewhere_are_rows_of_all_six_metrics_on_the_page_and_in_report_md(
+    results,
+):
+    flown = rows(0, (100, 100, 10, 0, 50, 400, -6.0), (200, 100, 0, 0, 10, 600, -4.0))
+    (results / "baselines").mkdir()
+    for who in ("human", "theirs-sampled"):
+        flown.to_parquet(results / "baselines" / f"{who}.parquet")
+    report([results])
+    text = (results / "report.md").read_text()
+    for who in ("human", "theirs-sampled"):
+        (row,) = found(text, who)
+        seeds, flights, cut, steps, *_, speed, reward = row
+        assert (seeds, flights, cut, steps, speed, reward) == ("1", "2", "0.0%", "100.0", "5.00", "−5.00")
+        assert f">{who}<" in (results / "report.html").read_text()
+
+
+# -- a third algorithm -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory):
+    """What reports say of two algorithms, and of the same runs beside those of a third one that the paper has not."""
+    path = tmp_path_factory.mktemp("three")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(ALGORITHMS, "a2c", ALGORITHMS["ppo"]._replace(module="uavnav.algorithms.a2c"))
+        for algorithm in ("a2c", "dqn", "ppo"):
+            flown = rows(0, (10, 10, 1, 1, 5, 50, -9.0)).assign(mode="sampled")
+            run = write_run(path / algorithm, two(0, -6.0), two(1, -8.0), algorithm=algorithm, evaluation=flown)
+            write_run(path / f"{algorithm}-relu", two(0, 1.0), two(1, 2.0), algorithm=algorithm, activation="relu")
+            behaved(run)
+            trained(run, algorithm, action=9)
+            pd.DataFrame({"seed": [0, 1], "frame": 1000, "entropy": 1.0}).to_parquet(run / "progress.parquet")
+        folders = [path / name for name in ("dqn", "ppo", "dqn-relu", "ppo-relu")]
+        three = gather([path])
+        _write_all(path / "out", contents(three, path))
+        patch.setattr("uavnav.report.figures.draw", lambda *anything: [])
+        return gather(folders), three, path / "out"
+
+
+def test_a_third_algorithm_leaves_the_claims_as_they_are(three):
+    two_, all_, _ = three
+    assert repr(all_.audits) == repr(two_.audits)
+    assert all_.missing == two_.missing
+
+
+def test_a_third_algorithm_has_its_cells_and_tables_behind_the_papers(three):
+    _, content, out = three
+    assert [*content.studies.main] == [(name, one) for name in ("dqn", "ppo", "a2c") for one in ("tanh", "relu")]
+    assert {*content.tables["metrics"]["algorithm"]} == {"dqn", "ppo", "a2c"}
+    assert {"A2C tanh", "A2C: tanh and relu"} <= {*content.tables["speed"]["cell"], *content.tables["power"]["pair"]}
+    assert {*content.tables["behaviour"]["cell"]} == {"DQN tanh", "PPO tanh", "A2C tanh"}
+    text = (out / "report.md").read_text()
+    assert re.findall("^## (DQN|PPO|A2C)$", text, re.MULTILINE) == ["DQN", "PPO", "A2C"]
+    assert len(found(text, "tanh", PRIMARY)) == 2 * 3
+    page = (out / "report.html").read_text()
+    for caption in ("Table 1: DQN", "Table 2: PPO", "A2C"):
+        assert f"<span>{caption}</span>" in page
+    assert "the paper" not in (out / "tables" / "paper-a2c.tex").read_text()
+
+
+def test_a_third_algorithm_has_its_figures_and_replays(three):
+    _, content, _ = three
+    drawn = {figure.name: figure for figure in content.figures}
+    assert {"curves-a2c-reward", "curves-a2c-steps", "why-a2c-entropy"} <= {*drawn}
+    assert "as the paper's" not in drawn["curves-a2c-reward"].caption
+    assert drawn["curves-ppo-reward"].caption.startswith("PPO, as the paper's Figure 5: reward")
+    for name in ("cells-reward", "trajectories", "heat", "improvement", "power", "behaviour", "speed", "survival"):
+        assert "A2C" in drawn[name].drawn.alt, name
+    shown = {cell["algorithm"]: cell["values"] for cell in content.replays["cells"]}
+    assert shown == {"dqn": "Q value", "ppo": "probability", "a2c": "probability"}
+    assert {*content.tables["overestimation"]["cell"]} == {"DQN tanh"}
+    assert {figure.name for figure in content.figures if "q-value" in figure.name} == set()

@@ -1,0 +1,363 @@
+"""A task is one thing: its parts travel together, its subclasses fly everywhere, its rewards see a whole step."""
+
+import dataclasses
+import inspect
+import json
+import re
+
+import gymnasium
+import numpy as np
+import oracle
+import pytest
+import torch
+
+import uavnav
+from uavnav import DroneEnv, World, load_policy
+from uavnav.algorithms import ppo
+from uavnav.envs import scalar
+from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
+from uavnav.tasks import layouts
+from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
+from uavnav.training import weights
+
+OTHER = {
+    **{"border": 10, "drone_radius": 25.0, "sensor_radius": 100.0, "sensor_arc": 270.0, "n_slots": 7, "penalty": -0.02},
+    **{"slots": "listed", "padding": "zeros", "start_heading": "random"},
+}
+"""Some fields of a world that is not the paper's."""
+FIELDS = [field.name for field in dataclasses.fields(World)]
+
+
+@dataclasses.dataclass(frozen=True)
+class NarrowWorld(World):
+    sensor_arc: float = 90.0
+    fog: float = 0.5
+
+
+class Narrow(Task):
+    """The paper's task with a sensor that covers 90 degrees instead of 180."""
+
+    WORLD = NarrowWorld
+
+
+NARROW = oracle.Arena(arc=90)
+
+
+@pytest.fixture
+def narrow(monkeypatch):
+    """The task as it is once a plugin has put it into the table."""
+    monkeypatch.setitem(TASKS, "narrow", Narrow)
+    return make_task("test", task="narrow")
+
+
+def batch(task, n, steps, seed=0):
+    """Yield, of each step of n rows on the first n sets: the state before it, its actions, the state after, outcome."""
+    generator = torch.Generator().manual_seed(seed)
+    state = task.start(torch.arange(n), torch.randint(360, (n,), generator=generator))
+    for _ in range(steps):
+        action = torch.randint(100, (n,), generator=generator)
+        before = state
+        state, outcome = task.step(before, action)
+        yield before, action, state, outcome
+
+
+# -- as one ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_header_holds_every_field_of_the_world_the_reward_the_cap_and_the_banks_hash():
+    header = make_task("test", OTHER, "additive", 50).header()
+    assert set(header) == {"task", "world", "reward", "max_steps", "bank"}
+    assert list(header["world"]) == FIELDS
+    assert len(FIELDS) >= 18
+    assert header["world"].items() >= OTHER.items()
+    assert (header["task"], header["reward"], header["max_steps"]) == ("drone", "additive", 50)
+    assert header["bank"] == layouts.read("test")[1]["sha256"] == make_task("test").header()["bank"]
+    assert header["bank"] != make_task("train").header()["bank"]
+
+
+def test_a_task_from_its_header_in_json_is_the_same_in_all_18_fields():
+    task = make_task("test", OTHER, "initial", 9)
+    header = json.loads(json.dumps(task.header()))
+    again = make_task("test", header["world"], header["reward"], header["max_steps"], header["task"])
+    assert (again.world, again.reward, again.max_steps, type(again)) == (task.world, "initial", 9, Task)
+    assert again.header() == task.header()
+
+
+def test_a_world_is_its_own_class_or_a_mapping_of_some_fields_or_nothing():
+    assert make_task("test", OTHER).world == make_task("test", World(**OTHER)).world == World(**OTHER)
+    assert make_task("test", {"sensor_arc": 90}).world == World(sensor_arc=90)
+    assert make_task("test", {}).world == make_task("test").world == World()
+
+
+def test_a_whole_task_says_all_that_the_other_arguments_would_say():
+    whole = make_task("validation", OTHER, "additive", 7)
+    assert make_task("test", World(), "initial", 99, whole) is whole
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"task": "dorne"}, "task='dorne'; choose from drone (did you mean drone?)"),
+        ({"reward": "eq41"}, "reward='eq41'; choose from eq14, additive, initial (did you mean eq14?)"),
+        ({"world": {"sensor_ark": 90}}, "there is no key 'world.sensor_ark'; choose from world.border, "),
+        ({"world": {"sensor_ark": 90}}, " (did you mean world.sensor_arc?)"),
+        ({"world": {"slots": "nearst"}}, "slots='nearst'; choose from nearest, listed (did you mean nearest?)"),
+        ({"world": {"sensor_arc": 361}}, "sensor_arc=361; give at most 360 degrees"),
+        ({"max_steps": 0}, "max_steps=0; choose None or a whole number from 1"),
+        ({"layouts": "validaton"}, "choose from train, validation, test or a file's path (did you mean validation?)"),
+        ({"world": {"safe_zone": 90}}, "layouts='train': obstacle "),
+        ({"world": {"safe_zone": 90}}, " is nearer than 90 px to the start"),
+    ],
+)
+def test_each_wrong_part_is_refused_in_one_line_with_the_choices(arguments, says):
+    with pytest.raises(ValueError, match=re.escape(says)) as refused:
+        make_task(**arguments)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_bank_that_was_made_for_a_wider_window_flies_in_it_alone():
+    wider = World(width=1000)
+    bank = layouts.generate(200, 8, seed=3, world=wider)
+    assert torch.equal(make_task(bank, wider).bank, bank)
+    with pytest.raises(uavnav.LayoutError, match="is nearer than 50 px to the start"):
+        make_task(bank)
+    with pytest.raises(uavnav.LayoutError, match=r"layouts='test': .* give a bank that fits this world"):
+        make_task("test", wider)
+
+
+def test_on_another_bank_and_cap_a_task_keeps_its_world_its_reward_and_its_class(narrow):
+    for task in (make_task("test", OTHER, "additive", 50), dataclasses.replace(narrow, reward="initial")):
+        moved = task.on("validation", 9)
+        assert torch.equal(moved.bank, layouts.load("validation"))
+        assert (moved.world, moved.reward, type(moved)) == (task.world, task.reward, type(task))
+        assert (moved.max_steps, task.on(EMPTY, None).max_steps) == (9, None)
+        assert torch.equal(task.bank, layouts.load("test"))
+    with pytest.raises(uavnav.LayoutError, match="no such bank"):
+        task.on("tset", None)
+    with pytest.raises(ValueError, match="max_steps=0"):
+        task.on("test", 0)
+
+
+@pytest.mark.parametrize("kind", [DroneEnv, DroneGymEnv, DroneVectorEnv])
+def test_each_of_3_environments_takes_the_parts_of_a_task_or_a_whole_one(kind):
+    parameters = inspect.signature(kind.__init__).parameters
+    defaults = {name: parameter.default for name, parameter in parameters.items()}
+    parts = {"layouts": "train", "world": None, "max_steps": None, "reward": "eq14", "task": "drone"}
+    assert [name for name in defaults if name in parts] == list(parts)
+    assert {name: defaults[name] for name in parts} == parts
+    assert list(defaults)[-1] == "task"
+    whole = make_task("validation", OTHER, "additive", 7)
+    for env in (kind(task=whole), kind(layouts="test", reward="initial", max_steps=99, task=whole)):
+        assert (env.task.world, env.task.reward, env.task.max_steps) == (whole.world, "additive", 7)
+        assert torch.equal(env.task.bank, whole.bank)
+    with pytest.raises(ValueError, match=r"task='dorne'; choose from drone \(did you mean drone\?\)"):
+        kind(task="dorne")
+
+
+@pytest.mark.parametrize("given", [{"world": OTHER, "reward": "additive", "max_steps": 50}, {"task": "narrow"}])
+def test_a_policys_file_gives_back_the_task_that_it_was_trained_in(given, narrow, tmp_path):
+    config = ppo.PPOConfig(layouts="test", hidden=(4,), **given)
+    trainee = config.make(compile=False)
+    path = tmp_path / "policy.safetensors"
+    path.write_bytes(weights.serialize(trainee.networks(), config, trainee.actor))
+    policy, task = load_policy(path), config.make_task()
+    assert {**policy.task.header(), "bank": policy.bank} == task.header()
+    assert type(policy.task) is type(task)
+    assert policy.world == task.world
+    observation, _ = task.observe(task.start(torch.arange(5), torch.full((5,), 90)))
+    assert torch.equal(policy.values(observation), trainee.policy(observation[None])[0])
+
+
+# -- a subclass ------------------------------------------------------------------------------------------------------
+
+
+def filled(observation):
+    """How many slots are not empty."""
+    return (observation.unflatten(-1, (-1, 3)) != torch.tensor([0.0, 0.0, 1.0])).any(-1).sum(-1)
+
+
+def test_a_narrow_sensor_senses_fewer_things_and_what_a_slow_loop_over_all_senses(narrow):
+    wide, fewer = make_task("test"), 0
+    for _, _, state, outcome in batch(narrow, 50, 30):
+        observation, clearance = wide.observe(state)
+        assert torch.equal(clearance, outcome.clearance)  # sensed or not, all can be hit
+        assert (filled(outcome.observation) <= filled(observation)).all()
+        fewer += (filled(outcome.observation) < filled(observation)).sum()
+    assert fewer > 300
+    for row in range(50):
+        pose = state.x[row].item(), state.y[row].item(), state.heading[row].item(), narrow.bank[row].tolist()
+        found = oracle.look(*pose, NARROW)
+        if not oracle.doubtful(found, NARROW):
+            expected = torch.tensor(sum(oracle.slots_of(found, arena=NARROW), ()))
+            torch.testing.assert_close(outcome.observation[row], expected, rtol=0, atol=1e-4)
+
+
+def test_a_subclass_has_a_world_of_its_own_with_a_field_of_its_own(narrow):
+    assert narrow.world == NarrowWorld()
+    assert narrow.header()["task"] == "narrow"
+    assert list(narrow.header()["world"]) == [*FIELDS, "fog"]
+    config = ppo.PPOConfig(task="narrow", world={"fog": 0.25})
+    assert config.world == NarrowWorld(fog=0.25)
+    assert type(config.make_task()) is Narrow
+    with pytest.raises(uavnav.ConfigError, match=r"there is no key 'world\.fogg'; .*did you mean world\.fog\?"):
+        ppo.PPOConfig(task="narrow", world={"fogg": 1})
+    with pytest.raises(uavnav.ConfigError, match="give a NarrowWorld"):
+        ppo.PPOConfig(task="narrow", world=World())
+
+
+def test_by_name_or_as_a_whole_a_subclass_flies_100_steps_in_every_environment_as_in_the_batch(narrow):
+    rng = np.random.default_rng(0)
+    by_name, whole = {"task": "narrow", "layouts": "test", "max_steps": 40}, {"task": narrow.on("test", 40)}
+    for how in (by_name, whole):
+        env = DroneEnv([3], seeds=4, **how)
+        vector = gymnasium.make_vec("uavnav/Drone-v0", num_envs=3, **how)
+        single = gymnasium.make("uavnav/Drone-v0", **how)
+        assert type(env.task) is type(single.unwrapped.task) is Narrow
+        root, (seen, _), (alone, _) = env.reset(), vector.reset(seed=4), single.reset(seed=4)
+        for action in rng.integers(100, size=(100, 3)):
+            assert np.array_equal(root["observation"].numpy(), seen)
+            np.testing.assert_allclose(alone, seen[0], rtol=0, atol=1e-6)
+            after, root = env.step_and_maybe_reset(root.set("action", torch.as_tensor(action)))
+            seen, reward, *_ = vector.step(action)
+            alone, earned, *ends, _ = single.step(action[0])
+            flags = [after["next", name][0].item() for name in ("terminated", "truncated")]
+            assert (earned, ends) == (reward[0], flags)
+            alone = single.reset()[0] if any(ends) else alone
+
+
+def flown_alone(task, layout, heading, actions):
+    """Observations, clearances, rewards and ends of one flight in plain numbers, from its start on."""
+    flight = scalar.fly(task)
+    observation = flight.start(layout, heading)
+    yield observation, flight.clearance, 0.0, False, False
+    for action in actions:
+        observation, *rest = flight.step(action)
+        yield observation, flight.clearance, *rest
+
+
+def equal_the_batch(task, steps=60):
+    """Whether one drone alone flies as a row of a batch does, bit by bit."""
+    actions = np.random.default_rng(5).integers(100, size=steps).tolist()
+    state = task.start(torch.tensor([3, 8]), torch.tensor([90, 40]))
+    start, *rest = flown_alone(task, 8, 40, actions)
+    observation, clearance = task.observe(state)
+    assert np.array_equal(start[0], observation[1].numpy())
+    assert start[1] == clearance[1].item()
+    for action, (observation, clearance, *judged) in zip(actions, rest, strict=True):
+        state, outcome = task.step(state, torch.tensor([9, action]))
+        assert np.array_equal(observation, outcome.observation[1].numpy())
+        assert clearance == outcome.clearance[1].item()
+        assert judged == [part[1].item() for part in (outcome.reward, outcome.terminated, outcome.truncated)]
+
+
+def test_a_subclass_flies_alone_as_a_batch_of_one_for_60_steps(narrow):
+    assert type(scalar.fly(narrow)) is scalar.BatchOfOne
+    equal_the_batch(narrow.on("test", 50))
+
+
+# -- rewards ---------------------------------------------------------------------------------------------------------
+
+
+def roomy(step):
+    """A hundredth a pixel of room around the drone."""
+    return {
+        "collision": step.collided * -10.0,
+        "room": torch.where(step.collided, 0.0, 0.01 * step.clearance.double()),
+    }
+
+
+def gentle(step):
+    """A thousandth off for each degree of a turn."""
+    return {"collision": step.collided * -10.0, "turn": -0.001 * step.angle.abs().double()}
+
+
+SLOW = {
+    "roomy": lambda turn, flight: -10 if flight.terminated else 0.01 * flight.clearance,
+    "gentle": lambda turn, flight: -10 * flight.terminated - 0.001 * abs(turn),
+}
+
+
+@pytest.fixture(params=SLOW)
+def own(request, monkeypatch):
+    """A user's reward by name, and what it pays for a turn and the oracle's flight after a step."""
+    monkeypatch.setitem(REWARDS, "roomy", roomy)
+    monkeypatch.setitem(REWARDS, "gentle", gentle)
+    return request.param, SLOW[request.param]
+
+
+def test_a_users_reward_pays_300_steps_of_3_rows_of_droneenv_and_gymnasium_as_a_slow_loop_does(own):
+    name, slow = own
+    env, vector = DroneEnv([3], layouts="test", reward=name, seeds=2), DroneVectorEnv(3, layouts="test", reward=name)
+    single = DroneGymEnv(layouts="test", reward=name)
+    now, bank, ends = env.reset(), env.bank.tolist(), 0
+    vector.reset(seed=2)
+    single.reset(seed=2)
+    flights = [oracle.Flight(bank, layout, max_steps=None) for layout in env.state.layout.tolist()]
+    for actions in np.random.default_rng(1).integers(100, size=(300, 3)):
+        now = env.step(now.set("action", torch.as_tensor(actions)))["next"]
+        _, reward, *_ = vector.step(actions)
+        _, alone, *over, _ = single.step(actions[0])
+        assert np.array_equal(reward.astype(np.float32), now["reward"].squeeze(-1).numpy())
+        assert alone == pytest.approx(reward[0], abs=1e-12)
+        for row, (flight, action) in enumerate(zip(flights, actions.tolist(), strict=True)):
+            flight.step(action)
+            flight.at(env.state.x[row].item(), env.state.y[row].item())
+            assert now["terminated"][row].item() == flight.terminated
+            assert reward[row] == pytest.approx(slow(oracle.decode(action)[0], flight), abs=1e-6)
+            if flight.terminated:
+                ends += 1
+                flight.next_episode()
+        if any(over):
+            single.reset()
+        now = env.maybe_reset(now)
+    assert ends > 6
+
+
+def test_a_users_reward_is_handed_to_the_batch_of_one_and_the_three_built_in_ones_to_the_table(own):
+    name, _ = own
+    task = make_task("test", reward=name, max_steps=50)
+    assert type(scalar.fly(task)) is scalar.BatchOfOne
+    equal_the_batch(task)
+    for reward in ("eq14", "additive", "initial"):
+        assert type(scalar.fly(make_task("test", reward=reward))) is scalar.Flight
+
+
+def test_another_reward_by_the_name_of_eq14_is_not_taken_for_it(monkeypatch):
+    monkeypatch.setitem(REWARDS, "eq14", gentle)
+    equal_the_batch(make_task("test"))
+    assert type(scalar.fly(make_task("test"))) is scalar.BatchOfOne
+
+
+def test_a_reward_sees_where_the_drone_was_where_it_is_and_all_that_the_step_led_to(monkeypatch):
+    steps = []
+    monkeypatch.setitem(REWARDS, "watch", lambda step: steps.append(step) or {"one": torch.ones(4).double()})
+    task = make_task("test", reward="watch")
+    for before, action, after, outcome in batch(task, 4, 20):
+        step = steps.pop()
+        assert all(torch.equal(a, b) for a, b in zip(step.before, before, strict=True))
+        earlier = after._replace(reward=before.reward)  # what the step earns is not known yet
+        assert all(torch.equal(a, b) for a, b in zip(step.after, earlier, strict=True))
+        assert torch.equal(after.reward, before.reward + 1)
+        turn, distance = zip(*map(oracle.decode, action.tolist()), strict=True)
+        assert (step.angle.tolist(), step.distance.tolist()) == (list(turn), list(distance))
+        assert torch.equal(step.action, action)
+        assert torch.equal(step.collided, outcome.terminated)
+        assert torch.equal(step.clearance, outcome.clearance)
+        assert torch.equal(step.observation, outcome.observation)
+        assert step.world is task.world
+
+
+@pytest.mark.parametrize("variant", ["eq14", "additive", "initial"])
+def test_the_three_built_in_rewards_pay_5000_steps_as_eq_14_and_section_4_2_say(variant):
+    task, collisions = make_task("test", reward=variant), 0
+    total = torch.zeros(50, dtype=torch.float64)
+    for _, action, after, outcome in batch(task, 50, 100):
+        judged = zip(action.tolist(), outcome.terminated.tolist(), strict=True)
+        expected = [oracle.reward(*oracle.decode(taken), hit, variant) for taken, hit in judged]
+        expected = torch.tensor(expected, dtype=torch.float64)
+        torch.testing.assert_close(outcome.reward, expected, rtol=0, atol=1e-15)
+        total += expected
+        torch.testing.assert_close(after.reward, total, rtol=0, atol=1e-9)
+        collisions += outcome.terminated.sum().item()
+    assert collisions > 20

@@ -1,0 +1,64 @@
+"""A command that is stopped while it is imported, or whose output nobody reads on, says a line at most."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import uavnav
+
+ROOT = Path(uavnav.__file__).parent.parent
+COMMANDS = {
+    "evaluate": ["-m", "uavnav.evaluate", "random"],
+    "ppo": [ROOT / "recipes" / "ppo.py", "total_frames=1e7", "compile=off", "out=run"],
+}
+
+
+def mapped(process, library):
+    """Wait until a process has begun to load a library; its imports go on for a second or more."""
+    began = time.monotonic()
+    while time.monotonic() - began < 60 and process.poll() is None:
+        if library in Path(f"/proc/{process.pid}/maps").read_text():
+            return
+        time.sleep(0.005)
+    raise AssertionError(f"{library} was never loaded")
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="no /proc tells what a process has loaded")
+@pytest.mark.parametrize("library", ["_multiarray_umath", "libtorch_cpu"])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_ctrl_c_while_modules_are_imported_is_one_line_at_most(command, library, tmp_path):
+    words = [sys.executable, *map(str, COMMANDS[command])]
+    with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        mapped(process, library)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=120)
+    assert process.returncode != 0
+    assert out == ""
+    assert err in ("", "uavnav: stopped\n", f"{command}: stopped\n")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("command", "first"),
+    [
+        ("-m uavnav", f"uavnav {uavnav.__version__}: "),
+        ("-m uavnav.evaluate reactive --episodes 2 --max-steps 50", ""),
+        ("-m uavnav.evaluate --help", "usage: python -m uavnav.evaluate "),
+    ],
+)
+def test_a_reader_that_leaves_after_a_line_leaves_no_traceback(command, first, tmp_path):
+    line = f"{sys.executable} {command} | head -1"
+    result = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout.startswith(first)
+    assert result.stdout.count("\n") == 1
+
+
+def test_a_reader_that_was_never_there_leaves_no_traceback(tmp_path):
+    line = f"{sys.executable} -m uavnav | true"
+    result = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (result.stdout, result.stderr) == ("", "")

@@ -1,0 +1,116 @@
+"""Advantage Actor-Critic, the synchronous A3C of Mnih et al. (2016): one gradient step a rollout, nothing clipped.
+
+    L_policy = -E[log pi(a|s) A],   A as in PPO with lambda = 1: returns of several steps less V(s)
+    L_value  = (V(s) - V_target)^2
+
+Networks and advantages are PPO's; the settings and RMSprop are those of Stable-Baselines3's A2C.
+Letters: A agents, W worlds an agent, T steps of a rollout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from torch import nn
+from torchrl.objectives import A2CLoss
+
+from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms.ppo import make_actor_critic, make_advantage, make_networks
+from uavnav.networks import Init
+from uavnav.training import probes
+from uavnav.training.checkpoints import Stateful
+from uavnav.training.config import TrainConfig, at_least, within
+from uavnav.training.learner import Learner
+from uavnav.training.loop import Row, train
+from uavnav.training.optimisers import RMSprop
+from uavnav.training.sampling import Actor
+
+__all__ = ["A2C", "PRESETS", "A2CConfig", "train"]
+
+HOW = ALGORITHMS["a2c"]
+LOG_FRAMES = 2_000
+"""Frames per seed between two rows of progress."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class A2CConfig(TrainConfig):
+    """A2C's settings; the defaults are the preset `paper`, here Stable-Baselines3's: the paper has no A2C."""
+
+    algorithm: ClassVar[str] = "a2c"
+
+    n_steps: int = at_least(5, 1)  # of every world, between two gradient steps
+    lr: float = at_least(7e-4, 0)
+    rms_eps: float = at_least(1e-5, 0)
+    gae_lambda: float = within(1.0, 0, 1)
+    critic_coeff: float = at_least(0.5, 0)
+    entropy_coeff: float = at_least(0.0, 0)
+    init: Init = "orthogonal"  # gains sqrt(2), 0.01 policy, 1 value (decision 15)
+
+    @property
+    def frames_per_iteration(self) -> int:
+        return self.n_steps * self.n_worlds
+
+    def make(self, compile: bool) -> A2C:
+        return A2C(self, compile)
+
+
+PRESETS = {name: A2CConfig(preset=name) for name in A2CConfig.PRESETS}
+
+
+def make_loss(policy: nn.Module, value: nn.Module, config: A2CConfig) -> A2CLoss:
+    """TorchRL's A2CLoss with SB3's settings, one loss a row."""
+    return A2CLoss(
+        *make_actor_critic(policy, value),
+        critic_coeff=config.critic_coeff,
+        loss_critic_type="l2",
+        entropy_bonus=config.entropy_coeff > 0,
+        entropy_coeff=config.entropy_coeff if config.entropy_coeff > 0 else None,
+        reduction="none",
+        functional=False,
+    )
+
+
+def make_learner(loss: A2CLoss, config: A2CConfig, compile: bool) -> Learner:
+    """RMSprop as SB3's A2C sets it."""
+    losses = ["loss_objective", "loss_critic", *(["loss_entropy"] if config.entropy_coeff > 0 else [])]
+    rmsprop = RMSprop(config.lr, config.rms_eps)
+    return Learner(loss, losses, rmsprop, max_grad_norm=config.max_grad_norm, compile=compile)
+
+
+class A2C:
+    """All seeds' agents, as the training loop needs them."""
+
+    replay = None
+
+    def __init__(self, config: A2CConfig, compile: bool) -> None:
+        self.config = config
+        self.policy, self.value = (network.to(config.device) for network in make_networks(config))
+        self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
+        self.advantage = make_advantage(config.gamma, config.gae_lambda)
+        self.loss = make_loss(self.policy, self.value, config)
+        self.learner = make_learner(self.loss, config, compile)
+        self.probe = probes.poses(config.make_task()).to(config.device)
+        self.parts: Mapping[str, Stateful] = {"learner": self.learner}
+
+    def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
+        """One step on a whole rollout [A, W, T]; now and then a row, [A]."""
+        config = self.config
+        with torch.no_grad():
+            self.loss.critic_network(batch)
+            self.loss.critic_network(batch["next"])
+            self.advantage(batch)
+        needed = batch.select("observation", "action", "advantage", "value_target").flatten(1, 2)
+        losses = self.learner.learn(needed[:, None])
+        if frames // LOG_FRAMES == (frames - config.frames_per_iteration) // LOG_FRAMES and frames < config.frames:
+            return None
+        with torch.no_grad():
+            logits = self.policy(batch["observation"]).log_softmax(-1)
+        entropy = -(logits.exp() * logits).sum(-1).flatten(1).mean(1)
+        return {**losses, "entropy": entropy, **probes.units(self.policy, self.probe)}
+
+    def networks(self) -> Mapping[str, nn.Module]:
+        return {"policy": self.policy, "value": self.value}

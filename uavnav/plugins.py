@@ -1,0 +1,73 @@
+"""A user's own modules, which add activations, rewards, tasks and algorithms to the tables.
+
+A plugin is imported because the user names it: `plugins=my_module` to a recipe, `--plugins my_module` to a command,
+`uavnav.plugins.load(["my_module"])` in Python. No file of a run can have one imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib
+import os
+import sys
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from uavnav import networks
+from uavnav.choices import ConfigError
+from uavnav.tasks import rewards, simulator
+
+LOADED: dict[str, str] = {}
+"""The plugins of this process: name -> SHA-256 of its file."""
+
+TABLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "activation": (networks.ACTIVATIONS, networks.KNOWN),
+    "reward": (rewards.REWARDS, rewards.KNOWN),
+    "task": (simulator.TASKS, simulator.KNOWN),
+}
+"""By the setting that names a line: the table, and the lines that every process of a run has."""
+
+
+def load(names: str | Sequence[str] | None) -> None:
+    """Import modules by name, one or several, each once, from the present folder or from where Python finds modules.
+
+    Raises:
+        ConfigError: there is no such module, or it cannot be imported.
+    """
+    wanted = [names] if isinstance(names, str) else list(names or ())
+    if wanted and os.getcwd() not in sys.path and "" not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    for name in wanted:
+        if name in LOADED:
+            continue
+        before = [dict(table) for table, _ in TABLES.values()]
+        try:
+            module = importlib.import_module(name)
+        except Exception as error:  # whatever a user's module raises
+            if isinstance(error, ModuleNotFoundError) and error.name == name:
+                where = f"is no module in {os.getcwd()} or on PYTHONPATH"
+                raise ConfigError(f"plugins={name}: {where}; give a module's name, without .py") from error
+            problem = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise ConfigError(f"plugins={name}: cannot be imported ({problem})") from error
+        LOADED[name] = hashlib.sha256(Path(module.__file__).read_bytes()).hexdigest() if module.__file__ else ""
+        for (table, known), old in zip(TABLES.values(), before, strict=True):
+            known |= {key: value for key, value in table.items() if old.get(key) is not value}
+
+
+def argument(parser: argparse.ArgumentParser) -> None:
+    """Give a command `--plugins`; `load` then takes what it holds."""
+    parser.add_argument(
+        "--plugins",
+        type=lambda names: [name.strip() for name in names.split(",")],
+        default=[],
+        metavar="NAME,...",
+        help="modules of your own that a run was made with; they are imported",
+    )
+
+
+def missing(noted: Mapping[str, str] | Collection[str]) -> str:
+    """The end of a message: which plugins a run needs that were not given; empty where all are there."""
+    absent = [name for name in noted if name not in LOADED]
+    return f"; it was made with plugins, give --plugins {','.join(absent)} (plugins= to a recipe)" if absent else ""

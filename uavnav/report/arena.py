@@ -1,0 +1,117 @@
+"""Figures of the arena, seen from above: flown paths, and where drones spend their time."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.colors import PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from uavnav.report import style
+from uavnav.stats import Array
+from uavnav.tasks.world import World
+
+
+@matplotlib.rc_context(style.STYLE)
+def trajectories(
+    tables: Mapping[str, pd.DataFrame],
+    bank: Array,
+    layouts: Sequence[int],
+    world: World,
+    mode: str = "greedy",
+) -> style.Drawn:
+    """Flown paths of a cell's first seed, as the paper's figures 6 and 7: a row a set of obstacles, a column a cell.
+
+    tables: label -> rows with the columns seed, layout, step, x, y, clearance and mode; bank: [L, K, 3] px; layouts:
+    indices into it.
+    """
+    of_mode = {name: rows[rows["mode"] == mode] for name, rows in tables.items()}
+    one = {name: rows[rows["seed"] == rows["seed"].min()] for name, rows in of_mode.items()}
+    if not layouts or not any(len(rows) for rows in one.values()):
+        return style.nothing(f"Paths flown, {mode}")
+    width = (style.WIDTH - 0.5) / len(one)
+    height = len(layouts) * (width * world.height / world.width + 0.27) + 0.45 + 0.5
+    figure = Figure(figsize=(style.WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04))
+    panels = figure.subplots(len(layouts), len(one), squeeze=False)
+    said = []
+    for column, (name, (colour, _)) in zip(panels.T, style.coloured(one), strict=True):
+        rows, ends = one[name], []
+        for axes, layout in zip(column, layouts, strict=True):
+            _arena(axes, bank[layout], world)
+            path = rows[rows["layout"] == layout].sort_values("step")
+            x, y = ([start, *path[axis]] for start, axis in zip(world.start, "xy", strict=True))
+            crashed = len(path) > 0 and path["clearance"].iloc[-1] <= world.drone_radius
+            axes.plot(x, y, color=colour, linewidth=1.6, solid_joinstyle="round")
+            axes.plot(*world.start, "^", color=style.INK, markersize=6)
+            axes.add_patch(Circle((x[-1], y[-1]), world.drone_radius, facecolor=colour, alpha=0.35, linewidth=0))
+            axes.plot(x[-1], y[-1], "X" if crashed else "o", color=colour, markeredgecolor=style.INK, markersize=7)
+            axes.set_xlabel(f"{len(path)} steps" if len(path) else "not flown", fontsize=11, labelpad=2)
+            ends.append(f"{len(path)} {'crash' if crashed else 'still up'}" if len(path) else "not flown")
+        seeds = f", seed {rows['seed'].iloc[0]}" if len(rows) else ""
+        title = [*textwrap.wrap(name, 72 // len(one)), seeds[2:]]
+        column[0].set_title("\n".join(title), fontsize=11)
+        said.append(f"{name}{seeds}: {', '.join(ends)}")
+    for axes, layout in zip(panels[:, 0], layouts, strict=True):
+        axes.set_ylabel(f"obstacle set {layout}", fontsize=11)
+    handles = [
+        style.mark("^", "start"),
+        style.mark("X", "crash", markerfacecolor=style.PALE, markersize=8),
+        style.mark("o", "still up", markerfacecolor=style.PALE, markersize=7),
+        Patch(color=style.OBSTACLE, label="obstacle"),
+    ]
+    style.legend(figure, handles, 4)
+    sets = ", ".join(map(str, layouts))
+    return style.Drawn(figure, f"Paths flown, {mode}, and their steps on obstacle sets {sets}: {'; '.join(said)}.")
+
+
+def _arena(axes: Axes, obstacles: Array, world: World) -> None:
+    """The border and a set of obstacles [K, 3], to scale."""
+    width, height, border = world.width, world.height, world.border
+    circles = [Circle((x, y), radius) for x, y, radius in obstacles]
+    axes.add_collection(PatchCollection(circles, color=style.OBSTACLE, linewidth=0))
+    walls = [(0, 0, width, border), (0, height - border, width, border), (0, 0, border, height)]
+    for x, y, across, up in [*walls, (width - border, 0, border, height)]:
+        axes.add_patch(Rectangle((x, y), across, up, color="#545860", linewidth=0))
+    axes.set(xlim=(0, width), ylim=(0, height), aspect="equal", xticks=[], yticks=[])
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+
+
+@matplotlib.rc_context(style.STYLE)
+def heat_maps(maps: Mapping[str, Array], world: World) -> style.Drawn:
+    """Where the cells fly: a panel a cell, one scale of colours (its square root, so that rare places show).
+
+    maps: label -> shares of steps [rows of y, columns of x], from the lower-left corner.
+    """
+    title = "Where the cells fly"
+    if not maps or not any(np.nansum(share) > 0 for share in maps.values()):
+        return style.nothing(title)
+    height = (style.WIDTH - 0.8) / len(maps) * world.height / world.width + 0.25 + 1.25
+    figure = Figure(figsize=(style.WIDTH, height), layout="constrained")
+    panels = figure.subplots(1, len(maps), squeeze=False, sharey=True)[0]
+    norm, said = PowerNorm(0.5, 0, max(float(np.nanmax(share)) for share in maps.values())), []
+    for axes, (name, share) in zip(panels, maps.items(), strict=True):
+        image = axes.imshow(share, origin="lower", extent=(0, world.width, 0, world.height), norm=norm, cmap="viridis")
+        axes.plot(*world.start, "^", color="white", markeredgecolor=style.INK, markersize=7)
+        axes.grid(visible=False)
+        axes.set(xticks=[0, world.width // 2, world.width], yticks=[0, world.height // 2, world.height])
+        axes.set(title=name, xlabel="x [px]")
+        ordered = np.sort(np.nan_to_num(share), axis=None)[::-1].cumsum()
+        half = (int(np.searchsorted(ordered, ordered[-1] / 2 - 1e-9)) + 1) / share.size
+        said.append(f"{name} {100 * half:.0f} %")
+    panels[0].set_ylabel("y [px]")
+    rows, across = next(iter(maps.values())).shape
+    label = f"share of steps in {world.width / across:.0f} x {world.height / rows:.0f} px (triangle: the start)"
+    look: dict[str, Any] = {"location": "bottom", "fraction": 0.05, "aspect": 50, "ticks": MaxNLocator(5)}
+    figure.colorbar(image, ax=panels, label=label, format=PercentFormatter(1.0), **look)
+    return style.Drawn(figure, f"{title}: half of the steps fall into this share of the window: {', '.join(said)}.")

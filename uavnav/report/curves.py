@@ -1,0 +1,213 @@
+"""Figures of lines: learning curves, diagnostics of networks over training, flights still up over steps.
+
+Every function takes plain data and returns a figure with its words. Letters: S seeds of a cell, B bins of frames.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
+
+from uavnav import stats
+from uavnav.report import style
+from uavnav.report.cells import Cell, binned, curve
+from uavnav.runs import paper
+from uavnav.runs.metrics import METRICS, finished
+from uavnav.stats import Interval
+
+RESAMPLES = 1_000
+"""Bootstrap draws of the band of a curve."""
+
+
+@matplotlib.rc_context(style.STYLE)
+def curves(cells: Sequence[Cell], column: str) -> style.Drawn:
+    """Learning curves of one algorithm, as the paper's figures 4 and 5: a line a cell, a band, the paper's mean dashed.
+
+    cells: labelled ones of one algorithm; column: of their episodes.
+    """
+    title = ": ".join([*{cell.algorithm.upper(): cell for cell in cells}, f"{METRICS[column]} in training"])
+    if not any(len(finished(cell.episodes)) for cell in cells):
+        return style.nothing(title)
+    figure, axes = style.panel(title)
+    lines = plot(axes, cells, column)
+    _name_dashes(axes, cells, column)
+    _over_training(figure, axes, [Line2D([], [], color=style.PALE, linestyle="--", label="the paper's mean")])
+    ends = []
+    for cell, line in zip(cells, lines, strict=True):
+        printed = paper.printed(cell.algorithm, cell.activation, column)
+        beside = "" if np.isnan(printed) else f"the paper's mean {style.number(printed)}"
+        ends.append(f"{cell.label or cell.activation} {_end(line, beside)}")
+    return style.Drawn(figure, f"{title} against frames per seed; in the last bin: {'; '.join(ends)}.")
+
+
+def plot(axes: Axes, cells: Sequence[Cell], column: str) -> list[pd.DataFrame]:
+    """One panel: a metric's curves in their activations' colours, and the paper's means; returns what `band` gives."""
+    lines: list[pd.DataFrame] = []
+    seen: set[str] = set()
+    for cell, (colour, dashes) in zip(cells, style.looks(cell.activation for cell in cells), strict=True):
+        lines.append(band(curve(cell, column)))
+        n = sum(len(run.seeds) for run in cell.runs)
+        _line(axes, lines[-1], colour, dashes, f"{cell.label or cell.activation}, n = {n}")
+        printed = paper.printed(cell.algorithm, cell.activation, column)
+        if np.isfinite(printed) and cell.activation not in seen:
+            axes.axhline(printed, color=colour, linestyle="--", linewidth=1)
+        seen.add(cell.activation)
+    axes.set_ylabel(str(METRICS[column]))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
+    return lines
+
+
+def _over_training(figure: Figure, axes: Axes, more: Sequence[Line2D] = ()) -> None:
+    """The axis of frames, and a legend of the lines, their bands, and more."""
+    axes.set_xlabel("frames per seed")
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.xaxis.set_major_locator(MaxNLocator(6))
+    shade = Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")
+    style.legend(figure, [*axes.get_legend_handles_labels()[0], shade, *more], 3)
+
+
+def _name_dashes(axes: Axes, cells: Sequence[Cell], column: str) -> None:
+    """The paper's means at the right end of their lines, in their colours, none over another."""
+    named = {cell.activation: paper.printed(cell.algorithm, cell.activation, column) for cell in cells}
+    means = sorted((mean, activation) for activation, mean in named.items() if np.isfinite(mean))
+    if not means:
+        return
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high)
+    places = _apart([(mean - low) / (high - low) for mean, _ in means], 0.055)
+    colours = dict(zip(named, (colour for colour, _ in style.looks(named)), strict=True))
+    for (mean, activation), place in zip(means, places, strict=True):
+        axes.annotate(
+            f"{activation} {style.number(mean)}",
+            (1, mean),
+            (1.06, place),
+            xycoords=axes.get_yaxis_transform(),
+            textcoords="axes fraction",
+            color=colours[activation],
+            fontsize=11,
+            va="center",
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": colours[activation], "linewidth": 0.8, "shrinkA": 1, "shrinkB": 0},
+        )
+
+
+def _apart(places: Sequence[float], gap: float) -> list[float]:
+    """Ascending places, moved as little as may be until each is a gap from the next."""
+    moved = list(places)
+    for _ in range(100):
+        for below in range(len(moved) - 1):
+            lack = gap - (moved[below + 1] - moved[below])
+            if lack > 0:
+                moved[below] -= lack / 2
+                moved[below + 1] += lack / 2
+    return moved
+
+
+@matplotlib.rc_context(style.STYLE)
+def why(progress: Mapping[str, pd.DataFrame], column: str, title: str, bound: float | None = None) -> style.Drawn:
+    """A diagnostic of one algorithm's networks over training: a line an activation, with its band over seeds.
+
+    progress: activation -> rows with the columns seed, frame and, if it was kept, `column`; title: `PPO: the
+    diagnostic`; bound: the most that the world allows, drawn in.
+    """
+    kept = {name: rows for name, rows in progress.items() if column in rows and rows[column].notna().any()}
+    if not kept:
+        return style.nothing(title)
+    figure, axes = style.panel(title)
+    frames = max(int(rows["frame"].max()) for rows in kept.values())
+    ends: list[str] = []
+    for name, (colour, dashes) in style.coloured(kept):
+        seeds = binned(kept[name], column, frames)
+        line, width = band(seeds), 1.8 + 1.3 * (len(kept) - 1 - len(ends))  # wider ones are seen below others
+        _line(axes, line, colour, dashes, f"{name}, n = {seeds.shape[1]}", width)
+        ends.append(f"{name} {_end(line)}")
+    if bound is not None:
+        axes.axhline(bound, **style.DASHED)
+        words, left = f"nothing can earn more: {style.number(bound)}", axes.get_yaxis_transform()
+        axes.annotate(words, (0.01, bound), xycoords=left, color=style.INK, fontsize=11, va="bottom")
+        ends.append(f"nothing can earn more than {style.number(bound)}")
+    axes.set_ylabel(textwrap.fill(title.rpartition(": ")[2], 36))
+    _over_training(figure, axes)
+    return style.Drawn(figure, f"{title} against frames per seed; in the last bin: {'; '.join(ends)}.")
+
+
+def band(seeds: pd.DataFrame) -> pd.DataFrame:
+    """Mean, low, high and n a bin [B] of values [B, S], by the percentile bootstrap over seeds.
+
+    A bin leaves out the seeds without a value, and has no interval (NaN) from fewer than two.
+    """
+    values = seeds.to_numpy(dtype=np.float64)
+    there = np.isfinite(values)
+    filled, n = np.where(there, values, 0.0), values.shape[1]
+    tail = (1 - stats.CONFIDENCE) / 2
+    result = pd.DataFrame({"mean": np.nan, "low": np.nan, "high": np.nan, "n": there.sum(1)}, index=seeds.index)
+    if not n:
+        return result
+    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=RESAMPLES)  # how often each seed
+    for row, (own, known) in enumerate(zip(filled, there, strict=True)):
+        if known.any():
+            result.iloc[row, 0] = own[known].mean()
+        if known.sum() > 1:
+            counts = draws @ known
+            means = (draws @ own)[counts > 0] / counts[counts > 0]
+            result.iloc[row, 1:3] = np.quantile(means, [tail, 1 - tail])
+    return result
+
+
+def _line(axes: Axes, line: pd.DataFrame, colour: str, dashes: str, legend: str, width: float = 1.8) -> None:
+    words = textwrap.fill(legend, 50)
+    axes.plot(line.index, line["mean"], dashes, marker=".", color=colour, linewidth=width, label=words)
+    known = line["low"].notna()
+    if known.any():
+        axes.fill_between(line.index.to_numpy(), line["low"], line["high"], color=colour, alpha=0.2, linewidth=0)
+    alone = line[known & ~known.shift(fill_value=False) & ~known.shift(-1, fill_value=False)]
+    if len(alone):  # a band has no width there
+        axes.vlines(alone.index.to_numpy(), alone["low"], alone["high"], color=colour, alpha=0.2, linewidth=6)
+
+
+def _end(line: pd.DataFrame, beside: str = "") -> str:
+    if not len(line):
+        return "no data"
+    mean, low, high, n = line.iloc[-1]
+    return style.said(Interval(mean, low, high, int(n)), beside)
+
+
+@matplotlib.rc_context(style.STYLE)
+def survival(curves: Mapping[str, pd.Series[float]], cap: int) -> style.Drawn:
+    """Kaplan and Meier's share of test flights that are still up, against steps: a line a cell.
+
+    curves: label -> shares, indexed by steps, as of `stats.survival`; cap: where flights were cut off [steps].
+    """
+    title = "Test flights that are still up"
+    curves = {name: shares for name, shares in curves.items() if len(shares)}
+    if not curves:
+        return style.nothing(title)
+    figure, axes = style.panel(title)
+    most, said = max(float(shares.index.max()) for shares in curves.values()), []
+    for name, (colour, dashes) in style.coloured(curves):
+        shares = curves[name]
+        seen = (shares * 500).round().diff().ne(0)  # finer steps are less than a pixel high
+        seen.iloc[[0, -1]] = True
+        axes.step(seen.index[seen], shares[seen], dashes, where="post", color=colour, linewidth=1.8, label=name)
+        over = shares.index[shares <= 0.5]
+        half = f"half of them after {over[0]:,.0f} steps" if len(over) else "half of them never"
+        said.append(f"{name} {half}, {100 * shares.iloc[-1]:.0f} % up at {shares.index[-1]:,.0f}")
+    axes.axvline(cap, **style.DASHED)
+    words, corner = f"cap: {cap:,} steps ", axes.get_xaxis_transform()
+    axes.annotate(words, (cap, 0.98), xycoords=corner, color=style.INK, fontsize=11, rotation=90, va="top", ha="right")
+    axes.set_xscale("log")
+    first = [float(shares.index[(shares < 1) & (shares.index > 0)].min()) for shares in curves.values()]
+    axes.set_xlim(max(np.nanmin([*first, most]) * 0.8, 1.0), max(most, cap) * 1.1)
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set(xlabel="steps", ylabel="flights still up [%]", ylim=(0, 1.02))
+    style.legend(figure, axes.get_legend_handles_labels()[0])
+    return style.Drawn(figure, f"{title}, against steps: {'; '.join(said)}.")

@@ -1,0 +1,164 @@
+"""The report as a page and as Markdown, out of their templates."""
+
+from __future__ import annotations
+
+import base64
+import importlib.metadata
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup, escape
+
+from uavnav import evaluate
+from uavnav.report import conclusions, frames, studies, tables
+from uavnav.report.cells import BINS, algorithms, label
+from uavnav.report.claims import CLAIMS, PRIMARY, Claim
+from uavnav.report.content import Content
+from uavnav.report.figures import LOOKED_AT
+from uavnav.report.style import save
+from uavnav.report.verdicts import KINDS, SEEDS, of_claim, verdict
+from uavnav.runs import paper
+from uavnav.runs.metrics import LAST
+
+SECTIONS = {
+    "verdicts": "Verdicts",
+    "tables": "Tables",
+    "curves": "Curves",
+    "flights": "Flights",
+    "statistics": "Statistics",
+    "behaviour": "Behaviour",
+    "why": "Why",
+    "sensitivity": "Sensitivity",
+    "baselines": "Baselines",
+    "speed": "Speed",
+    "methods": "Methods",
+}
+HERE = Path(__file__).parent
+DECISIONS = [
+    line.strip("| ").split(" | ")
+    for line in (HERE / "templates" / "decisions.md").read_text(encoding="utf-8").splitlines()
+    if not line.startswith("|--")
+]
+"""What the paper leaves open, and what was decided: the table of docs/decisions.md, its header first."""
+PLAYER = ("replay-drawing.js", "replay.js")
+"""Scripts of the player, in the order in which a browser reads them."""
+_TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("uavnav.report"),
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+    undefined=jinja2.StrictUndefined,
+    autoescape=lambda template: template == "page.html",
+)
+_INTERVAL = re.compile(r"([−\d][^\[]*|–) (\[[^\]]+, [^\]]+\])(.*)")
+_MARKDOWN = re.compile(r"`([^`]+)`|\[([^\]]+)\]\([^)]+\)")
+
+
+def _cell(text: str) -> Markup:
+    """A cell of a table: an interval below its number; of Markdown, code is code and a link its words."""
+    if found := _INTERVAL.fullmatch(text):
+        return Markup('{} <span class="interval">{}</span>{}').format(*found.groups())
+    parts = []
+    for place, part in enumerate(_MARKDOWN.split(text)):
+        parts.append(Markup("<code>{}</code>").format(part) if place % 3 == 1 and part else escape(part or ""))
+    return Markup("").join(parts)
+
+
+_TEMPLATES.filters |= {"cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
+_TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "frames": frames, "studies": studies}
+_TEMPLATES.globals |= {"tables": tables, "primary": PRIMARY, "least_seeds": SEEDS, "looked_at": LOOKED_AT}
+_TEMPLATES.globals |= {"decisions": DECISIONS, "kinds": KINDS}
+
+
+def contents(content: Content, first: Path) -> dict[str, bytes]:
+    """All files of a report, by their paths in its folder. first: the report's first folder of runs."""
+    found: dict[str, bytes] = {}
+    pictures = {}
+    for figure in content.figures:
+        svg, png = save(figure.drawn.figure)
+        found |= {f"figures/{figure.name}.svg": svg, f"figures/{figure.name}.png": png}
+        pictures[figure.name] = base64.b64encode(svg).decode()
+    for stem, frame in content.tables.items():
+        found[f"tables/{stem}.csv"] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n").encode()
+    for algorithm in _algorithms(content):
+        header, *rows = _tables(content, algorithm)[0]
+        shown = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
+        found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *shown]).encode()
+    found["report.html"] = page(content, pictures, first).encode()
+    found["report.md"] = markdown(content).encode()
+    return found
+
+
+def _algorithms(content: Content) -> list[str]:
+    """The paper's, whether they have runs or not, and whatever else has some."""
+    others = algorithms((cell.algorithm, cell.activation) for cell in content.cells)
+    return list(dict.fromkeys([*paper.TABLE_OF, *others]))
+
+
+def _tables(content: Content, algorithm: str) -> list[tables.Rows]:
+    """An algorithm's main study as in the paper's table."""
+    of_paper = studies.paper_cells(content.studies.main)
+    return tables.both([cell for (which, _), cell in of_paper.items() if which == algorithm], algorithm)
+
+
+def render(template: str, content: Content, **more: Any) -> str:
+    """A template filled with the content, the modules that put it into words and rows (its globals), and more."""
+    return _TEMPLATES.get_template(template).render(
+        more,
+        content=content,
+        numbers=content.tables,
+        of_paper=studies.paper_cells(content.studies.main),
+        claims=[_claim(content, claim) for claim in CLAIMS],
+    )
+
+
+def _claim(content: Content, claim: Claim) -> dict[str, Any]:
+    of = {reading: of_claim(found, claim.number) for reading, found in content.audits.items()}
+    mine = of.pop(PRIMARY)
+    return {
+        "number": claim.number,
+        "sentence": claim.sentence,
+        "verdict": verdict(mine),
+        "text": f"{conclusions.sentence(claim, mine)} {conclusions.turned(mine, content.audits)}".strip(),
+        "headline": conclusions.headline(mine),
+        "rows": tables.audit_rows(mine),
+        "readings": [(reading, tables.in_reading(found)) for reading, found in of.items()],
+    }
+
+
+def page(content: Content, pictures: Mapping[str, str], first: Path) -> str:
+    """The one HTML file: styles, figures, replays and the player's code are in it.
+
+    pictures: SVG by the figure's name, base64; first: the report's first folder, for what a command needs.
+    """
+    replays = json.dumps(content.replays, separators=(",", ":")).replace("<", "\\u003c") if content.replays else ""
+    return render(
+        "page.html",
+        content,
+        css=Markup((HERE / "templates" / "page.css").read_text() + (HERE / "replay.css").read_text()),
+        js=Markup("".join((HERE / name).read_text() for name in PLAYER)),
+        replays=Markup(replays),
+        version=importlib.metadata.version("uavnav"),
+        sections=list(SECTIONS.items()),
+        paper_tables=[(_table_name(one), *_tables(content, one)) for one in _algorithms(content)],
+        pictures=pictures,
+        first=first,
+    )
+
+
+def _table_name(algorithm: str) -> str:
+    number = paper.TABLE_OF.get(algorithm)
+    return f"Table {number}: {algorithm.upper()}" if number else algorithm.upper()
+
+
+def markdown(content: Content) -> str:
+    """report.md: the verdicts, the tables in every reading, how the runs were made."""
+    sections = []
+    for algorithm in _algorithms(content):
+        part, usual = label([cell for cell in content.cells if cell.algorithm == algorithm])
+        sections.append({"name": algorithm, "usual": usual, "tables": tables.both(part, algorithm)})
+    return render("report.md", content, sections=sections, last=LAST, bins=BINS).strip() + "\n"

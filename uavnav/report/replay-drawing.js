@@ -1,0 +1,272 @@
+"use strict";
+
+/*
+ * Flights for the player of replay.js: reading their bytes, their words, and drawing the arena and the values of actions.
+ *
+ * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle.
+ */
+
+const COLOURS = ["fg", "bg", "muted", "accent", "obstacle"];
+const CIVIDIS = [
+  [0, 34, 77], [26, 56, 111], [67, 78, 107], [97, 100, 111], [124, 123, 120],
+  [155, 147, 118], [187, 173, 108], [222, 201, 87], [253, 231, 55],
+]; // dark to bright evenly, to any colour vision
+const TYPES = {
+  uint8: [1, "getUint8"], int8: [1, "getInt8"], uint16: [2, "getUint16"], int16: [2, "getInt16"],
+  float32: [4, "getFloat32"],
+}; // of a field: its bytes, and what reads it
+
+// ---------------------------------------------------------------------------------------------- reading a flight
+
+async function inflate(text) {
+  const packed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+}
+
+/** The fields of a flight by name: each a function of the step (and the column) that gives the number. */
+async function unpack(flight, fields) {
+  const view = new DataView(await inflate(flight.bytes));
+  const read = {};
+  let start = 0;
+  for (const { name, type, unit, chosen, columns } of fields) {
+    const [bytes, getter] = TYPES[type];
+    const rows = flight.steps + (chosen ? 0 : 1); // the last pose chooses nothing
+    const first = start;
+    read[name] = (step, column = 0) => view[getter](first + bytes * (column * rows + step), true) * unit;
+    start += bytes * rows * columns;
+  }
+  return read;
+}
+
+// ---------------------------------------------------------------------------------------------- words
+
+/** A number to so many decimals, with a minus as in print. */
+function fixed(number, decimals) {
+  return number.toFixed(decimals).replace(/^-(0(\.0*)?)$/, "$1").replace("-", "\u2212");
+}
+
+/** A number to three digits; what is next to nothing is told as such. */
+function short(number) {
+  if (number !== 0 && Math.abs(number) < 0.0005) return number > 0 ? "< 0.001" : "> \u22120.001";
+  return String(Number(number.toPrecision(3))).replace("-", "\u2212");
+}
+
+function inWords([degrees, pixels]) {
+  const turn = degrees === 0 ? "no turn" : `turn ${Math.abs(degrees)}° ${degrees > 0 ? "left" : "right"}`;
+  return `${turn}, ${pixels === 0 ? "stay" : `fly ${pixels} px`}`;
+}
+
+function ending(flight) {
+  return `${flight.ended} at ${flight.steps}`;
+}
+
+// ---------------------------------------------------------------------------------------------- drawing
+
+/** The page's colours as they are now, each as a canvas understands it. */
+function readColours(element) {
+  const probe = element.appendChild(document.createElement("span"));
+  const found = {};
+  for (const name of COLOURS) {
+    probe.style.color = `var(--${name})`; // resolves what a property's own text may not: var(), light-dark()
+    found[name] = getComputedStyle(probe).color;
+  }
+  probe.remove();
+  return found;
+}
+
+/** Fit a canvas to its place on the screen, sharp on any; its context, in CSS px, and its size. */
+function fit(canvas) {
+  const sharpness = window.devicePixelRatio || 1;
+  const { width, height } = canvas.getBoundingClientRect();
+  canvas.width = Math.max(1, Math.round(width * sharpness));
+  canvas.height = Math.max(1, Math.round(height * sharpness));
+  const context = canvas.getContext("2d");
+  context.scale(sharpness, sharpness);
+  return { context, width, height };
+}
+
+function disc(context, x, y, radius) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.fill();
+}
+
+function line(context, points, width, colour) {
+  context.beginPath();
+  points.forEach(([x, y], place) => (place ? context.lineTo(x, y) : context.moveTo(x, y)));
+  context.lineWidth = width;
+  context.strokeStyle = colour;
+  context.stroke();
+}
+
+function drawBorder(context, world, colours) {
+  const { width, height, border } = world;
+  const gap = 1; // [px] between two squares, so that they are seen as such
+  context.fillStyle = colours.muted;
+  for (let x = 0; x < width; x += border) {
+    for (let y = 0; y < height; y += border) {
+      const inside = x > 0 && x < width - border && y > 0 && y < height - border;
+      if (!inside) context.fillRect(x + gap / 2, y + gap / 2, border - gap, border - gap);
+    }
+  }
+}
+
+function drawSensor(context, world, { x, y, angle }, colours) {
+  const half = (world.sensor_arc / 360) * Math.PI;
+  context.beginPath();
+  context.moveTo(x, y);
+  context.arc(x, y, world.sensor_radius, angle - half, angle + half);
+  context.closePath();
+  context.fillStyle = context.strokeStyle = colours.accent;
+  context.globalAlpha = 0.15;
+  context.fill();
+  context.globalAlpha = 0.6;
+  context.lineWidth = 1;
+  context.stroke();
+  context.globalAlpha = 1;
+}
+
+/** The points that the ten slots name, in the world: eqs (9), (10) and (13) backwards. */
+function sensedPoints(world, read, step, { x, y, angle }) {
+  const [cosine, sine] = [Math.cos(angle), Math.sin(angle)];
+  const points = [];
+  for (let slot = 0; slot < world.n_slots; slot += 1) {
+    const [right, forward] = [read.right(step, slot), read.forward(step, slot)];
+    if (right === 0 && forward === 0) continue; // an empty slot
+    const reach = world.drone_radius + read.proximity(step, slot) * (world.sensor_radius - world.drone_radius);
+    points.push([
+      x + reach * (right * sine + forward * cosine),
+      y + reach * (forward * sine - right * cosine),
+    ]);
+  }
+  return points;
+}
+
+function drawDrone(context, world, { x, y, angle }, crashed, colours) {
+  const radius = world.drone_radius;
+  const at = (turn, share) => [x + share * radius * Math.cos(angle + turn), y + share * radius * Math.sin(angle + turn)];
+  context.fillStyle = colours.accent;
+  disc(context, x, y, radius);
+  const strokes = crashed
+    ? [[at(Math.PI / 4, 0.6), at((5 * Math.PI) / 4, 0.6)], [at((3 * Math.PI) / 4, 0.6), at((7 * Math.PI) / 4, 0.6)]]
+    : [[[x, y], at(0, 1)]];
+  for (const stroke of strokes) line(context, stroke, 4, colours.bg);
+}
+
+function drawArena(canvas, scene) {
+  const { world, circles, read, step, crashed, colours } = scene;
+  const { context, width } = fit(canvas);
+  const scale = width / world.width;
+  context.fillStyle = colours.bg;
+  context.fillRect(0, 0, width, scale * world.height);
+  context.transform(scale, 0, 0, -scale, 0, scale * world.height); // the one place where y is flipped
+  context.lineCap = context.lineJoin = "round";
+  context.fillStyle = colours.obstacle;
+  for (const [x, y, radius] of circles) disc(context, x, y, radius);
+  drawBorder(context, world, colours);
+  const thick = Math.max(1, 0.6 / scale); // lines must be seen on a small screen too
+  const place = (at) => [read.x(at), read.y(at)];
+  const [x, y] = place(step);
+  const pose = { x, y, angle: (read.heading(step) * Math.PI) / 180 };
+  drawSensor(context, world, pose, colours);
+  line(context, Array.from({ length: step + 1 }, (_, at) => place(at)), 2.5 * thick, colours.accent);
+  const sensed = sensedPoints(world, read, step, pose);
+  for (const point of sensed) line(context, [[x, y], point], 1.5 * thick, colours.fg);
+  drawDrone(context, world, pose, crashed, colours);
+  context.fillStyle = colours.fg;
+  for (const point of sensed) disc(context, ...point, 5 * thick);
+}
+
+function colourOf(share) {
+  const place = Math.min(Math.max(share, 0), 1) * (CIVIDIS.length - 1);
+  const low = Math.min(Math.floor(place), CIVIDIS.length - 2);
+  const mix = CIVIDIS[low].map((part, index) => Math.round(part + (place - low) * (CIVIDIS[low + 1][index] - part)));
+  return `rgb(${mix.join(" ")})`;
+}
+
+/** Where each action stands: left turns to the left, and the longer way the higher. */
+function gridOf(actions) {
+  const turns = [...new Set(actions.map(([degrees]) => degrees))].sort((a, b) => b - a);
+  const ways = [...new Set(actions.map(([, pixels]) => pixels))].sort((a, b) => b - a);
+  const cells = actions.map(([degrees, pixels]) => [turns.indexOf(degrees), ways.indexOf(pixels)]);
+  return { turns, ways, cells };
+}
+
+function signed(degrees) {
+  return degrees === 0 ? "0" : `${Math.abs(degrees)}°`;
+}
+
+function drawAxes(context, grid, { left, top, side }, colours) {
+  const [across, down] = [side / grid.turns.length, side / grid.ways.length];
+  context.fillStyle = colours.fg;
+  context.textBaseline = "middle";
+  context.textAlign = "center";
+  grid.turns.forEach((turn, place) => context.fillText(signed(turn), left + (place + 0.5) * across, top + side + 11));
+  context.textAlign = "right";
+  grid.ways.forEach((way, place) => context.fillText(String(way), left - 6, top + (place + 0.5) * down));
+  context.textAlign = "left";
+  context.fillText("← turn left", left, top + side + 29);
+  context.textAlign = "right";
+  context.fillText("turn right →", left + side, top + side + 29);
+  context.save();
+  context.translate(9, top + side / 2);
+  context.rotate(-Math.PI / 2);
+  context.textAlign = "center";
+  context.fillText("distance [px]", 0, 0);
+  context.restore();
+}
+
+function drawLegend(context, { low, high }, { left, top, side }, colours) {
+  const [bar, y] = [12, top + side + 48];
+  const gradient = context.createLinearGradient(left, 0, left + side, 0);
+  CIVIDIS.forEach((_, place) => {
+    const share = place / (CIVIDIS.length - 1);
+    gradient.addColorStop(share, colourOf(share));
+  });
+  context.fillStyle = gradient;
+  context.fillRect(left, y, side, bar);
+  context.strokeStyle = colours.muted;
+  context.lineWidth = 1;
+  context.strokeRect(left, y, side, bar);
+  context.fillStyle = colours.fg;
+  context.textAlign = "left";
+  context.fillText(short(low), left, y + bar + 11);
+  context.textAlign = "right";
+  context.fillText(short(high), left + side, y + bar + 11);
+}
+
+/** Two frames, a dark and a bright one, so that one of them is seen on any colour. */
+function outline(context, x, y, width, height) {
+  for (const [inset, colour] of [[0, "#000"], [2, "#fff"]]) {
+    context.lineWidth = 2;
+    context.strokeStyle = colour;
+    context.strokeRect(x + inset, y + inset, width - 2 * inset, height - 2 * inset);
+  }
+}
+
+function drawValues(canvas, scene) {
+  const { grid, read, step, last, colours, font } = scene;
+  const { context, width } = fit(canvas);
+  const place = { left: 36, top: 4, side: width - 40 };
+  const [across, down] = [place.side / grid.turns.length, place.side / grid.ways.length];
+  context.font = font;
+  drawAxes(context, grid, place, colours);
+  context.strokeStyle = colours.muted;
+  context.strokeRect(place.left, place.top, place.side, place.side);
+  if (step === last) {
+    context.textAlign = "center";
+    context.fillStyle = colours.muted;
+    context.fillText("the flight is over", place.left + place.side / 2, place.top + place.side / 2);
+    return;
+  }
+  const gap = 1; // [px] between two actions, so that alike ones can be counted
+  const corner = ([column, row]) => [place.left + column * across, place.top + row * down];
+  grid.cells.forEach((cell, action) => {
+    context.fillStyle = colourOf(read.value(step, action));
+    const [x, y] = corner(cell);
+    context.fillRect(x + gap / 2, y + gap / 2, across - gap, down - gap);
+  });
+  outline(context, ...corner(grid.cells[read.action(step)]), across, down);
+  drawLegend(context, { low: read.low(step), high: read.high(step) }, place, colours);
+}

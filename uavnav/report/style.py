@@ -1,0 +1,157 @@
+"""What the report's figures share: their look, the colours of activations, marks, names, and how they are saved.
+
+A cell's label is its algorithm, a space and its activation, then perhaps settings in brackets: `PPO tanh (lr=0.1)`.
+Colours are told apart by colour-blind readers too. Letters: S seeds of a cell.
+"""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+from matplotlib.typing import RcKeyType
+
+from uavnav import stats
+from uavnav.stats import Array, Interval
+
+COLOURS = {"tanh": "#0072B2", "sigmoid": "#D55E00", "relu": "#009E73", "leaky_relu": "#CC79A7"}
+OTHER_COLOURS = ("#E69F00", "#56B4E9", "#000000")
+"""Okabe and Ito's, without the yellow."""
+LINES = ("-", ":", "-.")
+"""Lines of further cells of an activation; dashes are the paper's."""
+INK, PALE, OBSTACLE = "#333333", "#767676", "#c8ccd2"
+CLEAR, OPEN = "#0072B2", "#D55E00"
+"""Colours of what the seeds decide and of what they leave open."""
+DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}
+"""The look of a line that no cell drew."""
+STYLE: dict[RcKeyType, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
+    "font.size": 12,
+    "axes.titlesize": 12,
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.alpha": 0.3,
+    "legend.fontsize": 12,
+    "legend.frameon": False,
+    "figure.dpi": 120,
+    "figure.constrained_layout.w_pad": 0.08,
+    "figure.constrained_layout.h_pad": 0.08,
+    "figure.facecolor": "white",
+    "axes.facecolor": "white",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "uavnav",
+}
+WIDTH = 8.0  # [inches]
+
+
+class Drawn(NamedTuple):
+    """A figure and one sentence that holds its main numbers."""
+
+    figure: Figure
+    alt: str
+
+
+def save(figure: Figure) -> tuple[bytes, bytes]:
+    """SVG and PNG, the same bytes on every call."""
+    svg, png = io.BytesIO(), io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        if isinstance(figure.get_layout_engine(), ConstrainedLayoutEngine):
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")  # laid out once: a second time would move things by a hair
+        figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        figure.savefig(png, format="png", metadata={"Software": None})
+    return svg.getvalue(), png.getvalue()
+
+
+def panel(title: str, height: float = 5.0) -> tuple[Figure, Axes]:
+    """A figure of one panel; height [inches]."""
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    axes = figure.subplots()
+    axes.set_title(title)
+    return figure, axes
+
+
+def nothing(title: str) -> Drawn:
+    figure = Figure(figsize=(WIDTH, 1.6), layout="constrained")
+    figure.text(0.5, 0.5, f"{title}: no data", ha="center", va="center", color=INK)
+    return Drawn(figure, f"{title}: no data.")
+
+
+def legend(figure: Figure, handles: Sequence[Any], columns: int = 2) -> None:
+    if any(len(str(handle.get_label())) > 38 for handle in handles):
+        columns = 1
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, columnspacing=1.5)
+
+
+def mark(marker: str, label: str, **look: Any) -> Line2D:
+    """A handle of a legend, without a line."""
+    return Line2D([], [], linestyle="none", marker=marker, color=INK, label=label, **look)
+
+
+def row_of_seeds(axes: Axes, row: int, seeds: Array, colour: str) -> Interval:
+    """A cell's seeds [S], their mean and its interval, in one row of a chart."""
+    found = stats.interval(np.where(np.isfinite(seeds), seeds, np.nan))
+    spread = row + np.linspace(-0.14, 0.14, len(seeds)) if len(seeds) > 1 else [row] * len(seeds)
+    axes.plot(seeds, spread, "o", color=colour, markersize=4.5, alpha=0.5, markeredgewidth=0, linestyle="none")
+    if np.isfinite(found.low):
+        axes.plot([found.low, found.high], [row, row], color=colour, linewidth=2.4, solid_capstyle="butt", zorder=3)
+    axes.plot(found.value, row, "o", color=colour, markeredgecolor="white", markersize=10, zorder=3)
+    return found
+
+
+def name_rows(axes: Axes, names: Sequence[str], **look: Any) -> None:
+    """Name a chart's rows, from the top."""
+    axes.set_yticks(range(len(names)), [textwrap.fill(name, 34) for name in names], **look)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+
+
+def looks(activations: Iterable[str]) -> list[tuple[str, str]]:
+    """A colour an activation, and for each further cell of it another line."""
+    named, drawn = list(activations), Counter[str]()
+    others = sorted({*named}.difference(COLOURS))
+    colours = COLOURS | {name: OTHER_COLOURS[place % len(OTHER_COLOURS)] for place, name in enumerate(others)}
+    result = []
+    for name in named:
+        result.append((colours[name], LINES[drawn[name] % len(LINES)]))
+        drawn[name] += 1
+    return result
+
+
+def coloured(labels: Iterable[str]) -> list[tuple[str, tuple[str, str]]]:
+    """Labels of cells, each with the colour and the line of its activation."""
+    named = list(labels)
+    return list(zip(named, looks(parts(label)[1] for label in named), strict=True))
+
+
+def parts(label: str) -> tuple[str, str]:
+    """The algorithm, if a label names one, and the activation."""
+    words = label.split(" (")[0].split()
+    return (words[0] if len(words) > 1 else "", words[-1] if words else "")
+
+
+def number(value: float) -> str:
+    """Three digits or so."""
+    size = abs(value)
+    return f"{value:.3g}" if size < 1 else f"{value:,.{0 if size >= 1000 else 1 if size >= 10 else 2}f}"
+
+
+def said(found: Interval, beside: str = "") -> str:
+    if not found.n or not np.isfinite(found.value):
+        return "no data"
+    inside = [f"95 % interval {number(found.low)} to {number(found.high)}"] * bool(np.isfinite(found.low))
+    return f"{number(found.value)} ({'; '.join([*inside, f'n = {found.n}', *([beside] if beside else [])])})"

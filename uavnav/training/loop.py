@@ -1,0 +1,164 @@
+"""The one training loop: the only home of recorder, display, collector, shares and checkpoints.
+
+An algorithm's module imports `train` from here. The `make` of its configuration gives the loop a `Trainee`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torchrl.collectors import Collector
+from torchrl.data import ReplayBuffer
+
+from uavnav.choices import ConfigError
+from uavnav.envs.env import DroneEnv
+from uavnav.runs import Run
+from uavnav.training import loggers, machine, weights
+from uavnav.training.checkpoints import Stateful
+from uavnav.training.config import TrainConfig, plain
+from uavnav.training.display import Display, Tell
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, default_folder
+from uavnav.training.sampling import Actor
+from uavnav.training.shares import Shares
+
+Row = Mapping[str, Tensor | float]
+"""What a row of progress says beside seed and frame: [A], or one number for all."""
+
+
+class Trainee(Protocol):
+    """What the loop needs of an algorithm: all seeds' agents, A of them, in W worlds each."""
+
+    actor: Actor
+    parts: Mapping[str, Stateful]
+    """What a snapshot must hold beside the environment and the actor."""
+    replay: ReplayBuffer | None
+    """A buffer whose rows a snapshot must hold too."""
+
+    def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
+        """The algorithm: learn from the newest steps [A, W, T], after so many frames per seed."""
+
+    def networks(self) -> Mapping[str, nn.Module]:
+        """What the policy file keeps; `policy` is the one that acts."""
+
+
+def train(
+    config: TrainConfig,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    quiet: bool = False,
+    checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    until: int | None = None,
+    tell: Tell | None = None,
+    processes: int | None = None,
+    logger: str | Sequence[str] = loggers.NONE,
+) -> Run:
+    """Train one agent a seed and keep the run in a folder.
+
+    Args:
+        config: the settings of an algorithm.
+        out: the run's folder; by default runs/<algorithm>[-<preset>]/<activation>.
+        overwrite: start anew where the folder holds a run.
+        quiet: show no progress.
+        checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
+        until: stop after so many frames per seed, as if by a signal.
+        tell: called now and then with the frames per seed so far and each seed's mean reward over its last 100
+            episodes.
+        processes: how many share the seeds; by default one for each core, where that pays.
+        logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see `uavnav.loggers`.
+
+    Returns:
+        The finished run; at once, where the folder already holds this very run.
+
+    Raises:
+        ConfigError, LayoutError, RunError: before anything is written.
+        Interrupted: by SIGINT, SIGTERM or `until`; saved, or the message says what is not.
+    """
+    names = loggers.chosen(logger)
+    folder = Path(out or default_folder(config))
+    logs = loggers.Logs(names, folder, config.algorithm, plain(config))
+    recorder = Recorder(folder, config, overwrite, checkpoint_seconds, until, logs if names else None)
+    if recorder.finished:
+        run = Run(recorder.path)
+        loggers.log_finished(run, names)
+        return run
+    config.check_machine()
+    if processes is not None and (type(processes) is not int or not 1 <= processes <= config.n_seeds):
+        raise ConfigError(f"processes={processes}; give a whole number from 1 to n_seeds={config.n_seeds}")
+    n = recorder.processes(processes or machine.processes(config))
+    if n > 1 and (own := machine.own_parts(config)):
+        raise ConfigError(f"processes={n}: {own} is known to this process alone; give processes=1")
+    with contextlib.closing(logs), machine.use_threads(machine.threads(config, n)):
+        return _together(recorder, n, quiet, tell) if n > 1 else alone(recorder, quiet, tell)
+
+
+def _together(recorder: Recorder, n: int, quiet: bool, tell: Tell | None) -> Run:
+    """Train the seeds in n processes, and put their shares together."""
+    config = recorder.config
+    compile = recorder.repeat(machine.decide(config))
+    with recorder, Display(config, quiet, tell) as display:
+        recorder.note(compiled=compile, processes=n)
+        display.begin(recorder.path, recorder.meta, recorder.until)
+        shares = Shares(recorder, n)
+        with contextlib.closing(shares.progress()) as steps:
+            for frames, rewards in steps:
+                display.update(frames, rewards)
+        return shares.join()
+
+
+def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> Run:
+    """Train all seeds of a run in this process: environment, algorithm, collector, loop."""
+    config = recorder.config
+    machine.keep_memory_flat()
+    compile = recorder.repeat(machine.decide(config))
+    env = make_env(config, compile)
+    trainee: Trainee = config.make(compile)
+    parts: Mapping[str, Stateful] = {"env": env, "actions": trainee.actor, **trainee.parts}
+    with recorder, Display(config, quiet, tell) as display:
+        recorder.note(compiled=compile)
+        frames = logged = recorder.resume(parts, trainee.replay)
+        display.begin(recorder.path, recorder.meta, recorder.until)
+        batches = iter(make_collector(env, trainee.actor, config))
+        began = time.perf_counter()
+        while frames < config.frames:
+            batch = next(batches)
+            recorder.add_episodes(batch["next"], frames)
+            frames += config.frames_per_iteration
+            row = trainee.learn(batch, frames)
+            if row is not None:
+                rate = (frames - logged) / (time.perf_counter() - began)
+                began, logged = time.perf_counter(), frames
+                recorder.add_progress(frames, **row, frames_per_second=rate)
+                display.update(frames, recorder.recent_rewards())
+            recorder.checkpoint(frames, parts, trainee.replay)
+        recorder.add_open_episodes(env.state, frames)
+        policy = weights.serialize(trainee.networks(), config, trainee.actor)
+        return recorder.finish(policy, frames)
+
+
+def make_env(config: TrainConfig, compile: bool) -> DroneEnv:
+    """The environment of a run: [n_seeds, n_worlds] rows of its task."""
+    shape = [config.n_seeds, config.n_worlds]
+    env = DroneEnv(shape, device=config.device, seeds=config.seeds, task=config.make_task())
+    return env.compile() if compile else env
+
+
+def make_collector(env: DroneEnv, actor: Actor, config: TrainConfig) -> Collector:
+    """TorchRL's, from where the environment is: batches [A, W, T], one after the other."""
+    return Collector(
+        env,
+        actor,
+        frames_per_batch=config.n_seeds * config.frames_per_iteration,
+        total_frames=-1,
+        auto_register_policy_transforms=False,
+        track_traj_ids=False,
+        trust_policy=True,
+        use_buffers=False,
+        return_same_td=True,
+        device=config.device,
+    )

@@ -77,6 +77,7 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
     flight = place = torch.arange(len(state.x))
     sizes = [len(task.bank)] * len(flyers)
     compiled = False
+    compiles_at = 1 if task.max_steps and len(flight) * task.max_steps >= machine.MANY else machine.EAGER_STEPS
     observation, _ = task.observe(state)
     for number in itertools.count(1):
         chosen, behind = [], []
@@ -91,7 +92,7 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
                 else:
                     chosen.append(_checked(policy(own, generator), len(own), task.world.n_actions))
             action = torch.cat(chosen)
-            if not compiled and number == machine.EAGER_STEPS and machine.flights(task.max_steps):
+            if not compiled and number == compiles_at and machine.flights(task.max_steps):
                 state, place, compiled = _padded(state, len(place)), torch.arange(len(place)), True
             state, outcome = _advance(task, state, place, action) if compiled else task.step(state, action)
         ended = (outcome.terminated | outcome.truncated)[place]

@@ -22,6 +22,8 @@ PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
 FLIGHTS_PAY_FROM = 2_000
 """Steps that a flight may last from which the compilation of the world's step is paid back."""
+MANY = 10_000_000
+"""Steps of all flights, if none ended, from which the first step is compiled already."""
 EAGER_STEPS = 1_024
 """Of an evaluation, before its step is compiled: most flights have ended by then, and often all of them."""
 EAGER = "runs without compilation, several times slower"

@@ -3,9 +3,10 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 SEEDS ?= 20
 RESULTS ?= results
+FOUR := activation=tanh,sigmoid,relu,leaky_relu
 WIDE := activation=sigmoid,leaky_relu,elu,gelu,selu,silu,mish,softplus,softsign,identity
 
-.PHONY: train test study initial tuned sensitivity wide baselines report docs layouts picture clean
+.PHONY: train test study one-world initial tuned sensitivity wide why baselines report docs layouts picture clean
 
 train: .venv/.installed
 	$(BIN)/python recipes/ppo.py activation=relu
@@ -28,9 +29,12 @@ test: .venv/.installed-dev
 
 study: .venv/.installed # the paper's eight cells, cell by cell; what is finished is skipped, what is not goes on
 	for algorithm in ppo dqn; do \
-	    $(BIN)/python recipes/$$algorithm.py -m activation=tanh,sigmoid,relu,leaky_relu n_seeds=$(SEEDS) \
+	    $(BIN)/python recipes/$$algorithm.py -m $(FOUR) n_seeds=$(SEEDS) \
 	        "out='$(RESULTS)/$$algorithm/\$${activation}'" || exit; \
 	done
+
+one-world: .venv/.installed # the study that answers for the paper: one world a seed, 40 seeds a cell
+	$(foreach algorithm,ppo dqn,$(call cells,paper-one-world,$(algorithm),$(FOUR) preset=one-world n_seeds=40 seed=100))
 
 # Small studies, each in a folder of its own. Those of SHORT are of 300,000 frames, with epsilon falling as in a million.
 SHORT := total_frames=300000 evaluate=false
@@ -71,10 +75,35 @@ sensitivity: .venv/.installed # one unsaid choice at a time, beside the baseline
 wide: .venv/.installed # eight more activations, and two of the paper's, beside the baseline of `initial`
 	$(call both,wide,$(WIDE) n_seeds=5)
 
+# What explains the differences: each cell differs in one setting from the baseline of `initial`, 10 seeds, flown a little.
+# $(call whys,NAME,ALGORITHM,SETTINGS)
+define whys
+	$(call cells,why/$(1),$(2),$(3) $(SHORT) $(SHORT_$(2)))
+	$(BIN)/python -m uavnav.evaluate --episodes 10 --max-steps 500 $(RESULTS)/why/$(1)/$(2)/*
+
+endef
+both_whys = $(foreach algorithm,ppo dqn,$(call whys,$(1),$(algorithm),$(2)))
+THREE := activation=tanh,sigmoid,relu
+ALIKE := activation=hardtanh,relu6,sigmoid_centred n_seeds=10
+MORE := activation=sigmoid,leaky_relu seed=5 n_seeds=5
+
+why: .venv/.installed
+	$(call both_whys,activations,$(ALIKE))
+	$(call both_whys,more-seeds,$(MORE)) # the first five are those of `wide`
+	$(call both_whys,layer-norm,$(THREE) n_seeds=10 layer_norm=true)
+	$(call both_whys,unit,$(THREE) n_seeds=10 init=unit)
+	$(foreach value,0.05 0.1 0.4 null,$(call whys,clip-$(value),ppo,n_seeds=10 clip_epsilon=$(value)))
+	$(foreach value,1 3 20,$(call whys,epochs-$(value),ppo,n_seeds=10 epochs=$(value)))
+	$(foreach value,0.9 0.95 0.999,$(call both_whys,gamma-$(value),n_seeds=10 gamma=$(value)))
+	$(foreach value,0 0.01 0.2,$(call whys,epsilon-$(value),dqn,n_seeds=10 epsilon_end=$(value)))
+	$(foreach value,0.001 0.01 0.03,$(call whys,entropy-$(value),ppo,n_seeds=10 entropy_coeff=$(value)))
+	$(foreach algorithm,ppo dqn,$(foreach reward,initial additive,\
+	    $(call cells,why/reward-$(reward),$(algorithm),$(PAIR) reward=$(reward) n_seeds=10)))
+
 baselines: .venv/.installed # what needs no learning, on the test sets
 	$(BIN)/python -m uavnav.evaluate random straight reactive --out $(RESULTS)/baselines
 
-report: .venv/.installed # the report, docs/results.md and the table of the README
+report: .venv/.installed # the report, docs/results.md and the findings in the README
 	$(BIN)/python -m uavnav.report $(RESULTS)
 	$(BIN)/python -m uavnav.report.docs $(RESULTS)
 

@@ -25,7 +25,7 @@ PRIMED = r'<mrow>\1<mo form="postfix" lspace="0" rspace="0">&#x02032;</mo></mrow
 """A prime at the size of a superscript would be a dot."""
 GENERATED = "results/"
 """What `make study` and `make report` write is not there before them."""
-LINK = re.compile(r"(?<!!)\[([^\]\n]+)\]\((\.\./[^)#\s]+)\)")
+LINK = re.compile(r"(?<!!)\[([^\]\n]+)\]\((\.\./[^)#\s]+)(?:#[^)\s]+)?\)")
 
 
 def on_files(files: Any, config: Any, **_: Any) -> Any:
@@ -56,7 +56,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
             return link[0]
         if not (root / path).exists() and not path.startswith(GENERATED):
             log.warning("%s links to %s, which is not in the repository", page.file.src_uri, path)
-        return text if path in text or f"{path}/" in text else f"{text} (`{path}`)"
+        if path.endswith(".csv") or path in text or f"{path}/" in text:  # a number of a table stands for itself
+            return text
+        return f"{text} (`{path}`)"
 
     return LINK.sub(path_of, markdown)
 

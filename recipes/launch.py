@@ -21,7 +21,7 @@ import re
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # let errors come here, to be said in one line
@@ -41,6 +41,7 @@ from uavnav.policies import PolicyError
 from uavnav.runs import EVALUATION, LOG_FOLDERS
 from uavnav.runs.tables import RunError
 from uavnav.tasks.layouts import LayoutError
+from uavnav.tasks.simulator import TASKS
 from uavnav.tasks.world import World
 from uavnav.training.config import TrainConfig, plain
 from uavnav.training.display import evaluation_summary, report
@@ -98,8 +99,10 @@ def _given(words: Sequence[str], key: str) -> list[str]:
 def _launch(recipe: str, algorithm: str, words: list[str]) -> None:
     presets: Presets = importlib.import_module(ALGORITHMS[algorithm].module).PRESETS
     store = ConfigStore.instance()
+    tasks = _given(words, "task") or [TrainConfig.task]
+    world = asdict(TASKS[tasks[0]].WORLD()) if len(tasks) == 1 and tasks[0] in TASKS else {}  # of a sweep: each its own
     for name, preset in presets.items():
-        store.store(group="preset", name=name, node=plain(preset) | {"world": {}}, package="_global_")
+        store.store(group="preset", name=name, node=plain(preset) | {"world": world}, package="_global_")
     kind = type(next(iter(presets.values())))
     help = {"app_name": algorithm, "header": "", "footer": "", "template": _help(recipe, algorithm, presets)}
     store.store(group="hydra/help", name="recipe", node=help)

@@ -71,8 +71,7 @@ def policy_bytes(network, algorithm, epsilon=0.05, **settings):
 
 def behaved(path):
     """Give a run the steps of two sampled flights: seed 0 straight up, seed 1 turning on the spot."""
-    steps = [(0, 0, n, 400.0, 300.0 + 9 * n, 90, 80.0, 9) for n in range(1, 6)]
-    steps += [(1, 1, n, 400.0, 300.0, 5 * n % 360, 60.0, 50) for n in range(1, 6)]
+    steps = [(0, 0, 9)] * 5 + [(1, 1, 50)] * 5
     table = pd.DataFrame(steps, columns=list(BEHAVIOUR_COLUMNS)).astype(BEHAVIOUR_COLUMNS)
     table.assign(mode="sampled").to_parquet(path / "behaviour.parquet")
 

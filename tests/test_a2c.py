@@ -150,16 +150,3 @@ def test_a_row_of_progress_comes_with_the_first_rollout_past_each_2_000_frames_a
     assert progress.frame.tolist() == [2_000, 2_000, 4_000, 4_000, 4_800, 4_800]
     assert progress.seed.tolist() == [0, 1] * 3
     assert progress[["loss_objective", "loss_critic", "grad_norm", "entropy"]].notna().all(axis=None)
-
-
-@pytest.mark.slow
-@pytest.mark.compiled
-def test_a_compiled_run_equals_an_eager_one_to_rounding(tmp_path):
-    settings = {"n_seeds": 2, "total_frames": 240}
-    runs = [train(A2CConfig(compile=c, **settings), out=tmp_path / c, quiet=True) for c in ("on", "off")]
-    observation = torch.rand(50, 30)
-    for seed in (0, 1):
-        values = [uavnav.load_policy(run.path, seed=seed).values(observation) for run in runs]
-        torch.testing.assert_close(values[0], values[1], rtol=1e-4, atol=1e-4)
-    columns = ["frame", "layout", "steps", "turns", "distance"]
-    assert runs[0].episodes[columns].equals(runs[1].episodes[columns])

@@ -94,6 +94,21 @@ def test_a_run_stopped_at_160_and_at_400_frames_and_resumed_ends_the_same(algori
     assert_same(train(configured(algorithm), tmp_path / "run", quiet=True), run)
 
 
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_compiled_a_stop_changes_no_bit_and_the_eager_run_differs_by_rounding(algorithm, run, tmp_path):
+    whole = train(configured(algorithm, compile="on"), tmp_path / "whole", quiet=True, processes=1)
+    assert whole.meta["compiled"]
+    with pytest.raises(Interrupted):
+        train(configured(algorithm, compile="on"), tmp_path / "run", quiet=True, processes=1, until=320)
+    assert_same(train(configured(algorithm, compile="on"), tmp_path / "run", quiet=True, processes=1), whole)
+    for seed in (0, 1):
+        values = [load_policy(one.path, seed=seed).values(observations()) for one in (whole, run)]
+        torch.testing.assert_close(values[0], values[1], rtol=1e-3, atol=1e-3)
+    columns = ["frame", "layout", "steps", "turns", "distance"]
+    assert whole.episodes[columns].equals(run.episodes[columns])
+
+
 # -- what it learns from ---------------------------------------------------------------------------------------------
 
 

@@ -14,11 +14,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs_by_hand import policy_bytes
 
+from uavnav import flights
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, fly, on
 from uavnav.networks import mlp
 from uavnav.policies import PolicyError
 from uavnav.report import behaviour
-from uavnav.report.behaviour import EMPTY_ARENA, MEASURES, crew, empty_arena, heat, measures, overestimation, read
+from uavnav.report.behaviour import (
+    COLUMNS,
+    EMPTY_ARENA,
+    MEASURES,
+    crew,
+    empty_arena,
+    heat,
+    measures,
+    overestimation,
+    read,
+    retrace,
+)
 from uavnav.runs import POLICY, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import RunError
@@ -36,7 +48,14 @@ def table(poses=((400, 300),), actions=(STOP,), seed=0, layout=0, mode="greedy")
     n = max(len(poses), len(actions))
     (x, y), actions = np.array([*poses] * (n // len(poses))).T, [*actions] * (n // len(actions))
     rows = {"seed": seed, "layout": layout, "step": range(1, n + 1), "x": x, "y": y, "heading": 90, "clearance": 50.0}
-    return pd.DataFrame(rows | {"action": actions}).astype(BEHAVIOUR_COLUMNS).assign(mode=mode)
+    return pd.DataFrame(rows | {"action": actions})[[*COLUMNS]].astype(COLUMNS).assign(mode=mode)
+
+
+def drones(names, n_layouts, steps):
+    """Flights of scripted policies on test sets, the seeds 3 and 4, with their poses."""
+    flown = fly({3 + n: BASELINES[name] for n, name in enumerate(names)}, on(make_task(), "test", n_layouts, steps))
+    up = torch.full((n_layouts,), 90)
+    return retrace(flown.behaviour.assign(mode="sampled"), layouts.load("test")[:n_layouts], up, WORLD)
 
 
 def turning(*angles, distance=0):
@@ -109,13 +128,13 @@ def slow_surroundings(x, y, circles):
 
 def test_flights_agree_with_a_slow_loop_and_with_the_simulators_clearance():
     obstacles = layouts.load("test")
-    flown = fly({3: BASELINES["random"], 4: BASELINES["reactive"]}, on(make_task(), "test", 8, 120)).behaviour
+    flown = drones(["random", "reactive"], 8, 120)
     slow = pd.DataFrame(
         [slow_surroundings(row.x, row.y, obstacles[row.layout].tolist()) for row in flown.itertuples()],
         columns=["clearance", "border", "corridor"],
     ).groupby(flown["seed"])
     assert slow["corridor"].sum().min() > 20
-    fast = measures(flown.assign(mode="greedy"), obstacles, WORLD).set_index("seed")
+    fast = measures(flown, obstacles, WORLD).set_index("seed")
     for name in ("border", "corridor"):
         assert np.allclose(fast[name], slow[name].mean(), atol=1e-12)
     assert np.allclose(fast["clearance"], slow["clearance"].mean(), atol=1e-3)
@@ -207,8 +226,8 @@ def test_flights_weigh_by_their_steps():
 
 def test_a_row_for_each_mode_and_seed_that_do_not_see_each_other():
     obstacles = layouts.load("test")
-    flown = fly({3: BASELINES["random"], 4: BASELINES["random"]}, on(make_task(), "test", 4, 60)).behaviour
-    rows = pd.concat([flown.assign(mode="sampled"), flown[flown["seed"] == 4].assign(mode="greedy")])
+    flown = drones(["random", "random"], 4, 60)
+    rows = pd.concat([flown, flown[flown["seed"] == 4].assign(mode="greedy")])
     found = measures(rows, obstacles, WORLD)
     assert {*found.columns} == {"mode", "seed", *MEASURES}
     assert found[["mode", "seed"]].to_numpy().tolist() == [["greedy", 4], ["sampled", 3], ["sampled", 4]]
@@ -266,7 +285,7 @@ def write_run(path, seeds=(0,), algorithm="dqn", constant=None, **config):
 def test_at_the_centre_of_the_empty_arena_the_walls_are_280_px_away(tmp_path):
     run = write_run(tmp_path / "run", seeds=(4, 5), constant=[(STOP, 1.0)] * 2)
     flown = empty_arena([crew(run, "greedy")], steps=10)[0]
-    assert list(flown.columns) == [*BEHAVIOUR_COLUMNS, "mode"]
+    assert {*flown.columns} == {*COLUMNS, "mode"}
     assert flown.groupby(["seed", "layout"]).size().tolist() == [10] * 8
     assert sorted(flown["heading"].unique()) == [0, 90, 180, 270]
     found = measures(flown, EMPTY_ARENA, WORLD)
@@ -359,29 +378,96 @@ def test_what_has_no_overestimation_is_refused(tmp_path):
 # -- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_table_is_read_as_it_was_written_and_none_where_there_is_none(tmp_path):
+def test_a_file_holds_actions_and_is_read_with_their_poses_and_none_where_there_is_none(tmp_path):
     run = write_run(tmp_path / "run")
     assert read(run) is None
-    table().to_parquet(run.path / "behaviour.parquet")
-    pd.testing.assert_frame_equal(read(run), table())
+    written = table(actions=[FULL_SPEED, *turning(5, distance=2)])
+    written[[*BEHAVIOUR_COLUMNS, "mode"]].to_parquet(run.path / "behaviour.parquet")
+    found = read(run)
+    assert {*found.columns} == {*COLUMNS, "mode"}
+    assert found["step"].tolist() == [1, 2]
+    assert found["heading"].tolist() == [90, 95]
+    assert found["x"].tolist() == pytest.approx([400, 400 + 2 * math.cos(math.radians(95))], abs=1e-4)
+    assert found["y"].tolist() == pytest.approx([309, 309 + 2 * math.sin(math.radians(95))], abs=1e-4)
+    distances = [slow_surroundings(row.x, row.y, layouts.load("test")[0].tolist())[0] for row in found.itertuples()]
+    assert found["clearance"].tolist() == pytest.approx(distances, abs=1e-3)
+
+
+def test_a_file_from_before_poses_were_left_out_is_read_alike(tmp_path):
+    run = write_run(tmp_path / "run")
+    table([(1, 2)]).to_parquet(run.path / "behaviour.parquet")  # whose poses are not looked at
+    assert read(run)[["x", "y"]].to_numpy().tolist() == [[400, 300]]
+
+
+def test_flights_of_a_run_with_random_headings_begin_with_those_of_its_evaluation(tmp_path):
+    run = write_run(tmp_path / "run", world={"start_heading": "random"})
+    stops = pd.concat([table(layout=layout) for layout in range(10)])
+    stops.to_parquet(run.path / "behaviour.parquet")
+    begun = flights.headings(on(make_task(world=World(start_heading="random"))), 200)[:10]
+    assert read(run)["heading"].tolist() == begun.tolist()
+    assert len(set(begun.tolist())) > 5
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_retraced_flights_are_where_the_simulator_was_bit_for_bit(compiled, monkeypatch):
+    """Random drones and reactive ones, side by side; a flight of 300 steps, of which rounding would show."""
+    monkeypatch.setattr("uavnav.training.machine.flights", lambda cap: compiled)
+    monkeypatch.setattr("uavnav.training.machine.EAGER_STEPS", 3)
+    task, parts = on(make_task(), "test", 6, 300), []
+    for step in flights.fly([(0, BASELINES["random"]), (1, BASELINES["reactive"])], task):
+        seen = {name: getattr(step.state, name) for name in ("layout", "steps", "x", "y", "heading")}
+        more = {"seed": step.flight // 6, "action": step.action, "clearance": step.outcome.clearance}
+        parts.append(pd.DataFrame({name: column.numpy() for name, column in (seen | more).items()}))
+    there = pd.concat(parts).rename(columns={"steps": "step"}).astype(COLUMNS).assign(mode="sampled")
+    found = retrace(there, task.bank, torch.full((6,), 90), WORLD)
+    assert len(found) > 600
+    for name in ("step", "x", "y", "heading"):
+        assert (found[name].to_numpy() == there[name].to_numpy()).all(), name
+    assert np.allclose(found["clearance"], there["clearance"], rtol=0, atol=1e-4)
+    wrong = retrace(there.assign(seed=0), task.bank, torch.full((6,), 90), WORLD)  # two flights taken for one
+    assert np.abs(wrong["x"].to_numpy() - there["x"].to_numpy()).max() > 100
+
+
+def with_header(rows, **protocol):
+    rows.attrs = protocol
+    return rows
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda rows: rows.drop(columns="x"), "its columns are not a run's, x is no float32"),
+        (lambda rows: rows.drop(columns="layout"), "its columns are not a run's, layout is no int64"),
         (lambda rows: rows.astype({"action": "float64"}), "action is no int16"),
         (lambda rows: rows.assign(seed=7), "has seed=7"),
         (lambda rows: rows.assign(mode="best"), "has mode=best"),
         (lambda rows: rows.assign(layout=1000), "has layout=1000"),
         (lambda rows: rows.assign(action=rows["action"] + 100), "has action=100"),
-        (lambda rows: rows.assign(x=rows["x"] * np.float32("nan")), "has x=nan"),
+        (lambda rows: with_header(rows, layouts="train"), "task=drone on layouts=train; only those of drones on test"),
     ],
 )
 def test_a_foreign_table_is_refused_in_one_line(tmp_path, change, message):
     run = write_run(tmp_path / "run")
     change(table()).to_parquet(run.path / "behaviour.parquet")
     with pytest.raises(RunError, match=f"behaviour.parquet: .*{message}") as caught:
+        read(run)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (
+            {"task": "glider"},
+            r"behaviour\.parquet: flights of task=glider on layouts=test; only those of drones on test",
+        ),
+        ({"world": {"width": 790}}, r"config\.yaml: .*; not a run of this package"),
+        ({"world": {"wind": 1}}, r"config\.yaml: .*wind.*; not a run of this package"),
+    ],
+)
+def test_flights_of_another_world_than_the_drones_are_refused_in_one_line(tmp_path, config, message):
+    run = write_run(tmp_path / "run", **config)
+    table().to_parquet(run.path / "behaviour.parquet")
+    with pytest.raises(RunError, match=message) as caught:
         read(run)
     assert "\n" not in str(caught.value)
 

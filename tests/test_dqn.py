@@ -286,19 +286,6 @@ def test_explored_actions_of_a_seed_do_not_depend_on_the_other_seeds():
             assert len(actions.unique(dim=0)) == 3
 
 
-@pytest.mark.slow
-@pytest.mark.compiled
-def test_a_compiled_run_equals_an_eager_one_to_rounding(tmp_path):
-    settings = {"n_seeds": 2, "total_frames": 160, "learning_starts": 32}
-    runs = [train(DQNConfig(compile=c, **settings), out=tmp_path / c, quiet=True) for c in ("on", "off")]
-    observation = torch.rand(50, 30)
-    for seed in (0, 1):
-        values = [uavnav.load_policy(run.path, seed=seed).values(observation) for run in runs]
-        torch.testing.assert_close(values[0], values[1], rtol=1e-4, atol=1e-4)
-    columns = ["frame", "layout", "steps", "turns", "distance"]
-    assert runs[0].episodes[columns].equals(runs[1].episodes[columns])
-
-
 def test_random_start_headings_of_a_run_differ_and_follow_its_seed(tmp_path, monkeypatch):
     """Headings of the last step's states that have just begun an episode: every one, at a cap of one step."""
     headings, add = [], Recorder.add_open_episodes

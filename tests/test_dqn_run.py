@@ -62,8 +62,9 @@ def watch(config, folder):
         return seen.losses[-1]
 
     def watch_act(self, observation):
+        action = act(self, observation)
         seen.epsilons.append(self.epsilon.item())
-        return act(self, observation)
+        return action
 
     def watch_checkpoint(self, frames, parts, replay=None):
         seen.learned.append(len(seen.minibatches) - sum(seen.learned))
@@ -90,9 +91,9 @@ def test_each_step_of_16_worlds_after_frame_256_is_followed_by_4_updates_of_8_ro
 
 
 def test_each_4th_step_of_a_single_world_after_frame_10_is_followed_by_one_update(tmp_path):
-    settings = {"n_worlds": 1, "total_frames": 25, "learning_starts": 10, "batch_size": 8, "compile": "off"}
+    settings = {"n_worlds": 1, "total_frames": 24, "learning_starts": 10, "batch_size": 8, "compile": "off"}
     seen = watch(DQNConfig(**settings), tmp_path / "run")
-    assert [step for step, learned in enumerate(seen.learned, start=1) if learned] == [12, 16, 20, 24]
+    assert [4 * turn for turn, learned in enumerate(seen.learned, start=1) if learned] == [12, 16, 20, 24]
     assert sum(seen.learned) == 4
 
 
@@ -207,7 +208,7 @@ def test_half_of_4000_actions_at_epsilon_one_half_are_explored_and_q_value_is_th
         n_worlds=16,
         total_frames=4_000,
         learning_starts=0,
-        frames_per_update=1_600,
+        frames_per_update=800,
         lr=0.0,  # so that the greedy action of every step is known
         epsilon_start=0.5,
         epsilon_end=0.5,

@@ -17,6 +17,7 @@ from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks.world import World
 
 FRAMES = 1000
+WIDTH = FRAMES // BINS
 
 
 @pytest.fixture(autouse=True)
@@ -27,15 +28,15 @@ def _no_warnings():
 
 
 def cell(*seeds, algorithm="ppo", activation="tanh", label=""):
-    """A cell from the rewards of each seed, one episode a bin from the first; steps are 100 each."""
+    """A cell from the rewards per frame of each seed, one episode a bin; the bins after the last are like it."""
     rows = [
-        (seed, int((place + 0.5) * FRAMES / BINS), 0, 0, 100, 0, 0, 0, 0, reward, True, False)
+        (seed, (place + 1) * WIDTH, 0, 0, WIDTH, 0, 0, 0, 0, WIDTH * reward, True, False)
         for seed, rewards in enumerate(seeds)
-        for place, reward in enumerate(rewards)
+        for place, reward in enumerate([*rewards, *rewards[-1:] * (BINS - len(rewards))])
     ]
     episodes = pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
     runs = [SimpleNamespace(seeds=list(range(len(seeds))))]
-    return Cell(algorithm, activation, {"frames": FRAMES}, runs, episodes, EMPTY, label)
+    return Cell(algorithm, activation, {"frames": FRAMES, "n_worlds": 1}, runs, episodes, EMPTY, label)
 
 
 def texts(figure):
@@ -142,17 +143,19 @@ def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_me
     drawn = curves.curves([cell([0.0, 3.0], [3.0, 3.0], [6.0, 3.0])], "reward")
     (axes,) = drawn.figure.axes
     line, dashed = axes.lines
-    assert line.get_ydata().tolist() == [3.0, 3.0]
-    assert line.get_xdata().tolist() == [20.0, 60.0]  # the middles of the first two 25ths of 1,000 frames
+    assert line.get_ydata().tolist() == pytest.approx([3.0] * BINS)
+    assert line.get_xdata().tolist()[:2] == [20.0, 60.0]  # the middles of the first two 25ths of 1,000 frames
     (band,) = axes.collections
-    assert heights(band) == ([0.0, 3.0], [6.0, 3.0])  # all three the same seed: 1 of 27, more than 2.5 %
-    assert (dashed.get_linestyle(), dashed.get_ydata()) == ("--", [paper.TABLES["ppo", "tanh"]["reward"]] * 2)
+    (first, second, *_), (highest, high, *_) = heights(band)
+    assert (first, highest) == pytest.approx((0.0, 6.0))  # all three the same seed: 1 of 27, more than 2.5 %
+    assert (second, high) == pytest.approx((3.0, 3.0))
+    assert (dashed.get_linestyle(), dashed.get_ydata()) == ("--", [88.527 / 2727.577] * 2)
     assert dashed.get_color() == line.get_color() == style.COLOURS["tanh"]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("frames per seed", "reward per episode")
-    assert {"tanh, n = 3", "tanh 88.5"} <= set(texts(drawn.figure))
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("frames per seed", "reward per frame")
+    assert {"tanh, n = 3", "tanh 0.0325"} <= set(texts(drawn.figure))
     assert drawn.alt == (
-        "PPO: reward per episode in training against frames per seed; in the last bin: "
-        "tanh 3.00 (95 % interval 3.00 to 3.00; n = 3; the paper's mean 88.5)."
+        "PPO: reward per frame in training against frames per seed; in the last bin: "
+        "tanh 3.00 (95 % interval 3.00 to 3.00; n = 3; the paper's mean 0.0325)."
     )
 
 
@@ -173,11 +176,25 @@ def test_a_seed_without_a_value_counts_for_none_in_its_bin():
     assert band.iloc[1:, 1:3].isna().all(axis=None)
 
 
+def test_steps_per_collision_are_all_frames_over_all_collisions_so_that_a_seed_without_one_counts():
+    """Seed 0 collides in every 40th frame and seed 1 never: 80 frames a collision, and of seed 1 alone no number."""
+    both = cell([0.0], [0.0])
+    both.episodes["terminated"] = both.episodes["seed"] == 0
+    line = curves.learning(both, "steps")
+    assert line["mean"].tolist() == pytest.approx([80.0] * BINS)
+    assert line["low"].tolist() == pytest.approx([40.0] * BINS)  # both draws of seed 0
+    assert line["high"].isna().all()  # both of seed 1
+    assert "tanh 80.0" in curves.curves([both], "steps").alt
+    never = cell([0.0])
+    never.episodes["terminated"] = False
+    assert curves.curves([never], "steps").alt.endswith("in the last bin: tanh no data.")
+
+
 def test_one_seed_gives_a_line_and_no_band():
     drawn = curves.curves([cell([1.0, 2.0])], "reward")
     (axes,) = drawn.figure.axes
     assert len(axes.collections) == 0
-    assert "tanh 2.00 (n = 1; the paper's mean 88.5)" in drawn.alt
+    assert "tanh 2.00 (n = 1; the paper's mean 0.0325)" in drawn.alt
 
 
 def test_a_cell_without_an_episode_is_said_beside_one_that_has_some():
@@ -187,7 +204,8 @@ def test_a_cell_without_an_episode_is_said_beside_one_that_has_some():
 
 
 def test_a_bin_that_two_seeds_reach_between_two_that_one_does_shows_its_interval():
-    drawn = curves.curves([cell([1.0, 2.0, 3.0], [5.0])], "reward")
+    rows = pd.DataFrame({"seed": [0, 0, 1, 0], "frame": [1, 2, 2, 3], "q": [1.0, 2.0, 5.0, 3.0]})
+    drawn = curves.why({"tanh": rows}, "q", "DQN: value")
     (axes,) = drawn.figure.axes
     assert any(isinstance(one, matplotlib.collections.LineCollection) for one in axes.collections)
 
@@ -345,7 +363,7 @@ def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apar
     drawn = curves.curves(cells, "reward")
     (axes,) = drawn.figure.axes
     named = {text.get_text(): text.xyann for text in axes.texts}
-    assert set(named) == {"tanh -6.98", "sigmoid -5.67", "relu -7.62", "leaky_relu -7.41"}
+    assert set(named) == {"tanh -0.0438", "sigmoid -0.0268", "relu -0.037", "leaky_relu -0.0353"}
     heights = sorted(place for _, place in named.values())
     assert np.diff(heights).min() > 0.054
     assert {place for place, _ in named.values()} == {1.06}

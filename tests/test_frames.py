@@ -13,7 +13,8 @@ from uavnav.report.claims import PRIMARY
 from uavnav.report.studies import Studies, of_paper
 from uavnav.report.verdicts import audit
 from uavnav.runs import paper
-from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS
+from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.readings import ALL, EVALUATIONS, PER_FRAME, READINGS, TOTALS
 
 SPREAD = (-1.0, 0.0, 1.0)
 
@@ -30,7 +31,7 @@ def run(seeds=(0,), progress=None, **meta):
     return SimpleNamespace(seeds=[*seeds], meta=meta, frames=1_000_000, progress=progress)
 
 
-def cell(rewards, algorithm="ppo", activation="tanh", flown=EMPTY, runs=None, frames=1_000_000):
+def cell(rewards, algorithm="ppo", activation="tanh", flown=EMPTY, runs=None, frames=100):
     """A seed for each reward, with one episode of 100 steps at 4 px."""
     rows = [(seed, 100, 400, reward) for seed, reward in enumerate(rewards)]
     runs = runs or [run(range(len(rewards)))]
@@ -46,32 +47,32 @@ def cells(**means):
 # -- values and estimates ---------------------------------------------------------------------------------------------
 
 
-def test_a_row_for_each_seed_metric_reading_and_way_of_taking_ratios():
-    rows = episodes((0, 100, 400, -6.0), (0, 300, 2400, -2.0), (1, 50, 100, 3.0))
-    one = Cell("dqn", "tanh", {"frames": 10}, [run([0, 1])], rows, EMPTY)
+def test_a_row_for_each_seed_metric_and_reading():
+    rows = episodes((0, 100, 400, -6.0), (0, 300, 2400, -2.0), (1, 400, 800, 3.0))
+    one = Cell("dqn", "tanh", {"frames": 400}, [run([0, 1])], rows, EMPTY)
     found = frames.per_seed_values({("dqn", "tanh"): one})
-    assert [*found] == ["algorithm", "activation", "reading", "ratio", "metric", "seed", "value"]
-    keyed = found.set_index(["reading", "ratio", "metric", "seed"])["value"].sort_index()
-    assert keyed[PRIMARY, "mean of ratios", "speed"].tolist() == [6, 2]
-    assert keyed[PRIMARY, "ratio of means", "speed"].tolist() == [7, 2]
-    assert keyed[PRIMARY, "mean of ratios", "reward"].tolist() == [-4, 3]
-    of_ratio = found[found["ratio"] == "ratio of means"]["metric"].unique()
-    assert {*of_ratio} == {name for name, metric in METRICS.items() if metric.scale is not None}
-    assert "greedy evaluation" not in {*found["reading"]}  # there is none
-    assert frames.per_seed_values({}).shape == (0, 7)
+    assert [*found] == ["algorithm", "activation", "reading", "metric", "seed", "value"]
+    keyed = found.set_index(["reading", "metric", "seed"])["value"].sort_index()
+    assert keyed[PER_FRAME, "reward"].tolist() == [-8 / 400, 3 / 400]
+    assert keyed[PER_FRAME, "speed"].tolist() == keyed[TOTALS, "speed"].tolist() == [7, 2]
+    assert keyed[ALL, "speed"].tolist() == [6, 2]
+    assert keyed[ALL, "reward"].tolist() == [-4, 3]
+    assert {*found["reading"]} == {*READINGS} - {*EVALUATIONS}  # there is none
+    assert frames.per_seed_values({}).shape == (0, 6)
 
 
 def test_estimates_are_the_statistics_of_the_seeds_beside_the_papers_number():
     rewards = [80.0, 90.0, 120.0, 70.0, 200.0]
     values = frames.per_seed_values({("ppo", "tanh"): cell(rewards), ("ppo", "mish"): cell([1.0], activation="mish")})
-    found = frames.estimates(values).set_index(["activation", "reading", "ratio", "metric"])
-    row = found.loc["tanh", PRIMARY, "mean of ratios", "reward"]
+    found = frames.estimates(values).set_index(["activation", "reading", "metric"])
+    row = found.loc["tanh", ALL, "reward"]
     mean, middle = stats.interval(rewards), stats.interval(rewards, stats.interquartile_mean)
     assert row[["mean", "low", "high", "n"]].tolist() == [112, mean.low, mean.high, 5]
     assert row[["interquartile_mean", "iqm_low", "iqm_high"]].tolist() == [*middle[:3]]
     assert middle.value == pytest.approx((80 + 90 + 120) / 3)
     assert row["paper"] == 88.527
-    alone = found.loc["mish", PRIMARY, "mean of ratios", "reward"]
+    assert found.loc["tanh", PER_FRAME, "reward"][["mean", "paper"]].tolist() == [1.12, 88.527 / 2727.577]
+    alone = found.loc["mish", ALL, "reward"]
     assert (alone["mean"], alone["n"]) == (1, 1)
     assert alone[["low", "high", "paper"]].isna().all()
 
@@ -103,9 +104,13 @@ def test_interactions_by_metric_and_reading_of_the_papers_cells_alone():
     assert np.isnan(found.loc["sampled evaluation", "reward"]["p_ranks"])
 
 
-def test_seeds_for_a_difference_of_one_standard_deviation_are_17_and_only_within_an_algorithm():
-    found = frames.power(cells(ppo_tanh=1, ppo_relu=0, dqn_tanh=5, dqn_sigmoid=5, ppo_mish=9))
-    assert found.to_numpy().tolist() == [["DQN: tanh and sigmoid", 3, np.inf], ["PPO: tanh and relu", 3, 17]]
+def test_seeds_that_find_the_papers_difference_are_of_pairs_within_an_algorithm():
+    study = cells(ppo_tanh=1, ppo_relu=0, dqn_tanh=5, dqn_sigmoid=5, ppo_mish=9)
+    found = frames.power(study)
+    assert found[["pair", "n"]].to_numpy().tolist() == [["DQN: tanh and sigmoid", 3], ["PPO: tanh and relu", 3]]
+    seeds = [frames.of_seeds(study["ppo", one], PRIMARY) for one in ("tanh", "relu")]
+    effect = 88.527 / 2727.577 - 43.598 / 1730.587
+    assert found["seeds"][1] == stats.seeds_needed(*seeds, effect) > 17
     assert frames.power({}).shape == (0, 3)
 
 
@@ -119,7 +124,7 @@ def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
     first = [(0, 10, 0, 0.0), (0, 20, 0, 0.0), (0, 30, 0, 0.0, *cut), (0, 40, 0, 0.0, *cut)]
     flown = episodes(*first, (1, 100, 0, 0.0), (1, 300, 0, 0.0)).assign(mode="sampled")
     one = cell([0.0, 0.0], flown=pd.concat([flown, episodes((0, 9999, 0, 0.0)).assign(mode="greedy")]))
-    curves, table = frames.survival({("ppo", "tanh"): one, ("ppo", "relu"): cell([0.0], activation="relu")})
+    curves, table = frames.survival({("ppo", "tanh"): one, ("ppo", "relu"): cell([0.0], activation="relu")}, {})
     (row,) = table.to_dict("records")
     of_first = 10 + 0.75 * 10 + 0.5 * (frames.CAP - 20)
     assert row["restricted_mean"] == pytest.approx((of_first + 200) / 2)
@@ -130,14 +135,15 @@ def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
     assert curves["PPO tanh"].loc[20.0] == pytest.approx(4 / 6)
     naive = flown.groupby("seed")["steps"].mean().mean()
     assert row["restricted_mean"] > 10 * naive  # as if a cap were a collision
-    assert frames.survival({})[1].shape == (0, 7)
+    assert frames.survival({}, {})[1].shape == (0, 7)
 
 
 # -- sensitivity ------------------------------------------------------------------------------------------------------
 
 
 def studies(baseline, **switches):
-    return Studies({}, baseline, {}, {name.replace("__", "="): found for name, found in switches.items()}, {}, [])
+    named = {name.replace("__", "="): found for name, found in switches.items()}
+    return Studies({}, {}, baseline, {}, named, {}, {}, [])
 
 
 def flips(table):
@@ -161,7 +167,7 @@ def test_a_switch_flips_a_conclusion_if_its_interval_lies_wholly_on_the_other_si
     assert by["slots=same", conclusion] == "no"
     assert by["slots=flipped", conclusion] == "yes"
     assert by["slots=unclear", conclusion] == "sign"
-    assert found["value"].tolist() == pytest.approx([10, 20, -10, -0.5])
+    assert found["value"].tolist() == pytest.approx([0.1, 0.2, -0.1, -0.005])
     assert found["n"].tolist() == [3] * 4
     unclear = found[found["switch"] == "slots=unclear"].iloc[0]
     assert unclear["low"] < 0 < unclear["high"]
@@ -179,9 +185,9 @@ def test_an_algorithm_that_a_switch_does_not_touch_is_taken_as_decided():
     base = cells(ppo_tanh=50, ppo_relu=30, dqn_tanh=-5, dqn_relu=-7)
     found = frames.sensitivity(studies(base, n_worlds__1=cells(dqn_tanh=99, dqn_relu=77)))
     values = found.set_index(["switch", "conclusion"])["value"]
-    assert values["default", "PPO above DQN"] == 46
-    assert values["n_worlds=1", "PPO above DQN"] == 40 - 88
-    assert values["n_worlds=1", "DQN: tanh above ReLU"] == 22
+    assert values["default", "PPO above DQN"] == pytest.approx(0.46)
+    assert values["n_worlds=1", "PPO above DQN"] == pytest.approx(0.40 - 0.88)
+    assert values["n_worlds=1", "DQN: tanh above ReLU"] == pytest.approx(0.22)
     assert ("n_worlds=1", "PPO: tanh above ReLU") not in values  # nothing of it was changed
     by = flips(found)
     assert by["n_worlds=1", "PPO above DQN"] == "yes"
@@ -207,7 +213,7 @@ def evaluated(**means):
 def test_ppo_minus_dqn_tuned_is_of_the_activations_that_both_have_and_of_the_same_in_the_main_study():
     tuned = evaluated(ppo_tanh=30, ppo_relu=50, dqn_relu=10, dqn_sigmoid=99)
     main = evaluated(ppo_tanh=1, ppo_relu=5, dqn_tanh=99, dqn_relu=25)
-    found = frames.by_default(Studies(main, {}, {}, {}, tuned, []))
+    found = frames.by_default(Studies(main, {}, {}, {}, {}, {}, tuned, []))
     assert found[["settings", "activations", "value", "n"]].to_numpy().tolist() == [
         ["preset fast", "relu", 40, 3],
         ["main study", "relu", -20, 3],
@@ -217,10 +223,10 @@ def test_ppo_minus_dqn_tuned_is_of_the_activations_that_both_have_and_of_the_sam
 
 
 def test_without_an_activation_of_both_nothing_is_said_of_tuned():
-    found = frames.by_default(Studies({}, {}, {}, {}, evaluated(ppo_tanh=30, dqn_relu=10), []))
+    found = frames.by_default(Studies({}, {}, {}, {}, {}, {}, evaluated(ppo_tanh=30, dqn_relu=10), []))
     assert found["n"].tolist() == [0, 0]
     assert all(row[1:4] == ["–", "0", "–"] and row[4].startswith("not known") for row in tables.by_default(found)[1:])
-    unevaluated = frames.by_default(Studies({}, {}, {}, {}, cells(ppo_tanh=1, dqn_tanh=2), []))
+    unevaluated = frames.by_default(Studies({}, {}, {}, {}, {}, {}, cells(ppo_tanh=1, dqn_tanh=2), []))
     assert unevaluated["value"].isna().all()
 
 
@@ -270,20 +276,43 @@ def test_baselines_are_read_and_a_foreign_file_is_named(tmp_path):
     assert foreign.startswith(f"{folder / 'foreign.parquet'}: its columns are not a run's")
 
 
-def test_a_claims_own_verdict_stands_beside_each_of_its_parts_in_every_reading():
+def test_a_claims_grade_stands_beside_each_of_its_parts_in_every_reading():
     finding = audit(lambda *_, **__: np.empty(0), of_paper)[0]
-    one = finding._replace(claim=1, verdict="supported")
+    one = finding._replace(claim=1, verdict="replicates", standing="counts")
     audits = {
-        "first": [one, one, one._replace(claim=2, verdict="undecided")],
-        "second": [one, one._replace(verdict="contradicted")],
+        "first": [one, one, one._replace(claim=2, verdict="open")],
+        "second": [one, one._replace(verdict="reverses")],
     }
     found = frames.verdicts(audits)
-    assert found["verdict_of_claim"].tolist() == ["supported", "supported", "undecided", "contradicted", "contradicted"]
+    assert found["grade_of_claim"].tolist() == ["replicates", "replicates", "open", *["in part (1 of 2)"] * 2]
     assert found["reading"].tolist() == ["first"] * 3 + ["second"] * 2
-    assert "digits" not in found
 
 
-@pytest.mark.parametrize(("counts", "said"), [((), "0"), ((3, 3), "3"), ((10, 3, 5), "3 to 10")])
+def test_each_of_the_papers_numbers_is_held_against_one_more_seed_in_its_own_reading():
+    def evidence(algorithm, activation, metric, study="main"):
+        return (
+            np.array([0.02, 0.03, 0.04])
+            if (algorithm, activation, metric) == ("ppo", "tanh", "reward")
+            else np.empty(0)
+        )
+
+    found = frames.predictions({PER_FRAME: evidence, ALL: evidence})
+    assert len(found) == 2 * 48
+    known = found[found["n"] > 0].set_index("reading")
+    assert known["paper"].to_dict() == pytest.approx({PER_FRAME: 88.527 / 2727.577, ALL: 88.527})
+    assert known["within"].to_dict() == {PER_FRAME: True, ALL: False}
+    assert known["percentile"].to_dict() == pytest.approx({PER_FRAME: 200 / 3, ALL: 100})
+
+
+def test_the_first_rules_verdicts_are_read_where_they_were_kept(tmp_path):
+    assert frames.first_rule(tmp_path).empty
+    (tmp_path / "tables").mkdir()
+    (tmp_path / "tables" / "first_rule.csv").write_text("claim,text\n1,a part\n")
+    assert frames.first_rule(tmp_path)["text"].tolist() == ["a part"]
+
+
+@pytest.mark.parametrize(
+    ("counts", "said"), [((), "0 seeds"), ((1, 1), "1 seed"), ((3, 3), "3 seeds"), ((10, 1, 5), "1 to 10 seeds")]
+)
 def test_how_many_seeds_there_are_in_words(counts, said):
-    found = {("ppo", str(place)): cell([0.0] * count) for place, count in enumerate(counts)}
-    assert frames.total_seeds(found) == said
+    assert frames.least_to_most(counts, "seed") == said

@@ -106,7 +106,9 @@ def test_a_graph_that_writes_into_what_it_is_given_does_so_once_a_call():
 @pytest.mark.parametrize("acts", list(ACTS))
 def test_compiled_policies_choose_by_the_weights_of_now(acts):
     network = mlp([30, 64, 64, 100], "tanh", [stream(seed, "test") for seed in range(2)], "default")
-    compiled, eager = (Actor(network, [0, 1], acts, "direct", compile, epsilon=0.1) for compile in (True, False))
+    compiled, eager = (
+        Actor(network, [0, 1], acts, "direct", compile, epsilon=lambda frames: 0.1) for compile in (True, False)
+    )
     generator = torch.Generator().manual_seed(0)
     observation = torch.rand(2, 16, 30, generator=generator)
     chosen = []

@@ -51,7 +51,7 @@ def test_a_metric_of_a_column_that_a_run_lacks_is_nan_and_the_others_are_as_befo
 ):
     before = per_seed(episodes, ratio_of_means)
     monkeypatch.setitem(METRICS, "near", Metric("near misses", "near", 100.0, unit="%"))
-    monkeypatch.setitem(METRICS, "nears", Metric("near misses per episode", "near"))
+    monkeypatch.setitem(METRICS, "nears", Metric("near misses", "near"))
     result = per_seed(episodes, ratio_of_means)
     assert result[["near", "nears"]].isna().all(axis=None)
     pd.testing.assert_frame_equal(result[before.columns], before)

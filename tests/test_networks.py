@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from uavnav.networks import ACTIVATIONS, KNOWN, Activation, AgentLinear, mlp
+from uavnav.networks import ACTIVATIONS, KNOWN, Activation, AgentLinear, mlp, unit_gain
 from uavnav.runs.paper import TABLES
 from uavnav.tasks.seeding import stream
 
@@ -78,18 +78,21 @@ PLAIN = {
     "softplus": lambda x: math.log1p(math.exp(x)),
     "softsign": lambda x: x / (1 + abs(x)),
     "identity": lambda x: x,
+    "hardtanh": lambda x: max(-1.0, min(1.0, x)),
+    "relu6": lambda x: max(0.0, min(6.0, x)),
+    "sigmoid_centred": lambda x: math.tanh(x / 2),
 }
 
 
-def test_the_table_holds_the_papers_four_and_eight_more():
+def test_the_table_holds_the_papers_four_and_eleven_more():
     assert set(ACTIVATIONS) >= set(KNOWN) == set(PLAIN)
-    assert len(PLAIN) == 12
+    assert len(PLAIN) == 15
     assert {activation for _, activation in TABLES} == {"tanh", "sigmoid", "relu", "leaky_relu"} <= set(ACTIVATIONS)
 
 
 @pytest.mark.parametrize("name", sorted(PLAIN))
 def test_each_activation_is_its_formula(name):
-    x = torch.linspace(-5, 5, 101)
+    x = torch.linspace(-7, 7, 101)
     expected = torch.tensor([PLAIN[name](float(value)) for value in x])
     torch.testing.assert_close(Activation(name)(x), expected, rtol=1e-5, atol=1e-5)
 
@@ -97,3 +100,20 @@ def test_each_activation_is_its_formula(name):
 def test_an_unknown_activation_is_answered_with_the_choices():
     with pytest.raises(ValueError, match=r"activation='rleu'; choose from elu, gelu, .*tanh"):
         mlp([30, 64, 100], "rleu", generators(0), "default")
+
+
+@pytest.mark.parametrize("name", sorted(PLAIN))
+def test_units_of_the_next_layer_begin_with_variance_1_whatever_the_activation(name):
+    """100,000 draws of z ~ N(0, 1); LayerNorm makes such z of any values."""
+    z = torch.randn(100_000, generator=torch.Generator().manual_seed(0))
+    assert abs(unit_gain(name) * Activation(name)(z).std().item() - 1) < 0.02
+    normed, plain = Activation(name, layer_norm=True), Activation(name)
+    torch.testing.assert_close(normed(5 * z - 3), plain((z - z.mean()) / z.std(correction=0)), atol=1e-4, rtol=1e-4)
+
+
+def test_unit_gains_stand_before_all_layers_but_the_first():
+    """64 x 64 orthogonal layers: the gain is the root of their mean square times 8."""
+    sizes, gain = [64, 64, 64, 64], unit_gain("sigmoid")
+    layers = [layer for layer in mlp(sizes, "sigmoid", generators(0), "unit", 0.01) if isinstance(layer, AgentLinear)]
+    found = [layer.weight.square().mean().sqrt().item() * 8 for layer in layers]
+    assert found == pytest.approx([1, gain, 0.01 * gain], rel=1e-5)

@@ -24,6 +24,7 @@ from uavnav.evaluate import evaluate_run
 from uavnav.report import report
 from uavnav.report.claims import CLAIMS
 from uavnav.report.page import SECTIONS
+from uavnav.report.verdicts import GRADES
 
 pytestmark = pytest.mark.slow
 
@@ -208,6 +209,19 @@ def test_each_link_of_the_navigation_leads_to_its_section_and_stays_in_view(brow
         assert link.rect["y"] - browser.execute_script("return scrollY") < 150 or name == "verdicts"
 
 
+@pytest.mark.parametrize("width", [WIDE, NARROW])
+def test_the_findings_of_the_committed_page_come_before_all_else_and_each_number_is_a_link_on_one_line(browser, width):
+    browser.get((RESULTS / "report.html").as_uri())
+    resize(browser, width)
+    shown = find(browser, ".findings li")
+    assert len(shown) >= 8
+    assert shown[-1].rect["y"] + shown[-1].rect["height"] < (700 if width == WIDE else 1400)
+    for one_finding in shown:
+        (link,) = one_finding.find_elements(By.CSS_SELECTOR, "a")
+        assert re.fullmatch(r"tables/\w+\.csv(#L\d+)?", link.get_dom_attribute("href"))
+        assert len(browser.execute_script("return [...arguments[0].getClientRects()]", link)) == 1
+
+
 def test_each_claim_shows_its_number_and_its_verdict_in_a_word_and_a_sign_without_being_opened(browser):
     claims = find(browser, ".claim")
     assert [claim.find_element(By.CSS_SELECTOR, ".number").text for claim in claims] == [
@@ -216,11 +230,11 @@ def test_each_claim_shows_its_number_and_its_verdict_in_a_word_and_a_sign_withou
     for claim in claims:
         assert claim.get_property("open") is False
         badge = claim.find_element(By.CSS_SELECTOR, "summary .badge")
-        assert badge.text in ("supported", "contradicted", "undecided")
+        assert badge.text.split(" (")[0] in GRADES
         sign = browser.execute_script("return getComputedStyle(arguments[0], '::before').content", badge)
-        assert {"supported": "✓", "contradicted": "✗", "undecided": "?"}[badge.text] in sign
-        numbers = claim.find_element(By.CSS_SELECTOR, ".numbers").text
-        assert re.search(r"n = \d+$", numbers) or numbers == "no runs"
+        assert dict(zip(GRADES, "✓◐✗?i", strict=True))[badge.text.split(" (")[0]] in sign
+        said = claim.find_element(By.CSS_SELECTOR, ".said").text
+        assert re.search(r"\d", said) or said == "No finished run."
     counts = [int(count.text) for count in find(browser, ".tile .count")]
     assert sum(counts) == len(CLAIMS)
 
@@ -325,11 +339,9 @@ def test_every_text_has_a_contrast_of_at_least_4_5(browser, player, name):
     theme(browser, name)
     browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
     ratios = browser.execute_script(PAIRS)
-    assert {"P lead", "P kicker", "SPAN headline", "SPAN interval", "SPAN badge undecided", "P replay-status"} <= {
-        *ratios
-    }
+    assert {"P lead", "P kicker", "SPAN said", "SPAN interval", "SPAN badge open", "P replay-status"} <= {*ratios}
     assert {element: ratio for element, ratio in ratios.items() if ratio < 4.5} == {}
-    for kind in ("supported", "contradicted", "undecided"):
+    for kind in ("replicates", "in-part", "does-not", "open", "context"):
         browser.execute_script(f"document.querySelector('#claim-1 .badge').className = 'badge {kind}'")
         assert browser.execute_script(PAIRS)[f"SPAN badge {kind}"] >= 4.5, kind
 

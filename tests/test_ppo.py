@@ -238,14 +238,27 @@ def test_one_million_frames_are_489_whole_iterations():
     assert config.frames == 1_001_472
 
 
-@pytest.mark.slow
-@pytest.mark.compiled
-def test_a_compiled_run_equals_an_eager_one_to_rounding(tmp_path):
-    settings = {"n_seeds": 2, "total_frames": 256, "frames_per_batch": 128, "epochs": 2, "n_worlds": 8}
-    runs = [train(PPOConfig(compile=c, **settings), out=tmp_path / c, quiet=True) for c in ("on", "off")]
-    observation = torch.rand(50, 30)
-    for seed in (0, 1):
-        values = [uavnav.load_policy(run.path, seed=seed).values(observation) for run in runs]
-        torch.testing.assert_close(values[0], values[1], rtol=1e-4, atol=1e-4)
-    columns = ["frame", "layout", "steps", "turns", "distance"]
-    assert runs[0].episodes[columns].equals(runs[1].episodes[columns])
+def test_without_a_clip_the_loss_is_the_plain_ratio_times_advantage_and_with_0_2_it_is_not():
+    """An objective of ratios far from 1, as `clip_epsilon=null` asks: -mean(ratio A)."""
+    losses = {}
+    for clip in (None, 0.2):
+        config = PPOConfig(n_seeds=2, clip_epsilon=clip, compile="off")
+        loss = make_loss(*make_networks(config), config)
+        generator = torch.Generator().manual_seed(0)
+        batch = TensorDict(
+            {
+                "observation": torch.rand(2, 64, 30, generator=generator),
+                "action": torch.randint(100, (2, 64), generator=generator),
+                "action_log_prob": -5.0 + torch.randn(2, 64, generator=generator),
+                "advantage": torch.randn(2, 64, 1, generator=generator),
+                "value_target": torch.zeros(2, 64, 1),
+            },
+            [2, 64],
+        )
+        log_prob = loss.actor_network.get_dist(batch).log_prob(batch["action"])
+        advantage = batch["advantage"] - batch["advantage"].mean(1, keepdim=True)
+        advantage = (advantage / batch["advantage"].std(1, keepdim=True))[..., 0]
+        plain = -(log_prob - batch["action_log_prob"]).exp() * advantage
+        losses[clip] = loss(batch)["loss_objective"].squeeze(-1), plain
+    torch.testing.assert_close(*losses[None], rtol=1e-4, atol=1e-5)
+    assert not torch.allclose(*losses[0.2], rtol=0.1)

@@ -17,12 +17,12 @@ from uavnav.report.page import markdown
 from uavnav.report.tables import table
 from uavnav.runs import paper
 from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric
+from uavnav.runs.readings import ALL, LOG_CURVE, READINGS, TOTALS
 from uavnav.runs.tables import RunError
 
 pytestmark = pytest.mark.usefixtures("little_garbage", "undrawn")
 
 REWARD = "−7.00 [−8.00, −6.00]"
-MISSING = "all training episodes: missing"
 
 
 def said(*folders):
@@ -40,29 +40,51 @@ def text(gathered):
 
 
 def test_speed_6_as_mean_of_ratios_and_7_as_ratio_of_means_over_two_seeds(text):
-    means, ratios = found(text, "tanh", "all training episodes")
+    (means,), (ratios,) = found(text, "tanh", ALL), found(text, "tanh", TOTALS)
     assert means[:3] == ["2", "4", "0.0%"]
     shares = [f"{mean} [{mean}, {mean}]" for mean in ("5.00", "0.50", "70.00")]
     assert means[3:] == ["200.0 [200.0, 200.0]", *shares, "1,400.0 [1,400.0, 1,400.0]", "6.00 [6.00, 6.00]", REWARD]
-    assert ratios[3:] == [f"{mean} [{mean}, {mean}]" for mean in ("2.50", "0.25", "60.00", "7.00")]
+    assert ratios[4:7] == [f"{mean} [{mean}, {mean}]" for mean in ("2.50", "0.25", "60.00")]
+    assert ratios[8:] == ["7.00 [7.00, 7.00]", REWARD]
+
+
+def test_per_frame_is_of_all_1000_frames_and_stands_first_with_the_papers_own(text):
+    (own,) = found(text, "tanh", PRIMARY)
+    assert own[:3] == ["2", "4", "0.0%"]
+    assert own[3:6] == ["200.0 [200.0, 200.0]", "1.00 [1.00, 1.00]", "0.10 [0.10, 0.10]"]
+    assert own[6:] == [
+        *("24.00 [24.00, 24.00]", "1,400.0 [1,400.0, 1,400.0]", "2.80 [2.80, 2.80]", "−0.0140 [−0.0160, −0.0120]")
+    ]
+    dqn, ppo = found(text, "tanh", f"the paper, {PRIMARY}")
+    assert dqn[3:] == ["159.434", "–", "1.497", "62.558", "649.456", "4.07", "−0.0438"]
+    assert ppo[-2:] == ["4.69", "0.0325"]
+
+
+def test_a_log_of_fewer_than_4_episodes_is_missing_for_dqn_and_so_is_that_of_an_unknown_algorithm(results):
+    of_four = rows(4, *[(n, 10, 0, 0, 0, 0, 9.0) for n in range(4)])
+    write_run(results / "more", two(2, -1.0), two(3, -1.0), of_four, seed=2)
+    write_run(results / "sac", two(0, 1.5), algorithm="sac", activation="mish")
+    text = said(results)
+    assert found(text, "tanh", LOG_CURVE)[0][-1] == "9.00"  # of seed 4 alone
+    assert len(found(text, "mish", f"{LOG_CURVE}: missing")) == 1
 
 
 def test_the_interquartile_mean_stands_below_the_mean_with_its_own_interval(tmp_path):
     write_run(tmp_path / "run", *(two(seed, reward) for seed, reward in enumerate([0.0, 1.0, 2.0, 3.0, 94.0])))
-    (mean, _), (middle, _) = (found(said(tmp_path), "tanh", PRIMARY + more) for more in ("", ", interquartile mean"))
+    (mean,), (middle,) = (found(said(tmp_path), "tanh", ALL + more) for more in ("", ", interquartile mean"))
     assert mean[-1].startswith("20.00 [")
     assert middle[-1].startswith("2.00 [")
     assert mean[:3] == middle[:3] == ["5", "10", "0.0%"]
 
 
 def test_one_seed_has_no_interval(text):
-    means, ratios = found(text, "relu", "all training episodes")
+    (means,), (ratios,) = found(text, "relu", ALL), found(text, "relu", TOTALS)
     assert means == ["1", "2", "0.0%", "200.0", "5.00", "0.50", "70.00", "1,400.0", "6.00", "5.00"]
     assert not any("[" in cell for cell in means + ratios)
 
 
 def test_the_papers_8_rows_stand_beside_ours_as_printed(text):
-    assert len(found(text, "tanh", "the paper")) == 4  # two algorithms, two tables each
+    assert len(found(text, "tanh", "the paper")) == 2
     assert found(text, "sigmoid", "the paper")[0][3:] == [
         *("211.367", "–", "0.626", "59.983", "797.7136", "4.984", "−5.666")
     ]
@@ -73,7 +95,7 @@ def test_evaluation_is_two_readings_with_half_of_the_episodes_cut_off_at_40_step
         *("1", "2", "50.0% at 40 steps", "25.0", "10.00", "5.00", "37.50", "75.0", "3.75", "−3.00")
     ]
     assert found(text, "tanh", "sampled evaluation")[0][-1] == "0.50"
-    assert len(found(text, "relu", "greedy evaluation: missing")) == 2
+    assert len(found(text, "relu", "greedy evaluation: missing")) == 1
 
 
 def test_the_last_100_episodes_are_each_seeds_own(tmp_path):
@@ -88,8 +110,8 @@ def test_the_last_100_episodes_are_each_seeds_own(tmp_path):
 
 def test_six_missing_cells_are_named_and_have_rows(text):
     names = "dqn sigmoid, dqn relu, dqn leaky_relu, ppo tanh, ppo sigmoid, ppo leaky_relu"
-    assert f"No finished run of {names}." in text
-    assert len(found(text, "sigmoid", "missing: no finished run")) == 4
+    assert f"no finished run of {names}." in text
+    assert len(found(text, "sigmoid", "missing: no finished run")) == 2
 
 
 def test_runs_of_other_seeds_are_merged_and_of_another_setting_labelled(results):
@@ -144,13 +166,14 @@ def test_broken_unfinished_and_foreign_folders_are_named_on_stderr_and_in_the_re
     write_run(results / "columns", two(0, 1.0).drop(columns="turns"), lr=3.0)
     write_run(results / "seeds", two(7, 1.0), lr=4.0, seed=0)
     write_run(results / "table", two(0, 1.0), lr=5.0, meta={"bank": None})
+    write_run(results / "worlds", two(0, 1.0), lr=6.0, n_worlds=0)
     (results / "thesis").mkdir()
     (results / "thesis" / "config.yaml").write_text("title: a thesis")
     (results / ".hydra").mkdir()
     (results / ".hydra" / "config.yaml").write_text("hidden: true")
     assert main([str(results)]) == 0
     lines = capsys.readouterr().err.splitlines()
-    names = ("broken", "columns", "half", "seeds", "table", "thesis", "dqn/tanh", "ppo/relu")
+    names = ("broken", "columns", "half", "seeds", "table", "thesis", "worlds", "dqn/tanh", "ppo/relu")
     text, page = (results / "report.md").read_text(), (results / "report.html").read_text()
     for name, line in zip(names, lines, strict=True):
         assert line.startswith(f"uavnav.report: left out: {results / name}")
@@ -236,17 +259,19 @@ def test_a_folder_given_twice_is_read_once(results):
     assert markdown(once) == markdown(twice)
 
 
-def test_curves_average_the_episodes_that_ended_in_a_25th_of_the_frames(tmp_path):
+def test_curves_are_reward_per_frame_in_a_25th_of_the_frames_and_a_seed_in_one_long_flight_is_in_all(tmp_path):
+    """Two worlds: in one of seed 0 a flight of 20 steps ends with a collision in the last frame of the first bin."""
     width = 1000 // BINS
-    ends = [(1, 1.0), (width, 3.0), (width + 1, 7.0), (1000, 9.0)]
-    closed = [(frame, 10, 0, 0, 0, 0, reward) for frame, reward in ends]
-    still_open = (1000, 10, 0, 0, 0, 0, 1e6, False, False)
-    write_run(tmp_path / "run", rows(0, *closed, still_open), rows(1, (5, 10, 0, 0, 0, 0, 4.0)))
+    first = (width, 20, 0, 0, 0, 0, 30.0)  # 40 spread over the bin, and -10
+    rest = (1000, 480, 0, 0, 0, 0, 480.0, False, False)
+    other = (1000, 500, 0, 0, 0, 0, 0.0, False, False)
+    write_run(tmp_path / "run", rows(0, first, rest, other), rows(1, other, other), n_worlds=2)
     (cell,), _ = collect([tmp_path])
-    means = curve(cell, "reward")
-    assert means.index.tolist() == [width / 2, 1.5 * width, 1000 - width / 2]
-    assert means[0].tolist() == [2.0, 7.0, 9.0]
-    assert means[1].dropna().tolist() == [4.0]
+    found = curve(cell, "reward")
+    assert found.index.tolist() == [(place + 0.5) * width for place in range(BINS)]
+    assert found[0].tolist() == pytest.approx([30 / 40] + [0.5] * 24)
+    assert found[1].tolist() == [0.0] * BINS
+    assert (curve(cell, "terminated")[0] * width).tolist() == [1.0] + [0.0] * 24
 
 
 def test_the_report_says_how_runs_were_made(text):
@@ -264,13 +289,15 @@ def test_an_algorithm_and_an_activation_that_the_paper_has_not_get_rows_too(resu
     assert found(text, "mish", "the paper") == []
 
 
-def test_a_run_without_a_finished_episode_is_missing_in_every_reading(tmp_path):
+def test_a_run_without_a_finished_episode_is_missing_in_every_reading_but_per_frame(tmp_path):
     write_run(tmp_path / "run", rows(0, (1000, 10, 0, 0, 0, 0, -1.0, False, False)))
-    assert len(found(report([tmp_path]).path.with_suffix(".md").read_text(), "tanh", MISSING)) == 2
+    text = report([tmp_path]).path.with_suffix(".md").read_text()
+    assert [len(found(text, "tanh", f"{reading}: missing")) for reading in READINGS] == [0, *[1] * (len(READINGS) - 1)]
+    assert found(text, "tanh", PRIMARY)[0][3] == "–"  # nothing per collision
 
 
 def test_tables_of_nothing_still_hold_the_papers_4_rows():
-    assert len(table([], "ppo", ratio_of_means=False)) == 1 + 2 * 4
+    assert len(table([], "ppo")) == 1 + 3 * 4
     assert len(paper.TABLES) == 8
 
 
@@ -302,13 +329,13 @@ def test_runs_from_before_a_column_was_added_are_read_beside_those_that_have_it(
     write_run(results / "new", two(0, 1.0).assign(near=3), activation="sigmoid")
     write_run(results / "columns", two(0, 1.0).drop(columns="turns"), lr=3.0)
     monkeypatch.setitem(EPISODE_COLUMNS, "near", "int64")
-    monkeypatch.setitem(METRICS, "near", Metric("near misses per episode", "near"))
+    monkeypatch.setitem(METRICS, "near", Metric("near misses", "near"))
     content = gather([results])
     (refused,) = [line for line in content.left_out if "parquet" in line]
     assert refused.startswith(f"{results / 'columns' / 'episodes.parquet'}: ")
     text = markdown(content)
-    assert found(text, "tanh", PRIMARY)[0][-2:] == [REWARD, "–"]
-    assert found(text, "sigmoid", PRIMARY)[0][-1] == "3.00"
+    assert found(text, "tanh", ALL)[0][-2:] == [REWARD, "–"]
+    assert found(text, "sigmoid", ALL)[0][-1] == "3.00"
 
 
 # -- settings ----------------------------------------------------------------------------------------------------------

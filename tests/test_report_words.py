@@ -6,16 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from runs_by_hand import found
+from tied import first_screen, too_long
 
-from uavnav.report import conclusions, docs
+from uavnav.report import conclusions, docs, frames
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.content import gather
+from uavnav.report.page import markdown, page
 from uavnav.report.studies import of_paper
-from uavnav.report.tables import audit_rows, number, overview, with_interval
+from uavnav.report.tables import audit_rows, digits, number, operating, overview, predictions, said, with_interval
 from uavnav.report.verdicts import audit
 from uavnav.runs.tables import RunError
 
@@ -47,56 +50,97 @@ def test_an_interval_stands_in_brackets_where_there_is_one():
 
 
 def findings_of(*verdicts):
-    """The first claims' parts have one verdict each; the other claims have no runs."""
+    """The first claims' parts have one verdict each, and all of them count; the other claims have no runs."""
     of = dict(enumerate(verdicts, start=1))
     found = audit(lambda *_, **__: np.empty(0), of_paper)
-    return [one._replace(verdict=of.get(one.claim, one.verdict)) for one in found]
+    return [one._replace(verdict=of[one.claim], standing="counts") if one.claim in of else one for one in found]
 
 
-def test_the_overview_counts_parts_and_names_the_other_readings_verdicts():
-    other = [one._replace(n=8) if one.claim == 1 else one for one in findings_of("contradicted")]
-    audits = {PRIMARY: findings_of("supported", "contradicted"), "second": other}
-    header, first, second, third, *_ = overview(audits)
+def test_the_overview_draws_parts_and_names_the_other_readings_grades():
+    other = [one._replace(n=8) if one.claim == 1 else one for one in findings_of("reverses")]
+    audits = {PRIMARY: findings_of("replicates", "absent"), "second": other}
+    header, first, second, third, *_, last = overview(audits)
     assert header[-1] == "second"
-    assert first[2:] == ["supported", "12, 0, 0", "contradicted"]
-    assert second[2:] == ["contradicted", "0, 9, 0", "–"]  # of which that reading has no runs
-    assert third[2:] == ["undecided", "0, 0, 6", "–"]
+    assert first[2:] == ["replicates", "▰" * 12, "does not"]
+    assert second[2:] == ["does not", "▱" * 9, "–"]  # of which that reading has no runs
+    assert third[2:] == ["open", "–", "–"]
+    assert last[2:] == ["context", "–", "–"]
 
 
-def test_a_part_that_a_test_decides_shows_its_p_where_an_interval_would_be():
-    (part,) = [one for one in findings_of() if one.claim == 8]
-    shown = [audit_rows([part._replace(value=2.0, n=8, p_holm=p)])[1][2] for p in (0.0123, 0.0001, math.nan)]
-    assert [one.partition(" ")[2] for one in shown] == ["(p = 0.012)", "(p < 0.001)", ""]
+def test_a_part_says_why_it_does_not_count_and_how_many_seeds_it_would_take():
+    part = findings_of("replicates")[0]._replace(n=8, to_detect=25.0, to_equal=60.0)
+    for changes, expected in (
+        ({}, "replicates"),
+        ({"less_than_half": True}, "replicates, less than half"),
+        ({"verdict": "open"}, "open (about 60 seeds would show absence)"),
+        ({"verdict": "open", "to_equal": math.inf}, "open (more than 10,000 seeds would show absence)"),
+        ({"standing": "too small to see"}, "too small to see (about 25 seeds needed); ours: replicates"),
+        ({"standing": "the paper contradicts itself"}, "the paper contradicts itself; ours: replicates"),
+        ({"standing": "degenerate", "verdict": "degenerate"}, "degenerate"),
+        ({"standing": "too few seeds", "n": 3}, "open (n = 3, at least 5 seeds needed)"),
+        ({"standing": "no runs"}, "no runs"),
+    ):
+        assert said(part._replace(**changes)) == expected
 
 
-def test_the_lead_counts_and_names_the_claims():
-    assert conclusions.lead(findings_of("supported", "contradicted", "supported")) == (
-        f"Of the paper's {len(CLAIMS)} claims, 2 are supported (1, 3), 1 is contradicted (2) and {len(CLAIMS) - 3} are"
-        f" undecided ({', '.join(str(claim.number) for claim in CLAIMS[3:])})."
+def test_a_row_of_the_audit_has_ours_and_its_ratio_to_the_papers_with_intervals():
+    known = {"paper": 4.0, "value": 2.0, "low": 1.0, "high": 3.0, "ratio": 0.5, "ratio_low": 0.25, "ratio_high": 0.75}
+    part = findings_of("replicates")[0]._replace(**known, n=8, p_holm=0.0123, nearest="A against B")
+    assert audit_rows([part])[1][1:] == [
+        *("4.0", "2.0 [1.0, 3.0] (A against B)", "0.50 [0.25, 0.75]", "0.012", "8", "replicates")
+    ]
+    assert audit_rows([part._replace(p_holm=0.0001)])[1][4] == "< 0.001"
+
+
+@pytest.mark.parametrize(("width", "expected"), [(250.0, 0), (20.0, 0), (2.0, 1), (0.2, 2), (0.003, 4), (1e-9, 6)])
+def test_an_interval_is_shown_with_two_significant_digits(width, expected):
+    assert digits(findings_of()[0]._replace(value=width, low=width, high=2 * width)) == expected
+
+
+def test_rows_of_how_often_the_rule_errs_and_of_the_papers_numbers_as_one_more_seed():
+    grades = ("replicates", "in part", "does not", "open")
+    shares = pd.DataFrame(
+        [(1, "no difference", grade, share) for grade, share in zip(grades, (0.001, 0.02, 0.97, 0.009), strict=True)],
+        columns=["claim", "truth", "grade", "share"],
     )
-    assert conclusions.lead(findings_of()).startswith(f"Of the paper's {len(CLAIMS)} claims, 0 are supported, 0 ")
+    assert operating(shares) == [
+        ["", "if the truth were", *grades],
+        ["1", "no difference", "0.1%", "2.0%", "97.0%", "0.9%"],
+    ]
+    seeds = {("ppo", "tanh", "steps"): np.arange(2720.0, 2731.0)}
+    found = frames.predictions({PRIMARY: lambda *term: seeds.get(term, np.empty(0))})
+    tanh = next(row for row in predictions(found, PRIMARY) if row[0] == "PPO tanh")
+    assert tanh[:3] == ["PPO tanh", "11", "2,727.6 [2,717.3, 2,732.7] within"]
+    assert {*tanh[3:]} == {"–"}
 
 
-def test_a_sentence_counts_parts_and_says_where_the_paper_speaks_against_itself():
-    claim, found = CLAIMS[1], [one for one in findings_of() if one.claim == 2]
-    mixed = [one._replace(verdict="contradicted") for one in found[:4]] + found[4:]
-    assert conclusions.sentence(claim, mixed) == (
-        "4 of 9 parts are contradicted, 5 of 9 parts are undecided. The paper's own tables speak against it in 2: "
-        f"{'; '.join(one.text for one in found if one.against_itself)}. {claim.note}"
+def test_a_sentence_counts_parts_and_says_where_the_paper_contradicts_itself_and_what_is_too_small_to_see():
+    claim, found = CLAIMS[1], [one for one in findings_of("absent") if one.claim == 2]
+    itself, small, *rest = (one._replace(verdict="reverses", standing="counts") for one in found)
+    itself, small = (
+        itself._replace(standing="the paper contradicts itself"),
+        small._replace(standing="too small to see"),
     )
-    assert "speak against" not in conclusions.sentence(CLAIMS[2], [one for one in findings_of() if one.claim == 3])
+    assert conclusions.sentence(claim, [itself, small, *rest, rest[0]._replace(verdict="replicates")]) == (
+        "Of 8 parts that count: 1 replicates, 7 reverses. The paper contradicts itself in steps: PPO with tanh better"
+        " than each other activation. Too small to see: full stops: PPO with tanh better than each other activation."
+        f" {claim.note}"
+    )
 
 
-def test_the_headline_is_the_first_part_with_the_claims_own_verdict():
-    found = [one for one in findings_of("supported") if one.claim == 1]
-    known = {"value": 3.0, "low": 1.0, "high": 4.5, "n": 8}
-    contradicted = found[4]._replace(verdict="contradicted", **known)
-    text, *numbers = conclusions.headline([*found[:4], contradicted, *found[5:]])
-    assert text == "speed [px a step]: PPO better than DQN, means of four activations"
-    assert numbers == ["the paper −0.35", "ours 3.00 [1.00, 4.50]", "claimed > 0", "n = 8"]
-    (interaction,) = [one for one in findings_of() if one.claim == 8]
-    assert conclusions.headline([interaction])[1:] == ["no runs"]
-    assert conclusions.headline([interaction._replace(n=8, p_holm=0.0123)])[-2:] == ["p = 0.012", "n = 8"]
+def test_a_part_that_other_readings_decide_the_other_way_is_named_with_them():
+    turning = findings_of()[2]._replace(verdict="absent")
+    replicates = turning._replace(value=12.0, low=11.0, high=13.0, verdict="replicates")
+    audits = {"here": [turning], "last": [replicates], "greedy": [turning._replace(verdict="open")]}
+    assert conclusions.other_way(turning, audits) == "by last"
+    assert conclusions.turned([turning], audits) == (
+        "Decided the other way, with intervals in tables/verdicts.csv: turning: PPO better than DQN, means of four"
+        " activations (by last)."
+    )
+    everywhere = {reading: [replicates] for reading in ("last", "greedy")} | {"here": [turning]}
+    assert conclusions.other_way(turning, everywhere) == "by every other reading"
+    assert conclusions.turned([turning], {"here": [turning]}) == ""
+    assert conclusions.turned(findings_of(), audits | {"here": findings_of()}) == ""  # open is not turned
 
 
 def judged(content, *verdicts):
@@ -104,30 +148,38 @@ def judged(content, *verdicts):
     return replace(content, audits=content.audits | {PRIMARY: findings_of(*verdicts)})
 
 
-def test_results_put_every_claim_under_its_verdict_with_its_parts(gathered):
-    mixed = judged(gathered, "supported", "contradicted")
-    text = docs.results(mixed)
-    holds, rest = text.split("## What holds\n")[1].split("## What does not\n")
-    fails, open_ = rest.split("## What cannot be known from this\n")
-    assert re.findall(r"^\*\*(\d+)\.", holds, re.MULTILINE) == ["1"]
-    assert re.findall(r"^\*\*(\d+)\.", fails, re.MULTILINE) == ["2"]
-    assert re.findall(r"^\*\*(\d+)\.", open_, re.MULTILINE) == [str(place) for place in range(3, len(CLAIMS) + 1)]
-    assert len(found(holds, "reward per episode: PPO better than DQN, means of four activations")) == 1
-    assert conclusions.lead(mixed.findings) in text
-    assert docs.results(mixed) == text
-    assert docs.results(judged(gathered)).count("No claim.") == 2
-
-
-def test_the_readmes_block_has_a_row_a_claim(gathered):
-    text = docs.summary(gathered)
-    assert conclusions.lead(gathered.findings) in text
-    assert "1 to 2 seeds a cell" in text
-    for claim in CLAIMS:
-        ((verdict, by),) = found(text, str(claim.number), claim.sentence)
-        assert verdict == "undecided"
-        assert by.endswith(("no runs", "n = 1", "n = 2"))
+@pytest.mark.parametrize("write", [docs.results, docs.summary])
+def test_results_and_the_readmes_block_have_a_row_a_claim_with_its_grade_and_bar(gathered, write):
+    text = write(judged(gathered, "replicates", "absent"))
+    rows = {claim.number: found(text, str(claim.number), claim.sentence) for claim in CLAIMS}
+    assert [len(row) for row in rows.values()] == [1] * len(CLAIMS)
+    assert rows[1][0][0] == f"{'▰' * 12} replicates"
+    assert rows[2][0][0] == f"{'▱' * 9} does not"
+    assert rows[3][0][0] == "– open"
+    assert rows[11][0][0] == "– context"
+    assert rows[1][0][1] == "No finished run."  # of two cells, one a claim's, there is no mean of four
+    assert "1 to 2 seeds of 1,000 frames" in text
     assert "**Not complete:** no finished run of dqn sigmoid," in text
-    assert "**Not complete:** no finished run of dqn sigmoid," in docs.results(gathered)
+    assert too_long(text) == []
+    assert write(gathered) == write(gathered)
+
+
+def test_results_are_shorter_than_70_lines_and_leave_the_parts_of_claims_to_the_report(gathered):
+    text, report = docs.results(gathered), markdown(gathered)
+    assert text.count("\n") < 70
+    for claim in CLAIMS:
+        for part in claim.parts:
+            assert part.text in report
+            assert (part.text in text) == any(part.text in row for row in found(text, str(claim.number)))
+    headings = re.findall(r"^## (.*)$", text, flags=re.MULTILINE)
+    assert headings == ["The paper's claims", "The paper contradicts itself", "More"]
+
+
+def test_the_first_screen_of_the_page_has_no_sentence_of_more_than_25_words(gathered):
+    text = page(gathered, {}, Path("results"))
+    shown = first_screen(text)
+    assert any(one.startswith("PPO outperforms DQN") for one in shown)
+    assert [one for part in shown for one in too_long(part)] == []
 
 
 @given(st.text(), st.text(), st.text(), st.text())

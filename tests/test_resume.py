@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -324,23 +323,6 @@ def test_a_start_that_another_process_overtook_leaves_the_finished_run_as_it_is(
     with pytest.raises(RunError, match="was finished by another process meanwhile"), late:
         pass
     same(run.path, finished.path)
-
-
-@pytest.mark.slow
-@pytest.mark.compiled
-@pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
-def test_a_compiled_run_stopped_and_resumed_ends_the_same_bit_for_bit(algorithm, tmp_path):
-    train, config = {
-        "ppo": (ppo.train, ppo.PPOConfig(n_seeds=2, total_frames=256, frames_per_batch=128, epochs=2, n_worlds=8)),
-        "dqn": (dqn.train, dqn.DQNConfig(n_seeds=2, total_frames=160, learning_starts=32)),
-    }[algorithm]
-    config = replace(config, compile="on")
-    whole = train(config, out=tmp_path / "whole", quiet=True)
-    with pytest.raises(Interrupted):
-        train(config, out=tmp_path / "run", quiet=True, until=128)
-    resumed = train(config, out=tmp_path / "run", quiet=True)
-    assert resumed.meta["compiled"]
-    same(whole.path, resumed.path)
 
 
 def test_a_ring_written_in_many_small_chunks_and_overwritten_between_snapshots_is_refilled_as_it_was(

@@ -1,6 +1,7 @@
 """A run's folder: complete, repeatable bit for bit, whole or not there, and never two writers."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +14,11 @@ from safetensors.torch import load_file
 
 import uavnav
 from uavnav.algorithms import a2c, dqn, ppo
-from uavnav.runs import FILES, Run
+from uavnav.runs import FILES, POLICY, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import RunError
-from uavnav.training.recorder import default_folder
+from uavnav.tasks import layouts
+from uavnav.training.recorder import Interrupted, default_folder
 
 ALGORITHMS = {
     "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),
@@ -108,6 +110,21 @@ def test_a_finished_run_is_returned_at_once_and_untouched(trained):
     assert {path.name: path.stat().st_mtime_ns for path in run.path.iterdir()} == times
 
 
+def test_a_finished_run_whose_policy_was_left_out_is_trained_again_to_the_same_bits(trained, tmp_path):
+    train, config, run = trained
+    folder = shutil.copytree(run.path, tmp_path / "run")
+    (folder / POLICY).unlink()
+    (folder / "evaluation-test-2-5.parquet").write_bytes(b"rows of the policy that is gone")
+    assert Run(folder).episodes.equals(run.episodes)
+    again = train(config, out=folder, quiet=True)
+    assert again.fresh
+    assert same(run.path, again.path)
+    assert again.evaluations() == []
+    (folder / POLICY).unlink()
+    with pytest.raises(RunError, match="holds a run with lr"):
+        train(replace(config, lr=0.5), out=folder, quiet=True)
+
+
 def test_a_run_from_before_a_setting_existed_is_one_with_its_default(tmp_path):
     train, config = ALGORITHMS["dqn"]
     run = train(config, out=tmp_path / "run", quiet=True)
@@ -117,6 +134,31 @@ def test_a_run_from_before_a_setting_existed_is_one_with_its_default(tmp_path):
     assert not train(config, out=run.path, quiet=True).fresh
     with pytest.raises(RunError, match="holds a run with n_steps=1, not 3"):
         train(replace(config, n_steps=3), out=run.path, quiet=True)
+
+
+def test_a_bank_is_the_same_setting_by_any_path_finished_or_not_and_another_bank_is_not(tmp_path, monkeypatch):
+    """Begun by a relative path, gone on by the whole one from elsewhere, asked for by a copy."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    for name, seed in (("bank", 3), ("other", 4)):
+        layouts.save(layouts.generate(20, 4, seed), name, seed=seed, split="mine")
+    shutil.copy("bank", "copy")
+
+    def train(bank, **more):
+        how = {"total_frames": 256, "frames_per_batch": 64, "minibatch_size": 32, "n_worlds": 4, "compile": "off"}
+        return ppo.train(ppo.PPOConfig(layouts=str(bank), **how), tmp_path / "run", quiet=True, **more)
+
+    with pytest.raises(Interrupted):
+        train("bank", until=128)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RunError, match=r"holds a run with layouts=bank, not .*/here/other"):
+        train(tmp_path / "here" / "other")
+    whole = train(tmp_path / "here" / "bank")
+    assert whole.fresh
+    assert whole.meta["frames"] == 256
+    assert not train(tmp_path / "here" / "copy").fresh
+    with pytest.raises(RunError, match="holds a run with layouts="):
+        train("train")
 
 
 def test_another_configuration_is_refused_and_nothing_is_lost(trained):

@@ -47,10 +47,10 @@ def test_epsilon_of_0_never_explores_and_of_1_always_does(epsilon):
     assert torch.equal(actions, (choice * 100).long() if epsilon else torch.zeros(1000, dtype=torch.int64))
 
 
-def actor(seeds, acts, head="direct", **how):
+def actor(seeds, acts, head="direct", epsilon=0.0):
     """A network of each seed's own, and what it acts by."""
     network = mlp([30, 16, 100], "tanh", [stream(seed, "test network") for seed in seeds], "default")
-    return Actor(network, seeds, acts, head, compile=False, **how)
+    return Actor(network, seeds, acts, head, compile=False, epsilon=lambda frames: epsilon)
 
 
 OBSERVATION = torch.rand(3, 40, 30, generator=torch.Generator().manual_seed(0))
@@ -76,17 +76,20 @@ def test_an_actor_of_seed_8_acts_alone_as_among_3(acts):
         assert torch.equal(alone.act(OBSERVATION[1:2])[0], among.act(OBSERVATION)[1])
 
 
-def test_an_actor_goes_on_from_its_streams_and_its_epsilon_of_0_3():
-    one, other = actor([1, 2, 3], "epsilon-greedy", epsilon=1.0), actor([1, 2, 3], "epsilon-greedy", epsilon=1.0)
+def test_an_actor_goes_on_from_its_streams_and_its_schedule():
+    """40 worlds, and a share of random actions that falls by 0.1 a step: 1.0, 0.9, ..."""
+    network = actor([1, 2, 3], "epsilon-greedy").network
+    acts = {"acts": "epsilon-greedy", "head": "direct", "compile": False, "epsilon": lambda frames: 1 - frames / 400}
+    one, other = (Actor(network, [1, 2, 3], **acts) for _ in range(2))
     one.act(OBSERVATION)
-    one.epsilon.fill_(0.3)
     saved = one.state_dict()
     expected = [one.act(OBSERVATION) for _ in range(3)]
+    assert one.epsilon.item() == pytest.approx(0.7)
     assert not torch.equal(other.act(OBSERVATION), expected[0])
     for again in (other, one):
         again.load_state_dict(saved)
-        assert again.epsilon.item() == pytest.approx(0.3)
         assert all(torch.equal(again.act(OBSERVATION), actions) for actions in expected)
+        assert again.epsilon.item() == pytest.approx(0.7)
 
 
 def test_a_head_turns_3_outputs_an_action_into_the_one_that_counts(monkeypatch):
@@ -122,7 +125,7 @@ def test_every_algorithms_record_names_lines_of_the_three_tables(name):
 @pytest.mark.parametrize("acts", ACTS)
 def test_a_compiled_actor_chooses_as_the_eager_one(acts):
     eager = actor([1, 2, 3], acts, epsilon=0.5)
-    compiled = Actor(eager.network, [1, 2, 3], acts, "direct", compile=True, epsilon=0.5)
+    compiled = Actor(eager.network, [1, 2, 3], acts, "direct", compile=True, epsilon=lambda frames: 0.5)
     for _ in range(3):
         assert torch.equal(compiled.act(OBSERVATION), eager.act(OBSERVATION))
 

@@ -7,9 +7,10 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch.fx.experimental.proxy_tensor import make_fx
 
 import uavnav
-from uavnav.tasks import layouts
+from uavnav.tasks import layouts, sensing
 from uavnav.tasks.sensing import sense
 
 WORLD = uavnav.World()
@@ -279,3 +280,43 @@ def test_any_observation_is_within_bounds_nearest_first_with_the_empty_slots_las
     assert (torch.minimum(length, (length - 1).abs()) < 2e-6).all()  # a direction, or none
     assert (length[1:] <= length[:-1] + 2e-6).all() or clearance <= 0
     assert clearance <= 280
+
+
+# -- in a graph ------------------------------------------------------------------------------------------------------
+
+
+class Counting(torch.Tensor):
+    """Stands for a tensor, as in a graph that is traced."""
+
+
+@pytest.mark.parametrize("slots", ["nearest", "listed"])
+def test_slots_by_sorting_are_those_by_counting_to_the_last_bit_ties_included(slots):
+    generator = torch.Generator().manual_seed(3)
+    triples = torch.randn(3, 36, 500, generator=generator).round()  # with some -0.0
+    distance = torch.randint(60, (36, 500), generator=generator).double() * 10
+    in_view = torch.rand(36, 500, generator=generator) < torch.rand(500, generator=generator)
+    assert {0, 10} <= {*in_view.sum(0).clamp(max=10).tolist()}
+    world = uavnav.World(slots=slots)
+    sorted_ = sensing._first_in_view(triples, distance, in_view, world)
+    counted = sensing._first_in_view(triples, distance.as_subclass(Counting), in_view, world).as_subclass(torch.Tensor)
+    assert sorted_.shape == (3, 10, 500)
+    assert (torch.signbit(triples) & (triples == 0)).any()
+    assert torch.equal(sorted_.view(torch.int32), counted.view(torch.int32))
+
+
+def test_nothing_sorts_in_a_graph(monkeypatch):
+    x, y, heading, circles = random_poses(64, 1)
+    alone = sense(x, y, heading, circles, WORLD)
+    monkeypatch.setattr(torch.Tensor, "sort", lambda *how, **more: pytest.fail("sorts"))
+    with pytest.raises(pytest.fail.Exception, match="sorts"):
+        sense(x, y, heading, circles, WORLD)
+    traced = make_fx(lambda *poses: sense(*poses, WORLD), tracing_mode="fake", _allow_non_fake_inputs=True)(
+        x, y, heading, circles
+    )
+    for one, other in zip(traced(x, y, heading, circles), alone, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_clearance_alone_is_that_of_the_sensor():
+    poses = random_poses(500, 2)
+    assert torch.equal(sensing.clearance(poses[0], poses[1], poses[3], WORLD), sense(*poses, WORLD)[1])

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import bootstrap
+from scipy.stats import bootstrap, ttest_ind, ttest_rel
 from statsmodels.stats.power import TTestIndPower
 
 from uavnav import stats
@@ -19,6 +19,20 @@ def test_three_p_values_adjusted_by_hand():
 
 def test_a_missing_p_value_counts_for_none():
     assert stats.holm([0.02, np.nan, 0.03]) == pytest.approx([0.04, np.nan, 0.04], nan_ok=True)
+
+
+def test_many_studies_are_adjusted_each_by_itself():
+    together = stats.holm(np.array([[0.01, 0.04, 0.03], [np.nan, 0.02, 0.5], [np.nan, np.nan, np.nan]]))
+    expected = [[0.03, 0.06, 0.06], [np.nan, 0.04, 0.5], [np.nan] * 3]
+    assert together == pytest.approx(np.array(expected), nan_ok=True)
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
+def test_holms_adjustment_is_the_smallest_level_at_which_he_steps_down_so_far(p_values):
+    for place, p in enumerate(p_values):
+        before = sorted(p_values)[: sorted(p_values).index(p) + 1]
+        expected = min(1, max(one * (len(p_values) - rank) for rank, one in enumerate(before)))
+        assert stats.holm(p_values)[place] == pytest.approx(expected)
 
 
 def test_no_p_value_that_is_known_needs_no_adjustment():
@@ -45,19 +59,95 @@ def test_the_95_percent_interval_of_20_normal_seeds_covers_the_mean_in_about_95_
     assert 0.89 <= covered <= 0.98
 
 
-def test_the_interval_of_a_difference_covers_it_and_excludes_what_is_far_away():
+def covered(first, second, n, draws=1000):
+    """Share of simulated studies of n seeds a cell whose interval covers the difference; draws of means and spreads."""
     rng = np.random.default_rng(1)
-
-    def difference(a, b, axis=-1):
-        return a.mean(axis) - b.mean(axis)
-
     found = [
-        stats.contrast([rng.normal(3.0, 1.0, 20), rng.normal(1.0, 2.0, 20)], difference, seed=draw)
-        for draw in range(200)
+        stats.difference([rng.normal(*one, n) for one in first], [rng.normal(*one, n) for one in second])
+        for _ in range(draws)
     ]
-    assert 0.88 <= np.mean([one.low <= 2.0 <= one.high for one in found]) <= 0.98
-    assert np.mean([one.low > 0 for one in found]) > 0.9
-    assert found[0].n == 20
+    true = np.mean([mean for mean, _ in first]) - np.mean([mean for mean, _ in second])
+    return np.mean([one.low <= true <= one.high for one in found])
+
+
+@pytest.mark.parametrize("n", [5, 10, 20])
+def test_the_interval_of_a_difference_covers_it_in_95_percent_with_five_seeds_too(n):
+    assert 0.94 <= covered([(3.0, 1.0)], [(1.0, 2.0)], n) <= 0.97
+    assert 0.94 <= covered([(3.0, 1.0), (9.0, 5.0)], [(1.0, 2.0), (7.0, 0.1)], n) <= 0.98
+
+
+def test_a_difference_of_two_cells_is_that_of_welchs_test():
+    first, second = np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.0, 3.0, -8.0])
+    expected = ttest_ind(first, second, equal_var=False)
+    found = stats.difference([first], [second])
+    assert found.value == pytest.approx(first.mean() - second.mean())
+    assert (found.low, found.high) == pytest.approx(tuple(expected.confidence_interval()))
+    assert found.n == 3
+
+
+def test_a_difference_without_scatter_is_a_point_and_of_one_seed_or_none_has_no_interval():
+    assert stats.difference([np.full(3, 4.0)], [np.full(2, 1.0)]) == (3.0, 3.0, 3.0, 2)
+    one = stats.difference([np.array([4.0])], [np.array([1.0, 3.0])])
+    assert one.value == 2
+    assert np.isnan([one.low, one.high]).all()
+    assert np.isnan(stats.difference([np.empty(0)], [np.array([1.0, 3.0])]).value)
+    assert np.isnan(stats.difference([], []).value)
+
+
+def test_a_slow_loop_over_studies_gives_the_contrasts_of_all_at_once():
+    """Of two contrasts of three cells: a mean against two, and two cells."""
+    rng = np.random.default_rng(0)
+    samples = [rng.normal(size=(4, n)) for n in (3, 5, 6)]
+    weights = np.array([[1, -0.5, -0.5], [0, 1, -1]])
+    found = stats.welch(samples, weights)
+    for study in range(4):
+        for row, of_row in enumerate(weights):
+            parts = [w * w * one[study].var(ddof=1) / one.shape[-1] for w, one in zip(of_row, samples, strict=True)]
+            df = sum(parts) ** 2 / sum(part**2 / (one.shape[-1] - 1) for part, one in zip(parts, samples, strict=True))
+            mean = sum(w * one[study].mean() for w, one in zip(of_row, samples, strict=True))
+            assert found.value[study, row] == pytest.approx(mean)
+            assert found.error[study, row] == pytest.approx(sum(parts) ** 0.5)
+            assert found.df[study, row] == pytest.approx(df)
+
+
+def test_a_paired_contrast_is_students_of_each_seeds_own_and_a_cell_of_one_seed_is_refused():
+    first, second = np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.0, 3.0])
+    found, expected = stats.welch([first, second], np.array([[1, -1]]), paired=True), ttest_rel(first, second)
+    assert 2 * found.above()[0] == pytest.approx(expected.pvalue)
+    assert found.df[0] == 2
+    with pytest.raises(ValueError, match="a cell has fewer than two seeds; an error needs at least two"):
+        stats.welch([first, second[:1]], np.array([[1, -1]]))
+
+
+@pytest.mark.parametrize("n", [5, 20])
+def test_the_power_of_a_contrast_is_the_share_of_studies_that_find_its_effect(n):
+    rng = np.random.default_rng(n)
+    found = stats.welch(list(rng.normal([[[0.9]], [[0.0]]], 1, (2, 4000, n))), np.array([[1, -1]]))
+    share = np.mean(found.above() < 0.025)
+    exact = stats.Contrasts(np.zeros(1), np.full(1, np.sqrt(2 / n)), np.full(1, 2.0 * n - 2))
+    assert exact.power(np.array([0.9]), 0.025)[0] == pytest.approx(share, abs=0.02)
+    assert exact.power(np.array([1e6]), 1e-6)[0] == 1
+    assert exact.power(np.zeros(1), 0.025)[0] == pytest.approx(0.025)
+
+
+def test_95_percent_of_single_new_seeds_lie_within_the_prediction_interval():
+    rng = np.random.default_rng(0)
+    for n in (5, 40):
+        found = [stats.prediction(rng.normal(3, 2, n), rng.normal(3, 2)) for _ in range(2000)]
+        assert np.mean([one.within for one in found]) == pytest.approx(0.95, abs=0.015)
+        assert np.mean([one.percentile for one in found]) == pytest.approx(50, abs=2)
+
+
+def test_a_number_among_five_seeds_by_hand():
+    """Student's t of 4 is 2.776; five seeds of standard deviation 1.581 predict 3 -+ 2.776 * 1.581 * sqrt(1.2)."""
+    seeds = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    found = stats.prediction(seeds, 4.0)
+    assert (found.percentile, found.within, found.n) == (70, True, 5)
+    assert (found.low, found.high) == pytest.approx((3 - 4.809, 3 + 4.809), abs=1e-3)
+    assert not stats.prediction(seeds, 8.0).within
+    for none in (stats.prediction(seeds[:1], 1.0), stats.prediction(seeds, np.nan)):
+        assert np.isnan([none.percentile, none.low, none.high]).all()
+        assert not none.within
 
 
 def test_the_interquartile_mean_leaves_out_the_outer_quarters():
@@ -183,13 +273,17 @@ def test_survival_and_restricted_mean_with_and_without_censoring():
     assert curve.loc[40.0] == pytest.approx(0.5)
 
 
-def test_seeds_needed_for_a_difference_of_one_standard_deviation_are_17_and_for_none_infinitely_many():
+def test_seeds_needed_for_a_difference_of_one_standard_deviation_are_17_whatever_that_of_the_seeds_is():
     rng = np.random.default_rng(3)
     values = rng.normal(0, 1, 50)
     values = (values - values.mean()) / values.std(ddof=1)
-    assert stats.seeds_needed(values + 1, values) == 17  # Cohen's table
-    assert stats.seeds_needed(values, values) == np.inf
-    assert np.isnan(stats.seeds_needed(values[:1], values))
+    for seen in (0, 1, 50):
+        assert (
+            stats.seeds_needed(values + seen, values, 1) == stats.seeds_needed(values + seen, values, -1) == 17
+        )  # Cohen
+        assert stats.seeds_needed(values + seen, values, 0) == np.inf
+    assert np.isnan(stats.seeds_needed(values[:1], values, 1))
+    assert np.isnan(stats.seeds_needed(values, values, np.nan))
 
 
 @settings(max_examples=25, deadline=None)
@@ -197,20 +291,20 @@ def test_seeds_needed_for_a_difference_of_one_standard_deviation_are_17_and_for_
 def test_seeds_needed_are_those_of_the_solver_of_statsmodels_rounded_up(effect, power):
     values = np.array([-1.0, 0.0, 1.0])  # a standard deviation of 1
     solved = TTestIndPower().solve_power(effect, alpha=0.05, power=power)
-    assert stats.seeds_needed(values + effect, values, power) == max(2, np.ceil(solved - 1e-6))
+    assert stats.seeds_needed(values, values, effect, power) == max(2, np.ceil(solved - 1e-6))
 
 
 @pytest.mark.parametrize("effect", [5.0, 8.0, 20.0, 50.0, 1e6, 1e12])
 def test_seeds_needed_for_differences_too_large_for_that_solver_are_2_or_3(effect):
     values = np.array([-1.0, 0.0, 1.0])
-    assert stats.seeds_needed(values + effect, values) == (3 if effect == 5.0 else 2)  # power 0.72 with 2
-    assert stats.seeds_needed(np.ones(3), np.zeros(3)) == 2  # no spread at all
+    assert stats.seeds_needed(values, values, effect) == (3 if effect == 5.0 else 2)  # power 0.72 with 2
+    assert stats.seeds_needed(np.ones(3), np.zeros(3), effect) == 2  # no spread at all
 
 
 @pytest.mark.parametrize("effect", [1e-5, 1e-12, 1e-16])
-def test_seeds_needed_for_a_difference_of_rounding_are_infinitely_many(effect):
+def test_seeds_needed_for_a_tiny_difference_are_infinitely_many(effect):
     values = np.array([-1.0, 0.0, 1.0])
-    assert stats.seeds_needed(values * (1 + effect) + effect, values) == np.inf
+    assert stats.seeds_needed(values, values, effect) == np.inf
 
 
 def test_where_bca_is_undefined_the_interval_is_of_percentiles_and_no_warning_escapes():
@@ -240,17 +334,6 @@ def test_an_interval_of_any_seeds_is_known_from_2_on_without_a_warning(seeds):
             assert len(seeds) == 1 or min(seeds) - 1e-9 <= found.low <= found.high <= max(seeds) + 1e-9
 
 
-def test_a_contrast_of_cells_is_the_statistic_of_their_seeds_and_n_that_of_the_smallest():
-    def ratio(a, b, axis=-1):
-        return a.mean(axis) / b.mean(axis)
-
-    found = stats.contrast([np.array([4.0, 6.0, 8.0]), np.array([2.0, 2.0])], ratio)
-    assert (found.value, found.n) == (3.0, 2)
-    assert 2.0 <= found.low < 3.0 < found.high <= 4.0
-    assert np.isnan(stats.contrast([np.array([4.0]), np.array([2.0, 2.0])], ratio).low)
-    assert np.isnan(stats.contrast([np.array([]), np.array([2.0])], ratio).value)
-
-
 def test_no_test_of_interaction_warns_where_seeds_are_all_alike():
     means = {(algorithm, name): 1.0 for algorithm in ("ppo", "dqn") for name in "abcd"}
     table = pd.DataFrame(
@@ -261,3 +344,20 @@ def test_no_test_of_interaction_warns_where_seeds_are_all_alike():
         found = stats.interaction(table)
     assert found.p_ranks == 1.0
     assert found.n == 3
+
+
+def test_fiellers_interval_of_a_ratio_covers_95_percent_of_correlated_seeds_and_is_exact_where_the_ratio_is():
+    rng = np.random.default_rng(0)
+    below = 5 + rng.standard_normal((2_000, 6))
+    above = 3 + 0.5 * (below - 5) + rng.standard_normal((2_000, 6))
+    found = [stats.ratio(*pair) for pair in zip(above, below, strict=True)]
+    assert np.mean([one.low <= 0.6 <= one.high for one in found]) == pytest.approx(0.95, abs=0.015)
+    exact = stats.ratio(2 * below[0], below[0])
+    assert exact[:3] == pytest.approx((2, 2, 2))
+
+
+def test_a_ratio_to_what_may_be_zero_and_of_one_seed_has_no_interval():
+    assert np.isnan(stats.ratio(np.array([1.0, 2.0, 3.0]), np.array([-1.0, 1.0, 0.1]))[1:3]).all()
+    assert stats.ratio(np.array([1.0]), np.array([2.0])).value == 0.5
+    assert np.isnan(stats.ratio(np.array([1.0]), np.array([2.0])).low)
+    assert np.isnan(stats.ratio(np.array([]), np.array([])).value)

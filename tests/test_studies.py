@@ -14,9 +14,18 @@ from uavnav.report.claims import PRIMARY
 from uavnav.report.studies import Rows, Studies, hours, in_none, of_paper, paper_cells, seeds, sort, wide
 from uavnav.runs import paper
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
+from uavnav.runs.readings import ALL, LOG_CURVE, PER_FRAME, TOTALS
 
 SETTINGS = {"preset": "paper", "total_frames": 1_000_000, "frames": 1_000_000, "exploration_fraction": 0.1}
-SETTINGS |= {"bank": "abc", "obstacles": 8, "reward": "eq14", "world.slots": "nearest", "world.version": "1"}
+SETTINGS |= {
+    "n_worlds": 16,
+    "bank": "abc",
+    "obstacles": 8,
+    "reward": "eq14",
+    "world.slots": "nearest",
+    "world.version": "1",
+}
+IN_ONE = {"preset": "one-world", "n_worlds": 1}
 SHORT = {"total_frames": 300_000, "frames": 300_000, "exploration_fraction": 1 / 3}
 LISTED = {"world.slots": "listed"}
 ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
@@ -71,7 +80,7 @@ def test_a_million_frames_of_one_activation_are_the_main_study_beside_300000_of_
 def test_four_activations_under_another_reward_are_not_the_main_study():
     found = sort([*grid(["ppo"], reward="initial"), cell(**SHORT)])
     assert [*found.main] == [("ppo", "tanh")]
-    assert len(found.initial) == 4
+    assert len(found.why["reward=initial"]) == 4
 
 
 def test_a_run_in_no_study_is_named_with_what_differs():
@@ -105,11 +114,29 @@ def test_more_activations_are_shown_beside_the_papers_of_the_longest_study_that_
     assert wide(sort(grid())) == {}
 
 
-@pytest.mark.parametrize("changes", [{}, SHORT])
-def test_the_first_reward_is_a_study_of_its_own_at_any_length(changes):
-    found = sort([*grid(), cell(reward="initial", **changes)])
-    assert [*found.initial] == [("ppo", "tanh")]
-    assert (found.switches, found.others) == ({}, [])
+def test_the_first_reward_is_a_study_of_its_own_and_asked_about_where_it_is_as_long_as_the_papers():
+    found = sort([*grid(), cell(reward="initial", **SHORT), cell("dqn", reward="initial")])
+    assert ([*found.initial], found.switches, found.others) == ([("ppo", "tanh")], {}, [])
+    assert {name: [*cells] for name, cells in found.why.items()} == {"reward=initial": [("dqn", "tanh")]}
+    assert found.of("reward=initial") == found.why["reward=initial"]
+    assert found.of("many_worlds") == found.main
+    assert found.of("gamma=0.9") == {}
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"gamma": 0.9}, "gamma=0.9"),
+        ({"clip_epsilon": 0.4}, "clip_epsilon=0.4"),
+        ({"layer_norm": True}, "layer_norm=True"),
+        ({"init": "unit"}, "init=unit"),
+        ({"reward": "additive"}, "reward=additive"),
+    ],
+)
+def test_settings_that_may_tell_why_are_no_switches(changes, name):
+    found = sort([*grid(), cell(**changes)])
+    assert {name: [*cells] for name, cells in found.why.items()} == {name: [("ppo", "tanh")]}
+    assert found.switches == {}
 
 
 @pytest.mark.parametrize(
@@ -117,7 +144,8 @@ def test_the_first_reward_is_a_study_of_its_own_at_any_length(changes):
     [
         (LISTED, "world.slots=listed"),
         (LISTED | SHORT, "world.slots=listed"),
-        ({"reward": "additive"}, "reward=additive"),
+        ({"reward": "additive"} | SHORT, "reward=additive"),
+        ({"init": "default"}, "init=default"),
         ({"obstacles": 4, "bank": "def"}, "obstacles=4"),
         ({"n_worlds": 1024}, "n_worlds=1,024"),
         ({"world.version": "2"}, "world.version=2"),
@@ -162,15 +190,61 @@ def test_algorithms_have_their_main_study_each_by_itself():
 @settings(max_examples=30, deadline=None)
 @given(st.randoms(use_true_random=False))
 def test_the_order_in_which_runs_are_found_changes_nothing(random):
-    cells = [*grid(), *grid(activations=("tanh",), **SHORT), cell(reward="initial"), cell(**LISTED), cell("sac")]
+    cells = [
+        *grid(),
+        *grid(activations=("tanh",), **SHORT),
+        cell(reward="initial", **SHORT),
+        cell(**LISTED),
+        cell("sac"),
+    ]
+    cells += grid(**IN_ONE)
     shuffled = random.sample(cells, len(cells))
     assert sort(shuffled) == sort(cells)
     assert [*sort(shuffled).main] == [*sort(cells).main]
-    assert sum(len(part) for part in sort(cells)[:3]) == len(cells) - 1
+    assert sum(len(part) for part in sort(cells)[:4]) == len(cells) - 1
+
+
+@pytest.mark.parametrize("n_seeds", [1, 40])
+def test_a_million_frames_in_one_world_are_the_main_study_and_those_in_more_stand_beside_it(n_seeds):
+    """Whatever the number of seeds, and although whole iterations of one world are fewer frames than those of 16."""
+    alone = [
+        *grid(["ppo"], n_seeds=n_seeds, **IN_ONE),
+        *grid(["dqn"], **IN_ONE | {"frames": 999_999}),
+    ]
+    beside = [*grid(["ppo"], n_worlds=16, total_frames=1_000_000), *grid(["dqn"], n_worlds=64)]
+    found = sort([*beside, *alone, *grid(["dqn"], ["tanh"], n_worlds=64, **SHORT), cell(**LISTED)])
+    assert {one.settings["n_worlds"] for one in found.main.values()} == {1}
+    assert [*found.main] == [*paper.TABLES]
+    assert [*found.many_worlds] == [*paper.TABLES]
+    assert [*found.baseline] == [("dqn", "tanh")]
+    assert [*found.switches] == ["world.slots=listed"]
+    assert found.others == []
+
+
+def test_a_study_in_one_world_that_lacks_one_of_the_papers_cells_is_not_yet_the_main_one():
+    alone = grid(**IN_ONE)
+    found = sort([*grid(), *alone[1:]])
+    assert {one.settings["n_worlds"] for one in found.main.values()} == {16}
+    assert (found.many_worlds, found.others) == ({}, alone[1:])
+
+
+def test_without_a_run_in_one_world_the_study_in_many_is_the_main_one():
+    assert (len(sort(grid()).main), sort(grid()).many_worlds) == (8, {})
+    alone = sort(grid(**IN_ONE))  # nor without one in many
+    assert (len(alone.main), alone.many_worlds, alone.others) == (8, {}, [])
+
+
+def test_short_runs_in_one_world_are_a_switch_and_a_second_one_of_the_same_length_is_another():
+    found = sort(
+        [*grid(), cell(n_worlds=1, **SHORT), cell(n_worlds=1), *grid(**IN_ONE), cell("dqn", **IN_ONE, **LISTED)]
+    )
+    assert [*found.switches] == ["n_worlds=1"]
+    assert [*found.main] == [*paper.TABLES]
+    assert [one.settings["preset"] for one in found.others] == ["one-world", "one-world"]
 
 
 def test_no_cells_are_no_studies():
-    assert sort([]) == Studies({}, {}, {}, {}, {}, [])
+    assert sort([]) == Studies({}, {}, {}, {}, {}, {}, {}, [])
 
 
 # -- readings ---------------------------------------------------------------------------------------------------------
@@ -178,8 +252,8 @@ def test_no_cells_are_no_studies():
 KEY = ("dqn", "sigmoid")
 
 
-def rows_of(one, reading=PRIMARY, flights=None, ratio_of_means=False):
-    return Rows(sort([one]), reading, flights or {}, ratio_of_means)
+def rows_of(one, reading=PRIMARY, flights=None):
+    return Rows(sort([one]), reading, flights or {})
 
 
 def test_each_reading_gives_one_number_a_seed():
@@ -193,13 +267,16 @@ def test_each_reading_gives_one_number_a_seed():
         ]
     )
     one = cell(*KEY, rows=first + second, flown=flown)
-    evidence = rows_of(one)
+    evidence = rows_of(one, ALL)
     assert evidence(*KEY, "reward").tolist() == [-4, 3]
     assert evidence(*KEY, "speed").tolist() == [6, 2]
     assert evidence(*KEY, "stops").tolist() == [5, 10]
     assert evidence(*KEY, "turns").tolist() == [70, 10]
-    assert rows_of(one, ratio_of_means=True)(*KEY, "speed").tolist() == [7, 2]
-    assert rows_of(one, ratio_of_means=True)(*KEY, "reward").tolist() == [-4, 3]
+    assert rows_of(one, TOTALS)(*KEY, "speed").tolist() == [7, 2]
+    assert rows_of(one, TOTALS)(*KEY, "reward").tolist() == [-4, 3]
+    assert rows_of(one)(*KEY, "reward").tolist() == [-8e-6, (3 + 1e6) / 1e6]
+    assert rows_of(one)(*KEY, "steps").tolist() == [200, 99]  # per collision
+    assert rows_of(one, LOG_CURVE)(*KEY, "reward").shape == (0,)  # it logs every fourth episode
     assert rows_of(one, "greedy evaluation")(*KEY, "speed").tolist() == [9]
     assert rows_of(one, "sampled evaluation")(*KEY, "reward").tolist() == [5]
     assert rows_of(one, f"last {LAST} training episodes")(*KEY, "reward").tolist() == [-4, 3]
@@ -225,15 +302,25 @@ def test_what_is_not_there_has_no_seeds():
     assert rows_of(cell(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]), "greedy evaluation")(*KEY, "reward").shape == (0,)
 
 
-def test_frame_300000_is_before_the_surge_and_600000_in_it():
-    frames = {1: 1.0, 300_000: 2.0, 300_001: 10.0, 600_000: 20.0, 600_001: 100.0, 1_000_000: 200.0}
-    ended = [(0, frame, 9, 0, 0, 9, reward) for frame, reward in frames.items()]
-    still_open = (0, 400_000, 9, 0, 0, 9, 1e6, False, False)
-    only_early = (1, 5, 9, 0, 0, 9, 7.0)
-    evidence = rows_of(cell(*KEY, rows=[*ended, still_open, only_early]))
-    assert evidence(*KEY, "reward_before").tolist() == [1.5, 7]
-    assert evidence(*KEY, "reward_surge").tolist() == [15]
-    assert evidence(*KEY, "reward_after").tolist() == [150]
+def test_a_flight_counts_in_the_frames_that_it_lasted_and_its_collision_at_its_end():
+    """It earns 1 a frame to frame 300,000, where it collides, and 2 a frame from there on, up in the air at the end."""
+    first = (0, 300_000, 300_000, 0, 0, 9, 300_000.0 - 10)
+    evidence = rows_of(cell(*KEY, n_worlds=1, rows=[first, (0, 1_000_000, 700_000, 0, 0, 9, 1.4e6, False, False)]))
+    assert evidence(*KEY, "reward_before").tolist() == pytest.approx([1 - 10 / 300_000])
+    assert evidence(*KEY, "reward_surge").tolist() == pytest.approx([2])
+    assert evidence(*KEY, "reward_after").tolist() == pytest.approx([2])
+
+
+def test_frame_300000_is_before_the_surge_and_300001_in_it():
+    for end, before, surge in ((300_000, -10, 0), (300_001, 0, -10)):
+        evidence = rows_of(cell(*KEY, n_worlds=1, rows=[(0, end, end, 0, 0, 9, -10.0)]))
+        assert 300_000 * evidence(*KEY, "reward_before") == pytest.approx(before)
+        assert 300_000 * evidence(*KEY, "reward_surge") == pytest.approx(surge)
+
+
+def test_a_run_that_ends_before_700000_frames_has_no_time_after_a_surge():
+    own = cell(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)], frames=699_999, total_frames=699_999)
+    assert rows_of(own)(*KEY, "reward_before").shape == (0,)
 
 
 @pytest.mark.parametrize("reading", [f"last {LAST} training episodes", "greedy evaluation", "sampled evaluation"])
@@ -263,6 +350,11 @@ def test_hours_are_of_one_seed_and_a_million_frames_whatever_a_run_holds():
     assert seeds(one) == 5
     assert rows_of(one)(*KEY, "hours").tolist() == [0.5]
     assert rows_of(one, "greedy evaluation")(*KEY, "hours").tolist() == [0.5]
+
+
+def test_the_papers_tables_per_frame_are_reward_and_distance_over_steps_and_else_as_printed():
+    own = {metric: of_paper("ppo", "tanh", metric, reading=PER_FRAME)[0] for metric in paper.COLUMNS}
+    assert own == paper.TABLES["ppo", "tanh"] | {"reward": 88.527 / 2727.577, "speed": 12781.262 / 2727.577}
 
 
 def test_the_papers_tables_are_one_number_a_cell_and_ten_hours():

@@ -58,7 +58,8 @@ def test_a_reader_that_leaves_after_a_line_leaves_no_traceback(command, first, t
     assert result.stdout.count("\n") == 1
 
 
-def test_a_reader_that_was_never_there_leaves_no_traceback(tmp_path):
-    line = f"{sys.executable} -m uavnav | true"
+@pytest.mark.parametrize("command", ["-m uavnav", "-m uavnav.evaluate reactive --episodes 2 --max-steps 50"])
+def test_a_reader_that_was_never_there_leaves_no_word(command, tmp_path):
+    line = f"{sys.executable} {command} | true"
     result = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (result.stdout, result.stderr) == ("", "")

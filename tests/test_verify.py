@@ -153,6 +153,15 @@ def test_a_weight_of_another_shape_or_a_missing_one_is_told(run, verdict):
     assert verdict(run)[1][1:] == ["  weights: other tensors"]
 
 
+def test_a_run_without_its_policy_is_compared_by_its_rows_and_says_so(run, verdict):
+    (run / POLICY).unlink()
+    status, lines = verdict(run)
+    assert status == 0
+    assert lines[0].startswith(f"{run}: the same, bit for bit: ")
+    assert lines[0].endswith(" rows of progress at 1,024 frames per seed")
+    assert lines[1:] == ["  weights: not compared, no policy.safetensors there; the run's command makes it"]
+
+
 def test_another_seed_in_config_yaml_is_another_run_from_row_0_on_in_rows_and_weights(run, verdict):
     path = run / "config.yaml"
     path.write_text(path.read_text().replace("\nseed: 0\n", "\nseed: 3\n"))

@@ -1,8 +1,14 @@
 """Evidence made up for the audit: means of cells whose verdicts are known."""
 
+import functools
+
 import numpy as np
 
 from uavnav.report.claims import ACTIVATIONS
+from uavnav.report.studies import of_paper
+from uavnav.runs.readings import PER_FRAME
+
+of_paper_per_frame = functools.partial(of_paper, reading=PER_FRAME)
 
 EIGHT = np.array([-1.5, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 1.5])  # mean 0
 

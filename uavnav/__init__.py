@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from uavnav.envs.env import DroneEnv
     from uavnav.evaluate import evaluate_policy
     from uavnav.policies import Policy, PolicyError, load_policy
-    from uavnav.runs import Run, metrics, paper
+    from uavnav.runs import Run, metrics, paper, readings
     from uavnav.runs.tables import RunError
     from uavnav.tasks import baselines, dynamics, layouts, rewards, sensing, simulator, world
     from uavnav.tasks.layouts import LayoutError
@@ -70,7 +70,7 @@ _NAMES = {
 }
 _ROOMS = {
     "envs": ("env", "gym", "sb3", "scalar"),
-    "runs": ("metrics", "paper"),
+    "runs": ("metrics", "paper", "readings"),
     "tasks": ("baselines", "dynamics", "layouts", "rewards", "sensing", "simulator", "world"),
     "training": ("config", "loggers", "sampler"),
     "window": ("play",),

@@ -40,16 +40,8 @@ WATCHED_LAYOUTS = 10
 WATCHED_STEPS = 500
 """Behaviour is kept of so many sets of obstacles, and of so many steps of each."""
 
-BEHAVIOUR_COLUMNS = {
-    "seed": "int64",
-    "layout": "int64",
-    "step": "int64",
-    "x": "float32",  # [px], after the step
-    "y": "float32",  # [px]
-    "heading": "int16",  # [degrees]
-    "clearance": "float32",  # [px] to the nearest obstacle or border square
-    "action": "int16",
-}
+BEHAVIOUR_COLUMNS = {"seed": "int64", "layout": "int64", "action": "int16"}
+"""The steps of a flight follow each other. Where they lead, `uavnav.report.behaviour.retrace` works out."""
 
 
 class Flights(NamedTuple):
@@ -137,7 +129,7 @@ def fly(
             break
     return Flights(
         _table(ended, EPISODE_COLUMNS).sort_values(["seed", "layout"], ignore_index=True),
-        _table(watched, BEHAVIOUR_COLUMNS).sort_values(["seed", "layout", "step"], ignore_index=True),
+        _table(watched, BEHAVIOUR_COLUMNS).sort_values(["seed", "layout"], kind="stable", ignore_index=True),
     )
 
 
@@ -154,16 +146,9 @@ def _end(seed: Tensor, state: State, terminated: Tensor) -> dict[str, Tensor]:
 
 
 def _watch(step: flights.Step, seed: Tensor) -> dict[str, Tensor]:
-    kept = step.states.layout[step.place] < WATCHED_LAYOUTS
-    place = step.place[kept]
-    fields = {name: getattr(step.states, name)[place] for name in ("layout", "x", "y", "heading")}
-    return {
-        "seed": seed[kept],
-        "step": step.states.steps[place],
-        "clearance": step.outcomes.clearance[place],
-        "action": step.action[kept],
-        **fields,
-    }
+    layout = step.states.layout[step.place]
+    kept = layout < WATCHED_LAYOUTS
+    return {"seed": seed[kept], "layout": layout[kept], "action": step.action[kept]}
 
 
 def _table(parts: list[dict[str, Tensor]], columns: dict[str, str]) -> pd.DataFrame:
@@ -197,10 +182,10 @@ def evaluate_run(
             with display.flights(what, episodes * len(population), max_steps, quiet) as tell:
                 flown[mode] = fly(population, task, tell)
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
-    rows.attrs = header(layouts, episodes, max_steps)
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     with lock(run.path):
         for name, table in zip(files_of(layouts, episodes, max_steps), (rows, behaviour), strict=True):
+            table.attrs = header(layouts, episodes, max_steps)
             write_table(run.path / name, table)
     return rows
 
@@ -291,6 +276,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     part.attrs = header(*bounds)
                     write_table(path, part)
                     print(f"the rows are in {path}")
+    except BrokenPipeError:  # nobody reads on: `terminal` ends it
+        raise
     except (RunError, ValueError, OSError) as error:
         print(f"uavnav.evaluate: {policies.as_option(error)}", file=sys.stderr)
         return 2

@@ -1,8 +1,8 @@
 """One loop that flies: evaluation, behaviour, replays and films see the same flights, the window the same rules.
 
-A flyer is a seed with its policy; it flies each set of the task's bank once. What one flyer does depends neither on the
-others nor on anything but its policy, a generator of its own, and how many sets there are. Letters: F flights that are
-up, P places of a batch, which holds some that have ended too.
+A flyer is a seed with its policy and a generator of its own; it flies each set of the task's bank once. It does not see
+what others do. The number of flights and the cap decide when the step is compiled, which rounds otherwise. Letters: F
+flights that are up, P places of a batch, which holds some that have ended too.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
             for (_, policy), generator, own in zip(flyers, generators, torch.split(seen, sizes), strict=True):
                 if not len(own):
                     continue
-                if values and isinstance(policy, Policy):
+                if values:
+                    assert isinstance(policy, Policy)
                     behind.append(policy.values(own))
                     chosen.append(policy.act(behind[-1], generator))
                 else:
@@ -132,8 +133,8 @@ def _graph(task: Task) -> graph.Graph:
 
 
 def _padded(state: State, n: int) -> State:
-    """Repeat the last flight until there are 64, 256, 1,024, ... of them: few sizes mean few graphs."""
-    size = next(size for size in (4**power for power in itertools.count(3)) if size >= n)
+    """Repeat the last flight until there are 64, 128, 256, ... of them: few sizes mean few graphs."""
+    size = max(64, 1 << (n - 1).bit_length())
     index = torch.arange(size).clamp(max=n - 1)
     return State(*(field[index] for field in state))
 

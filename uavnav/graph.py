@@ -134,7 +134,10 @@ class Loop(Graph):
             state, others = tensors[: self.n_state], tensors[self.n_state :]
             index = torch.zeros((), dtype=torch.int64, device=rates.device)
             total = torch.zeros(shape, device=rates.device)
-            _, total, *after = while_loop_op(unfinished, body, (index, total, *state), (rates, *others))  # type: ignore[arg-type]
+            if len(rates) == 1:  # a loop would carry the state through copies
+                _, total, *after = body(index, total, *state, rates, *others)
+            else:
+                _, total, *after = while_loop_op(unfinished, body, (index, total, *state), (rates, *others))  # type: ignore[arg-type]
             for value, new in zip(state, after, strict=True):
                 value.copy_(new)
             return (total / len(rates),)

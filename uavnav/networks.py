@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -29,19 +30,23 @@ ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "softplus": F.softplus,
     "softsign": F.softsign,
     "identity": lambda x: x,
+    "hardtanh": F.hardtanh,  # as bounded and centred as tanh, in three straight lines
+    "relu6": F.relu6,  # a ReLU with a bound
+    "sigmoid_centred": lambda x: 2 * torch.sigmoid(x) - 1,  # which is tanh(x / 2)
 }
 
 KNOWN = dict(ACTIVATIONS)
 """Those that every process of a run has: built in, or of a plugin."""
 
-Init = Literal["orthogonal", "default"]
+Init = Literal["orthogonal", "unit", "default"]
 
 
 class AgentLinear(nn.Module):
     """One linear layer per agent, computed as one product: x [A, ..., in] -> [A, ..., out].
 
-    `init="orthogonal"`, with a gain and zero biases, is SB3's choice for PPO. `"default"` is PyTorch's initialisation
-    (weights and biases uniform within 1 / sqrt(in)) and SB3's choice for DQN. generators[a] alone initialises agent a.
+    `init="orthogonal"`, with a gain and zero biases, is SB3's choice for PPO; `"unit"` differs in its gains alone.
+    `"default"` is PyTorch's initialisation (weights and biases uniform within 1 / sqrt(in)) and SB3's choice for DQN.
+    generators[a] alone initialises agent a.
     """
 
     def __init__(
@@ -52,7 +57,7 @@ class AgentLinear(nn.Module):
         bias = torch.zeros(len(generators), 1, outputs)
         bound = 1 / math.sqrt(inputs)
         for agent, generator in enumerate(generators):
-            if init == "orthogonal":
+            if init != "default":
                 nn.init.orthogonal_(weight[agent], gain, generator=generator)
             else:
                 nn.init.uniform_(weight[agent], -bound, bound, generator=generator)
@@ -66,23 +71,34 @@ class AgentLinear(nn.Module):
 
 
 class Activation(nn.Module):
-    """An activation of `ACTIVATIONS`, by name.
+    """An activation of `ACTIVATIONS`, by name; with `layer_norm`, of values that LayerNorm centres and scales first.
 
     Raises:
         ValueError: `ACTIVATIONS` has no such name.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, layer_norm: bool = False) -> None:
         super().__init__()
         if name not in ACTIVATIONS:
             raise ValueError(f"activation={name!r}; {choose_from(name, ACTIVATIONS)}")
-        self.name = name
+        self.name, self.layer_norm = name, layer_norm
 
     def forward(self, x: Tensor) -> Tensor:
-        return ACTIVATIONS[self.name](x)
+        return ACTIVATIONS[self.name](F.layer_norm(x, x.shape[-1:]) if self.layer_norm else x)
 
     def extra_repr(self) -> str:
         return self.name
+
+
+def unit_gain(activation: str) -> float:
+    """1 / std f(z) for z ~ N(0, 1): with it, the units of the next layer begin on one scale, whatever the activation.
+
+    >>> round(unit_gain("relu"), 2), round(unit_gain("sigmoid"), 2)
+    (1.71, 4.8)
+    """
+    z, weight = (torch.from_numpy(values) for values in np.polynomial.hermite_e.hermegauss(200))
+    values, weight = ACTIVATIONS[activation](z), weight / weight.sum()
+    return float((weight * (values - (weight * values).sum()).square()).sum().rsqrt())
 
 
 def mlp(
@@ -91,16 +107,21 @@ def mlp(
     generators: Sequence[torch.Generator],
     init: Init,
     output_gain: float = 1.0,
+    layer_norm: bool = False,
 ) -> nn.Sequential:
     """Linear layers of the given sizes with the activation between them: x [A, ..., sizes[0]] -> [A, ..., sizes[-1]].
 
     With `init="orthogonal"`, hidden layers have the gain sqrt(2) and the last layer has `output_gain`, whatever the
-    activation (as in SB3, decision 15).
+    activation (as in SB3, decision 15). With `"unit"`, what follows an activation has its `unit_gain` instead of
+    sqrt(2), and the first layer 1.
     """
     layers: list[nn.Module] = []
+    after = unit_gain(activation) if init == "unit" else 1.0
     for index, (inputs, outputs) in enumerate(pairwise(sizes)):
         last = index == len(sizes) - 2
-        layers.append(AgentLinear(inputs, outputs, generators, init, output_gain if last else math.sqrt(2)))
+        gain = (after if index else 1.0) if init == "unit" else math.sqrt(2)
+        gain = output_gain * after if last else gain
+        layers.append(AgentLinear(inputs, outputs, generators, init, gain))
         if not last:
-            layers.append(Activation(activation))
+            layers.append(Activation(activation, layer_norm))
     return nn.Sequential(*layers)

@@ -144,6 +144,7 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         seeds, hidden, algorithm = list(header["seeds"]), list(header["hidden"]), str(header["algorithm"])
         activation, version, reward = header["activation"], header["world_version"], header["reward"]
         task, cap, epsilon = header.get("task", "drone"), header.get("max_steps"), float(header["epsilon"])
+        layer_norm = bool(header.get("layer_norm", False))
         world, noted = dict(header["world"]), list(header.get("plugins", []))
         how = ALGORITHMS.get(algorithm)
         acts = header.get("acts", how and how.acts)  # files of earlier versions do not say
@@ -182,7 +183,7 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     }
     try:
         inputs, outputs = policy["0.weight"].shape[1], policy[f"{2 * len(hidden)}.weight"].shape[2]
-        network = mlp([inputs, *hidden, outputs], activation, [torch.Generator()], "default")
+        network = mlp([inputs, *hidden, outputs], activation, [torch.Generator()], "default", layer_norm=layer_norm)
         network.load_state_dict(policy)
         outputs = HEADS[head](torch.zeros(1, outputs)).shape[-1]
         if any(len(tensor) != len(seeds) for tensor in tensors.values()):

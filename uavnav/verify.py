@@ -44,13 +44,14 @@ class Verdict(NamedTuple):
 def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     """Repeat a run, or its first `frames` frames per seed, in a scratch folder and compare.
 
-    Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights.
+    Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights if the
+    run has some: a repository may keep its rows alone.
 
     Raises:
         ConfigError, LayoutError, RunError: the run cannot be repeated.
     """
     config = _config(run)
-    original = _weights(run.path)
+    original = _weights(run.path) if (run.path / POLICY).exists() else None
     whole = frames is None or frames >= run.frames
     processes = int(run.meta.get("processes", 1))
     with tempfile.TemporaryDirectory() as scratch:
@@ -72,15 +73,17 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
         originals = {name: table[table["frame"] <= reached] for name, table in originals.items()}
         originals["episodes"] = finished(originals["episodes"])
     partings = [_parting(name, originals[name], tables[name]) for name in originals]
-    if weights is not None:
+    if weights is not None and original is not None:
         partings.append(_weights_parting(original, weights))
     lines = [line for line in partings if line]
     if lines:
         lines += [f"  {fact}: {there} then, {here} now" for fact, there, here in _differing(run.meta, meta)]
         return Verdict(False, [f"{run.path}: not the same", *lines])
     compared = f"{len(originals['episodes']):,} episodes, {len(originals['progress']):,} rows of progress"
-    compared += f" and {len(weights)} tensors" if weights is not None else ""
-    return Verdict(True, [f"{run.path}: the same, bit for bit: {compared} at {reached:,} frames per seed"])
+    compared += f" and {len(weights)} tensors" if weights is not None and original is not None else ""
+    lines = [f"{run.path}: the same, bit for bit: {compared} at {reached:,} frames per seed"]
+    lines += [f"  weights: not compared, no {POLICY} there; the run's command makes it"] if original is None else []
+    return Verdict(True, lines)
 
 
 def _config(run: Run) -> TrainConfig:

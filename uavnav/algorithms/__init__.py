@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -15,10 +16,36 @@ class Algorithm(NamedTuple):
     shown: str  # what a picture shows of them: a name of `training.sampling.SHOWN`
     head: str = "direct"  # how outputs become one number an action: a name of `training.sampling.HEADS`
     came_later: Mapping[str, Any] = {}  # settings that older runs do not name, as those were run
+    logs: tuple[str | int, ...] = ()  # Stable-Baselines3 does: `frames` or `episodes`, then factors of how many apart
+
+    def rhythm(self, settings: Mapping[str, Any]) -> tuple[str, int] | None:
+        """When Stable-Baselines3 logs a run of these settings: every so many `frames` per seed or finished `episodes`.
+
+        None where that is not known.
+        """
+        unit, *factors = self.logs or ("",)
+        numbers = [settings.get(factor) if isinstance(factor, str) else factor for factor in factors]
+        known = [number for number in numbers if type(number) is int and number > 0]
+        return (str(unit), math.prod(known)) if known and len(known) == len(factors) else None
 
 
 ALGORITHMS = {
-    "ppo": Algorithm("uavnav.algorithms.ppo", "categorical", "logits", "probability"),
-    "dqn": Algorithm("uavnav.algorithms.dqn", "epsilon-greedy", "Q values", "Q value", came_later={"n_steps": 1}),
-    "a2c": Algorithm("uavnav.algorithms.a2c", "categorical", "logits", "probability"),
+    "ppo": Algorithm(
+        "uavnav.algorithms.ppo", "categorical", "logits", "probability", logs=("frames", "frames_per_batch")
+    ),
+    "dqn": Algorithm(
+        "uavnav.algorithms.dqn",
+        "epsilon-greedy",
+        "Q values",
+        "Q value",
+        came_later={"n_steps": 1},
+        logs=("episodes", 4),
+    ),
+    "a2c": Algorithm(
+        "uavnav.algorithms.a2c",
+        "categorical",
+        "logits",
+        "probability",
+        logs=("frames", 100, "n_steps", "n_worlds"),
+    ),
 }

@@ -51,6 +51,7 @@ class DQNConfig(TrainConfig):
     algorithm: ClassVar[str] = "dqn"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "paper": {},
+        "one-world": {"n_worlds": 1},  # as SB3 runs by default
         "paper-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
         "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/performance.md
             "total_frames": 400_000,
@@ -130,6 +131,10 @@ class DQNConfig(TrainConfig):
         return self.max_steps is not None
 
     @property
+    def frames_per_iteration(self) -> int:
+        return self.n_worlds * self.steps_between_updates
+
+    @property
     def steps_between_updates(self) -> int:
         """Steps of all worlds from one round of gradient steps to the next."""
         return max(self.frames_per_update // self.n_worlds, 1)
@@ -140,10 +145,14 @@ class DQNConfig(TrainConfig):
         return max(self.n_worlds // self.frames_per_update, 1)
 
     @property
-    def steps_between_rows(self) -> int:
-        """Steps of all worlds from one row of progress to the next, whole rounds of updates."""
-        frames_a_round = self.n_worlds * self.steps_between_updates
-        return max(LOG_FRAMES // frames_a_round, 1) * self.steps_between_updates
+    def frames_between_targets(self) -> int:
+        """Frames per seed from one copy of theta to the next, whole steps of all worlds."""
+        return max(self.target_update_frames // self.n_worlds, 1) * self.n_worlds
+
+    @property
+    def frames_between_rows(self) -> int:
+        """Frames per seed from one row of progress to the next, whole rounds of updates."""
+        return max(LOG_FRAMES // self.frames_per_iteration, 1) * self.frames_per_iteration
 
     def epsilon(self, frames: int) -> float:
         """The share of random actions after so many frames: all, until learning starts, then a linear fall."""
@@ -161,7 +170,9 @@ def make_network(config: DQNConfig) -> nn.Sequential:
     """The Q network: observation [A, ..., 30] -> [A, ..., 100] values."""
     inputs, outputs = config.world.observation_size, config.world.n_actions
     generators = [stream(seed, "value network") for seed in config.seeds]
-    return mlp([inputs, *config.hidden, outputs], config.activation, generators, config.init)
+    return mlp(
+        [inputs, *config.hidden, outputs], config.activation, generators, config.init, layer_norm=config.layer_norm
+    )
 
 
 def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
@@ -194,10 +205,10 @@ def make_buffer(sampler: AgentSampler, config: DQNConfig) -> ReplayBuffer:
 
 
 def rows(batch: TensorDictBase, config: DQNConfig) -> TensorDictBase:
-    """What the buffer keeps of a step [A, W, 1], as rows [W, A]: its agents stay apart."""
+    """What the buffer keeps of steps [A, W, T], as rows [T W, A] in the order of time: its agents stay apart."""
     names = ["reward", "done", "terminated", *(["observation"] if config.keeps_next_observations else [])]
     following = [("next", name) for name in names]
-    return batch.select("observation", "action", *following).flatten(1, 2).transpose(0, 1)
+    return batch.select("observation", "action", *following).transpose(1, 2).flatten(1, 2).transpose(0, 1)
 
 
 def make_sampler(config: DQNConfig) -> AgentSampler:
@@ -230,7 +241,7 @@ class DQN:
     def __init__(self, config: DQNConfig, compile: bool) -> None:
         self.config = config
         self.network = make_network(config).to(config.device)
-        self.actor = Actor(self.network, config.seeds, HOW.acts, HOW.head, compile, epsilon=config.epsilon(0))
+        self.actor = Actor(self.network, config.seeds, HOW.acts, HOW.head, compile, epsilon=config.epsilon)
         self.loss = make_loss(self.network, config)
         self.copy_to_target = HardUpdate(self.loss, value_network_update_interval=0)
         self.learner = make_learner(self.loss, config, compile)
@@ -240,21 +251,19 @@ class DQN:
         self.parts: Mapping[str, Stateful] = {"replay": sampler, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
-        """A step [A, W, 1] into the buffer, then a round of updates where one is due; now and then a row, [A]."""
-        config = self.config
-        step, losses = frames // config.n_worlds, {}
+        """Steps [A, W, T] into the buffer, then a round of updates; now and then a row, [A]."""
+        config, losses = self.config, {}
+        before = frames - config.frames_per_iteration
         self.replay.extend(rows(batch, config))
-        if step % max(config.target_update_frames // config.n_worlds, 1) == 0:
+        if frames // config.frames_between_targets > before // config.frames_between_targets:
             self.copy_to_target.step()
-        ready = max(config.learning_starts, config.n_steps * config.n_worlds)  # a row has its successors
-        if frames > ready and step % config.steps_between_updates == 0:
+        if frames > max(config.learning_starts, config.n_steps * config.n_worlds):  # a row has its successors
             losses = self.learner.learn(draw(self.replay, config))
-        self.actor.epsilon.fill_(config.epsilon(frames))
-        if step % config.steps_between_rows and frames < config.frames:
+        if frames % config.frames_between_rows and frames < config.frames:
             return None
         with torch.no_grad():
-            q_value = self.network(batch["observation"]).amax(-1).flatten(1).mean(1)
-        epsilon = self.actor.epsilon.item()
+            q_value = self.network(batch["observation"][:, :, -1]).amax(-1).mean(1)
+        epsilon = torch.tensor(config.epsilon(frames)).item()
         return {**losses, "q_value": q_value, "epsilon": epsilon, **probes.units(self.network, self.probe)}
 
     def networks(self) -> Mapping[str, nn.Module]:

@@ -10,6 +10,7 @@ Letters: A agents, W worlds an agent, T steps of a rollout.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -49,6 +50,7 @@ class PPOConfig(TrainConfig):
     algorithm: ClassVar[str] = "ppo"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "paper": {},
+        "one-world": {"n_worlds": 1},  # as SB3 runs by default
         "fast": {  # a good drone soon: few, large steps of both collection and learning
             "total_frames": 400_000,
             "n_worlds": 128,
@@ -69,7 +71,7 @@ class PPOConfig(TrainConfig):
     epochs: int = at_least(10, 1)
     adam_eps: float = at_least(1e-5, 0)
     gae_lambda: float = within(0.95, 0, 1)
-    clip_epsilon: float = within(0.2, 0, 1)
+    clip_epsilon: float | None = within(0.2, 0, 1)  # null: nothing is clipped
     critic_coeff: float = at_least(0.5, 0)
     entropy_coeff: float = at_least(0.0, 0)
     init: Init = "orthogonal"  # gains sqrt(2), 0.01 policy, 1 value (decision 15)
@@ -97,12 +99,13 @@ PRESETS = {name: PPOConfig(preset=name) for name in PPOConfig.PRESETS}
 def make_networks(config: TrainConfig) -> tuple[nn.Sequential, nn.Sequential]:
     """Separate policy [A, ..., 30] -> [A, ..., 100] logits and value [A, ..., 30] -> [A, ..., 1] networks."""
     inputs, outputs = config.world.observation_size, config.world.n_actions
-    policy = [stream(seed, "policy network") for seed in config.seeds]
-    value = [stream(seed, "value network") for seed in config.seeds]
-    return (
-        mlp([inputs, *config.hidden, outputs], config.activation, policy, config.init, output_gain=0.01),
-        mlp([inputs, *config.hidden, 1], config.activation, value, config.init, output_gain=1.0),
-    )
+
+    def network(purpose: str, outputs: int, gain: float) -> nn.Sequential:
+        generators = [stream(seed, purpose) for seed in config.seeds]
+        sizes = [inputs, *config.hidden, outputs]
+        return mlp(sizes, config.activation, generators, config.init, gain, config.layer_norm)
+
+    return network("policy network", outputs, 0.01), network("value network", 1, 1.0)
 
 
 def make_actor_critic(policy: nn.Module, value: nn.Module) -> tuple[ProbabilisticActor, TensorDictModule]:
@@ -117,8 +120,17 @@ def make_actor_critic(policy: nn.Module, value: nn.Module) -> tuple[Probabilisti
     return actor, TensorDictModule(value, in_keys=["observation"], out_keys=["state_value"])
 
 
+def clip_bound(config: PPOConfig) -> float:
+    """The most by which the ratio of probabilities may differ from 1."""
+    return math.inf if config.clip_epsilon is None else config.clip_epsilon
+
+
 class _Loss(ClipPPOLoss):  # type: ignore[misc]
-    """TorchRL's own asks whether the entropy is finite, which no graph can be made of."""
+    """TorchRL's own asks whether the entropy is finite, which no graph can be made of, and always clips."""
+
+    @property
+    def _clip_bounds(self) -> tuple[Tensor, Tensor]:
+        return (-self.clip_epsilon.clamp(max=1)).log1p(), self.clip_epsilon.log1p()
 
     def _get_entropy(self, dist: Categorical, adv_shape: torch.Size) -> Tensor:
         entropy: Tensor = dist.entropy()[..., None]  # type: ignore[no-untyped-call]
@@ -129,7 +141,7 @@ def make_loss(policy: nn.Module, value: nn.Module, config: PPOConfig) -> ClipPPO
     """Equations (2) and (4) as TorchRL's ClipPPOLoss with SB3's settings, one loss a row."""
     return _Loss(
         *make_actor_critic(policy, value),
-        clip_epsilon=config.clip_epsilon,
+        clip_epsilon=clip_bound(config),
         critic_coeff=config.critic_coeff,
         loss_critic_type="l2",
         entropy_bonus=config.entropy_coeff > 0,
@@ -217,7 +229,7 @@ class PPO:
         minibatches = (config.n_seeds, -1, config.minibatch_size)
         epochs = [self.learner.learn(self.buffer.sample().reshape(minibatches)) for _ in range(config.epochs)]
         losses = {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
-        moved = diagnostics(batch, self.loss, config.clip_epsilon)
+        moved = diagnostics(batch, self.loss, clip_bound(config))
         return {**losses, **moved, **probes.units(self.policy, self.probe)}
 
     def networks(self) -> Mapping[str, nn.Module]:

@@ -73,6 +73,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             marks = [*(["one round each"] if arguments.quick else []), *(["cut short"] if runner.stopped else [])]
             write_sections(out, found, time.monotonic() - runner.began, ", ".join(marks))
             print(f"wrote {out}")
+    except BrokenPipeError:  # nobody reads on: `terminal` ends it
+        raise
     except OSError as error:
         print(f"uavnav.bench: {error}", file=sys.stderr)
         return 2

@@ -201,7 +201,8 @@ def section(store: Store) -> list[str]:
         f" {-FLOOR:g}: random actions earn {FLOOR:g}. It is given as mean ± standard deviation over seeds (number of"
         " seeds). The ratio is of geometric means, ours to SB3's, at the same number of parallel worlds and of updates"
         f" per frame, with Welch's {CONFIDENCE:.0%} interval over seeds. Two areas are equal if that interval lies"
-        f" within {SAME[0]} ... {SAME[1]}, and different if it does not and excludes 1.",
+        f" within {SAME[0]} ... {SAME[1]}, and different if it does not and excludes 1. *Equal* is said of these"
+        f" {store.frames:,} frames: longer runs were not compared.",
         "",
         *table(["", "parallel worlds", "uavnav", "SB3", "ratio, like for like", "verdict"], rows),
         "",

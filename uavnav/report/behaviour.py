@@ -1,8 +1,8 @@
 """What flights look like, as numbers for each training seed (claims 9 and 10); nothing here trains.
 
-A table of behaviour has a row a step and the columns of `uavnav.evaluate.BEHAVIOUR_COLUMNS` and `mode`; a flight is the
-steps of one mode, seed and layout. Letters: P poses, K obstacles of a layout, M = K + 4 bodies (they and the four
-walls), F flights of all seeds together, T steps.
+A table of behaviour has a row a step and the columns mode and `COLUMNS`; a flight is the steps of one mode, seed and
+layout. Files hold its actions alone (`uavnav.evaluate.BEHAVIOUR_COLUMNS`). Letters: P poses, K obstacles of a layout,
+M = K + 4 bodies (they and the four walls), L layouts, F flights of all seeds together, T steps.
 """
 
 from __future__ import annotations
@@ -25,13 +25,22 @@ from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array
 from uavnav.tasks import layouts
-from uavnav.tasks.dynamics import decode
+from uavnav.tasks.dynamics import decode, direction
+from uavnav.tasks.sensing import clearance
+from uavnav.tasks.simulator import make_task
 from uavnav.tasks.state import UP
 from uavnav.tasks.world import World
 from uavnav.training import machine
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
+COLUMNS = BEHAVIOUR_COLUMNS | {
+    "step": "int64",  # counted from 1
+    "x": "float32",  # [px], after the step
+    "y": "float32",  # [px]
+    "heading": "int16",  # [degrees]
+    "clearance": "float32",  # [px] to the nearest obstacle or border square
+}
 FLIGHT = ["mode", "seed", "layout"]
 OPPOSITE = -0.5
 """Cosine of 120 degrees: two directions at least so far apart are on opposite sides of the drone."""
@@ -45,28 +54,61 @@ EMPTY_ARENA = torch.empty(len(HEADINGS), 0, 3)
 
 
 def read(run: Run) -> pd.DataFrame | None:
-    """The watched steps of a run's evaluation; None where there is no such file.
+    """The watched steps of a run's evaluation, with their poses (`retrace`); None where there is no such file.
 
     Raises:
-        RunError: the file is damaged, or is not a run's.
+        RunError: the file is damaged or is not a run's, or its flights are not those of drones on test sets.
     """
     path = run.behaviour_file()
     if not path.exists():
         return None
     table = read_table(path, BEHAVIOUR_COLUMNS | {"mode": "object"}, AGAIN)
-    world = World()
+    kind, sets = run.config.get("task", "drone"), table.attrs.get("layouts", "test")
+    if (kind, sets) != ("drone", "test"):
+        raise RunError(
+            f"{path}: flights of task={kind} on layouts={sets}; only those of drones on test sets are measured"
+        )
+    try:
+        task = make_task("test", run.config.get("world"))
+    except (TypeError, ValueError) as error:
+        raise RunError(f"{run.path / 'config.yaml'}: {error}; not a run of this package") from error
     for column, right in {
         "seed": table["seed"].isin(run.seeds),
         "mode": table["mode"].isin(MODES),
-        "layout": table["layout"].between(0, layouts.SPLITS["test"].n - 1),
-        "x": table["x"].between(0, world.width),
-        "y": table["y"].between(0, world.height),
-        "clearance": table["clearance"].between(0, world.width),
-        "action": table["action"].between(0, world.n_actions - 1),
+        "layout": table["layout"].between(0, len(task.bank) - 1),
+        "action": table["action"].between(0, task.world.n_actions - 1),
     }.items():
         if not right.all():
             raise RunError(f"{path}: has {column}={table[column][~right].iloc[0]!s}; {AGAIN}")
-    return table
+    return retrace(table, task.bank, flights.headings(task, len(task.bank)), task.world)
+
+
+def retrace(table: pd.DataFrame, bank: Tensor, heading: Tensor, world: World) -> pd.DataFrame:
+    """Where the actions of flights led: the columns `COLUMNS` and mode, rows as they were.
+
+    x, y are the simulator's sums in float32, bit for bit. Its clearance may differ by rounding where it was compiled.
+
+    table: mode, seed, layout, action; a flight's rows in the order of its steps. bank [L, K, 3] px, heading [L] whole
+    degrees at the start.
+    """
+    flights_of = table.groupby(FLIGHT, sort=False)
+    flight, step = flights_of.ngroup().to_numpy(), flights_of.cumcount().to_numpy() + 1
+    layout = _tensor(table["layout"], torch.int64)
+
+    def path(start: Tensor, moved: Tensor) -> Tensor:
+        """Running sums [P] within each flight, in the type of moved [P], from start [P] or one for all."""
+        sums = np.zeros((flight.max(initial=-1) + 1, step.max(initial=0) + 1), moved.numpy().dtype)
+        sums[flight, 0], sums[flight, step] = start.numpy(), moved.numpy()
+        return torch.from_numpy(sums.cumsum(1, dtype=sums.dtype)[flight, step])
+
+    angle, distance = decode(_tensor(table["action"], torch.int64), world)
+    turned = path(heading[layout], angle) % 360
+    ways = zip(world.start, direction(turned), strict=True)
+    x, y = (path(torch.tensor(start), distance * way) for start, way in ways)
+    parts = (slice(first, first + CHUNK) for first in range(0, len(x), CHUNK))
+    near = [clearance(x[part], y[part], bank[layout[part]], world).numpy() for part in parts]
+    poses = {"x": x.numpy(), "y": y.numpy(), "heading": turned.numpy(), "clearance": np.concatenate([[], *near])}
+    return table[[*BEHAVIOUR_COLUMNS, "mode"]].assign(step=step, **poses).astype(COLUMNS)
 
 
 def measures(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
@@ -204,19 +246,20 @@ def empty_arena(crews: Sequence[Crew], steps: int = 500) -> list[pd.DataFrame]:
     number = np.repeat(np.arange(len(crews)), [len(one.seeds) for one in crews])
     seeds = np.array([seed for seed, _ in flyers])
     parts: list[pd.DataFrame] = []
+    heading = torch.tensor(HEADINGS)
     for places in flights.alike([policy for _, policy in flyers]):
         together = [flyers[place] for place in places]
         task = replace(together[0][1].task, bank=EMPTY_ARENA, max_steps=steps)
         with machine.use_threads(1):
-            for step in flights.fly(together, task, torch.tensor(HEADINGS)):
+            for step in flights.fly(together, task, heading):
                 flyer = np.array(places)[step.flight.numpy() // len(HEADINGS)]
-                state, outcome = step.state, step.outcome
-                fields = {name: getattr(state, name) for name in ("layout", "x", "y", "heading")}
-                counted = {"step": state.steps, "clearance": outcome.clearance, "action": step.action}
-                parts.append(pd.DataFrame({"crew": number[flyer], "seed": seeds[flyer], **fields, **counted}))
-    of_crews = pd.concat(parts).astype(BEHAVIOUR_COLUMNS).sort_values(["seed", "layout", "step"]).groupby("crew")
-    rows = (table[list(BEHAVIOUR_COLUMNS)].reset_index(drop=True) for _, table in of_crews)
-    return [own.assign(mode=one.mode) for own, one in zip(rows, crews, strict=True)]
+                flown = {"layout": step.flight.numpy() % len(HEADINGS), "action": step.action}
+                parts.append(pd.DataFrame({"crew": number[flyer], "seed": seeds[flyer], **flown}))
+    of_crews = pd.concat(parts).sort_values(["seed", "layout"], kind="stable").groupby("crew")
+    return [
+        retrace(own.assign(mode=one.mode).reset_index(drop=True), EMPTY_ARENA, heading, one.policies[0].world)
+        for (_, own), one in zip(of_crews, crews, strict=True)
+    ]
 
 
 def with_values() -> list[str]:

@@ -5,6 +5,7 @@ A *cell* is an algorithm with an activation and all other settings. Frames are p
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -19,7 +20,18 @@ import pandas as pd
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import EVALUATION, LOG_FOLDERS, Run, paper
-from uavnav.runs.metrics import EPISODE_COLUMNS, LAST, MODES, finished, last_episodes
+from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, last_episodes, per_seed
+from uavnav.runs.readings import (
+    EVALUATIONS,
+    LAST_EPISODES,
+    LOG_CURVE,
+    PER_FRAME,
+    READINGS,
+    TOTALS,
+    log_curve,
+    per_frame,
+    within,
+)
 from uavnav.runs.tables import RunError
 from uavnav.tasks.world import World
 
@@ -109,6 +121,8 @@ def read(path: Path) -> Cell:
     run = Run(path)
     if not re.fullmatch(r"[\w-]+", run.algorithm):
         raise RunError(f"{path / 'config.yaml'}: names no algorithm; not a run of this package")
+    if type(run.config.get("n_worlds")) is not int or run.config["n_worlds"] < 1:
+        raise RunError(f"{path / 'config.yaml'}: does not say in how many worlds; not a run of this package")
     for key in ("bank", "versions", "beyond_preset"):
         if not isinstance(run.meta.setdefault(key, {}), dict):
             raise RunError(f"{path / 'meta.json'}: {key} is no table; not a run of this package")
@@ -219,23 +233,51 @@ def label(cells: list[Cell]) -> tuple[list[Cell], str]:
     return labelled, ", ".join(f"{key}={value}" for key, value in usual.items())
 
 
+def episodes_of(cell: Cell, reading: str) -> pd.DataFrame:
+    """The episodes that a reading is of."""
+    if reading in EVALUATIONS:
+        mode = MODES[EVALUATIONS.index(reading)]
+        return finished(cell.evaluation[cell.evaluation["mode"] == mode])
+    if reading == PER_FRAME:
+        return cell.episodes
+    return last_episodes(cell.episodes) if reading == LAST_EPISODES else finished(cell.episodes)
+
+
+def read_as(cell: Cell, reading: str) -> pd.DataFrame:
+    """A row a seed and a column a metric; no rows where there are no episodes, or the log's rhythm is not known."""
+    own, episodes = cell.settings, episodes_of(cell, reading)
+    if reading == PER_FRAME:
+        return per_frame(episodes, own["frames"])
+    if reading == LOG_CURVE:
+        rhythm = ALGORITHMS[cell.algorithm].rhythm(own) if cell.algorithm in ALGORITHMS else None
+        return log_curve(episodes, own["frames"], *rhythm) if rhythm else per_seed(episodes[:0])
+    return per_seed(episodes, ratio_of_means=reading == TOTALS)
+
+
 def readings(cell: Cell) -> dict[str, pd.DataFrame]:
-    """The episodes that ended, in each reading of what the paper averages (decision 12)."""
-    training = {"all training episodes": cell.episodes, f"last {LAST} training episodes": last_episodes(cell.episodes)}
-    modes = {f"{mode} evaluation": cell.evaluation[cell.evaluation["mode"] == mode] for mode in MODES}
-    return {name: finished(rows) for name, rows in (training | modes).items()}
+    """A cell in every reading of what the paper averages (decision 12), in order."""
+    return {reading: read_as(cell, reading) for reading in READINGS}
+
+
+def windowed(cell: Cell, column: str, windows: Sequence[tuple[float, float]]) -> pd.DataFrame:
+    """A column of training per frame in windows of frames: a row a seed, a column a window (`readings.within`)."""
+    own = cell.settings
+    at_end = {"reward": own.get("world.collision_reward", World.collision_reward), "terminated": 1.0}
+    return within(cell.episodes, column, windows, own["n_worlds"], at_end.get(column, 0.0))
 
 
 def curve(cell: Cell, column: str) -> pd.DataFrame:
-    """Means per bin and seed (`binned`) over a cell's episodes that ended."""
-    return binned(finished(cell.episodes), column, cell.settings["frames"])
+    """A column per frame in each of `BINS` equal stretches of training (index: its middle) and of each seed."""
+    edges = np.linspace(0, cell.settings["frames"], BINS + 1)
+    seeds = windowed(cell, column, [*itertools.pairwise(edges)])
+    return seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
 
 
-def binned(rows: pd.DataFrame, column: str, frames: int) -> pd.DataFrame:
+def binned(table: pd.DataFrame, column: str, frames: int) -> pd.DataFrame:
     """Means of a column per bin of frames (index: its middle) and seed (columns); rows without a value are left out."""
-    rows, width = rows[rows[column].notna()], frames / BINS
-    middle = (((rows["frame"] - 1) // width).clip(0, BINS - 1) + 0.5) * width
-    return rows.groupby([middle, "seed"])[column].mean().unstack("seed")
+    known, width = table[table[column].notna()], frames / BINS
+    middle = (((known["frame"] - 1) // width).clip(0, BINS - 1) + 0.5) * width
+    return known.groupby([middle, "seed"])[column].mean().unstack("seed")
 
 
 def show(value: object) -> str:

@@ -25,11 +25,11 @@ from uavnav.stats import Array, Interval
 
 
 @matplotlib.rc_context(style.STYLE)
-def intervals(rows: Mapping[str, Array], printed: Mapping[str, float], axis: str) -> style.Drawn:
+def intervals(rows: Mapping[str, Array], printed: Mapping[str, float], axis: str, rule: float = np.nan) -> style.Drawn:
     """A metric's mean with its 95 % interval, its interquartile mean, its seeds and the paper's value: a row a cell.
 
-    rows: label of the cell -> [S]; printed: label -> the paper's value; axis: the metric with its unit. The algorithms
-    share a scale unless that would squeeze one of them into a fifth of it.
+    rows: label of the cell -> [S]; printed: label -> the paper's value; axis: the metric with its unit; rule: what the
+    hand-written rule reaches. The algorithms share a scale unless that would squeeze one of them into a fifth of it.
     """
     if not any(np.isfinite(values).any() for values in rows.values()):
         return style.nothing(axis)
@@ -56,16 +56,43 @@ def intervals(rows: Mapping[str, Array], printed: Mapping[str, float], axis: str
             beside = f"the paper's {style.number(theirs)}" if name in printed else ""
             said.append(f"{name} {style.said(found, beside)}")
         style.name_rows(axes, [f"{name.split(' ', 1)[-1]}, n = {len(rows[name])}" for name in members])
+        if np.isfinite(rule):
+            axes.axvline(rule, **style.DASHED)
         axes.set_title(group + ("" if share else ", on its own scale"))
     panels[-1].set_xlabel(axis)
     handles = [
         Line2D([], [], marker="o", markersize=9, color=style.INK, label="mean, 95 % interval"),
         style.mark("|", "interquartile mean", markersize=14, markeredgewidth=2),
         style.mark("o", "a seed", markersize=5, alpha=0.5),
-        style.mark("D", "the paper", markersize=8, markerfacecolor="white"),
+        *[style.mark("D", "the paper", markersize=8, markerfacecolor="white")] * bool(printed),
+        *[Line2D([], [], label=style.RULE, **style.DASHED)] * bool(np.isfinite(rule)),
     ]
-    style.legend(figure, handles, 4)
-    return style.Drawn(figure, f"{axis}, mean over seeds: {'; '.join(said)}.")
+    style.legend(figure, handles, 3)
+    beside = f"; {style.RULE} {style.number(rule)}" if np.isfinite(rule) else ""
+    return style.Drawn(figure, f"{axis}, mean over seeds: {'; '.join(said)}{beside}.")
+
+
+@matplotlib.rc_context(style.STYLE)
+def rows_of(table: pd.DataFrame, panels: Mapping[str, str]) -> style.Drawn:
+    """Means with their intervals: a row each, a panel a metric.
+
+    table: columns row, metric, value, low, high, n; panels: metric -> its axis.
+    """
+    rows = list(dict.fromkeys(table["row"]))
+    figure = Figure(figsize=(style.WIDTH, 0.34 * len(rows) + 1.3), layout="constrained")
+    drawn = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    said = []
+    for axes, (metric, label) in zip(drawn, panels.items(), strict=True):
+        for one in table[table["metric"] == metric].to_dict("records"):
+            place, colour = rows.index(one["row"]), style.COLOURS["tanh" if one["row"].startswith("PPO") else "relu"]
+            axes.plot([one["low"], one["high"]], [place, place], color=colour, linewidth=3, solid_capstyle="butt")
+            axes.plot(one["value"], place, "o", color=colour, markersize=8)
+            found = Interval(one["value"], one["low"], one["high"], one["n"])
+            said.append(f"{one['row']}, {label} {style.said(found)}")
+        axes.set_xlabel("\n".join(textwrap.wrap(label, 60 // len(panels))))
+        axes.xaxis.set_major_locator(MaxNLocator(5 if len(panels) == 1 else 3))
+    style.name_rows(drawn[0], rows)
+    return style.Drawn(figure, f"Mean over seeds and 95 % interval: {'; '.join(said)}.")
 
 
 @matplotlib.rc_context(style.STYLE)
@@ -193,12 +220,12 @@ def sensitivity(table: pd.DataFrame) -> style.Drawn:
 
 @matplotlib.rc_context(style.STYLE)
 def power(table: pd.DataFrame, n: int, most: int = 10_000) -> style.Drawn:
-    """Seeds a cell that would tell the means of two cells apart in 80 % of studies: a row a pair, the easiest first.
+    """Seeds a cell that find the paper's difference of two cells in 80 % of studies: a row a pair, the easiest first.
 
-    table: columns pair and seeds (infinite: no difference was seen; NaN: not known); n: seeds that there are; most:
+    table: columns pair and seeds (infinite: there is no difference; NaN: not known); n: seeds that there are; most:
     beyond it a number is drawn as an arrow.
     """
-    title = "Seeds a cell to tell two cells apart\n(80 % power, t test at 5 %)"
+    title = "Seeds a cell to find the paper's difference\n(80 % power, t test at 5 %)"
     if not len(table):
         return style.nothing(title.replace("\n", " "))
     table = table.sort_values("seeds", kind="stable", na_position="last", ignore_index=True)

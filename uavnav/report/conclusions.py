@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
 from uavnav.report import tables
-from uavnav.report.claims import CLAIMS, Claim
+from uavnav.report.claims import PRIMARY, Claim
 from uavnav.report.frames import AS_DECIDED, total_frames
 from uavnav.report.studies import Studies, paper_cells
-from uavnav.report.verdicts import CONTRADICTED, KINDS, SEEDS, SUPPORTED, Finding, of_claim, p_in_words, verdict
+from uavnav.report.verdicts import (
+    ABSENT,
+    AGAINST_ITSELF,
+    BESIDE,
+    COUNTS,
+    REPLICATES,
+    REVERSES,
+    SEEDS,
+    TOO_SMALL,
+    VERDICTS,
+    Finding,
+)
+from uavnav.runs.readings import decimals, words
 
 
 def sensitivity(studies: Studies, found: pd.DataFrame) -> str:
     """What the table of switches shows, and what it comes to. found: as `frames.sensitivity` gives it."""
-    flipped = found[found["flips"] == "yes"]
+    flipped, digits = found[found["flips"] == "yes"], decimals("reward", PRIMARY)
     decided = found[found["switch"] == AS_DECIDED].set_index("conclusion")
     beyond = [
-        f"{one['conclusion']} with {one['switch']} ({tables.with_interval(one['value'], one['low'], one['high'], 1)})"
+        f"{one['conclusion']} with {one['switch']}"
+        f" ({tables.with_interval(one['value'], one['low'], one['high'], digits)})"
         for one in found[found["flips"] == "sign"].to_dict("records")
         if one["low"] * one["high"] > 0 and decided["low"][one["conclusion"]] * decided["high"][one["conclusion"]] <= 0
     ]
     said = [
-        "Each choice that the paper leaves open, changed by itself: reward per episode over all training episodes, the"
+        f"Each choice that the paper leaves open, changed by itself: {words('reward', PRIMARY)} of training, the"
         f" difference of the means that a column names, with its 95 % interval over seeds, after"
         f" {total_frames(studies.baseline)} frames a seed in every row; after more they may differ. Targets of several"
         " steps are no such choice (the paper's eq. (1) has one) and stand beside them.",
@@ -50,30 +62,16 @@ def by_default(studies: Studies, found: pd.DataFrame) -> str:
     )
 
 
-def lead(findings: Sequence[Finding]) -> str:
-    """One sentence: how many claims hold."""
-    of = {claim.number: verdict(of_claim(findings, claim.number)) for claim in CLAIMS}
-    parts = []
-    for kind in KINDS:
-        numbers = [str(number) for number, found in of.items() if found == kind]
-        listed = f" ({', '.join(numbers)})" if numbers else ""
-        parts.append(f"{_are(len(numbers))} {kind}{listed}")
-    return f"Of the paper's {len(CLAIMS)} claims, {', '.join(parts[:-1])} and {parts[-1]}."
-
-
-def _are(count: int, of: str = "") -> str:
-    return f"{count}{of} {'is' if count == 1 else 'are'}"
-
-
 def sentence(claim: Claim, findings: Sequence[Finding]) -> str:
     """What the parts of a claim come to."""
-    kinds = [(kind, sum(one.verdict == kind for one in findings)) for kind in KINDS]
-    parts = [f"{_are(count, f' of {len(findings)} parts')} {kind}" for kind, count in kinds if count]
-    said = [", ".join(parts) + "." if len(findings) > 1 else f"Its one part is {verdict(findings)}."]
-    if against := [one for one in findings if one.against_itself]:
-        said.append(
-            f"The paper's own tables speak against it in {len(against)}: {'; '.join(one.text for one in against)}."
-        )
+    counting = [one.verdict for one in findings if one.standing == COUNTS]
+    kinds = [f"{counting.count(kind)} {kind}" for kind in VERDICTS if kind in counting]
+    said = [f"Of {len(counting)} parts that count: {', '.join(kinds)}."] if counting else ["No part counts."]
+    for standing, why in ((AGAINST_ITSELF, "The paper contradicts itself in"), (TOO_SMALL, "Too small to see:")):
+        if texts := [one.text for one in findings if one.standing == standing]:
+            said.append(f"{why} {'; '.join(texts)}.")
+    if all(one.standing == BESIDE for one in findings):
+        said = []
     return " ".join([*said, claim.note]).strip()
 
 
@@ -86,22 +84,12 @@ def turned(findings: Sequence[Finding], audits: Mapping[str, Sequence[Finding]])
 
 def other_way(finding: Finding, audits: Mapping[str, Sequence[Finding]]) -> str:
     """The readings that decide a part the other way, in words."""
+    against = {REVERSES, ABSENT}
     found = [
         reading
         for reading, findings in audits.items()
         for one in findings
-        if one[:2] == finding[:2] and {one.verdict, finding.verdict} == {SUPPORTED, CONTRADICTED}
+        if one[:2] == finding[:2] and REPLICATES in (pair := {one.verdict, finding.verdict}) and pair & against
     ]
     every = len(found) > 1 and len(found) == len(audits) - 1
     return "by every other reading" if every else "by " + ", by ".join(found) if found else ""
-
-
-def headline(findings: Sequence[Finding]) -> list[str]:
-    """The part that decides, the first with the claim's own verdict: its question, then its numbers one by one."""
-    decisive = next(one for one in findings if one.verdict == verdict(findings))
-    if not decisive.n:
-        return [decisive.text, "no runs"]
-    own = [] if math.isnan(decisive.paper) else [f"the paper {tables.number(decisive.paper, decisive.digits)}"]
-    ours = tables.with_interval(decisive.value, decisive.low, decisive.high, decisive.digits)
-    criterion = p_in_words(decisive) if decisive.by_test else f"claimed {decisive.region}"
-    return [decisive.text, *own, f"ours {ours}", criterion, f"n = {decisive.n}"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,14 +13,16 @@ from typing import Any
 import pandas as pd
 
 from uavnav.policies import PolicyError
-from uavnav.report import behaviour, figures, frames, replays, studies
-from uavnav.report.cells import Cell, collect, one_line, readings
+from uavnav.report import behaviour, figures, frames, headline, replays, studies, whys
+from uavnav.report.cells import Cell, collect, one_line
 from uavnav.report.claims import PRIMARY
 from uavnav.report.figures import Figure
+from uavnav.report.operating import characteristics
 from uavnav.report.studies import Rows, Studies
 from uavnav.report.verdicts import Finding, audit
 from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
+from uavnav.runs.readings import READINGS
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
@@ -43,6 +46,7 @@ class Content:
     figures: list[Figure]
     replays: dict[str, Any] | None
     baselines: dict[str, pd.DataFrame]
+    first_rule: pd.DataFrame  # its verdicts, as history
     left_out: list[str] = field(default_factory=list)
 
     @property
@@ -70,14 +74,17 @@ def gather(folders: Sequence[Path]) -> Content:
         valued = beside.submit(_overestimation, of_paper)
         replayed = beside.submit(replays.record, [*of_paper.values()])
         flights, watched, problems = watch(sorted_cells)
-        evidence = {reading: Rows(sorted_cells, reading, flights) for reading in readings(cells[0])}
-        evidence[f"{PRIMARY}, ratios of means"] = Rows(sorted_cells, PRIMARY, flights, ratio_of_means=True)
-        audits = {reading: audit(rows, studies.of_paper) for reading, rows in evidence.items()}
+        evidence = {reading: Rows(sorted_cells, reading, flights) for reading in READINGS}
+        printed = {reading: functools.partial(studies.of_paper, reading=reading) for reading in READINGS}
+        audits = {reading: audit(evidence[reading], printed[reading]) for reading in READINGS}
         baselines, unread = frames.baselines(folders)
-        survival, survived = frames.survival(sorted_cells.main)
-        numbers = _tables(sorted_cells, audits, flights)
+        survival, survived = frames.survival(sorted_cells.main, baselines)
+        numbers = _tables(sorted_cells, audits, flights) | {"whys": whys.table(evidence[PRIMARY])}
         (overestimated, unvalued), flown = valued.result(), replayed.result()
-    numbers |= {"overestimation": overestimated, "survival": survived}
+    predictions = frames.predictions(evidence)
+    numbers |= {"overestimation": overestimated, "survival": survived, "predictions": predictions}
+    numbers |= {"operating": characteristics(evidence[PRIMARY], printed[PRIMARY])}
+    numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
     return Content(
         cells,
         sorted_cells,
@@ -86,6 +93,7 @@ def gather(folders: Sequence[Path]) -> Content:
         figures.draw(of_paper, numbers, watched, survival),
         flown if flown["cells"] else None,
         baselines,
+        frames.first_rule(folders[0]),
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *flown["left_out"]])),
     )
 
@@ -98,7 +106,7 @@ def watch(all_cells: Studies) -> tuple[Flights, Flights, list[str]]:
     parts: dict[Place, list[pd.DataFrame]] = defaultdict(list)
     crews: dict[Place, list[behaviour.Crew]] = defaultdict(list)
     problems = []
-    for study in WATCHED:
+    for study in (*WATCHED, *all_cells.why):
         for key, cell in studies.paper_cells(all_cells.of(study)).items():
             for run in cell.runs:
                 try:
@@ -160,7 +168,11 @@ def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights
         "behaviour": frames.flown(flights),
         "diagnostics": frames.diagnostics(of_paper),
         "sensitivity": frames.sensitivity(all_cells),
+        "cells": headline.cells(all_cells),
+        "effects": headline.effects(all_cells),
+        "peaks": headline.peaks(of_paper),
         "by_default": frames.by_default(all_cells),
+        "many_worlds": frames.estimates(frames.per_seed_values(studies.paper_cells(all_cells.many_worlds))),
         "wide": frames.estimates(frames.per_seed_values(studies.wide(all_cells))),
         "speed": frames.speed(of_paper),
     }

@@ -20,21 +20,23 @@ from uavnav import stats
 from uavnav.report import style
 from uavnav.report.cells import Cell, binned, curve
 from uavnav.runs import paper
-from uavnav.runs.metrics import METRICS, finished
+from uavnav.runs.readings import PER_FRAME, words
 from uavnav.stats import Interval
 
 RESAMPLES = 1_000
 """Bootstrap draws of the band of a curve."""
+LINES = {"reward": "mean over seeds", "steps": "all seeds' frames over all their collisions"}
+"""What a learning curve shows, by its column."""
 
 
 @matplotlib.rc_context(style.STYLE)
 def curves(cells: Sequence[Cell], column: str) -> style.Drawn:
     """Learning curves of one algorithm, as the paper's figures 4 and 5: a line a cell, a band, the paper's mean dashed.
 
-    cells: labelled ones of one algorithm; column: of their episodes.
+    cells: labelled ones of one algorithm; column: one of `LINES`.
     """
-    title = ": ".join([*{cell.algorithm.upper(): cell for cell in cells}, f"{METRICS[column]} in training"])
-    if not any(len(finished(cell.episodes)) for cell in cells):
+    title = ": ".join([*{cell.algorithm.upper(): cell for cell in cells}, f"{words(column, PER_FRAME)} in training"])
+    if not any(len(cell.episodes) for cell in cells):
         return style.nothing(title)
     figure, axes = style.panel(title)
     lines = plot(axes, cells, column)
@@ -42,7 +44,7 @@ def curves(cells: Sequence[Cell], column: str) -> style.Drawn:
     _over_training(figure, axes, [Line2D([], [], color=style.PALE, linestyle="--", label="the paper's mean")])
     ends = []
     for cell, line in zip(cells, lines, strict=True):
-        printed = paper.printed(cell.algorithm, cell.activation, column)
+        printed = paper.printed(cell.algorithm, cell.activation, column, per_frame=True)
         beside = "" if np.isnan(printed) else f"the paper's mean {style.number(printed)}"
         ends.append(f"{cell.label or cell.activation} {_end(line, beside)}")
     return style.Drawn(figure, f"{title} against frames per seed; in the last bin: {'; '.join(ends)}.")
@@ -53,16 +55,28 @@ def plot(axes: Axes, cells: Sequence[Cell], column: str) -> list[pd.DataFrame]:
     lines: list[pd.DataFrame] = []
     seen: set[str] = set()
     for cell, (colour, dashes) in zip(cells, style.looks(cell.activation for cell in cells), strict=True):
-        lines.append(band(curve(cell, column)))
+        lines.append(learning(cell, column))
         n = sum(len(run.seeds) for run in cell.runs)
         _line(axes, lines[-1], colour, dashes, f"{cell.label or cell.activation}, n = {n}")
-        printed = paper.printed(cell.algorithm, cell.activation, column)
+        printed = paper.printed(cell.algorithm, cell.activation, column, per_frame=True)
         if np.isfinite(printed) and cell.activation not in seen:
             axes.axhline(printed, color=colour, linestyle="--", linewidth=1)
         seen.add(cell.activation)
-    axes.set_ylabel(str(METRICS[column]))
+    axes.set_ylabel(words(column, PER_FRAME))
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,g}"))
     return lines
+
+
+def learning(cell: Cell, column: str) -> pd.DataFrame:
+    """A cell's learning curve, as `band` gives it: one of `LINES`, in the reading *per frame*.
+
+    Steps per collision are frames over collisions, of all seeds together: a seed that never collides counts too.
+    """
+    if column != "steps":
+        return band(curve(cell, column))
+    line = band(curve(cell, "terminated"))
+    upside_down = 1 / line[["mean", "high", "low"]].where(lambda rate: rate > 0)  # NaN where nobody collided
+    return line.assign(**dict(zip(("mean", "low", "high"), upside_down.to_numpy().T, strict=True)))
 
 
 def _over_training(figure: Figure, axes: Axes, more: Sequence[Line2D] = ()) -> None:
@@ -76,7 +90,7 @@ def _over_training(figure: Figure, axes: Axes, more: Sequence[Line2D] = ()) -> N
 
 def _name_dashes(axes: Axes, cells: Sequence[Cell], column: str) -> None:
     """The paper's means at the right end of their lines, in their colours, none over another."""
-    named = {cell.activation: paper.printed(cell.algorithm, cell.activation, column) for cell in cells}
+    named = {cell.activation: paper.printed(cell.algorithm, cell.activation, column, per_frame=True) for cell in cells}
     means = sorted((mean, activation) for activation, mean in named.items() if np.isfinite(mean))
     if not means:
         return
@@ -196,7 +210,8 @@ def survival(curves: Mapping[str, pd.Series[float]], cap: int) -> style.Drawn:
         shares = curves[name]
         seen = (shares * 500).round().diff().ne(0)  # finer steps are less than a pixel high
         seen.iloc[[0, -1]] = True
-        axes.step(seen.index[seen], shares[seen], dashes, where="post", color=colour, linewidth=1.8, label=name)
+        look = {"color": colour, "linestyle": dashes, "linewidth": 1.8} if name != style.RULE else style.DASHED
+        axes.step(seen.index[seen], shares[seen], where="post", label=name, **look)
         over = shares.index[shares <= 0.5]
         half = f"half of them after {over[0]:,.0f} steps" if len(over) else "half of them never"
         said.append(f"{name} {half}, {100 * shares.iloc[-1]:.0f} % up at {shares.index[-1]:,.0f}")

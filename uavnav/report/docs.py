@@ -1,4 +1,4 @@
-"""docs/results.md and the table of the README, from the same source as the report.
+"""docs/results.md and the block of results in the README, from the same source as the report.
 
 `python -m uavnav.report.docs [FOLDER]`
 """
@@ -11,11 +11,8 @@ from pathlib import Path
 
 from uavnav import files
 from uavnav.choices import Parser
-from uavnav.report import conclusions
-from uavnav.report.claims import CLAIMS
 from uavnav.report.content import Content, gather
 from uavnav.report.page import render
-from uavnav.report.verdicts import of_claim, verdict
 from uavnav.runs.tables import RunError
 
 BEGIN, END = "<!-- results -->", "<!-- end of results -->"
@@ -23,20 +20,12 @@ BEGIN, END = "<!-- results -->", "<!-- end of results -->"
 
 def results(content: Content) -> str:
     """docs/results.md."""
-    return render("results.md", content).strip() + "\n"
+    return render("results.md", content, root="../results/").strip() + "\n"
 
 
 def summary(content: Content) -> str:
-    """The README's sentences and table: each claim's verdict with the numbers of the part that decides."""
-    rows = [["", "the paper says", "from our seeds", "by"]]
-    for claim in CLAIMS:
-        mine = of_claim(content.findings, claim.number)
-        question, *numbers = conclusions.headline(mine)
-        decisive = next(one for one in mine if one.text == question)
-        if readings := conclusions.other_way(decisive, content.audits):
-            numbers.append(f"the other way {readings}")
-        rows.append([str(claim.number), claim.sentence, verdict(mine), f"{question}: {'; '.join(numbers)}"])
-    return render("summary.md", content, rows=rows).strip()
+    """The README's findings, the flights of the best beside the rule's, and a row a claim."""
+    return render("summary.md", content, root="results/").strip()
 
 
 def between_marks(text: str, new: str) -> str:
@@ -53,7 +42,7 @@ def between_marks(text: str, new: str) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write docs/results.md and the README's table from the runs in a folder."""
+    """Write docs/results.md and the README's block of results from the runs in a folder."""
     parser = Parser(prog="python -m uavnav.report.docs", description=main.__doc__)
     parser.add_argument("folder", nargs="?", default="results", metavar="FOLDER", help="of runs (default: results)")
     arguments = parser.parse_args(argv)
@@ -69,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("uavnav.report.docs: stopped; nothing was written", file=sys.stderr)
         return 130
-    print(f"wrote {page} and the table in {readme}")
+    print(f"wrote {page} and the block of results in {readme}")
     return 0
 
 

@@ -9,14 +9,15 @@ import numpy as np
 import pandas as pd
 
 from uavnav.evaluate import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import arena, behaviour, charts, curves, frames, studies, tables
+from uavnav.report import arena, behaviour, charts, curves, frames, studies, style, tables, whys
 from uavnav.report.cells import algorithms
 from uavnav.report.claims import PRIMARY
 from uavnav.report.frames import DIAGNOSTICS, name
+from uavnav.report.headline import RULE
 from uavnav.report.studies import Cells
 from uavnav.report.style import Drawn
 from uavnav.runs import paper
-from uavnav.runs.metrics import METRICS
+from uavnav.runs.readings import PER_FRAME, SAMPLED, words
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
 
@@ -48,14 +49,14 @@ def draw(
     activation; survival: curves by cell.
     """
     flown = {key[1:]: table for key, table in flights.items() if key[0] == "main"}
-    found = [*_curves(cells), *_metrics(numbers["seeds"]), *_paths(flown), *_places(flown)]
+    found = [*_curves(cells), *_metrics(numbers["seeds"], numbers["gaps"]), *_paths(flown), *_places(flown)]
     found += _statistics(cells, numbers, survival)
     if len(numbers["behaviour"]):
         sampled = numbers["behaviour"].query("mode == 'sampled'")
         drawn = charts.behaviours(sampled[["cell", "algorithm", "activation", "seed", *LOOKED_AT]])
         caption = "Each small dot is a seed, the bar its cell's 95 % interval; sampled flights on test sets."
         found.append(Figure("behaviour", "behaviour", drawn, caption))
-    found += _why(cells)
+    found += [*_whys(numbers["whys"]), *_why(cells)]
     if len(numbers["sensitivity"]):
         caption = "The band is the interval as decided; an interval that lies across zero from it flips a conclusion."
         found.append(Figure("sensitivity", "sensitivity", charts.sensitivity(numbers["sensitivity"]), caption))
@@ -75,26 +76,35 @@ def _curves(cells: Cells) -> list[Figure]:
         dashed = "; dashed: the paper's mean" if number else ""
         for column in ("reward", "steps"):
             caption = (
-                f"{algorithm.upper()}{beside}: {column} of the episodes that ended in each stretch of training."
-                f" Line: mean over seeds; band: its 95 % interval{dashed}."
+                f"{algorithm.upper()}{beside}: {words(column, PER_FRAME)} in each stretch of training, of all seeds and"
+                f" flights, open ones too. Line: {curves.LINES[column]}; band: its 95 % interval over seeds{dashed}."
             )
             found.append(Figure(f"curves-{algorithm}-{column}", "curves", curves.curves(mine, column), caption))
     return found
 
 
-def _metrics(values: pd.DataFrame) -> list[Figure]:
+def _metrics(values: pd.DataFrame, gaps: pd.DataFrame) -> list[Figure]:
+    """Cells side by side: two metrics of training, and the reward of test flights, with the rule's."""
+    rule = gaps[gaps["who"] == RULE]
     found = []
-    shown = values[(values["reading"] == PRIMARY) & (values["ratio"] == "mean of ratios")]
-    for metric in ("reward", "steps"):
+    for stem, section, metric, reading, own in (
+        ("cells-reward", "tables", "reward", PRIMARY, rule["per_frame"]),
+        ("cells-steps", "tables", "steps", PRIMARY, rule["per_frame"][:0]),
+        ("cells-flights", "baselines", "reward", SAMPLED, rule["reward"]),
+    ):
+        shown = values[(values["reading"] == reading) & (values["metric"] == metric)]
         rows = {
             name(*(str(one) for one in key)): part["value"].dropna().to_numpy()
-            for key, part in shown[shown["metric"] == metric].groupby(["algorithm", "activation"], sort=False)
+            for key, part in shown.groupby(["algorithm", "activation"], sort=False)
             if key[1] in paper.ACTIVATIONS
         }
-        printed = {name(*key): row[metric] for key, row in paper.TABLES.items()}
-        caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
-        drawn = charts.intervals(rows, printed, str(METRICS[metric]))
-        found.append(Figure(f"cells-{metric}", "tables", drawn, caption))
+        trained = reading == PRIMARY
+        printed = {name(*key): paper.printed(*key, metric, PRIMARY == PER_FRAME) for key in paper.TABLES if trained}
+        caption = f"{reading.capitalize()}: seeds, their mean with its 95 % interval"
+        caption += ", and the paper's run." if trained else "."
+        caption += f" Dashed: the hand-written rule `{RULE}` on the test sets." if len(own) else ""
+        drawn = charts.intervals(rows, printed, words(metric, reading), float(own.sum()) if len(own) else np.nan)
+        found.append(Figure(stem, section, drawn, caption))
     return found
 
 
@@ -126,10 +136,10 @@ def _places(flown: Mapping[tuple[str, str], pd.DataFrame]) -> list[Figure]:
             maps[algorithm.upper()] = np.mean(mine, axis=0)
         if maps:
             activations = len({activation for _, activation in flown})
-            n = frames.least_to_most(table["seed"].nunique() for table in sampled.values())
+            n = frames.least_to_most((table["seed"].nunique() for table in sampled.values()), "seed")
             caption = (
                 f"Where the drones are {where}: share of steps in each square, of every seed and activation alike"
-                f" ({activations} activations, n = {n} seeds each)."
+                f" ({activations} activations, {n} each)."
             )
             found.append(Figure(stem, "behaviour", arena.heat_maps(maps, World()), caption))
     return found
@@ -139,18 +149,34 @@ def _statistics(cells: Cells, numbers: Mapping[str, pd.DataFrame], survival: Map
     counted = numbers["survival"].set_index("cell")["n"]
     shown = [label for label in (name(*key) for key in cells) if label in survival]
     flights = {f"{label} (n = {counted[label]})": survival[label] for label in shown}
+    flights |= {style.RULE: survival[RULE]} if RULE in survival else {}
     n = min((studies.seeds(cell) for cell in cells.values()), default=0)
-    matrix = charts.improvement_matrix(numbers["improvement"], f"{METRICS['reward']}, {PRIMARY}")
+    matrix = charts.improvement_matrix(numbers["improvement"], words("reward", PRIMARY))
     beats = "How probably a seed of the row's cell beats one of the column's; Mann-Whitney, Holm's correction."
     pooled = (
         "Kaplan-Meier, all seeds of a cell pooled, n of them: a cap on steps censors a flight, and is no collision."
     )
-    needed = "What it would take to tell two activations apart by their reward; the line is what this study has."
+    needed = (
+        "What it takes to find the paper's difference in reward of two activations, where seeds scatter as ours; the"
+        " line is what this study has."
+    )
     return [
         Figure("improvement", "statistics", matrix, beats),
         Figure("survival", "statistics", curves.survival(flights, frames.CAP), f"{pooled} Sampled."),
         Figure("power", "statistics", charts.power(numbers["power"], n, tables.MANY), needed),
     ]
+
+
+def _whys(table: pd.DataFrame) -> list[Figure]:
+    """A figure for each question that there are cells for."""
+    found = []
+    for question in whys.QUESTIONS:
+        part = table[(table["question"] == question.name) & table["row"].isin([*question.rows])]
+        if len(part):
+            drawn = charts.rows_of(part, {metric: whys.in_words(metric) for metric in question.metrics})
+            said = " ".join(whys.answers(table, question))
+            found.append(Figure(f"whys-{question.name}", "why", drawn, f"{question.text} {said}".strip()))
+    return found
 
 
 def _why(cells: Cells) -> list[Figure]:

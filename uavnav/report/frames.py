@@ -17,12 +17,13 @@ import pandas as pd
 
 from uavnav import stats
 from uavnav.report import claims
-from uavnav.report.cells import Cell, Key, algorithms, readings
-from uavnav.report.claims import PRIMARY, halves, long
-from uavnav.report.studies import TUNED, Cells, Studies, hours, paper_cells, seeds, timed
-from uavnav.report.verdicts import Finding, of_claim, verdict
+from uavnav.report.cells import Cell, Key, algorithms, episodes_of, read_as, readings
+from uavnav.report.claims import PRIMARY, Evidence, long
+from uavnav.report.studies import TUNED, Cells, Studies, hours, paper_cells, timed
+from uavnav.report.verdicts import Finding, grade, of_claim
 from uavnav.runs import paper
-from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
+from uavnav.runs.metrics import FIRST_COLUMNS
+from uavnav.runs.readings import PER_FRAME, SAMPLED
 from uavnav.runs.tables import RunError, read_table
 
 CAP = 10_000
@@ -60,34 +61,31 @@ def name(algorithm: str, activation: str) -> str:
 
 def of_seeds(cell: Cell, reading: str, metric: str = "reward") -> stats.Array:
     """A metric of a cell in one reading: a number a seed [S]."""
-    return per_seed(readings(cell)[reading])[metric].dropna().to_numpy()
+    return read_as(cell, reading)[metric].dropna().to_numpy()
 
 
 def per_seed_values(cells: Cells) -> pd.DataFrame:
-    """Every metric of every seed in every reading: algorithm, activation, reading, ratio, metric, seed, value."""
+    """Every metric of every seed in every reading: algorithm, activation, reading, metric, seed, value."""
     parts = []
     for (algorithm, activation), cell in cells.items():
-        for reading, rows in readings(cell).items():
-            for ratio_of_means in (False, True):
-                table = per_seed(rows, ratio_of_means)
-                kept = [metric for metric in METRICS if METRICS[metric].scale is not None or not ratio_of_means]
-                values = table[kept].melt(ignore_index=False, var_name="metric").reset_index()
-                ratio = "ratio of means" if ratio_of_means else "mean of ratios"
-                parts.append(values.assign(algorithm=algorithm, activation=activation, reading=reading, ratio=ratio))
-    columns = ["algorithm", "activation", "reading", "ratio", "metric", "seed", "value"]
+        for reading, table in readings(cell).items():
+            values = table.melt(ignore_index=False, var_name="metric").reset_index()
+            parts.append(values.assign(algorithm=algorithm, activation=activation, reading=reading))
+    columns = ["algorithm", "activation", "reading", "metric", "seed", "value"]
     return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
 
 
 def estimates(values: pd.DataFrame) -> pd.DataFrame:
-    """Mean and interquartile mean over seeds, with 95 % intervals, beside the paper's number."""
+    """Mean and interquartile mean over seeds, with 95 % intervals, beside the paper's number in the same reading."""
     rows = []
-    keys = ["algorithm", "activation", "reading", "ratio", "metric"]
+    keys = ["algorithm", "activation", "reading", "metric"]
     numbers = ["n", "mean", "low", "high", "interquartile_mean", "iqm_low", "iqm_high", "paper"]
     for key, part in values.groupby(keys, sort=False)["value"]:
-        algorithm, activation, *_, metric = map(str, key)
+        algorithm, activation, reading, metric = map(str, key)
         values_of = np.asarray(part, dtype=np.float64).tobytes()
         mean, middle = _interval(values_of), _interval(values_of, stats.interquartile_mean)
-        rows.append([*key, mean.n, *mean[:3], *middle[:3], paper.printed(algorithm, activation, metric)])
+        printed = paper.printed(algorithm, activation, metric, reading == PER_FRAME)
+        rows.append([*key, mean.n, *mean[:3], *middle[:3], printed])
     return pd.DataFrame(rows, columns=[*keys, *numbers])
 
 
@@ -98,13 +96,30 @@ def _interval(seeds: bytes, statistic: Callable[..., Any] = np.mean) -> stats.In
 
 
 def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
-    """Every part of every claim in every reading; of a claim as a whole, its verdict."""
+    """Every part of every claim in every reading; of a claim as a whole, its grade."""
     parts = []
     for reading, findings in audits.items():
         table = pd.DataFrame([finding._asdict() for finding in findings])
-        decided = {number: verdict(of_claim(findings, number)) for number in table["claim"].unique()}
-        parts.append(table.assign(reading=reading, verdict_of_claim=table["claim"].map(decided)))
-    return pd.concat(parts, ignore_index=True).drop(columns="digits")
+        grades = {number: str(grade(of_claim(findings, number))) for number in table["claim"].unique()}
+        parts.append(table.assign(reading=reading, grade_of_claim=table["claim"].map(grades)))
+    return pd.concat(parts, ignore_index=True)
+
+
+def predictions(evidence: Mapping[str, Evidence]) -> pd.DataFrame:
+    """Each of the paper's numbers, which is one run's, among our seeds (`stats.prediction`); evidence: by reading."""
+    rows = []
+    for reading, (cell, metric) in itertools.product(evidence, itertools.product(paper.TABLES, paper.COLUMNS)):
+        number = paper.printed(*cell, metric, reading == PER_FRAME)
+        found = stats.prediction(evidence[reading](*cell, metric), number)
+        rows.append([*cell, metric, reading, number, *found])
+    columns = ["algorithm", "activation", "metric", "reading", "paper", *stats.Prediction._fields]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def first_rule(folder: Path) -> pd.DataFrame:
+    """The verdicts of the first rule, which the report keeps as history; no rows where the folder has none."""
+    path = folder / "tables" / "first_rule.csv"
+    return pd.read_csv(path) if path.exists() else pd.DataFrame(columns=["claim", "text"])
 
 
 def improvement(cells: Cells) -> pd.DataFrame:
@@ -115,41 +130,42 @@ def improvement(cells: Cells) -> pd.DataFrame:
 def interactions(cells: Cells) -> pd.DataFrame:
     """Whether activations change places between the paper's algorithms: by metric and reading, `stats.interaction`."""
     rows = []
-    for reading, metric in itertools.product((PRIMARY, "sampled evaluation"), ("reward", "steps", "distance")):
+    for reading, metric in itertools.product((PRIMARY, SAMPLED), ("reward", "steps", "distance")):
         samples = {key: of_seeds(cell, reading, metric) for key, cell in cells.items() if key in paper.TABLES}
         found = stats.interaction(long(samples))
         rows.append({"reading": reading, "metric": metric, **found._asdict()})
     return pd.DataFrame(rows)
 
 
-def survival(cells: Cells) -> tuple[dict[str, pd.Series], pd.DataFrame]:
+def survival(cells: Cells, baselines: Mapping[str, pd.DataFrame]) -> tuple[dict[str, pd.Series], pd.DataFrame]:
     """Kaplan-Meier curves of sampled flights, all seeds together, and restricted means over seeds with intervals."""
     curves, rows = {}, []
-    for key, cell in cells.items():
-        part = readings(cell)["sampled evaluation"]
+    flown = {name(*key): episodes_of(cell, SAMPLED) for key, cell in cells.items()}
+    for label, part in {**flown, **baselines}.items():
         if part.empty:
             continue
-        curves[name(*key)] = stats.survival(part["steps"].to_numpy(), part["terminated"].to_numpy())
+        curves[label] = stats.survival(part["steps"].to_numpy(), part["terminated"].to_numpy())
         means = [
             stats.restricted_mean(one["steps"].to_numpy(), one["terminated"].to_numpy(), CAP)
             for _, one in part.groupby("seed")
         ]
         mean = stats.interval(means)
-        rows.append([name(*key), mean.n, len(part), part["truncated"].mean(), *mean[:3]])
+        rows.append([label, mean.n, len(part), part["truncated"].mean(), *mean[:3]])
     columns = ["cell", "n", "episodes", "cut_off", "restricted_mean", "low", "high"]
     return curves, pd.DataFrame(rows, columns=columns)
 
 
 def power(cells: Cells) -> pd.DataFrame:
-    """Seeds a cell that would tell the rewards of two activations apart, for each pair of an algorithm: 80 %, 5 %."""
+    """Seeds a cell that find the paper's difference in reward of two activations of an algorithm: 80 % power at 5 %."""
     rows = []
     for algorithm in algorithms(cells):
         mine = {activation: cell for (which, activation), cell in paper_cells(cells).items() if which == algorithm}
         values = {activation: of_seeds(cell, PRIMARY) for activation, cell in mine.items()}
         for a, b in itertools.combinations(values, 2):
             n = min(len(values[a]), len(values[b]))
-            seeds_needed = stats.seeds_needed(values[a], values[b])
-            rows.append({"pair": f"{algorithm.upper()}: {a} and {b}", "n": n, "seeds": seeds_needed})
+            first, second = (paper.printed(algorithm, one, "reward", PRIMARY == PER_FRAME) for one in (a, b))
+            needed = stats.seeds_needed(values[a], values[b], first - second)
+            rows.append({"pair": f"{algorithm.upper()}: {a} and {b}", "n": n, "seeds": needed})
     return pd.DataFrame(rows, columns=["pair", "n", "seeds"])
 
 
@@ -198,7 +214,7 @@ def sensitivity(studies: Studies) -> pd.DataFrame:
             if None in there or not any(key in cells for key in keys):
                 continue
             samples = [of_seeds(cell, PRIMARY) for cell in there if cell is not None]
-            found = stats.contrast(samples, _first_minus_second)
+            found = _first_minus_second(samples)
             rows.append({"switch": switch, "conclusion": conclusion, **found._asdict()})
     decided = {row["conclusion"]: row for row in rows if row["switch"] == AS_DECIDED}
     flips = [_flips(row, decided.get(row["conclusion"])) for row in rows]
@@ -206,8 +222,9 @@ def sensitivity(studies: Studies) -> pd.DataFrame:
     return table.assign(flips=flips)
 
 
-def _first_minus_second(*samples: stats.Array, axis: int = -1) -> stats.Array:
-    return halves(*(sample.mean(axis) for sample in samples))
+def _first_minus_second(samples: Sequence[stats.Array]) -> stats.Interval:
+    half = len(samples) // 2
+    return stats.difference(samples[:half], samples[half:])
 
 
 def _flips(row: Mapping[str, Any], decided: Mapping[str, Any] | None) -> str:
@@ -228,8 +245,8 @@ def by_default(studies: Studies) -> pd.DataFrame:
     shared = [activation for activation in first if activation in second]
     keys, rows = list(itertools.product(claims.ALGORITHMS, shared)), []
     for settings, cells in {f"preset {TUNED}": studies.tuned, "main study": studies.main}.items():
-        samples = [of_seeds(cells[key], "sampled evaluation") if key in cells else np.empty(0) for key in keys]
-        found = stats.contrast(samples or [np.empty(0)], _first_minus_second)
+        samples = [of_seeds(cells[key], SAMPLED) if key in cells else np.empty(0) for key in keys]
+        found = _first_minus_second(samples)
         rows.append({"settings": settings, "activations": ", ".join(shared), **found._asdict()})
     return pd.DataFrame(rows)
 
@@ -256,17 +273,18 @@ def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[st
     return found, left_out
 
 
-def total_seeds(cells: Cells) -> str:
-    """How many seeds a cell has: one number, or from ... to ..."""
-    return least_to_most(seeds(cell) for cell in cells.values())
-
-
 def total_frames(cells: Cells) -> str:
     """How many frames a seed has: one number, or from ... to ..."""
     return least_to_most(cell.settings["frames"] for cell in cells.values())
 
 
-def least_to_most(counts: Iterable[int]) -> str:
-    """The range of some counts; one number where they are the same."""
+def worlds(cells: Cells) -> str:
+    """How many parallel worlds a seed has: one number, or from ... to ..."""
+    return least_to_most(cell.settings["n_worlds"] for cell in cells.values())
+
+
+def least_to_most(counts: Iterable[int], noun: str = "") -> str:
+    """The range of some counts, one number where they are the same; and of what, in the plural unless there is one."""
     ordered = sorted({*counts})
-    return " to ".join(f"{count:,}" for count in dict.fromkeys([*ordered[:1], *ordered[-1:]])) or "0"
+    shown = " to ".join(f"{count:,}" for count in dict.fromkeys([*ordered[:1], *ordered[-1:]])) or "0"
+    return f"{shown} {noun}{'s' * (ordered != [1])}" if noun else shown

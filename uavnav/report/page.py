@@ -14,15 +14,16 @@ import jinja2
 from markupsafe import Markup, escape
 
 from uavnav import evaluate
-from uavnav.report import conclusions, frames, studies, tables
+from uavnav.report import conclusions, findings, frames, studies, tables
 from uavnav.report.cells import BINS, algorithms, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
 from uavnav.report.content import Content
 from uavnav.report.figures import LOOKED_AT
 from uavnav.report.style import save
-from uavnav.report.verdicts import KINDS, SEEDS, of_claim, verdict
+from uavnav.report.verdicts import GRADES, SEEDS, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.metrics import LAST
+from uavnav.runs.readings import LOG_CURVE, SAMPLED
 
 SECTIONS = {
     "verdicts": "Verdicts",
@@ -69,9 +70,18 @@ def _cell(text: str) -> Markup:
 
 
 _TEMPLATES.filters |= {"cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
-_TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "frames": frames, "studies": studies}
-_TEMPLATES.globals |= {"tables": tables, "primary": PRIMARY, "least_seeds": SEEDS, "looked_at": LOOKED_AT}
-_TEMPLATES.globals |= {"decisions": DECISIONS, "kinds": KINDS}
+_TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "findings": findings, "frames": frames}
+_TEMPLATES.globals |= {"studies": studies}
+_TEMPLATES.globals |= {
+    "tables": tables,
+    "primary": PRIMARY,
+    "last": LAST,
+    "sampled": SAMPLED,
+    "log_curve": LOG_CURVE,
+    "least_seeds": SEEDS,
+    "looked_at": LOOKED_AT,
+}
+_TEMPLATES.globals |= {"decisions": DECISIONS, "kinds": GRADES}
 
 
 def contents(content: Content, first: Path) -> dict[str, bytes]:
@@ -85,7 +95,7 @@ def contents(content: Content, first: Path) -> dict[str, bytes]:
     for stem, frame in content.tables.items():
         found[f"tables/{stem}.csv"] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n").encode()
     for algorithm in _algorithms(content):
-        header, *rows = _tables(content, algorithm)[0]
+        header, *rows = _table(content, algorithm)
         shown = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
         found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *shown]).encode()
     found["report.html"] = page(content, pictures, first).encode()
@@ -99,10 +109,10 @@ def _algorithms(content: Content) -> list[str]:
     return list(dict.fromkeys([*paper.TABLE_OF, *others]))
 
 
-def _tables(content: Content, algorithm: str) -> list[tables.Rows]:
+def _table(content: Content, algorithm: str) -> tables.Rows:
     """An algorithm's main study as in the paper's table."""
     of_paper = studies.paper_cells(content.studies.main)
-    return tables.both([cell for (which, _), cell in of_paper.items() if which == algorithm], algorithm)
+    return tables.table([cell for (which, _), cell in of_paper.items() if which == algorithm], algorithm)
 
 
 def render(template: str, content: Content, **more: Any) -> str:
@@ -113,6 +123,7 @@ def render(template: str, content: Content, **more: Any) -> str:
         numbers=content.tables,
         of_paper=studies.paper_cells(content.studies.main),
         claims=[_claim(content, claim) for claim in CLAIMS],
+        grades={claim.number: grade(of_claim(content.findings, claim.number)) for claim in CLAIMS},
     )
 
 
@@ -122,9 +133,11 @@ def _claim(content: Content, claim: Claim) -> dict[str, Any]:
     return {
         "number": claim.number,
         "sentence": claim.sentence,
-        "verdict": verdict(mine),
+        "note": claim.note,
+        "grade": grade(mine),
         "text": f"{conclusions.sentence(claim, mine)} {conclusions.turned(mine, content.audits)}".strip(),
-        "headline": conclusions.headline(mine),
+        "said": findings.of_claim(content.tables, claim),
+        "bar": tables.bar(grade(mine)),
         "rows": tables.audit_rows(mine),
         "readings": [(reading, tables.in_reading(found)) for reading, found in of.items()],
     }
@@ -144,7 +157,7 @@ def page(content: Content, pictures: Mapping[str, str], first: Path) -> str:
         replays=Markup(replays),
         version=importlib.metadata.version("uavnav"),
         sections=list(SECTIONS.items()),
-        paper_tables=[(_table_name(one), *_tables(content, one)) for one in _algorithms(content)],
+        paper_tables=[(_table_name(one), _table(content, one)) for one in _algorithms(content)],
         pictures=pictures,
         first=first,
     )
@@ -160,5 +173,5 @@ def markdown(content: Content) -> str:
     sections = []
     for algorithm in _algorithms(content):
         part, usual = label([cell for cell in content.cells if cell.algorithm == algorithm])
-        sections.append({"name": algorithm, "usual": usual, "tables": tables.both(part, algorithm)})
-    return render("report.md", content, sections=sections, last=LAST, bins=BINS).strip() + "\n"
+        sections.append({"name": algorithm, "usual": usual, "table": tables.table(part, algorithm)})
+    return render("report.md", content, sections=sections, bins=BINS, root="").strip() + "\n"

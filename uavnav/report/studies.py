@@ -1,8 +1,9 @@
 """Which cells belong to which study, and what each reading of their rows says, as one number a seed.
 
-Studies are told apart by their settings, whatever their folders are called: the *main* study is that with the paper's
-reward and its million frames, then with most of its activations, frames and seeds; the others are named by how they
-differ from it.
+Studies are told apart by their settings, whatever their folders are called. The study in *many worlds* is that with the
+paper's reward and its million frames, then with more than one world a seed and most of the paper's activations, frames
+and seeds; the others are named by how they differ from it. The *main* study answers for the paper: it is the same in
+one world a seed, as Stable-Baselines3 runs by default, once all the paper's cells have flown it, or else that in many.
 """
 
 from __future__ import annotations
@@ -15,85 +16,109 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavnav.report.cells import Cell, Key, order, readings, show
+from uavnav.report.cells import Cell, Key, order, read_as, show, windowed
 from uavnav.report.claims import PRIMARY, SURGE
 from uavnav.runs import Run, paper
-from uavnav.runs.metrics import finished, per_seed
+from uavnav.runs.readings import ALL, PER_FRAME
 from uavnav.stats import Array
 
 Cells = dict[Key, Cell]
 
 FOLLOWING = {"frames", "total_frames", "exploration_fraction", "bank", "compile"}
 """Settings that a shorter study or another bank changes along with what it is named after."""
+IN_ONE_WORLD = {"n_worlds", "preset", "frames"}
+"""Settings in which the study in one world a seed differs; its frames are other whole iterations."""
 TUNED = "fast"
 """The preset of the study `tuned`."""
+WHY = {"layer_norm", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", ("init", "unit")}
+"""Settings that `whys` asks about, or one value of a setting; so are rewards in runs as long as the paper's."""
+AFTER = 100_000
+"""Frames at the end of training, which tell what is left of a surge."""
 
 
 class Studies(NamedTuple):
     """All cells of a report."""
 
     main: Cells  # the paper's comparison, and further activations at the same settings
-    baseline: Cells  # the same for fewer frames, what the next two are held against
+    many_worlds: Cells  # the same in more worlds a seed, where the main study is in one; else none
+    baseline: Cells  # in many worlds for fewer frames, what the next two are held against
     initial: Cells  # under the first reward
-    switches: dict[str, Cells]  # one setting otherwise, by `name=value`
+    switches: dict[str, Cells]  # one setting that the paper leaves open otherwise, by `name=value`
+    why: dict[str, Cells]  # one setting otherwise that may tell why cells differ (`whys`), by `name=value`
     tuned: Cells  # with the preset `fast`
     others: list[Cell]
 
     def of(self, name: str) -> Cells:
-        """One of the first three by its name."""
-        return {"main": self.main, "baseline": self.baseline, "initial": self.initial}[name]
+        """One of those that claims and questions ask, by its name; none where there is no such."""
+        many = self.many_worlds or self.main
+        named = {"main": self.main, "many_worlds": many, "baseline": self.baseline, "initial": self.initial}
+        return named.get(name) or self.why.get(name, {})
 
 
 def sort(cells: Sequence[Cell]) -> Studies:
     """Deal cells out to the studies; where two fit the same place, the later one is among the others."""
-    studies = Studies({}, {}, {}, {}, {}, [])
+    studies = Studies({}, {}, {}, {}, {}, {}, {}, [])
     for algorithm in dict.fromkeys(cell.algorithm for cell in cells):
         mine = [cell for cell in cells if cell.algorithm == algorithm]
-        usual = _main(mine)
+        usual = _usual(mine)
         for cell in mine:
             place = _place(studies, cell, usual)
             if place is None or (algorithm, cell.activation) in place:
                 studies.others.append(cell)
             else:
                 place[algorithm, cell.activation] = cell
-    for cells_of in (studies.main, studies.baseline, studies.initial, studies.tuned, *studies.switches.values()):
+    missing = studies.many_worlds.keys() - studies.main.keys()
+    if missing & paper.TABLES.keys():
+        studies.others.extend(studies.main.values())
+        studies = studies._replace(main=studies.many_worlds, many_worlds={})
+    for cells_of in (*studies[:4], studies.tuned, *studies.switches.values(), *studies.why.values()):
         in_order = sorted(cells_of.items(), key=lambda item: order(item[0]))
         cells_of.clear()
         cells_of.update(in_order)
     return studies
 
 
-def _main(cells: Sequence[Cell]) -> dict[str, Any]:
-    """The settings of an algorithm's main study."""
+def _usual(cells: Sequence[Cell]) -> dict[str, Any]:
+    """The settings of an algorithm's study in many worlds."""
     groups: dict[str, list[Cell]] = {}
     for cell in cells:
         groups.setdefault(str(sorted(cell.settings.items(), key=str)), []).append(cell)
 
-    def rank(group: list[Cell]) -> tuple[bool, bool, int, int, int]:
+    def rank(group: list[Cell]) -> tuple[bool, bool, bool, int, int, int]:
         own = group[0].settings
         of_paper = sum(cell.activation in paper.ACTIVATIONS for cell in group)
-        as_long = own.get("total_frames", own["frames"]) == paper.FRAMES
-        return own.get("reward") == "eq14", as_long, of_paper, own["frames"], sum(map(seeds, group))
+        many = own["n_worlds"] > 1
+        return own.get("reward") == "eq14", _as_long(own), many, of_paper, own["frames"], sum(map(seeds, group))
 
     return max(groups.values(), key=rank)[0].settings
+
+
+def _as_long(own: Mapping[str, Any]) -> bool:
+    """Whether a run is as long as the paper's."""
+    return bool(own.get("total_frames", own["frames"]) == paper.FRAMES)
 
 
 def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | None:
     own = cell.settings
     changed = _changed(own, usual)
-    if not changed:
+    if own["n_worlds"] == 1 and _as_long(own) and changed <= IN_ONE_WORLD:
         return studies.main
+    if not changed:
+        return studies.many_worlds
     named = changed - FOLLOWING
     if own.get("preset") == TUNED != usual.get("preset"):
         return studies.tuned
     if changed <= FOLLOWING - {"bank"} and own["frames"] < usual["frames"]:
         return studies.baseline
-    if named == {"reward"} and own["reward"] == "initial":
+    if len(named) != 1:
+        return None
+    (name,) = named
+    value = show(own.get(name))
+    if name in WHY or (name, value) in WHY or (name == "reward" and _as_long(own)):
+        return studies.why.setdefault(f"{name}={value}", {})
+    if (name, value) == ("reward", "initial"):
         return studies.initial
-    if len(named) == 1:
-        (name,) = named
-        return studies.switches.setdefault(f"{name}={show(own.get(name))}", {})
-    return None
+    return studies.switches.setdefault(f"{name}={value}", {})
 
 
 def _changed(own: Mapping[str, Any], usual: Mapping[str, Any]) -> set[str]:
@@ -102,10 +127,10 @@ def _changed(own: Mapping[str, Any], usual: Mapping[str, Any]) -> set[str]:
 
 def in_none(studies: Studies) -> list[str]:
     """One line for each run that is in no study, with how its settings differ from the main study's."""
-    lines = []
+    lines, usual = [], studies.main | studies.many_worlds
     for cell in studies.others:
-        usual = next(one.settings for key, one in studies.main.items() if key[0] == cell.algorithm)
-        changes = sorted(_changed(cell.settings, usual))
+        nearest = next(one.settings for key, one in usual.items() if key[0] == cell.algorithm)
+        changes = sorted(_changed(cell.settings, nearest))
         how = ", ".join(f"{key}={show(cell.settings.get(key)):.20}" for key in changes)
         lines += [f"{run.path}: in no study; it differs from the main one in {how}" for run in cell.runs]
     return lines
@@ -117,8 +142,8 @@ def paper_cells(cells: Cells) -> Cells:
 
 
 def wide(studies: Studies) -> Cells:
-    """All cells of the study that has activations beyond the paper's: the main one, or else the shorter baseline."""
-    return next((cells for cells in (studies.main, studies.baseline) if len(paper_cells(cells)) < len(cells)), {})
+    """All cells of the first study with activations beyond the paper's: the main one, many worlds, or the baseline."""
+    return next((cells for cells in studies[:3] if len(paper_cells(cells)) < len(cells)), {})
 
 
 def seeds(cell: Cell) -> int:
@@ -134,22 +159,19 @@ class Rows:
     """
 
     studies: Studies
-    reading: str  # a name that `cells.readings` gives
+    reading: str  # one of `readings.READINGS`
     flights: Mapping[tuple[str, str, str], pd.DataFrame]
-    ratio_of_means: bool = False  # of stops, turns and speed (decision 13)
 
     def __post_init__(self) -> None:
         self._table = functools.cache(self._per_seed)
 
     def _per_seed(self, study: str, algorithm: str, activation: str) -> pd.DataFrame:
         cell = self.studies.of(study)[algorithm, activation]
-        table = per_seed(readings(cell)[self.reading], self.ratio_of_means)
-        if self.reading == PRIMARY:
-            ended, (begin, end) = finished(cell.episodes), SURGE
-            when = {"before": (0, begin), "surge": (begin, end), "after": (end, np.inf)}
-            for name, (low, high) in when.items():
-                part = ended[(ended["frame"] > low) & (ended["frame"] <= high)]
-                table[f"reward_{name}"] = part.groupby("seed")["reward"].mean()
+        table, frames = read_as(cell, self.reading), cell.settings["frames"]
+        if self.reading == PRIMARY and frames >= SURGE[1] + AFTER:
+            windows = [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]
+            times = [f"reward_{when}" for when in ("before", "surge", "after")]
+            table = table.join(windowed(cell, "reward", windows).set_axis(times, axis=1))
         return table
 
     def __call__(self, algorithm: str, activation: str, metric: str, study: str = "main") -> Array:
@@ -176,9 +198,9 @@ def hours(cell: Cell) -> Array:
     return np.array([run.meta["wall_seconds"] / 3600 / len(run.seeds) / (run.frames / 1e6) for run in timed(cell)])
 
 
-def of_paper(algorithm: str, activation: str, metric: str, study: str = "main") -> Array:
-    """The paper's printed tables, and its ten hours, as an `Evidence` of one number a cell."""
+def of_paper(algorithm: str, activation: str, metric: str, study: str = "main", reading: str = ALL) -> Array:
+    """The paper's printed tables as a reading takes them, and its ten hours: an `Evidence` of one number a cell."""
     if metric == "hours":
         return np.array([paper.HOURS])
-    value = paper.printed(algorithm, activation, metric) if study == "main" else np.nan
+    value = paper.printed(algorithm, activation, metric, reading == PER_FRAME) if study == "main" else np.nan
     return np.array([value])[np.isfinite([value])]

@@ -33,6 +33,8 @@ CLEAR, OPEN = "#0072B2", "#D55E00"
 """Colours of what the seeds decide and of what they leave open."""
 DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}
 """The look of a line that no cell drew."""
+RULE = "hand-written rule"
+"""The label of the scripted policy that everything learned is held against."""
 STYLE: dict[RcKeyType, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],

@@ -10,13 +10,29 @@ from typing import Any
 import pandas as pd
 
 from uavnav import stats
-from uavnav.report.cells import Cell, one_line, readings, show
+from uavnav.report.cells import Cell, episodes_of, one_line, show
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.frames import DIAGNOSTICS, estimates, name, per_seed_values
 from uavnav.report.studies import Cells
-from uavnav.report.verdicts import KINDS, SEEDS, UNDECIDED, Finding, of_claim, p_in_words, p_shown, verdict
+from uavnav.report.verdicts import (
+    BESIDE,
+    COUNTS,
+    DEGENERATE,
+    GRADES,
+    NO_RUNS,
+    OPEN,
+    SEEDS,
+    TOO_FEW,
+    TOO_SMALL,
+    Finding,
+    Grade,
+    grade,
+    of_claim,
+    p_shown,
+)
 from uavnav.runs import paper
 from uavnav.runs.metrics import METRICS, finished, per_seed
+from uavnav.runs.readings import PER_FRAME, READINGS, SAMPLED, decimals, words
 
 Rows = list[list[str]]
 NOTHING = "–"
@@ -43,103 +59,144 @@ def with_interval(value: float, low: float, high: float, digits: int = 2) -> str
 
 def audit_rows(findings: Sequence[Finding]) -> Rows:
     """The parts of a claim."""
-    rows = [["question", "the paper", "ours, adjusted interval", "claimed", "Holm's p", "seeds", "verdict"]]
+    rows = [["question", "the paper", "ours, adjusted interval", "ours : the paper", "Holm's p", "seeds", "verdict"]]
     for one in findings:
-        own = number(one.paper, one.digits) + (" (against the claim)" if one.against_itself else "")
-        ours = with_interval(one.value, one.low, one.high, one.digits)
-        p = p_shown(one)
-        if one.by_test and p != NOTHING:
-            ours += f" ({p_in_words(one)})"
-        rows.append([one.text, own, ours, one.region, p, str(one.n), said(one)])
+        ours = effect(one) + (f" ({one.nearest})" if one.nearest else "")
+        ratio = with_interval(one.ratio, one.ratio_low, one.ratio_high)
+        rows.append([one.text, number(one.paper, digits(one)), ours, ratio, p_shown(one), str(one.n), said(one)])
     return rows
+
+
+def digits(finding: Finding | stats.Interval) -> int:
+    """Decimals that show an effect's interval with two significant digits; without one, the effect with two."""
+    width = finding.high - finding.low
+    known = width if width > 0 else abs(finding.value)
+    return min(max(1 - math.floor(math.log10(known)), 0), 6) if known > 0 else 2
+
+
+def effect(finding: Finding) -> str:
+    """Our effect and its interval."""
+    return with_interval(finding.value, finding.low, finding.high, digits(finding))
 
 
 def said(finding: Finding) -> str:
-    """A verdict, and how many seeds it would take where there is none."""
-    if finding.verdict != UNDECIDED:
-        return finding.verdict
-    if not finding.n:
-        return "undecided (no runs)"
-    if finding.by_test:
-        return f"undecided (n = {finding.n}; for a test the seeds needed are not worked out)"
-    if math.isnan(finding.needed):
-        needed = ""
-    elif math.isinf(finding.needed):
-        needed = ", no number of seeds would do"
-    elif finding.needed > MANY:
-        needed = f", more than {MANY:,} seeds needed"
-    else:
-        needed = f", {'at least' if finding.needed == SEEDS else 'about'} {finding.needed:,.0f} seeds needed"
-    return f"undecided (n = {finding.n}{needed})"
+    """A part's verdict, how many seeds another would take, and why it does not count if it does not."""
+    if finding.standing == NO_RUNS:
+        return NO_RUNS
+    if finding.standing == TOO_FEW:
+        return f"{OPEN} (n = {finding.n}, at least {SEEDS} seeds needed)"
+    if finding.standing == BESIDE and math.isnan(finding.low):
+        return BESIDE
+    answer = finding.verdict + (", less than half" if finding.less_than_half else "")
+    if finding.verdict == OPEN and not math.isnan(finding.to_equal):
+        answer += f" ({_about(finding.to_equal)} would show absence)"
+    if finding.standing in (COUNTS, DEGENERATE):
+        return answer
+    needed = f" ({_about(finding.to_detect)} needed)" if finding.standing == TOO_SMALL else ""
+    return f"{finding.standing}{needed}; ours: {answer}"
+
+
+def _about(seeds: float) -> str:
+    return f"more than {MANY:,} seeds" if seeds > MANY else f"about {seeds:,.0f} seeds"
+
+
+def bar(of: Grade) -> str:
+    """How many of the parts that count replicate, drawn."""
+    return "▰" * of.replicating + "▱" * (of.counting - of.replicating) or NOTHING
 
 
 def in_reading(findings: Sequence[Finding]) -> str:
-    """A claim's verdict; a dash where a reading has no runs for any part of it."""
-    return verdict(findings) if any(one.n for one in findings) else NOTHING
+    """A claim's grade; a dash where a reading has no runs for any part of it."""
+    return str(grade(findings)) if any(one.n for one in findings) else NOTHING
 
 
 def overview(audits: Mapping[str, Sequence[Finding]]) -> Rows:
-    """One row a claim: its verdict in the primary reading, and in the others."""
+    """One row a claim: its grade in the primary reading, and in the others."""
     others = [reading for reading in audits if reading != PRIMARY]
-    rows = [["", "the paper says", "verdict", "parts supported, contradicted, undecided", *others]]
+    rows = [["", "the paper says", "grade", "parts that replicate", *others]]
     for claim in CLAIMS:
         of = {reading: of_claim(found, claim.number) for reading, found in audits.items()}
-        parts = pd.Series([one.verdict for one in of[PRIMARY]]).value_counts()
-        counts = ", ".join(str(parts.get(one, 0)) for one in KINDS)
+        found = grade(of[PRIMARY])
         rest = [in_reading(of[reading]) for reading in others]
-        rows.append([str(claim.number), claim.sentence, verdict(of[PRIMARY]), counts, *rest])
+        rows.append([str(claim.number), claim.sentence, str(found), bar(found), *rest])
     return rows
+
+
+def operating(shares: pd.DataFrame) -> Rows:
+    """How often each claim would be graded what, if we knew the truth. shares: as `operating.characteristics` gives."""
+    rows = [["", "if the truth were", *GRADES[:-1]]]
+    for (claim, truth), part in shares.groupby(["claim", "truth"], sort=False):
+        rows.append([str(claim), str(truth), *(f"{share:.1%}" for share in part["share"])])
+    return rows
+
+
+def predictions(frame: pd.DataFrame, reading: str) -> Rows:
+    """The paper's numbers as one more seed, with the interval of one: a row a cell, a column a metric."""
+    rows = [["cell", "seeds", *(words(metric, reading) for metric in paper.COLUMNS)]]
+    for key, part in frame[frame["reading"] == reading].groupby(["algorithm", "activation"], sort=False):
+        shown = []
+        for one in part.to_dict("records"):
+            own = with_interval(one["paper"], one["low"], one["high"], decimals(one["metric"], reading))
+            shown.append(f"{own} {'within' if one['within'] else 'outside'}" if one["n"] > 1 else NOTHING)
+        rows.append([name(*map(str, key)), str(part["n"].max()), *shown])
+    return rows
+
+
+def frame(found: pd.DataFrame) -> Rows:
+    """Any table as it is."""
+    rows = [["" if pd.isna(cell) else str(cell) for cell in row] for row in found.itertuples(index=False)]
+    return [list(map(str, found.columns)), *rows]
 
 
 MEAN, MIDDLE = ["mean", "low", "high"], ["interquartile_mean", "iqm_low", "iqm_high"]
 """Columns of `frames.estimates`: a statistic and its interval."""
 
 
-def _estimate(by_metric: pd.DataFrame, metric: str, columns: Sequence[str] = MEAN) -> str:
+def _estimate(by_metric: pd.DataFrame, metric: str, reading: str, columns: Sequence[str] = MEAN) -> str:
     if metric not in by_metric.index:
         return NOTHING
     value, low, high = (by_metric[column][metric] for column in columns)
-    return with_interval(value, low, high, min(METRICS[metric].digits, 2))
+    return with_interval(value, low, high, decimals(metric, reading))
 
 
-def both(cells: list[Cell], algorithm: str) -> list[Rows]:
-    """An algorithm's `table` with its ratios as means of ratios, and with them as ratios of means."""
-    found = [(cell, estimates(per_seed_values({(cell.algorithm, cell.activation): cell}))) for cell in cells]
-    return [table(found, algorithm, ratio) for ratio in (False, True)]
-
-
-def table(cells: Sequence[tuple[Cell, pd.DataFrame]], algorithm: str, ratio_of_means: bool) -> Rows:
+def table(cells: Sequence[Cell], algorithm: str) -> Rows:
     """A header and rows: for each activation the paper's, then every reading of each cell: means, interquartile means.
 
-    cells: each with its `frames.estimates`; ratio_of_means: the ratios alone, as ratios of means (decision 13).
+    cells: of one algorithm.
     """
-    metrics = [one for one, metric in METRICS.items() if metric.scale is not None or not ratio_of_means]
-    rows = [["activation", "reading", "seeds", "episodes", "cut off", *(str(METRICS[one]) for one in metrics)]]
+    rows = [["activation", "reading", "seeds", "episodes", "cut off", *(one.words() for one in METRICS.values())]]
     of_paper = paper.ACTIVATIONS if algorithm in paper.TABLE_OF else ()
-    nothing = [NOTHING] * len(metrics)
-    for activation in dict.fromkeys([*of_paper, *(cell.activation for cell, _ in cells)]):
-        ours = [(cell, found) for cell, found in cells if cell.activation == activation]
+    nothing = [NOTHING] * len(METRICS)
+    for activation in dict.fromkeys([*of_paper, *(cell.activation for cell in cells)]):
+        ours = [cell for cell in cells if cell.activation == activation]
         if activation in of_paper:
-            rows.append([activation, "the paper", "1", NOTHING, NOTHING, *_printed(algorithm, activation, metrics)])
+            for which, per_frame in (("the paper", False), (f"the paper, {PER_FRAME}", True)):
+                printed = _printed(algorithm, activation, per_frame)
+                rows.append([activation, which, "1", NOTHING, NOTHING, *printed])
         if not ours:
             rows.append([activation, "missing: no finished run", "0", NOTHING, NOTHING, *nothing])
-        for cell, found in ours:
-            shown = cell.label or activation
-            found = found[(found["ratio"] == "ratio of means") == ratio_of_means]
-            for reading, part in readings(cell).items():
-                if part.empty:
-                    rows.append([shown, f"{reading}: missing", "0", "0", NOTHING, *nothing])
+        for cell in ours:
+            found = estimates(per_seed_values({(algorithm, activation): cell}))
+            for reading in READINGS:
+                by_metric = found[found["reading"] == reading].set_index("metric")
+                if not (by_metric["n"] > 0).any():
+                    rows.append([cell.label or activation, f"{reading}: missing", "0", "0", NOTHING, *nothing])
                     continue
-                by_metric, counts = found[found["reading"] == reading].set_index("metric"), _counts(part)
-                for words, columns in ((reading, MEAN), (f"{reading}, interquartile mean", MIDDLE)):
-                    rows.append([shown, words, *counts, *(_estimate(by_metric, one, columns) for one in metrics)])
+                counts = _counts(episodes_of(cell, reading))
+                for which, columns in ((reading, MEAN), (f"{reading}, interquartile mean", MIDDLE)):
+                    values = [_estimate(by_metric, one, reading, columns) for one in METRICS]
+                    rows.append([cell.label or activation, which, *counts, *values])
     return rows
 
 
-def _printed(algorithm: str, activation: str, metrics: Sequence[str]) -> list[str]:
-    """The paper's own digits."""
-    values = [paper.printed(algorithm, activation, one) for one in metrics]
-    return [NOTHING if math.isnan(value) else f"{value:,}".replace("-", "−") for value in values]
+def _printed(algorithm: str, activation: str, per_frame: bool) -> list[str]:
+    """The paper's own digits; per frame, as many as ours."""
+    shown = []
+    for one in METRICS:
+        value = paper.printed(algorithm, activation, one, per_frame)
+        as_it_is = value == paper.printed(algorithm, activation, one)
+        shown.append(f"{value:,}".replace("-", "−") if as_it_is else number(value, decimals(one, PER_FRAME)))
+    return shown
 
 
 def _counts(part: pd.DataFrame) -> list[str]:
@@ -216,18 +273,19 @@ def sensitivities(frame: pd.DataFrame) -> Rows:
     names = list(dict.fromkeys(frame["conclusion"]))
     rows = [["switch", *names, "seeds"]]
     for switch, part in frame.groupby("switch", sort=False):
-        rows.append([str(switch), *_by_name(part, "conclusion", names, 1), str(part["n"].min())])
+        digits = decimals("reward", PRIMARY)
+        rows.append([str(switch), *_by_name(part, "conclusion", names, digits), str(part["n"].min())])
     return rows
 
 
 def of_metrics(frame: pd.DataFrame, only: Sequence[str], readings_shown: Sequence[str]) -> Rows:
     """Cells against metrics, in some readings."""
-    rows = [["cell", "reading", "seeds", *(str(METRICS[metric]) for metric in only)]]
-    plain = frame[(frame["ratio"] == "mean of ratios") & frame["reading"].isin(list(readings_shown))]
-    for key, part in plain.groupby(["algorithm", "activation", "reading"], sort=False):
+    rows = [["cell", "reading", "seeds", *(METRICS[metric].words() for metric in only)]]
+    shown_alone = frame[frame["reading"].isin(list(readings_shown))]
+    for key, part in shown_alone.groupby(["algorithm", "activation", "reading"], sort=False):
         algorithm, activation, reading = (str(one) for one in key)
         by_metric = part.set_index("metric")
-        shown = [_estimate(by_metric, metric) for metric in only]
+        shown = [_estimate(by_metric, metric, reading) for metric in only]
         rows.append([name(algorithm, activation), reading, str(by_metric["n"].max()), *shown])
     return rows
 
@@ -250,7 +308,7 @@ def by_default(frame: pd.DataFrame) -> Rows:
 def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
     """Scripts, people and policies from elsewhere beside the study's, on test sets: all metrics, share cut off."""
     rows = [["who", "seeds", "flights", "cut off", *map(str, METRICS.values())]]
-    learned = {name(*key): readings(cell)["sampled evaluation"] for key, cell in main.items()}
+    learned = {name(*key): episodes_of(cell, SAMPLED) for key, cell in main.items()}
     for who, part in [*found.items(), *learned.items()]:
         ended = finished(part)
         if ended.empty:
@@ -267,6 +325,28 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
             shown.append(with_interval(*one[:3], min(metric.digits, 2)))
         rows.append([who, *_counts(ended), *shown])
     return rows if found else rows[:1]
+
+
+def gaps(frame: pd.DataFrame) -> Rows:
+    """Reward of test flights and its gap to the hand-written rule's, a row a cell and mode."""
+    rows = [["who", "acting", "seeds", "flights", "up at the cap", "reward", "gap to the rule", "seeds above"]]
+    for one in frame.to_dict("records"):
+        reward = with_interval(one["reward"], one["low"], one["high"], 1)
+        gap = with_interval(one["gap"], one["gap_low"], one["gap_high"], 1)
+        above = NOTHING if math.isnan(one["above"]) else f"{one['above']:.0%}"
+        up = f"{one['up']:.0%}"
+        rows.append([one["who"], one["mode"], str(one["n"]), f"{one['flights']:,}", up, reward, gap, above])
+    return rows
+
+
+def effects(frame: pd.DataFrame) -> Rows:
+    """What a setting changes, a row a setting and a column an algorithm."""
+    algorithms = list(dict.fromkeys(frame["algorithm"]))
+    rows = [["setting", *map(str.upper, algorithms), "seeds"]]
+    for switch, part in frame.groupby("switch", sort=False):
+        digits = decimals("reward", PRIMARY)
+        rows.append([str(switch), *_by_name(part, "algorithm", algorithms, digits), str(part["n"].min())])
+    return rows
 
 
 def speeds(frame: pd.DataFrame) -> Rows:

@@ -4,9 +4,9 @@
     meta.json           versions, git commit, machine, threads, wall time, status, frames per seed
     episodes.parquet    one row per training episode, the columns of `metrics.EPISODE_COLUMNS`
     progress.parquet    one row per iteration and seed: losses and diagnostics
-    policy.safetensors  the networks of all seeds
+    policy.safetensors  the networks of all seeds; where it was left out, the command of the run trains it again
     evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled)
-    behaviour.parquet   poses, clearances and actions of some test flights, one row per step
+    behaviour.parquet   the actions of some test flights, one row per step (see `uavnav.report.behaviour`)
     checkpoint/         the snapshots of an unfinished run (see `uavnav.training.checkpoints`)
     tensorboard/ wandb/ logs, if the run has them (see `uavnav.training.loggers`)
 
@@ -110,7 +110,10 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's settings as they are written today: three fields of the world once lay beside the others."""
+    """A run's settings as they are written today.
+
+    Three fields of the world once lay beside the others, and no network had LayerNorm.
+    """
     moved = {name: settings[name] for name in ("slots", "padding", "start_heading") if name in settings}
     there = {key: value for key, value in settings.items() if key not in moved}
-    return there | ({"world": moved} if moved else {})
+    return {"layer_norm": False} | there | ({"world": moved} if moved else {})

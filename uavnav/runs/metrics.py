@@ -1,4 +1,4 @@
-"""The six metrics of sec. 4.3, computed from tables of episodes, in every reading that the paper's words allow.
+"""The six metrics of sec. 4.3, as means over episodes; `readings` has all that the paper may have averaged.
 
 A table of episodes has one row per episode and the columns of `EPISODE_COLUMNS`. To add a metric, add a line to
 `METRICS`. A metric that counts something new also needs a column in `EPISODE_COLUMNS`.
@@ -33,11 +33,11 @@ MODES = ("greedy", "sampled")
 """How a policy is evaluated: always the best action, or as at the end of training (sampled DQN: epsilon = 0.05)."""
 
 LAST = 100
-"""Number of episodes in the reading `last 100`; Stable-Baselines3's log averages the same number."""
+"""Episodes that count as the last; Stable-Baselines3's log averages the same number."""
 
 
 class Metric(NamedTuple):
-    """A metric of a column: its mean per episode, or its ratio to the steps, times `scale`."""
+    """A metric of a column: its sum per episode, or its ratio to the steps, times `scale`."""
 
     label: str
     column: str
@@ -45,19 +45,25 @@ class Metric(NamedTuple):
     digits: int = 3  # most decimals in a report
     unit: str = ""
     better: int = 1  # 1: more is better, -1: less is better
+    over: str = "collision"  # or `frame`: what the reading *per frame* divides a sum by
+
+    def words(self, over: str = "") -> str:
+        """In words, with its unit; over: what a sum is divided by, if it is to be said."""
+        label = f"{self.label} per {over}" if over and self.scale is None else self.label
+        return f"{label} [{self.unit}]" if self.unit else label
 
     def __str__(self) -> str:
-        return f"{self.label} [{self.unit}]" if self.unit else self.label
+        return self.words("episode")
 
 
 METRICS: dict[str, Metric] = {
-    "steps": Metric("steps per episode", "steps", digits=1),
+    "steps": Metric("steps", "steps", digits=1),
     "stops": Metric("stops", "stops", 100.0, unit="%", better=-1),
     "full_stops": Metric("full stops", "full_stops", 100.0, unit="%", better=-1),
     "turns": Metric("turning", "turns", 100.0, unit="%", better=-1),
-    "distance": Metric("distance per episode", "distance", digits=1, unit="px"),
+    "distance": Metric("distance", "distance", digits=1, unit="px"),
     "speed": Metric("speed", "distance", 1.0, unit="px a step"),
-    "reward": Metric("reward per episode", "reward"),
+    "reward": Metric("reward", "reward", over="frame"),
 }
 """The report shows every metric of this table."""
 
@@ -73,6 +79,18 @@ def last_episodes(episodes: pd.DataFrame, n: int = LAST) -> pd.DataFrame:
     return ended.groupby("seed").tail(n)
 
 
+def counted(episodes: pd.DataFrame) -> pd.DataFrame:
+    """What each metric counts, an episode a row: its column, or NaN where the table lacks it."""
+    return pd.DataFrame({name: episodes.get(one.column, np.nan) for name, one in METRICS.items()}, index=episodes.index)
+
+
+def per_episode(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Each episode's metrics: a column a metric."""
+    ratios = {name: metric.scale / episodes["steps"] for name, metric in METRICS.items() if metric.scale is not None}
+    counts = counted(episodes)
+    return counts.assign(**{name: ratio * counts[name] for name, ratio in ratios.items()})
+
+
 def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFrame:
     """Mean metrics over the episodes that ended: one row per seed, one column per metric.
 
@@ -80,12 +98,9 @@ def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFra
     of sums (decision 13). A metric is NaN if the table lacks its column.
     """
     ended = finished(episodes)
-    ended = ended.assign(**{one.column: np.nan for one in METRICS.values() if one.column not in ended})
+    means = per_episode(ended).groupby(ended["seed"]).mean()
+    if not ratio_of_means:
+        return means
+    sums, steps = counted(ended).groupby(ended["seed"]).sum(min_count=1), ended.groupby("seed")["steps"].sum()
     ratios = {name: metric.scale for name, metric in METRICS.items() if metric.scale is not None}
-    counted = pd.DataFrame({name: ended[metric.column] for name, metric in METRICS.items()})
-    if ratio_of_means:
-        seeds, steps = counted.groupby(ended["seed"]), ended.groupby("seed")["steps"].sum()
-        sums = seeds[list(ratios)].sum(min_count=1)
-        return seeds.mean().assign(**{name: scale * sums[name] / steps for name, scale in ratios.items()})
-    counted = counted.assign(**{name: scale * counted[name] / ended["steps"] for name, scale in ratios.items()})
-    return counted.groupby(ended["seed"]).mean()
+    return means.assign(**{name: scale * sums[name] / steps for name, scale in ratios.items()})

@@ -28,9 +28,16 @@ ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
 """In the tables' order."""
 
 
-def printed(algorithm: str, activation: str, metric: str) -> float:
-    """A number of the tables; NaN where they have none."""
-    return TABLES.get((algorithm, activation), {}).get(metric, math.nan)
+def printed(algorithm: str, activation: str, metric: str, per_frame: bool = False) -> float:
+    """A number of the tables; NaN where they have none.
+
+    per_frame: as in the reading *per frame*: reward / steps, and distance / steps for the speed. Each of the paper's
+    episodes ended in a collision, so that its steps and distance are per collision as they are.
+    """
+    row = TABLES.get((algorithm, activation), {})
+    if per_frame and row:
+        row = row | {"reward": row["reward"] / row["steps"], "speed": row["distance"] / row["steps"]}
+    return row.get(metric, math.nan)
 
 
 FRAMES = 1_000_000

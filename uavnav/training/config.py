@@ -60,6 +60,7 @@ class TrainConfig:
     gamma: float = within(0.99, 0, 1)
     max_grad_norm: float = at_least(0.5, 0)  # of each agent's gradient
     init: Init = "default"
+    layer_norm: bool = False  # before each activation, without parameters of its own
     layouts: str = "train"
     max_steps: int | None = field(default=None, metadata={"least": 1})
     reward: str = one_of("eq14", REWARDS)

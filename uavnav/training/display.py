@@ -16,8 +16,10 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import Run, paper
-from uavnav.runs.metrics import LAST, METRICS, finished, last_episodes, per_seed
+from uavnav.runs.metrics import METRICS, per_seed
+from uavnav.runs.readings import ALL, LOG_CURVE, PER_FRAME, decimals, log_curve, per_frame
 from uavnav.training.config import TrainConfig
 
 Tell = Callable[[int, list[float]], None]
@@ -151,24 +153,30 @@ def _rounded(took: float) -> str:
 
 
 def summary(run: Run) -> Table:
-    """The six metrics of a finished run in every reading of its training episodes, beside the paper's row."""
-    config, everything = run.config, finished(run.episodes)
-    readings = {"all episodes": everything, f"last {LAST}": last_episodes(run.episodes)}
-    counts = ", ".join(f"{len(part):,}" for part in readings.values())
+    """The six metrics of a finished run, per frame, by the log curve and per episode, beside the paper's row."""
+    config, rhythm = run.config, ALGORITHMS[run.algorithm].rhythm(run.config)
+    readings = {PER_FRAME: per_frame(run.episodes, run.frames)}
+    if rhythm is not None:
+        readings[LOG_CURVE] = log_curve(run.episodes, run.frames, *rhythm)
+    readings[ALL] = per_seed(run.episodes)
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
     changes = [f"{name}={value}" for name, value in run.meta.get("beyond_preset", {}).items()]
     preset = " with ".join([f"preset {config['preset']}", *([", ".join(changes)] if changes else [])])
     return _metric_table(
         f"{run.algorithm} {config['activation']}, {preset}, {worlds}",
-        f"{run.frames:,} frames per seed; {seeds}; {counts} training episodes; {run.meta['bank']['k']} obstacles a set;"
-        f" reward {config['reward']}; init {config['init']}",
+        f"{run.frames:,} frames per seed; {seeds}; {len(run.episodes):,} training episodes;"
+        f" {run.meta['bank']['k']} obstacles a set; reward {config['reward']}; init {config['init']};"
+        f" steps and distance {PER_FRAME} are per collision",
         readings,
         paper.TABLES.get((run.algorithm, config["activation"]), {}),
     )
 
 
-def _metric_table(title: str, caption: str, readings: dict[str, pd.DataFrame], printed: dict[str, float]) -> Table:
+def _metric_table(
+    title: str, caption: str, readings: dict[str, pd.DataFrame], printed: dict[str, float], over: str = ""
+) -> Table:
+    """readings: by name, a row a seed and a column a metric; over: what sums are divided by, if all by the same."""
     table = Table(title=title, caption=caption, min_width=79)
     table.add_column("metric")
     for reading in readings:
@@ -176,13 +184,11 @@ def _metric_table(title: str, caption: str, readings: dict[str, pd.DataFrame], p
     if printed:
         table.add_column("paper", justify="right")
     for name, metric in METRICS.items():
-        for ratio_of_means in [False] if metric.scale is None else [False, True]:
-            digits = min(metric.digits, 2)
-            means = [per_seed(part, ratio_of_means)[name].dropna() for part in readings.values()]
-            cells = [_with_spread(values.tolist(), digits) for values in means]
-            label = "  as ratio of means" if ratio_of_means else escape(str(metric))
-            beside = f"{printed[name]:,.{digits}f}" if name in printed and not ratio_of_means else ""
-            table.add_row(label, *cells, *([beside] if printed else []))
+        cells = [
+            _with_spread(seeds[name].dropna().tolist(), decimals(name, reading)) for reading, seeds in readings.items()
+        ]
+        beside = f"{printed[name]:,.{decimals(name, ALL)}f}" if name in printed else ""
+        table.add_row(escape(metric.words(over)), *cells, *([beside] if printed else []))
     return table
 
 
@@ -198,8 +204,9 @@ def evaluation_summary(rows: pd.DataFrame, algorithm: str, activation: str = "")
     return _metric_table(
         f"{f'{algorithm} {activation}'.strip()} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
         f"{seeds}; cut off at the cap on steps: {censored}",
-        modes,
+        {mode: per_seed(part) for mode, part in modes.items()},
         paper.TABLES.get((algorithm, activation), {}),
+        "episode",
     )
 
 

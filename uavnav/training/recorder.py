@@ -39,7 +39,7 @@ Log = Callable[[Columns], None]
 """Is told rows of progress with a column more: `reward`, as of `with_reward`."""
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
-SNAPSHOT_FORMAT = 4
+SNAPSHOT_FORMAT = 5
 """Raised when what a snapshot holds of a learner changes."""
 CHECKPOINT_SECONDS = 60.0
 """The time between two snapshots."""
@@ -99,7 +99,7 @@ class Recorder:
         self._lock = FileLock(self.path / LOCK)
         self._described = {"algorithm": config.algorithm, **plain(config)}
         identity = {**self._described, **{f"version of {name}": v for name, v in self.meta["versions"].items()}}
-        identity["bank"] = self.meta["bank"]["sha256"]
+        identity["layouts"] = self.meta["bank"]["sha256"]  # whatever path leads to it
         identity |= {"format": SNAPSHOT_FORMAT, "plugins": self.meta.get("plugins", {})}
         self._checkpoints = Checkpoints(self.path / "checkpoint", identity)
         try:
@@ -111,7 +111,7 @@ class Recorder:
         return RunError(f"out={self.path}: cannot be written ({error}); give a folder that can be written")
 
     def _check_folder(self) -> bool:
-        """Whether the very same run is already there and finished."""
+        """Whether the very same run is already there and finished; without its policy it starts anew."""
         path = self.path
         parent = next(parent for parent in path.parents if parent.exists())
         if not parent.is_dir() or not os.access(parent, os.W_OK):
@@ -131,16 +131,15 @@ class Recorder:
             there = {"algorithm": there["algorithm"], **self.config.as_run(there)}
         if self._overwrite:
             return False
+        meta = read_settings(path / "meta.json") if (path / "meta.json").is_file() else {}
+        same_bank = meta.get("bank", self.meta["bank"]) == self.meta["bank"]
         for key in sorted({*there, *self._described}, key=str):
-            if there.get(key) != self._described.get(key):
+            if there.get(key) != self._described.get(key) and not (key == "layouts" and meta and same_bank):
                 raise RunError(
                     f"out={path}: holds a run with {key}={there.get(key)}, not {self._described.get(key)};"
                     " give another folder, or overwrite=true"
                 )
-        if not (path / "meta.json").is_file():
-            return False
-        meta = read_settings(path / "meta.json")
-        if meta.get("bank", self.meta["bank"]) != self.meta["bank"]:
+        if not same_bank:
             raise RunError(
                 f"out={path}: the bank layouts={self.config.layouts} has changed since this run began; give another"
                 " folder, or overwrite=true"
@@ -148,10 +147,8 @@ class Recorder:
         if meta.get("status") != FINISHED:
             self._before = meta if (path / "checkpoint").is_dir() else {}
             return False
-        for name in FILES:
-            if not (path / name).is_file():
-                raise RunError(f"{path / name}: missing; give another folder, or overwrite=true to run again")
-        return True
+        self._overwrite = not (path / POLICY).is_file()  # a repository may keep a run's rows alone
+        return not self._overwrite
 
     def __enter__(self) -> Self:
         try:
@@ -303,8 +300,8 @@ class Recorder:
 
     def note(self, **facts: Any) -> None:
         """Add how the run is carried out to meta.json, and to what a snapshot must share with the run that resumes."""
-        facts = facts | {"threads": torch.get_num_threads(), "beyond_preset": self.config.beyond_preset()}
-        self.meta |= facts
+        facts = facts | {"threads": torch.get_num_threads()}
+        self.meta |= facts | {"beyond_preset": self.config.beyond_preset()}
         self._checkpoints.identity |= facts
         self._write_meta()
 

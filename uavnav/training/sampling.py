@@ -70,7 +70,7 @@ class Actor(TensorDictModuleBase):  # type: ignore[misc]
         seeds: one for each agent.
         acts, head: names of `ACTS` and `HEADS`.
         compile: run network and choice as one graph.
-        epsilon: the first share of random actions, where the way to act has one.
+        epsilon: the share of random actions after so many frames per seed, where the way to act has one.
     """
 
     in_keys: ClassVar[list[str]] = ["observation"]
@@ -83,13 +83,14 @@ class Actor(TensorDictModuleBase):  # type: ignore[misc]
         acts: str,
         head: str,
         compile: bool,
-        epsilon: float = 0.0,
+        epsilon: Callable[[int], float] = lambda frames: 0.0,
     ) -> None:
         super().__init__()
         self.network, self.acts, self.head = network, acts, head
         self.streams = Streams(seeds, "actions")
         self._weights = dict(network.named_parameters())  # learning writes them in place
-        self.epsilon = torch.tensor(epsilon, device=next(network.parameters()).device)
+        self.frames, self.schedule = 0, epsilon
+        self.epsilon = torch.tensor(0.0, device=next(network.parameters()).device)
         self._choose = graph.Graph(self.choose) if compile else self.choose
 
     def choose(self, observation: Tensor, uniform: Tensor, epsilon: Tensor, *weights: Tensor) -> tuple[Tensor]:
@@ -100,6 +101,8 @@ class Actor(TensorDictModuleBase):  # type: ignore[misc]
 
     def act(self, observation: Tensor) -> Tensor:
         """Actions from the streams' next numbers."""
+        self.epsilon.fill_(self.schedule(self.frames))
+        self.frames += observation.shape[1]
         uniform = self.streams.draw(
             torch.rand, ACTS[self.acts].uniforms, observation.shape[1], device=observation.device
         )
@@ -110,10 +113,10 @@ class Actor(TensorDictModuleBase):  # type: ignore[misc]
         return tensordict.set("action", self.act(tensordict.get("observation")))
 
     def state_dict(self, *args: Any, **how: Any) -> dict[str, Any]:
-        """Where the streams are, and epsilon; the network's weights are the learner's to save."""
-        return {**self.streams.state_dict(), "epsilon": self.epsilon.clone()}
+        """Where the streams and the schedule are; the network's weights are the learner's to save."""
+        return {**self.streams.state_dict(), "frames": torch.tensor(self.frames)}
 
     def load_state_dict(self, state_dict: Any, *args: Any, **how: Any) -> None:
         """Go on from there."""
         self.streams.load_state_dict(state_dict)
-        self.epsilon.copy_(state_dict["epsilon"])
+        self.frames = int(state_dict["frames"])

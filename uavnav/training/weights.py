@@ -23,6 +23,7 @@ def serialize(networks: Mapping[str, nn.Module], config: TrainConfig, actor: Act
         "algorithm": config.algorithm,
         "activation": config.activation,
         "hidden": list(config.hidden),
+        "layer_norm": config.layer_norm,
         "seeds": config.seeds,
         "acts": actor.acts,
         "head": actor.head,

@@ -193,7 +193,7 @@ def figures(game: Game) -> dict[str, str]:
     steps, shown = int(game.state.steps), {}
     for metric in METRICS.values():
         value = float(getattr(game.state, metric.column))
-        label = f"{metric.label.removesuffix(' per episode')} {metric.unit}".strip()
+        label = f"{metric.label} {metric.unit}".strip()
         if metric.scale is None:
             shown[label] = f"{value:.2f}" if value % 1 else f"{value:.0f}"
         else:

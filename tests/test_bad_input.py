@@ -1,0 +1,148 @@
+"""Every case of bad input, in the library and on the command line; and what a process and a full disk leave.
+
+`bad_input` says how a case is written and tried; the cases are in `bad_banks`, `bad_runs` and `bad_words`.
+"""
+
+import contextlib
+import errno
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from unittest import mock
+
+import bad_banks
+import bad_runs
+import bad_words
+import pytest
+from bad_input import (
+    DQN,
+    RECIPES,
+    by_name,
+    evaluate,
+    in_the_library,
+    make_good,
+    on_the_command_line,
+    save_bank,
+    save_picture,
+    tree,
+)
+from spoiling import put
+
+from uavnav import LayoutError, RunError, runs
+from uavnav.algorithms import dqn
+from uavnav.runs import POLICY
+
+CASES = [*bad_banks.CASES, *bad_runs.CASES, *bad_words.CASES]
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    return make_good(tmp_path_factory.mktemp("bad input") / "good")
+
+
+@pytest.fixture
+def folder(good, tmp_path, monkeypatch):
+    """A copy of the good folder to spoil, and the current directory."""
+    monkeypatch.chdir(shutil.copytree(good, tmp_path / "here"))
+    return tmp_path / "here"
+
+
+def test_247_cases_in_the_library_and_248_on_the_command_line_have_names_of_their_own():
+    assert len({case.name for case in CASES}) == len(CASES)
+    assert sum(case.call is not None for case in CASES) == 247
+    assert sum(bool(case.command) for case in CASES) == 248
+
+
+@pytest.mark.parametrize("case", by_name(case for case in CASES if case.call))
+def test_in_the_library_it_is_one_line_of_a_typed_exception_and_nothing_changes(case, folder):
+    in_the_library(case, folder)
+
+
+@pytest.mark.parametrize("case", by_name(case for case in CASES if case.command))
+def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, folder, monkeypatch, capfd):
+    on_the_command_line(case, folder, monkeypatch, capfd)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["-m", "uavnav.layouts", "--check", "{}/thesis"], "uavnav.layouts: layouts='{}/thesis': no such bank; "),
+        (["-m", "uavnav.evaluate", "{}/thesis"], "uavnav.evaluate: {}/thesis/config.yaml: missing or damaged; "),
+        ([RECIPES / "dqn.py", "out={}/policy"], "dqn: out={}/policy: is a file; give a folder"),
+    ],
+)
+def test_as_a_process_it_is_one_line_too(folder, command, message):
+    before = tree(folder)
+    words = [str(word).replace("{}", str(folder)) for word in command]
+    result = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+    assert result.returncode in (1, 2)
+    assert result.stdout == ""
+    assert result.stderr.startswith(message.replace("{}", str(folder)))
+    assert result.stderr.count("\n") == 1
+    assert tree(folder) == before
+
+
+# -- a full disk -----------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def full(name, forever):
+    """The disk is full when a file of this name is half-written; and stays so, or only that file is refused."""
+    write, out_of_space = Path.write_bytes, []
+
+    def write_half(path, content):
+        if path.name.strip(".").startswith(name) or (forever and out_of_space):
+            out_of_space.append(path)
+            write(path, content[: len(content) // 2])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        return write(path, content)
+
+    with mock.patch.object(Path, "write_bytes", write_half):
+        yield
+    assert out_of_space
+
+
+@pytest.mark.parametrize("forever", [False, True])
+@pytest.mark.parametrize("name", ["config.yaml", "meta.json", "state-", "replay-", *runs.FILES[2:]])
+def test_a_run_whose_disk_is_full_says_so_in_one_line_and_goes_on_when_there_is_space(tmp_path, name, forever):
+    def train(folder):
+        return dqn.train(dqn.DQNConfig(**DQN), folder, quiet=True, checkpoint_seconds=0)
+
+    with full(name, forever), pytest.raises(RunError) as refused:
+        train(tmp_path / "run")
+    message = str(refused.value)
+    assert "\n" not in message
+    assert name.strip("-") in message or "checkpoint" in message
+    assert "No space left on device" in message
+    left = {str(path.relative_to(tmp_path / "run")) for path in tmp_path.glob("run/**/*") if path.is_file()}
+    assert {path for path in left if not path.startswith("checkpoint/")} <= set(runs.FILES)
+    assert not any(path.startswith("checkpoint/.") for path in left)
+    again, whole = train(tmp_path / "run"), train(tmp_path / "whole")
+    for part in ("episodes.parquet", POLICY):
+        assert (again.path / part).read_bytes() == (whole.path / part).read_bytes()
+
+
+@pytest.mark.parametrize("name", ["evaluation-test-2-5.parquet", "behaviour-test-2-5.parquet"])
+def test_an_evaluation_whose_disk_is_full_leaves_the_old_rows(folder, name):
+    put(folder / "run" / name, "the old rows")
+    before = tree(folder)
+    with full(name, True), pytest.raises(RunError, match=rf"{name}: cannot be written .*No space left") as refused:
+        evaluate(folder)
+    assert "\n" not in str(refused.value)
+    after = tree(folder)
+    assert after.keys() == before.keys()
+    assert after[f"run/{name}"] == b"the old rows"
+    assert len(evaluate(folder)) == 2 * 2 * 2
+    assert tree(folder)[f"run/{name}"] != b"the old rows"
+
+
+def test_a_bank_or_a_picture_whose_disk_is_full_is_the_old_one(folder):
+    save_picture(folder / "flight.gif")
+    before = tree(folder)
+    with full("bank", True), pytest.raises(LayoutError, match=r"bank: cannot be written .*No space left"):
+        save_bank(folder / "bank")
+    with full("flight", True), pytest.raises(ValueError, match=r"flight.gif: cannot be written .*No space left"):
+        save_picture(folder / "flight.gif")
+    assert tree(folder) == before

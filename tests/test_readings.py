@@ -1,0 +1,319 @@
+"""The readings *per frame* and *log curve*: closed forms, plain loops over rows, and Stable-Baselines3's own log."""
+
+import itertools
+import math
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uavnav.algorithms import ALGORITHMS
+from uavnav.runs import Run, paper
+from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric, per_seed
+from uavnav.runs.readings import LOG_CURVE, PER_FRAME, READINGS, decimals, log_curve, per_frame, within, words
+
+RESULTS = Path(__file__).parent.parent / "results"
+COMMITTED = ("dqn/sigmoid", "ppo/tanh", "one-world/dqn/relu", "one-world/ppo/tanh", "tuned/dqn/tanh")
+SIX = {"stops": 100, "full_stops": 100, "turns": 100, "speed": 1}
+"""The ratios, and what they are times."""
+
+
+def episodes(*rows):
+    """From (seed, frame, world, steps, distance, reward, terminated, truncated); half of the steps turn."""
+    full = [
+        (seed, frame, world, 0, steps, 1, 0, steps // 2, distance, reward, *ends)
+        for seed, frame, world, steps, distance, reward, *ends in rows
+    ]
+    return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+
+
+CRASH, CAP, OPEN = (True, False), (False, True), (False, False)
+
+
+# -- the same by plain loops ------------------------------------------------------------------------------------------
+
+
+def slow_per_frame(rows, frames):
+    """One seed's: a dict of metrics."""
+    sums = dict.fromkeys(("steps", "stops", "full_stops", "turns", "distance", "reward"), 0.0)
+    collisions = 0
+    for row in rows:
+        for name in sums:
+            sums[name] += row[name]
+        collisions += bool(row["terminated"])
+    found = {name: 100 * sums[name] / frames for name in ("stops", "full_stops", "turns")}
+    found |= {"speed": sums["distance"] / frames, "reward": sums["reward"] / frames}
+    return found | {name: sums[name] / collisions if collisions else math.nan for name in ("steps", "distance")}
+
+
+def slow_log(rows, frames, unit, every):
+    """One seed's entries, in order of time: a list of dicts. Steps of all worlds pass one by one."""
+    ended = sorted((row for row in rows if row["terminated"] or row["truncated"]), key=lambda row: row["frame"])
+    buffer, entries, count, place = deque(maxlen=100), [], 0, 0
+
+    def dump():
+        if buffer:
+            entries.append({name: math.fsum(one[name] for one in buffer) / len(buffer) for name in METRICS})
+
+    times = sorted({*(row["frame"] for row in ended), *(range(every, frames + 1, every) if unit == "frames" else ())})
+    for time in times:
+        now = []
+        while place < len(ended) and ended[place]["frame"] == time:
+            now.append(ended[place])
+            place += 1
+        for row in sorted(now, key=lambda row: row["world"]):
+            own = {name: row[name] for name in ("steps", "distance", "reward")}
+            own["speed"] = row["distance"] / row["steps"]
+            buffer.append(own | {name: 100 * row[name] / row["steps"] for name in ("stops", "full_stops", "turns")})
+        if unit == "frames" and time % every == 0:
+            dump()
+        for _ in now if unit == "episodes" else ():
+            count += 1
+            if count % every == 0:
+                dump()
+    return entries
+
+
+def slow_within(rows, column, windows, n_worlds, collision):
+    """One seed's, by each flight's overlap with each window."""
+    found = []
+    for low, high in windows:
+        total = 0.0
+        for row in rows:
+            end, begin = row["frame"], row["frame"] - row["steps"] * n_worlds
+            at_end = collision if row["terminated"] else 0.0
+            shared = max(0, min(high, end) - max(low, begin))
+            total += (row[column] - at_end) * shared / (end - begin)
+            total += at_end if low < end <= high else 0.0
+        found.append(total / (high - low))
+    return found
+
+
+def assert_equal(table, slow):
+    """table: a row a seed; slow: the same as dicts or lists by seed."""
+    assert list(table.index) == list(slow)
+    for seed, own in slow.items():
+        expected = [own[name] for name in table] if isinstance(own, dict) else own
+        np.testing.assert_allclose(table.loc[seed].to_numpy(), expected, rtol=1e-9, atol=1e-12)
+
+
+def mean_of(entries):
+    return {name: math.fsum(one[name] for one in entries) / len(entries) if entries else math.nan for name in METRICS}
+
+
+def compare_with_loops(table, frames, n_worlds, rhythms, windows):
+    """Everything of a table of episodes, in both ways."""
+    by_seed = {seed: part.to_dict("records") for seed, part in table.groupby("seed")}
+    assert_equal(per_frame(table, frames), {seed: slow_per_frame(rows, frames) for seed, rows in by_seed.items()})
+    ended = table.loc[table["terminated"] | table["truncated"], "seed"].unique()
+    for unit, every in rhythms:
+        logs = {seed: mean_of(slow_log(rows, frames, unit, every)) for seed, rows in by_seed.items() if seed in ended}
+        assert_equal(log_curve(table, frames, unit, every), logs)
+    for column, collision in (("reward", -10.0), ("distance", 0.0), ("terminated", 1.0)):
+        slow = {seed: slow_within(rows, column, windows, n_worlds, collision) for seed, rows in by_seed.items()}
+        assert_equal(within(table, column, windows, n_worlds, collision), slow)
+
+
+@pytest.mark.parametrize("name", COMMITTED)
+def test_committed_runs_read_the_same_by_plain_loops(name):
+    run = Run(RESULTS / name)
+    windows = [(0, 100_000), (30_000.5, 70_000), (run.frames - 100_000, run.frames)]
+    rhythm = ALGORITHMS[run.algorithm].rhythm(run.config)
+    compare_with_loops(run.episodes, run.frames, run.config["n_worlds"], [rhythm], windows)
+
+
+@st.composite
+def runs(draw):
+    """Episodes, frames and worlds: flights fill all frames of every world; the last may be open, others may be cut."""
+    n_worlds, length = draw(st.integers(1, 3)), draw(st.integers(1, 40))
+    rows = []
+    for seed in range(draw(st.integers(1, 3))):
+        for world in range(n_worlds):
+            done = 0
+            while done < length:
+                steps = draw(st.integers(1, length - done))
+                done += steps
+                ends = draw(st.sampled_from([CRASH, CAP, OPEN] if done == length else [CRASH, CAP]))
+                reward = draw(st.floats(-20, 100, allow_subnormal=False))
+                rows.append((seed, done * n_worlds, world, steps, draw(st.integers(0, 9 * steps)), reward, *ends))
+    return episodes(*draw(st.permutations(rows))), length * n_worlds, n_worlds
+
+
+@settings(max_examples=60, deadline=None)
+@given(runs(), st.integers(1, 7), st.lists(st.integers(0, 120), min_size=2, max_size=5, unique=True))
+def test_made_up_runs_read_the_same_by_plain_loops(run, every, edges):
+    table, frames, n_worlds = run
+    edges = sorted(edges)
+    windows = [*itertools.pairwise(edges), (edges[0], edges[-1])]
+    compare_with_loops(table, frames, n_worlds, [("episodes", every), ("frames", every)], windows)
+
+
+@settings(max_examples=60, deadline=None)
+@given(runs(), st.lists(st.floats(0.5, 119.5), max_size=5, unique=True))
+def test_windows_add_up_to_the_whole_whatever_their_edges(run, inner):
+    table, frames, n_worlds = run
+    edges = [0, *sorted(edge for edge in inner if edge < frames), frames]
+    widths = np.diff(edges)
+    found = within(table, "reward", [*itertools.pairwise(edges)], n_worlds, -10.0)
+    np.testing.assert_allclose((found * widths).sum(axis=1), table.groupby("seed")["reward"].sum(), atol=1e-9)
+    whole = within(table, "reward", [(0, frames)], n_worlds, -10.0)[0]
+    np.testing.assert_allclose(whole, per_frame(table, frames)["reward"], atol=1e-12)
+
+
+def test_flights_and_what_is_open_at_the_end_fill_every_frame_of_every_run():
+    for path in sorted(RESULTS.rglob("episodes.parquet")):
+        run = Run(path.parent)
+        assert run.episodes.groupby("seed")["steps"].sum().tolist() == [run.frames] * len(run.seeds), path
+
+
+# -- closed forms -----------------------------------------------------------------------------------------------------
+
+
+def test_per_frame_counts_the_open_flight_and_steps_are_per_collision():
+    """40 frames: 10 steps at 2 px and a crash, 10 at 4 px cut off by a cap, 20 at 9 px in an open flight."""
+    table = episodes((0, 10, 0, 10, 20, -9.8, *CRASH), (0, 20, 0, 10, 40, 0.4, *CAP), (0, 40, 0, 20, 180, 1.8, *OPEN))
+    (row,) = per_frame(table, 40).to_dict("records")
+    assert row == pytest.approx(
+        {"steps": 40, "distance": 240, "stops": 7.5, "full_stops": 0, "turns": 50, "speed": 6, "reward": -7.6 / 40}
+    )
+
+
+def test_a_seed_that_never_collides_has_no_steps_per_collision_and_all_else():
+    row = per_frame(episodes((3, 40, 0, 40, 360, 3.6, *OPEN)), 40).loc[3]
+    assert row[["steps", "distance"]].isna().all()
+    assert row[["reward", "speed"]].tolist() == pytest.approx([0.09, 9])
+
+
+def test_a_log_by_frames_weighs_frames_and_one_by_episodes_weighs_episodes():
+    """99 flights of a frame with -10 and one of 901 with 90; a log of every 100 frames, or of every fourth flight."""
+    rows = [(0, frame, 0, 1, 0, -10.0, *CRASH) for frame in range(1, 100)]
+    table = episodes(*rows, (0, 1000, 0, 901, 0, 90.0, *CRASH))
+    means = [-10.0] * 9 + [(99 * -10 + 90) / 100]
+    assert log_curve(table, 1000, "frames", 100)["reward"].tolist() == [pytest.approx(np.mean(means))]
+    assert log_curve(table, 1000, "episodes", 4)["reward"].tolist() == [pytest.approx((24 * -10 + means[-1]) / 25)]
+
+
+def test_the_log_forgets_what_is_more_than_100_episodes_ago_and_has_nothing_before_the_first():
+    rows = [(0, 50 + n, 0, 1, 0, 7.0 if n < 100 else 1.0, *CRASH) for n in range(200)]
+    table = episodes(*rows)
+    assert log_curve(table, 249, "frames", 249)["reward"].tolist() == [1]
+    assert log_curve(table, 149, "frames", 49)["reward"].tolist() == [pytest.approx(7)]  # at 98 and 147, not at 49
+
+
+def test_flights_that_end_in_one_step_of_parallel_worlds_are_all_in_the_mean_before_any_is_counted():
+    """Six end at frame 6, in the order of their worlds: the entry after the fourth holds the fifth and sixth too."""
+    table = episodes(*((0, 6, world, 1, 0, float(world), *CRASH) for world in (5, 4, 3, 2, 1, 0)))
+    assert log_curve(table, 6, "episodes", 4)["reward"].tolist() == [2.5]
+    one_by_one = table.assign(frame=table["world"] + 1)
+    assert log_curve(one_by_one, 6, "episodes", 4)["reward"].tolist() == [1.5]
+
+
+def test_seeds_without_a_finished_flight_have_no_log():
+    table = episodes((0, 9, 0, 9, 0, 1.0, *CRASH), (1, 9, 0, 9, 0, 1.0, *OPEN))
+    assert log_curve(table, 9, "frames", 3).index.tolist() == [0]
+    assert log_curve(table, 9, "episodes", 4)["reward"].isna().tolist() == [True]  # one flight and no fourth
+    assert log_curve(table[1:], 9, "frames", 3).shape == (0, len(METRICS))
+
+
+def test_a_metric_of_a_users_own_is_in_every_reading(monkeypatch):
+    monkeypatch.setitem(METRICS, "near", Metric("near misses", "near"))
+    monkeypatch.setitem(METRICS, "slow", Metric("slow", "distance", 100.0))
+    monkeypatch.setitem(METRICS, "lost", Metric("lost", "reward", over="frame"))
+    table = episodes((0, 10, 0, 10, 20, -9.0, *CRASH), (0, 20, 0, 10, 40, -10.0, *CRASH)).assign(near=3)
+    for found, near, slow, lost in (
+        (per_frame(table, 20), 3, 300, -19 / 20),
+        (log_curve(table, 20, "frames", 20), 3, 300, -9.5),
+        (per_seed(table), 3, 300, -9.5),
+    ):
+        assert found.loc[0, ["near", "slow", "lost"]].tolist() == pytest.approx([near, slow, lost])
+    without = per_frame(table.drop(columns="near"), 20)
+    assert without["near"].isna().all()
+
+
+def test_a_metric_in_the_words_and_decimals_of_a_reading():
+    assert [words(name, PER_FRAME) for name in ("reward", "steps", "distance", "turns", "speed")] == [
+        *("reward per frame", "steps per collision", "distance per collision [px]", "turning [%]", "speed [px a step]")
+    ]
+    assert words("reward", LOG_CURVE) == "reward per episode"
+    assert [decimals("reward", reading) for reading in READINGS[:3]] == [4, 2, 2]
+
+
+def test_the_papers_reward_per_frame_is_reward_over_steps_and_its_speed_distance_over_steps():
+    assert paper.printed("dqn", "relu", "reward", per_frame=True) == -7.616 / 205.576
+    assert paper.printed("dqn", "relu", "speed", per_frame=True) == 761.555 / 205.576
+    assert paper.printed("dqn", "relu", "steps", per_frame=True) == 205.576
+    assert math.isnan(paper.printed("dqn", "mish", "reward", per_frame=True))
+
+
+# -- Stable-Baselines3 ------------------------------------------------------------------------------------------------
+
+
+def test_the_rhythm_of_a_log_is_the_algorithms_own_and_unknown_where_a_setting_is_missing():
+    assert ALGORITHMS["dqn"].rhythm({}) == ("episodes", 4)
+    assert ALGORITHMS["ppo"].rhythm({"frames_per_batch": 2048}) == ("frames", 2048)
+    assert ALGORITHMS["a2c"].rhythm({"n_steps": 5, "n_worlds": 16}) == ("frames", 8000)
+    assert ALGORITHMS["ppo"].rhythm({}) is None
+    assert ALGORITHMS["ppo"].rhythm({"frames_per_batch": "many"}) is None
+    assert ALGORITHMS["ppo"]._replace(logs=()).rhythm({}) is None
+
+
+def learned(algorithm, n_worlds):
+    """Stable-Baselines3 learns for 20,000 frames: all that its logger held at each dump, and the episodes that ended.
+
+    The episodes are those of the infos, from which it fills its own buffer.
+    """
+    sb3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import KVWriter, Logger
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    from uavnav.bench.worlds import make_env
+
+    held, rows = [], []
+
+    class Held(KVWriter):
+        def write(self, key_values, key_excluded, step=0):
+            held.append(dict(key_values))
+
+        def close(self):
+            pass
+
+    class Watch(BaseCallback):
+        def _on_step(self):
+            for world, info in enumerate(self.locals["infos"]):
+                if (one := info.get("episode")) is not None:
+                    rows.append((0, self.num_timesteps, world, one["l"], 0, one["r"], *CRASH))
+            return True
+
+    own = {
+        "ppo": {"n_steps": 512 // n_worlds, "n_epochs": 1},
+        "dqn": {"learning_starts": 5_000, "train_freq": 16, "buffer_size": 20_000},
+        "a2c": {},
+    }[algorithm]
+    worlds = DummyVecEnv([lambda: Monitor(make_env("numpy"))] * n_worlds)
+    model = getattr(sb3, algorithm.upper())("MlpPolicy", worlds, seed=1, device="cpu", **own)
+    model.set_logger(Logger(None, [Held()]))
+    model.learn(20_000, Watch())
+    return held, episodes(*rows), model.num_timesteps
+
+
+@pytest.mark.parametrize(("algorithm", "n_worlds"), [("ppo", 1), ("ppo", 4), ("dqn", 1), ("dqn", 4), ("a2c", 4)])
+def test_the_log_curve_is_the_mean_of_what_stable_baselines3s_logger_holds(algorithm, n_worlds):
+    held, table, frames = learned(algorithm, n_worlds)
+    unit, every = ALGORITHMS[algorithm].rhythm({"frames_per_batch": 512, "n_steps": 5, "n_worlds": n_worlds})
+    logged = {
+        name: [one[key] for one in held if key in one]
+        for name, key in (("reward", "rollout/ep_rew_mean"), ("steps", "rollout/ep_len_mean"))
+    }
+    assert len(logged["reward"]) >= (10 if algorithm == "a2c" else 30)
+    assert len(table) > 110  # so that the oldest leave the window
+    entries = slow_log(table.to_dict("records"), frames, unit, every)
+    found = log_curve(table, frames, unit, every).loc[0]
+    for name, values in logged.items():
+        np.testing.assert_allclose([one[name] for one in entries], values, rtol=1e-9)
+        assert found[name] == pytest.approx(np.mean(values), rel=1e-9)

@@ -1,0 +1,73 @@
+"""What asks why cells differ: rows, contrasts and sentences on made-up seeds, and the cells that the Makefile flies."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uavnav.report import figures, whys
+from uavnav.report.studies import WHY
+
+MAKEFILE = Path(__file__).parents[1] / "Makefile"
+
+
+def evidence(clearance, seeds=10):
+    """Ten seeds around 0, but clearance by study as given; nothing of other studies."""
+    noise = np.linspace(-1, 1, seeds)
+
+    def of(algorithm, activation, metric, study="main"):
+        return clearance[study] + noise if metric == "clearance" and study in clearance else np.empty(0)
+
+    return of
+
+
+def test_a_contrast_of_40_px_with_10_seeds_each_is_said_with_its_welch_interval():
+    """s = 0.673 in both: 40 -+ 2.101 * 0.673 * sqrt(2 / 10) = 0.632."""
+    table = whys.table(evidence({"clip_epsilon=0.05": 90.0, "clip_epsilon=None": 50.0}))
+    caution = next(one for one in whys.QUESTIONS if one.name == "caution")
+    (said,) = whys.answers(table, caution)
+    assert said == "PPO with clip_epsilon=0.05 against with clip_epsilon=None, clearance [px]: 40.00 [39.37, 40.63]."
+    rows = table.set_index("row")
+    assert rows.loc["PPO clip_epsilon=0.05", ["value", "n"]].tolist() == [90.0, 10]
+
+
+def test_equal_cells_are_not_told_apart_and_cells_without_seeds_are_left_out():
+    caution = next(one for one in whys.QUESTIONS if one.name == "caution")
+    (said,) = whys.answers(whys.table(evidence({"epochs=1": 50.0, "epochs=20": 50.0})), caution)
+    assert said.endswith("clearance [px]: not told apart: 0.00 [−0.63, 0.63].")
+    assert whys.answers(whys.table(evidence({})), caution) == []
+    assert figures._whys(whys.table(evidence({}))) == []
+
+
+def test_a_figure_has_a_row_for_each_cell_that_was_flown_and_is_there_once_a_contrast_is():
+    flown = {"gamma=0.9": 1.0, "clip_epsilon=0.4": 50.0, "epochs=1": 60.0}
+    assert figures._whys(whys.table(evidence(flown))) == []
+    (found,) = figures._whys(whys.table(evidence(flown | {"epochs=20": 55.0})))
+    assert found.name == "whys-caution"
+    assert found.caption.startswith("Do gradual updates make PPO cautious? PPO with epochs=1 against with epochs=20")
+    assert "PPO clip_epsilon=0.4, clearance [px] 50" in found.drawn.alt
+
+
+def test_the_makefile_flies_each_cell_that_a_question_asks_for():
+    target = MAKEFILE.read_text().partition("\nwhy:")[2].partition("\n\n")[0]
+    flown = set()
+    for values, setting in re.findall(r"\$\(foreach value,([^,]+),.*?(\w+)=\$\(value\)", target):
+        flown |= {f"{setting}={ {'null': 'None', '0': '0.0'}.get(value, value) }" for value in values.split()}
+    flown |= {f"reward={reward}" for reward in ("initial", "additive") if reward in target}
+    flown |= {
+        study
+        for word, study in {"layer_norm=true": "layer_norm=True", "init=unit": "init=unit"}.items()
+        if word in target
+    }
+    asked = {place[0] for one in whys.QUESTIONS for place in one.rows.values()} - {whys.SHORT, whys.LONG}
+    assert flown == asked
+    assert {study.partition("=")[0] for study in asked} - {"reward", "init"} <= WHY
+
+
+@pytest.mark.parametrize("question", whys.QUESTIONS, ids=lambda one: one.name)
+def test_each_question_draws_the_cells_that_its_contrasts_hold_against_each_other(question):
+    drawn = set(question.rows.values())
+    for one in question.contrasts:
+        assert {*one.first, *one.second} <= drawn
+        assert one.metric in question.metrics

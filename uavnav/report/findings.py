@@ -1,0 +1,292 @@
+"""The findings as plain sentences: each has one number with its interval, and names the row of a table that holds it.
+
+All is made from the report's tables. The words follow the intervals, and a finding without numbers is left out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from uavnav.report import frames, tables
+from uavnav.report.claims import CLAIMS, NAMES, PRIMARY, Claim
+from uavnav.report.headline import EVERY, MANY_WORLDS, RULE
+from uavnav.report.verdicts import ABSENT, CONTEXT, DOES_NOT, IN_PART, OPEN, REPLICATES, Grade
+from uavnav.runs import paper
+from uavnav.runs.metrics import MODES
+from uavnav.runs.readings import ALL, LAST_EPISODES, LOG_CURVE, PER_FRAME, TOTALS
+from uavnav.stats import Interval
+
+Numbers = Mapping[str, pd.DataFrame]
+"""The report's tables, by the name of their CSV."""
+AHEAD = {
+    1: ("PPO", "DQN"),
+    2: ("PPO with tanh", "PPO's best other activation"),
+    3: ("DQN with sigmoid", "DQN's best other activation"),
+    8: ("the mean of PPO's other activations", "PPO with sigmoid"),
+}
+"""Who is ahead of whom in the paper, by the claim whose part says so (`Claim.said`)."""
+SURGES = "DQN sigmoid"
+READ_AS = {
+    PER_FRAME: "means per frame",
+    LOG_CURVE: "means of Stable-Baselines3's log",
+    ALL: "means of all episodes",
+    TOTALS: "ratios of totals",
+    LAST_EPISODES: "means of the last episodes",
+}
+"""The readings of training, as one reads the paper's tables."""
+TALLIED = {
+    REPLICATES: ("replicates", "replicate"),
+    IN_PART: ("does in part", "do in part"),
+    DOES_NOT: ("does not", "do not"),
+    OPEN: ("is open", "are open"),
+    CONTEXT: ("is context", "are context"),
+}
+"""A claim's grade as the verb of one claim, and of several."""
+WHO = {RULE: f"a hand-written rule (`{RULE}`)"}
+
+
+class Sentence(NamedTuple):
+    """A sentence around the number that a row of a table holds."""
+
+    before: str
+    number: str
+    after: str
+    table: str  # the name of its CSV
+    row: int | None  # its place in the table, from 0; None for all of them
+
+    def __str__(self) -> str:
+        return f"{self.before}{self.number}{self.after}"
+
+    def link(self) -> str:
+        """The row, from the folder of results: its line in the CSV, after that of the header."""
+        return f"tables/{self.table}.csv" + (f"#L{self.row + 2}" if self.row is not None else "")
+
+    def markdown(self, root: str = "") -> str:
+        """With the number as a link; root: the folder of results, with a slash."""
+        return f"{self.before}[{self.number}]({root}{self.link()}){self.after}" if self.number else str(self)
+
+
+def findings(numbers: Numbers) -> list[Sentence]:
+    """What the study found: how many claims hold, the rule, who is ahead, targets, times, readings, more worlds."""
+    makers = (_tally, _rule, _ahead, _one_step, _surge, _fit, _many_worlds)
+    return [sentence for make in makers for sentence in make(numbers)]
+
+
+def between(found: Interval, unit: str = "") -> str:
+    """A number and its interval in plain words; the number alone where it has none. Shares and hundreds are whole."""
+    places = 0 if unit or abs(found.value) > 100 else tables.digits(found)
+    value, low, high = (tables.number(round(one, places) + 0.0, places) for one in found[:3])  # no −0
+    return value + unit if np.isnan(found.low) else f"{value}{unit} ({low} to {high}{unit})"
+
+
+def _times(found: Interval, factor: float) -> Interval:
+    low, high = sorted((factor * found.low, factor * found.high))
+    return Interval(factor * found.value, low, high, found.n)
+
+
+def _found(row: Any) -> Interval:
+    return Interval(row.value, row.low, row.high, row.n)
+
+
+def _rows(table: pd.DataFrame, **where: Any) -> Iterator[tuple[int, Any]]:
+    """The places and the rows where columns have these values."""
+    for place, row in enumerate(table.itertuples(index=False)):
+        if all(getattr(row, column) == value for column, value in where.items()):
+            yield place, row
+
+
+def _told(
+    above: str, below: str, neither: str, found: Interval, table: str, row: int, unit: str = ""
+) -> Iterator[Sentence]:
+    """One of three sentences, by where the interval lies to zero; none without an interval. {} is for the number."""
+    if np.isnan(found.low):
+        return
+    words = above if found.low > 0 else below if found.high < 0 else neither
+    shown = between(_times(found, -1) if found.high < 0 else found, unit)
+    before, after = words.split("{}")
+    yield Sentence(before, shown, after, table, row)
+
+
+def study(numbers: Numbers) -> Sentence:
+    """How large the study is that answers for the paper, and in how many worlds a seed learned."""
+    cells = numbers["cells"].query("study == 'main'")
+    seeds, long = frames.least_to_most(cells["seeds"], "seed"), frames.least_to_most(cells["frames"])
+    worlds = frames.least_to_most(cells["worlds"])
+    usual = "one world, as Stable-Baselines3 runs by default"
+    known = usual if worlds == "1" else f"{worlds} parallel worlds (Stable-Baselines3 runs one)"
+    cell = "Each cell (algorithm and activation) has "
+    return Sentence(cell, f"{seeds} of {long} frames", f", each seed in {known}.", "cells", None)
+
+
+def _tally(numbers: Numbers) -> Iterator[Sentence]:
+    primary = numbers["verdicts"].query("reading == @PRIMARY and n > 0").drop_duplicates("claim")
+    counts = Counter(primary["grade_of_claim"].str.split(" (", regex=False).str[0])
+    if len(primary):
+        told = {kind: f"{n} {TALLIED[kind][int(n != 1)]}" for kind, n in counts.items()}
+        first, *others = [told[kind] for kind in TALLIED if kind in told]
+        after = "".join(f", {one}" for one in others[:-1]) + "".join(f" and {one}" for one in others[-1:])
+        yield Sentence(f"Of the paper's {len(CLAIMS)} claims, ", first, f"{after}.", "verdicts", None)
+
+
+def _ahead(numbers: Numbers) -> Iterator[Sentence]:
+    for claim in (claim for claim in CLAIMS if claim.number in AHEAD):
+        first, second = AHEAD[claim.number]
+        place, row = _part(numbers, claim)
+        percent = _times(Interval(row.ratio, row.ratio_low, row.ratio_high, row.n), 100)
+        undecided = f"{_upper(first)} is not told apart from {second}: {{}} of the paper's difference."
+        less = "differ by less than half of what they do in the paper: {}."
+        yield from _told(
+            f"{_upper(first)} is ahead of {second}, by {{}} of the paper's difference.",
+            f"{_upper(second)} is ahead of {first}, against the paper: by {{}} of its difference.",
+            f"{_upper(first)} and {second} {less}" if row.verdict == ABSENT else undecided,
+            *(percent, "verdicts", place, " %"),
+        )
+
+
+def _upper(words: str) -> str:
+    return words[:1].upper() + words[1:]
+
+
+def _one_step(numbers: Numbers) -> Iterator[Sentence]:
+    for place, row in _rows(numbers["effects"], algorithm="dqn"):
+        name, _, steps = row.switch.partition("=")
+        if name == "n_steps":
+            targets = f"with targets of one step than of {steps}"
+            yield from _told(
+                f"DQN earns {{}} less reward in 1,000 frames {targets}.",
+                f"DQN earns {{}} more reward in 1,000 frames {targets}.",
+                f"DQN is not seen to earn less {targets}: {{}} of reward in 1,000 frames.",
+                *(_times(_found(row), 1000), "effects", place),
+            )
+
+
+def _surge(numbers: Numbers) -> Iterator[Sentence]:
+    for place, row in _rows(numbers["peaks"], cell=SURGES, measure="peak"):
+        value, low, high = (round(one, -3) for one in _found(row)[:3])
+        shown = between(Interval(value, low, high, row.n))
+        yield Sentence("DQN with sigmoid is at its best at frame ", shown, ".", "peaks", place)
+    for place, row in _rows(numbers["peaks"], cell=SURGES, measure="lost"):
+        yield from _told(
+            "By the end, DQN with sigmoid has lost {} of what it had gained.",
+            "DQN with sigmoid gains on until the end, by {} of what it had gained.",
+            "By the end, DQN with sigmoid is not seen to have lost: {} of what it had gained.",
+            *(_times(_found(row), 100), "peaks", place, " %"),
+        )
+
+
+def _fit(numbers: Numbers) -> Iterator[Sentence]:
+    fits = numbers["fits"]
+    training = fits[fits["reading"].isin(list(READ_AS))]
+    every = training[training["cell"] == EVERY]
+    if every.empty:
+        return
+    best = every.loc[every["within"].idxmax()]
+    shown, within = f"{best['within']} of {best['numbers']}", " lie where one more seed of ours would (95 %)."
+    before = f"The paper's numbers fit best as {READ_AS[str(best['reading'])]}: "
+    yield Sentence(before, shown, within, "fits", int(every["within"].idxmax()))
+    cells = training[(training["reading"] == best["reading"]) & (training["cell"] != EVERY)]
+    least = cells[cells["within"] == cells["within"].min()]
+    first = least.iloc[0]
+    if first["within"] < first["numbers"]:
+        names = " and ".join(map(_with, least["cell"])) if len(least) < 3 else f"{len(least)} cells"
+        shown, each = f"{first['within']} of {first['numbers']}", " each" * (len(least) > 1)
+        yield Sentence(f"They fit worst for {names}: ", shown, f"{each}.", "fits", int(least.index[0]))
+
+
+def _rule(numbers: Numbers) -> Iterator[Sentence]:
+    for place, row in _best(numbers["gaps"], MODES[1:]):
+        best = f"the best policy, {_with(row.who)}"
+        yield from _told(
+            f"{_upper(best)}, beats a hand-written rule by {{}} of reward on a test flight.",
+            f"A hand-written rule beats {best}, by {{}} of reward on a test flight.",
+            f"A hand-written rule and {best}, are not told apart: {{}} of reward on a test flight.",
+            *(Interval(row.gap, row.gap_low, row.gap_high, row.n), "gaps", place),
+        )
+
+
+def _many_worlds(numbers: Numbers) -> Iterator[Sentence]:
+    for place, row in _rows(numbers["effects"], switch=MANY_WORLDS):
+        who = row.algorithm.upper()
+        yield from _told(
+            f"{who} earns {{}} more reward in 1,000 frames in many worlds a seed than in one.",
+            f"{who} earns {{}} less reward in 1,000 frames in many worlds a seed than in one.",
+            f"{who} in many worlds a seed is not told apart from {who} in one: {{}} of reward in 1,000 frames.",
+            *(_times(_found(row), 1000), "effects", place),
+        )
+
+
+def _best(gaps: pd.DataFrame, modes: tuple[str, ...], algorithms: tuple[str, ...] = ()) -> Iterator[tuple[int, Any]]:
+    """The place and the row of the learned cell with the highest reward on test flights, if there is one."""
+    learned = gaps[gaps["mode"].isin(list(modes)) & (gaps["algorithm"].isin(list(algorithms)) | (not algorithms))]
+    if len(learned):
+        place = int(learned["reward"].idxmax())
+        yield place, next(gaps.iloc[[place]].itertuples(index=False))
+
+
+def _with(label: str) -> str:
+    """A cell's label in words: PPO with leaky ReLU."""
+    algorithm, _, activation = label.partition(" ")
+    return f"{algorithm} with {NAMES.get(activation, activation)}"
+
+
+def flights(numbers: Numbers, root: str = "") -> tables.Rows:
+    """Test flights of the rule and of each algorithm's best cell: reward, its gap to the rule, share still up."""
+    gaps = numbers["gaps"]
+    rows = [["test flights", "reward", "gap to the rule", "still flying at the limit"]]
+    best = [one for algorithm in paper.TABLE_OF for mode in MODES for one in _best(gaps, (mode,), (algorithm,))]
+    for place, row in sorted([*_rows(gaps, who=RULE), *best], key=lambda one: -one[1].reward):
+        who = WHO.get(row.who) or f"{_with(row.who)}, {row.mode}"
+        reward = Sentence("", between(Interval(row.reward, row.low, row.high, row.n)), "", "gaps", place)
+        gap = between(Interval(row.gap, row.gap_low, row.gap_high, row.n))
+        rows.append([who, reward.markdown(root), gap, f"{row.up:.0%}"])
+    return rows
+
+
+def _part(numbers: Numbers, claim: Claim) -> tuple[int, Any]:
+    """The place and the row of the part that a claim's sentence is about, in the primary reading."""
+    text = claim.parts[claim.said.part].text
+    return next(_rows(numbers["verdicts"], reading=PRIMARY, claim=claim.number, text=text))
+
+
+def of_claim(numbers: Numbers, claim: Claim) -> Sentence:
+    """A claim's plain sentence: how much more or less there is, and in the paper."""
+    place, row = _part(numbers, claim)
+    if not row.n:
+        return Sentence("No finished run.", "", "", "verdicts", place)
+    said, found = claim.said, _times(_found(row), claim.said.scale)
+    digits = tables.digits(found)
+
+    def word(value: float) -> str:
+        chosen = said.up if value >= 0 else said.down
+        return f" {chosen}" if chosen else ""
+
+    own = said.scale * row.paper
+    shown = tables.number(abs(own), digits if abs(own) < 1 else min(digits, 1))
+    printed = "" if np.isnan(own) else f"; in the paper, {shown}{word(own)}"
+    number = between(_times(found, -1) if found.value < 0 else found)
+    before, after = (said.sentence or f"{row.text}: {{}}").split("{}")
+    return Sentence(before, number, f"{word(found.value)}{after}{printed}.", "verdicts", place)
+
+
+def claims(numbers: Numbers, grades: Mapping[int, Grade], root: str = "") -> tables.Rows:
+    """A row a claim: its sentence in the paper, its grade with a bar of its parts, and ours."""
+    rows = [["", "the paper says", "grade", "our seeds say"]]
+    for claim in CLAIMS:
+        graded = f"{tables.bar(grades[claim.number])} {grades[claim.number]}"
+        rows.append([str(claim.number), claim.sentence, graded, of_claim(numbers, claim).markdown(root)])
+    return rows
+
+
+def against_itself(numbers: Numbers, root: str = "") -> tables.Rows:
+    """The parts of claims that the paper's own tables, as printed, do not show: they should be above zero."""
+    rows = [["claim", "what it says", "the paper's own tables"]]
+    for place, row in _rows(numbers["verdicts"], reading=ALL):
+        if row.paper <= 0:
+            number = Sentence("", tables.number(row.paper), "", "verdicts", place)
+            rows.append([str(row.claim), row.text, number.markdown(root)])
+    return rows

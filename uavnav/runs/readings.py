@@ -1,0 +1,93 @@
+"""The readings: all that the paper's tables may have averaged over (decision 12), from the rows of a run.
+
+A reading is a table with a row a seed and a column a metric of `metrics.METRICS`. Frames are per seed. A flight of s
+steps in one of W parallel worlds that ended at frame f lasted from f - s W to f.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from uavnav.runs.metrics import LAST, METRICS, MODES, counted, finished, per_episode
+
+PER_FRAME = "per frame"
+"""The primary reading: of all frames, those of flights open at the end too."""
+LOG_CURVE = "log curve"
+"""What Stable-Baselines3 logs, averaged: most likely what the paper printed."""
+ALL = "all training episodes"
+TOTALS = f"{ALL}, ratios of totals"
+LAST_EPISODES = f"last {LAST} training episodes"
+GREEDY, SAMPLED = EVALUATIONS = tuple(f"{mode} evaluation" for mode in MODES)
+READINGS = (PER_FRAME, LOG_CURVE, ALL, TOTALS, LAST_EPISODES, *EVALUATIONS)
+"""In the order of the report."""
+
+
+def words(metric: str, reading: str) -> str:
+    """A metric as a reading takes it: `reward per frame`."""
+    return METRICS[metric].words(METRICS[metric].over if reading == PER_FRAME else "episode")
+
+
+def decimals(metric: str, reading: str) -> int:
+    """How many a metric is shown with: four where it is a small part of 1, as a frame's reward."""
+    one = METRICS[metric]
+    return 4 if reading == PER_FRAME and one.scale is None and one.over == "frame" else min(one.digits, 2)
+
+
+def per_frame(episodes: pd.DataFrame, frames: int) -> pd.DataFrame:
+    """Reward, stops, turns and speed per frame of all frames; steps and distance per collision.
+
+    Sums are over all rows, flights open at the end too, and are divided by the frames of a seed or its collisions. A
+    seed without a collision has NaN per collision. frames: that each seed had.
+    """
+    seed = episodes["seed"]
+    sums = counted(episodes).groupby(seed).sum(min_count=1)
+    collisions = episodes["terminated"].groupby(seed).sum()
+    table = {}
+    for name, metric in METRICS.items():
+        of_frames = metric.scale is not None or metric.over == "frame"
+        table[name] = (metric.scale or 1) * sums[name] / (frames if of_frames else collisions.where(collisions > 0))
+    return pd.DataFrame(table)
+
+
+def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.DataFrame:
+    """The mean over a run's log of Stable-Baselines3's `rollout/ep_rew_mean`, and of each other metric likewise.
+
+    An entry of the log is the mean of the last 100 episodes that have ended by then; ratios are means of the episodes'
+    ratios. There is no entry before the first episode has ended. Episodes that end in one step of parallel worlds are
+    all in the mean before any is counted. A seed without an entry has NaN.
+
+    frames: that each seed had; unit, every: it logs every so many `frames` per seed or finished `episodes`.
+    """
+    means = {}
+    for seed, ended in finished(episodes).sort_values(["frame", "world"], kind="stable").groupby("seed"):
+        ends = ended["frame"].to_numpy()
+        logged = ends[every - 1 :: every] if unit == "episodes" else np.arange(every, frames + 1, every)
+        behind = np.searchsorted(ends, logged, side="right")
+        entries = per_episode(ended).rolling(LAST, min_periods=1).mean().iloc[behind[behind > 0] - 1]
+        means[seed] = entries.mean()
+    return pd.DataFrame(means, index=list(METRICS), dtype="float64").T.rename_axis("seed")
+
+
+def within(
+    episodes: pd.DataFrame,
+    column: str,
+    windows: Sequence[tuple[float, float]],
+    n_worlds: int,
+    collision: float = 0.0,
+) -> pd.DataFrame:
+    """A column's sum per frame in windows [low, high) of frames: a row a seed, a column a window.
+
+    A flight's sum is spread evenly over its frames, but for what the collision at its end brings, which lies in its
+    last frame. collision: how much that is.
+    """
+    edges, place = np.unique(np.asarray(windows, dtype=np.float64), return_inverse=True)
+    steps, end, total = (episodes[name].to_numpy(np.float64)[:, None] for name in ("steps", "frame", column))
+    at_end = collision * episodes["terminated"].to_numpy(np.float64)[:, None]
+    flown = np.clip((edges - end) / (steps * n_worlds) + 1, 0, 1)  # [E, edges]: the part of a flight before each
+    before = pd.DataFrame((total - at_end) * flown + at_end * (end <= edges)).groupby(episodes["seed"].to_numpy()).sum()
+    low, high = place.reshape(-1, 2).T
+    sums = before.to_numpy()[:, high] - before.to_numpy()[:, low]
+    return pd.DataFrame(sums / (edges[high] - edges[low]), index=before.index.rename("seed"))

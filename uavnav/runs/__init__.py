@@ -8,6 +8,8 @@
     evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled)
     behaviour.parquet   the actions of some test flights, one row per step (see `uavnav.report.behaviour`)
     checkpoint/         the snapshots of an unfinished run (see `uavnav.training.checkpoints`)
+    progress.json       while it trains: its frames per seed, of how many, at how many a second, and when that was
+    stop                while it trains: whoever writes this file asks it to save and stop
     tensorboard/ wandb/ logs, if the run has them (see `uavnav.training.loggers`)
 
 Files appear whole or not at all. A folder is locked while a run writes to it.
@@ -32,6 +34,8 @@ EVALUATION = "evaluation.parquet"
 BEHAVIOUR = "behaviour.parquet"
 POLICY = "policy.safetensors"
 FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", POLICY)
+PROGRESS = "progress.json"
+STOP = "stop"
 LOG_FOLDERS = ("tensorboard", "wandb")
 
 

@@ -83,7 +83,7 @@ class TrainConfig:
         object.__delattr__(self, "_given")
         hints = get_type_hints(type(self))
         for item in (item for item in fields(self) if item.name != "world"):
-            value = _checked(item.name, getattr(self, item.name), hints[item.name], item.metadata)
+            value = checked(item.name, getattr(self, item.name), hints[item.name], item.metadata)
             object.__setattr__(self, item.name, value)
         object.__setattr__(self, "world", _world(self.world, TASKS[self.task].WORLD))
         if not self.hidden or min(self.hidden) < 1:
@@ -179,18 +179,18 @@ def _world(given: World | Mapping[str, Any] | None, kind: type[World]) -> World:
     if given is not None and not isinstance(given, Mapping):
         raise ConfigError(f"world={given}; give fields of the world, such as world.sensor_arc=90")
     hints, names = get_type_hints(kind), [item.name for item in fields(kind)]
-    checked = {}
+    values = {}
     for name, value in (given or {}).items():
         if name not in names:
             raise unknown_key(f"world.{name}", [f"world.{one}" for one in names])
-        checked[name] = _checked(f"world.{name}", value, hints[name], {})
+        values[name] = checked(f"world.{name}", value, hints[name], {})
     try:
-        return kind(**checked)
+        return kind(**values)
     except ValueError as error:
         raise ConfigError(f"world.{error}") from error
 
 
-def _checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any:
+def checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any:
     """The value in its declared type, or a ConfigError."""
     if get_origin(hint) is Literal:
         value = {True: "on", False: "off"}.get(value, value) if isinstance(value, bool) else value  # yaml's on and off
@@ -198,11 +198,11 @@ def _checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any
             raise unknown(name, value, get_args(hint))
         return value
     if get_origin(hint) is types.UnionType:  # the one form in use: `int | None`
-        return None if value is None else _checked(name, value, get_args(hint)[0], limits)
+        return None if value is None else checked(name, value, get_args(hint)[0], limits)
     if get_origin(hint) is tuple:
         if not isinstance(value, (list, tuple)):
             raise ConfigError(f"{name}={value!s}; give a list of whole numbers, such as [64,64]")
-        return tuple(_checked(name, entry, int, {}) for entry in value)
+        return tuple(checked(name, entry, int, {}) for entry in value)
     if hint is int:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value // 1:
             raise ConfigError(f"{name}={value!s}; give a whole number")

@@ -25,7 +25,7 @@ from uavnav.training.config import TrainConfig, plain
 from uavnav.training.display import Display, Tell
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, default_folder
 from uavnav.training.sampling import Actor
-from uavnav.training.shares import Shares
+from uavnav.training.shares import Shares, join
 
 Row = Mapping[str, Tensor | float]
 """What a row of progress says beside seed and frame: [A], or one number for all."""
@@ -108,7 +108,8 @@ def _together(recorder: Recorder, n: int, quiet: bool, tell: Tell | None) -> Run
         with contextlib.closing(shares.progress()) as steps:
             for frames, rewards in steps:
                 display.update(frames, rewards)
-        return shares.join()
+                recorder.tell(frames)
+        return join(recorder, shares.shares)
 
 
 def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> Run:
@@ -135,6 +136,7 @@ def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> 
                 began, logged = time.perf_counter(), frames
                 recorder.add_progress(frames, **row, frames_per_second=rate)
                 display.update(frames, recorder.recent_rewards())
+            recorder.tell(frames)
             recorder.checkpoint(frames, parts, trainee.replay)
         recorder.add_open_episodes(env.state, frames)
         policy = weights.serialize(trainee.networks(), config, trainee.actor)

@@ -1,6 +1,9 @@
-"""The process of a share of a run's seeds: it trains them as a run of its own, and tells its progress as lines of JSON.
+"""The process of a share of a run's seeds: it trains them as a run of its own.
 
-It gets its settings as JSON on the standard input, and saves and ends when the one that started it is gone.
+It gets its settings as JSON. A process that started it (`shares`) gives them on the standard input and hears its
+progress as lines of JSON; the share saves and ends when that process is gone. A study (`uavnav.studies`) names a file,
+from which a share on another machine may read them; nobody listens then, and the share writes beside the file how it
+ended.
 """
 
 from __future__ import annotations
@@ -15,16 +18,18 @@ import sys
 import threading
 import traceback
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from uavnav import plugins
+from uavnav import files, plugins
 from uavnav.choices import ConfigError
-from uavnav.runs import Run
+from uavnav.runs import STOP, Run
 from uavnav.runs.tables import Columns, RunError, with_reward
 from uavnav.tasks.layouts import LayoutError
 from uavnav.training import loop, machine
-from uavnav.training.recorder import STOPS, Interrupted, Recorder
+from uavnav.training.display import Tell
+from uavnav.training.recorder import STOPS, Interrupted, Log, Recorder
 
 EXPECTED = (ConfigError, LayoutError, RunError)
 POLL_SECONDS = 0.2
@@ -54,50 +59,82 @@ def _hear_nothing(number: int, frame: object) -> None:
     """Let a signal pass, as `signal.SIG_IGN` does, which a compiler that is started would inherit."""
 
 
-def _recorder(described: dict[str, Any], channel: int) -> Recorder:
+def _recorder(described: dict[str, Any], log: Log | None = None) -> Recorder:
     plugins.load(described["plugins"])
     module, name = described["kind"]
     config = getattr(importlib.import_module(module), name).from_mapping(described["config"])
-
-    def log(rows: Columns) -> None:
-        say(channel, rows={name: column.tolist() for name, column in rows.items()})
-
-    return Recorder(Path(described["out"]), config, log=log if described["log"] else None, **described["how"])
+    return Recorder(Path(described["out"]), config, log=log, **described["how"])
 
 
-def main() -> None:
+def _train(described: dict[str, Any], tell: Tell | None = None, log: Log | None = None) -> dict[str, Any]:
+    """Train a share, and say how that ended."""
+    try:
+        recorder = _recorder(described, log)
+        if recorder.finished:
+            run = Run(recorder.path)
+            if log is not None:
+                log(with_reward(run.progress, run.episodes))
+        else:
+            with machine.use_threads(described["threads"]):
+                run = loop.alone(recorder, quiet=True, tell=tell)
+        return {"finished": run.frames}
+    except Interrupted as stop:
+        return {"stopped": stop.frames, "wanted": stop.wanted}
+    except EXPECTED as error:
+        return {"error": str(error)}
+    except Exception as error:
+        traceback.print_exc()
+        return {"error": f"{described['out']}: {type(error).__name__}, see above"}
+
+
+def listened_to() -> None:
     """Train the share that is described on the standard input."""
     channel = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no message
-    warnings.formatwarning = lambda message, *where, **more: f"{message}\n"
-    warnings.filterwarnings("ignore", machine.EAGER)  # the one that started this process has said it
     for number in STOPS:
         signal.signal(number, _hear_nothing)  # a run hears the first signal, and then this is there again
     described = json.loads(sys.stdin.readline())
     over = threading.Event()
     watch = threading.Thread(target=_end_with_parent, args=[over], daemon=True)
     watch.start()
-    try:
-        recorder = _recorder(described, channel)
-        if recorder.finished:
-            run = Run(recorder.path)
-            if recorder.log is not None:
-                recorder.log(with_reward(run.progress, run.episodes))
-        else:
-            with machine.use_threads(1):
-                run = loop.alone(
-                    recorder, quiet=True, tell=lambda frames, rewards: say(channel, frames=frames, rewards=rewards)
-                )
-        last: dict[str, Any] = {"finished": run.frames}
-    except Interrupted as stop:
-        last = {"stopped": stop.frames, "wanted": stop.wanted}
-    except EXPECTED as error:
-        last = {"error": str(error)}
-    except Exception as error:
-        traceback.print_exc()
-        last = {"error": f"{described['out']}: {type(error).__name__}, see above"}
+
+    def tell(frames: int, rewards: list[float]) -> None:
+        say(channel, frames=frames, rewards=rewards)
+
+    def log(rows: Columns) -> None:
+        say(channel, rows={name: column.tolist() for name, column in rows.items()})
+
+    last = _train(described, tell, log if described["log"] else None)
     for number in STOPS:
         signal.signal(number, signal.SIG_IGN)  # there is nothing left to save
     say(channel, **last)
     over.set()
     watch.join()  # a thread that woke while the interpreter ends would end the process loudly
+
+
+def unheard(job: Path) -> None:
+    """Train the share that a file describes, in the folder that was made for it, and write beside it how that ended."""
+    described = json.loads(job.read_text())
+    out = Path(described["out"])
+    with job.with_suffix(".log").open("ab", buffering=0) as log:
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(log.fileno(), stream.fileno())
+    if not out.is_dir():
+        raise SystemExit(f"{out}: is gone; another process has taken this run over")
+    os.chdir(described["folder"])
+    last = {"stopped": 0, "wanted": True} if (out / STOP).exists() else _train(described)
+    files.write(job.with_suffix(".ended"), json.dumps(last).encode())
+
+
+def main(argv: Sequence[str]) -> None:
+    """Train the share that is described in a file, or on the standard input."""
+    warnings.formatwarning = lambda message, *where, **more: f"{message}\n"
+    warnings.filterwarnings("ignore", machine.EAGER)  # the one that started this process has said it
+    if argv:
+        unheard(Path(argv[0]))
+    else:
+        listened_to()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

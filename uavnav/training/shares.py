@@ -2,6 +2,9 @@
 
 The shares lie in `checkpoint/` below the run's folder, every one with its own snapshots, and are put together when all
 have finished. What happens in the process of a share is in `share`.
+
+A share may be given to another machine. Its folder then gets the next name, `seeds-0-9.2` after `seeds-0-9.1`: the
+former owner, if it lives on, finds its folder gone and can no longer write.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +25,8 @@ import numpy as np
 import pandas as pd
 
 from uavnav import plugins
-from uavnav.runs import POLICY, Run
-from uavnav.runs.tables import RunError
+from uavnav.runs import POLICY, PROGRESS, STOP, Run
+from uavnav.runs.tables import LOCK, RunError
 from uavnav.training import weights
 from uavnav.training.config import TrainConfig, plain
 from uavnav.training.recorder import Interrupted, Recorder
@@ -31,17 +34,36 @@ from uavnav.training.recorder import Interrupted, Recorder
 SILENT = "{}: its process ended without a word; the same command goes on from the last snapshot"
 NOT_SAVED = "{}: not saved, its process ended before it could be; the same command begins these seeds anew"
 POLL_SECONDS = 0.2
-CHILD = "from uavnav.training.share import main; main()"
+CHILD = "from uavnav.training.share import main; main([])"
 
 
 def split(config: TrainConfig, folder: Path, n: int) -> dict[Path, TrainConfig]:
-    """Each share's folder and configuration: n runs of consecutive seeds, as even as can be."""
+    """Each share's folder, by its newest name, and configuration: n runs of consecutive seeds, as even as can be."""
     sizes = [len(range(share, config.n_seeds, n)) for share in range(n)]
     firsts = [config.seed + sum(sizes[:share]) for share in range(n)]
     return {
-        folder / "checkpoint" / f"seeds-{first}-{first + size - 1}": replace(config, seed=first, n_seeds=size)
+        _newest(folder / "checkpoint" / f"seeds-{first}-{first + size - 1}"): replace(config, seed=first, n_seeds=size)
         for first, size in zip(firsts, sizes, strict=True)
     }
+
+
+def _newest(path: Path) -> Path:
+    """The folder of a share, under whichever name it was given last."""
+    names = {int(other.suffix[1:]): other for other in path.parent.glob(f"{path.name}.*") if other.suffix[1:].isdigit()}
+    return names[max(names)] if names else path
+
+
+def take(path: Path) -> Path:
+    """Give a share's folder the next name, or make it, so that nobody but its next owner can write there."""
+    given = int(path.suffix[1:] or 0)
+    taken = path.with_suffix(f".{given + 1}")
+    if path.is_dir():
+        path.rename(taken)
+    else:
+        taken.mkdir(parents=True)
+    for name in (LOCK, STOP, PROGRESS):
+        (taken / name).unlink(missing_ok=True)
+    return taken
 
 
 def snapshot_tables(folder: Path, config: TrainConfig) -> tuple[int, dict[str, pd.DataFrame]]:
@@ -58,6 +80,20 @@ def snapshot_tables(folder: Path, config: TrainConfig) -> tuple[int, dict[str, p
     put = {"episodes": _in_order, "progress": _by_frame}
     tables = {name: together([tables[name] for _, tables in found]) for name, together in put.items()}
     return min(frames for frames, _ in found), tables
+
+
+def described(
+    path: Path, config: TrainConfig, checkpoint_seconds: float, until: int | None = None, threads: int = 1
+) -> dict[str, Any]:
+    """A run as the process that trains it is told of it, in JSON."""
+    return {
+        "out": str(path),
+        "plugins": list(plugins.LOADED),
+        "kind": [type(config).__module__, type(config).__name__],
+        "config": plain(config),
+        "threads": threads,
+        "how": {"checkpoint_seconds": checkpoint_seconds, "until": until},
+    }
 
 
 class Shares:
@@ -125,16 +161,6 @@ class Shares:
             frames = 0
         return {"stopped": frames, "wanted": False}
 
-    def _described(self, path: Path, config: TrainConfig) -> dict[str, Any]:
-        return {
-            "plugins": list(plugins.LOADED),
-            "kind": [type(config).__module__, type(config).__name__],
-            "config": plain(config),
-            "out": str(path),
-            "how": {"checkpoint_seconds": self.recorder.checkpoint_seconds, "until": self.recorder.until},
-            "log": self.log is not None,
-        }
-
     @contextlib.contextmanager
     def _running(self, said: queue.SimpleQueue[Any]) -> Iterator[list[subprocess.Popen[str]]]:
         processes = []
@@ -149,7 +175,9 @@ class Shares:
                 )
                 processes.append(process)
                 assert process.stdin is not None
-                process.stdin.write(json.dumps(self._described(path, config)) + "\n")
+                told = described(path, config, self.recorder.checkpoint_seconds, self.recorder.until)
+                told["log"] = self.log is not None
+                process.stdin.write(json.dumps(told) + "\n")
                 process.stdin.flush()
                 threading.Thread(target=_listen, args=(process, path, said), daemon=True).start()
             yield processes
@@ -158,12 +186,13 @@ class Shares:
             for process in processes:
                 process.wait()
 
-    def join(self) -> Run:
-        """Put the finished shares together into the whole run."""
-        runs = [Run(path) for path in self.shares]
-        self.recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
-        policy = weights.join([run.path / POLICY for run in runs])
-        return self.recorder.finish(policy, runs[0].frames, max(run.meta["wall_seconds"] for run in runs))
+
+def join(recorder: Recorder, folders: Iterable[Path]) -> Run:
+    """Put the finished shares of a run that is being recorded together into the whole run."""
+    runs = [Run(path) for path in folders]
+    recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
+    policy = weights.join([run.path / POLICY for run in runs])
+    return recorder.finish(policy, runs[0].frames, max(run.meta["wall_seconds"] for run in runs))
 
 
 def _listen(process: subprocess.Popen[str], path: Path, said: queue.SimpleQueue[Any]) -> None:

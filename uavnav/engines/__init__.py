@@ -1,0 +1,75 @@
+"""Where the jobs of a study run: on the cores of this machine, on a Ray cluster, or on a SLURM cluster.
+
+A job is a command line, and what it needs lies in files below a folder that all machines see. An engine starts jobs and
+knows whether one has ended; how it ended is in the files. An engine is a file here and a line of `ENGINES`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Protocol, get_type_hints
+
+from uavnav.choices import ConfigError, unknown, unknown_key
+from uavnav.training.config import checked
+
+ENGINES = {"local": "Local", "ray": "Ray", "slurm": "Slurm"}
+"""The module of each engine here, and the class in it, whose fields are its settings."""
+
+
+class Engine(Protocol):
+    """Starts jobs. Building one raises a ConfigError where it cannot be used here."""
+
+    SEEDS_PER_SHARE: int | None
+    """How many seeds a job trains, unless it is given; None: as one machine shares them among its cores."""
+
+    def slots(self) -> int:
+        """How many jobs it runs at once, at this moment."""
+
+    def check(self, folder: Path) -> None:
+        """Raise a ConfigError unless its machines see this folder."""
+
+    def start(self, jobs: Sequence[list[str]]) -> list[Any]:
+        """Start command lines, and return what stands for each."""
+
+    def ended(self, job: Any) -> bool:
+        """Whether a job has ended, or died with its machine."""
+
+    def close(self) -> None:
+        """End all jobs that still run."""
+
+
+def build(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) -> Engine:
+    """An engine by its name and its settings; others: further keys, which a wrong one may have meant.
+
+    Raises:
+        ConfigError: there is no such engine or setting, what it needs is not installed, or there is no such cluster.
+    """
+    if name not in ENGINES:
+        raise unknown("engine", name, ENGINES)
+    kind = getattr(importlib.import_module(f"uavnav.engines.{name}"), ENGINES[name])
+    hints = get_type_hints(kind)
+    names = {item.name: item.metadata for item in fields(kind)}
+    for key in settings:
+        if key not in names:
+            raise unknown_key(key, [*names, *others])
+    engine: Engine = kind(**{key: checked(key, value, hints[key], names[key]) for key, value in settings.items()})
+    return engine
+
+
+def missing(engine: str) -> ConfigError:
+    """The error where an engine's package is not installed."""
+    return ConfigError(f"engine={engine}: not installed; pip install 'uavnav[scale]' brings it")
+
+
+def unseen(folder: Path, machine: str) -> ConfigError:
+    """The error where a machine does not see the folder of a study."""
+    return ConfigError(f"out={folder}: {machine} does not see it; give a folder that all machines share")
+
+
+def logged(words: Sequence[str], log: Path) -> list[str]:
+    """A command line whose output goes to a file."""
+    return ["/bin/sh", "-c", 'log=$0; exec "$@" >>"$log" 2>&1', str(log), sys.executable, *words]

@@ -1,0 +1,55 @@
+"""Jobs as processes of this machine."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+from uavnav.training import machine
+
+SECONDS = 10.0
+"""Given to jobs to end when they are asked to."""
+
+
+@dataclass
+class Local:
+    """The cores of this machine.
+
+    jobs: at once; by default one a core.
+    """
+
+    SEEDS_PER_SHARE: ClassVar[int | None] = None
+
+    jobs: int | None = field(default=None, metadata={"least": 1})
+
+    def __post_init__(self) -> None:
+        self._running: list[subprocess.Popen[bytes]] = []
+
+    def slots(self) -> int:
+        return self.jobs or machine.cores()
+
+    def check(self, folder: Path) -> None:
+        """This machine sees its folders."""
+
+    def start(self, jobs: Sequence[list[str]]) -> list[subprocess.Popen[bytes]]:
+        # signals of the terminal come to the study alone
+        started = [subprocess.Popen(words, stdin=subprocess.DEVNULL, process_group=0) for words in jobs]
+        self._running += started
+        return started
+
+    def ended(self, job: subprocess.Popen[bytes]) -> bool:
+        return job.poll() is not None
+
+    def close(self) -> None:
+        left = [job for job in self._running if job.poll() is None]
+        for job in left:
+            job.terminate()
+        for job in left:
+            try:
+                job.wait(SECONDS)
+            except subprocess.TimeoutExpired:
+                job.kill()
+                job.wait()

@@ -1,0 +1,163 @@
+"""Studies: many cells that are trained, evaluated and reported as one. A study is a yaml file here, or one of yours.
+
+    what: one line that says what it is
+    banks: [4, 12]              # made first: training sets with so many obstacles, {out}/banks/4/train.safetensors
+    settings:                   # of every cell, unless it says otherwise
+      activation: [tanh, relu]  # a list stands for a cell each, in all combinations
+      n_seeds: 20               # any setting of an algorithm
+      evaluate: {episodes: 10, max_steps: 500}  # by default 200 test sets of 10,000 steps; false: not at all
+      dqn: {learning_starts: 1000}              # of one algorithm's cells
+    cells:
+      - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in {out}/rate-0.001/ppo/tanh and so on
+
+`run` carries a study out, and `uavnav.study` is its command.
+"""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from uavnav.algorithms import ALGORITHMS
+from uavnav.choices import ConfigError, choose_from, unknown, unknown_key
+from uavnav.evaluate import EPISODES, MAX_STEPS
+from uavnav.training.config import TrainConfig
+
+HERE = Path(__file__).parent
+KEYS = ("what", "banks", "settings", "cells")
+OF_CELLS = ("folder", "algorithm", "evaluate")
+"""Keys of a cell that are no settings of its algorithm."""
+PROTOCOL = {"episodes": EPISODES, "max_steps": MAX_STEPS}
+
+
+class Cell(NamedTuple):
+    """A run of a study."""
+
+    config: TrainConfig
+    out: Path
+    evaluation: dict[str, int] | None
+    """Sets of the bank `test` and steps at most; None: it is not flown."""
+
+
+class Study(NamedTuple):
+    """What a study file says."""
+
+    name: str
+    what: str
+    banks: list[int]
+    settings: Mapping[str, Any]
+    cells: list[Mapping[str, Any]]
+
+
+def names() -> list[str]:
+    """Of the studies that come with the package."""
+    return sorted(path.stem for path in HERE.glob("*.yaml"))
+
+
+def read(name: str) -> Study:
+    """A study of the package by its name, or of a file that ends in .yaml.
+
+    Raises:
+        ConfigError: there is no such study, or its file is not as it should be.
+    """
+    path = Path(name) if name.endswith(".yaml") else HERE / f"{name}.yaml"
+    if not path.is_file():
+        raise ConfigError(f"{name}: there is no such study; {choose_from(name, names())}, or give a file of your own")
+    try:
+        said = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: cannot be read ({' '.join(str(error).split())})") from error
+    try:
+        return _study(path.stem, said)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def _study(name: str, said: Any) -> Study:
+    if not isinstance(said, dict) or not isinstance(said.get("cells"), list) or not said["cells"]:
+        raise ConfigError("is no study; give a list of `cells`, as uavnav/studies/paper.yaml does")
+    for key in said:
+        if key not in KEYS:
+            raise unknown_key(str(key), KEYS)
+    banks = said.get("banks", [])
+    if not isinstance(banks, list) or not all(type(k) is int and k >= 0 for k in banks):
+        raise ConfigError(f"banks={banks}; give a list of numbers of obstacles, such as [4, 12]")
+    for cell in said["cells"]:
+        if not isinstance(cell, dict) or "algorithm" not in cell:
+            raise ConfigError(f"{cell}: is no cell; it needs at least an `algorithm`")
+    settings = said.get("settings", {})
+    if not isinstance(settings, dict):
+        raise ConfigError(f"settings={settings}; give keys and values")
+    return Study(name, str(said.get("what", name)), banks, settings, said["cells"])
+
+
+def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None = None) -> list[Cell]:
+    """The cells of a study below a folder, with other numbers of seeds and frames where they are given.
+
+    Raises:
+        ConfigError: a setting is wrong, or two cells share a folder.
+    """
+    given = {key: value for key, value in (("n_seeds", seeds), ("total_frames", frames)) if value is not None}
+    found = []
+    for cell in study.cells:
+        for algorithm in cell["algorithm"] if isinstance(cell["algorithm"], list) else [cell["algorithm"]]:
+            if algorithm not in ALGORITHMS:
+                raise unknown("algorithm", algorithm, ALGORITHMS)
+            several = _of(algorithm, study.settings) | _of(algorithm, cell) | {"algorithm": algorithm} | given
+            found += [_cell(one, out) for one in _combinations(several)]
+    folders = [cell.out for cell in found]
+    for folder in folders:
+        if folders.count(folder) > 1:
+            raise ConfigError(f"folder={folder}: two cells share it; name in braces what they differ in")
+    return found
+
+
+def _of(algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings that hold for an algorithm: those of all, and those below its own name."""
+    own: dict[str, Any] = settings.get(algorithm, {})
+    return {key: value for key, value in settings.items() if key not in ALGORITHMS} | own
+
+
+def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """One cell for each combination of the values that are lists; `hidden` is one by itself, unless it holds some."""
+    values = {
+        key: value if isinstance(value, list) and (key != "hidden" or isinstance(value[0], list)) else [value]
+        for key, value in several.items()
+    }
+    for chosen in itertools.product(*values.values()):
+        yield dict(zip(values, chosen, strict=True))
+
+
+def _cell(said: Mapping[str, Any], out: Path) -> Cell:
+    settings = {key: value for key, value in said.items() if key not in OF_CELLS}
+    if "layouts" in settings:
+        settings["layouts"] = str(settings["layouts"]).format(out=out)
+    module = importlib.import_module(ALGORITHMS[said["algorithm"]].module)
+    kind: type[TrainConfig] = type(module.PRESETS["paper"])
+    config = kind.from_mapping(_nested(settings))
+    names = {key: "null" if value is None else value for key, value in said.items()}
+    try:
+        folder = str(said.get("folder", "")).format(**names)
+    except (KeyError, IndexError, ValueError) as error:
+        raise ConfigError(f"folder={said['folder']}: names {error}, which the cell does not set") from error
+    return Cell(config, out / folder / config.algorithm / config.activation, _protocol(said.get("evaluate", True)))
+
+
+def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with `world.slots: listed` as part of a `world`."""
+    world = {key.removeprefix("world."): value for key, value in settings.items() if key.startswith("world.")}
+    others = {key: value for key, value in settings.items() if not key.startswith("world.")}
+    return others | ({"world": world} if world else {})
+
+
+def _protocol(said: Any) -> dict[str, int] | None:
+    if isinstance(said, bool):
+        return dict(PROTOCOL) if said else None
+    if not isinstance(said, dict) or not said.keys() <= PROTOCOL.keys():
+        raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join(PROTOCOL)}")
+    return PROTOCOL | said

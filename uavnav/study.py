@@ -1,0 +1,193 @@
+"""The command `uavnav study`: train, evaluate and report many cells, on this machine or on a cluster."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from uavnav import engines, plugins, studies
+from uavnav.choices import ConfigError, Parser
+from uavnav.report import report
+from uavnav.runs import PROGRESS, read_settings
+from uavnav.runs.tables import RunError
+from uavnav.studies import Cell
+from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
+from uavnav.tasks.layouts import LayoutError
+from uavnav.training.config import checked
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted
+
+KEYS: dict[str, tuple[Any, Any, dict[str, float]]] = {
+    "engine": ("local", str, {}),
+    "out": (None, str | None, {}),
+    "seeds": (None, int | None, {"least": 1}),
+    "frames": (None, int | None, {"least": 1}),
+    "seeds_per_share": (None, int | None, {"least": 1}),
+    "checkpoint_seconds": (CHECKPOINT_SECONDS, float, {"least": 0}),
+    "report": (True, bool, {}),
+    "plugins": (None, str | None, {}),
+}
+"""Settings of a study, beside those of its engine: default, type, limits."""
+ALIVE_SECONDS = 60.0
+"""After which a cell that has told nothing is no longer under way."""
+LINE_SECONDS = 30.0
+"""Between two lines of progress where there is no terminal."""
+
+
+def parse(words: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The settings in `key=value` words, and those that are the engine's.
+
+    Raises:
+        ConfigError: a word is no setting, or a value is not right.
+    """
+    given = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals:
+            raise ConfigError(f"{word!r} is no setting; settings are key=value: engine=local")
+        try:
+            given[key] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigError(f"{word}: its value cannot be read") from error
+    own = {
+        key: checked(key, given.pop(key, default), kind, limits) if key in given else default
+        for key, (default, kind, limits) in KEYS.items()
+    }
+    if own["plugins"] is not None:
+        plugins.load(own["plugins"].split(","))
+    return own, given
+
+
+def status(cell: Cell) -> dict[str, Any]:
+    """What there is of a cell: `state`, and the frames per seed of one that is under way."""
+    facts: dict[str, Any] = {"cell": str(cell.out), "seeds": cell.config.n_seeds, "frames": 0, "of": cell.config.frames}
+    if trained(cell):
+        return facts | {"frames": cell.config.frames, "state": "finished" if evaluated(cell) else "not evaluated"}
+    try:
+        told = read_settings(cell.out / PROGRESS)
+    except RunError:
+        told = {}
+    if time.time() - told.get("at", 0) < ALIVE_SECONDS:
+        return facts | {"frames": told["frames"], "state": "under way"}
+    return facts | {"frames": told.get("frames", 0), "state": "stopped" if cell.out.exists() else "missing"}
+
+
+class Show:
+    """The cells under way: a table on a terminal, elsewhere a line now and then."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._console = Console(highlight=False, soft_wrap=True, markup=False, quiet=quiet)
+        self._live = Live(console=self._console, transient=True, auto_refresh=False)
+        self._began: tuple[float, int] | None = None
+        self._said = time.monotonic()
+
+    def __enter__(self) -> Show:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def say(self, line: str) -> None:
+        self._console.print(line)
+
+    def tell(self, works: Sequence[Work]) -> None:
+        """works: all cells that were not finished when the study began."""
+        now, frames = time.monotonic(), sum(work.frames for work in works)
+        since, before = self._began = self._began or (now, frames)
+        rate = (frames - before) / (now - since) if now > since else 0.0
+        total = sum(work.total for work in works if work.shares)
+        left = f", {(total - frames) / rate / 60:,.0f} min left" if rate else ""
+        head = f"{frames / 1e6:,.2f} of {total / 1e6:,.2f} million frames of all seeds, {rate:,.0f} a second{left}"
+        if self._console.is_terminal:
+            table = Table(title=head, box=None, title_justify="left")
+            for name in ("cell", "shares", "frames per seed"):
+                table.add_column(name, justify="left" if name == "cell" else "right")
+            for work in works:
+                if work.frames and not all(share.done for share in work.shares):
+                    done = sum(share.done for share in work.shares)
+                    each = f"{work.frames // work.cell.config.n_seeds:,} of {work.cell.config.frames:,}"
+                    table.add_row(str(work.cell.out), f"{done} of {len(work.shares)}", each)
+            self._live.update(table, refresh=True)
+        elif now - self._said >= LINE_SECONDS:
+            self._said = now
+            self.say(head)
+
+
+def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool, quiet: bool) -> int:
+    """Run a study, or say what there is of it; returns the exit status."""
+    own, of_engine = parse(words)
+    study = studies.read(name)
+    out = Path(own["out"] or Path("runs") / study.name)
+    if only_status:
+        rows = [status(cell) for cell in _cells(study, out, own, make=False)]
+        _print_status(rows, as_json)
+        return 0
+    engine = engines.build(own["engine"], of_engine, KEYS)
+    found = _cells(study, out.resolve(), own, make=True)
+    with Show(quiet) as show:
+        run = Study(
+            out.resolve(), found, engine, own["seeds_per_share"], own["checkpoint_seconds"], show.tell, show.say
+        )
+        show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(found)} cells are left, into {out}")
+        failed = run.run()
+    if failed:
+        print(
+            f"uavnav study: {len(failed)} of {len(found)} cells failed; the same command repeats them", file=sys.stderr
+        )
+        return 1
+    if own["report"]:
+        print(f"the report is in {report([out]).path}")
+    return 0
+
+
+def _cells(study: studies.Study, out: Path, own: dict[str, Any], make: bool) -> list[Cell]:
+    if make:
+        make_banks(out, study.banks)
+    return studies.cells(study, out, own["seeds"], own["frames"])
+
+
+def _print_status(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(rows, indent=2))
+        return
+    width = max(len(row["cell"]) for row in rows)
+    for row in rows:
+        far = (
+            f"  {row['frames']:,} of {row['of']:,} frames per seed" if row["state"] in ("under way", "stopped") else ""
+        )
+        print(f"{row['cell']:{width}}  {row['state']}{far}")
+    states = [row["state"] for row in rows]
+    print(", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states)))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Train, evaluate and report the cells of a study, on this machine or on a cluster."""
+    parser = Parser(prog="uavnav study", description=main.__doc__)
+    parser.add_argument("name", metavar="NAME", help="of a study, or a yaml file of your own")
+    parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help=", ".join(KEYS))
+    parser.add_argument("--status", action="store_true", help="say which cells are finished, under way, missing")
+    parser.add_argument("--json", action="store_true", help="the status as JSON")
+    parser.add_argument("--quiet", action="store_true", help="show no progress")
+    arguments = parser.parse_args(argv)
+    try:
+        return carry_out(arguments.name, arguments.settings, arguments.status, arguments.json, arguments.quiet)
+    except Interrupted as stop:
+        print(stop, file=sys.stderr)
+        return 128 + stop.signum
+    except (ConfigError, LayoutError, RunError) as error:
+        print(f"uavnav study: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

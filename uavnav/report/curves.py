@@ -67,6 +67,21 @@ def plot(axes: Axes, cells: Sequence[Cell], column: str) -> list[pd.DataFrame]:
     return lines
 
 
+@matplotlib.rc_context(style.STYLE)
+def together(cells: Mapping[str, Cell], column: str) -> style.Drawn:
+    """Learning curves of any cells, by name, without a word of the paper's; column: one of `LINES`."""
+    title = f"{words(column, PER_FRAME)} in training"
+    figure, axes = style.panel(title)
+    ends = []
+    for name, (colour, dashes) in style.coloured(cells):
+        line = learning(cells[name], column)
+        _line(axes, line, colour, dashes, f"{name}, n = {sum(len(run.seeds) for run in cells[name].runs)}")
+        ends.append(f"{name} {_end(line)}")
+    axes.set_ylabel(title.removesuffix(" in training"))
+    _over_training(figure, axes)
+    return style.Drawn(figure, f"{title} against frames per seed; in the last bin: {'; '.join(ends)}.")
+
+
 def learning(cell: Cell, column: str) -> pd.DataFrame:
     """A cell's learning curve, as `band` gives it: one of `LINES`, in the reading *per frame*.
 

@@ -1,0 +1,98 @@
+"""Runs, zips and baselines side by side: known numbers, and what is refused."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from uavnav import compare
+from uavnav.compare import Contender, check, contender, improvement, main, metrics, page, rows_of, spark, survival, text
+from uavnav.evaluate import EPISODES, MAX_STEPS, header
+from uavnav.runs.metrics import EPISODE_COLUMNS
+
+PROTOCOL = header("test", EPISODES, MAX_STEPS)
+
+
+def made_up(name, rewards, steps=10, protocol=PROTOCOL):
+    """Two flights a seed, each of the reward of its seed."""
+    rows = [(seed, steps, 0, place, steps, 1, 0, 2, 50, reward, True, False)
+            for seed, reward in enumerate(rewards) for place in range(2)]  # fmt: skip
+    return Contender(name, pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS), protocol, None)
+
+
+ABOVE, BELOW = made_up("above", [3.0, 4.0, 5.0]), made_up("below", [1.0, 2.0, 3.0])
+
+
+def test_means_are_over_seeds_with_intervals_and_the_ratios_to_steps_in_percent():
+    found = metrics([ABOVE, BELOW]).set_index(["name", "metric"])
+    assert found.loc[("above", "reward"), ["n", "mean"]].tolist() == [3, 4.0]
+    assert 3.0 <= found.loc[("above", "reward"), "low"] < 4.0 < found.loc[("above", "reward"), "high"] <= 5.0
+    assert found.loc[("below", "turns"), "mean"] == pytest.approx(20.0)
+    assert found.loc[("below", "speed"), "mean"] == pytest.approx(5.0)
+
+
+def test_a_seed_of_above_beats_one_of_below_in_eight_and_a_half_of_nine_pairs():
+    (pair,) = improvement([ABOVE, BELOW]).to_dict("records")
+    assert pair["probability"] == pytest.approx(8.5 / 9)
+
+
+def test_flights_that_end_at_ten_steps_are_up_until_then():
+    shares = survival([ABOVE])["above"]
+    assert shares[shares.index < 10].iloc[-1] == 1.0
+    assert shares[shares.index >= 10].iloc[0] == 0.0
+
+
+def test_bars_go_from_the_least_to_the_most_and_a_constant_is_low():
+    assert spark([0.0, 7.0, 3.5, np.nan]) == "▁█▅▁"
+    assert spark([2.0, 2.0]) == "▁▁"
+
+
+def test_the_text_and_the_page_hold_every_contender_and_no_claim(capsys):
+    text([ABOVE, BELOW], Console(width=120))
+    said = capsys.readouterr().out
+    assert "above has more reward than below with probability 0.94" in said
+    html = page([ABOVE, BELOW]).decode()
+    for row in rows_of([ABOVE, BELOW]):
+        assert row[0] in html
+    assert html.count("<figure") == 2  # improvement and survival; nothing was trained
+    seen = said + html.partition("</style>")[2]
+    assert "claim" not in seen
+    assert "the paper" not in seen
+
+
+def test_flights_under_another_cap_are_refused():
+    other = made_up("short", [1.0], protocol=header("test", EPISODES, 500))
+    with pytest.raises(compare.RunError, match=r"above on 200 .* 10,000 steps and short on 200 .* 500 steps"):
+        check([ABOVE, other])
+
+
+def test_a_committed_run_is_read_and_not_flown(monkeypatch):
+    monkeypatch.setattr(compare, "fly", None)
+    monkeypatch.setattr(compare, "evaluate_run", None)
+    run = contender("results/ppo/tanh")
+    assert len(run.flights) == 20 * EPISODES
+    assert run.cell is not None
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["reactive"], "reactive: there is nothing to compare it with; give at least two, such as reactive"),
+        (["results/ppo/tanh", "results/ppo/tanhh"], "(did you mean results/ppo/tanh?)"),
+        (["results/ppo/tanh", "reactiv"], "(did you mean reactive?)"),
+    ],
+)
+def test_what_cannot_be_compared_is_said_in_one_line(words, said, capsys):
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("uavnav compare: ")
+    assert said in line
+
+
+def test_metrics_come_as_json(monkeypatch, capsys):
+    monkeypatch.setattr(compare, "contender", lambda name, activation: ABOVE._replace(name=name))
+    assert main(["one", "other", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["name"] for row in rows} == {"one", "other"}

@@ -1,0 +1,215 @@
+"""A study on each engine: the same rows and weights, whatever dies on the way."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from uavnav.runs import Run
+from uavnav.verify import _parting as parting
+from uavnav.verify import _weights as weights
+from uavnav.verify import _weights_parting as weights_parting
+from uavnav.verify import verify
+
+STUDY = """
+what: two cells of eight seeds
+settings: {n_seeds: 8, total_frames: 6_000, hidden: [8], compile: "off", max_steps: 300, evaluate: false}
+cells:
+  - {algorithm: ppo, frames_per_batch: 512, epochs: 1}
+"""
+SECOND = "  - {algorithm: dqn, learning_starts: 1_000}\n"
+GIVEN = ("seeds_per_share=4", "checkpoint_seconds=0.5", "report=false")
+
+SECONDS = 300
+
+pytestmark = pytest.mark.slow
+
+
+class Started:
+    """The study in a folder of its own, started as a user does."""
+
+    def __init__(self, folder, text=STUDY):
+        (folder / "mine.yaml").write_text(text)
+        self.folder, self.out, self.processes = folder, folder / "out", []
+
+    def __call__(self, *settings, env=None):
+        words = [sys.executable, "-m", "uavnav.study", "mine.yaml", "out=out", *GIVEN, *settings]
+        how = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "process_group": 0}
+        process = subprocess.Popen(words, cwd=self.folder, env=os.environ | (env or {}), **how)
+        self.processes.append(process)
+        return process
+
+    def kill(self):
+        for process in self.processes:
+            process.kill()
+            process.wait()
+            process.stdout.close()
+        for number in self.jobs():
+            os.kill(number, signal.SIGKILL)
+
+    def jobs(self):
+        """Processes that train a share of it."""
+        found = []
+        for entry in Path("/proc").glob("[0-9]*"):
+            try:
+                words = (entry / "cmdline").read_bytes().decode().split("\0")
+            except OSError:
+                continue
+            if words[0] == sys.executable and "uavnav.training.share" in words and str(self.folder) in words[-2]:
+                found.append(int(entry.name))
+        return found
+
+    def snapshots(self):
+        """Shares that have one."""
+        return {path.parent.parent for path in self.out.glob("*/*/checkpoint/seeds-*/checkpoint/state-*")}
+
+    def told(self):
+        """What its jobs have said so far."""
+        there = self.out.glob("*/*/checkpoint/seeds-*")
+        return "".join(path.read_text() for path in there if path.suffix in (".log", ".ended"))
+
+
+@pytest.fixture
+def study(tmp_path):
+    started = Started(tmp_path)
+    yield started
+    started.kill()
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """What one machine gives: both cells, undisturbed."""
+    started = Started(tmp_path_factory.mktemp("alone"), STUDY + SECOND)
+    finished(started("checkpoint_seconds=60"))
+    return started.out
+
+
+def finished(process):
+    said, _ = process.communicate(timeout=SECONDS)
+    assert process.returncode == 0, said
+    return said
+
+
+def until(condition):
+    limit = time.monotonic() + SECONDS
+    while not (found := condition()):
+        assert time.monotonic() < limit
+        time.sleep(0.1)
+    return found
+
+
+def assert_same_bits(out, alone, cells=("ppo/tanh",)):
+    for cell in cells:
+        there, here = Run(alone / cell), Run(out / cell)
+        assert not parting("episodes", there.episodes, here.episodes)
+        assert not parting("progress", there.progress, here.progress)
+        assert not weights_parting(weights(alone / cell), weights(out / cell))
+        assert not (out / cell / "checkpoint").exists()
+
+
+def test_a_cell_of_two_shares_is_the_run_that_verify_trains_again(alone):
+    assert Run(alone / "ppo/tanh").meta["processes"] == 2
+    assert verify(Run(alone / "ppo/tanh"), quiet=True).same
+
+
+def test_a_local_study_goes_on_whatever_is_killed(study, alone):
+    process = study()
+    until(study.snapshots)
+    process.kill()  # its jobs live on, and are fenced by the next command: they can no longer write
+    process.wait()
+    old = {*study.jobs()}
+    assert old
+    process = study()
+    until(lambda: not old & {*study.jobs()})
+    assert "is gone" in study.told()
+    until(study.jobs)
+    for number in [process.pid, *study.jobs()]:  # the whole tree
+        os.kill(number, signal.SIGKILL)
+    process.wait()
+    process = study()
+    os.kill(until(study.jobs)[0], signal.SIGKILL)  # one job
+    until(lambda: len(study.jobs()) == 2)
+    process.send_signal(signal.SIGINT)
+    said, _ = process.communicate(timeout=SECONDS)
+    assert "its job is gone; given again, from its last snapshot" in said
+    assert process.returncode == 130
+    assert said.splitlines()[-1].endswith("stopped by SIGINT; the same command goes on from there")
+    assert not study.jobs()
+    finished(study())
+    assert_same_bits(study.out, alone)
+
+
+def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path):
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    study = Started(tmp_path, STUDY + SECOND)
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
+    try:
+        second = cluster.add_node(num_cpus=2)
+        process = study("engine=ray", f"address={cluster.address}")
+        until(lambda: len(study.snapshots()) == 4)
+        cluster.remove_node(second, allow_graceful=False)
+        assert "its job is gone; given again" in finished(process)
+    finally:
+        cluster.shutdown()
+        study.kill()
+    assert_same_bits(study.out, alone, ("ppo/tanh", "dqn/tanh"))
+
+
+def test_submitits_local_jobs_give_the_same_bits_although_one_is_killed(study, alone):
+    pytest.importorskip("submitit")
+    process = study("engine=slurm", "cluster=local", "jobs=2")
+    until(study.snapshots)
+    os.kill(study.jobs()[0], signal.SIGKILL)
+    assert "its job is gone; given again" in finished(process)
+    assert_same_bits(study.out, alone)
+
+
+SBATCH = """#!{python}
+import os, pathlib, re, subprocess, sys
+asked = pathlib.Path({folder!r})
+script = pathlib.Path(sys.argv[-1]).read_text()
+number = len(list(asked.iterdir())) + 1
+(asked / f"{{number}}.sh").write_text(script)
+array = re.search(r"--array=0-(\\d+)", script)
+facts = dict.fromkeys(["SLURM_NODEID", "SLURM_PROCID", "SLURM_LOCALID"], "0")
+facts |= {{"SLURM_NTASKS": "1", "SLURM_JOB_NUM_NODES": "1", "SLURM_JOB_NODELIST": "x"}}
+for index in range(int(array[1]) + 1) if array else [0]:
+    own = {{"SLURM_JOB_ID": str(number)}}
+    if array:
+        own = {{"SLURM_ARRAY_JOB_ID": str(number), "SLURM_ARRAY_TASK_ID": str(index)}}
+    nobody = dict.fromkeys(["stdin", "stdout", "stderr"], subprocess.DEVNULL)
+    subprocess.Popen(["/bin/bash", str(asked / f"{{number}}.sh")], env=os.environ | facts | own, **nobody)
+print(f"Submitted batch job {{number}}")
+"""
+SRUN = """#!/bin/bash
+while [[ "$1" == -* ]]; do
+  case "$1" in --output|--error) shift;; esac
+  shift
+done
+exec "$@"
+"""
+
+
+def test_slurm_is_asked_for_an_array_with_partition_time_and_memory(study, alone, tmp_path):
+    """By a scheduler of our own on the PATH, which notes what it is asked, and runs it."""
+    pytest.importorskip("submitit")
+    tools, asked = tmp_path / "tools", tmp_path / "asked"
+    asked.mkdir()
+    tools.mkdir()
+    sbatch = SBATCH.format(python=sys.executable, folder=str(asked))
+    nothing = "#!/bin/bash\necho 'JobID|State|NodeList'\n"
+    for name, text in {"sbatch": sbatch, "srun": SRUN, "sacct": nothing, "scancel": nothing}.items():
+        (tools / name).write_text(text)
+        (tools / name).chmod(0o755)
+    path = {"PATH": f"{tools}:{os.environ['PATH']}"}
+    finished(study("engine=slurm", "partition=long", "time=90", "memory=3", "jobs=4", env=path))
+    (array,) = [script for script in (file.read_text() for file in asked.iterdir()) if "--array=0-1%2" in script]
+    for line in ("--partition=long", "--time=90", "--mem=3GB", "--cpus-per-task=1"):
+        assert f"#SBATCH {line}" in array
+    assert_same_bits(study.out, alone)

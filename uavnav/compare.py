@@ -1,0 +1,215 @@
+"""The command `uavnav compare`: runs, zips and scripted baselines side by side, as text and as a small page."""
+
+from __future__ import annotations
+
+import base64
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jinja2
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+from uavnav import plugins, policies, stats
+from uavnav.choices import Parser, did_you_mean_run
+from uavnav.evaluate import EPISODES, MAX_STEPS, evaluate_run, fly, header, on
+from uavnav.files import check_out, write
+from uavnav.policies import Policy
+from uavnav.report import cells, charts, curves, style
+from uavnav.report.cells import Cell
+from uavnav.runs import Run
+from uavnav.runs.metrics import METRICS, per_seed
+from uavnav.runs.tables import RunError
+from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.training import display, machine
+
+MODE = "sampled"
+"""As a policy acts at the end of training."""
+MARKS = (100, 1_000, 10_000)
+"""Steps after which the flights that are still up are counted."""
+BARS = "▁▂▃▄▅▆▇█"
+TEMPLATE = Path(__file__).parent / "report" / "templates"
+
+
+class Contender(NamedTuple):
+    """One of those that are compared."""
+
+    name: str
+    flights: pd.DataFrame  # one row a test episode
+    protocol: Mapping[str, Any]  # how they were flown
+    cell: Cell | None  # a run's training; None for what was not trained here
+
+
+def contender(name: str, activation: str | None = None) -> Contender:
+    """What is named: its rows, if it is a run that was evaluated, and else it is flown now.
+
+    Raises:
+        LayoutError, PolicyError, RunError: it is none of the three, or cannot be read.
+    """
+    protocol = header("test", EPISODES, MAX_STEPS)
+    if name in BASELINES or policies.is_zip(name):
+        policy = BASELINES[name] if name in BASELINES else policies.load_policy(name, activation=activation)
+        task = on(policy.task if isinstance(policy, Policy) else make_task(EMPTY))
+        with machine.use_threads(1), display.flights(name, EPISODES, MAX_STEPS) as tell:
+            return Contender(name, fly({0: policy}, task, tell).episodes, protocol, None)
+    try:
+        run = Run(name)
+    except RunError as error:
+        raise RunError(f"{error}{did_you_mean_run(name, BASELINES)}") from error
+    rows = run.evaluation()
+    if rows is None:
+        rows = evaluate_run(run)
+    own = {key: rows.attrs.get(key, value) for key, value in protocol.items()}
+    return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), own, cells.read(Path(name)))
+
+
+def check(contenders: Sequence[Contender]) -> None:
+    """Raise a RunError unless all have flown the same sets of obstacles with the same cap."""
+    first = contenders[0]
+    for other in contenders[1:]:
+        if other.protocol != first.protocol:
+            both = " and ".join(f"{one.name} on {flown([one])}" for one in (first, other))
+            raise RunError(f"not flown alike: {both}; evaluate both with the same --episodes and --max-steps")
+
+
+def seeds_of(contenders: Sequence[Contender]) -> dict[str, pd.DataFrame]:
+    """The metrics of every seed, by contender."""
+    return {one.name: per_seed(one.flights) for one in contenders}
+
+
+def metrics(contenders: Sequence[Contender]) -> pd.DataFrame:
+    """Mean and 95 % interval over seeds of each metric: name, metric, n, mean, low, high."""
+    rows = []
+    for name, table in seeds_of(contenders).items():
+        for metric in METRICS:
+            found = stats.interval(table[metric].dropna().to_numpy())
+            rows.append((name, metric, found.n, found.value, found.low, found.high))
+    return pd.DataFrame(rows, columns=["name", "metric", "n", "mean", "low", "high"])
+
+
+def survival(contenders: Sequence[Contender]) -> dict[str, pd.Series[float]]:
+    """The share of flights that are still up, by steps."""
+    return {
+        one.name: stats.survival(one.flights["steps"].to_numpy(), one.flights["terminated"].to_numpy())
+        for one in contenders
+    }
+
+
+def improvement(contenders: Sequence[Contender]) -> pd.DataFrame:
+    """The probability, for each pair, that a seed of one has more reward than a seed of the other."""
+    return stats.improvement({name: table["reward"].to_numpy() for name, table in seeds_of(contenders).items()})
+
+
+def spark(values: Sequence[float]) -> str:
+    """Numbers as bars, from the least to the most."""
+    known = np.asarray(values, dtype=np.float64)
+    low, high = np.nanmin(known), np.nanmax(known)
+    heights = np.nan_to_num((known - low) / ((high - low) or 1.0)) * (len(BARS) - 1)
+    return "".join(BARS[round(height)] for height in heights.tolist())
+
+
+def rows_of(contenders: Sequence[Contender]) -> list[list[str]]:
+    """The metrics in words: a row a metric, a column a contender."""
+    found = {(row["metric"], row["name"]): row for row in metrics(contenders).to_dict("records")}
+    seeds = [str(len(table)) for table in seeds_of(contenders).values()]
+    rows = [["", *(one.name for one in contenders)], ["seeds", *seeds]]
+    for name, metric in METRICS.items():
+        each = [found[name, one.name] for one in contenders]
+        rows.append([str(metric), *(_interval(one["mean"], one["low"], one["high"]) for one in each)])
+    return rows
+
+
+def _interval(mean: float, low: float, high: float) -> str:
+    return style.number(mean) + (f" ({style.number(low)} to {style.number(high)})" if np.isfinite(low) else "")
+
+
+def flown(contenders: Sequence[Contender]) -> str:
+    """How all of them were flown."""
+    episodes, bank, cap = (contenders[0].protocol[key] for key in ("episodes", "layouts", "max_steps"))
+    return f"{episodes} sets of obstacles (bank {bank}), at most {cap:,} steps"
+
+
+def text(contenders: Sequence[Contender], console: Console) -> None:
+    """Print the tables, and each run's learning curve as bars."""
+    rows = rows_of(contenders)
+    table = Table(*rows[0], title=f"Means and 95 % intervals over seeds; {flown(contenders)}", box=None)
+    table.title_justify = "left"
+    for row in rows[1:]:
+        table.add_row(*row)
+    console.print(table)
+    up = Table(title="Flights still up [%] after so many steps", title_justify="left", box=None)
+    up.add_column("")
+    marks = [mark for mark in MARKS if mark <= contenders[0].protocol["max_steps"]]
+    for mark in marks:
+        up.add_column(f"{mark:,}", justify="right")
+    for name, shares in survival(contenders).items():
+        up.add_row(name, *(f"{100 * float(shares[shares.index < mark].iloc[-1]):.0f}" for mark in marks))
+    console.print(up)
+    for pair in improvement(contenders).to_dict("records"):
+        p = f", p = {pair['p_holm']:.2g} (Holm)" if np.isfinite(pair["p_holm"]) else ""
+        console.print(f"{pair['a']} has more reward than {pair['b']} with probability {pair['probability']:.2f}{p}")
+    for one in contenders:
+        if one.cell is not None:
+            line = curves.learning(one.cell, "reward")["mean"]
+            ends = f"{style.number(line.iloc[0])} to {style.number(line.iloc[-1])}"
+            console.print(f"{one.name}: reward per frame in training {spark(line.tolist())} {ends}")
+
+
+def page(contenders: Sequence[Contender]) -> bytes:
+    """The same as one file of HTML, with figures."""
+    trained = {one.name: one.cell for one in contenders if one.cell is not None}
+    drawn = [
+        charts.improvement_matrix(improvement(contenders), "reward"),
+        curves.survival(survival(contenders), contenders[0].protocol["max_steps"]),
+        *([curves.together(trained, "reward")] if trained else []),
+    ]
+    pictures = [(base64.b64encode(style.save(one.figure)[0]).decode(), one.alt) for one in drawn]
+    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE), autoescape=True)
+    names = [one.name for one in contenders]
+    template = environment.get_template("compare.html")
+    rows, how = rows_of(contenders), flown(contenders)
+    return template.render(names=names, rows=rows, pictures=pictures, flown=how).encode()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Compare runs, zips of Stable-Baselines3 and scripted baselines: intervals, probabilities, curves."""
+    parser = Parser(prog="uavnav compare", description=main.__doc__)
+    parser.add_argument("runs", nargs="+", metavar="RUN", help=f"a run's folder, a .zip, or {', '.join(BASELINES)}")
+    parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="a page, compare.html")
+    parser.add_argument("--json", action="store_true", help="the metrics as JSON")
+    plugins.argument(parser)
+    arguments = parser.parse_args(argv)
+    try:
+        plugins.load(arguments.plugins)
+        if arguments.out is not None:
+            check_out(arguments.out)
+        policies.zips(arguments.runs, arguments.activation)
+        names = list(dict.fromkeys(arguments.runs))
+        if len(names) < 2:
+            raise ValueError(f"{names[0]}: there is nothing to compare it with; give at least two, such as reactive")
+        contenders = [contender(name, arguments.activation) for name in names]
+        check(contenders)
+        if arguments.json:
+            print(json.dumps(metrics(contenders).to_dict("records"), indent=2))
+        else:
+            text(contenders, Console(highlight=False, soft_wrap=True, markup=False))
+        if arguments.out is not None:
+            write(arguments.out, page(contenders))
+            print(f"wrote {arguments.out}", file=sys.stderr)
+    except BrokenPipeError:  # nobody reads on: `terminal` ends it
+        raise
+    except (RunError, ValueError, OSError) as error:
+        print(f"uavnav compare: {policies.as_option(error)}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

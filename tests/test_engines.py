@@ -1,5 +1,6 @@
 """A study on each engine: the same rows and weights, whatever dies on the way."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -48,8 +49,7 @@ class Started:
             process.kill()
             process.wait()
             process.stdout.close()
-        for number in self.jobs():
-            os.kill(number, signal.SIGKILL)
+        signal_all(signal.SIGKILL, self.jobs())
 
     def jobs(self):
         """Processes that train a share of it."""
@@ -102,6 +102,12 @@ def until(condition):
     return found
 
 
+def signal_all(number, processes):
+    for process in processes:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process, number)
+
+
 def assert_same_bits(out, alone, cells=("ppo/tanh",)):
     for cell in cells:
         there, here = Run(alone / cell), Run(out / cell)
@@ -119,16 +125,16 @@ def test_a_cell_of_two_shares_is_the_run_that_verify_trains_again(alone):
 def test_a_local_study_goes_on_whatever_is_killed(study, alone):
     process = study()
     until(study.snapshots)
-    process.kill()  # its jobs live on, and are fenced by the next command: they can no longer write
-    process.wait()
     old = {*study.jobs()}
-    assert old
+    signal_all(signal.SIGSTOP, old)  # cut off, as by the network
+    process.kill()
+    process.wait()
     process = study()
+    until(lambda: {*study.jobs()} - old)
+    signal_all(signal.SIGCONT, old)
     until(lambda: not old & {*study.jobs()})
-    assert "is gone" in study.told()
-    until(study.jobs)
-    for number in [process.pid, *study.jobs()]:  # the whole tree
-        os.kill(number, signal.SIGKILL)
+    assert "is gone; another process has taken this run over" in study.told()
+    signal_all(signal.SIGKILL, [process.pid, *study.jobs()])  # the whole tree
     process.wait()
     process = study()
     os.kill(until(study.jobs)[0], signal.SIGKILL)  # one job

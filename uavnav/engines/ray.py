@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from uavnav.choices import ConfigError
 
 SECONDS = 60.0
 """Given to a machine to answer."""
+KNOCK_SECONDS = 5.0
 
 
 @dataclass
@@ -36,8 +38,9 @@ class Ray:
             raise engines.missing("ray") from error
         self._ray: Any = ray
         try:
+            _knock(os.environ.get("RAY_ADDRESS", self.address) if self.address == "auto" else self.address)
             ray.init(address=self.address, log_to_driver=False, logging_level=logging.ERROR)
-        except (ConnectionError, RuntimeError, ValueError) as error:
+        except (OSError, RuntimeError, ValueError) as error:
             raise ConfigError(
                 f"engine=ray: there is no Ray cluster at address={self.address}; `ray start --head` begins one"
             ) from error
@@ -73,3 +76,10 @@ class Ray:
 
     def close(self) -> None:
         self._ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """Raise an OSError where nobody listens at host:port; Ray itself would wait a minute and then end the process."""
+    host, _, port = address.rpartition(":")
+    if host and port.isdigit() and "://" not in address:
+        socket.create_connection((host, int(port)), KNOCK_SECONDS).close()

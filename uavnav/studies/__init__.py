@@ -107,13 +107,18 @@ def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None 
     for cell in study.cells:
         for algorithm in cell["algorithm"] if isinstance(cell["algorithm"], list) else [cell["algorithm"]]:
             if algorithm not in ALGORITHMS:
-                raise unknown("algorithm", algorithm, ALGORITHMS)
+                raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
             several = _of(algorithm, study.settings) | _of(algorithm, cell) | {"algorithm": algorithm} | given
-            found += [_cell(one, out) for one in _combinations(several)]
+            try:
+                found += [_cell(one, out) for one in _combinations(several)]
+            except ConfigError as error:
+                raise ConfigError(f"study {study.name}: {error}") from error
     folders = [cell.out for cell in found]
     for folder in folders:
         if folders.count(folder) > 1:
-            raise ConfigError(f"folder={folder}: two cells share it; name in braces what they differ in")
+            raise ConfigError(
+                f"study {study.name}: folder={folder}: two cells share it; name in braces what they differ in"
+            )
     return found
 
 

@@ -1,0 +1,141 @@
+"""Study files: the cells they stand for, those that are committed, and what is refused."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from uavnav import studies
+from uavnav.choices import ConfigError
+from uavnav.report.cells import run_folders
+from uavnav.runs import read_settings
+from uavnav.study import main, parse
+from uavnav.training.config import plain
+
+ROOT = Path(__file__).parent.parent
+MINE = """
+what: two rates
+settings:
+  activation: [tanh, relu]
+  n_seeds: 2
+  dqn: {learning_starts: 1000}
+cells:
+  - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [0.1, 0.2], hidden: [8, 8], world.slots: listed}
+"""
+
+
+def written(folder, text):
+    path = folder / "mine.yaml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_lists_stand_for_a_cell_each_in_all_combinations(tmp_path):
+    found = studies.cells(studies.read(written(tmp_path, MINE)), Path("out"))
+    assert [str(cell.out) for cell in found] == [
+        f"out/rate-{rate}/{algorithm}/{activation}"
+        for algorithm in ("ppo", "dqn")
+        for activation, rate in (("tanh", 0.1), ("tanh", 0.2), ("relu", 0.1), ("relu", 0.2))
+    ]
+    assert {cell.config.hidden for cell in found} == {(8, 8)}
+    assert {cell.config.world.slots for cell in found} == {"listed"}
+    assert [getattr(cell.config, "learning_starts", None) for cell in found] == [None] * 4 + [1000] * 4
+    assert found[0].evaluation == {"episodes": 200, "max_steps": 10_000}
+
+
+def test_seeds_and_frames_of_the_command_line_hold_for_every_cell(tmp_path):
+    found = studies.cells(studies.read(written(tmp_path, MINE)), tmp_path, seeds=3, frames=5_000)
+    assert {(cell.config.n_seeds, cell.config.total_frames) for cell in found} == {(3, 5_000)}
+
+
+@pytest.mark.parametrize("name", studies.names())
+def test_the_study_files_of_the_package_hold_eight_cells_or_so_and_none_shares_a_folder(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = studies.cells(studies.read(name), Path("out"))
+    assert len({cell.out for cell in found}) == len(found) >= 4
+
+
+def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
+    """But for the path of a bank, which the study makes."""
+    results = ROOT / "results"
+    cells = {cell.out: cell for name in studies.names() for cell in studies.cells(studies.read(name), results)}
+    found, _ = run_folders(results)
+    assert {*found} <= {*cells}
+    for path in found:
+        config = cells[path].config
+        there = config.as_run(read_settings(path / "config.yaml")) | {"layouts": config.layouts}
+        assert there == plain(config), path
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("cells: 3", "is no study; give a list of `cells`"),
+        ("[", "cannot be read"),
+        ("cells: [{algorithm: ppo}]\nwaht: x", "there is no key 'waht'; choose from banks, cells, settings, what (did"),
+        ("cells: [{folder: x}]", "is no cell; it needs at least an `algorithm`"),
+        ("cells: [{algorithm: pop}]", "algorithm=pop; choose from a2c, dqn, ppo (did you mean ppo?)"),
+        ("cells: [{algorithm: ppo, lrr: 1}]", "there is no key 'lrr'"),
+        ("cells: [{algorithm: ppo, lr: [0.1, 0.2]}]", "two cells share it; name in braces what they differ in"),
+        ("cells: [{algorithm: ppo, folder: '{lr}'}]", "folder={lr}: names 'lr', which the cell does not set"),
+        ("cells: [{algorithm: ppo, evaluate: {steps: 3}}]", "evaluate={'steps': 3}; give true, false, or some of"),
+        ("banks: many\ncells: [{algorithm: ppo}]", "banks=many; give a list of numbers of obstacles, such as [4, 12]"),
+        ("settings: 3\ncells: [{algorithm: ppo}]", "settings=3; give keys and values"),
+    ],
+)
+def test_a_wrong_study_file_is_refused_in_one_line_that_names_it(text, said, tmp_path, capsys):
+    name = written(tmp_path, text)
+    assert main([name, f"out={tmp_path / 'out'}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith((f"uavnav study: {name}: ", "uavnav study: study mine: "))
+    assert said in line
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["papr"], "papr: there is no such study; choose from initial, one-world, paper"),
+        (["paper", "engine=cloud"], "engine=cloud; choose from local, ray, slurm"),
+        (["paper", "sede=3"], "there is no key 'sede'; choose from"),
+        (["paper", "seeds=many"], "seeds=many; give a whole number"),
+        (["paper", "seeds"], "'seeds' is no setting; settings are key=value: engine=local"),
+        (["paper", "partition=long"], "there is no key 'partition'"),
+        (["paper", "engine=ray", "address=127.0.0.1:1"], "engine=ray: there is no Ray cluster at address=127.0.0.1:1"),
+        (["paper", "engine=slurm"], "engine=slurm: there is no sbatch on this machine"),
+    ],
+)
+def test_a_wrong_setting_is_refused_before_any_work(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    if "engine=ray" in words:
+        pytest.importorskip("ray")
+    assert main(words) == 2
+    assert said in capsys.readouterr().err
+    assert not [*tmp_path.rglob("*.yaml")]
+
+
+def test_an_engine_whose_package_is_missing_names_the_extra(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    for engine, package in (("ray", "ray"), ("slurm", "submitit")):
+        monkeypatch.setitem(__import__("sys").modules, package, None)
+        assert main(["paper", f"engine={engine}"]) == 2
+        assert f"engine={engine}: not installed; pip install 'uavnav[scale]' brings it" in capsys.readouterr().err
+
+
+def test_settings_are_dealt_to_the_study_and_to_its_engine():
+    own, of_engine = parse(["engine=slurm", "seeds=8", "frames=20000", "partition=long", "report=false"])
+    assert (own["seeds"], own["frames"], own["report"], own["engine"]) == (8, 20_000, False, "slurm")
+    assert of_engine == {"partition": "long"}
+
+
+def test_the_status_says_what_is_finished_and_what_is_missing(capsys):
+    assert main(["paper", f"out={ROOT / 'results'}", "--status", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["state"] for row in rows] == ["finished"] * 8
+    assert main(["paper", "out=nowhere", "--status"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "8 missing"
+
+
+def test_a_cell_of_which_a_setting_is_wrong_is_refused():
+    with pytest.raises(ConfigError, match="n_seeds=0"):
+        studies.cells(studies.read("paper"), Path("out"), seeds=0)

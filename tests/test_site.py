@@ -190,7 +190,8 @@ def test_every_command_that_a_page_shows_is_understood(page, command, tmp_path, 
         with pytest.raises(Parsed):
             importlib.import_module(home(words[2])).main(words[3:])
     elif words[0] == "make":
-        assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        targets = re.findall(r"^([\w -]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        assert words[1] in " ".join(targets).split()
     elif words[:2] == ["pip", "install"]:
         extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
         assert {*re.findall(r"\[(.*)\]", command)} <= {*extras}

@@ -6,10 +6,10 @@ RESULTS ?= results
 FOUR := activation=tanh,sigmoid,relu,leaky_relu
 WIDE := activation=sigmoid,leaky_relu,elu,gelu,selu,silu,mish,softplus,softsign,identity
 
-.PHONY: train test study one-world initial tuned sensitivity wide why baselines report docs layouts picture clean
+.PHONY: train test study one-world initial tuned sensitivity wide why baselines report docs help layouts picture clean
 
 train: .venv/.installed
-	$(BIN)/python recipes/ppo.py activation=relu
+	$(BIN)/uavnav train ppo activation=relu
 
 test: .venv/.installed-dev
 	$(BIN)/ruff check .
@@ -29,7 +29,7 @@ test: .venv/.installed-dev
 
 study: .venv/.installed # the paper's eight cells, cell by cell; what is finished is skipped, what is not goes on
 	for algorithm in ppo dqn; do \
-	    $(BIN)/python recipes/$$algorithm.py -m $(FOUR) n_seeds=$(SEEDS) \
+	    $(BIN)/uavnav train $$algorithm -m $(FOUR) n_seeds=$(SEEDS) \
 	        "out='$(RESULTS)/$$algorithm/\$${activation}'" || exit; \
 	done
 
@@ -44,7 +44,7 @@ BOUNDED := activation=tanh,sigmoid
 
 # $(call cells,FOLDER,ALGORITHM,SETTINGS): one cell an activation
 define cells
-	$(BIN)/python recipes/$(2).py -m $(3) "out='$(RESULTS)/$(1)/$(2)/\$${activation}'"
+	$(BIN)/uavnav train $(2) -m $(3) "out='$(RESULTS)/$(1)/$(2)/\$${activation}'"
 
 endef
 both = $(foreach algorithm,ppo dqn,$(call cells,$(1),$(algorithm),$(2) $(SHORT) $(SHORT_$(algorithm))))
@@ -52,14 +52,14 @@ both = $(foreach algorithm,ppo dqn,$(call cells,$(1),$(algorithm),$(2) $(SHORT) 
 initial: .venv/.installed # the first reward and eq. (14), for claim 10: 10 seeds, flown a little
 	$(call both,baseline,$(PAIR) n_seeds=10)
 	$(call both,initial,$(PAIR) n_seeds=10 reward=initial)
-	$(BIN)/python -m uavnav.evaluate --episodes 10 --max-steps 500 $(foreach study,baseline initial,\
+	$(BIN)/uavnav evaluate --episodes 10 --max-steps 500 $(foreach study,baseline initial,\
 	    $(foreach algorithm,ppo dqn,$(foreach activation,tanh relu,$(RESULTS)/$(study)/$(algorithm)/$(activation))))
 
 tuned: .venv/.installed # the presets `fast`
 	$(foreach algorithm,ppo dqn,$(call cells,tuned,$(algorithm),$(BOUNDED) preset=fast n_seeds=5 seed=100))
 
 sensitivity: .venv/.installed # one unsaid choice at a time, beside the baseline of `initial`
-	$(foreach k,4 12,$(BIN)/python -m uavnav.layouts --split train --k $(k) --out $(RESULTS)/banks/$(k) && ) true
+	$(foreach k,4 12,$(BIN)/uavnav layouts --split train --k $(k) --out $(RESULTS)/banks/$(k) && ) true
 	$(foreach k,4 12,$(call both,obstacles-$(k),$(PAIR) n_seeds=5 layouts=$(RESULTS)/banks/$(k)/train.safetensors))
 	$(call both,listed,$(PAIR) n_seeds=5 world.slots=listed)
 	$(call both,zeros,$(PAIR) n_seeds=5 world.padding=zeros)
@@ -69,7 +69,7 @@ sensitivity: .venv/.installed # one unsaid choice at a time, beside the baseline
 	$(call cells,init,dqn,$(PAIR) n_seeds=5 init=orthogonal $(SHORT) $(SHORT_dqn))
 	$(call both,one-world,$(PAIR) n_seeds=5 n_worlds=1)
 	$(call cells,n-steps,dqn,$(PAIR) n_seeds=5 n_steps=5 $(SHORT) $(SHORT_dqn))
-	$(BIN)/python -m uavnav.evaluate --episodes 10 --max-steps 500 $(foreach activation,tanh relu,\
+	$(BIN)/uavnav evaluate --episodes 10 --max-steps 500 $(foreach activation,tanh relu,\
 	    $(RESULTS)/n-steps/dqn/$(activation))
 
 wide: .venv/.installed # eight more activations, and two of the paper's, beside the baseline of `initial`
@@ -79,7 +79,7 @@ wide: .venv/.installed # eight more activations, and two of the paper's, beside 
 # $(call whys,NAME,ALGORITHM,SETTINGS)
 define whys
 	$(call cells,why/$(1),$(2),$(3) $(SHORT) $(SHORT_$(2)))
-	$(BIN)/python -m uavnav.evaluate --episodes 10 --max-steps 500 $(RESULTS)/why/$(1)/$(2)/*
+	$(BIN)/uavnav evaluate --episodes 10 --max-steps 500 $(RESULTS)/why/$(1)/$(2)/*
 
 endef
 both_whys = $(foreach algorithm,ppo dqn,$(call whys,$(1),$(algorithm),$(2)))
@@ -101,20 +101,23 @@ why: .venv/.installed
 	    $(call cells,why/reward-$(reward),$(algorithm),$(PAIR) reward=$(reward) n_seeds=10)))
 
 baselines: .venv/.installed # what needs no learning, on the test sets
-	$(BIN)/python -m uavnav.evaluate random straight reactive --out $(RESULTS)/baselines
+	$(BIN)/uavnav evaluate random straight reactive --out $(RESULTS)/baselines
 
 report: .venv/.installed # the report, docs/results.md and the findings in the README
-	$(BIN)/python -m uavnav.report $(RESULTS)
+	$(BIN)/uavnav report $(RESULTS)
 	$(BIN)/python -m uavnav.report.docs $(RESULTS)
 
 docs: .venv/.installed-dev # the site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
+help: .venv/.installed # the help of each algorithm, from its configuration
+	$(BIN)/python -m uavnav.help
+
 layouts: .venv/.installed # the banks that ship with the package, again
-	$(BIN)/python -m uavnav.layouts --out uavnav/tasks/banks
+	$(BIN)/uavnav layouts --out uavnav/tasks/banks
 
 picture: .venv/.installed # the flights in the README, and the window in docs/start.md
-	$(BIN)/python -m uavnav.render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --layout 56 --steps 400 \
+	$(BIN)/uavnav render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --layout 56 --steps 400 \
 	    --every 4 --speed 4 --width 400 --out docs/flight.gif
 	$(BIN)/python docs/window.py $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu
 

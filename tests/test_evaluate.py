@@ -192,7 +192,7 @@ def test_a_folder_for_rows_that_cannot_be_is_refused_before_anyone_flies(out, tm
     monkeypatch.setattr(evaluate, "fly", None)
     assert evaluate.main(["random", "--out", out]) == 2
     printed, err = capsys.readouterr()
-    assert err.startswith(f"uavnav.evaluate: {out}/random.parquet: cannot be written (")
+    assert err.startswith(f"uavnav evaluate: {out}/random.parquet: cannot be written (")
     assert err.endswith("); give a path that can be written\n")
     assert (printed, err.count("\n")) == ("", 1)
 
@@ -253,7 +253,7 @@ def test_a_zip_that_cannot_be_flown_is_one_line_and_no_rows(zipped, monkeypatch,
     assert evaluate.main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(f"uavnav.evaluate: {line}")
+    assert err.startswith(f"uavnav evaluate: {line}")
     assert err.count("\n") == 1
     assert [path.name for path in zipped.parent.iterdir()] == ["theirs.zip"]
 

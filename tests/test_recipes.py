@@ -1,6 +1,8 @@
 """`uavnav train` and the recipes: they train, say where the run is, and answer a wrong word before any work."""
 
+import json
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -8,9 +10,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from uavnav import PolicyError, load_policy
+from uavnav import PolicyError, commands, load_policy
 from uavnav.__main__ import main
 from uavnav.runs import Run
+from uavnav.runs.metrics import per_seed
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 SHORT = {
@@ -76,6 +79,34 @@ def test_a_finished_run_says_so_in_one_line_and_exits_0(recipe):
     assert status == 0
     assert err == ""
     assert out == "mine: this run is already finished; overwrite=true starts it anew\n"
+
+
+def test_after_training_it_says_what_to_do_next_with_the_very_commands(recipe, monkeypatch):
+    monkeypatch.setattr("uavnav.train.find_spec", lambda name: None)  # no pygame
+    _, out, _ = recipe("ppo", "out=runs/my own", *SHORT["ppo"])
+    last = ["watch it:    uavnav render 'runs/my own'", "compare it:  uavnav report runs --out report"]
+    assert out.splitlines()[-2:] == last
+    for line in last:
+        program, command, *words = shlex.split(line.partition(":")[2])
+        assert program == "uavnav"
+        commands.parse(command, words)
+
+
+def test_quiet_prints_nothing_and_json_the_numbers_of_the_tables_and_nothing_else(recipe, tmp_path):
+    words = ["n_seeds=2", "activation=relu,tanh", "out='${activation}'", *SHORT["a2c"]]
+    assert recipe("a2c", "-m", "--quiet", *words) == (0, "", "")
+    status, out, err = recipe("a2c", "--json", "-m", *words)
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert [(one["run"], one["activation"], one["seeds"]) for one in found] == [
+        ("relu", "relu", [0, 1]),
+        ("tanh", "tanh", [0, 1]),
+    ]
+    for one in found:
+        rewards = per_seed(Run(tmp_path / one["run"]).episodes)["reward"]
+        expected = {"mean": pytest.approx(rewards.mean()), "sd": pytest.approx(rewards.std())}
+        assert one["metrics"]["all training episodes"]["reward"] == expected
+        assert list(one["metrics"]) == ["per frame", "log curve", "all training episodes"]
 
 
 def test_a_sweep_trains_each_activation_into_its_own_folder(recipe, tmp_path):

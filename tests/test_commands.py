@@ -165,8 +165,9 @@ def test_each_key_has_one_line_of_meaning_with_its_default_and_its_choices(name)
     assert all(logger in found["logger"] for logger in LOG_FOLDERS)
 
 
-def test_uavnav_train_alone_lists_the_algorithms(capsys):
+def test_uavnav_train_alone_lists_the_algorithms_each_with_its_title(capsys):
     text = told("train", capsys)
+    assert "\n  dqn  Deep Q-Network, sec. 3.2; " in text
     assert text == told("train --help", capsys)
     assert re.findall(r"^  (\w+)  ", text, re.MULTILINE) == list(ALGORITHMS)
 

@@ -88,7 +88,7 @@ def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """An algorithm, settings and flags, in any order.
 
     The result has `algorithm`, `settings` (each key=value), `plugins`, `multirun`, `cfg`, `quiet`, `json` and `help`:
-    that is true for an algorithm of a plugin, whose help only its module knows.
+    that is true where plugins add to the choices, which only their modules know.
     """
     parser.add_argument("words", nargs="*")
     parser.add_argument("--multirun", "-m", action="store_true")
@@ -105,7 +105,7 @@ def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     found.plugins = names_in(given, "plugins")
     if (found.help and not algorithm) or not words:
         parser.leave(_algorithms())
-    if found.help and algorithm in ALGORITHMS:
+    if found.help and algorithm in ALGORITHMS and not found.plugins:
         parser.leave(texts.text_of(algorithm).read_text(encoding="utf-8"))
     if algorithm not in ALGORITHMS and not (algorithm and found.plugins):
         parser.refuse(f"algorithm={algorithm}; {choose_from(algorithm, ALGORITHMS)}")

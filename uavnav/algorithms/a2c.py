@@ -39,7 +39,7 @@ LOG_FRAMES = 2_000
 
 @dataclass(frozen=True, kw_only=True)
 class A2CConfig(TrainConfig):
-    """A2C's settings; the defaults are the preset `paper`, here Stable-Baselines3's: the paper has no A2C."""
+    """Advantage Actor-Critic, which the paper does not have; the defaults are Stable-Baselines3's."""
 
     algorithm: ClassVar[str] = "a2c"
 

@@ -47,7 +47,7 @@ FRAME_BYTES = 14
 
 @dataclass(frozen=True, kw_only=True)
 class DQNConfig(TrainConfig):
-    """DQN's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
+    """Deep Q-Network, sec. 3.2; the defaults are Stable-Baselines3's of the paper's time."""
 
     algorithm: ClassVar[str] = "dqn"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {

@@ -46,7 +46,7 @@ HOW = ALGORITHMS["ppo"]
 
 @dataclass(frozen=True, kw_only=True)
 class PPOConfig(TrainConfig):
-    """PPO's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
+    """Proximal Policy Optimization, sec. 3.3; the defaults are Stable-Baselines3's of the paper's time."""
 
     algorithm: ClassVar[str] = "ppo"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {

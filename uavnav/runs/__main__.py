@@ -152,11 +152,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     default = [name for name in ("runs", "results") if Path(name).is_dir()] or ["runs"]
     now, rows = time.time(), []
     try:
-        paths = [path for folder in arguments.folders or default for path in run_folders(Path(folder))[0]]
+        found = [path for folder in arguments.folders or default for path in run_folders(Path(folder))[0]]
     except RunError as error:
         print(f"uavnav runs: {error}", file=sys.stderr)
         return 2
-    for path in paths:
+    for path in dict.fromkeys(found):
         try:
             rows.append(row(path, now))
         except RunError as error:

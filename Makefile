@@ -4,10 +4,10 @@ BIN := .venv/bin
 RESULTS ?= results
 ENGINE ?= engine=local
 
-.PHONY: train test study one-world initial tuned sensitivity wide why baselines report docs layouts picture clean
+.PHONY: train test study one-world initial tuned sensitivity wide why baselines report docs help layouts picture clean
 
 train: .venv/.installed
-	$(BIN)/python recipes/ppo.py activation=relu
+	$(BIN)/uavnav train ppo activation=relu
 
 test: .venv/.installed-dev
 	$(BIN)/ruff check .
@@ -27,26 +27,29 @@ test: .venv/.installed-dev
 
 # Studies are files in uavnav/studies; what is finished is skipped, what is not goes on. ENGINE="engine=ray", say.
 study: .venv/.installed
-	$(BIN)/python -m uavnav study paper out=$(RESULTS) $(ENGINE)
+	$(BIN)/uavnav study paper out=$(RESULTS) $(ENGINE)
 
 one-world initial tuned sensitivity wide why: .venv/.installed
-	$(BIN)/python -m uavnav study $@ out=$(RESULTS) report=false $(ENGINE)
+	$(BIN)/uavnav study $@ out=$(RESULTS) report=false $(ENGINE)
 
 baselines: .venv/.installed # what needs no learning, on the test sets
-	$(BIN)/python -m uavnav.evaluate random straight reactive --out $(RESULTS)/baselines
+	$(BIN)/uavnav evaluate random straight reactive --out $(RESULTS)/baselines
 
 report: .venv/.installed # the report, docs/results.md and the findings in the README
-	$(BIN)/python -m uavnav.report $(RESULTS)
+	$(BIN)/uavnav report $(RESULTS)
 	$(BIN)/python -m uavnav.report.docs $(RESULTS)
 
 docs: .venv/.installed-dev # the site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
+help: .venv/.installed # the help of each algorithm, from its configuration
+	$(BIN)/python -m uavnav.help
+
 layouts: .venv/.installed # the banks that ship with the package, again
-	$(BIN)/python -m uavnav.layouts --out uavnav/tasks/banks
+	$(BIN)/uavnav layouts --out uavnav/tasks/banks
 
 picture: .venv/.installed # the flights in the README, and the window in docs/start.md
-	$(BIN)/python -m uavnav.render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --layout 56 --steps 400 \
+	$(BIN)/uavnav render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --layout 56 --steps 400 \
 	    --every 4 --speed 4 --width 400 --out docs/flight.gif
 	$(BIN)/python docs/window.py $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu
 

@@ -1,13 +1,15 @@
-"""Train A2C on the drone's world and see what it reaches beside the paper's two.
+"""Train A2C on the drone's world and compare it with the paper: the same as `uavnav train a2c`.
 
-    python recipes/a2c.py activation=relu
-    python recipes/a2c.py activation=tanh n_seeds=4 total_frames=1e6 preset=paper device=cpu out=runs/mine
-    python recipes/a2c.py -m activation=relu,leaky_relu,tanh,sigmoid
+    python recipes/a2c.py activation=tanh
+    python recipes/a2c.py activation=relu n_seeds=4 total_frames=1e6 preset=paper device=cpu out=runs/mine
+    python recipes/a2c.py -m activation=sigmoid,leaky_relu
 
-Every key is a field of uavnav.a2c.A2CConfig; `--cfg job` shows them all with their values.
+`python recipes/a2c.py --help` says what each key means.
 """
 
-from launch import launch
+import sys
+
+from uavnav.__main__ import main
 
 if __name__ == "__main__":
-    launch("a2c")
+    sys.exit(main(["train", "a2c", *sys.argv[1:]]))

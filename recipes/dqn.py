@@ -1,13 +1,15 @@
-"""Train DQN on the drone's world and compare it with the paper.
+"""Train DQN on the drone's world and compare it with the paper: the same as `uavnav train dqn`.
 
     python recipes/dqn.py activation=sigmoid
-    python recipes/dqn.py activation=relu n_seeds=4 total_frames=1e6 preset=paper-2.3 device=cpu out=runs/mine
+    python recipes/dqn.py activation=relu n_seeds=4 total_frames=1e6 preset=paper device=cpu out=runs/mine
     python recipes/dqn.py -m activation=relu,leaky_relu,tanh,sigmoid
 
-Every key is a field of uavnav.dqn.DQNConfig; `--cfg job` shows them all with their values.
+`python recipes/dqn.py --help` says what each key means.
 """
 
-from launch import launch
+import sys
+
+from uavnav.__main__ import main
 
 if __name__ == "__main__":
-    launch("dqn")
+    sys.exit(main(["train", "dqn", *sys.argv[1:]]))

@@ -1,13 +1,15 @@
-"""Train PPO on the drone's world and compare it with the paper.
+"""Train PPO on the drone's world and compare it with the paper: the same as `uavnav train ppo`.
 
     python recipes/ppo.py activation=relu
-    python recipes/ppo.py activation=tanh n_seeds=4 total_frames=1e6 preset=paper device=cpu out=runs/mine
+    python recipes/ppo.py activation=relu n_seeds=4 total_frames=1e6 preset=paper device=cpu out=runs/mine
     python recipes/ppo.py -m activation=relu,leaky_relu,tanh,sigmoid
 
-Every key is a field of uavnav.ppo.PPOConfig; `--cfg job` shows them all with their values.
+`python recipes/ppo.py --help` says what each key means.
 """
 
-from launch import launch
+import sys
+
+from uavnav.__main__ import main
 
 if __name__ == "__main__":
-    launch("ppo")
+    sys.exit(main(["train", "ppo", *sys.argv[1:]]))

@@ -228,7 +228,7 @@ def test_caches_are_warmed_once_with_the_changed_arguments_and_that_round_is_not
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_measurement_of_the_plan_names_a_job_and_arguments_that_it_takes(quick):
-    names = sections.QUICK if quick else list(sections.SECTIONS)
+    names = bench.QUICK if quick else list(sections.SECTIONS)
     every = bench.plan(names, quick)
     assert len({one.name for one in every}) == len(every)
     assert {one.name.split("/")[0] for one in every} | {"parity"} == {*names, "parity"}  # all its rows may be there
@@ -311,8 +311,8 @@ def stubs(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("words", "written"),
     [
-        ([], ["machine", "targets", *sections.BY_DEFAULT]),
-        (["--quick"], ["machine", "targets", *sections.QUICK]),
+        ([], ["machine", "targets", *bench.BY_DEFAULT]),
+        (["--quick"], ["machine", "targets", *bench.QUICK]),
         (["--only", "stages"], ["machine", "stages"]),
         (["--only", "growth"], ["growth"]),
         (["--only", "parity"], ["parity"]),
@@ -385,6 +385,6 @@ def test_each_of_4_bad_arguments_ends_in_one_line_and_status_2(words, says, caps
         status = stop.code
     errors = capsys.readouterr().err
     assert status == 2
-    assert errors.startswith("uavnav.bench: ")
+    assert errors.startswith("uavnav bench: ")
     assert errors.count("\n") == 1
     assert says in errors

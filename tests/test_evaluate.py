@@ -1,5 +1,6 @@
 """Evaluation: one row a set of obstacles, repeatable, censored where it was cut off."""
 
+import json
 import math
 import re
 import shutil
@@ -192,7 +193,7 @@ def test_a_folder_for_rows_that_cannot_be_is_refused_before_anyone_flies(out, tm
     monkeypatch.setattr(evaluate, "fly", None)
     assert evaluate.main(["random", "--out", out]) == 2
     printed, err = capsys.readouterr()
-    assert err.startswith(f"uavnav.evaluate: {out}/random.parquet: cannot be written (")
+    assert err.startswith(f"uavnav evaluate: {out}/random.parquet: cannot be written (")
     assert err.endswith("); give a path that can be written\n")
     assert (printed, err.count("\n")) == ("", 1)
 
@@ -253,7 +254,7 @@ def test_a_zip_that_cannot_be_flown_is_one_line_and_no_rows(zipped, monkeypatch,
     assert evaluate.main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(f"uavnav.evaluate: {line}")
+    assert err.startswith(f"uavnav evaluate: {line}")
     assert err.count("\n") == 1
     assert [path.name for path in zipped.parent.iterdir()] == ["theirs.zip"]
 
@@ -382,3 +383,17 @@ def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained
     other = evaluate_policy(policy, episodes=6, max_steps=40, reward="initial")
     assert (other.reward >= own.reward).all()
     assert (other.reward > own.reward).any()  # no penalties
+
+
+def test_quiet_prints_nothing_and_json_an_entry_for_each_with_the_means_of_the_rows(run, capsys, tmp_path):
+    words = ["random", str(run.path), "--episodes", "3", "--max-steps", "20"]
+    assert evaluate.main([*words, "--quiet", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert evaluate.main([*words, "--json"]) == 0
+    scripted, trained = json.loads(capsys.readouterr().out)
+    assert (scripted["run"], scripted["seeds"], scripted["sets"]) == ("random", [0], 3)
+    rows = pd.read_parquet(tmp_path / "random.parquet")
+    found = scripted["metrics"]["scripted"]["reward"]
+    assert found == {"mean": pytest.approx(rows["reward"].mean()), "sd": None}
+    assert (trained["run"], trained["seeds"]) == (str(run.path), run.seeds)
+    assert list(trained["metrics"]) == ["greedy", "sampled"]

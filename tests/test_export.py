@@ -182,7 +182,7 @@ def test_what_cannot_be_written_is_one_line_and_no_file(run, tmp_path, monkeypat
         assert export.main([*map(str, words), "--out", str(tmp_path / "policy.pt2")]) == 2
         out, err = capsys.readouterr()
         assert out == ""
-        assert err.startswith("uavnav.export: ")
+        assert err.startswith("uavnav export: ")
         assert err.endswith(f"{line}\n")
         assert err.count("\n") == 1
     find_spec = importlib.util.find_spec

@@ -16,10 +16,10 @@ ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 RUN = "runs/reinforce/hardswish"
 FEWER = {
-    "recipes/train.py": ["total_frames=40960", "compile=off", "evaluate=false", "checkpoint_seconds=0"],
-    "uavnav.evaluate": ["--episodes", "3", "--max-steps", "50"],
-    "uavnav.render": ["--steps", "20"],
-    "uavnav.verify": ["--frames", "4096"],
+    "train": ["total_frames=40960", "compile=off", "evaluate=false", "checkpoint_seconds=0"],
+    "evaluate": ["--episodes", "3", "--max-steps", "50"],
+    "render": ["--steps", "20"],
+    "verify": ["--frames", "4096"],
 }
 
 
@@ -30,9 +30,7 @@ def shown():
 
 def words(command):
     """A shown command, with few frames and flights, as it is run in another folder."""
-    name = command[2] if command[1] == "-m" else command[1]
-    path = ["-m", name] if command[1] == "-m" else [str(ROOT / name)]
-    return [sys.executable, *path, *command[3 if command[1] == "-m" else 2 :], *FEWER.get(name, [])]
+    return [sys.executable, "-m", *command, *FEWER.get(command[1], [])]
 
 
 @pytest.mark.slow
@@ -62,7 +60,7 @@ def test_a_file_outside_the_package_trains_stops_resumes_and_goes_through_every_
     assert sorted(rows["seed"].unique()) == [0, 1, 2, 3]
     assert "REINFORCE" in (tmp_path / "runs" / "report.md").read_text().upper()
 
-    evaluate = next(command for command in others if command[2] == "uavnav.evaluate")
+    evaluate = next(command for command in others if command[1] == "evaluate")
     without = [word for word in words(evaluate) if word not in ("--plugins", "my_study")]
     refused = subprocess.run(without, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert refused.returncode == 2

@@ -1,7 +1,5 @@
-"""What one meets first: the list of commands, their help, names spelt wrongly, what a run says, and no warnings."""
+"""What one meets first: names spelt wrongly, what a run says, and no warnings."""
 
-import argparse
-import ast
 import importlib
 import json
 import os
@@ -13,10 +11,9 @@ from pathlib import Path
 import pytest
 
 import uavnav
-from uavnav import __main__ as listing
+from uavnav.__main__ import main
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PPOConfig
-from uavnav.choices import Parser
 from uavnav.training import display
 
 PACKAGE = Path(uavnav.__file__).parent
@@ -32,114 +29,6 @@ def python(*words, cwd, **environment):
         text=True,
         check=False,
     )
-
-
-# -- python -m uavnav ------------------------------------------------------------------------------------------------
-
-
-def test_python_m_uavnav_lists_every_command_by_its_own_first_line(capsys):
-    assert listing.main([]) == 0
-    out, err = capsys.readouterr()
-    assert err == ""
-    assert out.startswith(f"uavnav {uavnav.__version__}: ")
-    for name in listing.COMMANDS:
-        main = importlib.import_module(listing.module_of(name)).main
-        (line,) = [line for line in out.splitlines() if line.split()[:3] == ["python", "-m", f"uavnav.{name}"]]
-        assert line.endswith(main.__doc__.partition("\n")[0])
-    for name in listing.TRAINING:
-        assert f"python recipes/{name}.py" in out
-    assert "README.md" in out
-
-
-def test_without_the_repository_training_is_a_call(monkeypatch, tmp_path):
-    monkeypatch.setattr(listing, "RECIPES", tmp_path / "recipes")
-    told = listing.listing()
-    assert "  uavnav.ppo.train(...)      Proximal Policy Optimization, sec. 3.3, from top to bottom: " in told
-    assert "  uavnav.a2c.train(...)      Advantage Actor-Critic, the synchronous A3C of Mnih et al. (2016): " in told
-    assert str(PACKAGE.parent) not in listing.listing()
-
-
-def test_the_list_holds_each_module_that_is_a_command():
-    modules = {path.stem: path for path in [*PACKAGE.glob("*.py"), *PACKAGE.glob("*/*.py")]}
-    modules |= {path.parent.name: path for path in PACKAGE.glob("*/__main__.py")}
-    commands = {name for name, path in modules.items() if "\nif __name__ ==" in path.read_text()}
-    commands -= {"__main__", "docs", "jobs", *listing.TRAINING}
-    assert sorted(listing.COMMANDS) == sorted(commands)
-
-
-def test_listing_imports_no_torch_and_no_pandas(tmp_path):
-    code = "import sys; from uavnav import __main__ as m; m.main([]); print({'torch', 'pandas'} & set(sys.modules))"
-    assert python("-c", code, cwd=tmp_path).stdout.endswith("\nset()\n")
-
-
-@pytest.mark.parametrize("words", [["evalute"], ["evalute", "runs/ppo/tanh"]])
-def test_an_unknown_command_is_one_line_with_the_nearest_and_status_2(words, capsys):
-    assert listing.main(words) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("uavnav: there is no command 'evalute'; choose from bench, evaluate, ")
-    assert err.endswith("(did you mean evaluate?)\n")
-    assert err.count("\n") == 1
-
-
-@pytest.mark.parametrize("name", listing.TRAINING)
-def test_the_name_of_an_algorithm_is_answered_with_its_recipe_and_without_the_repository_with_its_call(
-    name, capsys, monkeypatch
-):
-    assert listing.main([name, "activation=relu"]) == 2
-    assert capsys.readouterr().err == f"uavnav: {name} is no command; to train with it: python recipes/{name}.py\n"
-    monkeypatch.setattr(listing, "RECIPES", RECIPES / "nowhere")
-    assert listing.main([name]) == 2
-    assert capsys.readouterr().err.endswith(f"to train with it: uavnav.{name}.train(...) in Python\n")
-
-
-@pytest.mark.slow
-def test_the_example_of_the_listing_runs_as_it_is(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert f"\nSuch as: {listing.EXAMPLE}\n" in listing.listing()
-    python_, m, command, *words = listing.EXAMPLE.split()
-    assert (python_, m) == ("python", "-m")
-    assert listing.main([command.removeprefix("uavnav."), *words]) == 0
-    assert (tmp_path / "flight.gif").read_bytes().startswith(b"GIF89a")
-
-
-def test_a_command_after_uavnav_runs_with_the_words_after_it(capsys):
-    assert listing.main(["layouts", "--check", "test"]) == 0
-    assert capsys.readouterr().out.startswith("test: 1000 sets of 8 obstacles")
-
-
-# -- help ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", listing.COMMANDS)
-def test_the_help_of_a_command_says_what_it_does_and_explains_each_argument(name, monkeypatch):
-    class Stop(Exception):
-        pass
-
-    def stop(parser, *words):
-        raise Stop(parser)
-
-    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", stop)
-    monkeypatch.setattr(Parser, "parse_args", stop)
-    main = importlib.import_module(listing.module_of(name)).main
-    with pytest.raises(Stop) as caught:
-        main([])
-    parser = caught.value.args[0]
-    assert parser.prog == f"python -m uavnav.{name}"
-    assert parser.description == main.__doc__
-    for action in parser._actions:
-        assert action.help, action.option_strings or action.dest
-
-
-@pytest.mark.parametrize("algorithm", listing.TRAINING)
-def test_the_help_of_a_recipe_is_its_docstring_with_every_choice_and_setting(algorithm, tmp_path):
-    result = python(RECIPES / f"{algorithm}.py", "--help", "activation=relu", cwd=tmp_path)
-    assert (result.returncode, result.stderr) == (0, "")
-    assert result.stdout.startswith(ast.get_docstring(ast.parse((RECIPES / f"{algorithm}.py").read_text())))
-    assert "  reward               additive, eq14, initial\n" in result.stdout
-    assert "  world.start_heading  random, up\n" in result.stdout
-    assert "\nactivation: relu\n" in result.stdout
-    assert not list(tmp_path.iterdir())
 
 
 # -- names spelt wrongly ---------------------------------------------------------------------------------------------
@@ -176,12 +65,12 @@ def test_a_misspelt_word_is_one_line_that_names_the_nearest_and_status_2(words, 
     monkeypatch.chdir(tmp_path)
     name, *rest = words.split()
     try:
-        status = listing.main([name, *rest])
+        status = main([name, *rest])
     except SystemExit as stop:
         status = stop.code
     out, err = capsys.readouterr()
     assert (status, out) == (2, "")
-    assert err.startswith(f"uavnav.{name}: {message}")
+    assert err.startswith(f"uavnav {name}: {message}")
     assert err.count("\n") == 1
     assert "training" in err or "trainig" not in words
     assert not list(tmp_path.iterdir())
@@ -320,6 +209,7 @@ def test_no_command_lets_a_dependency_talk(tmp_path):
         ["uavnav.layouts", "--n", 5],
         ["uavnav.report", "runs"],
         ["uavnav"],
+        ["uavnav", "runs"],
     ]
     if importlib.util.find_spec("onnxscript"):
         commands.append(["uavnav.export", "runs/ppo", "--out", "policy.onnx"])

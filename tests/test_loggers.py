@@ -324,7 +324,7 @@ def test_the_recipe_takes_several_and_says_no_more_than_without(tmp_path):
 def test_the_recipe_answers_a_wrong_logger_before_any_work(tmp_path):
     command = [sys.executable, RECIPES / "dqn.py", "logger=[wandb,tensorbord]"]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert result.returncode == 1
-    line = "dqn: logger=tensorbord; choose from none, tensorboard, wandb (did you mean tensorboard?)\n"
+    assert result.returncode == 2
+    line = "uavnav train: logger=tensorbord; choose from none, tensorboard, wandb (did you mean tensorboard?)\n"
     assert (result.stdout, result.stderr) == ("", line)
     assert not list(tmp_path.iterdir())

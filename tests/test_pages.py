@@ -11,7 +11,7 @@ import yaml
 from pages import CONFIGS, MINE, PAGES, ROOT, blocks, code, table
 
 import uavnav
-from uavnav import runs
+from uavnav import help, runs
 from uavnav.runs import metrics
 from uavnav.tasks.layouts import SPLITS
 from uavnav.tasks.rewards import Step
@@ -22,11 +22,9 @@ from uavnav.tasks.world import World
 CLASSES = {one.__name__: one for one in (World, State, Outcome, Step, Task, *CONFIGS.values())}
 
 
-def written(value):
-    """A default as the tables write it."""
-    if isinstance(value, int) and not isinstance(value, bool):
-        return f"{value:_}" if value >= 10_000 else str(value)
-    return str(value)
+def said(line):
+    """A key as the tables write it: the text of --help."""
+    return [f"`{line.name}`", f"`{line.default}`", line.unit, line.meaning]
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
@@ -35,8 +33,7 @@ def written(value):
 @pytest.mark.parametrize("algorithm", CONFIGS)
 def test_the_table_of_settings_is_the_configuration_field_by_field(algorithm):
     rows = table(PAGES[algorithm], "| key | default | unit | meaning |")
-    defaults = [(field.name, written(field.default)) for field in dataclasses.fields(CONFIGS[algorithm])]
-    assert [(code(row[0])[0], code(row[1])[0]) for row in rows] == defaults
+    assert rows == [said(line) for line in help.lines(CONFIGS[algorithm])]
     assert all(row[3] for row in rows)
 
 
@@ -70,7 +67,7 @@ SHORT = {
 
 @pytest.mark.parametrize("algorithm", CONFIGS)
 def test_every_logged_column_has_its_line(algorithm, tmp_path):
-    first = blocks(PAGES[algorithm], "console")[0].splitlines()[0].partition("#")[0].split()[2:]
+    first = blocks(PAGES[algorithm], "console")[0].splitlines()[0].partition("#")[0].split()[3:]
     config = CONFIGS[algorithm].from_mapping({**dict(word.split("=") for word in first), **SHORT[algorithm]})
     run = importlib.import_module(f"uavnav.{algorithm}").train(config, out=tmp_path / "run", quiet=True)
     rows = table(PAGES[algorithm], "| column | meaning |")
@@ -78,14 +75,14 @@ def test_every_logged_column_has_its_line(algorithm, tmp_path):
     assert all(row[1] for row in rows)
 
 
-def test_the_tables_of_the_start_are_the_recipes_keys_the_runs_files_and_the_episodes_columns():
+def test_the_tables_of_the_start_are_the_keys_of_the_command_the_runs_files_and_the_episodes_columns():
     page = PAGES["start"]
-    keys = {code(row[0])[0]: code(row[1])[0] for row in table(page, "| key | default | meaning |")}
-    recipes = sorted((ROOT / "recipes/conf").glob("*.yaml"))
-    assert {path.stem for path in recipes} == {*CONFIGS, "train"}
-    for path in recipes:
-        own = yaml.safe_load(path.read_text())
-        assert keys == {key: yaml.dump(own[key]).split("\n")[0] for key in own if key not in ("defaults", "hydra")}
+    keys = help.of_command()
+    assert table(page, "| key | default | meaning |") == [[*said(key)[:2], key.meaning] for key in keys]
+    own = yaml.safe_load(help.COMMAND.read_text())
+    assert {key.name: yaml.safe_load(key.default) for key in keys} == {
+        key: own[key] for key in own if key != "defaults"
+    }
     files = [code(row[0])[0] for row in table(page, "| file | holds |")]
     assert {*files} == {*runs.FILES, runs.EVALUATION, runs.BEHAVIOUR, "checkpoint/"}
     assert [code(row[0])[0] for row in table(page, "| column | meaning |")] == list(metrics.EPISODE_COLUMNS)
@@ -162,9 +159,8 @@ def test_every_symbol_of_the_world_is_a_variable_of_the_function_that_it_is_said
 
 
 def test_every_field_of_the_world_is_in_the_table_of_its_settings_and_beside_its_symbol():
-    fields = {field.name: written(field.default) for field in dataclasses.fields(World)}
-    rows = table(PAGES["world"], "| field | default | unit | meaning |")
-    assert [(code(row[0])[0], code(row[1])[0]) for row in rows] == [*fields.items()]
+    fields = [field.name for field in dataclasses.fields(World)]
+    assert table(PAGES["world"], "| field | default | unit | meaning |") == [said(line) for line in help.lines(World)]
     in_words = {"width", "height"}  # 800 x 600 px
     assert {one for one in fields if f"World.{one}`" not in PAGES["world"]} == in_words
     assert "800 × 600 px" in PAGES["world"]
@@ -211,7 +207,7 @@ def telling(message):
 
 
 def sources():
-    for path in [*(ROOT / "uavnav").rglob("*.py"), ROOT / "recipes" / "launch.py"]:
+    for path in (ROOT / "uavnav").rglob("*.py"):
         yield from ast.walk(ast.parse(path.read_text()))
 
 

@@ -62,7 +62,7 @@ DOES = {
     "c": ("drawing", lambda was, now: now.obstacles.shape == (1, 0, 3) and now.own),
     "delete": ("drawing", lambda was, now: now.obstacles.shape == (1, 0, 3) and now.own),
     "b": ("policy", lambda was, now: torch.equal(layouts.load("own.safetensors"), was.obstacles)),
-    "k": ("landed", lambda was, now: not now.flights and len(pd.read_parquet(rules.ROWS)) == 1),
+    "k": ("landed", lambda was, now: not now.flights and len(pd.read_parquet(keys.ROWS)) == 1),
     "h": ("policy", lambda was, now: now.help and not press(now, "h").help),
     "f1": ("policy", lambda was, now: now.help),
     "escape": ("policy", lambda was, now: now.closed),
@@ -328,7 +328,7 @@ def test_an_obstacle_drawn_with_the_mouse_is_saved_loaded_and_flown_into(window,
     drag(700, 100, 500, 300)  # too far: the largest
     drag(430, 330, 431, 330)  # on the start
     game = window(game, "b")
-    assert game.message == f"Saved: python -m uavnav.play --layouts {path}"
+    assert game.message == f"Saved: uavnav play --layouts {path}"
     bank = layouts.load(path)
     assert bank.shape == (1, 3, 3)
     assert bank[0].numpy() == pytest.approx(np.array([[400, 480, 60], [100, 100, 30], [700, 100, 100]]), abs=1)

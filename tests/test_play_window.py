@@ -148,7 +148,7 @@ def test_ctrl_c_closes_the_window_and_says_what_was_not_saved(window, monkeypatc
 def test_without_the_extra_it_is_one_line_that_says_which_and_status_2(capsys, monkeypatch):
     monkeypatch.setattr(play, "pygame", None)
     assert play.main([]) == 2
-    assert capsys.readouterr() == ("", "uavnav.play: needs pygame-ce: pip install 'uavnav[play]'\n")
+    assert capsys.readouterr() == ("", "uavnav play: needs pygame-ce: pip install 'uavnav[play]'\n")
 
 
 @pytest.mark.parametrize("driver", ["none such", None])
@@ -187,5 +187,5 @@ def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, 
     assert play.main([str(run.path) if word == "RUN" else word for word in arguments]) == 2
     printed, err = capsys.readouterr()
     assert message in err
-    assert err.startswith("uavnav.play: ")
+    assert err.startswith("uavnav play: ")
     assert (printed, err.count("\n")) == ("", 1)

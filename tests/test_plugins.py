@@ -37,13 +37,13 @@ def python(folder, *words):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Holds my_study.py of the docs, and the run of its algorithm that `recipes/train.py` made of it."""
+    """Holds my_study.py of the docs, and the run of its algorithm that `uavnav train` made of it."""
     folder = tmp_path_factory.mktemp("plugins")
     text = (ROOT / "docs" / "extending.md").read_text()
     (code,) = re.findall(r'```python title="my_study.py"\n(.*?)```', text, re.DOTALL)
     (folder / "my_study.py").write_text(code)
-    words = ["algorithm=reinforce", "plugins=my_study", *WORDS, "evaluate=false"]
-    said = python(folder, ROOT / "recipes" / "train.py", *words)
+    words = ["reinforce", "plugins=my_study", *WORDS, "evaluate=false"]
+    said = python(folder, "-m", "uavnav", "train", *words)
     assert "reinforce hardswish, preset paper: 2 seeds (0 to 1), 1,024 frames each" in said
     return folder
 
@@ -138,8 +138,8 @@ def test_without_the_flag_a_command_says_in_one_line_which_to_give_and_imports_n
     assert main([str(run.path) if word == "RUN" else word for word in words]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(f"uavnav.{command}: {run.path}/")
-    assert "it was made with plugins, give --plugins my_study (plugins= to a recipe)" in err
+    assert err.startswith(f"uavnav {command}: {run.path}/")
+    assert "it was made with plugins, give --plugins my_study (plugins= to uavnav train)" in err
     assert err.count("\n") == 1
     assert "my_study" not in sys.modules
     assert sorted(folder.rglob("*")) == before
@@ -173,8 +173,8 @@ def test_a_recipe_without_the_flag_refuses_a_plugins_names_like_any_other(folder
     monkeypatch.chdir(folder)
     command = [sys.executable, ROOT / "recipes" / "ppo.py", "activation=hardswish"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (result.returncode, result.stdout) == (1, "")
-    assert result.stderr.startswith("ppo: activation=hardswish; choose from elu, ")
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith("uavnav train: activation=hardswish; choose from elu, ")
     assert result.stderr.count("\n") == 1
 
 

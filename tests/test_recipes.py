@@ -1,5 +1,8 @@
-"""The recipes' command lines: they train, say where the run is, and answer a wrong word before any work."""
+"""`uavnav train` and the recipes: they train, say where the run is, and answer a wrong word before any work."""
 
+import json
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -7,8 +10,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from uavnav import PolicyError, load_policy
+from uavnav import PolicyError, commands, load_policy
+from uavnav.__main__ import main
 from uavnav.runs import Run
+from uavnav.runs.metrics import per_seed
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 SHORT = {
@@ -20,28 +25,22 @@ SHORT = {
 
 @pytest.fixture
 def recipe(tmp_path, monkeypatch, capfd):
-    """Runs a recipe in an empty folder, in this process: (status, what it printed, what it complained)."""
+    """Runs `uavnav train` in an empty folder, in this process: (status, what it printed, what it complained)."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(RECIPES))
     monkeypatch.setenv("COLUMNS", "100")
 
     def run(name, *arguments):
-        from launch import launch
-
-        monkeypatch.setattr(sys, "argv", [f"recipes/{name}.py", *arguments])
-        status = 0
         try:
-            launch(name)
+            status = main(["train", name, *arguments])
         except SystemExit as stop:
             status = stop.code
-        out, err = capfd.readouterr()
-        return (1, out, err + status + "\n") if isinstance(status, str) else (status, out, err)
+        return (status, *capfd.readouterr())
 
     return run
 
 
 def process(folder, name, *arguments):
-    """The same as a process of its own."""
+    """A recipe as a process of its own."""
     command = [sys.executable, RECIPES / f"{name}.py", *arguments]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     return result.returncode, result.stdout, result.stderr
@@ -82,6 +81,34 @@ def test_a_finished_run_says_so_in_one_line_and_exits_0(recipe):
     assert out == "mine: this run is already finished; overwrite=true starts it anew\n"
 
 
+def test_after_training_it_says_what_to_do_next_with_the_very_commands(recipe, monkeypatch):
+    monkeypatch.setattr("uavnav.train.find_spec", lambda name: None)  # no pygame
+    _, out, _ = recipe("ppo", "out=runs/my own", *SHORT["ppo"])
+    last = ["watch it:    uavnav render 'runs/my own'", "compare it:  uavnav report runs --out report"]
+    assert out.splitlines()[-2:] == last
+    for line in last:
+        program, command, *words = shlex.split(line.partition(":")[2])
+        assert program == "uavnav"
+        commands.parse(command, words)
+
+
+def test_quiet_prints_nothing_and_json_the_numbers_of_the_tables_and_nothing_else(recipe, tmp_path):
+    words = ["n_seeds=2", "activation=relu,tanh", "out='${activation}'", *SHORT["a2c"]]
+    assert recipe("a2c", "-m", "--quiet", *words) == (0, "", "")
+    status, out, err = recipe("a2c", "--json", "-m", *words)
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert [(one["run"], one["activation"], one["seeds"]) for one in found] == [
+        ("relu", "relu", [0, 1]),
+        ("tanh", "tanh", [0, 1]),
+    ]
+    for one in found:
+        rewards = per_seed(Run(tmp_path / one["run"]).episodes)["reward"]
+        expected = {"mean": pytest.approx(rewards.mean()), "sd": pytest.approx(rewards.std())}
+        assert one["metrics"]["all training episodes"]["reward"] == expected
+        assert list(one["metrics"]) == ["per frame", "log curve", "all training episodes"]
+
+
 def test_a_sweep_trains_each_activation_into_its_own_folder(recipe, tmp_path):
     status, _, err = recipe("ppo", "-m", "activation=relu,tanh", "seed=3", *SHORT["ppo"])
     assert (status, err) == (0, "")
@@ -118,12 +145,14 @@ PRESETS = {"paper": MineConfig()}
 '''
 
 
-def test_train_py_runs_a_plugins_algorithm_activation_and_reward_and_what_needs_it_says_so(tmp_path):
+def test_train_runs_a_plugins_algorithm_activation_and_reward_and_what_needs_it_says_so(tmp_path):
     (tmp_path / "a_plugin.py").write_text(PLUGIN)
-    words = ["algorithm=mine", "plugins=a_plugin", "activation=sine", "reward=still", "total_frames=480", "out=run"]
-    status, out, err = process(tmp_path, "train", *words, "evaluate=false")
-    assert (status, err) == (0, "")
-    assert "the run is in run" in out
+    words = ["mine", "plugins=a_plugin", "activation=sine", "reward=still", "total_frames=480", "out=run"]
+    command = [sys.executable, "-m", "uavnav", "train", *words, "evaluate=false"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "the run is in run" in done.stdout
+    assert done.stdout.endswith("\ncompare it:  uavnav report run --out report --plugins a_plugin\n")
     run = Run(tmp_path / "run")
     assert (run.algorithm, run.config["activation"], run.config["reward"]) == ("mine", "sine", "still")
     assert list(run.meta["plugins"]) == ["a_plugin"]
@@ -131,21 +160,26 @@ def test_train_py_runs_a_plugins_algorithm_activation_and_reward_and_what_needs_
     assert stops.all()
     with pytest.raises(PolicyError, match=r"it was made with plugins, give --plugins a_plugin"):
         load_policy(run.path)
+    told = subprocess.run([*command[:5], "plugins=a_plugin", "--help"], cwd=tmp_path, capture_output=True, text=True)
+    assert told.stdout.startswith("usage: uavnav train mine ")
+    assert re.search(r"\n  activation=tanh .*, sine, ", told.stdout)
+    assert re.search(r"\n  n_steps=5 +\[steps\] of every world in a rollout", told.stdout)
 
 
-@pytest.mark.parametrize("word", ["algorithm=pppo", "activation=relu"])
-def test_train_py_without_an_algorithm_of_the_table_names_them(recipe, tmp_path, word):
-    status, out, err = recipe("train", word)
-    assert (status, out) == (1, "")
-    assert err.startswith(f"train: algorithm={'pppo' if 'algorithm' in word else ''}; choose from a2c, dqn, ppo")
+@pytest.mark.parametrize("word", ["pppo", "activation=relu"])
+def test_train_without_an_algorithm_of_the_table_names_them(recipe, tmp_path, word):
+    status, out, err = recipe(word)
+    assert (status, out) == (2, "")
+    given = "pppo" if word == "pppo" else ""
+    assert err.startswith(f"uavnav train: algorithm={given}; choose from a2c, dqn, ppo")
     assert err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
-def test_train_py_with_a2c_is_the_recipe_a2c_bit_for_bit(recipe, tmp_path):
+def test_the_recipe_a2c_is_uavnav_train_a2c_bit_for_bit(recipe, tmp_path):
     short = [*SHORT["a2c"], "world.sensor_arc=90", "compile=off"]
-    assert recipe("train", "algorithm=a2c", "out=one", *short)[0] == 0
-    assert recipe("a2c", "out=other", *short)[0] == 0
+    assert recipe("a2c", "out=one", *short)[0] == 0
+    assert process(tmp_path, "a2c", "out=other", *short)[0] == 0
     one, other = (Run(tmp_path / name) for name in ("one", "other"))
     assert one.config == other.config
     assert one.config["world"]["sensor_arc"] == 90.0
@@ -168,53 +202,55 @@ def test_cfg_job_shows_every_setting_and_trains_nothing(recipe, tmp_path, words)
 
 
 WRONG = {
-    "activation=rleu": "ppo: activation=rleu; choose from elu, .* (did you mean relu?)",
-    "activatoin=relu": "ppo: there is no key 'activatoin'; choose from activation, .*out.* (did you mean activation?)",
-    "+speed=3": "ppo: there is no key 'speed'; choose from ",
-    "preset=papr": "ppo: preset=papr; choose from fast, one-world, paper (did you mean paper?)",
-    "total_frames=1.5": "ppo: total_frames=1.5; give a whole number",
-    "n_seeds=two": "ppo: n_seeds=two; give a whole number",
-    "n_seeds=0": "ppo: n_seeds=0; give a number of at least 1",
-    "overwrite=2": "ppo: overwrite=2; choose from false, true",
-    "layouts=nowhere": "ppo: layouts='nowhere': no such bank; choose from train, validation, test or a file's path",
-    "out=/proc/nowhere": "ppo: out=/proc/nowhere: ",
-    "slots=listed": "ppo: there is no key 'slots'; choose from .*world.slots.* (did you mean world.slots?)",
-    "world.slot=listed": "ppo: there is no key 'world.slot'; choose from .* (did you mean world.slots?)",
-    "world.slots=first": "ppo: world.slots=first; choose from listed, nearest",
-    "world.sensor_arc=wide": "ppo: world.sensor_arc=wide; give a number",
-    "task=dron": "ppo: task=dron; choose from drone (did you mean drone?)",
-    "plugins=no_such_module": "ppo: plugins=no_such_module: is no module in .*; give a module's name, without .py",
-    "device=gpu": "ppo: device=gpu; choose cpu, or a device that this machine has",
-    "relu": "ppo: 'relu' is no setting; settings are key=value: activation=tanh",
-    "=3": "ppo: '=3' is no setting; ",
-    "hidden=[64": "ppo: hidden=[64: its value cannot be read; in a shell quote brackets and blanks: 'hidden=[64,64]'",
-    "--activation tanh": "ppo: there is no flag --activation; settings are key=value: activation=tanh",
-    "--n-seeds=4": "ppo: there is no flag --n-seeds; settings are key=value: n_seeds=4",
-    "--helpp": "ppo: there is no flag --helpp (did you mean --help?); settings are key=value: activation=tanh",
-    "--cfg everything": "ppo: argument --cfg/-c: invalid choice: 'everything' (choose from 'job', .*; --help says more",
-    "--cfg job -m": "ppo: Only one of --run, --multirun, --cfg, ",
-    "-m activation=tanh,rleu": "ppo: activation=rleu; choose from ",
-    "-m activation=tanh,relu out=one": "ppo: out=one: two runs of the sweep would share it",
-    "activation=tanh,relu -m out=one": "ppo: out=one: two runs of the sweep would share it",
-    "-m hydra/launcher=nowhere": "ppo: hydra/launcher=nowhere: not installed; ray, .*pip install 'uavnav[scale]'",
+    "activation=rleu": "activation=rleu; choose from elu, .* (did you mean relu?)",
+    "activatoin=relu": "there is no key 'activatoin'; choose from activation, .*out.* (did you mean activation?)",
+    "+speed=3": "there is no key 'speed'; choose from ",
+    "preset=papr": "preset=papr; choose from fast, one-world, paper (did you mean paper?)",
+    "total_frames=1.5": "total_frames=1.5; give a whole number",
+    "n_seeds=two": "n_seeds=two; give a whole number",
+    "n_seeds=0": "n_seeds=0; give a number of at least 1",
+    "overwrite=2": "overwrite=2; choose from false, true",
+    "layouts=nowhere": "layouts='nowhere': no such bank; choose from train, validation, test or a file's path",
+    "out=/proc/nowhere": "out=/proc/nowhere: ",
+    "slots=listed": "there is no key 'slots'; choose from .*world.slots.* (did you mean world.slots?)",
+    "world.slot=listed": "there is no key 'world.slot'; choose from .* (did you mean world.slots?)",
+    "world.slots=first": "world.slots=first; choose from listed, nearest",
+    "world.sensor_arc=wide": "world.sensor_arc=wide; give a number",
+    "task=dron": "task=dron; choose from drone (did you mean drone?)",
+    "plugins=no_such_module": "plugins=no_such_module: is no module in .*; give a module's name, without .py",
+    "device=gpu": "device=gpu; choose cpu, or a device that this machine has",
+    "relu": "'relu' is no setting; settings are key=value: activation=tanh",
+    "=3": "'=3' is no setting; ",
+    "hidden=[64": "hidden=[64: its value cannot be read; in a shell quote brackets and blanks: 'hidden=[64,64]'",
+    "--activation tanh": "there is no flag --activation; settings are key=value: activation=tanh",
+    "--n-seeds=4": "there is no flag --n-seeds; settings are key=value: n_seeds=4",
+    "--helpp": "there is no flag --helpp (did you mean --help?); settings are key=value: activation=tanh",
+    "--cfg everything": "argument --cfg/-c: everything: choose from job; uavnav train --help says more",
+    "hydra.run.dir=x": "there is no key 'hydra.run.dir'; choose from activation",
+    "activation=tanh,relu": "activation: give one value, or -m to train with each in turn",
+    "-m activation=tanh,rleu": "activation=rleu; choose from ",
+    "-m activation=tanh,relu out=one": "out=one: two runs of the sweep would share it",
+    "activation=tanh,relu -m out=one": "out=one: two runs of the sweep would share it",
+    "-m hydra/launcher=ray": "hydra/launcher=ray: .*; uavnav study ... engine=ray or engine=slurm spreads runs",
 }
 
 
 @pytest.mark.parametrize("words", WRONG)
 def test_a_wrong_word_is_one_line_a_status_and_no_folder(recipe, tmp_path, words):
     status, out, err = recipe("ppo", *words.split(), "total_frames=1e3" if "total_frames" not in words else "seed=0")
-    assert status == 1
+    assert status == 2
     assert out == ""
+    assert err.startswith("uavnav train: ")
     assert err.count("\n") == 1
     for part in WRONG[words].split(".*"):
         assert part in err
     assert not list(tmp_path.iterdir())
 
 
-def test_as_a_process_a_wrong_word_ends_with_status_1_and_no_traceback(tmp_path):
+def test_as_a_process_a_wrong_word_ends_with_status_2_and_no_traceback(tmp_path):
     status, out, err = process(tmp_path, "dqn", "activation=rleu")
-    assert (status, out) == (1, "")
-    assert err.startswith("dqn: activation=rleu; choose from ")
+    assert (status, out) == (2, "")
+    assert err.startswith("uavnav train: activation=rleu; choose from ")
     assert err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 

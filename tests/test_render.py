@@ -1,8 +1,6 @@
 """Pictures: things are where they should be, in their colours, and flights become files."""
 
-import argparse
 import math
-import re
 import sys
 from fractions import Fraction
 
@@ -12,7 +10,7 @@ import torch
 from PIL import Image, ImageDraw
 
 import uavnav
-from uavnav import evaluate, export, render
+from uavnav import render
 from uavnav.algorithms import ppo
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
@@ -21,7 +19,6 @@ from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.tasks.state import COUNTS
 from uavnav.tasks.world import World
-from uavnav.window import play
 
 WORLD = World()
 
@@ -273,22 +270,3 @@ def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, 
 def test_a_run_that_is_spelt_wrongly_is_the_nearest_folder_beside_it(run, capsys):
     assert render.main([str(run.path.parent / "rum")]) == 2
     assert f"give the folder of a finished run (did you mean {run.path}?)\n" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("command", [play, render, evaluate, export], ids=lambda command: command.__name__)
-def test_the_help_ends_with_an_example_that_the_command_understands(command, monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "80")
-    with pytest.raises(SystemExit):
-        command.main(["--help"])
-    name = command.__name__.rpartition(".")[2]
-    (words,) = re.findall(rf"^example: python -m uavnav.{name} (.*)$", capsys.readouterr().out, re.MULTILINE)
-    understood, original = [], argparse.ArgumentParser.parse_known_args
-
-    def parse(self, args=None, namespace=None):
-        understood.append(original(self, args, namespace))
-        raise SystemExit
-
-    monkeypatch.setattr(argparse.ArgumentParser, "parse_known_args", parse)
-    with pytest.raises(SystemExit):
-        command.main(words.split())
-    assert understood[0][1] == []

@@ -176,8 +176,8 @@ def test_broken_unfinished_and_foreign_folders_are_named_on_stderr_and_in_the_re
     names = ("broken", "columns", "half", "seeds", "table", "thesis", "worlds", "dqn/tanh", "ppo/relu")
     text, page = (results / "report.md").read_text(), (results / "report.html").read_text()
     for name, line in zip(names, lines, strict=True):
-        assert line.startswith(f"uavnav.report: left out: {results / name}")
-        assert f"- {line.removeprefix('uavnav.report: left out: ')}\n" in text
+        assert line.startswith(f"uavnav report: left out: {results / name}")
+        assert f"- {line.removeprefix('uavnav report: left out: ')}\n" in text
         assert str(results / name) in page
     assert ".hydra" not in text
 
@@ -208,7 +208,7 @@ def test_control_c_is_one_line_and_status_130_and_nothing_is_written(results, tm
     monkeypatch.setattr("uavnav.report.page.markdown", interrupted)
     monkeypatch.setattr("uavnav.report.docs.results", interrupted)
     assert main([str(results)]) == 130
-    assert capsys.readouterr().err == "uavnav.report: stopped; no report was written\n"
+    assert capsys.readouterr().err == "uavnav report: stopped; no report was written\n"
     monkeypatch.chdir(tmp_path)
     Path("README.md").write_text(f"{docs.BEGIN}\n{docs.END}")
     assert docs.main([str(results)]) == 130
@@ -236,7 +236,7 @@ def test_a_folder_without_runs_is_one_line_and_status_2_and_nothing_is_written(t
     printed = capsys.readouterr()
     assert printed.out == ""
     assert len(printed.err.splitlines()) == 1
-    assert printed.err.startswith(f"uavnav.report: {tmp_path / 'results'}: {message}")
+    assert printed.err.startswith(f"uavnav report: {tmp_path / 'results'}: {message}")
     assert sorted(tmp_path.rglob("*")) == before
 
 

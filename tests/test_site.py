@@ -1,13 +1,11 @@
 """The site builds, and what its pages show runs: commands one after the other, snippets as they are."""
 
-import argparse
 import dataclasses
 import importlib
 import importlib.util
 import json
 import os
 import re
-import runpy
 import shlex
 import subprocess
 import sys
@@ -22,7 +20,8 @@ import yaml
 from pages import ALL, CONFIGS, DOCS, MINE, PAGES, ROOT, blocks
 
 import uavnav
-from uavnav import networks
+from uavnav import commands, help, networks
+from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import metrics
 from uavnav.tasks import rewards, simulator
@@ -141,26 +140,22 @@ EXEMPT = {
 """Commands that are understood and not run, and why."""
 
 
-def home(module):
-    """Where the `main` of `python -m module` is."""
-    return f"{module}.__main__" if find_spec(module).submodule_search_locations else module
+def as_uavnav(words):
+    """`python recipes/ppo.py ...` as `uavnav train ppo ...`."""
+    recipe = re.fullmatch(r"recipes/(\w+)\.py", words[1]) if words[0] == "python" and len(words) > 1 else None
+    return ["uavnav", "train", recipe[1], *words[2:]] if recipe else words
 
 
-class Parsed(BaseException):
-    """The arguments were understood."""
-
-
-def parse_recipe(words):
-    """Every combination of a sweep is a configuration, and the other keys are the recipe's own."""
-    recipe = ROOT / words[0]
-    own = set(yaml.safe_load((ROOT / "recipes/conf" / f"{recipe.stem}.yaml").read_text())) - {"defaults", "hydra"}
-    given = [word.partition("=")[::2] for word in words[1:] if word != "-m"]
-    kind = CONFIGS[dict(given)["algorithm"] if recipe.stem == "train" else recipe.stem]
+def parse_train(words):
+    """Every combination of a sweep is a configuration, and the other keys are the command's own."""
+    given = commands.parse("train", words)
+    pairs = [word.partition("=")[::2] for word in given.settings]
+    kind = CONFIGS[given.algorithm]
     names = {field.name for field in dataclasses.fields(kind)}
     names |= {f"world.{field.name}" for field in dataclasses.fields(World)}
-    for key, _ in given:
-        assert key in own | names or (recipe.stem, key) == ("train", "algorithm"), key
-    mine = {key: value.split(",") if "-m" in words else [value] for key, value in given if key in names}
+    for key, _ in pairs:
+        assert key in names | {line.name for line in help.of_command()}, key
+    mine = {key: value.split(",") if given.multirun else [value] for key, value in pairs if key in names}
     for values in product(*mine.values()):
         kind.from_mapping(nested({key: yaml.safe_load(value) for key, value in zip(mine, values, strict=True)}))
 
@@ -175,20 +170,12 @@ def nested(settings):
 @pytest.mark.parametrize(("page", "command"), COMMANDS, ids=[command for _, command in COMMANDS])
 def test_every_command_that_a_page_shows_is_understood(page, command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = shlex.split(command)
-    if words[:1] == ["python"] and words[1].startswith("recipes/"):
-        parse_recipe(words[1:])
-    elif words[:2] == ["python", "-m"]:
-        original = argparse.ArgumentParser.parse_known_args
-
-        def parse(self, args=None, namespace=None):
-            _, strange = original(self, args, namespace)
-            assert not strange
-            raise Parsed
-
-        monkeypatch.setattr(argparse.ArgumentParser, "parse_known_args", parse)
-        with pytest.raises(Parsed):
-            importlib.import_module(home(words[2])).main(words[3:])
+    words = as_uavnav(shlex.split(command))
+    if words[:2] == ["uavnav", "train"]:
+        parse_train(words[2:])
+    elif words[0] == "uavnav":
+        if words[1:]:
+            commands.parse(words[1], words[2:])
     elif words[0] == "make":
         targets = re.findall(r"^([\w -]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
         assert words[1] in " ".join(targets).split()
@@ -200,15 +187,14 @@ def test_every_command_that_a_page_shows_is_understood(page, command, tmp_path, 
 
 
 TINY = {
-    "recipes/ppo.py": ["total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
-    "recipes/a2c.py": ["total_frames=2048", "compile=off", "evaluate=false"],
-    "recipes/train.py": ["total_frames=2048", "compile=off", "evaluate=false"],
-    "recipes/dqn.py": ["total_frames=2048", "learning_starts=1024", "compile=off", "evaluate=false"],
-    "uavnav.evaluate": ["--episodes", "2", "--max-steps", "50"],
-    "uavnav.render": ["--steps", "20"],
+    "train ppo": ["total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
+    "train a2c": ["total_frames=2048", "compile=off", "evaluate=false"],
+    "train dqn": ["total_frames=2048", "learning_starts=1024", "compile=off", "evaluate=false"],
+    "evaluate": ["--episodes", "2", "--max-steps", "50"],
+    "render": ["--steps", "20"],
 }
 """What is added to a line, so that it takes a second or two."""
-PRESUMED = {"docs/bridges.md": ["python recipes/ppo.py"]}
+PRESUMED = {"docs/bridges.md": ["uavnav train ppo"]}
 """What a page takes for granted to have been run."""
 
 
@@ -216,7 +202,6 @@ PRESUMED = {"docs/bridges.md": ["python recipes/ppo.py"]}
 def carry_out(tmp_path, monkeypatch):
     """Runs a line in an empty folder, in this process, with tiny settings and a window that closes: its status."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.delenv("WANDB_MODE", raising=False)
     monkeypatch.setattr(machine, "cores", lambda: 1)  # no further processes
@@ -227,14 +212,10 @@ def carry_out(tmp_path, monkeypatch):
     def run(command):
         if command == "make train":
             (command,) = re.findall(r"^train:.*\n\t\$\(BIN\)/(.*)", (ROOT / "Makefile").read_text(), re.MULTILINE)
-        _, *words = shlex.split(command)
-        name, *given = words[1:] if words[0] == "-m" else words
-        given += TINY.get(name, [])
-        if words[0] == "-m":
-            return importlib.import_module(home(name)).main(given)
-        monkeypatch.setattr(sys, "argv", [name, *given])
-        runpy.run_path(str(ROOT / name), run_name="__main__")
-        return 0
+        program, *words = as_uavnav(shlex.split(command))
+        assert program == "uavnav"
+        tiny = TINY.get(" ".join(words[:2])) or TINY.get(words[0], []) if words else []
+        return main([*words, *tiny])
 
     return run
 

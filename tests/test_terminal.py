@@ -38,7 +38,7 @@ def test_ctrl_c_while_modules_are_imported_is_one_line_at_most(command, library,
         out, err = process.communicate(timeout=120)
     assert process.returncode != 0
     assert out == ""
-    assert err in ("", "uavnav: stopped\n", f"{command}: stopped\n")
+    assert err in ("", "uavnav: stopped\n")
     assert not list(tmp_path.iterdir())
 
 
@@ -47,7 +47,7 @@ def test_ctrl_c_while_modules_are_imported_is_one_line_at_most(command, library,
     [
         ("-m uavnav", f"uavnav {uavnav.__version__}: "),
         ("-m uavnav.evaluate reactive --episodes 2 --max-steps 50", ""),
-        ("-m uavnav.evaluate --help", "usage: python -m uavnav.evaluate "),
+        ("-m uavnav.evaluate --help", "usage: uavnav evaluate "),
     ],
 )
 def test_a_reader_that_leaves_after_a_line_leaves_no_traceback(command, first, tmp_path):

@@ -198,7 +198,7 @@ def test_another_version_alone_leaves_the_same_run_the_same(run, verdict):
 @pytest.mark.parametrize("frames", ["0", "-5"])
 def test_a_number_of_frames_below_1_is_refused_with_status_2(trained, capsys, frames):
     assert verify.main([str(trained.path), "--frames", frames]) == 2
-    assert capsys.readouterr().err == f"uavnav.verify: --frames {frames}: give a number of at least 1\n"
+    assert capsys.readouterr().err == f"uavnav verify: --frames {frames}: give a number of at least 1\n"
 
 
 @pytest.mark.parametrize("arguments", [[], ["--frames", "900"]])
@@ -216,7 +216,7 @@ def test_an_interrupted_repeat_compares_nothing_and_ends_with_130(tmp_path, monk
     assert verify.main([str(run.path), *arguments]) == 130
     out, err = capsys.readouterr()
     assert "same" not in out
-    assert err == "uavnav.verify: stopped, nothing was compared\n"
+    assert err == "uavnav verify: stopped, nothing was compared\n"
 
 
 def test_a_run_with_a_sensor_of_90_degrees_is_repeated_in_that_world(tmp_path, verdict):

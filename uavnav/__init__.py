@@ -5,16 +5,17 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from uavnav.terminal import end_quietly
 
-if sys.argv[:1] == ["-m"]:  # as `python -m uavnav.x` begins: the imports that follow may be stopped too
-    end_quietly("uavnav")
+_folder, _program = os.path.split("".join(sys.argv[:1]))
+if _program in ("-m", "uavnav") or os.path.basename(_folder) == "recipes":
+    end_quietly("uavnav")  # a command begins: the imports that follow may be stopped too
 
 import importlib
 import importlib.util
-import os
 import warnings
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from types import ModuleType

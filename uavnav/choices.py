@@ -52,17 +52,28 @@ def unknown_key(key: str, choices: Collection[str]) -> ConfigError:
 
 
 class Parser(argparse.ArgumentParser):
-    """Of a command `python -m uavnav.x`: what is wrong is one line `uavnav.x: ...`, and status 2."""
+    """Of a command: what is wrong is one line `uavnav verify: ...`, and status 2."""
 
     def error(self, message: str) -> NoReturn:
-        name = self.prog.removeprefix("python -m ")
-        self.exit(2, f"{name}: {message}; {self.prog} --help says more\n")
+        self.refuse(f"{message}; {self.prog} --help says more")
+
+    def refuse(self, message: str) -> NoReturn:
+        """End the process with a line that says what is wrong."""
+        self.exit(2, f"{self.prog.removeprefix('python -m ')}: {message}\n")
+
+    def leave(self, text: str) -> NoReturn:
+        """End the process with a text that was asked for."""
+        self._print_message(text, sys.stdout)
+        self.exit()
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if isinstance(file, io.TextIOWrapper):
+            file.reconfigure(errors="replace")  # what the terminal cannot show is printed as `?`
+        super()._print_message(message, file)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As argparse, and suggests an option where a word is none; what the terminal cannot show is printed as `?`."""
-        if isinstance(sys.stdout, io.TextIOWrapper):
-            sys.stdout.reconfigure(errors="replace")
-        found, strange = self.parse_known_args(args, namespace)
+        """As argparse, and suggests an option where a word is none."""
+        found, strange = self.parse_known_intermixed_args(args, namespace)
         if strange:
             options = [option for action in self._actions for option in action.option_strings]
             word = strange[0].partition("=")[0]

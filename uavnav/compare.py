@@ -15,8 +15,8 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from uavnav import plugins, policies, stats
-from uavnav.choices import Parser, did_you_mean_run
+from uavnav import commands, plugins, policies, stats
+from uavnav.choices import did_you_mean_run
 from uavnav.evaluate import EPISODES, MAX_STEPS, evaluate_run, fly, header, on
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
@@ -179,13 +179,7 @@ def page(contenders: Sequence[Contender]) -> bytes:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Compare runs, zips of Stable-Baselines3 and scripted baselines: intervals, probabilities, curves."""
-    parser = Parser(prog="uavnav compare", description=main.__doc__)
-    parser.add_argument("runs", nargs="+", metavar="RUN", help=f"a run's folder, a .zip, or {', '.join(BASELINES)}")
-    parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="a page, compare.html")
-    parser.add_argument("--json", action="store_true", help="the metrics as JSON")
-    plugins.argument(parser)
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("compare", argv)
     try:
         plugins.load(arguments.plugins)
         if arguments.out is not None:

@@ -1,11 +1,12 @@
 """Fly policies on sets of obstacles that they never trained on: one row an episode.
 
-`python -m uavnav.evaluate RUN...` evaluates every seed of finished runs, greedy and sampled, into their folders; and
+`uavnav evaluate RUN...` evaluates every seed of finished runs, greedy and sampled, into their folders; and
 whatever else flies (scripted baselines, zips of Stable-Baselines3), whose rows `--out` keeps for a report.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -14,11 +15,10 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 import torch
-from rich.console import Console
 from torch import Tensor
 
-from uavnav import flights, plugins, policies
-from uavnav.choices import Parser, did_you_mean_run
+from uavnav import commands, flights, plugins, policies
+from uavnav.choices import did_you_mean_run
 from uavnav.files import check_out
 from uavnav.policies import Policy
 from uavnav.repeats import Repeats
@@ -27,6 +27,9 @@ from uavnav.runs.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
+from uavnav.tasks.protocol import EPISODES as EPISODES
+from uavnav.tasks.protocol import MAX_STEPS as MAX_STEPS
+from uavnav.tasks.protocol import SPLITS
 from uavnav.tasks.rewards import BY_ACTION, REWARDS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import COUNTS, State
@@ -34,8 +37,6 @@ from uavnav.tasks.world import World
 from uavnav.training import display, machine
 from uavnav.training.display import evaluation_summary
 
-EPISODES = 200
-MAX_STEPS = 10_000
 WATCHED_LAYOUTS = 10
 WATCHED_STEPS = 500
 """Behaviour is kept of so many sets of obstacles, and of so many steps of each."""
@@ -204,7 +205,7 @@ def files_of(layouts: str | Path, episodes: int, max_steps: int) -> tuple[str, s
     if (str(layouts), episodes, max_steps) == ("test", EPISODES, MAX_STEPS):
         return EVALUATION, BEHAVIOUR
     bank = str(layouts)
-    if layouts not in banks.SPLITS:
+    if layouts not in SPLITS:
         bank = f"{Path(layouts).stem}-{banks.checksum(banks.load(layouts))[:8]}"
     own = f"-{bank}-{episodes}-{max_steps}.parquet"
     return EVALUATION.replace(".parquet", own), BEHAVIOUR.replace(".parquet", own)
@@ -229,23 +230,7 @@ def _rows_file(name: str, mode: str) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Evaluate finished runs, scripted baselines or zips of Stable-Baselines3 on the test split: one row an episode."""
-    parser = Parser(
-        prog="python -m uavnav.evaluate",
-        description=main.__doc__,
-        epilog="example: python -m uavnav.evaluate runs/ppo/relu reactive --episodes 200",
-    )
-    parser.add_argument(
-        "runs", nargs="+", metavar="RUN", help=f"a run's folder, a Stable-Baselines3 .zip, or {', '.join(BASELINES)}"
-    )
-    parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
-    parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
-    parser.add_argument("--layouts", default="test", help=f"{', '.join(banks.SPLITS)} or a bank's path (default: test)")
-    parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"
-    )
-    plugins.argument(parser)
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("evaluate", argv)
     try:
         plugins.load(arguments.plugins)
         zips = policies.zips(arguments.runs, arguments.activation)
@@ -257,29 +242,35 @@ def main(argv: Sequence[str] | None = None) -> int:
                 for mode in () if isinstance(run, Run) else run:
                     check_out(arguments.out / _rows_file(name, mode))
         bounds = arguments.layouts, arguments.episodes, arguments.max_steps
+        quiet, records = arguments.quiet or arguments.json, []
         for name, run in found.items():
             if isinstance(run, Run):
-                rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts)
-                Console().print(evaluation_summary(rows, run.algorithm, run.config["activation"]))
-                print(f"the rows are in {run.path / files_of(*bounds)[0]}")
+                rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts, quiet)
+                who, kept = (run.algorithm, run.config["activation"]), [run.path / files_of(*bounds)[0]]
             else:
                 flown = {}
                 for mode, policy in run.items():
                     task = on(policy.task if isinstance(policy, Policy) else make_task(EMPTY), *bounds)
-                    with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:]) as tell:
+                    with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:], quiet) as tell:
                         flown[mode] = fly({0: policy}, task, tell).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
-                Console().print(evaluation_summary(rows, name if name in BASELINES else Path(name).stem))
+                who, kept = (name if name in BASELINES else Path(name).stem, ""), []
                 for mode, part in flown.items() if arguments.out is not None else ():
                     path = arguments.out / _rows_file(name, mode)
                     path.parent.mkdir(parents=True, exist_ok=True)
                     part.attrs = header(*bounds)
                     write_table(path, part)
-                    print(f"the rows are in {path}")
+                    kept.append(path)
+            records.append({"run": name, **display.evaluation_record(rows)})
+            if not quiet:
+                display.show(evaluation_summary(rows, *who))
+                print("".join(f"the rows are in {path}\n" for path in kept), end="", flush=True)
+        if arguments.json:
+            print(json.dumps(records, indent=2))
     except BrokenPipeError:  # nobody reads on: `terminal` ends it
         raise
     except (RunError, ValueError, OSError) as error:
-        print(f"uavnav.evaluate: {policies.as_option(error)}", file=sys.stderr)
+        print(f"uavnav evaluate: {policies.as_option(error)}", file=sys.stderr)
         return 2
     return 0
 

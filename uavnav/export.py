@@ -1,6 +1,6 @@
 """Write a trained policy for programs that know nothing of this package: ONNX, or torch.export's archive.
 
-`python -m uavnav.export RUN [--seed S] --out policy.onnx` (or `policy.pt2`)
+`uavnav export RUN [--seed S] --out policy.onnx` (or `policy.pt2`)
 
 What is written maps `observation` [N, 30] float32 to `values` [N, 100]: logits or Q values, whose largest is the greedy
 action. The file's metadata say which, how the policy acted in training, and in which task. Neither file holds a pickle
@@ -22,9 +22,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from uavnav import plugins
+from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError, Parser
+from uavnav.choices import ConfigError
 from uavnav.networks import AgentLinear
 from uavnav.policies import Policy, PolicyError, as_option, load_policy, zips
 from uavnav.runs.tables import RunError, write
@@ -122,24 +122,14 @@ def _onnx(program: torch.export.ExportedProgram, facts: dict[str, Any]) -> bytes
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2)."""
-    parser = Parser(
-        prog="python -m uavnav.export",
-        description=main.__doc__,
-        epilog="example: python -m uavnav.export runs/ppo/relu --out policy.onnx",
-    )
-    parser.add_argument("run", metavar="RUN", help="a run's folder, its policy file, or a zip of Stable-Baselines3")
-    parser.add_argument("--seed", type=int, help="which training seed (default: the first)")
-    parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
-    parser.add_argument("--out", required=True, metavar="FILE", help="policy.onnx or policy.pt2")
-    plugins.argument(parser)
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("export", argv)
     try:
         plugins.load(arguments.plugins)
         zips([arguments.run], arguments.activation)
         policy = load_policy(arguments.run, arguments.seed, activation=arguments.activation)
         path = export_policy(policy, arguments.out)
     except (ConfigError, PolicyError, RunError) as error:
-        print(f"uavnav.export: {as_option(error)}", file=sys.stderr)
+        print(f"uavnav export: {as_option(error)}", file=sys.stderr)
         return 2
     print(f"{path}: observation [N, {policy.world.observation_size}] -> values [N, {policy.world.n_actions}]")
     return 0

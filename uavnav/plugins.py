@@ -1,12 +1,11 @@
 """A user's own modules, which add activations, rewards, tasks and algorithms to the tables.
 
-A plugin is imported because the user names it: `plugins=my_module` to a recipe, `--plugins my_module` to a command,
-`uavnav.plugins.load(["my_module"])` in Python. No file of a run can have one imported.
+A plugin is imported because the user names it: `plugins=my_module` to `uavnav train`, `--plugins my_module` to another
+command, `uavnav.plugins.load(["my_module"])` in Python. No file of a run can have one imported.
 """
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import importlib
 import os
@@ -56,18 +55,7 @@ def load(names: str | Sequence[str] | None) -> None:
             known |= {key: value for key, value in table.items() if old.get(key) is not value}
 
 
-def argument(parser: argparse.ArgumentParser) -> None:
-    """Give a command `--plugins`; `load` then takes what it holds."""
-    parser.add_argument(
-        "--plugins",
-        type=lambda names: [name.strip() for name in names.split(",")],
-        default=[],
-        metavar="NAME,...",
-        help="modules of your own that a run was made with; they are imported",
-    )
-
-
 def missing(noted: Mapping[str, str] | Collection[str]) -> str:
     """The end of a message: which plugins a run needs that were not given; empty where all are there."""
     absent = [name for name in noted if name not in LOADED]
-    return f"; it was made with plugins, give --plugins {','.join(absent)} (plugins= to a recipe)" if absent else ""
+    return f"; it was made with plugins, give --plugins {','.join(absent)} (plugins= to uavnav train)" if absent else ""

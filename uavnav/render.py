@@ -1,11 +1,10 @@
 """The world as a picture: one state as RGB, flights side by side as a film, without a screen.
 
-`python -m uavnav.render RUN... --out flight.gif` draws what trained policies do on the same set of obstacles.
+`uavnav render RUN... --out flight.gif` draws what trained policies do on the same set of obstacles.
 """
 
 from __future__ import annotations
 
-import argparse
 import functools
 import io
 import itertools
@@ -21,14 +20,14 @@ import numpy as np
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from uavnav import files, flights, plugins, policies
-from uavnav.choices import Parser, did_you_mean, did_you_mean_run
+from uavnav import commands, files, flights, plugins, policies
+from uavnav.choices import did_you_mean, did_you_mean_run
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, PILOTS, SENSED, STEPS_PER_SECOND, Colour, Picture, font
-from uavnav.evaluate import EPISODES
 from uavnav.files import check_out
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
+from uavnav.tasks.protocol import EPISODES
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import State
 from uavnav.training import machine
@@ -278,41 +277,9 @@ def _pyav() -> Any:
     return av
 
 
-RUN_HELP = f"a run's folder, a Stable-Baselines3 .zip, or {', '.join(BASELINES)}"
-GREEDY = "take the best action always, instead of acting as in training (sampled, or with the final epsilon)"
-
-
-def flight_arguments(parser: argparse.ArgumentParser) -> None:
-    """What every command that flies policies asks: which seed, how, and where."""
-    parser.add_argument("--seed", type=int, help="training seed (default: each run's first)")
-    parser.add_argument("--greedy", action="store_true", help=GREEDY)
-    parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
-    parser.add_argument("--layouts", default="test", help=f"{', '.join(banks.SPLITS)} or a bank's path (default: test)")
-    parser.add_argument("--layout", type=int, default=0, help="index of the obstacle set (default: 0)")
-    plugins.argument(parser)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Draw flights of policies on the same set of obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
-    parser = Parser(
-        prog="python -m uavnav.render",
-        description=main.__doc__,
-        epilog="example: python -m uavnav.render runs/ppo/relu reactive --out flight.gif",
-    )
-    parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN_HELP)
-    parser.add_argument(
-        "--out", type=Path, default=Path("flight.gif"), help="an .mp4, .gif or .png file (default: flight.gif)"
-    )
-    flight_arguments(parser)
-    parser.add_argument("--steps", type=int, default=500, help="steps at most (default: 500)")
-    parser.add_argument("--every", type=int, default=1, help="steps from one picture to the next (default: 1)")
-    parser.add_argument(
-        "--speed", type=float, default=1.0, help=f"times as fast as {STEPS_PER_SECOND} steps a second (default: 1)"
-    )
-    parser.add_argument(
-        "--width", type=int, default=480, help="width of one flight [px] (default: 480); an MP4 is padded to even sizes"
-    )
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("render", argv)
     try:
         if min(arguments.steps, arguments.every) < 1:
             raise ValueError("--steps and --every are at least 1")
@@ -331,7 +298,7 @@ def main(argv: list[str] | None = None) -> int:
             film = Film(flown, bank[arguments.layout], arguments.width, arguments.every)
             save(film, arguments.out, rate)
     except ValueError as error:
-        print(f"uavnav.render: {policies.as_option(error)}", file=sys.stderr)
+        print(f"uavnav render: {policies.as_option(error)}", file=sys.stderr)
         return 2
     for flight in flown:
         last = flight.states[-1]

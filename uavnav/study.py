@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from uavnav import engines, plugins, studies
-from uavnav.choices import ConfigError, Parser
+from uavnav import commands, engines, plugins, studies
+from uavnav.choices import ConfigError
 from uavnav.report import report
 from uavnav.runs import PROGRESS, read_settings
 from uavnav.runs.tables import RunError
@@ -172,13 +172,7 @@ def _print_status(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Train, evaluate and report the cells of a study, on this machine or on a cluster."""
-    parser = Parser(prog="uavnav study", description=main.__doc__)
-    parser.add_argument("name", metavar="NAME", help="of a study, or a yaml file of your own")
-    parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help=", ".join(KEYS))
-    parser.add_argument("--status", action="store_true", help="say which cells are finished, under way, missing")
-    parser.add_argument("--json", action="store_true", help="the status as JSON")
-    parser.add_argument("--quiet", action="store_true", help="show no progress")
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("study", argv)
     try:
         return carry_out(arguments.name, arguments.settings, arguments.status, arguments.json, arguments.quiet)
     except Interrupted as stop:

@@ -1,6 +1,6 @@
 """Repeat a run from its config.yaml and say whether the rows and weights are the same, bit for bit.
 
-`python -m uavnav.verify RUN [--frames N]`
+`uavnav verify RUN [--frames N]`
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from uavnav import plugins
+from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError, Parser, choose_from
+from uavnav.choices import ConfigError, choose_from
 from uavnav.policies import as_option
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import finished
@@ -157,21 +157,17 @@ def _differing(there: dict[str, Any], here: dict[str, Any]) -> list[tuple[str, A
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit."""
-    parser = Parser(prog="python -m uavnav.verify", description=main.__doc__)
-    parser.add_argument("run", type=Path, metavar="RUN", help="a finished run's folder")
-    parser.add_argument("--frames", type=int, help="repeat only the first so many frames per seed")
-    plugins.argument(parser)
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("verify", argv)
     try:
         plugins.load(arguments.plugins)
         if arguments.frames is not None and arguments.frames < 1:
             raise ConfigError(f"--frames {arguments.frames}: give a number of at least 1")
         verdict = verify(Run(arguments.run), arguments.frames)
     except Interrupted as stop:
-        print("uavnav.verify: stopped, nothing was compared", file=sys.stderr)
+        print("uavnav verify: stopped, nothing was compared", file=sys.stderr)
         return 128 + stop.signum
     except (ConfigError, LayoutError, RunError) as error:
-        print(f"uavnav.verify: {as_option(error)}", file=sys.stderr)
+        print(f"uavnav verify: {as_option(error)}", file=sys.stderr)
         return 2
     print("\n".join(verdict.lines))
     return 0 if verdict.same else 1

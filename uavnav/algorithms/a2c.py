@@ -20,6 +20,7 @@ from torchrl.objectives import A2CLoss
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.ppo import make_actor_critic, make_advantage, make_networks
+from uavnav.help import key
 from uavnav.networks import Init
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
@@ -38,17 +39,17 @@ LOG_FRAMES = 2_000
 
 @dataclass(frozen=True, kw_only=True)
 class A2CConfig(TrainConfig):
-    """A2C's settings; the defaults are the preset `paper`, here Stable-Baselines3's: the paper has no A2C."""
+    """Advantage Actor-Critic, which the paper does not have; the defaults are Stable-Baselines3's."""
 
     algorithm: ClassVar[str] = "a2c"
 
-    n_steps: int = at_least(5, 1)  # of every world, between two gradient steps
-    lr: float = at_least(7e-4, 0)
-    rms_eps: float = at_least(1e-5, 0)
-    gae_lambda: float = within(1.0, 0, 1)
-    critic_coeff: float = at_least(0.5, 0)
-    entropy_coeff: float = at_least(0.0, 0)
-    init: Init = "orthogonal"  # gains sqrt(2), 0.01 policy, 1 value (decision 15)
+    n_steps: int = at_least(5, 1, "of every world in a rollout, and so in a gradient step", "steps")
+    lr: float = at_least(7e-4, 0, "RMSprop's learning rate")
+    rms_eps: float = at_least(1e-5, 0, "RMSprop's ε")
+    gae_lambda: float = within(1.0, 0, 1, "λ of the advantage estimate")
+    critic_coeff: float = at_least(0.5, 0, "weight of the value loss")
+    entropy_coeff: float = at_least(0.0, 0, "weight of the entropy bonus")
+    init: Init = key("orthogonal", "of the weights, with gains √2, 0.01 (policy) and 1 (value) if orthogonal")
 
     @property
     def frames_per_iteration(self) -> int:

@@ -24,6 +24,7 @@ from torchrl.objectives import DQNLoss, HardUpdate
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError
+from uavnav.help import key
 from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes
@@ -46,7 +47,7 @@ FRAME_BYTES = 14
 
 @dataclass(frozen=True, kw_only=True)
 class DQNConfig(TrainConfig):
-    """DQN's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
+    """Deep Q-Network, sec. 3.2; the defaults are Stable-Baselines3's of the paper's time."""
 
     algorithm: ClassVar[str] = "dqn"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
@@ -74,21 +75,23 @@ class DQNConfig(TrainConfig):
         ("paper", False): (373.5, 26.2),
     }
 
-    n_worlds: int = at_least(64, 1)  # parallel worlds per seed, 16 updates after each step of all of them
-    lr: float = at_least(1e-4, 0)
+    n_worlds: int = at_least(64, 1)
+    lr: float = at_least(1e-4, 0, "Adam's learning rate")
     max_grad_norm: float = at_least(10.0, 0)
-    buffer_size: int = at_least(1_000_000, 1)  # frames per seed
-    learning_starts: int = at_least(50_000, 0)  # frames of uniformly random actions, without updates
-    batch_size: int = at_least(32, 1)
-    frames_per_update: int = at_least(4, 1)
-    target_update_frames: int = at_least(10_000, 1)
-    epsilon_start: float = within(1.0, 0, 1)
-    epsilon_end: float = within(0.05, 0, 1)
-    exploration_fraction: float = within(0.1, 0, 1)  # of total_frames, over which epsilon falls
-    adam_eps: float = at_least(1e-8, 0)
-    loss: Literal["huber", "squared"] = "huber"  # SB3's, or eq. (1)'s
-    n_steps: int = at_least(1, 1)  # rewards in a target before Q takes over
-    double: bool = False  # a' is the best of theta instead of theta-: double Q-learning (van Hasselt et al. 2016)
+    buffer_size: int = at_least(1_000_000, 1, "the newest so many are kept", "frames a seed")
+    learning_starts: int = at_least(50_000, 0, "of uniformly random actions, without updates", "frames a seed")
+    batch_size: int = at_least(32, 1, "in a gradient step", "transitions")
+    frames_per_update: int = at_least(4, 1, "for each gradient step", "frames a seed")
+    target_update_frames: int = at_least(
+        10_000, 1, "between two copies of the network into the target", "frames a seed"
+    )
+    epsilon_start: float = within(1.0, 0, 1, "of random actions at frame 0", "share")
+    epsilon_end: float = within(0.05, 0, 1, "of random actions at the end of the fall", "share")
+    exploration_fraction: float = within(0.1, 0, 1, "of total_frames, over which ε falls", "share")
+    adam_eps: float = at_least(1e-8, 0, "Adam's ε")
+    loss: Literal["huber", "squared"] = key("huber", "Stable-Baselines3's, or squared as in eq. (1)")
+    n_steps: int = at_least(1, 1, "whose rewards are in a target before Q takes over", "steps")
+    double: bool = key(False, "double Q-learning: the best action is the network's, its value the target's")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -27,6 +27,7 @@ from torchrl.objectives.value import GAE
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError
+from uavnav.help import key
 from uavnav.networks import Init, mlp
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes
@@ -45,7 +46,7 @@ HOW = ALGORITHMS["ppo"]
 
 @dataclass(frozen=True, kw_only=True)
 class PPOConfig(TrainConfig):
-    """PPO's settings; the defaults are the preset `paper`, Stable-Baselines3's defaults of the paper's time."""
+    """Proximal Policy Optimization, sec. 3.3; the defaults are Stable-Baselines3's of the paper's time."""
 
     algorithm: ClassVar[str] = "ppo"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
@@ -66,15 +67,16 @@ class PPOConfig(TrainConfig):
         ("fast", True): (4.6, 35.4),
     }
 
-    frames_per_batch: int = at_least(2048, 1)  # collected per seed and iteration, in n_worlds parallel worlds
-    minibatch_size: int = at_least(64, 2)
-    epochs: int = at_least(10, 1)
-    adam_eps: float = at_least(1e-5, 0)
-    gae_lambda: float = within(0.95, 0, 1)
-    clip_epsilon: float | None = within(0.2, 0, 1)  # null: nothing is clipped
-    critic_coeff: float = at_least(0.5, 0)
-    entropy_coeff: float = at_least(0.0, 0)
-    init: Init = "orthogonal"  # gains sqrt(2), 0.01 policy, 1 value (decision 15)
+    lr: float = at_least(3e-4, 0, "Adam's learning rate")
+    frames_per_batch: int = at_least(2048, 1, "collected in an iteration, from all worlds", "frames a seed")
+    minibatch_size: int = at_least(64, 2, "in a gradient step", "frames")
+    epochs: int = at_least(10, 1, "passes over an iteration's frames")
+    adam_eps: float = at_least(1e-5, 0, "Adam's ε")
+    gae_lambda: float = within(0.95, 0, 1, "λ of the advantage estimate")
+    clip_epsilon: float | None = within(0.2, 0, 1, "ε of eq. (2); null clips nothing")
+    critic_coeff: float = at_least(0.5, 0, "weight of the value loss")
+    entropy_coeff: float = at_least(0.0, 0, "weight of the entropy bonus")
+    init: Init = key("orthogonal", "of the weights, with gains √2, 0.01 (policy) and 1 (value) if orthogonal")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,6 +1,6 @@
 """Benchmarks: the world, training and its peers, side by side on this machine, into one Markdown file.
 
-`python -m uavnav.bench` measures in about 40 minutes what a plain run measures, `--quick` a first impression in 3.
+`uavnav bench` measures in about 40 minutes what a plain run measures, `--quick` a first impression in 3.
 `--only` chooses sections, also those that take longer: `growth` and `parity`. Sections that were not measured
 stay as they are in the file. A run that is stopped writes what it has found by then, and marks it.
 
@@ -15,20 +15,17 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from rich.console import Console
 
+from uavnav import commands
+from uavnav.bench import BY_DEFAULT, OUT, QUICK, SCRATCH
 from uavnav.bench.page import write_figure, write_sections
 from uavnav.bench.plan import Measurement
 from uavnav.bench.runner import Runner
-from uavnav.bench.sections import BY_DEFAULT, QUICK, SECTIONS, write
-from uavnav.choices import Parser
+from uavnav.bench.sections import SECTIONS, write
 from uavnav.files import check_out
 
-OUT = Path("docs/benchmarks.md")
-SCRATCH = Path("build/bench")
-"""The folder of compiled graphs, and of what `--quick` writes."""
 STOPS = (signal.SIGTERM, signal.SIGHUP)
 """Signals that stop a run as Ctrl-C does."""
 
@@ -41,18 +38,14 @@ def plan(names: Sequence[str], quick: bool) -> list[Measurement]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure the world, training and its peers on this machine, and write it down; 40 minutes."""
-    parser = Parser(prog="python -m uavnav.bench", description=main.__doc__)
-    parser.add_argument("--quick", action="store_true", help="a first impression: 3 minutes, 5 if caches are cold")
-    sections = f"of {', '.join(SECTIONS)} (default: {', '.join(BY_DEFAULT)})"
-    parser.add_argument("--only", nargs="+", choices=tuple(SECTIONS), metavar="SECTION", help=sections)
-    parser.add_argument("--out", type=Path, help=f"the file (default: {OUT}; with --quick {SCRATCH / 'quick.md'})")
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("bench", argv)
     names = [name for name in SECTIONS if name in (arguments.only or (QUICK if arguments.quick else BY_DEFAULT))]
     out = arguments.out or (SCRATCH / "quick.md" if arguments.quick else OUT)
     try:
         check_out(out)
     except ValueError as error:
-        parser.error(str(error))
+        print(f"uavnav bench: {error}", file=sys.stderr)
+        return 2
     console = Console(highlight=False, soft_wrap=True, markup=False)
     runner = Runner(SCRATCH, console.print)
     for number in STOPS:
@@ -76,14 +69,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # nobody reads on: `terminal` ends it
         raise
     except OSError as error:
-        print(f"uavnav.bench: {error}", file=sys.stderr)
+        print(f"uavnav bench: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("uavnav.bench: stopped while it wrote; the file is whole or as it was", file=sys.stderr)
+        print("uavnav bench: stopped while it wrote; the file is whole or as it was", file=sys.stderr)
         return 130
     if runner.stopped:
         kept = f"what was found so far is in {out}" if found else "nothing was found yet"
-        print(f"uavnav.bench: stopped; {kept}", file=sys.stderr)
+        print(f"uavnav bench: stopped; {kept}", file=sys.stderr)
     return 130 if runner.stopped else 0
 
 

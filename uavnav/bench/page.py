@@ -13,14 +13,15 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from uavnav import files
+from uavnav.bench import BY_DEFAULT
 from uavnav.bench.plan import CORES
 from uavnav.bench.results import clock, when
-from uavnav.bench.sections import BY_DEFAULT, SECTIONS
+from uavnav.bench.sections import SECTIONS
 from uavnav.tasks.world import VERSION
 
 HEADER = """# Benchmarks
 
-Written by `python -m uavnav.bench`, on one machine, one measurement after the other, each in a fresh process. Figures
+Written by `uavnav bench`, on one machine, one measurement after the other, each in a fresh process. Figures
 are medians over rounds; a ratio is the median of the rounds' ratios. Machines differ and drift: compare
 ratios only."""
 MARK = re.compile(r"^<!-- bench: (\w+) -->\n", flags=re.MULTILINE)

@@ -265,31 +265,27 @@ class Section(NamedTuple):
     plan: Callable[[bool], list[Measurement]]
     write: Callable[[Results], list[str]]
     draw: Callable[[Results], Figure] | None = None
-    quick: bool = False  # whether a quick run measures it
-    by_default: bool = True  # whether a plain run measures it
     kept: bool = False  # whether its rows are kept, so that it can be written again at any time
 
 
 SECTIONS = {
-    "world": Section("The world", plan.world, write_world, quick=True),
-    "gymnasium": Section("Gymnasium", plan.gymnasium, write_gymnasium, quick=True),
-    "training": Section("Training", plan.training, write_training, quick=True),
+    "world": Section("The world", plan.world, write_world),
+    "gymnasium": Section("Gymnasium", plan.gymnasium, write_gymnasium),
+    "training": Section("Training", plan.training, write_training),
     "stages": Section("Where the time goes", plan.stages, write_stages),
     "compile": Section("Compilation", plan.compilation, write_compile),
     "memory": Section("Memory", plan.memory, write_memory),
     "fast": Section("Preset `fast`", plan.fast, write_fast),
-    "growth": Section("Growth", growth.plan, growth.section, growth.draw, by_default=False),
+    "growth": Section("Growth", growth.plan, growth.section, growth.draw),
     "parity": Section(
         "Parity: is the learning the same?",
         lambda quick: parity.Store().plan(),
         lambda results: parity.section(parity.Store()),
         lambda results: parity.draw(parity.Store()),
-        by_default=False,
         kept=True,
     ),
 }
-QUICK = [name for name, section in SECTIONS.items() if section.quick]
-BY_DEFAULT = [name for name, section in SECTIONS.items() if section.by_default]
+"""In the order of the file: those of `bench.BY_DEFAULT`, then those of `bench.LONGER`."""
 
 
 def write(results: Results, names: list[str]) -> dict[str, list[str]]:

@@ -1,12 +1,12 @@
-"""`python -m uavnav.report`: the command."""
+"""`uavnav report`: the command."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 
-from uavnav import plugins
-from uavnav.choices import ConfigError, Parser
+from uavnav import commands, plugins
+from uavnav.choices import ConfigError
 from uavnav.report import report
 from uavnav.report.cells import one_line
 from uavnav.runs.tables import RunError
@@ -14,22 +14,18 @@ from uavnav.runs.tables import RunError
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write report.html: verdicts on the paper's claims, its tables beside ours, figures, statistics, replays."""
-    parser = Parser(prog="python -m uavnav.report", description=main.__doc__)
-    parser.add_argument("folders", nargs="*", default=["results"], metavar="FOLDER", help="of runs (default: results)")
-    parser.add_argument("--out", metavar="DIR", help="where the report goes (default: the first FOLDER)")
-    plugins.argument(parser)
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("report", argv)
     try:
         plugins.load(arguments.plugins)
         written = report(arguments.folders, arguments.out)
     except (ConfigError, RunError) as error:
-        print(f"uavnav.report: {one_line(error)}", file=sys.stderr)
+        print(f"uavnav report: {one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("uavnav.report: stopped; no report was written", file=sys.stderr)
+        print("uavnav report: stopped; no report was written", file=sys.stderr)
         return 130
     for line in written.left_out:
-        print(f"uavnav.report: left out: {line}", file=sys.stderr)
+        print(f"uavnav report: left out: {line}", file=sys.stderr)
     print(f"the report is in {written.path}")
     return 0
 

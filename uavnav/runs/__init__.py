@@ -37,6 +37,8 @@ FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", POL
 PROGRESS = "progress.json"
 STOP = "stop"
 LOG_FOLDERS = ("tensorboard", "wandb")
+KINDS = {"algorithm": str, "activation": str, "seed": int, "n_seeds": int}
+"""What every config.yaml holds."""
 
 
 class Run:
@@ -59,8 +61,8 @@ class Run:
         self.meta: dict[str, Any] = read_settings(self.path / "meta.json")
         if self.meta.get("status") != FINISHED:
             raise RunError(f"{path}: the run is not finished; give the same command again to complete it")
-        self._check("config.yaml", self.config, {"algorithm": str, "activation": str, "seed": int, "n_seeds": int})
-        self._check("meta.json", self.meta, {"frames": int})
+        check_settings(self.path / "config.yaml", self.config)
+        check_settings(self.path / "meta.json", self.meta, {"frames": int})
         self.algorithm: str = self.config.pop("algorithm")
         self.config = modern(self.config)
         self.episodes = self._table("episodes.parquet", FIRST_COLUMNS)
@@ -91,11 +93,6 @@ class Run:
         name = next((path.name for path in self.evaluations()), EVALUATION)
         return self.path / name.replace(Path(EVALUATION).stem, Path(BEHAVIOUR).stem, 1)
 
-    def _check(self, name: str, there: Mapping[str, Any], kinds: Mapping[str, type]) -> None:
-        for key, kind in kinds.items():
-            if type(there.get(key)) is not kind or (key == "n_seeds" and there[key] < 1):
-                raise RunError(f"{self.path / name}: not a run's, its {key}={there.get(key)}; give a run's folder")
-
     def _table(self, name: str, columns: Mapping[str, str]) -> pd.DataFrame:
         again = "evaluate the run again" if name.startswith(Path(EVALUATION).stem) else "run again with overwrite=true"
         return read_table(self.path / name, columns, again)
@@ -111,6 +108,13 @@ def read_settings(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RunError(f"{path}: not {what}; give a run's folder")
     return content
+
+
+def check_settings(path: Path, there: Mapping[str, Any], kinds: Mapping[str, type] = KINDS) -> None:
+    """Raise a RunError where what a file holds is no run's; kinds: of the keys that it must have."""
+    for key, kind in kinds.items():
+        if type(there.get(key)) is not kind or (key == "n_seeds" and there[key] < 1):
+            raise RunError(f"{path}: not a run's, its {key}={there.get(key)}; give a run's folder")
 
 
 def modern(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.world import World
 
 AnyPolicy = Callable[[Tensor, torch.Generator | None], Tensor]
@@ -40,4 +41,4 @@ def reactive(observation: Tensor, generator: torch.Generator | None = None) -> T
     return torch.where(closest > WORLD.drone_radius + MARGIN, FULL_SPEED, LEFT_IN_PLACE)
 
 
-BASELINES: dict[str, AnyPolicy] = {"random": uniform_random, "straight": straight_ahead, "reactive": reactive}
+BASELINES: dict[str, AnyPolicy] = dict(zip(SCRIPTS, (uniform_random, straight_ahead, reactive), strict=True))

@@ -1,7 +1,7 @@
 """Banks of obstacle sets: generate, save, load and validate; the disjoint splits `train`, `validation` and `test`.
 
 A bank is a float32 tensor [n, k, 3] of (x, y, radius) in px, stored as safetensors with a header that says how it was
-made. `python -m uavnav.layouts` writes the three that ship with the package, or others; see its --help.
+made. `uavnav layouts` writes the three that ship with the package, or others; see its --help.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -19,23 +18,11 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialize
 from torch import Tensor
 
-from uavnav import files
-from uavnav.choices import Parser, did_you_mean
+from uavnav import commands, files
+from uavnav.choices import did_you_mean
+from uavnav.tasks.protocol import DEFAULT_K
+from uavnav.tasks.protocol import SPLITS as SPLITS  # also asked for as a name of this module
 from uavnav.tasks.world import VERSION, World
-
-DEFAULT_K = 8
-"""Obstacles per set (decision 1)."""
-
-
-class Split(NamedTuple):
-    """How many sets a shipped bank has, and the seed that it is generated from."""
-
-    n: int
-    seed: int
-
-
-SPLITS = {"train": Split(10_000, 0), "validation": Split(1_000, 2), "test": Split(1_000, 1)}
-"""Train on one, choose on the second, judge on the third: seeds of one distribution, with no set in common."""
 
 
 class LayoutError(ValueError):
@@ -91,7 +78,7 @@ def save(bank: Tensor, path: str | Path, *, seed: int, split: str) -> None:
 
 
 def load(layouts: str | Path) -> Tensor:
-    """Read a bank: `train`, `validation`, `test`, or the path of a file that `python -m uavnav.layouts` wrote.
+    """Read a bank: `train`, `validation`, `test`, or the path of a file that `uavnav layouts` wrote.
 
     Returns:
         Tensor [n, k, 3] float32 of (x, y, radius) px.
@@ -126,9 +113,9 @@ def read(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
             header = file.metadata() or {}
             bank = file.get_tensor("obstacles") if "obstacles" in file.keys() else None  # noqa: SIM118
     except (OSError, SafetensorError) as error:
-        raise LayoutError(f"{path}: not a readable bank ({error}); make one with python -m uavnav.layouts") from error
+        raise LayoutError(f"{path}: not a readable bank ({error}); make one with uavnav layouts") from error
     if bank is None:
-        raise LayoutError(f"{path}: holds no tensor `obstacles`; make one with python -m uavnav.layouts")
+        raise LayoutError(f"{path}: holds no tensor `obstacles`; make one with uavnav layouts")
     if header.get("world_version") != VERSION:
         raise LayoutError(
             f"{path}: made for world version {header.get('world_version')}, this is {VERSION}; generate it anew"
@@ -208,16 +195,7 @@ def checksum(bank: Tensor) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Generate banks, or check that files are what their headers say."""
-    sizes = ", ".join(f"{split.n:,} {name}" for name, split in SPLITS.items())
-    seeds = ", ".join(f"{split.seed} {name}" for name, split in SPLITS.items())
-    parser = Parser(prog="python -m uavnav.layouts", description=main.__doc__)
-    parser.add_argument("--out", type=Path, default=Path("banks"), help="folder for the banks (default: banks)")
-    parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which bank to write")
-    parser.add_argument("--k", type=int, default=DEFAULT_K, help="obstacles per set, 0 for an empty arena")
-    parser.add_argument("--n", type=int, help=f"sets in the bank (default: {sizes})")
-    parser.add_argument("--seed", type=int, help=f"generator seed (default: {seeds})")
-    parser.add_argument("--check", nargs="+", metavar="BANK", help="regenerate these from their headers and compare")
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("layouts", argv)
     try:
         if arguments.check:
             for layouts in arguments.check:
@@ -234,7 +212,7 @@ def main(argv: list[str] | None = None) -> int:
             save(generate(n, arguments.k, seed), path, seed=seed, split=split)
             print(f"wrote {path}: {n} sets of {arguments.k} obstacles from seed {seed}")
     except LayoutError as error:
-        print(f"uavnav.layouts: {error}", file=sys.stderr)
+        print(f"uavnav layouts: {error}", file=sys.stderr)
         return 2
     return 0
 

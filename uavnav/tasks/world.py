@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_type_hints
 
 from uavnav.choices import did_you_mean
+from uavnav.help import key
 
 VERSION = "1"
 """Version of the world's semantics and of the distribution of obstacles; written into every bank, run and policy."""
@@ -31,24 +32,24 @@ class World:
         ValueError: a switch has a value that is not among its choices, or the geometry makes no sense.
     """
 
-    width: int = 800  # [px] sec. 3.6
-    height: int = 600  # [px] sec. 3.6
-    border: int = 20  # side of a border square [px], sec. 3.6
-    obstacle_radius_min: float = 30.0  # [px] sec. 3.6
-    obstacle_radius_max: float = 100.0  # [px] sec. 3.6
-    drone_radius: float = 30.0  # r_d [px], sec. 3.6
-    sensor_radius: float = 120.0  # R_s [px] from the drone's centre, sec. 3.6
-    sensor_arc: float = 180.0  # [degrees] centred on the heading, sec. 3.6
-    n_slots: int = 10  # obstacles sensed at once, sec. 3.6 and eq. (13)
-    safe_zone: float = 50.0  # [px] from the start to the edge of every obstacle, sec. 4.1
-    n_turns: int = 10  # eq. (11)
-    n_distances: int = 10  # eq. (12)
-    collision_reward: float = -10.0  # eq. (14)
-    penalty: float = -0.01  # a stop or a turn, eq. (14)
-    reward_per_pixel: float = 0.01  # eq. (14)
-    slots: Literal["nearest", "listed"] = "nearest"  # which ten obstacles are sensed (decision 3)
-    padding: Literal["far", "zeros"] = "far"  # what an empty slot holds: (0, 0, 1) or (0, 0, 0) (decision 6)
-    start_heading: Literal["up", "random"] = "up"  # 90 degrees, or uniform over whole degrees (decision 8)
+    width: int = key(800, "of the window, sec. 3.6", "px")
+    height: int = key(600, "of the window, sec. 3.6", "px")
+    border: int = key(20, "side of a border square, sec. 3.6", "px")
+    obstacle_radius_min: float = key(30.0, "of the smallest circle, sec. 3.6", "px")
+    obstacle_radius_max: float = key(100.0, "of the largest circle, sec. 3.6", "px")
+    drone_radius: float = key(30.0, "r_d, sec. 3.6", "px")
+    sensor_radius: float = key(120.0, "R_s, from the drone's centre, sec. 3.6", "px")
+    sensor_arc: float = key(180.0, "of the sensor, centred on the heading, sec. 3.6", "degrees")
+    n_slots: int = key(10, "sensed at once, sec. 3.6 and eq. (13)", "obstacles")
+    safe_zone: float = key(50.0, "from the start to the edge of every obstacle, sec. 4.1", "px")
+    n_turns: int = key(10, "turns to choose from, eq. (11)")
+    n_distances: int = key(10, "distances to choose from, eq. (12)")
+    collision_reward: float = key(-10.0, "for a collision, eq. (14)", "reward")
+    penalty: float = key(-0.01, "for a stop or a turn, eq. (14)", "reward")
+    reward_per_pixel: float = key(0.01, "for flying straight on, eq. (14)", "reward per px")
+    slots: Literal["nearest", "listed"] = key("nearest", "which ten obstacles are sensed (decision 3)")
+    padding: Literal["far", "zeros"] = key("far", "an empty slot: (0, 0, 1) or (0, 0, 0) (decision 6)")
+    start_heading: Literal["up", "random"] = key("up", "90 degrees, or uniform over whole degrees (decision 8)")
 
     def __post_init__(self) -> None:
         hints = get_type_hints(type(self))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import types
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_hints
 
 import torch
 
 from uavnav.choices import ConfigError, unknown, unknown_key
+from uavnav.help import key
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import modern
 from uavnav.tasks.rewards import REWARDS
@@ -17,19 +18,19 @@ from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.world import World
 
 
-def one_of(default: str, choices: Collection[str]) -> Any:
-    """A field whose value is one of a table's names."""
-    return field(default=default, metadata={"choices": choices})
+def one_of(default: str, choices: Collection[str], what: str = "") -> Any:
+    """A field whose value is one of a table's names; what: it means."""
+    return key(default, what, choices=choices)
 
 
-def at_least(default: float, least: float) -> Any:
-    """A numeric field with a smallest value."""
-    return field(default=default, metadata={"least": least})
+def at_least(default: float | None, least: float, what: str = "", unit: str = "") -> Any:
+    """A numeric field with a smallest value; what: it means, in which unit."""
+    return key(default, what, unit, least=least)
 
 
-def within(default: float, least: float, most: float) -> Any:
-    """A numeric field with a smallest and a largest value."""
-    return field(default=default, metadata={"least": least, "most": most})
+def within(default: float, least: float, most: float, what: str = "", unit: str = "") -> Any:
+    """A numeric field with a smallest and a largest value; what: it means, in which unit."""
+    return key(default, what, unit, least=least, most=most)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,25 +50,25 @@ class TrainConfig:
     algorithm: ClassVar[str]
     """Its name in `uavnav.algorithms.ALGORITHMS`."""
 
-    preset: str = "paper"
-    activation: str = one_of("tanh", ACTIVATIONS)
-    seed: int = within(0, 0, 2**31 - 1)  # seeds are seed ... seed + n_seeds - 1
-    n_seeds: int = at_least(1, 1)
-    total_frames: int = at_least(1_000_000, 1)
-    n_worlds: int = at_least(16, 1)  # parallel worlds per seed
-    hidden: tuple[int, ...] = (64, 64)
-    lr: float = at_least(3e-4, 0)
-    gamma: float = within(0.99, 0, 1)
-    max_grad_norm: float = at_least(0.5, 0)  # of each agent's gradient
-    init: Init = "default"
-    layer_norm: bool = False  # before each activation, without parameters of its own
-    layouts: str = "train"
-    max_steps: int | None = field(default=None, metadata={"least": 1})
-    reward: str = one_of("eq14", REWARDS)
-    task: str = one_of("drone", TASKS)
-    world: World = None  # type: ignore[assignment]  # the task's own, unless some of its fields are given
-    device: str = "cpu"
-    compile: Literal["auto", "on", "off"] = "auto"
+    preset: str = key("paper", "which table of settings to start from")
+    activation: str = one_of("tanh", ACTIVATIONS, "of the hidden layers")
+    seed: int = within(0, 0, 2**31 - 1, "the first of the seeds")
+    n_seeds: int = at_least(1, 1, "trained side by side, their seeds counted from the first", "agents")
+    total_frames: int = at_least(1_000_000, 1, "as many, in whole iterations", "frames a seed")
+    n_worlds: int = at_least(16, 1, "that fly side by side", "worlds a seed")
+    hidden: tuple[int, ...] = key((64, 64), "of each hidden layer", "units")
+    lr: float = at_least(3e-4, 0, "learning rate")
+    gamma: float = within(0.99, 0, 1, "discount of a step")
+    max_grad_norm: float = at_least(0.5, 0, "to which each agent's gradient is scaled down")
+    init: Init = key("default", "of the weights; default is PyTorch's, unit suits gains to activations")
+    layer_norm: bool = key(False, "LayerNorm before each activation, without parameters of its own")
+    layouts: str = key("train", "bank of obstacles: train, validation, test, or a file's path")
+    max_steps: int | None = at_least(None, 1, "cap on an episode, which truncates it", "steps")
+    reward: str = one_of("eq14", REWARDS, "what a step earns")
+    task: str = one_of("drone", TASKS, "what is flown")
+    world: World = key(None, "fields of the world that differ from the task's own")
+    device: str = key("cpu", "where tensors live")
+    compile: Literal["auto", "on", "off"] = key("auto", "auto compiles runs of 100,000 frames and more")
 
     def __new__(cls, **given: Any) -> Self:
         self = super().__new__(cls)
@@ -101,9 +102,9 @@ class TrainConfig:
             ConfigError: there is no such key, or as for the constructor.
         """
         names = [item.name for item in fields(cls)]
-        for key in mapping:
-            if key not in names:
-                raise unknown_key(key, [*names, *(f"world.{item.name}" for item in fields(World))])
+        for name in mapping:
+            if name not in names:
+                raise unknown_key(name, [*names, *(f"world.{item.name}" for item in fields(World))])
         return cls(**mapping)
 
     @classmethod

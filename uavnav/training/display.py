@@ -152,13 +152,23 @@ def _rounded(took: float) -> str:
     return f"{took / 60:.0f} min" if took < 90 * 60 else f"{took / 3600:.0f} h"
 
 
-def summary(run: Run) -> Table:
-    """The six metrics of a finished run, per frame, by the log curve and per episode, beside the paper's row."""
-    config, rhythm = run.config, ALGORITHMS[run.algorithm].rhythm(run.config)
+def _readings(run: Run) -> dict[str, pd.DataFrame]:
+    """A finished run per frame, by the log curve and per episode."""
+    rhythm = ALGORITHMS[run.algorithm].rhythm(run.config)
     readings = {PER_FRAME: per_frame(run.episodes, run.frames)}
     if rhythm is not None:
         readings[LOG_CURVE] = log_curve(run.episodes, run.frames, *rhythm)
-    readings[ALL] = per_seed(run.episodes)
+    return readings | {ALL: per_seed(run.episodes)}
+
+
+def _flown(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """An evaluation in each of its modes; rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`."""
+    return {mode: per_seed(rows[rows["mode"] == mode]) for mode in rows["mode"].unique()}
+
+
+def summary(run: Run) -> Table:
+    """The six metrics of a finished run, per frame, by the log curve and per episode, beside the paper's row."""
+    config = run.config
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
     changes = [f"{name}={value}" for name, value in run.meta.get("beyond_preset", {}).items()]
@@ -168,9 +178,38 @@ def summary(run: Run) -> Table:
         f"{run.frames:,} frames per seed; {seeds}; {len(run.episodes):,} training episodes;"
         f" {run.meta['bank']['k']} obstacles a set; reward {config['reward']}; init {config['init']};"
         f" steps and distance {PER_FRAME} are per collision",
-        readings,
+        _readings(run),
         paper.TABLES.get((run.algorithm, config["activation"]), {}),
     )
+
+
+def record(run: Run) -> dict[str, Any]:
+    """What the tables of a finished run and of its evaluation show, for JSON."""
+    rows, activation = run.evaluation(), run.config["activation"]
+    facts = {"run": str(run.path), "algorithm": run.algorithm, "activation": activation, "frames": run.frames}
+    readings = _readings(run) | ({} if rows is None else _flown(rows))
+    return facts | {"seeds": run.seeds, "seconds": run.meta["wall_seconds"], "metrics": _numbers(readings)}
+
+
+def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
+    """What `evaluation_summary` shows, for JSON."""
+    seeds, sets = sorted(map(int, rows["seed"].unique())), int(rows["layout"].nunique())
+    return {"seeds": seeds, "sets": sets, "metrics": _numbers(_flown(rows))}
+
+
+def _numbers(readings: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+    """Of each reading, each metric's mean and standard deviation over seeds; null where there is none."""
+    found: dict[str, Any] = {}
+    for reading, seeds in readings.items():
+        known = {name: seeds[name].dropna().tolist() for name in METRICS}
+        found[reading] = {
+            name: {
+                "mean": statistics.mean(values) if values else None,
+                "sd": statistics.stdev(values) if len(values) > 1 else None,
+            }
+            for name, values in known.items()
+        }
+    return found
 
 
 def _metric_table(
@@ -197,14 +236,14 @@ def evaluation_summary(rows: pd.DataFrame, algorithm: str, activation: str = "")
 
     rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`.
     """
-    modes = {mode: rows[rows["mode"] == mode] for mode in rows["mode"].unique()}
-    censored = ", ".join(f"{part['truncated'].mean():.0%} {mode}" for mode, part in modes.items())
+    flown = _flown(rows)
+    censored = ", ".join(f"{rows.loc[rows['mode'] == mode, 'truncated'].mean():.0%} {mode}" for mode in flown)
     n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
     seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
     return _metric_table(
         f"{f'{algorithm} {activation}'.strip()} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
         f"{seeds}; cut off at the cap on steps: {censored}",
-        {mode: per_seed(part) for mode, part in modes.items()},
+        flown,
         paper.TABLES.get((algorithm, activation), {}),
         "episode",
     )
@@ -212,8 +251,13 @@ def evaluation_summary(rows: pd.DataFrame, algorithm: str, activation: str = "")
 
 def report(run: Run) -> None:
     """Print the summary, how long the run took, and where it is."""
-    Console().print(summary(run))
+    show(summary(run))
     print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}")
+
+
+def show(table: Table) -> None:
+    """Print a table."""
+    Console().print(table)
 
 
 def _console() -> Console:

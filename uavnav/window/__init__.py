@@ -1,1 +1,1 @@
-"""The live window of `python -m uavnav.play`."""
+"""The live window of `uavnav play`."""

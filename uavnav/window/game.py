@@ -19,16 +19,17 @@ from torch import Tensor
 from uavnav import flights
 from uavnav.algorithms import ALGORITHMS
 from uavnav.envs.drawing import PILOTS, STEPS_PER_SECOND, Colour
-from uavnav.evaluate import MAX_STEPS
 from uavnav.policies import Policy
 from uavnav.render import Pilot
 from uavnav.runs.metrics import EPISODE_COLUMNS, FIRST_COLUMNS
 from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.dynamics import decode
+from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import COUNTS, UP, State
 from uavnav.tasks.world import World
+from uavnav.window.keys import BANK, LEFT, RIGHT, ROWS, TURNING
 
 PACES = (1 / 10, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
 """How many times as fast as the simulation's own rate."""
@@ -37,10 +38,6 @@ FINE_TURN = 1  # [degrees] with shift
 KEPT_TRAILS = 5  # of earlier flights on the same set
 
 SHIFTS = frozenset({"left shift", "right shift"})
-LEFT, RIGHT = "left", "right"
-TURNING = frozenset({LEFT, RIGHT})
-ROWS, BANK = Path("results/baselines/human.parquet"), Path("own.safetensors")
-"""Where flights by hand and drawn obstacles are saved if nothing else is said."""
 
 
 class Choice(NamedTuple):
@@ -288,7 +285,7 @@ def save_bank(game: Game) -> Game:
         banks.save(game.obstacles, path, seed=0, split="own")
     except banks.LayoutError as error:
         return replace(game, message=str(error))
-    return replace(game, message=f"Saved: python -m uavnav.play --layouts {path}")
+    return replace(game, message=f"Saved: uavnav play --layouts {path}")
 
 
 def save_flights(game: Game) -> Game:

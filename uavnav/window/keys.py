@@ -1,14 +1,18 @@
-"""The one table of keys of the live window: the help shows it, and `press` acts by it."""
+"""The one table of keys of the live window: the help shows it, and `press` acts by it. It is read without torch."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-from uavnav.window import game as rules
-from uavnav.window.game import LEFT, RIGHT, TURNING, Game
+if TYPE_CHECKING:
+    from uavnav.window.game import Game
+
+LEFT, RIGHT = "left", "right"
+TURNING = frozenset({LEFT, RIGHT})
+ROWS, BANK = Path("results/baselines/human.parquet"), Path("own.safetensors")
+"""Where flights by hand and drawn obstacles are saved if nothing else is said."""
 
 
 class Key(NamedTuple):
@@ -17,35 +21,36 @@ class Key(NamedTuple):
     names: tuple[str, ...]
     shown: str
     does: str
-    act: Callable[[Game], Game]
+    act: str  # a function of `game`
+    by: int | None = None  # its further argument, if it has one
 
 
 ALIASES = {"a": LEFT, "d": RIGHT, "w": "up", "s": "down"}  # as those keys of the table
 
 KEYS = (
-    Key((LEFT,), "← A", "turn 5° left for as long as it is down; with shift 1°", rules.hold),
-    Key((RIGHT,), "→ D", "turn 4° right (the most that eq. 11 has); with shift 1°", rules.hold),
-    Key(("up",), "↑ W", "one pixel a step faster, up to 9", partial(rules.quicker, by=1)),
-    Key(("down",), "↓ S", "one pixel a step slower, down to 0", partial(rules.quicker, by=-1)),
-    Key(("0",), "0", "fly yourself, from where the drone is", partial(rules.seat, pilot=0)),
-    Key(("1",), "1 … 9", "hand the drone to policy 1 … 9, where it is", partial(rules.seat, pilot=1)),
-    *(Key((str(n),), "", "", partial(rules.seat, pilot=n)) for n in range(2, 10)),
-    Key(("tab",), "Tab", "hand it to the next one", rules.next_pilot),
-    Key(("space",), "Space", "pause, go on", rules.pause),
-    Key((".",), ".", "one step, then pause", rules.single_step),
-    Key(("-",), "-", "slower: ½, ¼, ⅒ of 30 steps a second", partial(rules.paced, by=-1)),
-    Key(("=", "+"), "+ =", "faster: up to 4 times", partial(rules.paced, by=1)),
-    Key(("r", "return"), "R Enter", "start again on the same obstacles; the trail stays", rules.reset),
-    Key(("n",), "N", "next set of obstacles", partial(rules.following, by=1)),
-    Key(("p",), "P", "the set before", partial(rules.following, by=-1)),
-    Key(("page down",), "PgDn", "ten sets on", partial(rules.following, by=10)),
-    Key(("page up",), "PgUp", "ten sets back", partial(rules.following, by=-10)),
-    Key(("e",), "E", "draw obstacles; again: fly them", rules.draw),
-    Key(("c", "delete"), "C Del", "while drawing: take all obstacles away", rules.clear),
-    Key(("b",), "B", "save these obstacles as a bank", rules.save_bank),
-    Key(("k",), "K", "keep flights by hand as rows for the report", rules.save_flights),
-    Key(("h", "f1"), "H F1", "this help", rules.show_help),
-    Key(("escape", "q"), "Esc Q", "close the help, the drawing, the window", rules.close),
+    Key((LEFT,), "← A", "turn 5° left for as long as it is down; with shift 1°", "hold"),
+    Key((RIGHT,), "→ D", "turn 4° right (the most that eq. 11 has); with shift 1°", "hold"),
+    Key(("up",), "↑ W", "one pixel a step faster, up to 9", "quicker", 1),
+    Key(("down",), "↓ S", "one pixel a step slower, down to 0", "quicker", -1),
+    Key(("0",), "0", "fly yourself, from where the drone is", "seat", 0),
+    Key(("1",), "1 … 9", "hand the drone to policy 1 … 9, where it is", "seat", 1),
+    *(Key((str(n),), "", "", "seat", n) for n in range(2, 10)),
+    Key(("tab",), "Tab", "hand it to the next one", "next_pilot"),
+    Key(("space",), "Space", "pause, go on", "pause"),
+    Key((".",), ".", "one step, then pause", "single_step"),
+    Key(("-",), "-", "slower: ½, ¼, ⅒ of 30 steps a second", "paced", -1),
+    Key(("=", "+"), "+ =", "faster: up to 4 times", "paced", 1),
+    Key(("r", "return"), "R Enter", "start again on the same obstacles; the trail stays", "reset"),
+    Key(("n",), "N", "next set of obstacles", "following", 1),
+    Key(("p",), "P", "the set before", "following", -1),
+    Key(("page down",), "PgDn", "ten sets on", "following", 10),
+    Key(("page up",), "PgUp", "ten sets back", "following", -10),
+    Key(("e",), "E", "draw obstacles; again: fly them", "draw"),
+    Key(("c", "delete"), "C Del", "while drawing: take all obstacles away", "clear"),
+    Key(("b",), "B", "save these obstacles as a bank", "save_bank"),
+    Key(("k",), "K", "keep flights by hand as rows for the report", "save_flights"),
+    Key(("h", "f1"), "H F1", "this help", "show_help"),
+    Key(("escape", "q"), "Esc Q", "close the help, the drawing, the window", "close"),
 )
 """Every key, in the order of the help; one that is not shown belongs to the line above."""
 
@@ -63,14 +68,26 @@ def press(game: Game, name: str) -> Game:
     """A key went down."""
     name = ALIASES.get(name, name)
     game = replace(game, message="", held=game.held | {name}, tapped=game.tapped | ({name} & TURNING))
-    return _BY_NAME[name].act(game) if name in _BY_NAME else rules.steer(game)
+    if name not in _BY_NAME:
+        return _act(game, "steer")
+    key = _BY_NAME[name]
+    return _act(game, key.act, key.by)
 
 
 def release(game: Game, name: str) -> Game:
     """A key went up."""
-    return rules.steer(replace(game, held=game.held - {ALIASES.get(name, name)}))
+    return _act(replace(game, held=game.held - {ALIASES.get(name, name)}), "steer")
 
 
 def release_all(game: Game) -> Game:
     """The window lost the keyboard."""
-    return rules.steer(replace(game, held=frozenset(), tapped=frozenset()))
+    return _act(replace(game, held=frozenset(), tapped=frozenset()), "steer")
+
+
+def _act(game: Game, name: str, by: int | None = None) -> Game:
+    """What a function of `game` makes of a game."""
+    from uavnav.window import game as rules  # which loads torch
+
+    act = getattr(rules, name)
+    after: Game = act(game) if by is None else act(game, by)
+    return after

@@ -1,33 +1,30 @@
 """The live window: fly a drone with the keyboard, or watch trained policies, on any set of obstacles.
 
-`python -m uavnav.play [RUN...]`. The rules are in `game`, the picture in `hud`; this is the command, and a thin shell
+`uavnav play [RUN...]`. The rules are in `game`, the picture in `hud`; this is the command, and a thin shell
 of pygame around the two.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from uavnav import plugins
+from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import Parser
 from uavnav.envs.drawing import STEPS_PER_SECOND
-from uavnav.evaluate import MAX_STEPS
 from uavnav.files import check_out
 from uavnav.policies import as_option, is_zip
-from uavnav.render import RUN_HELP, flight_arguments, load_layout, load_pilots
+from uavnav.render import load_layout, load_pilots
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
 from uavnav.training.machine import use_threads
 from uavnav.window import game as rules
 from uavnav.window import hud, mouse
-from uavnav.window.game import BANK, ROWS, Game
-from uavnav.window.keys import HELP, press, release, release_all
+from uavnav.window.game import Game
+from uavnav.window.keys import BANK, ROWS, press, release, release_all
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 try:
@@ -37,10 +34,6 @@ except ImportError:
 
 SMALLEST = 320, 240  # of a window [px]
 UNSEEN = ("dummy", "offscreen", "evdev")  # SDL's drivers without a screen: good where they are asked for
-ROWS_HELP = (
-    "file for rows of flights by hand (default: where a report of the first RUN's root looks, as"
-    f" runs/baselines/{ROWS.name}; without a run {ROWS})"
-)
 
 
 def open_window(size: tuple[int, int]) -> pygame.Surface:
@@ -58,7 +51,7 @@ def open_window(size: tuple[int, int]) -> pygame.Surface:
         pygame.display.set_caption("uavnav")
         return pygame.display.set_mode(size, pygame.RESIZABLE)
     except pygame.error as error:
-        raise ValueError(f"no window can be opened ({error}); python -m uavnav.render needs no screen") from error
+        raise ValueError(f"no window can be opened ({error}); uavnav render needs no screen") from error
 
 
 def handle(game: Game, event: pygame.event.Event, size: tuple[int, int]) -> Game:
@@ -131,20 +124,7 @@ def rows_file(words: Sequence[str]) -> Path:
 
 def main(argv: list[str] | None = None) -> int:
     """Fly a drone with the keyboard, or watch policies fly it, in a window."""
-    table = "\n".join(f"  {shown:12} {does}" for shown, does in HELP)
-    parser = Parser(
-        prog="python -m uavnav.play",
-        description=main.__doc__,
-        epilog=f"example: python -m uavnav.play runs/ppo/relu reactive --layout 20\n\nkeys:\n{table}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN_HELP}; keys 1 to 9 (default: you fly)")
-    flight_arguments(parser)
-    parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
-    parser.add_argument("--person", type=int, default=0, help="who flies by hand: the rows' seed (default: 0)")
-    parser.add_argument("--out", type=Path, help=ROWS_HELP)
-    parser.add_argument("--bank", type=Path, help=f"file for drawn obstacles (default: {BANK})")
-    arguments = parser.parse_args(argv)
+    arguments = commands.parse("play", argv)
     try:
         if arguments.max_steps < 1:
             raise ValueError(f"--max-steps {arguments.max_steps}: give at least 1")
@@ -157,7 +137,7 @@ def main(argv: list[str] | None = None) -> int:
         rules.read_rows(rows_path)
         open_window(hud.DESIGN)
     except (RunError, ValueError) as error:
-        print(f"uavnav.play: {as_option(error)}", file=sys.stderr)
+        print(f"uavnav play: {as_option(error)}", file=sys.stderr)
         return 2
     with use_threads(1):
         paths = {"rows_path": rows_path, "bank_path": arguments.bank or BANK}

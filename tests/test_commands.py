@@ -1,0 +1,210 @@
+"""The command line: the table of commands, help without torch, and one place for every fact that help tells."""
+
+import dataclasses
+import importlib
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from pages import ALL, CONFIGS, table
+
+import uavnav
+from uavnav import commands, help
+from uavnav.__main__ import main, module_of
+from uavnav.algorithms import ALGORITHMS
+from uavnav.choices import Parser
+from uavnav.runs import LOG_FOLDERS
+from uavnav.tasks.world import World
+
+PACKAGE = Path(uavnav.__file__).parent
+PAGE = ALL["docs/commands.md"]
+HEAVY = {"torch", "pandas", "matplotlib", "hydra", "rich", "pygame", "PIL", "pyarrow"}
+
+
+def told(words, capsys):
+    """What a command prints that ends well: its help, or what it was asked."""
+    try:
+        status = main(shlex.split(words))
+    except SystemExit as stop:
+        status = stop.code
+    out, err = capsys.readouterr()
+    assert (status, err) == (0, "")
+    return out
+
+
+# -- the table -------------------------------------------------------------------------------------------------------
+
+
+def test_the_table_holds_each_module_that_is_a_command_and_each_is_of_one_kind():
+    modules = {path.stem: path for path in [*PACKAGE.glob("*.py"), *PACKAGE.glob("*/*.py")]}
+    modules |= {path.parent.name: path for path in PACKAGE.glob("*/__main__.py")}
+    there = {name for name, path in modules.items() if "\nif __name__ ==" in path.read_text()}
+    assert set(commands.COMMANDS) == there - {"__main__", "docs", "help", "jobs", "share"}
+    assert set(commands.PARSERS) == set(commands.COMMANDS) - {"train"}
+    of_a_kind = [name for names, _ in commands.KINDS.values() for name in names]
+    assert sorted(of_a_kind) == sorted(commands.COMMANDS)
+    for name in commands.COMMANDS:
+        assert callable(importlib.import_module(module_of(name)).main)
+
+
+@pytest.mark.parametrize("words", ["", "--help", "-h"])
+def test_uavnav_alone_shows_every_command_with_its_line_and_an_example_of_each_kind(words, capsys):
+    lines = told(words, capsys).splitlines()
+    assert lines[0].startswith(f"uavnav {uavnav.__version__}: ")
+    for name, what in commands.COMMANDS.items():
+        assert f"  {name:8}  {what}" in lines
+    for kind, (_, example) in commands.KINDS.items():
+        assert {f"{kind}:", example} <= {line.strip() for line in lines}
+    assert max(map(len, lines)) <= 120
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert told("--version", capsys) == f"{uavnav.__version__}\n"
+
+
+def test_the_wheel_has_the_command_and_what_it_reads():
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())
+    assert project["project"]["scripts"] == {"uavnav": "uavnav.__main__:main"}
+    data = project["tool"]["setuptools"]["package-data"]["uavnav"]
+    assert {help.COMMAND, *map(help.text_of, ALGORITHMS)} <= {path for one in data for path in PACKAGE.glob(one)}
+    folders = {path.parent.relative_to(PACKAGE.parent).as_posix() for path in PACKAGE.rglob("*.py")}
+    assert {name.replace(".", "/") for name in project["tool"]["setuptools"]["packages"]} == folders
+
+
+@pytest.mark.parametrize("words", [["evalute"], ["evalute", "runs/ppo/tanh"]])
+def test_an_unknown_command_is_one_line_with_the_nearest_and_status_2(words, capsys):
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("uavnav: there is no command 'evalute'; choose from bench, compare, evaluate, ")
+    assert err.endswith("(did you mean evaluate?)\n")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_the_name_of_an_algorithm_is_answered_with_the_command_that_trains_it(name, capsys):
+    assert main([name, "activation=relu"]) == 2
+    line = f"uavnav: there is no command '{name}'; it is an algorithm: uavnav train {name}\n"
+    assert capsys.readouterr() == ("", line)
+
+
+def test_a_command_after_uavnav_runs_with_the_words_after_it(capsys):
+    assert told("layouts --check test", capsys).startswith("test: 1000 sets of 8 obstacles")
+
+
+# -- help ------------------------------------------------------------------------------------------------------------
+
+HELPS = [
+    [],
+    ["--version"],
+    ["train"],
+    ["evalute"],
+    ["verify"],
+    *([name, "--help"] for name in commands.COMMANDS),
+    *(["train", name, "--help"] for name in ALGORITHMS),
+    ["train", "ppo", "--activation", "relu"],
+]
+IMPORTED = f"""
+import sys
+from uavnav.__main__ import main
+for words in {HELPS}:
+    try:
+        main(words)
+    except SystemExit:
+        pass
+    print("imported", sorted({HEAVY} & set(sys.modules)), words)
+"""
+
+
+def test_no_help_and_no_mistake_in_the_words_of_a_command_imports_torch_or_any_of_seven_others(tmp_path):
+    done = subprocess.run([sys.executable, "-c", IMPORTED], cwd=tmp_path, capture_output=True, text=True, check=True)
+    lines = [line for line in done.stdout.splitlines() if line.startswith("imported ")]
+    assert lines == [f"imported [] {words}" for words in HELPS]
+
+
+@pytest.mark.parametrize("name", commands.PARSERS)
+def test_the_help_of_a_command_says_what_it_does_explains_each_argument_and_ends_with_an_example(
+    name, capsys, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "80")
+    parser = Parser(prog=f"uavnav {name}")
+    commands.PARSERS[name](parser)
+    text = told(f"{name} --help", capsys)
+    assert text.startswith(f"usage: uavnav {name} ")
+    assert f"\n{commands.COMMANDS[name]}\n" in text
+    for action in parser._actions:
+        assert action.help, action.option_strings or action.dest
+    (example,) = re.findall(rf"^example: uavnav {name} (.*)$", text, re.MULTILINE)
+    parser.parse_args(shlex.split(example))
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_the_help_of_an_algorithm_is_what_its_configuration_says(name, capsys):
+    kept = help.text_of(name).read_text(encoding="utf-8")
+    assert kept == help.render(CONFIGS[name], World), "make help writes it"
+    assert told(f"train {name} --help", capsys) == told(f"train activation=relu -h {name}", capsys) == kept
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_each_key_has_one_line_of_meaning_with_its_default_and_its_choices(name):
+    lines = help.text_of(name).read_text(encoding="utf-8").splitlines()
+    found = {line.partition("=")[0].strip(): line for line in lines if re.match(r"  [\w.]+=", line)}
+    given = [*(line.name for line in help.lines(CONFIGS[name]) if line.name != "world"), "world.sensor_arc", "logger"]
+    assert set(given) <= set(found)
+    assert all(re.search(r"=\S+ {2,}\S", line) for line in found.values())
+    assert found["gamma"].split() == ["gamma=0.99", "discount", "of", "a", "step;", "0", "to", "1"]
+    assert found["total_frames"].startswith("  total_frames=1000000 ")
+    assert "[frames a seed] " in found["total_frames"]
+    assert re.search(r"=180\.0 +\[degrees\] of the sensor", found["world.sensor_arc"])
+    assert found["reward"].endswith("; additive, eq14, initial")
+    assert found["preset"].endswith(f"; {', '.join(sorted(CONFIGS[name].PRESETS))}")
+    assert all(logger in found["logger"] for logger in LOG_FOLDERS)
+
+
+def test_uavnav_train_alone_lists_the_algorithms_each_with_its_title(capsys):
+    text = told("train", capsys)
+    assert "\n  dqn  Deep Q-Network, sec. 3.2; " in text
+    assert text == told("train --help", capsys)
+    assert re.findall(r"^  (\w+)  ", text, re.MULTILINE) == list(ALGORITHMS)
+
+
+# -- the page --------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_has_a_row_for_each_command_with_an_example_that_it_understands():
+    rows = table(PAGE, "| command | what it does | example |")
+    assert [(name.strip("`"), what) for name, what, _ in rows] == list(commands.COMMANDS.items())
+    for name, _, example in rows:
+        program, command, *words = shlex.split(example.strip("`"))
+        assert (program, command) == ("uavnav", name.strip("`"))
+        commands.parse(command, words)
+
+
+def test_the_page_has_each_exit_status_of_the_code():
+    source = "".join(path.read_text() for path in PACKAGE.rglob("*.py"))
+    returned = {int(one) for one in re.findall(r"^ +return (\d+)(?: if| else|$)", source, re.MULTILINE)} & {
+        0,
+        1,
+        2,
+        130,
+    }
+    assert "return 128 + stop.signum" in source  # SIGINT is 2, SIGTERM 15
+    rows = table(PAGE.split("## Exit status")[1], "| status | meaning |")
+    assert {int(row[0]) for row in rows} == {*returned, 1, 128 + 2, 128 + 15}
+
+
+def test_the_help_of_a_study_has_its_keys_those_of_its_engines_and_its_files(capsys):
+    from uavnav import engines, studies, study
+
+    assert list(commands.STUDY_KEYS) == list(study.KEYS)
+    text = " ".join(told("study --help", capsys).split())
+    own = [
+        item.name
+        for name, kind in engines.ENGINES.items()
+        for item in dataclasses.fields(getattr(importlib.import_module(f"uavnav.engines.{name}"), kind))
+    ]
+    assert all(word in text for word in [*engines.ENGINES, *own, *studies.names()])

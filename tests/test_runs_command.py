@@ -1,0 +1,120 @@
+"""`uavnav runs`: what it says of runs that are finished, running, stopped, failed, and of what is no run."""
+
+import json
+import shutil
+
+import pytest
+import yaml
+
+from uavnav.__main__ import main
+from uavnav.runs.__main__ import row, span
+
+CONFIG = {"algorithm": "ppo", "activation": "relu", "preset": "fast", "seed": 3, "n_seeds": 2, "total_frames": 400_000}
+NOW = 1_800_000_000.0
+STARTED = "2027-01-15T07:00:00+00:00"  # an hour before
+
+
+def write(path, status, progress=None, **config):
+    """A run's folder as `uavnav runs` reads it."""
+    path.mkdir(parents=True)
+    (path / "config.yaml").write_text(yaml.safe_dump(CONFIG | config))
+    finished = {"frames": 401_408, "ended": "2027-01-15T07:58:20+00:00"} if status == "finished" else {}
+    (path / "meta.json").write_text(json.dumps({"status": status, "started": STARTED} | finished))
+    if progress is not None:
+        (path / "progress.json").write_text(json.dumps(progress))
+    return path
+
+
+def test_a_finished_run_is_its_settings_frames_and_age(tmp_path):
+    assert row(write(tmp_path / "run", "finished"), NOW) == {
+        "run": str(tmp_path / "run"),
+        "algorithm": "ppo",
+        "activation": "relu",
+        "task": "drone",
+        "preset": "fast",
+        "seeds": [3, 4],
+        "frames": 401_408,
+        "total": 400_000,
+        "status": "finished",
+        "reward_sampled": None,
+        "reward_greedy": None,
+        "age": 100,
+    }
+
+
+PROGRESS = {"frames": 100_000, "total": 400_000, "rate": 2000.0, "at": NOW - 59}
+
+
+def test_a_run_that_wrote_its_progress_59_s_ago_runs_at_2000_frames_a_second_for_150_s_more(tmp_path):
+    found = row(write(tmp_path / "run", "running", PROGRESS), NOW)
+    assert (found["status"], found["frames"], found["total"]) == ("running", 100_000, 400_000)
+    assert (found["frames_per_second"], found["seconds_left"]) == (2000, 150)
+
+
+@pytest.mark.parametrize(
+    "progress", [None, PROGRESS | {"at": NOW - 60}, {"frames": 1}, [], PROGRESS | {"rate": "soon"}]
+)
+def test_a_run_that_says_it_runs_and_was_silent_for_60_s_was_stopped(progress, tmp_path):
+    found = row(write(tmp_path / "run", "running", progress), NOW)
+    assert (found["status"], found["frames"], "seconds_left" in found) == ("stopped", None, False)
+
+
+@pytest.mark.parametrize(("status", "shown"), [("interrupted", "stopped"), ("failed", "failed")])
+def test_a_run_that_was_interrupted_is_stopped_and_one_that_failed_failed(status, shown, tmp_path):
+    assert row(write(tmp_path / "run", status, PROGRESS), NOW)["status"] == shown
+
+
+def test_rewards_are_means_over_the_test_flights_in_each_mode(results):
+    from uavnav.runs import Run
+
+    path = next(path.parent for path in sorted(results.rglob("evaluation.parquet")))
+    rows = Run(path).evaluation()
+    found = row(path, NOW)
+    for mode in ("sampled", "greedy"):
+        assert found[f"reward_{mode}"] == pytest.approx(rows.loc[rows["mode"] == mode, "reward"].mean(), abs=1e-12)
+
+
+def test_the_list_is_a_line_a_run_sorted_as_asked_and_json_holds_the_same(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("time.time", lambda: NOW)
+    write(tmp_path / "runs" / "b", "finished", activation="tanh", n_seeds=1)
+    write(tmp_path / "runs" / "c", "running", PROGRESS | {"at": NOW}, algorithm="dqn")
+    write(tmp_path / "results" / "a", "interrupted", preset="paper")
+    write(tmp_path / "results" / "a" / "checkpoint", "finished")
+    assert main(["runs"]) == 0
+    out, err = capsys.readouterr()
+    lines = [line.split() for line in out.splitlines()]
+    assert err == ""
+    assert [line[0] for line in lines] == ["run", "runs/b", "runs/c", "results/a"]
+    assert lines[1][1:] == ["ppo", "tanh", "drone", "fast", "3", "401,408", "finished", "2", "min"]
+    shown = "dqn relu drone fast 3 to 4 100,000 of 400,000 running, 2.0k frames/s, 2 min left 60 min"
+    assert lines[2][1:] == shown.split()
+    assert lines[3][1:] == ["ppo", "relu", "drone", "paper", "3", "to", "4", "of", "400,000", "stopped", "60", "min"]
+    assert main(["runs", "runs", "results", "--sort", "frames", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(one["run"], one["frames"]) for one in rows] == [
+        ("runs/b", 401_408),
+        ("runs/c", 100_000),
+        ("results/a", None),
+    ]
+
+
+def test_what_is_no_run_is_one_line_and_the_others_are_listed(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "runs" / "good", "finished")
+    write(tmp_path / "runs" / "odd", "finished", n_seeds="many")
+    assert main(["runs"]) == 0
+    out, err = capsys.readouterr()
+    assert err == "uavnav runs: left out: runs/odd/config.yaml: not a run's, its n_seeds=many; give a run's folder\n"
+    assert out.count("\n") == 2
+    shutil.rmtree(tmp_path / "runs")
+    assert main(["runs"]) == 2
+    line = "uavnav runs: runs: there is no such folder; give a folder that holds runs\n"
+    assert capsys.readouterr() == ("", line)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(40, "40 s"), (240, "4 min"), (3 * 3600, "3 h"), (12 * 86_400, "12 days"), (95, "2 min")]
+)
+def test_a_span_is_in_its_own_unit(seconds, words):
+    assert span(seconds) == words

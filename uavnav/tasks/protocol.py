@@ -1,0 +1,29 @@
+"""What is trained on and what is judged on: the splits of the obstacle sets, and the protocol of an evaluation.
+
+Nothing here imports torch.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+DEFAULT_K = 8
+"""Obstacles per set (decision 1)."""
+
+
+class Split(NamedTuple):
+    """How many sets a shipped bank has, and the seed that it is generated from."""
+
+    n: int
+    seed: int
+
+
+SPLITS = {"train": Split(10_000, 0), "validation": Split(1_000, 2), "test": Split(1_000, 1)}
+"""Train on one, choose on the second, judge on the third: seeds of one distribution, with no set in common."""
+
+EPISODES = 200
+MAX_STEPS = 10_000
+"""An evaluation flies so many sets of the split `test`, with this cap on steps."""
+
+SCRIPTS = ("random", "straight", "reactive")
+"""Policies that need no training; what they do is in `baselines`."""

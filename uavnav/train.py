@@ -1,0 +1,210 @@
+"""From a command line to training runs: the one place where Hydra lives."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import json
+import re
+import shlex
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from uavnav import commands, help, plugins
+from uavnav.algorithms import ALGORITHMS
+from uavnav.choices import ConfigError, unknown, unknown_key
+from uavnav.evaluate import evaluate_run
+from uavnav.policies import PolicyError
+from uavnav.runs import EVALUATION, Run
+from uavnav.runs.tables import RunError
+from uavnav.tasks.layouts import LayoutError
+from uavnav.tasks.simulator import TASKS
+from uavnav.tasks.world import World
+from uavnav.training import display
+from uavnav.training.config import TrainConfig, plain
+from uavnav.training.loggers import chosen
+from uavnav.training.loop import train
+from uavnav.training.recorder import Interrupted, Recorder, default_folder
+
+HERE = tuple(line.name for line in help.of_command())
+"""The keys of the command itself; all others are fields of the algorithm's configuration."""
+
+
+class Order(NamedTuple):
+    """A run to train."""
+
+    config: TrainConfig
+    out: Path
+    here: dict[str, Any]  # the keys of the command
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Train once, or once for each combination of a `-m` sweep, after every one of them was checked."""
+    given = commands.parse("train", argv)
+    warnings.formatwarning = lambda message, *where, **more: f"uavnav train: {message}\n"
+    try:
+        plugins.load(given.plugins)
+        if given.algorithm not in ALGORITHMS:
+            raise unknown("algorithm", given.algorithm, ALGORITHMS)
+        kind = _kind(given.algorithm)
+        if given.help:
+            print(help.render(kind, _world(given.settings) or World), end="")
+            return 0
+        settings = [_composed(kind, words) for words in _cells(kind, given.settings, given.multirun)]
+        if given.cfg:
+            print("\n---\n".join(OmegaConf.to_yaml(one).strip() for one in settings))
+            return 0
+        orders = [_order(kind, one) for one in settings]
+        _check(orders)
+        finished = [_train(order, given.quiet or given.json) for order in orders]
+        if given.json:
+            print(json.dumps([display.record(run) for run in finished], indent=2))
+        elif not given.quiet and finished[-1].fresh:
+            print(_next(finished[-1].path, given.plugins))
+    except Interrupted as stop:
+        print(stop, file=sys.stderr)
+        return 128 + stop.signum
+    except (HydraException, OmegaConfBaseException) as error:
+        print(f"uavnav train: {_one_line(error, kind)}", file=sys.stderr)
+        return 2
+    except (ConfigError, LayoutError, PolicyError, RunError) as error:
+        print(f"uavnav train: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _kind(algorithm: str) -> type[TrainConfig]:
+    """The class of an algorithm's configuration."""
+    presets: Mapping[str, TrainConfig] = importlib.import_module(ALGORITHMS[algorithm].module).PRESETS
+    return type(next(iter(presets.values())))
+
+
+def _world(settings: Sequence[str]) -> type[World] | None:
+    """The world of the task that a command line names; None for several tasks, or one that there is not."""
+    tasks = commands.names_in(settings, "task") or [TrainConfig.task]
+    return TASKS[tasks[0]].WORLD if len(tasks) == 1 and tasks[0] in TASKS else None
+
+
+# -- settings --------------------------------------------------------------------------------------------------------
+
+
+def _cells(kind: type[TrainConfig], settings: Sequence[str], multirun: bool) -> list[list[str]]:
+    """The words of each run: with `-m` every combination of the values of keys that have several."""
+    # a task of its own may have other fields than the world that Hydra knows: the configuration checks them
+    words = [f"++{word}" if word.startswith("world.") else word for word in settings]
+    overrides = OverridesParser.create().parse_overrides(words)
+    for name in (one.key_or_group for one in overrides):
+        if name.startswith("hydra"):  # that it has settings of its own is nobody's business
+            raise unknown_key(name, _keys(kind))
+    several = [one.key_or_group for one in overrides if one.is_sweep_override()]
+    if several and not multirun:
+        raise ConfigError(f"{several[0]}: give one value, or -m to train with each in turn")
+    return [list(cell) for cell in itertools.product(*map(_values, overrides))]
+
+
+def _values(override: Override) -> list[str]:
+    """The words of a setting, one a value."""
+    if not override.is_sweep_override():
+        return [override.input_line or ""]
+    return [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
+
+
+def _composed(kind: type[TrainConfig], words: list[str]) -> DictConfig:
+    """Everything that a run is set to, preset and defaults included."""
+    world = _world(words)
+    for name in kind.PRESETS:
+        node = plain(kind(preset=name)) | {"world": asdict(world()) if world else {}}
+        ConfigStore.instance().store(group="preset", name=name, node=node, package="_global_")
+    with initialize_config_dir(str(help.COMMAND.parent), version_base="1.3"):
+        return compose(help.COMMAND.stem, words)
+
+
+def _order(kind: type[TrainConfig], settings: DictConfig) -> Order:
+    """The run that the settings describe; a ConfigError where they cannot be."""
+    values: dict[str, Any] = OmegaConf.to_container(settings, resolve=True)
+    here = {key: values.pop(key) for key in HERE}
+    for key in ("overwrite", "evaluate"):
+        if not isinstance(here[key], bool):
+            raise ConfigError(f"{key}={here[key]}; choose from false, true")
+    seconds = here["checkpoint_seconds"]
+    if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not seconds >= 0:
+        raise ConfigError(f"checkpoint_seconds={seconds}; give a number of at least 0")
+    chosen(here["logger"])
+    config = kind.from_mapping(values)
+    return Order(config, default_folder(config) if here["out"] is None else Path(str(here["out"])), here)
+
+
+def _check(orders: Sequence[Order]) -> None:
+    """Raise a RunError where a folder cannot be used, before any run begins."""
+    folders: set[Path] = set()
+    for config, out, here in orders:
+        if out.resolve() in folders:
+            raise RunError(
+                f"out={out}: two runs of the sweep would share it; leave it out, or use out='runs/${{activation}}'"
+            )
+        folders.add(out.resolve())
+        Recorder(out, config, here["overwrite"])
+
+
+def _one_line(error: Exception, kind: type[TrainConfig]) -> str:
+    """Hydra's complaint as one line with the choices."""
+    if isinstance(error, MissingConfigException) and (error.missing_cfg_file or "").startswith("preset/"):
+        return str(unknown("preset", (error.missing_cfg_file or "").removeprefix("preset/"), kind.PRESETS))
+    if isinstance(error, OverrideParseException):
+        return f"{error.override}: its value cannot be read; in a shell quote brackets and blanks: 'hidden=[64,64]'"
+    key = re.match(r"Could not override '([^']+)'", str(error))
+    if key:
+        return str(unknown_key(key[1], _keys(kind)))
+    return str(error).strip().splitlines()[0]
+
+
+def _keys(kind: type[TrainConfig]) -> list[str]:
+    """Every key that a command line may set."""
+    return [*(item.name for item in fields(kind)), *(f"world.{item.name}" for item in fields(World)), *HERE]
+
+
+# -- a run -----------------------------------------------------------------------------------------------------------
+
+
+def _train(order: Order, quiet: bool) -> Run:
+    """Train, show the table, and fly the test split."""
+    config, out, here = order
+    how = {key: here[key] for key in ("overwrite", "checkpoint_seconds", "logger")}
+    finished = train(config, out=out, quiet=quiet, **how)
+    if not quiet and finished.fresh:
+        display.report(finished)
+    elif not quiet:
+        print(f"{out}: this run is already finished; overwrite=true starts it anew")
+    if here["evaluate"] and not (finished.path / EVALUATION).exists():
+        if not quiet:
+            print("evaluating on the test split; evaluate=false skips this", flush=True)
+        rows = evaluate_run(finished, quiet=quiet)
+        if not quiet:
+            display.show(display.evaluation_summary(rows, finished.algorithm, config.activation))
+    return finished
+
+
+def _next(run: Path, names: Sequence[str]) -> str:
+    """What to do with a run next, with the very commands; names: of the plugins that it needs."""
+    with_plugins = ["--plugins", ",".join(names)] if names else []
+    watch = ["uavnav", "play" if find_spec("pygame") else "render", str(run), *with_plugins]
+    root = str(run) if run.is_absolute() else run.parts[0]
+    compare = ["uavnav", "report", root, "--out", "report", *with_plugins]
+    return f"watch it:    {shlex.join(watch)}\ncompare it:  {shlex.join(compare)}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from uavnav.evaluate import evaluate_run, files_of
 from uavnav.runs import Run
 from uavnav.verify import _parting as parting
 from uavnav.verify import _weights as weights
@@ -18,7 +20,7 @@ from uavnav.verify import verify
 
 STUDY = """
 what: two cells of eight seeds
-settings: {n_seeds: 8, total_frames: 6_000, hidden: [8], compile: "off", max_steps: 300, evaluate: false}
+settings: {n_seeds: 8, total_frames: 6_000, hidden: [8], compile: "off", max_steps: 300, evaluate: {episodes: 3, max_steps: 50}}
 cells:
   - {algorithm: ppo, frames_per_batch: 512, epochs: 1}
 """
@@ -114,12 +116,22 @@ def assert_same_bits(out, alone, cells=("ppo/tanh",)):
         assert not parting("episodes", there.episodes, here.episodes)
         assert not parting("progress", there.progress, here.progress)
         assert not weights_parting(weights(alone / cell), weights(out / cell))
+        for name in files_of("test", 3, 50):
+            assert (alone / cell / name).read_bytes() == (out / cell / name).read_bytes()
         assert not (out / cell / "checkpoint").exists()
 
 
 def test_a_cell_of_two_shares_is_the_run_that_verify_trains_again(alone):
-    assert Run(alone / "ppo/tanh").meta["processes"] == 2
-    assert verify(Run(alone / "ppo/tanh"), quiet=True).same
+    run = Run(alone / "ppo/tanh")
+    assert run.meta["processes"] == 2
+    assert verify(run, quiet=True).same
+
+
+def test_what_shares_have_flown_is_the_evaluation_of_all_seeds(alone, tmp_path):
+    shutil.copytree(alone / "ppo/tanh", tmp_path / "run")
+    evaluate_run(Run(tmp_path / "run"), 3, 50, quiet=True)
+    for name in files_of("test", 3, 50):
+        assert (alone / "ppo/tanh" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
 
 
 def test_a_local_study_goes_on_whatever_is_killed(study, alone):

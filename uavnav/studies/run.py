@@ -16,13 +16,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from uavnav import engines, plugins
 from uavnav.choices import ConfigError
 from uavnav.engines import Engine
 from uavnav.evaluate import files_of
 from uavnav.files import write
 from uavnav.runs import FINISHED, PROGRESS, STOP, Run, read_settings
-from uavnav.runs.tables import RunError, lock
+from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.studies import Cell
 from uavnav.tasks import layouts
 from uavnav.training import machine, recorder, shares
@@ -216,7 +218,8 @@ class Study:
         threads = machine.threads(work.cell.config, len(work.shares))
         described = shares.described(share.folder, share.config, self.checkpoint_seconds, threads=threads)
         job = share.folder.with_name(f"{share.folder.name}.job")
-        write(job, json.dumps(described | {"folder": str(Path.cwd())}).encode())
+        described |= {"evaluation": work.cell.evaluation, "folder": str(Path.cwd())}
+        write(job, json.dumps(described).encode())
         words = ["-m", "uavnav.training.share", str(job)]
         return engines.logged(words, job.with_suffix(".log"))
 
@@ -235,7 +238,7 @@ class Study:
         if share is None:
             if evaluated(work.cell):
                 self._log(work).unlink(missing_ok=True)
-                self.say(f"{work.cell.out}: finished")
+                self.say(f"{_shown(work.cell.out)}: finished")
             else:
                 self._failed(work, f"was not evaluated, see {self._log(work)}")
             return
@@ -251,12 +254,12 @@ class Study:
             self._failed(work, f"{share.folder}: its job ended {ATTEMPTS} times without a word, see {log}")
         else:
             share.attempts += 1
-            self.say(f"{share.folder.with_suffix('')}: its job is gone; given again, from its last snapshot")
+            self.say(f"{_shown(share.folder.with_suffix(''))}: its job is gone; given again, from its last snapshot")
             waiting.appendleft((work, share))
 
     def _failed(self, work: Work, problem: str) -> None:
         work.problem = problem
-        self.say(f"{work.cell.out}: {problem}")
+        self.say(f"{_shown(work.cell.out)}: {problem}")
 
     def _join(self, work: Work, flights: deque[Work]) -> None:
         """Put a cell's shares together, in its own folder."""
@@ -266,13 +269,14 @@ class Study:
             with machine.use_threads(threads), Recorder(work.cell.out, work.cell.config) as own:
                 compiled = all(Run(folder).meta["compiled"] for folder in folders)
                 own.note(compiled=compiled, processes=len(folders))
+                _join_flights(work.cell, folders)
                 shares.join(own, folders)
                 self._stop = self._stop or own.stop
-        except RunError as error:
+        except (OSError, RunError) as error:
             self._failed(work, str(error))
             return
         if evaluated(work.cell):
-            self.say(f"{work.cell.out}: finished")
+            self.say(f"{_shown(work.cell.out)}: finished")
         else:
             flights.append(work)
 
@@ -302,8 +306,23 @@ class Study:
             time.sleep(POLL_SECONDS)
             left = [entry for entry in left if not self.engine.ended(entry[0])]
         number = self._stop or signal.SIGTERM
-        what = f"{self.out}: stopped by {signal.Signals(number).name}; the same command goes on from there"
+        what = f"{_shown(self.out)}: stopped by {signal.Signals(number).name}; the same command goes on from there"
         return Interrupted(what, number, 0, wanted=False)
+
+
+def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
+    """Put what the shares have flown together, as one evaluation of all seeds would have: mode by mode, seed by seed."""
+    names = files_of("test", cell.evaluation["episodes"], cell.evaluation["max_steps"]) if cell.evaluation else ()
+    for name in names:
+        parts = [pd.read_parquet(folder / name) for folder in folders]
+        table = pd.concat(parts, ignore_index=True).sort_values("mode", kind="stable", ignore_index=True)
+        table.attrs = parts[0].attrs
+        write_table(cell.out / name, table)
+
+
+def _shown(path: Path) -> str:
+    """A path from here, where that is short."""
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 def _said(path: Path) -> dict[str, Any]:

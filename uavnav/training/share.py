@@ -24,6 +24,7 @@ from typing import Any
 
 from uavnav import files, plugins
 from uavnav.choices import ConfigError
+from uavnav.evaluate import evaluate_run
 from uavnav.runs import STOP, Run
 from uavnav.runs.tables import Columns, RunError, with_reward
 from uavnav.tasks.layouts import LayoutError
@@ -123,6 +124,8 @@ def unheard(job: Path) -> None:
         raise SystemExit(f"{out}: is gone; another process has taken this run over")
     os.chdir(described["folder"])
     last = {"stopped": 0, "wanted": True} if (out / STOP).exists() else _train(described)
+    if "finished" in last and described["evaluation"] is not None:
+        evaluate_run(Run(out), **described["evaluation"], quiet=True)
     files.write(job.with_suffix(".ended"), json.dumps(last).encode())
 
 

@@ -311,7 +311,7 @@ class Study:
 
 
 def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
-    """Put what the shares have flown together, as one evaluation of all seeds would have: mode by mode, seed by seed."""
+    """Put what the shares have flown together, in the order of one evaluation of all seeds: mode by mode."""
     names = files_of("test", cell.evaluation["episodes"], cell.evaluation["max_steps"]) if cell.evaluation else ()
     for name in names:
         parts = [pd.read_parquet(folder / name) for folder in folders]

@@ -20,7 +20,8 @@ from uavnav.verify import verify
 
 STUDY = """
 what: two cells of eight seeds
-settings: {evaluate: {episodes: 3, max_steps: 50}, n_seeds: 8, total_frames: 6_000, hidden: [8], compile: "off", max_steps: 300}
+settings:
+  {n_seeds: 8, total_frames: 6_000, hidden: [8], compile: "off", max_steps: 300, evaluate: {episodes: 3, max_steps: 50}}
 cells:
   - {algorithm: ppo, frames_per_batch: 512, epochs: 1}
 """

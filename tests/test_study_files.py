@@ -1,6 +1,8 @@
 """Study files: the cells they stand for, those that are committed, and what is refused."""
 
 import json
+import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -134,6 +136,16 @@ def test_the_status_says_what_is_finished_and_what_is_missing(capsys):
     assert [row["state"] for row in rows] == ["finished"] * 8
     assert main(["paper", "out=nowhere", "--status"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "8 missing"
+
+
+def test_makespans_of_known_jobs_and_the_table_of_the_page():
+    makespan = runpy.run_path(str(ROOT / "docs" / "makespan.py"))
+    assert makespan["makespan"]([3.0, 3.0, 2.0], 2) == 5.0
+    assert makespan["makespan"]([1.0] * 8, 4) == 2.0
+    (shown,) = re.findall(
+        r"<!-- makespan -->\n(.*?)\n<!-- end -->", (ROOT / "docs" / "scale.md").read_text(), re.DOTALL
+    )
+    assert shown == makespan["table"](ROOT / "results")
 
 
 def test_a_cell_of_which_a_setting_is_wrong_is_refused():

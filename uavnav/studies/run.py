@@ -31,7 +31,7 @@ from uavnav.training import machine, recorder, shares
 from uavnav.training.config import TrainConfig
 from uavnav.training.recorder import STOPS, Interrupted, Recorder
 
-POLL_SECONDS = 0.5
+POLL_SECONDS = 1.0
 STOP_SECONDS = 60.0
 """Given to shares to save themselves."""
 ATTEMPTS = 3
@@ -281,19 +281,22 @@ class Study:
             flights.append(work)
 
     def _look(self, running: Sequence[tuple[Any, Work, Share | None]]) -> None:
-        """Read how far the shares are, and write how far their cells are."""
-        for _, _, share in running:
-            said = _said(share.folder / PROGRESS) if share is not None else {}
-            if share is not None and said.get("frames", 0) > share.frames:
-                share.frames, share.attempts = said["frames"], 0
+        """Read now and then how far the shares are, and write how far their cells are."""
         now = time.monotonic()
         if now - self._looked < recorder.PROGRESS_SECONDS:
             return
         self._looked = now
-        for work in {id(work): work for _, work, share in running if share is not None}.values():
-            rates = [_said(share.folder / PROGRESS).get("rate") or 0.0 for share in work.shares if not share.done]
-            frames = min(share.frames for share in work.shares)
-            recorder.tell(work.cell.out, frames, work.cell.config.frames, min(rates, default=0.0) or None)
+        rates: dict[int, list[float]] = {}
+        for _, work, share in running:
+            said = _said(share.folder / PROGRESS) if share is not None else {}
+            if share is not None and said.get("frames", 0) > share.frames:
+                share.frames, share.attempts = said["frames"], 0
+            rates.setdefault(id(work), []).append(said.get("rate") or 0.0)
+        for work in self.works:
+            if id(work) in rates and work.shares and not trained(work.cell):
+                frames = min(share.frames for share in work.shares)
+                with contextlib.suppress(OSError):
+                    recorder.tell(work.cell.out, frames, work.cell.config.frames, min(rates[id(work)]) or None)
 
     def _stopped(self, running: Sequence[tuple[Any, Work, Share | None]]) -> Interrupted:
         """Ask the shares to save themselves, and wait until they have."""

@@ -49,6 +49,8 @@ class Squad(NamedTuple):
     def act(self, observation: Tensor, values: bool) -> Chosen:
         """[P N, obs] -> [P N], [P N, actions]."""
         behind = self.policy.of_agents(observation.reshape(len(self.generators), -1, observation.shape[-1]))
+        if self.policy.greedy:
+            return behind.argmax(-1).flatten(), behind.flatten(0, 1)
         uniforms = [self.policy.draw(behind.shape[1:-1], generator) for generator in self.generators]
         return self.policy.choose(behind, torch.stack(uniforms, 1)).flatten(), behind.flatten(0, 1)
 

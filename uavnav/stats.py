@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-import statsmodels.formula.api as smf
 from lifelines import KaplanMeierFitter
 from lifelines.utils import restricted_mean_survival_time
 from scipy import special, stats
+from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.power import TTestIndPower
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -39,8 +39,10 @@ class Interval(NamedTuple):
 
 
 def interquartile_mean(values: Array, axis: int = -1) -> Any:
-    """The mean of the middle half."""
-    return stats.trim_mean(values, 0.25, axis=axis)
+    """The mean of the middle half: `scipy.stats.trim_mean` of a quarter, bit for bit, without its checks."""
+    values = np.moveaxis(np.asarray(values), axis, -1)
+    cut, n = values.shape[-1] // 4, values.shape[-1]
+    return np.partition(values, (cut, n - cut - 1), axis=-1)[..., cut : n - cut].mean(-1)
 
 
 def interval(values: Sequence[float] | Array, statistic: Callable[..., Any] = np.mean, seed: int = 0) -> Interval:
@@ -49,21 +51,56 @@ def interval(values: Sequence[float] | Array, statistic: Callable[..., Any] = np
     The interval is BCa, or of percentiles if BCa is undefined (few or equal seeds). Seeds with NaN (no episode) are
     left out. The interval of fewer than two seeds is NaN.
     """
-    seeds = np.asarray(values, dtype=np.float64)
-    seeds = seeds[~np.isnan(seeds)]
-    value = float(statistic(seeds, axis=-1)) if len(seeds) else np.nan
-    if len(seeds) < 2:
-        return Interval(value, np.nan, np.nan, len(seeds))
-    if np.ptp(seeds) == 0:
-        return Interval(value, value, value, len(seeds))
-    with warnings.catch_warnings(action="ignore"):  # scipy warns when BCa is undefined, and returns NaN
-        for method in ("BCa", "percentile"):
-            found = stats.bootstrap(
-                (seeds,), statistic, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method=method, rng=seed
-            ).confidence_interval
-            if not np.isnan(found.low):
-                break
-    return Interval(value, float(found.low), float(found.high), len(seeds))
+    return intervals([values], [statistic], seed)[0][0]
+
+
+def intervals(
+    rows: Sequence[Sequence[float] | Array], statistics: Sequence[Callable[..., Any]], seed: int = 0
+) -> list[list[Interval]]:
+    """`interval` of each statistic of each row; rows of as many seeds share their draws, as if each were alone."""
+    known = [np.asarray(row, dtype=np.float64) for row in rows]
+    known = [row[~np.isnan(row)] for row in known]
+    found: list[list[Interval]] = [[] for _ in rows]
+    for n in {len(row) for row in known}:
+        places = [place for place, row in enumerate(known) if len(row) == n]
+        table = np.stack([known[place] for place in places])
+        value = _each(table, statistics) if n else np.full((len(statistics), len(table)), np.nan)
+        low, high = _ends(table, statistics, value, seed) if n > 1 else np.full((2, *value.shape), np.nan)
+        for column, place in enumerate(places):
+            ends = zip(value[:, column], low[:, column], high[:, column], strict=True)
+            found[place] = [Interval(float(one), float(least), float(most), n) for one, least, most in ends]
+    return found
+
+
+def _each(table: Array, statistics: Sequence[Callable[..., Any]], axis: int = -1) -> Array:
+    """All statistics of a table's rows [..., S]: [statistics, ...]; a sum rounds by how its terms lie in memory."""
+    table = np.ascontiguousarray(np.moveaxis(table, axis, -1))
+    return np.stack([statistic(table, axis=-1) for statistic in statistics])
+
+
+def _ends(table: Array, statistics: Sequence[Callable[..., Any]], value: Array, seed: int) -> tuple[Array, Array]:
+    """Both ends of the intervals of a table [R, S]: [statistics, R] each; where all seeds are equal, the value."""
+    low, high = value.copy(), value.copy()
+    varies = np.ptp(table, axis=-1) > 0
+    if varies.any():
+        low[:, varies] = np.nan
+        with warnings.catch_warnings(action="ignore"):  # scipy warns when BCa is undefined, and returns NaN
+            for method in ("BCa", "percentile"):
+                found = stats.bootstrap(
+                    (table[varies],),
+                    lambda drawn, axis: _each(drawn, statistics, axis),
+                    n_resamples=RESAMPLES,
+                    confidence_level=CONFIDENCE,
+                    method=method,
+                    rng=seed,
+                    axis=-1,
+                ).confidence_interval
+                lacks = np.isnan(low[:, varies])
+                low[:, varies] = np.where(lacks, found.low, low[:, varies])
+                high[:, varies] = np.where(lacks, found.high, high[:, varies])
+                if not np.isnan(low).any():
+                    break
+    return low, high
 
 
 class Contrasts(NamedTuple):
@@ -293,7 +330,7 @@ def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
         return Interaction(np.nan, np.nan, n)
     first, second = ([cells[algorithm, activation] for activation in activations] for algorithm in algorithms)
     p_ranks = _crossover(first, second, np.random.default_rng(seed))
-    fit = smf.ols("value ~ C(algorithm) * C(activation)", table).fit(cov_type="HC3")
+    fit = OLS.from_formula("value ~ C(algorithm) * C(activation)", table).fit(cov_type="HC3")
     terms = [name for name in fit.params.index if ":" in name]
     p_raw = float(fit.f_test(np.eye(len(fit.params))[[fit.params.index.get_loc(name) for name in terms]]).pvalue)
     return Interaction(p_ranks, p_raw, n)

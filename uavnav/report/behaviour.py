@@ -303,11 +303,11 @@ def overestimation(run: Run, steps: int = 300, n_layouts: int = 20, tail: float 
     with machine.use_threads(1):
         for one in flights.fly([*zip(run.seeds, flyers.policies, strict=True)], task, heading, values=True):
             assert one.values is not None
-            step = one.number - 1
+            step, outcome = one.number - 1, one.outcome
             q[step, one.flight] = one.values.amax(-1).double()
-            returned[step, one.flight] = one.outcome.reward
+            returned[step, one.flight] = outcome.reward
             flown[step, one.flight] = True
-            collided[one.flight] = one.outcome.terminated
+            collided[one.flight] = outcome.terminated
     for step in reversed(range(limit - 1)):
         returned[step] += gamma * returned[step + 1]
     known = collided | (torch.arange(limit)[:, None] + horizon <= limit)

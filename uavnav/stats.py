@@ -215,6 +215,44 @@ def ratio(above: Array, below: Array) -> Interval:
     return Interval(value, float((middle - half) / square), float((middle + half) / square), n)
 
 
+def deviations(seeds: Array) -> Array:
+    """The standard deviation of seeds [S] as one number a seed [S], so that means of them and `welch` have intervals.
+
+    The jackknife's pseudo-values S s - (S - 1) s_i, where s_i is the standard deviation without seed i. NaN with fewer
+    than three seeds.
+    """
+    n = len(seeds)
+    if n < 3:
+        return np.full(n, np.nan)
+    without = np.array([np.delete(seeds, seed).std(ddof=1) for seed in range(n)])
+    return np.asarray(n * seeds.std(ddof=1) - (n - 1) * without)
+
+
+def rank_correlation(first: Sequence[Array], second: Sequence[Array], seed: int = 0) -> Interval:
+    """Spearman's correlation of cells' means in two studies, with the interval of percentiles over resampled seeds.
+
+    first, second: the same cells in the same order, [S] each. NaN with fewer than two cells or two seeds in one, or
+    where all means of a study are alike.
+    """
+    n = min(map(len, [*first, *second]), default=0)
+    if n < 2 or len(first) < 2:
+        return Interval(np.nan, np.nan, np.nan, n)
+    rng = np.random.default_rng(seed)
+    drawn = [
+        np.stack([own[rng.integers(len(own), size=(RESAMPLES, len(own)))].mean(1) for own in cells], 1)
+        for cells in (first, second)
+    ]
+    means = [
+        np.concatenate([[[own.mean() for own in cells]], some])
+        for cells, some in zip((first, second), drawn, strict=True)
+    ]
+    a, b = (ranks - ranks.mean(1, keepdims=True) for ranks in (stats.rankdata(rounded(one), axis=1) for one in means))
+    with np.errstate(invalid="ignore"):
+        found = (a * b).sum(1) / np.sqrt((a * a).sum(1) * (b * b).sum(1))
+    low, high = np.nanquantile(found[1:], TAILS) if np.isfinite(found[0]) else (np.nan, np.nan)
+    return Interval(float(found[0]), float(low), float(high), n)
+
+
 class Prediction(NamedTuple):
     """Where a number lies among seeds, and the interval in which 95 % of single new seeds lie."""
 

@@ -178,6 +178,7 @@ def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights
         "sensitivity": frames.sensitivity(all_cells),
         "cells": headline.cells(all_cells),
         "effects": headline.effects(all_cells),
+        "worlds": headline.worlds(all_cells),
         "peaks": headline.peaks(of_paper),
         "by_default": frames.by_default(all_cells),
         "many_worlds": frames.estimates(frames.per_seed_values(studies.paper_cells(all_cells.many_worlds))),

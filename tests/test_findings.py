@@ -32,6 +32,7 @@ def numbers(**tables):
     empty = {
         "cells": [["main", *cell, 8, 1_000_000, 1] for cell in paper.TABLES],
         "effects": [],
+        "worlds": [],
         "peaks": [],
         "gaps": [],
         "fits": [],
@@ -39,6 +40,7 @@ def numbers(**tables):
     columns = {
         "cells": ["study", "algorithm", "activation", "seeds", "frames", "worlds"],
         "effects": ["switch", "algorithm", "frames", *NUMBERED],
+        "worlds": ["measure", "algorithm", *NUMBERED],
         "peaks": ["cell", "measure", *NUMBERED],
         "gaps": headline.gaps({}, {}).columns,
         "fits": ["reading", "cell", "within", "numbers"],
@@ -203,6 +205,57 @@ def test_many_worlds_are_a_finding_where_there_are_some_beside_one():
     ]
 
 
+def of_worlds(sign):
+    """PPO's rows of the table `worlds`, all above zero, below it, or across."""
+    ends = {"scatter": (0.012, 0.0174, 0.022), "longest": (3e4, 41_234.0, 52_468.0)}
+    ends |= {"open": (0.08, 0.12, 0.16), "order": (0.2, 0.8, 1.0)}
+    return [
+        [name, "ppo", (sign or 1) * value, *(sorted((sign * low, sign * high)) if sign else (-high, high)), 20]
+        for name, (low, value, high) in ends.items()
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sign", "expected"),
+    [
+        (
+            1,
+            [
+                "PPO's seeds scatter by 17 (12 to 22) more late reward in 1,000 frames in one world than in many.",
+                "A PPO seed's longest open flight is 41,234 (30,000 to 52,468) steps longer in one world than in many.",
+                "Flights open at the end hold 12 % (8 to 16 %) more of PPO's frames in one world than in many.",
+                "PPO's activations keep their order in one world and many: ranks correlate by 0.80 (0.20 to 1.00).",
+            ],
+        ),
+        (
+            -1,
+            [
+                "PPO's seeds scatter by 17 (12 to 22) less late reward in 1,000 frames in one world than in many.",
+                "A PPO seed's longest open flight is 41,234 (30,000 to 52,468) steps shorter in one world than in"
+                " many.",
+                "Flights open at the end hold 12 % (8 to 16 %) less of PPO's frames in one world than in many.",
+                "PPO's activations turn their order round in many worlds: ranks anticorrelate by 0.80 (0.20 to 1.00).",
+            ],
+        ),
+        (
+            0,
+            [
+                "One world and many are not told apart in the scatter of PPO's seeds: 17 (−22 to 22) of late reward"
+                " in 1,000 frames.",
+                "One world and many are not told apart in the longest open flight of a PPO seed: 41,234 (−52,468 to"
+                " 52,468) steps.",
+                "One world and many are not told apart in the share of PPO's frames in open flights: 12 % (−16 to"
+                " 16 %).",
+                "It is open whether PPO's activations keep their order in one world and many: ranks correlate by 0.8"
+                " (−1.0 to 1.0).",
+            ],
+        ),
+    ],
+)
+def test_scatter_open_flights_and_order_are_findings_beside_the_mean(sign, expected):
+    assert said(worlds=of_worlds(sign)) == expected
+
+
 def test_the_study_is_said_with_its_seeds_frames_and_worlds():
     assert str(findings.study(numbers())) == (
         "Each cell (algorithm and activation) has 8 seeds of 1,000,000 frames, each seed in one world, as"
@@ -277,6 +330,7 @@ EXAMPLES = [
             ["n_steps=5", "dqn", 300_032, sign * 0.05, sign * 0.05 - 0.01, sign * 0.05 + 0.01, 5],
             ["many worlds", "ppo", 10**6, sign * 0.05, sign * 0.05 - 0.01, sign * 0.05 + 0.01, 5],
         ],
+        worlds=of_worlds(sign),
         peaks=[
             ["DQN sigmoid", "peak", 450_100.0, 399_600.0, 500_400.0, 8],
             ["DQN sigmoid", "lost", sign * 0.6, sign * 0.6 - 0.1, sign * 0.6 + 0.1, 8],
@@ -310,7 +364,7 @@ def test_every_number_of_every_sentence_is_in_the_row_that_it_links_to_and_no_se
         write(example, folder)
         told = [findings.study(example), *findings.findings(example)]
         told += [findings.of_claim(example, claim) for claim in CLAIMS]
-        assert len(told) == 1 + 12 + len(CLAIMS)
+        assert len(told) == 1 + 16 + len(CLAIMS)
         for one in told:
             assert untied(one.markdown(), folder) == [], str(one)
             assert too_long(one.markdown()) == []

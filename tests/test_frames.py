@@ -1,5 +1,6 @@
 """The report's tables of numbers, on made-up cells: each is what the statistics say of values known by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from uavnav import stats
 from uavnav.report import frames, tables
-from uavnav.report.cells import EMPTY, Cell
+from uavnav.report.cells import EMPTY, Cell, read_as
 from uavnav.report.claims import PRIMARY
 from uavnav.report.studies import Studies, of_paper
 from uavnav.report.verdicts import audit
@@ -207,7 +208,7 @@ def test_without_a_study_as_decided_nothing_is_compared():
 
 def evaluated(**means):
     """Cells as of `cells` that were evaluated, with the same rewards."""
-    return {key: one._replace(evaluation=one.episodes.assign(mode="sampled")) for key, one in cells(**means).items()}
+    return {key: replace(one, evaluation=one.episodes.assign(mode="sampled")) for key, one in cells(**means).items()}
 
 
 def test_ppo_minus_dqn_tuned_is_of_the_activations_that_both_have_and_of_the_same_in_the_main_study():
@@ -316,3 +317,16 @@ def test_the_first_rules_verdicts_are_read_where_they_were_kept(tmp_path):
 )
 def test_how_many_seeds_there_are_in_words(counts, said):
     assert frames.least_to_most(counts, "seed") == said
+
+
+def test_a_reading_is_worked_out_once_and_known_under_a_label_too(monkeypatch):
+    asked = []
+    monkeypatch.setattr("uavnav.report.cells.per_frame", lambda rows, n: asked.append(n) or rows[["seed", "reward"]])
+    (one,) = cells(ppo_tanh=3).values()
+    first = read_as(one, PER_FRAME)
+    assert read_as(one, PER_FRAME) is first
+    assert read_as(one.labelled("tanh (k=4)"), PER_FRAME) is first
+    assert len(asked) == 1
+    other = replace(one, episodes=one.episodes.assign(reward=5.0))  # other rows are read anew
+    assert (read_as(other, PER_FRAME)["reward"] == 5).all()
+    assert len(asked) == 2

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import bootstrap, ttest_ind, ttest_rel
+from scipy.stats import bootstrap, trim_mean, ttest_ind, ttest_rel
 from statsmodels.stats.power import TTestIndPower
 
 from uavnav import stats
@@ -152,6 +152,25 @@ def test_a_number_among_five_seeds_by_hand():
 
 def test_the_interquartile_mean_leaves_out_the_outer_quarters():
     assert stats.interquartile_mean(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0])) == 3.5
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 7, 20, 41])
+def test_the_interquartile_mean_is_scipys_trimmed_mean_of_a_quarter_bit_for_bit(n):
+    values = np.random.default_rng(n).normal(size=(50, n))
+    assert stats.interquartile_mean(values).tolist() == trim_mean(values, 0.25, axis=-1).tolist()
+    assert stats.interquartile_mean(values.T, axis=0).tolist() == trim_mean(values.T, 0.25, axis=0).tolist()
+
+
+def test_intervals_of_many_rows_are_those_of_each_row_alone():
+    rng = np.random.default_rng(3)
+    rows = [*rng.normal(size=(6, 20)), rng.normal(size=5), np.full(20, 7.0), np.array([1.0]), np.array([]), [0, 0, 1]]
+    rows[2][::3] = np.nan
+    both = [np.mean, stats.interquartile_mean]
+    for row, found in zip(rows, stats.intervals(rows, both), strict=True):
+        alone = [stats.interval(row, statistic) for statistic in both]
+        assert np.array(found) == pytest.approx(np.array(alone), rel=1e-13, nan_ok=True)
+    assert [one[0].n for one in stats.intervals(rows, both)] == [20, 20, 13, 20, 20, 20, 5, 20, 1, 0, 3]
+    assert stats.intervals([], both) == []
 
 
 def test_episodes_within_seeds_widen_the_interval_and_a_seed_of_many_episodes_weighs_no_more():

@@ -17,14 +17,11 @@ from torch import Tensor
 
 from uavnav import graph
 from uavnav.policies import Policy
-from uavnav.tasks.baselines import AnyPolicy
+from uavnav.squads import Flyers, Squads
 from uavnav.tasks.seeding import stream
 from uavnav.tasks.simulator import Outcome, Task
 from uavnav.tasks.state import UP, State
 from uavnav.training import machine
-
-Flyers = Sequence[tuple[int, AnyPolicy]]
-"""Seeds and their policies."""
 
 
 class Step(NamedTuple):
@@ -73,31 +70,21 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
         ValueError: a policy chose something that is no action.
     """
     state = start(task, len(flyers), heading)
-    generators = [torch.Generator().manual_seed(seed) for seed, _ in flyers]
+    squads = Squads(flyers, task.world.n_actions)
     flight = place = torch.arange(len(state.x))
     sizes = [len(task.bank)] * len(flyers)
     compiled = False
     compiles_at = 1 if task.max_steps and len(flight) * task.max_steps >= machine.MANY else machine.EAGER_STEPS
     observation, _ = task.observe(state)
     for number in itertools.count(1):
-        chosen, behind = [], []
         with torch.no_grad():
             seen = observation if len(place) == len(observation) else observation[place]
-            for (_, policy), generator, own in zip(flyers, generators, torch.split(seen, sizes), strict=True):
-                if not len(own):
-                    continue
-                if values:
-                    assert isinstance(policy, Policy)
-                    behind.append(policy.values(own))
-                    chosen.append(policy.act(behind[-1], generator))
-                else:
-                    chosen.append(_checked(policy(own, generator), len(own), task.world.n_actions))
-            action = torch.cat(chosen)
+            action, behind = squads.act(seen, sizes, values)
             if not compiled and number == compiles_at and machine.flights(task.max_steps):
                 state, place, compiled = _padded(state, len(place)), torch.arange(len(place)), True
             state, outcome = _advance(task, state, place, action) if compiled else task.step(state, action)
         ended = (outcome.terminated | outcome.truncated)[place]
-        yield Step(number, flight, place, action, torch.cat(behind) if behind else None, state, outcome, ended)
+        yield Step(number, flight, place, action, behind, state, outcome, ended)
         observation, up = outcome.observation, ~ended
         if not up.all():
             sizes = [int(part.sum()) for part in torch.split(up, sizes)]
@@ -137,12 +124,3 @@ def _padded(state: State, n: int) -> State:
     size = max(64, 1 << (n - 1).bit_length())
     index = torch.arange(size).clamp(max=n - 1)
     return State(*(field[index] for field in state))
-
-
-def _checked(action: Tensor, n: int, n_actions: int) -> Tensor:
-    """A policy's actions, if they are some."""
-    fits = isinstance(action, Tensor) and action.shape == (n,) and action.dtype in (torch.int64, torch.int32)
-    if not fits or not 0 <= int(action.min()) <= int(action.max()) < n_actions:
-        shown = f"{action.dtype} {list(action.shape)}" if isinstance(action, Tensor) and not fits else repr(action)
-        raise ValueError(f"a policy chose {shown}; it must give int64 [{n}] from 0 to {n_actions - 1}")
-    return action

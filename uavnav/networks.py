@@ -5,6 +5,7 @@ Letters: A agents. To add an activation, add a line to `ACTIVATIONS`.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -125,3 +126,26 @@ def mlp(
         if not last:
             layers.append(Activation(activation, layer_norm))
     return nn.Sequential(*layers)
+
+
+def made_of(network: nn.Module) -> tuple[object, ...] | None:
+    """What an `mlp` is made of, layer by layer, whatever its weights and agents; None of any other network."""
+    layers = [*network.children()]
+    if type(network) is not nn.Sequential or not all(type(layer) in (AgentLinear, Activation) for layer in layers):
+        return None
+    return tuple(
+        (layer.name, layer.layer_norm)
+        if isinstance(layer, Activation)
+        else tuple(layer.get_parameter("weight").shape)[1:]
+        for layer in layers
+    )
+
+
+def stacked(networks: Sequence[nn.Module]) -> nn.Module:
+    """The agents of several networks as those of one, frozen; the networks are `made_of` the same."""
+    whole = copy.deepcopy(networks[0])
+    for layer, *alike in zip(whole.children(), *(network.children() for network in networks), strict=True):
+        for name, _ in list(layer.named_parameters()):
+            weights = torch.cat([one.get_parameter(name).detach() for one in alike])
+            setattr(layer, name, nn.Parameter(weights, requires_grad=False))
+    return whole

@@ -71,7 +71,11 @@ class Policy:
     @torch.no_grad()
     def values(self, observation: Tensor) -> Tensor:
         """One number an action, such as logits or Q: observation [..., 30] -> [..., 100]."""
-        return HEADS[self.head](self.network(observation[None])[0])
+        return self.of_agents(observation[None])[0]
+
+    def of_agents(self, observation: Tensor) -> Tensor:
+        """The same of a network with several agents: observation [A, ..., 30] -> [A, ..., 100]."""
+        return HEADS[self.head](self.network(observation))
 
     def __call__(self, observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """An action for each row: observation [..., 30] -> int64 [...]; `generator` is used unless greedy."""
@@ -79,11 +83,17 @@ class Policy:
 
     def act(self, values: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """An action for each row of what `values` gives: [..., 100] -> int64 [...]."""
+        return self.choose(values, self.draw(values.shape[:-1], generator))
+
+    def draw(self, shape: Sequence[int], generator: torch.Generator | None = None) -> Tensor:
+        """The random numbers of as many actions: [numbers an action, *shape]; none if greedy."""
+        return torch.rand((0 if self.greedy else ACTS[self.acts].uniforms, *shape), generator=generator)
+
+    def choose(self, values: Tensor, uniforms: Tensor) -> Tensor:
+        """An action for each row of what `values` gives, by what `draw` drew: [..., 100] -> int64 [...]."""
         if self.greedy:
             return values.argmax(-1)
-        way = ACTS[self.acts]
-        uniforms = torch.rand((way.uniforms, *values.shape[:-1]), generator=generator).to(values.device)
-        return way.choose(values, self.epsilon, uniforms.unbind())
+        return ACTS[self.acts].choose(values, self.epsilon, uniforms.to(values.device).unbind())
 
     def shown(self, values: Tensor) -> Tensor:
         """What a picture shows of `values` [..., 100], which `ALGORITHMS` names."""

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-import statsmodels.formula.api as smf
 from lifelines import KaplanMeierFitter
 from lifelines.utils import restricted_mean_survival_time
 from scipy import special, stats
+from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.power import TTestIndPower
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -39,8 +39,10 @@ class Interval(NamedTuple):
 
 
 def interquartile_mean(values: Array, axis: int = -1) -> Any:
-    """The mean of the middle half."""
-    return stats.trim_mean(values, 0.25, axis=axis)
+    """The mean of the middle half: `scipy.stats.trim_mean` of a quarter, bit for bit, without its checks."""
+    values = np.moveaxis(np.asarray(values), axis, -1)
+    cut, n = values.shape[-1] // 4, values.shape[-1]
+    return np.partition(values, (cut, n - cut - 1), axis=-1)[..., cut : n - cut].mean(-1)
 
 
 def interval(values: Sequence[float] | Array, statistic: Callable[..., Any] = np.mean, seed: int = 0) -> Interval:
@@ -49,21 +51,56 @@ def interval(values: Sequence[float] | Array, statistic: Callable[..., Any] = np
     The interval is BCa, or of percentiles if BCa is undefined (few or equal seeds). Seeds with NaN (no episode) are
     left out. The interval of fewer than two seeds is NaN.
     """
-    seeds = np.asarray(values, dtype=np.float64)
-    seeds = seeds[~np.isnan(seeds)]
-    value = float(statistic(seeds, axis=-1)) if len(seeds) else np.nan
-    if len(seeds) < 2:
-        return Interval(value, np.nan, np.nan, len(seeds))
-    if np.ptp(seeds) == 0:
-        return Interval(value, value, value, len(seeds))
-    with warnings.catch_warnings(action="ignore"):  # scipy warns when BCa is undefined, and returns NaN
-        for method in ("BCa", "percentile"):
-            found = stats.bootstrap(
-                (seeds,), statistic, n_resamples=RESAMPLES, confidence_level=CONFIDENCE, method=method, rng=seed
-            ).confidence_interval
-            if not np.isnan(found.low):
-                break
-    return Interval(value, float(found.low), float(found.high), len(seeds))
+    return intervals([values], [statistic], seed)[0][0]
+
+
+def intervals(
+    rows: Sequence[Sequence[float] | Array], statistics: Sequence[Callable[..., Any]], seed: int = 0
+) -> list[list[Interval]]:
+    """`interval` of each statistic of each row; rows of as many seeds share their draws, as if each were alone."""
+    known = [np.asarray(row, dtype=np.float64) for row in rows]
+    known = [row[~np.isnan(row)] for row in known]
+    found: list[list[Interval]] = [[] for _ in rows]
+    for n in {len(row) for row in known}:
+        places = [place for place, row in enumerate(known) if len(row) == n]
+        table = np.stack([known[place] for place in places])
+        value = _each(table, statistics) if n else np.full((len(statistics), len(table)), np.nan)
+        low, high = _ends(table, statistics, value, seed) if n > 1 else np.full((2, *value.shape), np.nan)
+        for column, place in enumerate(places):
+            ends = zip(value[:, column], low[:, column], high[:, column], strict=True)
+            found[place] = [Interval(float(one), float(least), float(most), n) for one, least, most in ends]
+    return found
+
+
+def _each(table: Array, statistics: Sequence[Callable[..., Any]], axis: int = -1) -> Array:
+    """All statistics of a table's rows [..., S]: [statistics, ...]; a sum rounds by how its terms lie in memory."""
+    table = np.ascontiguousarray(np.moveaxis(table, axis, -1))
+    return np.stack([statistic(table, axis=-1) for statistic in statistics])
+
+
+def _ends(table: Array, statistics: Sequence[Callable[..., Any]], value: Array, seed: int) -> tuple[Array, Array]:
+    """Both ends of the intervals of a table [R, S]: [statistics, R] each; where all seeds are equal, the value."""
+    low, high = value.copy(), value.copy()
+    varies = np.ptp(table, axis=-1) > 0
+    if varies.any():
+        low[:, varies] = np.nan
+        with warnings.catch_warnings(action="ignore"):  # scipy warns when BCa is undefined, and returns NaN
+            for method in ("BCa", "percentile"):
+                found = stats.bootstrap(
+                    (table[varies],),
+                    lambda drawn, axis: _each(drawn, statistics, axis),
+                    n_resamples=RESAMPLES,
+                    confidence_level=CONFIDENCE,
+                    method=method,
+                    rng=seed,
+                    axis=-1,
+                ).confidence_interval
+                lacks = np.isnan(low[:, varies])
+                low[:, varies] = np.where(lacks, found.low, low[:, varies])
+                high[:, varies] = np.where(lacks, found.high, high[:, varies])
+                if not np.isnan(low).any():
+                    break
+    return low, high
 
 
 class Contrasts(NamedTuple):
@@ -176,6 +213,44 @@ def ratio(above: Array, below: Array) -> Interval:
         return Interval(value, np.nan, np.nan, n)
     half = np.sqrt(max(middle * middle - square * rest, 0.0))
     return Interval(value, float((middle - half) / square), float((middle + half) / square), n)
+
+
+def deviations(seeds: Array) -> Array:
+    """The standard deviation of seeds [S] as one number a seed [S], so that means of them and `welch` have intervals.
+
+    The jackknife's pseudo-values S s - (S - 1) s_i, where s_i is the standard deviation without seed i. NaN with fewer
+    than three seeds.
+    """
+    n = len(seeds)
+    if n < 3:
+        return np.full(n, np.nan)
+    without = np.array([np.delete(seeds, seed).std(ddof=1) for seed in range(n)])
+    return np.asarray(n * seeds.std(ddof=1) - (n - 1) * without)
+
+
+def rank_correlation(first: Sequence[Array], second: Sequence[Array], seed: int = 0) -> Interval:
+    """Spearman's correlation of cells' means in two studies, with the interval of percentiles over resampled seeds.
+
+    first, second: the same cells in the same order, [S] each. NaN with fewer than two cells or two seeds in one, or
+    where all means of a study are alike.
+    """
+    n = min(map(len, [*first, *second]), default=0)
+    if n < 2 or len(first) < 2:
+        return Interval(np.nan, np.nan, np.nan, n)
+    rng = np.random.default_rng(seed)
+    drawn = [
+        np.stack([own[rng.integers(len(own), size=(RESAMPLES, len(own)))].mean(1) for own in cells], 1)
+        for cells in (first, second)
+    ]
+    means = [
+        np.concatenate([[[own.mean() for own in cells]], some])
+        for cells, some in zip((first, second), drawn, strict=True)
+    ]
+    a, b = (ranks - ranks.mean(1, keepdims=True) for ranks in (stats.rankdata(rounded(one), axis=1) for one in means))
+    with np.errstate(invalid="ignore"):
+        found = (a * b).sum(1) / np.sqrt((a * a).sum(1) * (b * b).sum(1))
+    low, high = np.nanquantile(found[1:], TAILS) if np.isfinite(found[0]) else (np.nan, np.nan)
+    return Interval(float(found[0]), float(low), float(high), n)
 
 
 class Prediction(NamedTuple):
@@ -293,7 +368,7 @@ def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
         return Interaction(np.nan, np.nan, n)
     first, second = ([cells[algorithm, activation] for activation in activations] for algorithm in algorithms)
     p_ranks = _crossover(first, second, np.random.default_rng(seed))
-    fit = smf.ols("value ~ C(algorithm) * C(activation)", table).fit(cov_type="HC3")
+    fit = OLS.from_formula("value ~ C(algorithm) * C(activation)", table).fit(cov_type="HC3")
     terms = [name for name in fit.params.index if ":" in name]
     p_raw = float(fit.f_test(np.eye(len(fit.params))[[fit.params.index.get_loc(name) for name in terms]]).pvalue)
     return Interaction(p_ranks, p_raw, n)

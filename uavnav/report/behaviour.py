@@ -46,6 +46,10 @@ OPPOSITE = -0.5
 """Cosine of 120 degrees: two directions at least so far apart are on opposite sides of the drone."""
 CHUNK = 8192
 """Poses at a time: their pairs of bodies stay in a processor's cache."""
+BEFORE_CRASH = 40
+"""So many steps before a crash say how a flight ended, and not where the policy flies."""
+PLACES = ("corridor", "clearance")
+"""Measures of where a drone is, which are also taken without the steps before a crash, and by layout."""
 AGAIN = "evaluate the run again"
 HEADINGS = (0, 90, 180, 270)
 """Start headings of the flights in the empty arena [degrees]."""
@@ -132,11 +136,21 @@ def measures(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
 
     table: any number of rows; bank [L, K, 3] px with the sets that `layout` counts; K may be 0.
     """
+    return of_seeds(of_steps(table, bank, world))
+
+
+def of_steps(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
+    """What `measures` are means of: columns mode, seed, layout, the sums of each measure, and `late`.
+
+    late: whether a step is one of the last `BEFORE_CRASH` of a flight that ended in a collision.
+    """
     table = table.sort_values([*FLIGHT, "step"], ignore_index=True)
     angle, distance = (part.numpy() for part in decode(_tensor(table["action"], torch.int64), world))
     corridor, border = surroundings(table, bank, world)
     reversals = _reversals(table, np.sign(angle))
-    steps = table[["mode", "seed"]].assign(
+    ends = table.groupby(FLIGHT)[["step", "clearance"]].transform("last")
+    crashed = ends["clearance"] <= world.drone_radius
+    steps = table[FLIGHT].assign(
         clearance=table["clearance"].astype("float64"),
         corridor=corridor,
         corridor_flown=corridor * distance,
@@ -146,10 +160,30 @@ def measures(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
         straight_speed=np.where(angle == 0, distance, np.nan),
         turning_speed=np.where(angle != 0, distance, np.nan),
         border=border,
+        late=crashed & (ends["step"] - table["step"] < BEFORE_CRASH),
     )
-    means = steps.astype(dict.fromkeys(MEASURES, "float64")).groupby(["mode", "seed"], as_index=False).mean()
+    return steps.astype(dict.fromkeys(MEASURES, "float64"))
+
+
+def of_seeds(steps: pd.DataFrame) -> pd.DataFrame:
+    """`measures` of what `of_steps` gives."""
+    means = steps.groupby(["mode", "seed"])[[*MEASURES, "distance"]].mean()
     means["corridor_flown"] /= means.pop("distance").replace(0, np.nan)
-    return means
+    return means.reset_index()
+
+
+def early(steps: pd.DataFrame) -> pd.DataFrame:
+    """Measures of `PLACES` without the late steps, `corridor_early` and so on, by mode and seed.
+
+    A seed whose flights all crash within `BEFORE_CRASH` steps has no row.
+    """
+    return steps[~steps["late"]].groupby(["mode", "seed"])[[*PLACES]].mean().add_suffix("_early")
+
+
+def by_layout(steps: pd.DataFrame) -> pd.DataFrame:
+    """Measures of `PLACES` on each layout, mean over seeds: columns mode, layout, `corridor_by_layout` and so on."""
+    of_flights = steps.groupby(FLIGHT)[[*PLACES]].mean()
+    return of_flights.groupby(["mode", "layout"]).mean().add_suffix("_by_layout").reset_index()
 
 
 def surroundings(table: pd.DataFrame, bank: Tensor, world: World) -> tuple[Flags, Flags]:
@@ -303,11 +337,11 @@ def overestimation(run: Run, steps: int = 300, n_layouts: int = 20, tail: float 
     with machine.use_threads(1):
         for one in flights.fly([*zip(run.seeds, flyers.policies, strict=True)], task, heading, values=True):
             assert one.values is not None
-            step = one.number - 1
+            step, outcome = one.number - 1, one.outcome
             q[step, one.flight] = one.values.amax(-1).double()
-            returned[step, one.flight] = one.outcome.reward
+            returned[step, one.flight] = outcome.reward
             flown[step, one.flight] = True
-            collided[one.flight] = one.outcome.terminated
+            collided[one.flight] = outcome.terminated
     for step in reversed(range(limit - 1)):
         returned[step] += gamma * returned[step + 1]
     known = collided | (torch.arange(limit)[:, None] + horizon <= limit)

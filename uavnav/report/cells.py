@@ -11,9 +11,9 @@ import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -53,7 +53,8 @@ Key = tuple[str, str]
 """Algorithm and activation."""
 
 
-class Cell(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Cell:
     """Runs that differ in their seeds alone."""
 
     algorithm: str
@@ -63,6 +64,13 @@ class Cell(NamedTuple):
     episodes: pd.DataFrame  # of training, the columns of `metrics.EPISODE_COLUMNS`
     evaluation: pd.DataFrame  # the same and `mode`; no rows where there is none
     label: str = ""
+    known: dict[str, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)  # by reading, as of `read_as`
+
+    def labelled(self, label: str) -> Cell:
+        """The same under a label."""
+        same = replace(self, label=label)
+        same.known.update(self.known)
+        return same
 
 
 def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
@@ -103,7 +111,7 @@ def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
     for path in paths.values():
         try:
             cell = read(path)
-            key = json.dumps(cell[:3], sort_keys=True, default=str)
+            key = json.dumps([cell.algorithm, cell.activation, cell.settings], sort_keys=True, default=str)
             cells[key] = _merged(cells[key], cell) if key in cells else cell
         except RunError as error:
             left_out.append(one_line(error))
@@ -193,7 +201,8 @@ def _merged(cell: Cell, other: Cell) -> Cell:
     for run in cell.runs:
         if twice := sorted({*run.seeds} & {*added.seeds}):
             raise RunError(f"{added.path}: its seed {twice[0]} is in {run.path} already, with the same settings")
-    return cell._replace(
+    return replace(
+        cell,
         runs=[*cell.runs, added],
         episodes=_joined(cell.episodes, other.episodes),
         evaluation=_joined(cell.evaluation, other.evaluation),
@@ -228,7 +237,7 @@ def label(cells: list[Cell]) -> tuple[list[Cell], str]:
     labelled = []
     for cell, own in zip(cells, settings, strict=True):
         changes = ", ".join(f"{key}={own.get(key)}" for key in usual if own.get(key) != usual[key])
-        labelled.append(cell._replace(label=f"{cell.activation} ({changes})" if changes else cell.activation))
+        labelled.append(cell.labelled(f"{cell.activation} ({changes})" if changes else cell.activation))
     labelled.sort(key=lambda cell: (*order((cell.algorithm, cell.activation)), cell.label))
     return labelled, ", ".join(f"{key}={value}" for key, value in usual.items())
 
@@ -244,7 +253,16 @@ def episodes_of(cell: Cell, reading: str) -> pd.DataFrame:
 
 
 def read_as(cell: Cell, reading: str) -> pd.DataFrame:
-    """A row a seed and a column a metric; no rows where there are no episodes, or the log's rhythm is not known."""
+    """A row a seed and a column a metric; no rows where there are no episodes, or the log's rhythm is not known.
+
+    It is worked out once, however often it is asked for: leave the table as it is.
+    """
+    if reading not in cell.known:
+        cell.known[reading] = _read_as(cell, reading)
+    return cell.known[reading]
+
+
+def _read_as(cell: Cell, reading: str) -> pd.DataFrame:
     own, episodes = cell.settings, episodes_of(cell, reading)
     if reading == PER_FRAME:
         return per_frame(episodes, own["frames"])

@@ -73,8 +73,8 @@ def gather(folders: Sequence[Path]) -> Content:
     with machine.use_threads(1), ThreadPoolExecutor(1) as beside:  # what nothing else waits for flies meanwhile
         valued = beside.submit(_overestimation, of_paper)
         replayed = beside.submit(replays.record, [*of_paper.values()])
-        flights, watched, problems = watch(sorted_cells)
-        evidence = {reading: Rows(sorted_cells, reading, flights) for reading in READINGS}
+        flights, by_layout, watched, problems = watch(sorted_cells)
+        evidence = {reading: Rows(sorted_cells, reading, flights, by_layout) for reading in READINGS}
         printed = {reading: functools.partial(studies.of_paper, reading=reading) for reading in READINGS}
         audits = {reading: audit(evidence[reading], printed[reading]) for reading in READINGS}
         baselines, unread = frames.baselines(folders)
@@ -82,6 +82,7 @@ def gather(folders: Sequence[Path]) -> Content:
         numbers = _tables(sorted_cells, audits, flights) | {"whys": whys.table(evidence[PRIMARY])}
         (overestimated, unvalued), flown = valued.result(), replayed.result()
     predictions = frames.predictions(evidence)
+    numbers |= {"behaviour_by_layout": frames.flown(by_layout)}
     numbers |= {"overestimation": overestimated, "survival": survived, "predictions": predictions}
     numbers |= {"operating": characteristics(evidence[PRIMARY], printed[PRIMARY])}
     numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
@@ -98,10 +99,11 @@ def gather(folders: Sequence[Path]) -> Content:
     )
 
 
-def watch(all_cells: Studies) -> tuple[Flights, Flights, list[str]]:
-    """Measures of flights (a row a mode and seed), the flights, and a line for what could not be read or flown.
+def watch(all_cells: Studies) -> tuple[Flights, Flights, Flights, list[str]]:
+    """Measures of flights by mode and seed, by mode and layout, the flights, and a line for what could not be read.
 
-    The main study's drones also fly in the empty arena: their measures there are `empty_...`, their `layout` is -1.
+    Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`). Its drones also fly in
+    the empty arena: their measures there are `empty_...`, their `layout` is -1.
     """
     parts: dict[Place, list[pd.DataFrame]] = defaultdict(list)
     crews: dict[Place, list[behaviour.Crew]] = defaultdict(list)
@@ -121,11 +123,17 @@ def watch(all_cells: Studies) -> tuple[Flights, Flights, list[str]]:
                     problems.append(one_line(error))
     tables = {place: pd.concat(found, ignore_index=True) for place, found in parts.items()}
     world, bank = World(), layouts.load("test")
-    measured = {key: behaviour.measures(table, bank, world) for key, table in tables.items()}
+    measured, by_layout = {}, {}
+    for place, table in tables.items():
+        steps = behaviour.of_steps(table, bank, world)
+        measured[place] = behaviour.of_seeds(steps)
+        if place[0] == "main":
+            measured[place] = measured[place].join(behaviour.early(steps), on=["mode", "seed"])
+            by_layout[place] = behaviour.by_layout(steps)
     for place, (own, empty) in (arena(crews) if crews else {}).items():
         measured[place] = measured[place].join(own, on=["mode", "seed"])
         tables[place] = pd.concat([tables[place], empty.assign(layout=-1)], ignore_index=True)
-    return measured, tables, problems
+    return measured, by_layout, tables, problems
 
 
 def arena(crews: Mapping[Place, Sequence[behaviour.Crew]]) -> dict[Place, tuple[pd.DataFrame, pd.DataFrame]]:
@@ -170,6 +178,7 @@ def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights
         "sensitivity": frames.sensitivity(all_cells),
         "cells": headline.cells(all_cells),
         "effects": headline.effects(all_cells),
+        "worlds": headline.worlds(all_cells),
         "peaks": headline.peaks(of_paper),
         "by_default": frames.by_default(all_cells),
         "many_worlds": frames.estimates(frames.per_seed_values(studies.paper_cells(all_cells.many_worlds))),

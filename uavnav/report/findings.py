@@ -50,6 +50,33 @@ TALLIED = {
 WHO = {RULE: f"a hand-written rule (`{RULE}`)"}
 
 
+WORLDS = {
+    "scatter": (
+        "WHO's seeds scatter by {} more late reward in 1,000 frames in one world than in many.",
+        "WHO's seeds scatter by {} less late reward in 1,000 frames in one world than in many.",
+        "One world and many are not told apart in the scatter of WHO's seeds: {} of late reward in 1,000 frames.",
+    ),
+    "longest": (
+        "A WHO seed's longest open flight is {} steps longer in one world than in many.",
+        "A WHO seed's longest open flight is {} steps shorter in one world than in many.",
+        "One world and many are not told apart in the longest open flight of a WHO seed: {} steps.",
+    ),
+    "open": (
+        "Flights open at the end hold {} more of WHO's frames in one world than in many.",
+        "Flights open at the end hold {} less of WHO's frames in one world than in many.",
+        "One world and many are not told apart in the share of WHO's frames in open flights: {}.",
+    ),
+    "order": (
+        "WHO's activations keep their order in one world and many: ranks correlate by {}.",
+        "WHO's activations turn their order round in many worlds: ranks anticorrelate by {}.",
+        "It is open whether WHO's activations keep their order in one world and many: ranks correlate by {}.",
+    ),
+}
+"""What one world a seed changes beside the mean, by the measure of `headline.worlds`: more, less, or not told apart."""
+SHOWN_AS = {"scatter": (1000.0, ""), "open": (100.0, " %")}
+"""By how much such a measure is multiplied, and its unit."""
+
+
 class Sentence(NamedTuple):
     """A sentence around the number that a row of a table holds."""
 
@@ -73,7 +100,7 @@ class Sentence(NamedTuple):
 
 def findings(numbers: Numbers) -> list[Sentence]:
     """What the study found: how many claims hold, the rule, who is ahead, targets, times, readings, more worlds."""
-    makers = (_tally, _rule, _ahead, _one_step, _surge, _fit, _many_worlds)
+    makers = (_tally, _rule, _ahead, _one_step, _surge, _fit, _many_worlds, _worlds)
     return [sentence for make in makers for sentence in make(numbers)]
 
 
@@ -218,6 +245,13 @@ def _many_worlds(numbers: Numbers) -> Iterator[Sentence]:
             f"{who} in many worlds a seed is not told apart from {who} in one: {{}} of reward in 1,000 frames.",
             *(_times(_found(row), 1000), "effects", place),
         )
+
+
+def _worlds(numbers: Numbers) -> Iterator[Sentence]:
+    for place, row in _rows(numbers["worlds"]):
+        factor, unit = SHOWN_AS.get(row.measure, (1.0, ""))
+        more, less, neither = (words.replace("WHO", row.algorithm.upper()) for words in WORLDS[row.measure])
+        yield from _told(more, less, neither, _times(_found(row), factor), "worlds", place, unit)
 
 
 def _best(gaps: pd.DataFrame, modes: tuple[str, ...], algorithms: tuple[str, ...] = ()) -> Iterator[tuple[int, Any]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,21 +78,24 @@ def per_seed_values(cells: Cells) -> pd.DataFrame:
 def estimates(values: pd.DataFrame) -> pd.DataFrame:
     """Mean and interquartile mean over seeds, with 95 % intervals, beside the paper's number in the same reading."""
     rows = []
-    keys = ["algorithm", "activation", "reading", "metric"]
+    keys = ["algorithm", "activation", "reading"]
     numbers = ["n", "mean", "low", "high", "interquartile_mean", "iqm_low", "iqm_high", "paper"]
-    for key, part in values.groupby(keys, sort=False)["value"]:
-        algorithm, activation, reading, metric = map(str, key)
-        values_of = np.asarray(part, dtype=np.float64).tobytes()
-        mean, middle = _interval(values_of), _interval(values_of, stats.interquartile_mean)
-        printed = paper.printed(algorithm, activation, metric, reading == PER_FRAME)
-        rows.append([*key, mean.n, *mean[:3], *middle[:3], printed])
-    return pd.DataFrame(rows, columns=[*keys, *numbers])
+    for key, part in values.groupby(keys, sort=False):
+        algorithm, activation, reading = map(str, key)
+        of_metrics = {
+            str(metric): own.to_numpy(np.float64) for metric, own in part.groupby("metric", sort=False)["value"]
+        }
+        found = _intervals(tuple(own.tobytes() for own in of_metrics.values()))
+        for metric, (mean, middle) in zip(of_metrics, found, strict=True):
+            printed = paper.printed(algorithm, activation, metric, reading == PER_FRAME)
+            rows.append([*key, metric, mean.n, *mean[:3], *middle[:3], printed])
+    return pd.DataFrame(rows, columns=[*keys, "metric", *numbers])
 
 
-@functools.lru_cache(maxsize=65536)
-def _interval(seeds: bytes, statistic: Callable[..., Any] = np.mean) -> stats.Interval:
-    """`stats.interval` of float64 [S] as bytes: the page and report.md ask for many of them twice."""
-    return stats.interval(np.frombuffer(seeds), statistic)
+@functools.lru_cache(maxsize=8192)
+def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
+    """Mean and interquartile mean of rows of float64 [S] as bytes: page and report.md ask for many of them twice."""
+    return stats.intervals([np.frombuffer(row) for row in rows], [np.mean, stats.interquartile_mean])
 
 
 def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:

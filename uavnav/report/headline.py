@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from uavnav import stats
-from uavnav.report.cells import curve, episodes_of, windowed
+from uavnav.report.cells import Cell, curve, episodes_of, windowed
 from uavnav.report.claims import PRIMARY, SURGE
 from uavnav.report.frames import name, of_seeds
 from uavnav.report.studies import AFTER, Cells, Studies, paper_cells, seeds
@@ -102,6 +103,48 @@ def effects(studies: Studies) -> pd.DataFrame:
             frames = max(changed[key].settings["frames"] for key in keys)
             rows.append([switch, algorithm, frames, *stats.difference(first, second)])
     return pd.DataFrame(rows, columns=["switch", "algorithm", "frames", *NUMBERS])
+
+
+def worlds(studies: Studies) -> pd.DataFrame:
+    """What one world a seed changes beside the mean, against many: columns measure, algorithm, and `NUMBERS`.
+
+    One minus many, mean over the activations that both studies have, with Welch's interval over seeds:
+
+    - scatter: the standard deviation over seeds of reward per frame in the last 100,000 frames (`stats.deviations`);
+    - longest: the longest flight of a seed that is open at the end [steps], 0 where none is;
+    - open: the share of a seed's frames in flights that are open at the end.
+
+    order: Spearman's correlation, one against many, of the activations' mean rewards per frame.
+    """
+    one, many = paper_cells(studies.main), paper_cells(studies.many_worlds)
+    shared, rows = [key for key in one if key in many], []
+    for algorithm in dict.fromkeys(which for which, _ in shared):
+        pairs = [[cells[key] for key in shared if key[0] == algorithm] for cells in (one, many)]
+        for measure, of in {"scatter": _scatter, "longest": _longest, "open": _open}.items():
+            first, second = ([of(cell) for cell in cells] for cells in pairs)
+            rows.append([measure, algorithm, *stats.difference(first, second)])
+        first, second = ([of_seeds(cell, PRIMARY) for cell in cells] for cells in pairs)
+        rows.append(["order", algorithm, *stats.rank_correlation(first, second)])
+    return pd.DataFrame(rows, columns=["measure", "algorithm", *NUMBERS])
+
+
+def _scatter(cell: Cell) -> stats.Array:
+    frames = cell.settings["frames"]
+    return stats.deviations(windowed(cell, "reward", [(frames - AFTER, frames)])[0].to_numpy())
+
+
+def _longest(cell: Cell) -> stats.Array:
+    return np.asarray(_open_flights(cell).max(), dtype=np.float64)
+
+
+def _open(cell: Cell) -> stats.Array:
+    return np.asarray(_open_flights(cell).sum() / cell.settings["frames"])
+
+
+def _open_flights(cell: Cell) -> Any:
+    """Steps of flights that are open at the end, 0 for all others, by seed."""
+    ended = cell.episodes["terminated"] | cell.episodes["truncated"]
+    return cell.episodes["steps"].where(~ended, 0).groupby(cell.episodes["seed"])
 
 
 def peaks(cells: Cells) -> pd.DataFrame:

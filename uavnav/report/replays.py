@@ -158,10 +158,10 @@ def _fly_together(flyers: Sequence[tuple[int, Policy]], task: Task, n_layouts: i
     collided = torch.zeros(len(kept), dtype=torch.bool)
     for step in flights.fly(flyers, task, values=True):
         assert step.values is not None
-        mine = kept[step.flight]
+        mine, outcome = kept[step.flight], step.outcome
         choices.append({"row": step.flight[mine], "action": step.action[mine], "values": step.values[mine]})
-        poses.append(_pose(step.flight, step.state, step.outcome.observation, step.outcome.clearance, mine))
-        collided[step.flight] = step.outcome.terminated
+        poses.append(_pose(step.flight, step.state, outcome.observation, outcome.clearance, mine))
+        collided[step.flight] = outcome.terminated
         going -= int((step.ended & mine).sum())
         if not going:
             break

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -155,12 +155,14 @@ def seeds(cell: Cell) -> int:
 class Rows:
     """Each metric of the studies' cells in one reading: an `Evidence`.
 
-    flights: rows of `seed`, `mode` and measures by study, algorithm and activation.
+    flights: rows of `seed`, `mode` and measures by study, algorithm and activation; by_layout: the same with `layout`
+    instead of `seed`.
     """
 
     studies: Studies
     reading: str  # one of `readings.READINGS`
     flights: Mapping[tuple[str, str, str], pd.DataFrame]
+    by_layout: Mapping[tuple[str, str, str], pd.DataFrame] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._table = functools.cache(self._per_seed)
@@ -180,7 +182,8 @@ class Rows:
             return np.empty(0)
         if metric == "hours":
             return hours(cell)
-        flown = self.flights.get((study, algorithm, activation))
+        of_flights = self.by_layout if metric.endswith("_by_layout") else self.flights
+        flown = of_flights.get((study, algorithm, activation))
         if flown is not None and metric in flown:
             table = flown[flown["mode"] == ("greedy" if self.reading.startswith("greedy") else "sampled")]
         else:

@@ -70,8 +70,8 @@ def save(figure: Figure) -> tuple[bytes, bytes]:
     """SVG and PNG, the same bytes on every call."""
     svg, png = io.BytesIO(), io.BytesIO()
     with matplotlib.rc_context(STYLE):
-        if isinstance(figure.get_layout_engine(), ConstrainedLayoutEngine):
-            figure.draw_without_rendering()
+        if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine) and figure.axes:
+            engine.execute(figure)
             figure.set_layout_engine("none")  # laid out once: a second time would move things by a hair
         figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
         figure.savefig(png, format="png", metadata={"Software": None})

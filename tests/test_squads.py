@@ -1,0 +1,114 @@
+"""Policies that differ in their weights alone act as one product, and each does what it does alone."""
+
+import pytest
+import torch
+
+from uavnav import flights
+from uavnav.evaluate import on
+from uavnav.networks import made_of, mlp, stacked
+from uavnav.policies import Policy
+from uavnav.squads import Alone, Squad, Squads
+from uavnav.tasks.baselines import reactive
+from uavnav.tasks.simulator import EMPTY, make_task
+
+
+def network(seed=0, sizes=(30, 64, 64, 100), activation="tanh", **how):
+    return mlp(sizes, activation, [torch.Generator().manual_seed(seed)], "default", **how)
+
+
+def policy(seed=0, greedy=False, acts="categorical", epsilon=0.0, **how):
+    return Policy(network(seed, **how), "ppo", greedy, make_task(EMPTY), acts, "direct", epsilon, seed)
+
+
+CREW = [
+    *((seed, policy(seed)) for seed in range(4)),
+    (4, reactive),
+    *((seed, policy(seed, True)) for seed in range(3)),
+    *((seed, policy(seed, acts="epsilon-greedy", epsilon=0.3)) for seed in range(3)),
+    (9, policy(9, activation="relu")),
+]
+
+
+@pytest.mark.parametrize("n_layouts", [1, 2, 7])
+def test_whoever_flies_beside_others_flies_as_alone_to_the_last_bit(n_layouts):
+    task = on(make_task(EMPTY), episodes=n_layouts, max_steps=80)
+    together = [[] for _ in CREW]
+    for step in flights.fly(CREW, task):
+        for place, own in enumerate(together):
+            mine = step.flight // n_layouts == place
+            own.append((step.action[mine], step.state.x[mine], step.outcome.reward[mine]))
+    for place, flyer in enumerate(CREW):
+        steps = 0
+        for alone, beside in zip(flights.fly([flyer], task), together[place], strict=False):
+            steps += 1
+            there = alone.action, alone.state.x, alone.outcome.reward
+            assert all(torch.equal(one, other) for one, other in zip(there, beside, strict=True))
+        assert steps > 5
+
+
+def test_flyers_of_one_kind_with_as_many_flights_are_one_product(monkeypatch):
+    shapes, of_agents = [], Policy.of_agents
+
+    def counted(self, seen):
+        shapes.append(tuple(seen.shape))
+        return of_agents(self, seen)
+
+    monkeypatch.setattr(Policy, "of_agents", counted)
+    squads = Squads(CREW, 100)
+    squads.act(torch.rand(36, 30), [3] * 12)
+    assert shapes == [(4, 3, 30), (3, 3, 30), (3, 3, 30), (1, 3, 30)]
+    shapes.clear()
+    squads.act(torch.rand(12, 30), [3, 0, 2, 3, 1, 0, 0, 0, 1, 1, 1, 0])
+    assert shapes == [(2, 3, 30), (1, 2, 30), (3, 1, 30)]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        policy(1, True),
+        policy(1, acts="epsilon-greedy"),
+        policy(1, epsilon=0.1),
+        policy(1, activation="relu"),
+        policy(1, layer_norm=True),
+        policy(1, sizes=(30, 32, 100)),
+        reactive,
+    ],
+)
+def test_policies_that_differ_in_more_than_weights_act_apart(other):
+    squads = Squads([(0, policy()), (1, other)], 100)
+    squads.act(torch.rand(4, 30), [2, 2])
+    assert [type(one) for one in squads._dealt.values()] == [Alone, Alone]
+
+
+def test_a_squad_that_stays_together_is_stacked_once():
+    squads = Squads([(seed, policy(seed)) for seed in range(4)], 100)
+    squads.act(torch.rand(6, 30), [2, 2, 1, 1])
+    first, second = squads._dealt.values()
+    squads.act(torch.rand(5, 30), [2, 2, 1, 0])
+    assert isinstance(first, Squad)
+    assert squads._dealt[0, 1] is first
+    assert second not in squads._dealt.values()
+
+
+def test_values_come_back_in_the_order_of_the_rows():
+    crew = [(0, policy(0)), (1, policy(1, activation="relu")), (2, policy(2))]
+    seen = torch.rand(6, 30)
+    actions, values = Squads(crew, 100).act(seen, [2, 2, 2], values=True)
+    for place, (_, one) in enumerate(crew):
+        own = slice(2 * place, 2 * place + 2)
+        assert torch.equal(values[own], one.values(seen[own]))
+    assert actions.shape == (6,)
+
+
+def test_stacked_networks_give_what_each_gives():
+    ones = [network(seed, layer_norm=True) for seed in range(3)]
+    seen = torch.rand(3, 5, 30)
+    whole = stacked(ones)
+    assert made_of(whole) == made_of(ones[0])
+    assert torch.equal(whole(seen), torch.cat([one(own[None]) for one, own in zip(ones, seen, strict=True)]))
+    assert not any(weight.requires_grad for weight in whole.parameters())
+
+
+def test_another_network_than_an_mlp_is_made_of_nothing_known():
+    assert made_of(torch.nn.Sequential(torch.nn.Linear(30, 100))) is None
+    assert made_of(torch.nn.Identity()) is None

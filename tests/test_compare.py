@@ -8,8 +8,21 @@ import pytest
 from rich.console import Console
 
 from uavnav import compare
-from uavnav.compare import Contender, check, contender, improvement, main, metrics, page, rows_of, spark, survival, text
+from uavnav.compare import (
+    Contender,
+    check,
+    contender,
+    improvement,
+    main,
+    metrics,
+    page,
+    seeds_of,
+    spark,
+    survival,
+    text,
+)
 from uavnav.evaluate import EPISODES, MAX_STEPS, header
+from uavnav.report.tables import side_by_side
 from uavnav.runs.metrics import EPISODE_COLUMNS
 
 PROTOCOL = header("test", EPISODES, MAX_STEPS)
@@ -54,7 +67,7 @@ def test_the_text_and_the_page_hold_every_contender_and_no_claim(capsys):
     said = capsys.readouterr().out
     assert "above has more reward than below with probability 0.94" in said
     html = page([ABOVE, BELOW]).decode()
-    for row in rows_of([ABOVE, BELOW]):
+    for row in side_by_side(seeds_of([ABOVE, BELOW])):
         assert row[0] in html
     assert html.count("<figure") == 2  # improvement and survival; nothing was trained
     seen = said + html.partition("</style>")[2]

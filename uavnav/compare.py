@@ -20,7 +20,7 @@ from uavnav.choices import did_you_mean_run
 from uavnav.evaluate import EPISODES, MAX_STEPS, evaluate_run, fly, header, on
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
-from uavnav.report import cells, charts, curves, style
+from uavnav.report import cells, charts, curves, style, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import Run
 from uavnav.runs.metrics import METRICS, per_seed
@@ -114,21 +114,6 @@ def spark(values: Sequence[float]) -> str:
     return "".join(BARS[round(height)] for height in heights.tolist())
 
 
-def rows_of(contenders: Sequence[Contender]) -> list[list[str]]:
-    """The metrics in words: a row a metric, a column a contender."""
-    found = {(row["metric"], row["name"]): row for row in metrics(contenders).to_dict("records")}
-    seeds = [str(len(table)) for table in seeds_of(contenders).values()]
-    rows = [["", *(one.name for one in contenders)], ["seeds", *seeds]]
-    for name, metric in METRICS.items():
-        each = [found[name, one.name] for one in contenders]
-        rows.append([str(metric), *(_interval(one["mean"], one["low"], one["high"]) for one in each)])
-    return rows
-
-
-def _interval(mean: float, low: float, high: float) -> str:
-    return style.number(mean) + (f" ({style.number(low)} to {style.number(high)})" if np.isfinite(low) else "")
-
-
 def flown(contenders: Sequence[Contender]) -> str:
     """How all of them were flown."""
     episodes, bank, cap = (contenders[0].protocol[key] for key in ("episodes", "layouts", "max_steps"))
@@ -137,7 +122,7 @@ def flown(contenders: Sequence[Contender]) -> str:
 
 def text(contenders: Sequence[Contender], console: Console) -> None:
     """Print the tables, and each run's learning curve as bars."""
-    rows = rows_of(contenders)
+    rows = tables.side_by_side(seeds_of(contenders))
     table = Table(*rows[0], title=f"Means and 95 % intervals over seeds; {flown(contenders)}", box=None)
     table.title_justify = "left"
     for row in rows[1:]:
@@ -173,7 +158,7 @@ def page(contenders: Sequence[Contender]) -> bytes:
     environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE), autoescape=True)
     names = [one.name for one in contenders]
     template = environment.get_template("compare.html")
-    rows, how = rows_of(contenders), flown(contenders)
+    rows, how = tables.side_by_side(seeds_of(contenders)), flown(contenders)
     return template.render(names=names, rows=rows, pictures=pictures, flown=how).encode()
 
 

@@ -14,15 +14,15 @@ import pandas as pd
 
 from uavnav.policies import PolicyError
 from uavnav.report import behaviour, figures, frames, headline, replays, studies, whys
-from uavnav.report.cells import Cell, collect, one_line
-from uavnav.report.claims import PRIMARY
+from uavnav.report.cells import Cell, collect, one_line, read_as
+from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.figures import Figure
 from uavnav.report.operating import characteristics
 from uavnav.report.studies import Rows, Studies
 from uavnav.report.verdicts import Finding, audit
 from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
-from uavnav.runs.readings import READINGS
+from uavnav.runs.readings import READINGS, SAMPLED
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
@@ -53,6 +53,18 @@ class Content:
     def missing(self) -> list[str]:
         """The paper's cells that have no finished run in the main study."""
         return [" ".join(key) for key in paper.TABLES if key not in self.studies.main]
+
+    @property
+    def unasked(self) -> list[int]:
+        """The claims of which no run says anything."""
+        found = [finding for findings in self.audits.values() for finding in findings]
+        return [claim.number for claim in CLAIMS if not any(one.n for one in found if one.claim == claim.number)]
+
+    @property
+    def flown(self) -> dict[str, pd.DataFrame]:
+        """Each cell's test flights as a row a seed, sampled, by the folder of its first run."""
+        read = {str(cell.runs[0].path): read_as(cell, SAMPLED) for cell in self.cells}
+        return {name: seeds for name, seeds in read.items() if len(seeds)}
 
     @property
     def findings(self) -> list[Finding]:

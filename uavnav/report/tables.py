@@ -7,9 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from uavnav import stats
+from uavnav.report import style
 from uavnav.report.cells import Cell, episodes_of, one_line, show
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.frames import DIAGNOSTICS, estimates, name, per_seed_values
@@ -110,12 +112,28 @@ def in_reading(findings: Sequence[Finding]) -> str:
     return str(grade(findings)) if any(one.n for one in findings) else NOTHING
 
 
+def side_by_side(seeds: Mapping[str, pd.DataFrame]) -> Rows:
+    """Anything that has flown: a row a metric, a column each; seeds: by name, a row a seed as of `metrics.per_seed`."""
+    rows = [["", *seeds], ["seeds", *(str(len(one)) for one in seeds.values())]]
+    for column, metric in METRICS.items():
+        found = [stats.interval(one[column].dropna().to_numpy()) for one in seeds.values()]
+        rows.append([str(metric), *map(_spread, found)])
+    return rows
+
+
+def _spread(found: stats.Interval) -> str:
+    inside = f" ({style.number(found.low)} to {style.number(found.high)})" if np.isfinite(found.low) else ""
+    return f"{style.number(found.value)}{inside}"
+
+
 def overview(audits: Mapping[str, Sequence[Finding]]) -> Rows:
-    """One row a claim: its grade in the primary reading, and in the others."""
+    """One row a claim that some runs speak of: its grade in the primary reading, and in the others."""
     others = [reading for reading in audits if reading != PRIMARY]
     rows = [["", "the paper says", "grade", "parts that replicate", *others]]
     for claim in CLAIMS:
         of = {reading: of_claim(found, claim.number) for reading, found in audits.items()}
+        if not any(one.n for found in of.values() for one in found):
+            continue
         found = grade(of[PRIMARY])
         rest = [in_reading(of[reading]) for reading in others]
         rows.append([str(claim.number), claim.sentence, str(found), bar(found), *rest])

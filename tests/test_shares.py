@@ -282,7 +282,7 @@ def test_a_snapshot_without_any_row_yet_is_two_empty_tables(tmp_path):
 
 @pytest.mark.slow
 def test_a_report_beside_a_run_under_way_does_not_take_its_shares_for_runs(tmp_path):
-    from uavnav.report.cells import run_folders
+    from uavnav.runs import run_folders
 
     with pytest.raises(Interrupted):
         train(PPOConfig(n_seeds=3, **SMALL), tmp_path / "run", quiet=True, processes=2, until=512)

@@ -9,8 +9,7 @@ import pytest
 
 from uavnav import studies
 from uavnav.choices import ConfigError
-from uavnav.report.cells import run_folders
-from uavnav.runs import read_settings
+from uavnav.runs import read_settings, run_folders
 from uavnav.study import main, parse
 from uavnav.training.config import plain
 

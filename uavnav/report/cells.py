@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.runs import EVALUATION, LOG_FOLDERS, Run, paper
+from uavnav.runs import EVALUATION, Run, paper, run_folders
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, last_episodes, per_seed
 from uavnav.runs.readings import (
     EVALUATIONS,
@@ -37,10 +36,6 @@ from uavnav.tasks.world import World
 
 BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
-NO_RUNS = ("checkpoint", *LOG_FOLDERS)
-"""Folders that hold no runs."""
-OF_REPORTS = ("baselines", "bench", "tables", "figures")
-"""Folders that a report reads or writes itself."""
 TASK = "drone"
 """The task of a run that names none."""
 ONCE_FLAT = ("slots", "padding", "start_heading")
@@ -71,31 +66,6 @@ class Cell:
         same = replace(self, label=label)
         same.known.update(self.known)
         return same
-
-
-def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
-    """Every folder with a config.yaml in or below a folder, in order of name, hidden ones aside; and strays.
-
-    Strays are tables that lie where no run is, one line each.
-
-    Raises:
-        RunError: it is missing, a file, or holds no run.
-    """
-    if not folder.is_dir():
-        problem = "is a file" if folder.exists() else "there is no such folder"
-        raise RunError(f"{folder}: {problem}; give a folder that holds runs")
-    found, strays = [], []
-    for path, names, files in os.walk(folder):
-        names[:] = sorted(name for name in names if not name.startswith(".") and name not in NO_RUNS)
-        if "config.yaml" in files:
-            found.append(Path(path))
-        elif "episodes.parquet" in files:
-            strays.append(f"{path}: has episodes.parquet and no config.yaml; not a run of this package")
-        elif Path(path).name not in OF_REPORTS:
-            strays += [f"{path}/{name}: lies where no run is" for name in sorted(files) if name.endswith(".parquet")]
-    if not found:
-        raise RunError(f"{folder}: holds no run; give a folder that does, or train one with out={folder}/ppo/tanh")
-    return found, strays
 
 
 def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:

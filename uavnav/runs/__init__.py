@@ -37,6 +37,10 @@ FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", POL
 PROGRESS = "progress.json"
 STOP = "stop"
 LOG_FOLDERS = ("tensorboard", "wandb")
+NO_RUNS = ("checkpoint", *LOG_FOLDERS)
+"""Folders that hold no runs."""
+OF_REPORTS = ("baselines", "bench", "tables", "figures")
+"""Folders that a report reads or writes itself."""
 KINDS = {"algorithm": str, "activation": str, "seed": int, "n_seeds": int}
 """What every config.yaml holds."""
 
@@ -125,3 +129,28 @@ def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
     moved = {name: settings[name] for name in ("slots", "padding", "start_heading") if name in settings}
     there = {key: value for key, value in settings.items() if key not in moved}
     return {"layer_norm": False} | there | ({"world": moved} if moved else {})
+
+
+def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
+    """Every folder with a config.yaml in or below a folder, in order of name, hidden ones aside; and strays.
+
+    Strays are tables that lie where no run is, one line each.
+
+    Raises:
+        RunError: it is missing, a file, or holds no run.
+    """
+    if not folder.is_dir():
+        problem = "is a file" if folder.exists() else "there is no such folder"
+        raise RunError(f"{folder}: {problem}; give a folder that holds runs")
+    found, strays = [], []
+    for path, names, files in os.walk(folder):
+        names[:] = sorted(name for name in names if not name.startswith(".") and name not in NO_RUNS)
+        if "config.yaml" in files:
+            found.append(Path(path))
+        elif "episodes.parquet" in files:
+            strays.append(f"{path}: has episodes.parquet and no config.yaml; not a run of this package")
+        elif Path(path).name not in OF_REPORTS:
+            strays += [f"{path}/{name}: lies where no run is" for name in sorted(files) if name.endswith(".parquet")]
+    if not found:
+        raise RunError(f"{folder}: holds no run; give a folder that does, or train one with out={folder}/ppo/tanh")
+    return found, strays

@@ -17,8 +17,7 @@ import pyarrow.compute
 import pyarrow.parquet
 
 from uavnav import commands
-from uavnav.report.cells import run_folders
-from uavnav.runs import EVALUATION, FINISHED, KINDS, PROGRESS, check_settings, read_settings
+from uavnav.runs import EVALUATION, FINISHED, KINDS, PROGRESS, check_settings, read_settings, run_folders
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
 

@@ -78,28 +78,28 @@ def flown(*rewards, rule=428.0):
 
 def test_ppo_is_ahead_by_half_of_the_papers_lead():
     first, *_ = said(verdicts=verdicts([LEAD / 2] * 4, [0.0] * 4))
-    assert first == "PPO is ahead of DQN, by 50 % (49 to 51 %) of the paper's difference."
+    assert first == "PPO is ahead of DQN, as in the paper, by 50 % (49 to 51 %) of its gap."
 
 
 def test_dqn_ahead_is_ppo_behind():
     first, *_ = said(verdicts=verdicts([0.0] * 4, [LEAD] * 4))
-    assert first == "DQN is ahead of PPO, against the paper: by 100 % (99 to 101 %) of its difference."
+    assert first == "Unlike in the paper, DQN is ahead of PPO, by 100 % (99 to 101 %) of its gap."
 
 
 def test_equal_cells_are_less_than_half_of_the_papers_lead_where_many_seeds_agree_and_not_told_apart_where_few_do():
     first, *_ = said(verdicts=verdicts([0.0061] * 4, [0.0] * 4, spread=0.02))
     assert first == "PPO and DQN differ by less than half of what they do in the paper: 10 % (−9 to 29 %)."
     first, *_ = said(verdicts=verdicts([0.0061] * 4, [0.0] * 4, spread=0.06))
-    assert first == "PPO is not told apart from DQN: 10 % (−40 to 60 %) of the paper's difference."
+    assert first == "PPO is not told apart from DQN: 10 % (−40 to 60 %) of the paper's gap."
 
 
 def test_the_best_activation_of_each_algorithm_and_sigmoid_in_ppo_are_findings_of_their_own():
     ours = verdicts([0.02, 0.05, 0.02, 0.02], [-0.02, -0.01, -0.02, -0.02])
     _, tanh, sigmoid, others = said(verdicts=ours)
-    assert tanh.startswith("PPO's best other activation is ahead of PPO with tanh, against the paper: by 413 % (")
-    assert sigmoid.startswith("DQN with sigmoid is ahead of DQN's best other activation, by 118 % (")
+    assert tanh.startswith("Unlike in the paper, PPO's best other activation is ahead of PPO with tanh, by 413 % (")
+    assert sigmoid.startswith("DQN with sigmoid is ahead of DQN's best other activation, as in the paper, by 118 % (")
     assert others.startswith(
-        "PPO with sigmoid is ahead of the mean of PPO's other activations, against the paper: by 442 % ("
+        "Unlike in the paper, PPO with sigmoid is ahead of the mean of PPO's other activations, by 442 % ("
     )
 
 
@@ -116,11 +116,20 @@ def test_the_first_finding_is_how_many_claims_replicate():
 # -- targets, times, readings, the rule, worlds ------------------------------------------------------------------------
 
 
+TARGETS = "with targets of one step, as in the paper, than of 5 steps"
+
+
 @pytest.mark.parametrize(
     ("value", "expected"),
     [
-        (0.05, "DQN earns 50 (40 to 60) less reward in 1,000 frames with targets of one step than of 5."),
-        (-0.05, "DQN earns 50 (40 to 60) more reward in 1,000 frames with targets of one step than of 5."),
+        (
+            0.05,
+            f"DQN earns 50 (40 to 60) less reward in 1,000 frames {TARGETS}.",
+        ),
+        (
+            -0.05,
+            f"DQN earns 50 (40 to 60) more reward in 1,000 frames {TARGETS}.",
+        ),
         (
             0.005,
             "DQN is not seen to earn less with targets of one step than of 5: 5 (−5 to 15) of reward in 1,000 frames.",
@@ -157,9 +166,9 @@ def test_the_reading_in_which_most_numbers_fit_is_named_and_the_cells_that_fit_l
         [LOG_CURVE, "PPO relu", 6, 6],
     ]
     assert said(fits=rows) == [
-        "The paper's numbers fit best as means of Stable-Baselines3's log: 43 of 48 lie where one more seed of ours"
-        " would (95 %).",
-        "They fit worst for DQN with tanh and PPO with leaky ReLU: 2 of 6 each.",
+        "Read as means of Stable-Baselines3's log, the paper's numbers fit best: 43 of 48 lie where 95 % of single"
+        " seeds of ours would.",
+        "The fewest fit for DQN with tanh and PPO with leaky ReLU: 2 of 6 each.",
     ]
     assert said(fits=[[PRIMARY, "all cells", 48, 48], [PRIMARY, "PPO relu", 6, 6]])[1:] == []
 
@@ -169,18 +178,18 @@ def test_the_reading_in_which_most_numbers_fit_is_named_and_the_cells_that_fit_l
     [
         (
             228.0,
-            "A hand-written rule beats the best policy, PPO with sigmoid, by 200 (150 to 250) of reward on a test"
-            " flight.",
+            "A hand-written rule beats the best policy, PPO with sigmoid, by 200 (150 to 250) of mean reward on"
+            " test flights.",
         ),
         (
             628.0,
-            "The best policy, PPO with sigmoid, beats a hand-written rule by 200 (150 to 250) of reward on a test"
-            " flight.",
+            "The best policy, PPO with sigmoid, beats a hand-written rule by 200 (150 to 250) of mean reward on"
+            " test flights.",
         ),
         (
             448.0,
-            "A hand-written rule and the best policy, PPO with sigmoid, are not told apart: 20 (−30 to 70) of reward on"
-            " a test flight.",
+            "A hand-written rule and the best policy, PPO with sigmoid, are not told apart: 20 (−30 to 70) of mean"
+            " reward on test flights.",
         ),
     ],
 )

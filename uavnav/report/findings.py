@@ -43,8 +43,8 @@ TALLIED = {
     REPLICATES: ("replicates", "replicate"),
     IN_PART: ("does in part", "do in part"),
     DOES_NOT: ("does not", "do not"),
-    OPEN: ("is open", "are open"),
-    CONTEXT: ("is context", "are context"),
+    OPEN: ("is undecided", "are undecided"),
+    CONTEXT: ("is not of learning", "are not of learning"),
 }
 """A claim's grade as the verb of one claim, and of several."""
 WHO = {RULE: f"a hand-written rule (`{RULE}`)"}
@@ -165,11 +165,11 @@ def _ahead(numbers: Numbers) -> Iterator[Sentence]:
         first, second = AHEAD[claim.number]
         place, row = _part(numbers, claim)
         percent = _times(Interval(row.ratio, row.ratio_low, row.ratio_high, row.n), 100)
-        undecided = f"{_upper(first)} is not told apart from {second}: {{}} of the paper's difference."
+        undecided = f"{_upper(first)} is not told apart from {second}: {{}} of the paper's gap."
         less = "differ by less than half of what they do in the paper: {}."
         yield from _told(
-            f"{_upper(first)} is ahead of {second}, by {{}} of the paper's difference.",
-            f"{_upper(second)} is ahead of {first}, against the paper: by {{}} of its difference.",
+            f"{_upper(first)} is ahead of {second}, as in the paper, by {{}} of its gap.",
+            f"Unlike in the paper, {second} is ahead of {first}, by {{}} of its gap.",
             f"{_upper(first)} and {second} {less}" if row.verdict == ABSENT else undecided,
             *(percent, "verdicts", place, " %"),
         )
@@ -183,11 +183,12 @@ def _one_step(numbers: Numbers) -> Iterator[Sentence]:
     for place, row in _rows(numbers["effects"], algorithm="dqn"):
         name, _, steps = row.switch.partition("=")
         if name == "n_steps":
-            targets = f"with targets of one step than of {steps}"
+            targets = f"with targets of one step, as in the paper, than of {steps} steps"
             yield from _told(
                 f"DQN earns {{}} less reward in 1,000 frames {targets}.",
                 f"DQN earns {{}} more reward in 1,000 frames {targets}.",
-                f"DQN is not seen to earn less {targets}: {{}} of reward in 1,000 frames.",
+                f"DQN is not seen to earn less with targets of one step than of {steps}:"
+                " {} of reward in 1,000 frames.",
                 *(_times(_found(row), 1000), "effects", place),
             )
 
@@ -213,8 +214,8 @@ def _fit(numbers: Numbers) -> Iterator[Sentence]:
     if every.empty:
         return
     best = every.loc[every["within"].idxmax()]
-    shown, within = f"{best['within']} of {best['numbers']}", " lie where one more seed of ours would (95 %)."
-    before = f"The paper's numbers fit best as {READ_AS[str(best['reading'])]}: "
+    shown, within = f"{best['within']} of {best['numbers']}", " lie where 95 % of single seeds of ours would."
+    before = f"Read as {READ_AS[str(best['reading'])]}, the paper's numbers fit best: "
     yield Sentence(before, shown, within, "fits", int(every["within"].idxmax()))
     cells = training[(training["reading"] == best["reading"]) & (training["cell"] != EVERY)]
     least = cells[cells["within"] == cells["within"].min()]
@@ -222,16 +223,16 @@ def _fit(numbers: Numbers) -> Iterator[Sentence]:
     if first["within"] < first["numbers"]:
         names = " and ".join(map(_with, least["cell"])) if len(least) < 3 else f"{len(least)} cells"
         shown, each = f"{first['within']} of {first['numbers']}", " each" * (len(least) > 1)
-        yield Sentence(f"They fit worst for {names}: ", shown, f"{each}.", "fits", int(least.index[0]))
+        yield Sentence(f"The fewest fit for {names}: ", shown, f"{each}.", "fits", int(least.index[0]))
 
 
 def _rule(numbers: Numbers) -> Iterator[Sentence]:
     for place, row in _best(numbers["gaps"], MODES[1:]):
         best = f"the best policy, {_with(row.who)}"
         yield from _told(
-            f"{_upper(best)}, beats a hand-written rule by {{}} of reward on a test flight.",
-            f"A hand-written rule beats {best}, by {{}} of reward on a test flight.",
-            f"A hand-written rule and {best}, are not told apart: {{}} of reward on a test flight.",
+            f"{_upper(best)}, beats a hand-written rule by {{}} of mean reward on test flights.",
+            f"A hand-written rule beats {best}, by {{}} of mean reward on test flights.",
+            f"A hand-written rule and {best}, are not told apart: {{}} of mean reward on test flights.",
             *(Interval(row.gap, row.gap_low, row.gap_high, row.n), "gaps", place),
         )
 

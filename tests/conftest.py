@@ -1,8 +1,11 @@
 import functools
 import gc
+import subprocess
+import sys
 
 import pytest
 import torch
+from warm import Popen
 
 from uavnav import graph
 
@@ -30,6 +33,15 @@ def little_garbage():
     gc.freeze()
     yield
     gc.unfreeze()
+
+
+@pytest.fixture(scope="module")
+def warm():
+    """New processes of Python have imported PyTorch already; see the module `warm`."""
+    with pytest.MonkeyPatch.context() as patch:
+        if sys.platform == "linux":
+            patch.setattr(subprocess, "Popen", Popen)
+        yield
 
 
 @pytest.fixture

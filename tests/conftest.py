@@ -4,10 +4,12 @@ import subprocess
 import sys
 
 import pytest
-import torch
 from warm import Popen
 
-from uavnav import graph
+from uavnav import graph  # before PyTorch, whose threads then wait without spinning
+
+# isort: split
+import torch
 
 torch.set_num_threads(1)
 

@@ -158,6 +158,7 @@ def test_a_file_tells_nothing_of_the_machine_that_wrote_it(run, tmp_path, suffix
         assert str(tmp_path).encode() not in part
 
 
+@pytest.mark.usefixtures("warm")
 def test_the_command_writes_the_named_seed(run, tmp_path):
     command = [sys.executable, "-m", "uavnav.export", run.path, "--seed", "5", "--out", tmp_path / "policy.onnx"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)

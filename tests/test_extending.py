@@ -34,6 +34,7 @@ def words(command):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 def test_a_file_outside_the_package_trains_stops_resumes_and_goes_through_every_command(tmp_path):
     (code,) = re.findall(r'```python title="my_study.py"\n(.*?)```', PAGE, flags=re.DOTALL)
     (tmp_path / "my_study.py").write_text(code)

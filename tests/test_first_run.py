@@ -151,7 +151,8 @@ def test_a_run_says_what_it_does_how_and_about_how_long():
     )
 
 
-@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.usefixtures("warm")
+@pytest.mark.parametrize("processes", [1, 2])
 @pytest.mark.parametrize("quiet", [False, True])
 def test_training_opens_with_these_lines_unless_it_is_quiet(processes, quiet, tmp_path, capfd):
     config = PPOConfig(n_seeds=2, total_frames=512, n_worlds=4, frames_per_batch=512, epochs=1, compile="off")

@@ -19,6 +19,8 @@ from uavnav.bench.page import read_sections
 from uavnav.bench.plan import Measurement
 from uavnav.bench.runner import Runner
 
+pytestmark = pytest.mark.usefixtures("warm")
+
 # -- jobs -------------------------------------------------------------------------------------------------------------
 
 

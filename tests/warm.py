@@ -24,6 +24,8 @@ ADDRESS = "UAVNAV_WARM"
 """The variable with the server's name, an abstract socket of Linux."""
 PATH = sys.path[1:]
 MODULES = ("uavnav.training.share", "uavnav.evaluate", "uavnav.render", "uavnav.report", "uavnav.export", "hydra")
+SERVERS = []
+"""That this process has started: one, and none in a fork."""
 ALIVE_SECONDS = 1.0
 """Between two looks whether the process that started the server is still there."""
 
@@ -38,7 +40,7 @@ class Popen(subprocess.Popen):
             return super()._execute_child(args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *how)
         pipes, (session, group) = how[3:9], how[-2:]
         told = {"words": [os.fspath(word) for word in args[1:]], "cwd": os.path.abspath(cwd or ".")}
-        told |= {"env": dict(os.environ if env is None else env), "group": bool(session) or group == 0}
+        told |= {"env": dict(os.environ if env is None else env), "session": session, "group": group == 0}
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._server.connect(address())
         streams = [number if given == -1 else given for number, given in enumerate((pipes[0], pipes[3], pipes[5]))]
@@ -74,7 +76,7 @@ def address():
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
             listener.bind(f"\0{name}")
             listener.listen(100)
-            Popen.__base__([sys.executable, __file__], stdin=listener, process_group=0)
+            SERVERS.append(Popen.__base__([sys.executable, __file__], stdin=listener, process_group=0))
         os.environ[ADDRESS] = name
     return f"\0{os.environ[ADDRESS]}"
 
@@ -103,24 +105,26 @@ def watch(asked):
     told = json.loads(told)
     process = os.fork()
     if process == 0:
+        if told.pop("session"):
+            os.setsid()
+        if told.pop("group"):
+            os.setpgid(0, 0)
+        asked.send(struct.pack("i", os.getpid()))
         asked.detach()
         for number, stream in enumerate(streams):
             os.dup2(stream, number)
         os.closerange(3, 1024)
         return run(**told)
-    if told["group"]:
-        os.setpgid(process, process)
     os.closerange(0, 3)
     for stream in streams:
         os.close(stream)
     with suppress(BrokenPipeError):  # who asked may be gone
-        asked.send(struct.pack("i", process))
         _, status = os.waitpid(process, 0)
         asked.send(struct.pack("i", os.waitstatus_to_exitcode(status)))
     os._exit(0)
 
 
-def run(words, cwd, env, group):
+def run(words, cwd, env):
     """Be `python WORDS`, from the first word of its program to the end."""
     os.chdir(cwd)
     os.environ.clear()

@@ -28,7 +28,7 @@ from uavnav.training import loggers
 from uavnav.training.loggers import Logs, chosen
 from uavnav.training.recorder import Interrupted
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("warm")]  # many runs in processes of their own
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("warm_module")]  # many runs in processes of their own
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 SHORT = {"total_frames": 1536, "frames_per_batch": 256, "epochs": 1, "n_seeds": 2, "seed": 3, "compile": "off"}

@@ -21,7 +21,7 @@ from uavnav.algorithms import ppo
 from uavnav.runs import POLICY
 from uavnav.window import play
 
-pytestmark = pytest.mark.usefixtures("warm")
+pytestmark = pytest.mark.usefixtures("warm_module")
 
 ROOT = Path(uavnav.__file__).parent.parent
 PARTS = {"activation": "hardswish", "reward": "roomy", "task": "narrow"}

@@ -256,6 +256,7 @@ def test_as_a_process_a_wrong_word_ends_with_status_2_and_no_traceback(tmp_path)
 
 
 def test_as_a_process_a_short_run_leaves_its_folder_and_no_warning(tmp_path):
+    """Without the fixture `warm`: a process that imports everything itself."""
     status, out, err = process(tmp_path, "ppo", "activation=tanh", "out=mine", *SHORT["ppo"])
     assert (status, err) == (0, "")
     assert "the run is in mine" in out

@@ -27,7 +27,7 @@ from uavnav.training.recorder import Interrupted
 from uavnav.training.shares import split
 from uavnav.verify import verify
 
-pytestmark = pytest.mark.usefixtures("warm")
+pytestmark = pytest.mark.usefixtures("warm_module")
 
 SMALL = {"total_frames": 1024, "frames_per_batch": 256, "epochs": 2, "compile": "off"}
 

@@ -1,8 +1,8 @@
 """New Python processes that need not import PyTorch: forks of a server that has imported it and the package before.
 
-What a process imports takes four seconds of a core, what a test asks of it often a tenth. With the fixture `warm`,
-`Popen` takes the place of `subprocess.Popen`, also in the processes that are started so. How a process begins from
-nothing is tested by test_terminal, test_recipes and test_first_run, which do not use it.
+What a process imports takes four seconds of a core, what a test asks of it often a tenth. With the fixture `warm`, or
+`warm_module`, `Popen` takes the place of `subprocess.Popen`, also in the processes that are started so. How a process
+begins from nothing is tested without them, by test_terminal, test_recipes, test_first_run and test_graph.
 """
 
 import atexit

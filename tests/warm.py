@@ -157,8 +157,8 @@ def execute(kind, *words):
         exec(compile(words[0], "<string>", "exec"), main.__dict__)
     elif kind == "-m":
         del sys.argv[1]
-        if not hasattr(sys.modules.get(words[0]), "__path__"):
-            sys.modules.pop(words[0], None)  # else runpy warns that it is there already
+        package = hasattr(sys.modules.get(words[0]), "__path__")
+        sys.modules.pop(f"{words[0]}.__main__" if package else words[0], None)  # runpy warns of what is there already
         runpy.run_module(words[0], run_name="__main__", alter_sys=True)
     else:
         runpy.run_path(kind, run_name="__main__")

@@ -1,12 +1,12 @@
 import functools
 import gc
+import subprocess
+import sys
 
 import pytest
-import torch
+from warm import Popen
 
-from uavnav import graph
-
-torch.set_num_threads(1)
+import uavnav  # noqa: F401 - before PyTorch, whose threads then wait without spinning
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -14,8 +14,17 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "compiled: needs a compiler, and is skipped where there is none")
 
 
+def pytest_collectstart() -> None:
+    """In the process that collects: the one that hands out tests to others needs no PyTorch."""
+    import torch
+
+    torch.set_num_threads(1)
+
+
 @functools.cache
 def problem() -> str | None:
+    from uavnav import graph
+
     return graph.problem("cpu")
 
 
@@ -30,6 +39,19 @@ def little_garbage():
     gc.freeze()
     yield
     gc.unfreeze()
+
+
+def warmed():
+    """New processes of Python have imported PyTorch already; see the module `warm`."""
+    with pytest.MonkeyPatch.context() as patch:
+        if sys.platform == "linux":
+            patch.setattr(subprocess, "Popen", Popen)
+        yield
+
+
+warm = pytest.fixture(warmed)
+warm_module = pytest.fixture(scope="module")(warmed)
+"""For a whole module, and what its tests share."""
 
 
 @pytest.fixture

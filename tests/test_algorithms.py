@@ -27,7 +27,7 @@ SMALL = {"n_seeds": 2, "n_worlds": 8, "total_frames": 640, "hidden": (16,), "lr"
 """Of every run here."""
 TINY = {
     "ppo": {"frames_per_batch": 128, "epochs": 2},
-    "dqn": {"learning_starts": 64, "target_update_frames": 64, "frames_per_update": 8},
+    "dqn": {"learning_starts": 64, "target_update_frames": 64, "frames_per_update": 4},
 }
 """And what an algorithm needs beside that, so that it learns within 640 frames; a new one often needs nothing."""
 
@@ -107,6 +107,24 @@ def test_compiled_a_stop_changes_no_bit_and_the_eager_run_differs_by_rounding(al
         torch.testing.assert_close(values[0], values[1], rtol=1e-3, atol=1e-3)
     columns = ["frame", "layout", "steps", "turns", "distance"]
     assert whole.episodes[columns].equals(run.episodes[columns])
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+def test_compiled_updates_are_eager_ones_from_the_same_batches_call_after_call(algorithm):
+    """Later calls begin with other weights, targets and moments than the graph was traced with."""
+    config = configured(algorithm, lr=1e-3)  # RMSprop magnifies rounding of small gradients
+    flown = make_collector(make_env(config, True), config.make(compile=False).actor, config)
+    eager, compiled = (config.make(compile=compile) for compile in (False, True))
+    rows = []
+    for frames, batch in zip(range(config.frames_per_iteration, 257, config.frames_per_iteration), flown, strict=False):
+        rows.append([eager.learn(batch.clone(), frames), compiled.learn(batch, frames)])
+        torch.testing.assert_close(weights(compiled), weights(eager), rtol=1e-4, atol=1e-5)
+    for one, other in rows:
+        for name, value in (one or {}).items():
+            torch.testing.assert_close(other[name], value, rtol=1e-4, atol=1e-4)
+    assert len(rows) >= 2
+    assert (weights(compiled) - weights(config.make(compile=False))).abs().max() > 1e-3  # it did learn
 
 
 # -- what it learns from ---------------------------------------------------------------------------------------------

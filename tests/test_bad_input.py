@@ -65,6 +65,7 @@ def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, f
     on_the_command_line(case, folder, capfd)
 
 
+@pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize(
     ("command", "message"),
     [

@@ -2,8 +2,6 @@
 
 import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
@@ -478,16 +476,3 @@ def test_a_damaged_table_is_refused_in_one_line(tmp_path):
     with pytest.raises(RunError, match=r"behaviour.parquet: missing or damaged; evaluate the run again") as caught:
         read(run)
     assert "\n" not in str(caught.value)
-
-
-def test_nothing_that_trains_is_imported():
-    training = [
-        "torchrl",
-        "uavnav.algorithms.ppo",
-        "uavnav.algorithms.dqn",
-        "uavnav.training.learner",
-        "uavnav.envs.env",
-    ]
-    code = f"import sys, uavnav.report.behaviour; sys.exit(str([name for name in {training} if name in sys.modules]))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stderr.strip() == "[]"

@@ -19,6 +19,8 @@ from uavnav.bench.page import read_sections
 from uavnav.bench.plan import Measurement
 from uavnav.bench.runner import Runner
 
+pytestmark = pytest.mark.usefixtures("warm_module")
+
 # -- jobs -------------------------------------------------------------------------------------------------------------
 
 
@@ -131,7 +133,7 @@ def test_the_first_policy_that_is_good_after_training_anew_up_to_its_frame_is_fo
 @pytest.mark.parametrize("algorithm", peers.SPEED_UPS)
 def test_where_the_time_goes_is_taken_of_stable_baselines3_too(algorithm, tmp_path):
     pytest.importorskip("stable_baselines3")
-    how = {"which": "numpy", "frames": 4096, "seconds": 0.5, "learning_starts": 500, "stages": True}
+    how = {"which": "numpy", "frames": 2048, "seconds": 0.5, "learning_starts": 500, "stages": True}
     job = Job("peers.watched", {"algorithm": algorithm} | how, 1, tmp_path)  # what is timed stays wrapped
     shares = job.result(timeout=300)["shares"]
     job.stop()

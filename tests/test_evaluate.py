@@ -259,6 +259,7 @@ def test_a_zip_that_cannot_be_flown_is_one_line_and_no_rows(zipped, monkeypatch,
     assert [path.name for path in zipped.parent.iterdir()] == ["theirs.zip"]
 
 
+@pytest.mark.usefixtures("warm")
 def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_ends_with_0(run):
     command = [sys.executable, "-m", "uavnav.evaluate", run.path, "reactive", "--episodes", "5", "--max-steps", "50"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 RUN = "runs/reinforce/hardswish"
 FEWER = {
-    "train": ["total_frames=40960", "compile=off", "evaluate=false", "checkpoint_seconds=0"],
+    "train": ["total_frames=20480", "compile=off", "evaluate=false", "checkpoint_seconds=0"],
     "evaluate": ["--episodes", "3", "--max-steps", "50"],
     "render": ["--steps", "20"],
     "verify": ["--frames", "4096"],
@@ -34,6 +34,7 @@ def words(command):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 def test_a_file_outside_the_package_trains_stops_resumes_and_goes_through_every_command(tmp_path):
     (code,) = re.findall(r'```python title="my_study.py"\n(.*?)```', PAGE, flags=re.DOTALL)
     (tmp_path / "my_study.py").write_text(code)

@@ -151,7 +151,8 @@ def test_a_run_says_what_it_does_how_and_about_how_long():
     )
 
 
-@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.usefixtures("warm")
+@pytest.mark.parametrize("processes", [1, 2])
 @pytest.mark.parametrize("quiet", [False, True])
 def test_training_opens_with_these_lines_unless_it_is_quiet(processes, quiet, tmp_path, capfd):
     config = PPOConfig(n_seeds=2, total_frames=512, n_worlds=4, frames_per_batch=512, epochs=1, compile="off")
@@ -173,21 +174,22 @@ def test_training_opens_with_these_lines_unless_it_is_quiet(processes, quiet, tm
 
 
 ONE_BY_ONE = """
-import json, runpy, sys
-for words in json.loads(sys.argv[1]):
-    sys.argv = words
+import json, sys
+sys.path.append(sys.argv[1])
+from warm import execute
+for words in json.loads(sys.argv[2]):
     for module in [*sys.modules.values()]:
         if isinstance(told := getattr(module, "__warningregistry__", None), dict):
             told.clear()  # what one command has warned of may not hide another's
-    if words[0] == "uavnav.play":  # the first event closes the window
+    if words[1] == "uavnav.play":  # the first event closes the window
         import pygame
         from uavnav import play
         show = play.show
         play.show = lambda game: (show(game), pygame.event.post(pygame.event.Event(pygame.QUIT)))
-        assert play.main(words[1:]) == 0
+        assert play.main(words[2:]) == 0
         continue
     try:
-        runpy.run_module(words[0], run_name="__main__", alter_sys=True)
+        execute(*words)
     except SystemExit as end:
         assert not end.code, words
 """
@@ -197,10 +199,10 @@ for words in json.loads(sys.argv[1]):
 def test_no_command_lets_a_dependency_talk(tmp_path):
     short = ["compile=off", "total_frames=4096", "evaluate=false"]
     small = ["--episodes", 5, "--max-steps", 50]
-    for recipe, *more in ("ppo.py", "out=runs/ppo"), ("dqn.py", "learning_starts=2000", "n_seeds=2", "out=runs/dqn"):
-        result = python(RECIPES / recipe, *short, *more, cwd=tmp_path)
-        assert (result.returncode, result.stderr) == (0, ""), recipe
-        assert "Warning" not in result.stdout, recipe
+    recipes = [
+        [RECIPES / "ppo.py", *short, "epochs=2", "out=runs/ppo"],
+        [RECIPES / "dqn.py", *short, "learning_starts=2000", "frames_per_update=16", "n_seeds=2", "out=runs/dqn"],
+    ]
     commands = [
         ["uavnav.evaluate", "runs/ppo", "random", *small],
         ["uavnav.render", "runs/ppo", "reactive", "--steps", 20, "--out", "flight.gif"],
@@ -217,7 +219,8 @@ def test_no_command_lets_a_dependency_talk(tmp_path):
         commands.append(["uavnav.render", "runs/ppo", "--steps", 20, "--out", "flight.mp4"])
     if importlib.util.find_spec("pygame"):
         commands.append(["uavnav.play", "runs/ppo"])
-    words = [[str(word) for word in command] for command in commands]
-    result = python("-c", ONE_BY_ONE, json.dumps(words), cwd=tmp_path, SDL_VIDEODRIVER="dummy", MPLBACKEND="agg")
+    words = [[str(word) for word in command] for command in [*recipes, *(["-m", *command] for command in commands)]]
+    screen = {"SDL_VIDEODRIVER": "dummy", "MPLBACKEND": "agg"}
+    result = python("-c", ONE_BY_ONE, Path(__file__).parent, json.dumps(words), cwd=tmp_path, **screen)
     assert (result.returncode, result.stderr) == (0, "")
     assert "Warning" not in result.stdout

@@ -1,4 +1,4 @@
-"""The learner by itself: optimisers, clipping, what follows a step, and many updates in one compiled call."""
+"""The learner by itself: optimisers, clipping, and what follows a step; test_algorithms compiles those of the table."""
 
 import copy
 
@@ -8,10 +8,6 @@ from tensordict import TensorDict
 from torch import nn
 from torch.nn.utils import clip_grad_norm_
 
-from uavnav.algorithms import a2c, dqn, ppo
-from uavnav.algorithms.a2c import A2CConfig
-from uavnav.algorithms.dqn import DQNConfig
-from uavnav.algorithms.ppo import PPOConfig
 from uavnav.training.learner import Learner
 from uavnav.training.optimisers import Adam, RMSprop
 
@@ -152,79 +148,3 @@ def test_a_saved_learner_keeps_its_targets_too():
         each.learn(rows(2, 3, 8))
     assert torch.equal(one.objective.loss.target, other.objective.loss.target)
     assert torch.equal(one.objective.loss.weight, other.objective.loss.weight)
-
-
-# -- many updates in one compiled call -------------------------------------------------------------------------------
-
-
-def ppo_batches(agents, n):
-    generator = torch.Generator().manual_seed(1)
-    shape = (agents, n, 16)
-    return TensorDict(
-        {
-            "observation": torch.rand(*shape, 30, generator=generator),
-            "action": torch.randint(0, 100, shape, generator=generator),
-            "action_log_prob": -4.6 + 0.1 * torch.randn(shape, generator=generator),
-            "advantage": torch.randn(*shape, 1, generator=generator),
-            "value_target": torch.randn(*shape, 1, generator=generator),
-        },
-        shape,
-    )
-
-
-def dqn_batches(agents, n):
-    generator = torch.Generator().manual_seed(1)
-    shape = (agents, n, 16)
-    ended = torch.rand(*shape, 1, generator=generator) < 0.2
-    following = {
-        "observation": torch.rand(*shape, 30, generator=generator),
-        "reward": torch.randn(*shape, 1, generator=generator),
-        "done": ended,
-        "terminated": ended,
-    }
-    return TensorDict(
-        {
-            "observation": torch.rand(*shape, 30, generator=generator),
-            "action": torch.randint(0, 100, shape, generator=generator),
-            "next": following,
-        },
-        shape,
-    )
-
-
-def ppo_learner(compile):
-    config = PPOConfig(n_seeds=2, lr=1e-2, entropy_coeff=0.01)
-    return ppo.make_learner(ppo.make_loss(*ppo.make_networks(config), config), config, compile)
-
-
-def a2c_learner(compile):
-    config = A2CConfig(n_seeds=2, lr=1e-3, entropy_coeff=0.01)  # RMSprop magnifies rounding of small gradients
-    return a2c.make_learner(a2c.make_loss(*ppo.make_networks(config), config), config, compile)
-
-
-def dqn_learner(compile):
-    config = DQNConfig(n_seeds=2, lr=1e-2)
-    loss = dqn.make_loss(dqn.make_network(config), config)
-    dqn.HardUpdate(loss, value_network_update_interval=5)  # without one the loss warns
-    return dqn.make_learner(loss, config, compile)
-
-
-@pytest.mark.slow
-@pytest.mark.compiled
-@pytest.mark.parametrize(
-    ("make", "batches"), [(ppo_learner, ppo_batches), (a2c_learner, ppo_batches), (dqn_learner, dqn_batches)]
-)
-def test_five_compiled_updates_in_one_call_are_five_eager_ones_twice_over(make, batches):
-    """The second call begins with other weights, targets and moments than the graph was traced with."""
-    eager, compiled = make(compile=False), make(compile=True)
-    for _ in range(2):
-        losses = [each.learn(batches(2, 5)) for each in (eager, compiled)]
-        for name, value in losses[0].items():
-            torch.testing.assert_close(losses[1][name], value, rtol=1e-4, atol=1e-5)
-        for name, value in eager.parameters.items():
-            torch.testing.assert_close(compiled.parameters[name], value, rtol=1e-4, atol=1e-5)
-        assert compiled.steps == eager.steps
-        for each in (eager, compiled):  # as a renewed target network
-            for buffer in each.buffers.values():
-                if buffer.ndim > 1:
-                    buffer.mul_(0.5)

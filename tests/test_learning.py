@@ -16,7 +16,7 @@ PPO_SETTINGS = {
     "n_worlds": 64,
     "total_frames": 80_000,
     "minibatch_size": 256,
-    "epochs": 8,
+    "epochs": 4,
     "lr": 1e-3,
     "compile": "off",
 }
@@ -26,11 +26,11 @@ DQN_SETTINGS = {
     "n_worlds": 32,
     "total_frames": 60_000,
     "learning_starts": 2_000,
-    "frames_per_update": 8,
+    "frames_per_update": 16,
     "batch_size": 128,
     "target_update_frames": 1_000,
     "exploration_fraction": 0.2,
-    "lr": 5e-4,
+    "lr": 1e-3,
     "compile": "off",
 }
 

@@ -28,7 +28,7 @@ from uavnav.training import loggers
 from uavnav.training.loggers import Logs, chosen
 from uavnav.training.recorder import Interrupted
 
-pytestmark = pytest.mark.slow  # many runs in processes of their own: not in the quick suite
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("warm_module")]  # many runs in processes of their own
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 SHORT = {"total_frames": 1536, "frames_per_batch": 256, "epochs": 1, "n_seeds": 2, "seed": 3, "compile": "off"}
@@ -238,7 +238,7 @@ def test_a_run_begun_anew_takes_the_old_logs_away(logged, tmp_path):
 
 
 def test_dqn_logs_its_losses_from_where_they_begin(tmp_path):
-    config = dqn.DQNConfig(total_frames=15_000, learning_starts=6_000, hidden=[8], compile="off")
+    config = dqn.DQNConfig(total_frames=15_000, learning_starts=6_000, frames_per_update=64, hidden=[8], compile="off")
     run = dqn.train(config, tmp_path / "run", quiet=True, logger="tensorboard")
     assert_logged(run, scalars)
     found = scalars(run)

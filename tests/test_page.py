@@ -67,8 +67,8 @@ def page(tmp_path_factory):
     """The page of two small cells, their runs evaluated on six sets of obstacles."""
     folder = tmp_path_factory.mktemp("page")
     for algorithm, train, config in (
-        ("ppo", ppo.train, ppo.PPOConfig(frames_per_batch=512, **SMALL)),
-        ("dqn", dqn.train, dqn.DQNConfig(learning_starts=256, **SMALL)),
+        ("ppo", ppo.train, ppo.PPOConfig(frames_per_batch=512, epochs=2, **SMALL)),
+        ("dqn", dqn.train, dqn.DQNConfig(learning_starts=256, frames_per_update=16, **SMALL)),
     ):
         run = train(config, out=folder / "runs" / algorithm / "tanh", quiet=True)
         evaluate_run(run, episodes=6, max_steps=200)

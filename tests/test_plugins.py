@@ -21,6 +21,8 @@ from uavnav.algorithms import ppo
 from uavnav.runs import POLICY
 from uavnav.window import play
 
+pytestmark = pytest.mark.usefixtures("warm_module")
+
 ROOT = Path(uavnav.__file__).parent.parent
 PARTS = {"activation": "hardswish", "reward": "roomy", "task": "narrow"}
 SHORT = {"n_seeds": 2, "total_frames": 1024, "frames_per_batch": 512, "hidden": [8], "compile": "off"}

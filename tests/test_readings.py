@@ -262,7 +262,7 @@ def test_the_rhythm_of_a_log_is_the_algorithms_own_and_unknown_where_a_setting_i
 
 
 def learned(algorithm, n_worlds):
-    """Stable-Baselines3 learns for 20,000 frames: all that its logger held at each dump, and the episodes that ended.
+    """Stable-Baselines3 learns for 10,000 frames: all that its logger held at each dump, and the episodes that ended.
 
     The episodes are those of the infos, from which it fills its own buffer.
     """
@@ -291,21 +291,21 @@ def learned(algorithm, n_worlds):
             return True
 
     own = {
-        "ppo": {"n_steps": 512 // n_worlds, "n_epochs": 1},
-        "dqn": {"learning_starts": 5_000, "train_freq": 16, "buffer_size": 20_000},
-        "a2c": {},
+        "ppo": {"n_steps": 256 // n_worlds, "batch_size": 256, "n_epochs": 1},
+        "dqn": {"learning_starts": 5_000, "train_freq": 64, "buffer_size": 10_000},
+        "a2c": {"n_steps": 2},
     }[algorithm]
     worlds = DummyVecEnv([lambda: Monitor(make_env("numpy"))] * n_worlds)
     model = getattr(sb3, algorithm.upper())("MlpPolicy", worlds, seed=1, device="cpu", **own)
     model.set_logger(Logger(None, [Held()]))
-    model.learn(20_000, Watch())
+    model.learn(10_000, Watch())
     return held, episodes(*rows), model.num_timesteps
 
 
 @pytest.mark.parametrize(("algorithm", "n_worlds"), [("ppo", 1), ("ppo", 4), ("dqn", 1), ("dqn", 4), ("a2c", 4)])
 def test_the_log_curve_is_the_mean_of_what_stable_baselines3s_logger_holds(algorithm, n_worlds):
     held, table, frames = learned(algorithm, n_worlds)
-    unit, every = ALGORITHMS[algorithm].rhythm({"frames_per_batch": 512, "n_steps": 5, "n_worlds": n_worlds})
+    unit, every = ALGORITHMS[algorithm].rhythm({"frames_per_batch": 256, "n_steps": 2, "n_worlds": n_worlds})
     logged = {
         name: [one[key] for one in held if key in one]
         for name, key in (("reward", "rollout/ep_rew_mean"), ("steps", "rollout/ep_len_mean"))

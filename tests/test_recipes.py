@@ -145,6 +145,7 @@ PRESETS = {"paper": MineConfig()}
 '''
 
 
+@pytest.mark.usefixtures("warm")
 def test_train_runs_a_plugins_algorithm_activation_and_reward_and_what_needs_it_says_so(tmp_path):
     (tmp_path / "a_plugin.py").write_text(PLUGIN)
     words = ["mine", "plugins=a_plugin", "activation=sine", "reward=still", "total_frames=480", "out=run"]
@@ -176,6 +177,7 @@ def test_train_without_an_algorithm_of_the_table_names_them(recipe, tmp_path, wo
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("warm")
 def test_the_recipe_a2c_is_uavnav_train_a2c_bit_for_bit(recipe, tmp_path):
     short = [*SHORT["a2c"], "world.sensor_arc=90", "compile=off"]
     assert recipe("a2c", "out=one", *short)[0] == 0
@@ -247,6 +249,7 @@ def test_a_wrong_word_is_one_line_a_status_and_no_folder(recipe, tmp_path, words
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("warm")
 def test_as_a_process_a_wrong_word_ends_with_status_2_and_no_traceback(tmp_path):
     status, out, err = process(tmp_path, "dqn", "activation=rleu")
     assert (status, out) == (2, "")
@@ -256,6 +259,7 @@ def test_as_a_process_a_wrong_word_ends_with_status_2_and_no_traceback(tmp_path)
 
 
 def test_as_a_process_a_short_run_leaves_its_folder_and_no_warning(tmp_path):
+    """Without the fixture `warm`: a process that imports everything itself."""
     status, out, err = process(tmp_path, "ppo", "activation=tanh", "out=mine", *SHORT["ppo"])
     assert (status, err) == (0, "")
     assert "the run is in mine" in out

@@ -96,13 +96,13 @@ ROUNDS = {
 
 @pytest.mark.parametrize(("action", "steps"), ROUNDS.values(), ids=ROUNDS)
 def test_who_goes_round_is_flown_for_a_few_rounds_and_has_the_row_of_flying_on(action, steps, flown, monkeypatch):
-    cap = 2_500
+    cap = 1_800
     one, other = both({0: policy_of(Always(action))}, on(make_task(EMPTY), OPEN, 3, cap), monkeypatch)
     most = flown.index(cap) - cap + 1  # the second evaluation flew all
     assert WATCHED_STEPS < most < 1_500
     assert one.episodes.truncated.all()
     assert (one.episodes.steps == cap).all()
-    assert one.episodes.reward.tolist()[0] == sum(itertools.repeat(-0.01, cap))  # one by one, and not 2,500 x -0.01
+    assert one.episodes.reward.tolist()[0] == sum(itertools.repeat(-0.01, cap))  # one by one, and not 1,800 x -0.01
     assert one.episodes.reward.tolist()[0] != cap * -0.01
     assert_same(one, other)
 

@@ -2,8 +2,6 @@
 
 import base64
 import json
-import subprocess
-import sys
 import zlib
 
 import numpy as np
@@ -243,15 +241,3 @@ def test_a_random_start_heading_is_that_of_the_set_of_obstacles(tmp_path):
 def test_counts_that_make_no_sense_are_refused(counts):
     with pytest.raises(ValueError, match="give whole numbers from 1, and at most 1000 layouts"):
         record([], **counts)
-
-
-def test_no_training_is_imported():
-    code = "import sys, uavnav.report.replays; print(*sys.modules)"
-    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert not {
-        "torchrl",
-        "uavnav.algorithms.ppo",
-        "uavnav.algorithms.dqn",
-        "uavnav.training.learner",
-        "uavnav.envs.env",
-    } & {*there}

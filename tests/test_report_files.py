@@ -155,7 +155,7 @@ def test_no_warning_escapes_a_report_on_few_and_equal_seeds(whole, tmp_path, mon
 
 
 def test_a_persons_flights_and_a_policy_from_elsewhere_are_rows_of_all_six_metrics_on_the_page_and_in_report_md(
-    results,
+    results, undrawn
 ):
     flown = rows(0, (100, 100, 10, 0, 50, 400, -6.0), (200, 100, 0, 0, 10, 600, -4.0))
     (results / "baselines").mkdir()

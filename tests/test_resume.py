@@ -23,12 +23,18 @@ from uavnav.training.recorder import Interrupted, Recorder
 ALGORITHMS = {
     "ppo": (
         ppo.train,
-        ppo.PPOConfig(n_seeds=2, total_frames=3072, frames_per_batch=512, epochs=2, compile="off"),
+        ppo.PPOConfig(n_seeds=2, total_frames=3072, frames_per_batch=512, minibatch_size=128, epochs=2, compile="off"),
     ),
     "dqn": (
         dqn.train,
         dqn.DQNConfig(
-            n_seeds=2, total_frames=2048, learning_starts=256, target_update_frames=512, lr=1e-3, compile="off"
+            n_seeds=2,
+            total_frames=2048,
+            learning_starts=256,
+            frames_per_update=16,
+            target_update_frames=512,
+            lr=1e-3,
+            compile="off",
         ),
     ),
     "dqn, a small ring": (
@@ -37,6 +43,7 @@ ALGORITHMS = {
             n_seeds=2,
             total_frames=2048,
             learning_starts=64,
+            frames_per_update=16,
             buffer_size=200,
             world={"start_heading": "random"},
             compile="off",
@@ -241,7 +248,7 @@ def test_only_two_states_are_kept_and_a_chunk_is_written_once(whole, tmp_path, m
 RECIPES = Path(__file__).parent.parent / "recipes"
 COMMANDS = {
     "ppo": ["total_frames=12288", "frames_per_batch=512", "epochs=4", "n_seeds=2", "compile=off"],
-    "dqn": ["total_frames=10240", "learning_starts=512", "n_seeds=2", "compile=off"],
+    "dqn": ["total_frames=10240", "learning_starts=512", "frames_per_update=8", "n_seeds=2", "compile=off"],
 }
 
 
@@ -261,6 +268,7 @@ def wait_for(condition, process):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("algorithm", list(COMMANDS))
 def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algorithm, tmp_path):
     folder = tmp_path / "run"
@@ -290,10 +298,10 @@ def test_a_process_killed_twice_and_stopped_once_ends_as_one_that_never_was(algo
 
 
 def test_a_resume_repeats_the_threads_that_the_run_began_with(tmp_path, monkeypatch):
-    config = ppo.PPOConfig(n_seeds=4, total_frames=1024, frames_per_batch=256, epochs=1, compile="off")
+    config = ppo.PPOConfig(n_seeds=4, total_frames=512, frames_per_batch=256, epochs=1, compile="off")
     monkeypatch.setattr("uavnav.training.machine.threads", lambda config, processes: 2)
     with pytest.raises(Interrupted):
-        ppo.train(config, out=tmp_path / "run", quiet=True, until=512)
+        ppo.train(config, out=tmp_path / "run", quiet=True, until=256)
     monkeypatch.setattr("uavnav.training.machine.threads", lambda config, processes: 1)
     before = torch.get_num_threads()
     run = ppo.train(config, out=tmp_path / "run", quiet=True)

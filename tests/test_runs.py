@@ -22,7 +22,10 @@ from uavnav.training.recorder import Interrupted, default_folder
 
 ALGORITHMS = {
     "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),
-    "dqn": (dqn.train, dqn.DQNConfig(total_frames=1024, learning_starts=256, n_seeds=2, compile="off")),
+    "dqn": (
+        dqn.train,
+        dqn.DQNConfig(total_frames=1024, learning_starts=256, frames_per_update=16, n_seeds=2, compile="off"),
+    ),
     "a2c": (a2c.train, a2c.A2CConfig(total_frames=1024, n_steps=4, n_seeds=2, compile="off")),
 }
 

@@ -1,5 +1,6 @@
 """Seeds spread over processes: the same rows and weights as each share by itself, however often it is stopped."""
 
+import contextlib
 import inspect
 import os
 import signal
@@ -25,6 +26,8 @@ from uavnav.training import machine
 from uavnav.training.recorder import Interrupted
 from uavnav.training.shares import split
 from uavnav.verify import verify
+
+pytestmark = pytest.mark.usefixtures("warm_module")
 
 SMALL = {"total_frames": 1024, "frames_per_batch": 256, "epochs": 2, "compile": "off"}
 
@@ -148,12 +151,13 @@ def test_a_signal_is_passed_on_and_every_share_is_saved(tmp_path):
     assert not locked(tmp_path / "run")
 
 
-def members(process):
-    """The processes of a run: itself and its shares."""
-    return [
-        process.pid,
-        *(int(n) for n in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()),
-    ]
+def holders(out):
+    """The processes that write the shares, in the order of their seeds: each holds its share's lock open."""
+    held = {}
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with contextlib.suppress(OSError):
+            held[os.readlink(link)] = int(link.parts[2])
+    return [held[str(lock)] for lock in sorted(out.glob("checkpoint/seeds-*/.lock"))]
 
 
 def saved(out):
@@ -165,7 +169,7 @@ def saved(out):
 @pytest.mark.slow
 def test_a_signal_to_every_process_of_a_run_saves_both_shares_as_it_says(tmp_path):
     process = started(tmp_path / "run", checkpoint_seconds=3600)
-    for member in members(process):
+    for member in (process.pid, *holders(tmp_path / "run")):
         os.kill(member, signal.SIGTERM)
     _, said = process.communicate(timeout=60)
     frames = saved(tmp_path / "run")
@@ -178,7 +182,7 @@ def test_a_signal_to_every_process_of_a_run_saves_both_shares_as_it_says(tmp_pat
 @pytest.mark.parametrize(("number", "says"), [(signal.SIGTERM, "saved at"), (signal.SIGKILL, "ended without a word")])
 def test_when_one_of_two_shares_is_ended_the_other_is_saved_and_ends_too(tmp_path, number, says):
     process = started(tmp_path / "run")
-    os.kill(members(process)[2], number)
+    os.kill(holders(tmp_path / "run")[1], number)
     _, said = process.communicate(timeout=60)
     assert says in said
     assert len(saved(tmp_path / "run")) == 2
@@ -188,7 +192,7 @@ def test_when_one_of_two_shares_is_ended_the_other_is_saved_and_ends_too(tmp_pat
 @pytest.mark.slow
 def test_a_share_that_is_killed_while_all_stop_is_said_not_to_be_saved(tmp_path):
     process = started(tmp_path / "run", checkpoint_seconds=3600)
-    share = members(process)[2]
+    share = holders(tmp_path / "run")[1]
     os.kill(share, signal.SIGSTOP)
     process.send_signal(signal.SIGTERM)
     time.sleep(1)

@@ -11,7 +11,7 @@ from uavnav import compare
 from uavnav.compare import (
     Contender,
     check,
-    contender,
+    contend,
     improvement,
     main,
     metrics,
@@ -84,9 +84,21 @@ def test_flights_under_another_cap_are_refused():
 def test_a_committed_run_is_read_and_not_flown(monkeypatch):
     monkeypatch.setattr(compare, "fly", None)
     monkeypatch.setattr(compare, "evaluate_run", None)
-    run = contender("results/ppo/tanh")
+    (run,) = contend(["results/ppo/tanh"])
     assert len(run.flights) == 20 * EPISODES
     assert run.cell is not None
+
+
+def test_what_is_no_run_flies_as_the_first_run_was_flown(monkeypatch):
+    short = made_up("short", [1.0, 2.0], protocol=header("test", 3, 40))
+    monkeypatch.setattr(compare, "_of_run", lambda name: short)
+    file = "results/tuned/ppo/tanh/policy.safetensors"
+    _, rule, policy = contend(["short", "reactive", file])
+    assert rule.protocol == policy.protocol == short.protocol
+    assert rule.flights["steps"].tolist() == [40] * 3
+    assert sorted(policy.flights["seed"].unique()) == [100, 101, 102, 103, 104]
+    assert len(policy.flights) == 15
+    check([short, rule, policy])
 
 
 @pytest.mark.parametrize(
@@ -105,7 +117,7 @@ def test_what_cannot_be_compared_is_said_in_one_line(words, said, capsys):
 
 
 def test_metrics_come_as_json(monkeypatch, capsys):
-    monkeypatch.setattr(compare, "contender", lambda name, activation: ABOVE._replace(name=name))
+    monkeypatch.setattr(compare, "contend", lambda names, _: [ABOVE._replace(name=name) for name in names])
     assert main(["one", "other", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert {row["name"] for row in rows} == {"one", "other"}

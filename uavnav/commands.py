@@ -307,6 +307,7 @@ STUDY_KEYS = {
     "frames": "frames=N of each seed",
     "seeds_per_share": "seeds_per_share=N of a job",
     "checkpoint_seconds": "checkpoint_seconds=60 between two snapshots",
+    "policies": "policies=true trains cells again of which only rows are there",
     "report": "report=false writes none",
     "plugins": "plugins=my_module",
 }

@@ -1,4 +1,4 @@
-"""The command `uavnav compare`: runs, zips and scripted baselines side by side, as text and as a small page."""
+"""The command `uavnav compare`: runs, policies, zips and baselines side by side, as text and as a small page."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.report import cells, charts, curves, style, tables
 from uavnav.report.cells import Cell
-from uavnav.runs import Run
+from uavnav.runs import POLICY, Run
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.runs.tables import RunError
-from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.baselines import BASELINES, AnyPolicy
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training import display, machine
 
@@ -46,18 +46,24 @@ class Contender(NamedTuple):
     cell: Cell | None  # a run's training; None for what was not trained here
 
 
-def contender(name: str, activation: str | None = None) -> Contender:
-    """What is named: its rows, if it is a run that was evaluated, and else it is flown now.
+def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
+    """What is named: the rows of runs that were evaluated; all else is flown now, as the first of the runs was.
+
+    activation: of a zip's hidden layers.
 
     Raises:
-        LayoutError, PolicyError, RunError: it is none of the three, or cannot be read.
+        LayoutError, PolicyError, RunError: a name is none of a run, a policy file, a zip or a baseline.
     """
-    protocol = header("test", EPISODES, MAX_STEPS)
-    if name in BASELINES or policies.is_zip(name):
-        policy = BASELINES[name] if name in BASELINES else policies.load_policy(name, activation=activation)
-        task = on(policy.task if isinstance(policy, Policy) else make_task(EMPTY))
-        with machine.use_threads(1), display.flights(name, EPISODES, MAX_STEPS) as tell:
-            return Contender(name, fly({0: policy}, task, tell).episodes, protocol, None)
+    runs = {name: _of_run(name) for name in names if name not in BASELINES and not _is_policy(name)}
+    protocol = next((one.protocol for one in runs.values()), header("test", EPISODES, MAX_STEPS))
+    return [runs[name] if name in runs else _flown(name, protocol, activation) for name in names]
+
+
+def _is_policy(name: str) -> bool:
+    return policies.is_zip(name) or Path(name).suffix == Path(POLICY).suffix
+
+
+def _of_run(name: str) -> Contender:
     try:
         run = Run(name)
     except RunError as error:
@@ -65,8 +71,23 @@ def contender(name: str, activation: str | None = None) -> Contender:
     rows = run.evaluation()
     if rows is None:
         rows = evaluate_run(run)
-    own = {key: rows.attrs.get(key, value) for key, value in protocol.items()}
-    return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), own, cells.read(Path(name)))
+    protocol = {key: rows.attrs.get(key, value) for key, value in header("test", EPISODES, MAX_STEPS).items()}
+    return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), protocol, cells.read(Path(name)))
+
+
+def _flown(name: str, protocol: Mapping[str, Any], activation: str | None) -> Contender:
+    population: dict[int, AnyPolicy]
+    if name in BASELINES:
+        population = {0: BASELINES[name]}
+    elif policies.is_zip(name):
+        population = {0: policies.load_policy(name, greedy=False, activation=activation)}
+    else:
+        population = {seed: policies.load_policy(name, seed, greedy=False) for seed in policies.seeds(name)}
+    first = next(iter(population.values()))
+    task = on(first.task if isinstance(first, Policy) else make_task(EMPTY), **protocol)
+    n = len(task.bank) * len(population)
+    with machine.use_threads(1), display.flights(name, n, protocol["max_steps"]) as tell:
+        return Contender(name, fly(population, task, tell).episodes, protocol, None)
 
 
 def check(contenders: Sequence[Contender]) -> None:
@@ -173,7 +194,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         names = list(dict.fromkeys(arguments.runs))
         if len(names) < 2:
             raise ValueError(f"{names[0]}: there is nothing to compare it with; give at least two, such as reactive")
-        contenders = [contender(name, arguments.activation) for name in names]
+        contenders = contend(names, arguments.activation)
         check(contenders)
         if arguments.json:
             print(json.dumps(metrics(contenders).to_dict("records"), indent=2))

@@ -122,6 +122,13 @@ def as_option(error: Exception) -> str:
     return re.sub("^plugins=", "--plugins ", str(error)).replace("activation=...", "--activation")
 
 
+def seeds(path: str | Path) -> list[int]:
+    """The training seeds of a policy file; raises a PolicyError as `load_policy` does."""
+    load_policy(path)
+    with safe_open(path, framework="pt") as file:
+        return list(json.loads(file.metadata()["uavnav"])["seeds"])
+
+
 def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, activation: str | None = None) -> Policy:
     """The policy of one seed of a run's folder (or of its policy.safetensors); nothing is unpickled or executed.
 

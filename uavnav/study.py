@@ -32,6 +32,7 @@ KEYS: dict[str, tuple[Any, Any, dict[str, float]]] = {
     "frames": (None, int | None, {"least": 1}),
     "seeds_per_share": (None, int | None, {"least": 1}),
     "checkpoint_seconds": (CHECKPOINT_SECONDS, float, {"least": 0}),
+    "policies": (False, bool, {}),
     "report": (True, bool, {}),
     "plugins": (None, str | None, {}),
 }
@@ -135,9 +136,8 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
     engine = engines.build(own["engine"], of_engine, KEYS)
     found = _cells(study, out.resolve(), own, make=True)
     with Show(quiet) as show:
-        run = Study(
-            out.resolve(), found, engine, own["seeds_per_share"], own["checkpoint_seconds"], show.tell, show.say
-        )
+        how = {"policies": own["policies"], "checkpoint_seconds": own["checkpoint_seconds"]}
+        run = Study(out.resolve(), found, engine, own["seeds_per_share"], **how, tell=show.tell, say=show.say)
         show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(found)} cells are left, into {out}")
         failed = run.run()
     if failed:

@@ -23,7 +23,7 @@ from uavnav.choices import ConfigError
 from uavnav.engines import Engine
 from uavnav.evaluate import files_of
 from uavnav.files import write
-from uavnav.runs import FINISHED, PROGRESS, STOP, Run, read_settings
+from uavnav.runs import FINISHED, POLICY, PROGRESS, STOP, Run, read_settings
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.studies import Cell
 from uavnav.tasks import layouts
@@ -100,6 +100,7 @@ class Study:
         cells: of the study; what is finished of them is left as it is.
         engine: where its jobs run.
         seeds_per_share: how many seeds a job trains; by default the engine's own.
+        policies: train a cell again of which a repository has kept the rows alone.
         checkpoint_seconds: the least time between two snapshots of a share.
         tell: is told the cells under way, now and then.
         say: is told what happens, a line each.
@@ -114,6 +115,7 @@ class Study:
         cells: Sequence[Cell],
         engine: Engine,
         seeds_per_share: int | None = None,
+        policies: bool = False,
         checkpoint_seconds: float = recorder.CHECKPOINT_SECONDS,
         tell: Tell = lambda works: None,
         say: Say = print,
@@ -121,13 +123,17 @@ class Study:
         self.out, self.engine, self.tell, self.say = out, engine, tell, say
         self.checkpoint_seconds = checkpoint_seconds
         self.per_share = seeds_per_share or engine.SEEDS_PER_SHARE
-        self.works = [Work(cell) for cell in cells if not (trained(cell) and evaluated(cell))]
+        self.policies = policies
+        self.works = [Work(cell) for cell in cells if not (self._trained(cell) and evaluated(cell))]
         for work in self.works:
             if own := machine.own_parts(work.cell.config):
                 raise ConfigError(f"{work.cell.out}: {own} is known to this process alone; give it as a plugin")
             Recorder(work.cell.out, work.cell.config)
         self._stop: int | None = None
         self._looked = 0.0
+
+    def _trained(self, cell: Cell) -> bool:
+        return trained(cell) and (not self.policies or (cell.out / POLICY).exists())
 
     def run(self) -> list[Work]:
         """Train and evaluate what is left.
@@ -144,10 +150,10 @@ class Study:
         with lock(self.out), self._signals():
             self.engine.check(self.out)
             for work in self.works:
-                if not trained(work.cell):
+                if not self._trained(work.cell):
                     self._begin(work)
             waiting = deque((work, share) for work in self.works for share in work.shares if not share.done)
-            flights = deque(work for work in self.works if trained(work.cell))
+            flights = deque(work for work in self.works if self._trained(work.cell))
             running: list[tuple[Any, Work, Share | None]] = []
             try:
                 self._finish_what_is_trained(flights)

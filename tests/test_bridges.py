@@ -272,7 +272,7 @@ def test_a_zip_flies_in_the_window_with_its_activation(tmp_path, monkeypatch):
 def test_a_command_asks_for_the_activation_of_a_zip_by_its_option(command, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
-    name = f"uavnav.{command.__name__.rpartition('.')[2]}"
+    name = f"uavnav {command.__name__.rpartition('.')[2]}"
     out = ["--out", {render: "a.gif", play: "rows.parquet", export: "a.onnx"}[command]]
     assert command.main(["theirs.zip", *out]) == 2
     line = "theirs.zip: its weights do not tell the activation; give --activation, one of elu, "

@@ -370,7 +370,7 @@ def test_tab_reaches_navigation_claims_tables_and_player_in_order_with_an_outlin
         assert (style, width >= 2) == ("solid", True), name
         reached.append((inside, name))
     kinds = [kind for kind, _ in itertools.groupby(inside for inside, _ in reached)]
-    order = [kinds.index(kind) for kind in ("skip", "", "claim", "scroll", "replay")]
+    order = [kinds.index(kind) for kind in ("skip", "", "scroll", "claim", "replay")]
     assert order == sorted(order)
     assert [name for inside, name in reached if inside == ""][: len(SECTIONS)] == [
         f"A {one}" for one in SECTIONS.values()

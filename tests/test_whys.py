@@ -1,15 +1,15 @@
-"""What asks why cells differ: rows, contrasts and sentences on made-up seeds, and the cells that the Makefile flies."""
+"""What asks why cells differ: rows, contrasts and sentences on made-up seeds, and the cells that the study flies."""
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from uavnav import studies
 from uavnav.report import figures, whys
 from uavnav.report.studies import WHY
 
-MAKEFILE = Path(__file__).parents[1] / "Makefile"
+ASKED = ("layer_norm", "init", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", "reward")
 
 
 def evidence(clearance, seeds=10):
@@ -49,17 +49,12 @@ def test_a_figure_has_a_row_for_each_cell_that_was_flown_and_is_there_once_a_con
     assert "PPO clip_epsilon=0.4, clearance [px] 50" in found.drawn.alt
 
 
-def test_the_makefile_flies_each_cell_that_a_question_asks_for():
-    target = MAKEFILE.read_text().partition("\nwhy:")[2].partition("\n\n")[0]
+def test_the_study_why_flies_each_cell_that_a_question_asks_for():
     flown = set()
-    for values, setting in re.findall(r"\$\(foreach value,([^,]+),.*?(\w+)=\$\(value\)", target):
-        flown |= {f"{setting}={ {'null': 'None', '0': '0.0'}.get(value, value) }" for value in values.split()}
-    flown |= {f"reward={reward}" for reward in ("initial", "additive") if reward in target}
-    flown |= {
-        study
-        for word, study in {"layer_norm=true": "layer_norm=True", "init=unit": "init=unit"}.items()
-        if word in target
-    }
+    for cell in studies.cells(studies.read("why"), Path("out")):
+        own = {name: getattr(cell.config, name) for name in ASKED if hasattr(cell.config, name)}
+        default = {name: getattr(type(cell.config)(), name) for name in own}
+        flown |= {f"{name}={value}" for name, value in own.items() if value != default[name]}
     asked = {place[0] for one in whys.QUESTIONS for place in one.rows.values()} - {whys.SHORT, whys.LONG}
     assert flown == asked
     assert {study.partition("=")[0] for study in asked} - {"reward", "init"} <= WHY

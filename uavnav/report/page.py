@@ -122,7 +122,7 @@ def render(template: str, content: Content, **more: Any) -> str:
         content=content,
         numbers=content.tables,
         of_paper=studies.paper_cells(content.studies.main),
-        claims=[_claim(content, claim) for claim in CLAIMS if claim.number not in content.unasked],
+        claims=[_claim(content, claim) for claim in CLAIMS],
         grades={claim.number: grade(of_claim(content.findings, claim.number)) for claim in CLAIMS},
     )
 

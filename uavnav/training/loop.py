@@ -120,7 +120,7 @@ def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> 
     env = make_env(config, compile)
     trainee: Trainee = config.make(compile)
     parts: Mapping[str, Stateful] = {"env": env, "actions": trainee.actor, **trainee.parts}
-    with recorder, Display(config, quiet, tell) as display:
+    with recorder, Display(config, quiet, tell) as display, machine.little_garbage():
         recorder.note(compiled=compile)
         frames = logged = recorder.resume(parts, trainee.replay)
         display.begin(recorder.path, recorder.meta, recorder.until)

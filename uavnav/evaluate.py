@@ -29,7 +29,6 @@ from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
 from uavnav.tasks.protocol import EPISODES as EPISODES
 from uavnav.tasks.protocol import MAX_STEPS as MAX_STEPS
-from uavnav.tasks.protocol import SPLITS
 from uavnav.tasks.rewards import BY_ACTION, REWARDS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import COUNTS, State
@@ -204,10 +203,7 @@ def files_of(layouts: str | Path, episodes: int, max_steps: int) -> tuple[str, s
     """
     if (str(layouts), episodes, max_steps) == ("test", EPISODES, MAX_STEPS):
         return EVALUATION, BEHAVIOUR
-    bank = str(layouts)
-    if layouts not in SPLITS:
-        bank = f"{Path(layouts).stem}-{banks.checksum(banks.load(layouts))[:8]}"
-    own = f"-{bank}-{episodes}-{max_steps}.parquet"
+    own = f"-{banks.name_of(layouts)}-{episodes}-{max_steps}.parquet"
     return EVALUATION.replace(".parquet", own), BEHAVIOUR.replace(".parquet", own)
 
 

@@ -1,12 +1,14 @@
 """The world for Gymnasium: one drone (`DroneGymEnv`, in plain numbers) or a batch (`DroneVectorEnv`, in tensors).
 
-Both are registered as `uavnav/Drone-v0`: `gymnasium.make` returns the first, and `gymnasium.make_vec` the second.
+Both are registered as `uavnav/Drone-v0`: `gymnasium.make` returns the first, and `gymnasium.make_vec` the second. Other
+worlds have names of their own, such as `uavnav/Moving-v0`; every field of a world is a keyword: `speed_max=3.0`.
 """
 
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +33,21 @@ METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
 
 
 def observation_space(world: World) -> spaces.Box:
-    """A Box of ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13)."""
-    low = np.tile(np.array([-1, 0, 0], dtype=np.float32), world.n_slots)
+    """A Box of what the world's drone senses: ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13)."""
+    low = np.array(world.observation_low, dtype=np.float32)
     return spaces.Box(low, np.ones_like(low), dtype=np.float32)
+
+
+def _task(
+    parts: tuple[str | Path | Tensor, World | None, str, int | None], task: str | Task, fields: Mapping[str, Any]
+) -> Task:
+    """The task of an environment, on the CPU, from its keywords; parts: layouts, world, reward and cap."""
+    layouts, world, reward, max_steps = parts
+    if fields and isinstance(task, Task):
+        raise ValueError(f"{next(iter(fields))}=...: a whole task has a world; give no fields beside it")
+    given = {**(asdict(world) if isinstance(world, World) else world or {}), **fields} if fields else world
+    whole = make_task(layouts, given, reward, max_steps, task)
+    return whole.with_bank(whole.bank.cpu())
 
 
 def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any, Any]:
@@ -64,7 +78,10 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
     End:
         `terminated`: the drone touched an obstacle or the border. `truncated`: `max_steps` was reached.
     Info:
-        layout (index), x, y (px), heading (degrees), clearance (px to the nearest obstacle or border square).
+        layout (index), x, y (px), heading (degrees), clearance (px to the nearest obstacle or border square); and what
+        the task adds (`Task.info`).
+
+    `fields` are those of the task's world. `obstacles` [k, 3] px and `velocities` [k, 2] px a step are those of now.
 
     Raises:
         LayoutError, ValueError: a bad bank, reward, cap, layout or action.
@@ -80,11 +97,11 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
         reward: str = "eq14",
         render_mode: str | None = None,
         task: str | Task = "drone",
+        **fields: Any,
     ) -> None:
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        whole = make_task(layouts, world, reward, max_steps, task)
-        self.task = whole.with_bank(whole.bank.cpu())
+        self.task = _task((layouts, world, reward, max_steps), task, fields)
         self.world, self.bank = self.task.world, self.task.bank
         self.render_mode = render_mode
         self.observation_space = observation_space(self.world)
@@ -126,14 +143,25 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
             return None
         if self._layout is None:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
-        flight = self._flight
-        state = self.task.start(torch.tensor(flight.layout), torch.tensor(flight.heading))
-        state = state._replace(x=torch.tensor(flight.x), y=torch.tensor(flight.y))
-        return draw_state(state, self.task)
+        return draw_state(self._now(), self.task)
+
+    @property
+    def obstacles(self) -> np.ndarray[Any, Any]:
+        """The obstacles as they are now: [k, 3] of (x, y, radius) px."""
+        return self.task.obstacles(self._now()).numpy()
+
+    @property
+    def velocities(self) -> np.ndarray[Any, Any]:
+        """Where they move: [k, 2] px a step."""
+        return self.task.velocities(self._now()).numpy()
+
+    def _now(self) -> State:
+        if self._layout is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._flight.state
 
     def _info(self) -> Info:
-        flight = self._flight
-        return {name: getattr(flight, name) for name in ("layout", "x", "y", "heading", "clearance")}
+        return self._flight.info() | {"clearance": self._flight.clearance}
 
 
 class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]], Any]):
@@ -142,7 +170,7 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
     `reset(seed=s)` turns the rows into the parallel worlds of seed s, each with its own first layout; a list gives each
     row its own seed. `reset(options={"layout": ...})` takes one index, or one index per row. When an episode ends,
     `step` returns the next episode's first observation, and `final_obs` and `final_info` of the info describe the last
-    state of the ended episode.
+    state of the ended episode. `obstacles` and `velocities` have an axis more than one drone's: [num_envs, k, 3 or 2].
     """
 
     metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -156,13 +184,13 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         reward: str = "eq14",
         render_mode: str | None = None,
         task: str | Task = "drone",
+        **fields: Any,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs={num_envs}; give at least 1")
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        whole = make_task(layouts, world, reward, max_steps, task)
-        self.task = whole.with_bank(whole.bank.cpu())
+        self.task = _task((layouts, world, reward, max_steps), task, fields)
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode.SAME_STEP
@@ -251,7 +279,22 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
             return torch.full((self.num_envs,), UP)
         return seeding.headings(self._streams, self._rows_per_seed, "cpu").flatten()
 
+    @property
+    def obstacles(self) -> np.ndarray[Any, Any]:
+        """The obstacles of each row as they are now: [num_envs, k, 3] of (x, y, radius) px."""
+        return self.task.obstacles(self._now()).numpy()
+
+    @property
+    def velocities(self) -> np.ndarray[Any, Any]:
+        """Where they move: [num_envs, k, 2] px a step."""
+        return self.task.velocities(self._now()).numpy()
+
+    def _now(self) -> State:
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._state
+
     def _info(self, state: State, clearance: Tensor) -> Info:
-        values = {name: getattr(state, name).numpy().copy() for name in ("layout", "x", "y", "heading")}
+        values = {name: value.numpy().copy() for name, value in self.task.info(state).items()}
         values["clearance"] = clearance.numpy().copy()
         return values | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in values}

@@ -17,12 +17,17 @@ VIEW_TOLERANCE = 1e-6
 """A direction counts as in front of the drone down to this much behind it, so that rounding never hides a neighbour."""
 
 
-def sense(x: Tensor, y: Tensor, heading: Tensor, obstacles: Tensor, world: World) -> tuple[Tensor, Tensor]:
+def sense(
+    x: Tensor, y: Tensor, heading: Tensor, obstacles: Tensor, world: World, velocities: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """The ten sensed obstacles and the distance to the nearest one.
 
     x, y [...] px, heading [...] whole degrees in 0..359, obstacles [..., K, 3] of (x, y, radius) px ->
     slots [..., 10, 3] of (right, forward, distance), eq. (13), and clearance [...] px, the smallest distance from the
     drone's centre to any circle or border square, in view or not: at most `world.drone_radius` is a collision.
+
+    With velocities [..., K, 2], as shares of the greatest speed, a slot has two numbers more: the obstacle's velocity
+    to the right and forward, clamped to [-1, 1]; zero of a square or an empty slot.
 
     Inside, candidates lead and the batch comes last: the innermost loops run over many drones, and vectorise.
     """
@@ -33,6 +38,11 @@ def sense(x: Tensor, y: Tensor, heading: Tensor, obstacles: Tensor, world: World
     in_view = (distance <= world.sensor_radius) & (forward >= world.view_cosine - VIEW_TOLERANCE)
     proximity = (distance - world.drone_radius) / (world.sensor_radius - world.drone_radius)
     triples = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), proximity.clamp(0, 1)])
+    if velocities is not None:
+        east, north = velocities.movedim((-1, -2), (0, 1))
+        own = torch.stack(to_drone_frame(east, north, heading)).clamp(-1, 1)
+        squares = triples.new_zeros(2, len(distance) - own.shape[1], *distance.shape[1:])
+        triples = torch.cat([triples, torch.cat([own, squares], 1)])
     slots = _first_in_view(triples, distance, in_view, world)
     return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
 
@@ -100,10 +110,10 @@ def _offset_to_square(x: Tensor, y: Tensor, left: Tensor, bottom: Tensor, side: 
 def _first_in_view(triples: Tensor, distance: Tensor, in_view: Tensor, world: World) -> Tensor:
     """The first ten candidates in view, nearest (or lowest index) first, ties by index; empty slots are padded.
 
-    triples [3, N, ...], distance, in_view [N, ...] -> slots [3, 10, ...]. In a graph the rank of a candidate is the
-    number of candidates before it, and a slot the sum over all candidates, of which one has its rank: on so few,
-    counting and adding fuse and vectorise where a sort and a scatter do not, and floats where flags and integers do
-    not. Step by step nothing fuses, and a sort is five times faster.
+    triples [3, N, ...] (5 with velocities), distance, in_view [N, ...] -> slots [3, 10, ...]. In a graph the rank of a
+    candidate is the number of candidates before it, and a slot the sum over all candidates, of which one has its rank:
+    on so few, counting and adding fuse and vectorise where a sort and a scatter do not, and floats where flags and
+    integers do not. Step by step nothing fuses, and a sort is five times faster.
     """
     index, slot = (
         torch.arange(n, dtype=distance.dtype, device=distance.device).reshape(-1, *[1] * (distance.ndim - 1))
@@ -112,11 +122,12 @@ def _first_in_view(triples: Tensor, distance: Tensor, in_view: Tensor, world: Wo
     key = torch.where(in_view, distance if world.slots == "nearest" else index, math.inf)
     if type(distance) is Tensor:  # and not what stands for one while a graph is traced
         order = key.sort(dim=0, stable=True).indices[: world.n_slots]
-        slots = triples.gather(1, order.expand(3, *order.shape)) + 0.0  # a sum has no -0.0
+        slots = triples.gather(1, order.expand(len(triples), *order.shape)) + 0.0  # a sum has no -0.0
     else:
         before = (key[:, None] < key) | ((key[:, None] == key) & (index[:, None] < index))
         rank = before.sum(0, dtype=distance.dtype)
         slots = torch.where(rank == slot[:, None], triples[:, None], 0.0).sum(2)
     filled = (key < math.inf).sum(0, dtype=distance.dtype)
-    padding = torch.tensor([0.0, 0.0, 1.0 if world.padding == "far" else 0.0], device=distance.device)
+    far = 1.0 if world.padding == "far" else 0.0
+    padding = torch.tensor([0.0, 0.0, far, *[0.0] * (len(triples) - 3)], device=distance.device)
     return torch.where(slot < filled, slots, padding.reshape(-1, *[1] * distance.ndim))

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from uavnav.choices import did_you_mean, unknown_key
 from uavnav.tasks import layouts as banks
+from uavnav.tasks import moving
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.rewards import REWARDS, Step
 from uavnav.tasks.sensing import sense
@@ -73,6 +74,14 @@ class Task:
         """Where the obstacles of each row are now: [*B, K, 3] px."""
         return self.bank[state.layout]
 
+    def velocities(self, state: State) -> Tensor:
+        """Where the obstacles of each row move: [*B, K, 2] px a step."""
+        return torch.zeros_like(self.obstacles(state)[..., :2])
+
+    def info(self, state: State) -> dict[str, Tensor]:
+        """What an environment tells of each row beside its observation: names and values [*B]."""
+        return {"layout": state.layout, "x": state.x, "y": state.y, "heading": state.heading}
+
     def observe(self, state: State) -> tuple[Tensor, Tensor]:
         """What is sensed, as one vector a row: observation [*B, observation_size], clearance [*B] px."""
         slots, clearance = sense(state.x, state.y, state.heading, self.obstacles(state), self.world)
@@ -125,7 +134,44 @@ class Task:
         return own | {"bank": banks.checksum(self.bank)}
 
 
-TASKS: dict[str, type[Task]] = {"drone": Task}
+class Moving(Task):
+    """The paper's task among obstacles that fly straight on and bounce off the edges of the window.
+
+    In a step the drone moves first and the obstacles after it; who stands still can be hit. See `moving`.
+    """
+
+    WORLD = moving.MovingWorld
+    STATIC = False
+    world: moving.MovingWorld
+
+    def obstacles(self, state: State) -> Tensor:
+        """Where the obstacles of each row are now: [*B, K, 3] px."""
+        return moving.motion(self.bank[state.layout], state.steps, self.world)[0]
+
+    def velocities(self, state: State) -> Tensor:
+        """Where the obstacles of each row move: [*B, K, 2] px a step."""
+        return moving.motion(self.bank[state.layout], state.steps, self.world)[1]
+
+    def info(self, state: State) -> dict[str, Tensor]:
+        """As of the paper's task, and the steps of the episode, on which the obstacles depend."""
+        return super().info(state) | {"steps": state.steps}
+
+    def observe(self, state: State) -> tuple[Tensor, Tensor]:
+        """What is sensed, with or without velocities: observation [*B, observation_size], clearance [*B] px."""
+        if not self.world.sense_velocity:
+            return super().observe(state)
+        obstacles, velocities = moving.motion(self.bank[state.layout], state.steps, self.world)
+        shares = velocities / self.world.speed_max if self.world.speed_max else torch.zeros_like(velocities)
+        slots, clearance = sense(state.x, state.y, state.heading, obstacles, self.world, shares)
+        return slots.flatten(-2), clearance
+
+    def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
+        """As in the paper's task; then it is the next step, by which the obstacles are where they are."""
+        moved, angle, distance = super().move(state, action)
+        return moved._replace(steps=state.steps + 1), angle, distance
+
+
+TASKS: dict[str, type[Task]] = {"drone": Task, "moving": Moving}
 
 KNOWN = dict(TASKS)
 """Those that every process of a run has: built in, or of a plugin."""
@@ -164,4 +210,5 @@ def make_task(
             if name not in names:
                 raise unknown_key(f"world.{name}", [f"world.{one}" for one in names])
         world = kind.WORLD(**(world or {}))
-    return kind(world, EMPTY, reward, max_steps).on(layouts, max_steps)
+    made = kind(world, EMPTY, reward, max_steps)
+    return made if layouts is EMPTY else made.on(layouts, max_steps)

@@ -26,10 +26,10 @@ SATURATED = 0.05
 
 
 def poses(task: Task) -> Tensor:
-    """What a drone sees at poses drawn once over the window and the shipped train split: observation [P, 30]."""
+    """What a drone sees at poses drawn once over the window and the task's train split: observation [P, 30]."""
     generator = stream(0, "probe")
     x, y = (torch.rand(POSES, generator=generator) * size for size in (task.world.width, task.world.height))
-    task = task.with_bank(layouts.load("train"))
+    task = task.with_bank(layouts.load("train", task.world))
     heading, layout = (torch.randint(most, (POSES,), generator=generator) for most in (360, len(task.bank)))
     observation, _ = task.observe(task.start(layout, heading)._replace(x=x, y=y))
     return observation

@@ -168,6 +168,7 @@ def _evaluate(parser: Parser) -> None:
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
     _max_steps(parser)
     _bank(parser)
+    _task(parser)
     _activation(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"
@@ -325,6 +326,7 @@ def _flight(parser: Parser) -> None:
     parser.add_argument("--greedy", action="store_true", help=greedy)
     _activation(parser)
     _bank(parser)
+    _task(parser)
     parser.add_argument("--layout", type=int, default=0, help="index of the obstacle set (default: 0)")
     _plugins(parser)
 
@@ -335,6 +337,11 @@ def _max_steps(parser: Parser) -> None:
 
 def _bank(parser: Parser) -> None:
     parser.add_argument("--layouts", default="test", help=f"{', '.join(SPLITS)} or a bank's path (default: test)")
+
+
+def _task(parser: Parser) -> None:
+    told = "whose world scripted policies fly in: drone, moving (default: that of the run, or drone)"
+    parser.add_argument("--task", default="drone", help=told)
 
 
 def _activation(parser: Parser) -> None:

@@ -238,6 +238,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 for mode in () if isinstance(run, Run) else run:
                     check_out(arguments.out / _rows_file(name, mode))
         bounds = arguments.layouts, arguments.episodes, arguments.max_steps
+        scripted = make_task(EMPTY, task=arguments.task)
         quiet, records = arguments.quiet or arguments.json, []
         for name, run in found.items():
             if isinstance(run, Run):
@@ -246,7 +247,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             else:
                 flown = {}
                 for mode, policy in run.items():
-                    task = on(policy.task if isinstance(policy, Policy) else make_task(EMPTY), *bounds)
+                    task = on(policy.task if isinstance(policy, Policy) else scripted, *bounds)
                     with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:], quiet) as tell:
                         flown[mode] = fly({0: policy}, task, tell).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)

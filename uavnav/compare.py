@@ -62,7 +62,8 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
 
 def _scripted(run: str | None) -> Task:
     """What scripted policies fly: the paper's task, or that of a run of another one."""
-    settings = read_settings(Path(run) / "config.yaml") if run is not None else {}
+    path = Path(run or "") / "config.yaml"
+    settings = read_settings(path) if run is not None and path.exists() else {}
     if settings.get("task", "drone") == "drone":
         return make_task(EMPTY)
     return make_task(EMPTY, settings["world"], settings["reward"], task=settings["task"])

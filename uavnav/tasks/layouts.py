@@ -11,6 +11,7 @@ import functools
 import hashlib
 import json
 import os
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +24,7 @@ from torch import Tensor
 
 from uavnav import commands, files
 from uavnav.choices import choose_from, did_you_mean
-from uavnav.tasks import circles, moving
+from uavnav.tasks import circles, moving, slalom
 from uavnav.tasks.circles import LayoutError as LayoutError  # this and the next two are also names of this module
 from uavnav.tasks.circles import generate as generate
 from uavnav.tasks.circles import validate as validate
@@ -46,6 +47,11 @@ KINDS = {
     "moving": Kind(moving.MovingWorld, moving.generate, moving.validate, ("speed_min", "speed_max")),
 }
 """By the task that they were made for, which is written into the header of all but the first."""
+
+
+RUNGS: dict[str, Callable[[int, int, int], Tensor]] = {"density": circles.generate, "slalom": slalom.generate}
+"""Banks of the paper's world by difficulty: n, rung, seed -> bank. `density-12/test` has 12 obstacles a set,
+`slalom-80/test` gaps of 80 px."""
 
 
 def kind_of(world: World) -> str:
@@ -89,7 +95,8 @@ def _header(bank: Tensor, seed: int, split: str, world: World) -> dict[str, str]
 
 
 def load(layouts: str | Path, world: World | None = None) -> Tensor:
-    """Read a bank: `train`, `validation`, `test`, or the path of a file that `uavnav layouts` wrote.
+    """Read a bank: `train`, `validation`, `test`, a rung's such as `density-12/test` and `slalom-80/test`, or the path
+    of a file that `uavnav layouts` wrote.
 
     world: whose bank it is; the paper's by default.
 
@@ -125,6 +132,8 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     if layouts in SPLITS and name != "drone":
         assert world is not None
         return _drawn(str(layouts), world)
+    if name == "drone" and re.match("|".join(f"{ladder}-" for ladder in RUNGS), str(layouts)):
+        return _rung(str(layouts))
     path = Path(__file__).parent / "banks" / f"{layouts}.safetensors" if layouts in SPLITS else Path(layouts)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
         choices = f"{', '.join(SPLITS)} or a file's path{did_you_mean(layouts, SPLITS)}"
@@ -156,6 +165,17 @@ def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
     return bank, _header(bank, SPLITS[split].seed, split, world)
 
 
+@functools.lru_cache(maxsize=8)
+def _rung(layouts: str) -> tuple[Tensor, dict[str, str]]:
+    """A split of a rung, such as `density-12/test`, and its header."""
+    ladder, rung, split = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL).groups()  # type: ignore[union-attr]
+    if split not in SPLITS or not rung.isdecimal():
+        near = did_you_mean(split, SPLITS)
+        raise LayoutError(f"layouts={layouts!r}: no such bank; give a rung and a split, such as {ladder}-80/test{near}")
+    bank = RUNGS[ladder](SPLITS[split].n, int(rung), SPLITS[split].seed)
+    return bank, _header(bank, SPLITS[split].seed, layouts, World())
+
+
 def _open(path: Path) -> tuple[Tensor, dict[str, str]]:
     """What a file holds, if it is a bank of this version."""
     try:
@@ -181,6 +201,8 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     """
     world = World() if layouts in SPLITS else _world_of(layouts)
     bank, header = read(layouts, world)
+    if layouts == header["split"] and layouts not in SPLITS:  # a rung, which was generated just now
+        return bank, header
     n, k, seed = *bank.shape[:2], header.get("generator_seed", "")
     generate = KINDS[kind_of(world)].generate
     if not seed.isdecimal() or not torch.equal(bank, generate(n, k, int(seed), world)):
@@ -202,9 +224,10 @@ def _world_of(path: str | Path) -> World:
 
 
 def name_of(layouts: str | Path) -> str:
-    """A bank's name as part of a file's: `test`, or a path's last part with the first of its checksum."""
-    if layouts in SPLITS:
-        return str(layouts)
+    """A bank's name as part of a file's: `test`, `density-12-test`, or a path's last part and of its checksum the
+    first."""
+    if layouts in SPLITS or not os.path.isfile(layouts):
+        return str(layouts).replace("/", "-")
     return f"{Path(layouts).stem}-{checksum(_open(Path(layouts))[0])[:8]}"
 
 

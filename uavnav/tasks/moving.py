@@ -74,7 +74,7 @@ def validate(bank: Tensor, world: World | None = None) -> None:
     circles.validate(bank, world, columns=5)
     centres = bank[..., :2].cpu().numpy()
     inside = (centres >= 0) & (centres <= np.array([world.width, world.height]))
-    circles.refuse_first(~inside.all(-1), "has its centre outside the window")
+    circles.refuse_first(np.asarray(~inside.all(-1)), "has its centre outside the window")
 
 
 def motion(bank: Tensor, steps: Tensor, world: World) -> tuple[Tensor, Tensor]:

@@ -115,6 +115,10 @@ class Task:
         outcome = Outcome(observation, clearance, earned, collided, capped & ~collided)
         return after._replace(reward=state.reward + earned), outcome
 
+    def measure(self, before: State, after: State) -> dict[str, Tensor]:
+        """What an evaluation counts of each step, beside `COUNTS`: names and numbers [*B], added up over a flight."""
+        return {}
+
     def with_bank(self, bank: Tensor) -> Self:
         """The same task on a bank that is known to be valid."""
         return replace(self, bank=bank)

@@ -143,8 +143,8 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     with use_threads(1):
         paths = {"rows_path": rows_path, "bank_path": arguments.bank or BANK}
-        how = {"max_steps": arguments.max_steps, "person": arguments.person, "you": you}
-        game = play(rules.new(pilots, bank, arguments.layouts, arguments.layout, **how, **paths))
+        how = {"max_steps": arguments.max_steps, "person": arguments.person, **paths}
+        game = play(rules.new(pilots, bank, arguments.layouts, arguments.layout, you, **how))
     if lost := len(game.flights):
         print(f"{rules.counted(lost)} by hand {'was' if lost == 1 else 'were'} not saved")
     return 0

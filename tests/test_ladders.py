@@ -1,5 +1,6 @@
 """Ladders of the paper's world: their banks, what they count, and the task of each rung."""
 
+import itertools
 import re
 
 import numpy as np
@@ -52,7 +53,7 @@ def test_each_column_has_one_gap_of_so_many_px_and_none_other_that_lets_a_drone_
     circles.validate(bank)
     middles = []
     for edges in columns_of(bank):
-        holes = [(low - high, (low + high) / 2) for (_, high), (low, _) in zip(edges, edges[1:], strict=False)]
+        holes = [(low - high, (low + high) / 2) for (_, high), (low, _) in itertools.pairwise(edges)]
         wide = [(size, middle) for size, middle in holes if size > 1e-3 and size >= 60]
         assert len(wide) == 1
         assert wide[0][0] == pytest.approx(gap, abs=1e-3)

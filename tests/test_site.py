@@ -25,7 +25,6 @@ from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import metrics
 from uavnav.tasks import rewards, simulator
-from uavnav.tasks.world import World
 from uavnav.training import machine
 from uavnav.window import play
 

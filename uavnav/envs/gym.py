@@ -39,7 +39,7 @@ def observation_space(world: World) -> spaces.Box:
 
 
 def _task(
-    parts: tuple[str | Path | Tensor, World | None, str, int | None], task: str | Task, fields: Mapping[str, Any]
+    parts: tuple[str | Path | Tensor, World | None, str | None, int | None], task: str | Task, fields: Mapping[str, Any]
 ) -> Task:
     """The task of an environment, on the CPU, from its keywords; parts: layouts, world, reward and cap."""
     layouts, world, reward, max_steps = parts
@@ -94,7 +94,7 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
         layouts: str | Path | Tensor = "train",
         world: World | None = None,
         max_steps: int | None = None,
-        reward: str = "eq14",
+        reward: str | None = None,
         render_mode: str | None = None,
         task: str | Task = "drone",
         **fields: Any,
@@ -181,7 +181,7 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         layouts: str | Path | Tensor = "train",
         world: World | None = None,
         max_steps: int | None = None,
-        reward: str = "eq14",
+        reward: str | None = None,
         render_mode: str | None = None,
         task: str | Task = "drone",
         **fields: Any,

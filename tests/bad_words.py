@@ -28,7 +28,7 @@ CASES = [
     config({"activation": 3}, "give a name"),
     config({"activation": None}, "give a name"),
     config({"layouts": 3}, "give a name"),
-    config({"reward": "eq15"}, "choose from additive, eq14, initial"),
+    config({"reward": "eq15"}, "choose from additive, eq14, goal, initial"),
     config({"world": {"slots": "first"}}, "choose from listed, nearest"),
     config({"world": {"padding": "ones"}}, "choose from far, zeros"),
     config({"world": {"start_heading": "down"}}, "choose from random, up"),

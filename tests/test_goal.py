@@ -79,9 +79,8 @@ def test_each_split_has_a_goal_a_set_and_its_first_30_are_what_the_seed_generate
     assert layouts.checksum(found) == header["sha256"]
 
 
-def test_30_sets_are_generated_again_bit_for_bit_whatever_follows_them(bank):
-    assert torch.equal(goal.generate(3, 8, 1)[0], goal.generate(1, 8, 1)[0])
-    assert torch.equal(goal.generate(4, 0, 7)[:, 0], goal.generate(4, 0, 7)[:, 0])
+def test_a_goal_is_generated_again_bit_for_bit_whatever_follows_it(bank):
+    assert torch.equal(goal.generate(4, 0, 7)[:2], goal.generate(2, 0, 7))
     header = layouts.read("test", GoalWorld())[1]
     rng = np.random.Generator(np.random.PCG64([int(header["generator_seed"]), 2, 0]))
     assert np.array_equal(goal._draw_goal(bank[0, :8].numpy(), rng, GoalWorld()).astype(np.float32), bank[0, 8].numpy())

@@ -53,8 +53,8 @@ def draw_arena(
     canvas = ImageDraw.Draw(image, "RGBA")
     at, disc = _places(world, width)
     thickness = max(1, round(SMOOTHING * width / world.width))
-    for *place, radius in task.marks(state).tolist():
-        canvas.ellipse(disc(*place, radius), outline=GOAL, width=2 * thickness)
+    for mark in task.marks(state).tolist():
+        canvas.ellipse(disc(*mark), outline=GOAL, width=2 * thickness)
     for points, line in trails:
         if len(points) > 1:
             canvas.line([at(*point) for point in points], fill=line, width=thickness + SMOOTHING)

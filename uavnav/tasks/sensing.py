@@ -38,13 +38,13 @@ def sense(
     scale = torch.where(length > 0, 1 / length, 0.0)  # a centre that coincides has no direction: u = (0, 0)
     right, forward = to_drone_frame(dx * scale, dy * scale, heading)
     in_view = (distance <= world.sensor_radius) & (forward >= world.view_cosine - VIEW_TOLERANCE)
-    third = distance if echoes else _proximity(distance, world)
-    triples = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), third if echoes else third.clamp(0, 1)])
+    proximity = distance if echoes else _scaled(distance, world)  # of what echoes disturb, it is worked out later
+    triples = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), proximity if echoes else proximity.clamp(0, 1)])
     slots = _first_in_view(triples, distance, in_view, world, echoes)
     return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
 
 
-def _proximity(distance: Tensor, world: World) -> Tensor:
+def _scaled(distance: Tensor, world: World) -> Tensor:
     """l in eq. (13) before it is clamped: 0 at the drone's edge, 1 at its sensor's reach. Distance [...] px."""
     return (distance - world.drone_radius) / (world.sensor_radius - world.drone_radius)
 
@@ -136,7 +136,7 @@ def _first_in_view(
     if echoes is None:
         is_filled = slot < filled
     else:  # then the third number is still the distance [px]
-        right, forward, third = slots
+        right, forward, third, *others = slots
         third, is_filled = echoes(third, slot < filled)
-        slots = torch.stack([right, forward, _proximity(third, world).clamp(0, 1)])
+        slots = torch.stack([right, forward, _scaled(third, world).clamp(0, 1), *others])
     return torch.where(is_filled, slots, padding.reshape(-1, *[1] * distance.ndim))

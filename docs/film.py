@@ -1,4 +1,4 @@
-"""Draw docs/flight.gif: flights on the same obstacles, over the curve of their rewards (`python docs/film.py RUN ...`)."""
+"""Draw docs/flight.gif: flights on the same obstacles, and their rewards below (`python docs/film.py RUN ...`)."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ from uavnav.__main__ import main, module_of
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import Parser
 from uavnav.runs import LOG_FOLDERS
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.world import World
 
 PACKAGE = Path(uavnav.__file__).parent
@@ -145,7 +146,7 @@ def test_the_help_of_a_command_says_what_it_does_explains_each_argument_and_ends
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_the_help_of_an_algorithm_is_what_its_configuration_says(name, capsys):
     kept = help.text_of(name).read_text(encoding="utf-8")
-    assert kept == help.render(CONFIGS[name], World), "make help writes it"
+    assert kept == help.render(CONFIGS[name], World, Faults), "make help writes it"
     assert told(f"train {name} --help", capsys) == told(f"train activation=relu -h {name}", capsys) == kept
 
 

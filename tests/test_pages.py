@@ -13,13 +13,14 @@ from pages import CONFIGS, MINE, PAGES, ROOT, blocks, code, table
 import uavnav
 from uavnav import help, runs
 from uavnav.runs import metrics
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import SPLITS
 from uavnav.tasks.rewards import Step
 from uavnav.tasks.simulator import Outcome, Task
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 
-CLASSES = {one.__name__: one for one in (World, State, Outcome, Step, Task, *CONFIGS.values())}
+CLASSES = {one.__name__: one for one in (World, Faults, State, Outcome, Step, Task, *CONFIGS.values())}
 
 
 def said(line):
@@ -165,6 +166,10 @@ def test_every_field_of_the_world_is_in_the_table_of_its_settings_and_beside_its
     in_words = {"width", "height"}  # 800 x 600 px
     assert {one for one in fields if f"World.{one}`" not in PAGES["world"]} == in_words
     assert "800 × 600 px" in PAGES["world"]
+
+
+def test_every_fault_is_in_the_table_of_its_page():
+    assert table(PAGES["faults"], "| field | default | unit | meaning |") == [said(line) for line in help.lines(Faults)]
 
 
 def test_the_tables_of_the_world_hold_every_bank_and_every_field_of_a_step():

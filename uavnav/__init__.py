@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from uavnav.policies import Policy, PolicyError, load_policy
     from uavnav.runs import Run, metrics, paper, readings
     from uavnav.runs.tables import RunError
-    from uavnav.tasks import baselines, dynamics, layouts, rewards, sensing, simulator, world
+    from uavnav.tasks import baselines, dynamics, faults, layouts, rewards, sensing, simulator, world
     from uavnav.tasks.layouts import LayoutError
     from uavnav.tasks.world import World
     from uavnav.training import config, loggers, sampler
@@ -72,7 +72,7 @@ _NAMES = {
 _ROOMS = {
     "envs": ("env", "gym", "sb3", "scalar"),
     "runs": ("metrics", "paper", "readings"),
-    "tasks": ("baselines", "dynamics", "layouts", "rewards", "sensing", "simulator", "world"),
+    "tasks": ("baselines", "dynamics", "faults", "layouts", "rewards", "sensing", "simulator", "world"),
     "training": ("config", "loggers", "sampler"),
     "window": ("play",),
 }

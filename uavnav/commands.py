@@ -168,6 +168,8 @@ def _evaluate(parser: Parser) -> None:
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
     _max_steps(parser)
     _bank(parser)
+    told = "fly with these faults, or with none, instead of those of training, such as noise=5,late=2"
+    parser.add_argument("--faults", metavar="FAULT=NUMBER,...", help=told)
     _activation(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"

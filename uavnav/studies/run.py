@@ -85,7 +85,9 @@ def trained(cell: Cell) -> bool:
 
 def evaluated(cell: Cell) -> bool:
     """Whether a cell was flown as its study asks."""
-    return cell.evaluation is None or (cell.out / files_of("test", **cell.evaluation)[0]).exists()
+    if cell.evaluation is None:
+        return True
+    return (cell.out / files_of("test", cell.evaluation["episodes"], cell.evaluation["max_steps"])[0]).exists()
 
 
 def make_banks(out: Path, numbers: Sequence[int]) -> None:

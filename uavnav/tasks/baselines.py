@@ -33,9 +33,11 @@ def reactive(observation: Tensor, generator: torch.Generator | None = None) -> T
     """Fly straight at full speed where that is certainly safe, else turn left on the spot.
 
     The distance to a convex body at d px in a direction with forward component y falls by at most s y over s px
-    straight ahead, and what is behind recedes: d - 9 y > 30 for all that is in view excludes a collision.
+    straight ahead, and what is behind recedes: d - 9 y > 30 for all that is in view excludes a collision. It looks at
+    the newest observation of a stack.
     """
-    slots = observation.reshape(*observation.shape[:-1], WORLD.n_slots, 3)
+    newest = observation[..., : WORLD.observation_size]
+    slots = newest.reshape(*observation.shape[:-1], WORLD.n_slots, 3)
     distance = WORLD.drone_radius + slots[..., 2] * (WORLD.sensor_radius - WORLD.drone_radius)
     closest = (distance - FULL_SPEED * slots[..., 1]).amin(-1)
     return torch.where(closest > WORLD.drone_radius + MARGIN, FULL_SPEED, LEFT_IN_PLACE)

@@ -154,7 +154,7 @@ CASES = [
     policy("an unknown reward", facts(reward="eq15"), "unknown reward 'eq15'", "choose from additive, eq14, initial"),
     policy("epsilon a word", facts(epsilon="small")),
     policy("an unknown switch", facts(world={"gravity": 9.81})),
-    policy("an unknown task", facts(task="dron"), "unknown task 'dron'", "choose from drone (did you mean drone?)"),
+    policy("an unknown task", facts(task="dron"), "unknown task 'dron'", "(did you mean drone?)"),
     policy("an unknown way to act", facts(acts="beta"), "unknown way to act 'beta'", "choose from categorical"),
     policy("an unknown head", facts(head="c51"), "unknown head 'c51'", "choose from direct"),
     policy("a plugin's reward", facts(reward="mine", plugins=["my"]), "unknown reward 'mine'", "give --plugins my "),

@@ -168,6 +168,7 @@ def _evaluate(parser: Parser) -> None:
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
     _max_steps(parser)
     _bank(parser)
+    _task(parser)
     told = "fly with these faults, or with none, instead of those of training, such as noise=5,late=2"
     parser.add_argument("--faults", metavar="FAULT=NUMBER,...", help=told)
     _activation(parser)
@@ -279,6 +280,7 @@ def _layouts(parser: Parser) -> None:
     parser.epilog = "example: uavnav layouts --split train --k 12"
     parser.add_argument("--out", type=Path, default=Path("banks"), help="folder for the banks (default: banks)")
     parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which bank to write")
+    parser.add_argument("--task", default="drone", help="whose obstacles: drone or moving (default: drone)")
     parser.add_argument("--k", type=int, default=DEFAULT_K, help="obstacles per set, 0 for an empty arena")
     parser.add_argument("--n", type=int, help=f"sets in the bank (default: {sizes})")
     parser.add_argument("--seed", type=int, help=f"generator seed (default: {seeds})")
@@ -326,6 +328,7 @@ def _flight(parser: Parser) -> None:
     parser.add_argument("--greedy", action="store_true", help=greedy)
     _activation(parser)
     _bank(parser)
+    _task(parser)
     parser.add_argument("--layout", type=int, default=0, help="index of the obstacle set (default: 0)")
     _plugins(parser)
 
@@ -336,6 +339,11 @@ def _max_steps(parser: Parser) -> None:
 
 def _bank(parser: Parser) -> None:
     parser.add_argument("--layouts", default="test", help=f"{', '.join(SPLITS)} or a bank's path (default: test)")
+
+
+def _task(parser: Parser) -> None:
+    told = "whose world scripted policies fly in: drone, moving (default: that of the run, or drone)"
+    parser.add_argument("--task", default="drone", help=told)
 
 
 def _activation(parser: Parser) -> None:

@@ -7,6 +7,7 @@ UAVNAV_BROWSER is `required`.
 import json
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 from selenium import webdriver
@@ -14,6 +15,7 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
+RESULTS = Path(__file__).parent.parent / "results"
 WIDE, NARROW = 1280, 390  # [px]
 NAMES = ("chromium", "chromedriver")
 PAIRS = """
@@ -103,3 +105,26 @@ def wait(browser, condition, seconds=10):
 def press(browser, *keys):
     """To whatever has the focus."""
     webdriver.ActionChains(browser).send_keys(*keys).perform()
+
+
+def ask(browser, words):
+    return browser.execute_script(f"return {words};")
+
+
+@pytest.fixture(scope="module")
+def opened(chrome, tmp_path_factory):
+    """The playground of the committed cells, in a folder of its own."""
+    from uavnav import playground
+
+    path = tmp_path_factory.mktemp("playground") / "playground.html"
+    path.write_text(playground.page(playground.collect([RESULTS])[0]))
+    visit(chrome, path)
+    return path
+
+
+def visit(browser, path, fragment="", width=WIDE, colours="light", motion="reduce"):
+    """The page, freshly opened; with reduced motion nothing moves by itself."""
+    resize(browser, width)
+    theme(browser, colours, motion)
+    browser.get("about:blank")
+    browser.get(path.as_uri() + fragment)

@@ -29,7 +29,7 @@ from uavnav.tasks.simulator import Task
 from uavnav.tasks.world import World
 
 HERE = Path(__file__).parent
-SCRIPTS = tuple(HERE / f"{name}.js" for name in ("policies", "link", "race", "stage", "panel", "playground"))
+SCRIPTS = tuple(HERE / f"{name}.js" for name in ("policies", "link", "race", "stage", "panel", "keys", "playground"))
 """After those of `uavnav.browser`, in the order in which a browser reads them."""
 SEEDS = 3
 """Of each run, the lowest, if there is room."""
@@ -126,13 +126,14 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
         part.detach().numpy().astype("<f4").tobytes() for layer in layers for part in (layer.weight, layer.bias)
     )
     activation = _activation(policy)
+    title = f"{policy.algorithm.upper()} {activation.replace('_', ' ')}, seed {policy.seed}"
     how = "samples its actions"
     if policy.acts == "epsilon-greedy":
         how = f"a random action in {100 * policy.epsilon:g} % of its steps, else the best"
     words = [*where.split("/"), policy.algorithm, activation, str(policy.seed)] if where else []
     return {
         "key": "-".join(words or [policy.algorithm, activation, str(policy.seed)]),
-        "title": f"{policy.algorithm.upper()} {activation.replace('_', ' ')}, seed {policy.seed}{where and f' ({where})'}",
+        "title": f"{title} ({where})" if where else title,
         "told": f"{frames:,} frames of training; {how}.",
         "algorithm": policy.algorithm,
         "activation": activation,

@@ -8,36 +8,6 @@ const STEPS_PER_SECOND = 30; // at speed 1
 const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) the race goes on, and does not jump
 const MOST_AT_ONCE = 8; // steps from one picture to the next
 const INSTRUMENTS = 66; // [ms] from one picture of the instruments to the next
-const STRIDE = { circle: 10, size: 5 }; // [px] that a key moves or sizes a drawn circle
-const ARROWS = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down", a: "left", d: "right", w: "up", s: "down" };
-const TURNS = { left: 1, right: -1 };
-const WAYS = { left: [-1, 0], right: [1, 0], up: [0, 1], down: [0, -1] };
-
-/** Every key: how the help shows it, what it does, and the keys' names with what they call; arrows are apart. */
-const KEYS = [
-  ["← → A D", "turn your drone 5° left, 4° right; with Shift 1°"],
-  ["↑ ↓ W S", "a pixel a step faster, slower"],
-  ["Space", "pause, go on", { " ": (app) => app.toggle() }],
-  [".", "one step", { ".": (app) => app.oneStep() }],
-  ["− +", "slower, faster; while drawing: the circle smaller, larger", {
-    "-": (app) => (app.stage.drawing ? app.resize(-STRIDE.size) : app.paced(-1)),
-    "+": (app) => (app.stage.drawing ? app.resize(STRIDE.size) : app.paced(1)),
-    "=": (app) => (app.stage.drawing ? app.resize(STRIDE.size) : app.paced(1)),
-  }],
-  ["R", "start again on the same obstacles", { r: (app) => app.again() }],
-  ["N P", "next set of obstacles, the set before", { n: (app) => app.setOf(1), p: (app) => app.setOf(-1) }],
-  ["1 … 4", "the drone in focus", Object.fromEntries([1, 2, 3, 4].map((n) => [n, (app) => app.focusOn(n - 1)]))],
-  ["T", "take the drone in focus, hand it back", { t: (app) => app.take() }],
-  ["C", "hand it to the next policy", { c: (app) => app.nextPolicy() }],
-  ["E", "draw obstacles; again: fly", { e: (app) => app.draw(!app.stage.drawing) }],
-  ["O", "while drawing: a new circle", { o: (app) => app.stage.drawing && app.addFree() }],
-  ["[ ]", "while drawing: select another circle, which the arrow keys move", {
-    "[": (app) => app.select(-1),
-    "]": (app) => app.select(1),
-  }],
-  ["Del", "while drawing: delete the circle", { delete: (app) => app.remove(), backspace: (app) => app.remove() }],
-];
-const BY_KEY = Object.assign({}, ...KEYS.map(([, , acts]) => acts ?? {}));
 
 class Playground {
   constructor(data) {
@@ -50,8 +20,7 @@ class Playground {
     this.panel = new Panel(data, this.find);
     this.playing = false;
     this.share = 1; // of the way from the last poses to these
-    this.held = new Set(); // arrow keys that are down
-    this.tapped = new Set(); // those that went down since the last step
+    this.keyboard = new Keyboard(this);
     this.build();
     this.listen();
     this.recolour();
@@ -153,9 +122,6 @@ class Playground {
       this.changed();
     });
     this.panel.seats.forEach((seat, place) => seat.addEventListener("click", () => this.focusOn(place)));
-    document.addEventListener("keydown", (event) => this.press(event));
-    document.addEventListener("keyup", (event) => this.held.delete(ARROWS[event.key] ?? ARROWS[event.key.toLowerCase()]));
-    addEventListener("blur", () => this.held.clear());
     addEventListener("hashchange", () => this.open());
     new ResizeObserver(() => this.show()).observe(document.body);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
@@ -164,40 +130,11 @@ class Playground {
     });
   }
 
-  /** Keys work where nothing else uses them: on the arena, or where nothing has the focus. */
-  press(event) {
-    const mine = event.target === document.body || this.stage.element.contains(event.target);
-    if (!mine || event.altKey || event.ctrlKey || event.metaKey) return;
-    const key = event.key.toLowerCase();
-    const arrow = ARROWS[event.key] ?? ARROWS[key];
-    const act = BY_KEY[key];
-    if (!arrow && !act) return;
-    event.preventDefault();
-    if (act) act(this);
-    else if (this.stage.drawing) this.nudge(arrow, event.shiftKey ? 1 : STRIDE.circle);
-    else this.steer(arrow, event);
-  }
-
-  steer(arrow, { repeat, shiftKey }) {
-    const [, pixels] = this.race.hand;
-    const faster = WAYS[arrow][1];
-    this.fine = shiftKey;
-    if (faster) this.race.hand = [0, clamp(pixels + faster, 0, this.world.n_distances - 1)];
-    else if (!repeat) [this.held, this.tapped].forEach((keys) => keys.add(arrow));
-  }
-
-  /** What the keys or the pointer steer in the next step. */
-  steered() {
+  /** What the pointer or the keys steer in the next step. */
+  steer() {
     const yours = this.race.drones.find(({ pilot }) => pilot === YOU);
-    if (this.stage.target && yours) this.race.hand = towards(this.world, yours.state, this.stage.target);
-    else {
-      const keys = new Set([...this.held, ...this.tapped]);
-      const way = ["left", "right"].filter((key) => keys.has(key)).reduce((sum, key) => sum + TURNS[key], 0);
-      const left = Math.floor(this.world.n_turns / 2);
-      const most = way > 0 ? left : this.world.n_turns - left - 1;
-      this.race.hand = [way * (this.fine ? 1 : most), this.race.hand[1]];
-    }
-    this.tapped.clear();
+    const { target } = this.stage;
+    this.race.hand = target && yours ? towards(this.world, yours.state, target) : this.keyboard.hand();
   }
 
   /** Change parts of the scene; from the start: everyone begins again. */
@@ -384,7 +321,7 @@ class Playground {
   }
 
   advance() {
-    this.steered();
+    this.steer();
     const crashed = this.race.step();
     if (crashed.length) this.describe();
     if (this.race.flying().length) return;

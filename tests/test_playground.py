@@ -12,7 +12,6 @@ from browsing import opened as opened
 
 from uavnav import load_policy
 from uavnav.networks import ACTIVATIONS, KNOWN
-from uavnav.playground import ACTIVATIONS as KNOWN_TO_THE_PAGE
 from uavnav.runs import paper
 from uavnav.runs.metrics import per_episode
 from uavnav.tasks import layouts
@@ -230,7 +229,7 @@ def test_every_activation_of_the_package_is_pytorchs_within_a_millionth(chrome, 
         "return Object.fromEntries(all.map(([name, act]) => [name, x.map((one) => act(one))]));",
         x.double().tolist(),
     )
-    assert {*found} == {*known} == {*KNOWN_TO_THE_PAGE}
+    assert {*found} == {*known}
     for name, act in known.items():
         assert (torch.tensor(found[name]) - act(x)).abs().max() <= 2e-6, name
     normal = torch.nn.functional.layer_norm(x, x.shape)

@@ -30,7 +30,7 @@ def test_a_page_holds_the_three_lowest_seeds_of_each_run_with_their_weights_as_t
     write_run(tmp_path / "runs" / "deep" / "ppo" / "tanh", seed=0, n_seeds=1)
     status, out, err = told([tmp_path / "runs", "--out", tmp_path / "new" / "page.html"], capsys)
     assert (status, err) == (0, "")
-    assert out == f"{tmp_path / 'new' / 'page.html'}: 4 policies; open it in a browser\n"
+    assert out == f"{tmp_path / 'new' / 'page.html'}: policies: 4; open it in a browser\n"
     found = on(tmp_path / "new" / "page.html")
     assert [one["key"] for one in found] == ["ppo-tanh-0", "dqn-tanh-4", "dqn-tanh-5", "dqn-tanh-6"]
     weights = np.frombuffer(base64.b64decode(found[2]["weights"]), "<f4")
@@ -53,7 +53,7 @@ def test_a_policy_of_another_world_is_left_out_in_a_line(tmp_path, capsys):
     write_run(tmp_path / "there", n_seeds=1, world={"sensor_arc": 90.0})
     status, out, err = told([tmp_path, "--out", tmp_path / "page.html"], capsys)
     assert status == 0
-    assert out.endswith(": 1 policies; open it in a browser\n")
+    assert out.endswith(": policies: 1; open it in a browser\n")
     assert err.count("\n") == 1
     assert err.startswith(
         f"uavnav playground: left out: {tmp_path / 'there'}: trained in another world than the page's"

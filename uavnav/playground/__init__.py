@@ -37,11 +37,6 @@ MOST = 36
 """Networks on a page: a network of 64-64 takes 67 kB, and a page shall stay below 3 MB."""
 DEPTH = 2
 """Runs lie so many folders below the one that is given: ppo/tanh. Studies within studies are deeper, and left out."""
-ACTIVATIONS = (
-    *("relu", "leaky_relu", "sigmoid", "tanh", "elu", "gelu", "silu", "mish", "selu", "softplus", "softsign"),
-    *("identity", "hardtanh", "relu6", "sigmoid_centred"),
-)
-"""Those that policies.js knows."""
 FIRST_SET = 3
 """The set of obstacles that the page begins with."""
 
@@ -95,7 +90,7 @@ def _load(path: Path, n_seeds: int) -> Iterator[Policy]:
         shown = ALGORITHMS[policy.algorithm].shown
         for what, value, choices in (
             ("task", type(policy.task).__name__, (Task.__name__,)),
-            ("activation", _activation(policy), ACTIVATIONS),
+            ("activation", _activation(policy), networks.KNOWN),
             ("head", policy.head, ("direct",)),
             ("way to act", policy.acts, ("categorical", "epsilon-greedy")),
             ("values", shown, ("probability", "Q value")),

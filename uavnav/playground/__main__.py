@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     for line in left_out:
         print(f"uavnav playground: left out: {line}", file=sys.stderr)
-    print(f"{arguments.out}: {len(found)} policies; open it in a browser")
+    print(f"{arguments.out}: policies: {len(found)}; open it in a browser")
     return 0
 
 

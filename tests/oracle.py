@@ -188,3 +188,35 @@ class Flight:
 
     def next_episode(self):
         self.begin(self.layout + 1)
+
+
+def bounce(place, velocity, size, steps):
+    """A coordinate that moves step by step in [0, size], and its velocity in the next moment."""
+    for _ in range(steps):
+        place += velocity
+        while not 0 <= place <= size:
+            place, velocity = (-place if place < 0 else 2 * size - place), -velocity
+    inwards = (place == 0 and velocity < 0) or (place == size and velocity > 0)
+    return place, -velocity if inwards else velocity
+
+
+def drift(rows, steps, arena=PAPER):
+    """Circles (x, y, radius, vx, vy) after so many steps: (x, y, radius) and (vx, vy) of each."""
+    found = []
+    for x, y, radius, vx, vy in rows:
+        (x, vx), (y, vy) = bounce(x, vx, arena.width, steps), bounce(y, vy, arena.height, steps)
+        found.append(((x, y, radius), (vx, vy)))
+    return found
+
+
+def slots_with_velocities(found, velocities, heading, fastest, arena=PAPER):
+    """The nearest in view as in `slots_of`, each with its velocity; found: of `look`, the circles first."""
+    seen = [index for index, candidate in enumerate(found) if in_view(candidate, arena)]
+    seen = sorted(seen, key=lambda index: found[index][0])[: arena.slots]
+    cos, sin = cosine(heading), sine(heading)
+    filled = []
+    for index in seen:
+        vx, vy = velocities[index] if index < len(velocities) else (0.0, 0.0)
+        own = ((vx * sin - vy * cos) / fastest, (vx * cos + vy * sin) / fastest) if fastest else (0.0, 0.0)
+        filled.append((*triple(found[index], arena), *(min(max(part, -1.0), 1.0) for part in own)))
+    return filled + [(0.0, 0.0, 1.0, 0.0, 0.0)] * (arena.slots - len(filled))

@@ -63,6 +63,7 @@ SHORT = {
     "ppo": {"n_worlds": 2, "frames_per_batch": 64, "total_frames": 64, "entropy_coeff": 0.01},
     "a2c": {"n_worlds": 2, "total_frames": 64, "entropy_coeff": 0.01},
     "dqn": {"n_worlds": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
+    "sac": {"n_worlds": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
 }
 
 
@@ -123,7 +124,7 @@ def test_every_name_in_code_exists(name):
     dotted = {one for one in code(prose) if re.fullmatch(r"\w+(\.\w+)+", one) and not one.endswith(FILES)}
     known = {one for one in dotted if one.split(".")[0] in {*MODULES, *CLASSES}}
     assert not [one for one in known if resolved(one) is MISSING]
-    assert len(known) >= {"world": 35, "ppo": 15, "dqn": 15, "a2c": 12, "extending": 8}.get(name, 0)
+    assert len(known) >= {"world": 35, "ppo": 15, "dqn": 15, "a2c": 12, "sac": 12, "extending": 8}.get(name, 0)
 
 
 GREEK = r"\\(?:alpha|beta|gamma|delta|epsilon|theta|lambda|pi|rho|sigma|tau)(?![A-Za-z])"
@@ -138,7 +139,7 @@ def symbols(tex):
     return {name + prime + (f"_{index}" if index not in {"", *"itk1n"} else "") for name, prime, index in found}
 
 
-@pytest.mark.parametrize(("name", "least"), [("world", 14), ("ppo", 18), ("dqn", 11), ("a2c", 12)])
+@pytest.mark.parametrize(("name", "least"), [("world", 14), ("ppo", 18), ("dqn", 11), ("a2c", 12), ("sac", 14)])
 def test_every_symbol_of_an_equation_is_in_a_table_of_its_page(name, least):
     equations = re.findall(r"\$\$(.*?)\$\$", PAGES[name], flags=re.DOTALL)
     cells = re.findall(r"^\| ([^|]*\$[^|]*) \|", PAGES[name], flags=re.MULTILINE)

@@ -25,7 +25,6 @@ from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import metrics
 from uavnav.tasks import rewards, simulator
-from uavnav.tasks.world import World
 from uavnav.training import machine
 from uavnav.window import play
 
@@ -49,7 +48,13 @@ def site(tmp_path_factory):
 
 def test_every_page_is_built_and_every_module_of_the_api_has_content(site):
     assert {str(Path(name).relative_to("docs").with_suffix(".html")) for name in ALL if name != "README.md"} <= {*site}
-    for name, word in {"layouts": "generate", "env": "DroneEnv", "stats": "holm", "report": "Written"}.items():
+    for name, word in {
+        "layouts": "load",
+        "moving": "motion",
+        "env": "DroneEnv",
+        "stats": "holm",
+        "report": "Written",
+    }.items():
         assert f'id="{uavnav.HOMES.get(name, f"uavnav.{name}")}.{word}"' in site[f"api/{name}.html"]
 
 
@@ -81,7 +86,7 @@ def test_no_page_loads_anything_from_the_network(site):
 
 
 def test_every_equation_is_mathml(site):
-    for name, least in {"world.html": 30, "ppo.html": 10, "dqn.html": 8, "a2c.html": 6}.items():
+    for name, least in {"world.html": 30, "ppo.html": 10, "dqn.html": 8, "a2c.html": 6, "sac.html": 6}.items():
         assert site[name].count("<math") >= least
     for name, page in site.items():
         assert "arithmatex" not in page, name
@@ -152,7 +157,7 @@ def parse_train(words):
     pairs = [word.partition("=")[::2] for word in given.settings]
     kind = CONFIGS[given.algorithm]
     names = {field.name for field in dataclasses.fields(kind)}
-    names |= {f"world.{field.name}" for field in dataclasses.fields(World)}
+    names |= {f"world.{one.name}" for kind in simulator.TASKS.values() for one in dataclasses.fields(kind.WORLD)}
     for key, _ in pairs:
         assert key in names | {line.name for line in help.of_command()}, key
     mine = {key: value.split(",") if given.multirun else [value] for key, value in pairs if key in names}
@@ -190,6 +195,7 @@ TINY = {
     "train ppo": ["total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
     "train a2c": ["total_frames=2048", "compile=off", "evaluate=false"],
     "train dqn": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
+    "train sac": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
     "evaluate": ["--episodes", "2", "--max-steps", "50"],
     "render": ["--steps", "20"],
 }

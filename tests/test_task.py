@@ -98,7 +98,8 @@ def test_a_whole_task_says_all_that_the_other_arguments_would_say():
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"task": "dorne"}, "task='dorne'; choose from drone (did you mean drone?)"),
+        ({"task": "dorne"}, "task='dorne'; choose from drone, moving"),
+        ({"task": "dorne"}, " (did you mean drone?)"),
         ({"reward": "eq41"}, "reward='eq41'; choose from eq14, additive, initial (did you mean eq14?)"),
         ({"world": {"sensor_ark": 90}}, "there is no key 'world.sensor_ark'; choose from world.border, "),
         ({"world": {"sensor_ark": 90}}, " (did you mean world.sensor_arc?)"),
@@ -151,7 +152,7 @@ def test_each_of_3_environments_takes_the_parts_of_a_task_or_a_whole_one(kind):
     for env in (kind(task=whole), kind(layouts="test", reward="initial", max_steps=99, task=whole)):
         assert (env.task.world, env.task.reward, env.task.max_steps) == (whole.world, "additive", 7)
         assert torch.equal(env.task.bank, whole.bank)
-    with pytest.raises(ValueError, match=r"task='dorne'; choose from drone \(did you mean drone\?\)"):
+    with pytest.raises(ValueError, match=r"task='dorne'; choose from drone, moving \(did you mean drone\?\)"):
         kind(task="dorne")
 
 

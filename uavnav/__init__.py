@@ -41,7 +41,7 @@ if TYPE_CHECKING:
         stats,
         verify,
     )
-    from uavnav.algorithms import a2c, dqn, ppo
+    from uavnav.algorithms import a2c, dqn, ppo, sac
     from uavnav.choices import ConfigError
     from uavnav.envs import env, gym, sb3, scalar
     from uavnav.envs.env import DroneEnv
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from uavnav.policies import Policy, PolicyError, load_policy
     from uavnav.runs import Run, metrics, paper, readings
     from uavnav.runs.tables import RunError
-    from uavnav.tasks import baselines, dynamics, faults, layouts, rewards, sensing, simulator, world
+    from uavnav.tasks import baselines, dynamics, faults, layouts, moving, rewards, sensing, simulator, world
     from uavnav.tasks.layouts import LayoutError
     from uavnav.tasks.world import World
     from uavnav.training import config, loggers, sampler
@@ -72,7 +72,7 @@ _NAMES = {
 _ROOMS = {
     "envs": ("env", "gym", "sb3", "scalar"),
     "runs": ("metrics", "paper", "readings"),
-    "tasks": ("baselines", "dynamics", "faults", "layouts", "rewards", "sensing", "simulator", "world"),
+    "tasks": ("baselines", "dynamics", "faults", "layouts", "moving", "rewards", "sensing", "simulator", "world"),
     "training": ("config", "loggers", "sampler"),
     "window": ("play",),
 }
@@ -100,11 +100,13 @@ os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, w
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that spin starve each other on a busy machine
 warnings.filterwarnings("ignore", message=".*inline_inbuilt_nn_modules is deprecated", category=FutureWarning)
 
-gymnasium.register(
-    id="uavnav/Drone-v0",
-    entry_point="uavnav.envs.gym:DroneGymEnv",
-    vector_entry_point="uavnav.envs.gym:DroneVectorEnv",
-)
+for _name, _task in {"Drone": "drone", "Moving": "moving"}.items():
+    gymnasium.register(
+        id=f"uavnav/{_name}-v0",
+        entry_point="uavnav.envs.gym:DroneGymEnv",
+        vector_entry_point="uavnav.envs.gym:DroneVectorEnv",
+        kwargs={"task": _task},
+    )
 
 
 class _ShortName(SourceFileLoader):

@@ -23,6 +23,7 @@ COMMANDS = {
     "runs": "List the runs of some folders: what each is, how far it is, and what it reached.",
     "evaluate": "Fly runs, scripted policies or zips of Stable-Baselines3 on the test split: one row an episode.",
     "play": "Fly a drone with the keyboard, or watch policies fly it, in a window.",
+    "playground": "Write playground.html: fly the drone in a browser, beside trained policies and a hand-written rule.",
     "render": "Draw flights on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG.",
     "compare": "Compare runs, zips of Stable-Baselines3 and scripted policies: intervals, probabilities, curves.",
     "report": "Write report.html: verdicts on the paper's claims, its tables beside ours, figures, replays.",
@@ -35,7 +36,10 @@ COMMANDS = {
 
 KINDS = {
     "Train": (("train", "study", "runs"), "uavnav train ppo preset=fast out=runs/first"),
-    "Look": (("evaluate", "play", "render"), "uavnav render reactive random --layout 20 --out flight.gif"),
+    "Look": (
+        ("evaluate", "play", "playground", "render"),
+        "uavnav render reactive random --layout 20 --out flight.gif",
+    ),
     "Compare": (("compare", "report", "verify", "bench"), "uavnav compare runs/first reactive"),
     "Share": (("export", "layouts"), "uavnav export runs/first --out policy.pt2"),
 }
@@ -168,6 +172,7 @@ def _evaluate(parser: Parser) -> None:
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
     _max_steps(parser)
     _bank(parser)
+    _task(parser)
     told = "fly with these faults, or with none, instead of those of training, such as noise=5,late=2"
     parser.add_argument("--faults", metavar="FAULT=NUMBER,...", help=told)
     _activation(parser)
@@ -203,6 +208,18 @@ def _play(parser: Parser) -> None:
         help=f"file for rows of flights by hand (default: where a report of the first RUN's root looks, {rows})",
     )
     parser.add_argument("--bank", type=Path, help=f"file for drawn obstacles (default: {BANK})")
+
+
+def _playground(parser: Parser) -> None:
+    parser.epilog = "example: uavnav playground runs --out playground.html"
+    of = "a run, or runs with policies up to two folders below"
+    parser.add_argument(
+        "folders", nargs="*", type=Path, default=[Path("results")], metavar="FOLDER", help=f"{of} (default: results)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("playground.html"), metavar="FILE", help="the page (default: playground.html)"
+    )
+    _plugins(parser)
 
 
 def _render(parser: Parser) -> None:
@@ -279,6 +296,7 @@ def _layouts(parser: Parser) -> None:
     parser.epilog = "example: uavnav layouts --split train --k 12"
     parser.add_argument("--out", type=Path, default=Path("banks"), help="folder for the banks (default: banks)")
     parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which bank to write")
+    parser.add_argument("--task", default="drone", help="whose obstacles: drone or moving (default: drone)")
     parser.add_argument("--k", type=int, default=DEFAULT_K, help="obstacles per set, 0 for an empty arena")
     parser.add_argument("--n", type=int, help=f"sets in the bank (default: {sizes})")
     parser.add_argument("--seed", type=int, help=f"generator seed (default: {seeds})")
@@ -290,6 +308,7 @@ PARSERS: dict[str, Callable[[Parser], None]] = {
     "runs": _runs,
     "evaluate": _evaluate,
     "play": _play,
+    "playground": _playground,
     "render": _render,
     "compare": _compare,
     "report": _report,
@@ -326,6 +345,7 @@ def _flight(parser: Parser) -> None:
     parser.add_argument("--greedy", action="store_true", help=greedy)
     _activation(parser)
     _bank(parser)
+    _task(parser)
     parser.add_argument("--layout", type=int, default=0, help="index of the obstacle set (default: 0)")
     _plugins(parser)
 
@@ -336,6 +356,11 @@ def _max_steps(parser: Parser) -> None:
 
 def _bank(parser: Parser) -> None:
     parser.add_argument("--layouts", default="test", help=f"{', '.join(SPLITS)} or a bank's path (default: test)")
+
+
+def _task(parser: Parser) -> None:
+    told = "whose world scripted policies fly in: drone, moving (default: that of the run, or drone)"
+    parser.add_argument("--task", default="drone", help=told)
 
 
 def _activation(parser: Parser) -> None:

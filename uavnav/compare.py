@@ -22,11 +22,11 @@ from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.report import cells, charts, curves, style, tables
 from uavnav.report.cells import Cell
-from uavnav.runs import POLICY, Run
+from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
-from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
 
 MODE = "sampled"
@@ -56,7 +56,17 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
     """
     runs = {name: _of_run(name) for name in names if name not in BASELINES and not _is_policy(name)}
     protocol = next((one.protocol for one in runs.values()), header("test", EPISODES, MAX_STEPS))
-    return [runs[name] if name in runs else _flown(name, protocol, activation) for name in names]
+    scripted = _scripted(next(iter(runs), None))
+    return [runs[name] if name in runs else _flown(name, protocol, activation, scripted) for name in names]
+
+
+def _scripted(run: str | None) -> Task:
+    """What scripted policies fly: the paper's task, or that of a run of another one."""
+    path = Path(run or "") / "config.yaml"
+    settings = read_settings(path) if run is not None and path.exists() else {}
+    if settings.get("task", "drone") == "drone":
+        return make_task(EMPTY)
+    return make_task(EMPTY, settings["world"], settings["reward"], task=settings["task"])
 
 
 def _is_policy(name: str) -> bool:
@@ -75,7 +85,7 @@ def _of_run(name: str) -> Contender:
     return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), protocol, cells.read(Path(name)))
 
 
-def _flown(name: str, protocol: Mapping[str, Any], activation: str | None) -> Contender:
+def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, scripted: Task) -> Contender:
     population: dict[int, AnyPolicy]
     if name in BASELINES:
         population = {0: BASELINES[name]}
@@ -84,7 +94,7 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None) -> Co
     else:
         population = {seed: policies.load_policy(name, seed, greedy=False) for seed in policies.seeds(name)}
     first = next(iter(population.values()))
-    task = on(first.task if isinstance(first, Policy) else make_task(EMPTY), **protocol)
+    task = on(first.task if isinstance(first, Policy) else scripted, **protocol)
     n = len(task.bank) * len(population)
     with machine.use_threads(1), display.flights(name, n, protocol["max_steps"]) as tell:
         return Contender(name, fly(population, task, tell).episodes, protocol, None)

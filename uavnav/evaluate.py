@@ -28,9 +28,9 @@ from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
 from uavnav.tasks.faults import Faults, from_words
+from uavnav.tasks.ladders import Measure, measure_of
 from uavnav.tasks.protocol import EPISODES as EPISODES
 from uavnav.tasks.protocol import MAX_STEPS as MAX_STEPS
-from uavnav.tasks.protocol import SPLITS
 from uavnav.tasks.rewards import BY_ACTION, REWARDS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import COUNTS, State, at
@@ -115,32 +115,60 @@ def fly(
     population: Mapping[int, AnyPolicy],
     task: Task,
     tell: Callable[[int, int], object] = lambda step, up: None,
+    measure: Measure | None = None,
 ) -> Flights:
     """Evaluate one policy a seed on every set of the task's bank, the flights of all of them in one batch.
 
-    `tell` is called after each step with its number and how many flights go on. Flights that go round for ever are
+    `tell` is called after each step with its number and how many flights go on. What `measure`, or the task's own,
+    gives of each step is added up over a flight: a column more for each. Flights that go round for ever are
     counted to the cap instead of flown (`uavnav.repeats`).
     """
     seeds = torch.tensor(list(population)).repeat_interleave(len(task.bank))
-    repeats = Repeats(len(seeds), task.max_steps or 0, WATCHED_STEPS) if _repeatable(population, task) else None
+    sums = Sums(measure or task.measure, flights.start(task, list(population)))
+    goes_round = not sums.columns and _repeatable(population, task)
+    repeats = Repeats(len(seeds), task.max_steps or 0, WATCHED_STEPS) if goes_round else None
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
     for step in flights.fly(list(population.items()), task):
         up = ~step.ended
         if step.number <= WATCHED_STEPS:
             watched.append(_watch(step, seeds[step.flight]))
+        if sums.columns:
+            sums.add(step.flight, step.state)
         if not up.all():
             over = step.place[~up]
-            ended.append(_end(seeds[step.flight[~up]], at(step.states, over), step.outcomes.terminated[over]))
+            own = sums.of(step.flight[~up])
+            ended.append(_end(seeds[step.flight[~up]], at(step.states, over), step.outcomes.terminated[over]) | own)
         tell(step.number, int(up.sum()))
         if repeats is not None and (state_at_cap := repeats.see(step)) is not None:
             cut_off = torch.zeros(len(state_at_cap.x), dtype=torch.bool)
             ended.append(_end(seeds[step.flight[up]], state_at_cap, cut_off))
             break
     return Flights(
-        _table(ended, EPISODE_COLUMNS).sort_values(["seed", "layout"], ignore_index=True),
+        _table(ended, EPISODE_COLUMNS | sums.columns).sort_values(["seed", "layout"], ignore_index=True),
         _table(watched, BEHAVIOUR_COLUMNS).sort_values(["seed", "layout"], kind="stable", ignore_index=True),
     )
+
+
+class Sums:
+    """What a measure gives, added up over each flight; start: of all flights [F]."""
+
+    def __init__(self, measure: Measure, start: State) -> None:
+        self._measure, self._before = measure, type(start)(*(field.clone() for field in start))
+        self._sums = {name: torch.zeros_like(one) for name, one in measure(start, start).items()}
+        self.columns = {name: str(one.dtype).removeprefix("torch.") for name, one in self._sums.items()}
+
+    def add(self, flight: Tensor, after: State) -> None:
+        """A step of some flights, which led to a state."""
+        found = self._measure(at(self._before, flight), after)
+        for name, value in found.items():
+            self._sums[name][flight] += value
+        for field, new in zip(self._before, after, strict=True):
+            field[flight] = new
+
+    def of(self, flight: Tensor) -> dict[str, Tensor]:
+        """The sums of some flights."""
+        return {name: one[flight] for name, one in self._sums.items()}
 
 
 def _repeatable(population: Mapping[int, AnyPolicy], task: Task) -> bool:
@@ -191,7 +219,7 @@ def evaluate_run(
             task = task or on(population[run.seeds[0]].task, layouts, episodes, max_steps, faults)
             what = f"{run.algorithm} {run.config['activation']}, {mode}"
             with display.flights(what, episodes * len(population), max_steps, quiet) as tell:
-                flown[mode] = fly(population, task, tell)
+                flown[mode] = fly(population, task, tell, measure_of(layouts))
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     with lock(run.path):
@@ -215,11 +243,8 @@ def files_of(layouts: str | Path, episodes: int, max_steps: int, faults: Faults 
     """
     if (str(layouts), episodes, max_steps, faults) == ("test", EPISODES, MAX_STEPS, None):
         return EVALUATION, BEHAVIOUR
-    bank = str(layouts)
-    if layouts not in SPLITS:
-        bank = f"{Path(layouts).stem}-{banks.checksum(banks.load(layouts))[:8]}"
     given = "" if faults is None else f"-{faults}"
-    own = f"-{bank}-{episodes}-{max_steps}{given}.parquet"
+    own = f"-{banks.name_of(layouts)}-{episodes}-{max_steps}{given}.parquet"
     return EVALUATION.replace(".parquet", own), BEHAVIOUR.replace(".parquet", own)
 
 
@@ -262,6 +287,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                     check_out(arguments.out / _rows_file(name, mode))
         bounds = arguments.layouts, arguments.episodes, arguments.max_steps
         faults = None if arguments.faults is None else _faults(arguments.faults)
+        scripted = make_task(EMPTY, task=arguments.task)
         quiet, records = arguments.quiet or arguments.json, []
         for name, run in found.items():
             if isinstance(run, Run):
@@ -270,9 +296,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             else:
                 flown = {}
                 for mode, policy in run.items():
-                    task = on(policy.task if isinstance(policy, Policy) else make_task(EMPTY), *bounds, faults)
+                    task = on(policy.task if isinstance(policy, Policy) else scripted, *bounds, faults)
                     with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:], quiet) as tell:
-                        flown[mode] = fly({0: policy}, task, tell).episodes
+                        flown[mode] = fly({0: policy}, task, tell, measure_of(arguments.layouts)).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
                 who, kept = (name if name in BASELINES else Path(name).stem, ""), []
                 for mode, part in flown.items() if arguments.out is not None else ():

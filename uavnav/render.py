@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, overload
 
 import numpy as np
+import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
@@ -71,35 +72,44 @@ class Flight(NamedTuple):
 
 
 def load_pilots(
-    words: Sequence[str], seed: int | None = None, greedy: bool = False, activation: str | None = None
+    words: Sequence[str],
+    seed: int | None = None,
+    greedy: bool = False,
+    activation: str | None = None,
+    task: str = "drone",
 ) -> list[Pilot]:
     """Runs' folders, zips, or names of scripted policies, as pilots; named by the last two parts of the path.
 
-    activation: of the zips' hidden layers.
+    activation: of the zips' hidden layers; task: that scripted policies fly, where no run is named.
 
     Raises:
         PolicyError: no such run or seed, or an activation for runs alone.
+        ValueError: there is no such task, or the runs fly banks of several.
     """
     zips, pilots = policies.zips(words, activation), []
+    scripted = make_task(EMPTY, task=task)
     for word in words:
         if word in BASELINES:
-            pilots.append(Pilot(word, BASELINES[word], make_task(EMPTY)))
+            pilots.append(Pilot(word, BASELINES[word], scripted))
         else:
             try:
                 policy = policies.load_policy(word, seed, greedy, activation if word in zips else None)
             except policies.PolicyError as error:
                 raise policies.PolicyError(f"{error}{did_you_mean_run(word, BASELINES)}") from error
             pilots.append(Pilot("/".join(Path(word).resolve().parts[-2:]), policy, policy.task, policy.seed))
-    return pilots
+    of_runs = [pilot.task for pilot in pilots if pilot.task is not scripted]
+    if len(kinds := {banks.kind_of(one.world) for one in of_runs}) > 1:
+        raise ValueError(f"runs of task={' and task='.join(sorted(kinds))} have no set in common; give those of one")
+    return [one._replace(task=of_runs[0]) if one.task is scripted and of_runs else one for one in pilots]
 
 
-def load_layout(layouts: str, layout: int) -> Tensor:
-    """A bank [n, k, 3] px in which there is a set of that index.
+def load_layout(layouts: str, layout: int, pilots: Sequence[Pilot] = ()) -> Tensor:
+    """A bank [n, k, 3] px of the pilots' world, in which there is a set of that index.
 
     Raises:
         ValueError: there is no such bank, or it has no such set.
     """
-    bank = banks.load(layouts)
+    bank = banks.load(layouts, pilots[0].task.world if pilots else None)
     if not 0 <= layout < len(bank):
         raise ValueError(f"--layout {layout}: choose from 0 to {len(bank) - 1}")
     return bank
@@ -123,8 +133,8 @@ def fly(pilot: Pilot, bank: Tensor, layout: int, max_steps: int) -> Flight:
 class Film(Sequence[Picture]):
     """Flights on the same set of obstacles, side by side, with their trails: drawn when they are asked for.
 
-    obstacles [K, 3] px; width: of one flight's picture [px]; every: steps from one picture to the next. The last
-    picture is that of the last step of the longest flight; a flight that is over stands still.
+    obstacles: a set of the bank, such as [K, 3] px; width: of one flight's picture [px]; every: steps from one picture
+    to the next. The last picture is that of the last step of the longest flight; a flight that is over stands still.
     """
 
     def __init__(self, flights: Sequence[Flight], obstacles: Tensor, width: int, every: int = 1) -> None:
@@ -160,8 +170,9 @@ class Film(Sequence[Picture]):
         """One flight with its caption."""
         flight, colour = self.flights[number], PILOTS[number % len(PILOTS)]
         state, trail = flight.states[step], self._trails[number][: step + 1]
-        world = flight.pilot.task.world
-        arena = drawing.draw_arena(state, self.obstacles, world, self.width, [(trail, colour)], colour)
+        task = flight.pilot.task.with_bank(self.obstacles[None])
+        obstacles = task.obstacles(state._replace(layout=torch.tensor(0)))
+        arena = drawing.draw_arena(state, obstacles, task.world, self.width, [(trail, colour)], colour)
         over = flight.collided and step == len(flight.states) - 1
         strip = _caption(self.width, flight.pilot, state, over, colour)
         panel = Image.new("RGB", (self.width, arena.height + strip.height))
@@ -290,8 +301,8 @@ def main(argv: list[str] | None = None) -> int:
         plugins.load(arguments.plugins)
         check_picture(arguments.out, rate)
         check_out(arguments.out)
-        pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation)
-        bank = load_layout(arguments.layouts, arguments.layout)
+        pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation, arguments.task)
+        bank = load_layout(arguments.layouts, arguments.layout, pilots)
         with machine.use_threads(1):
             flown = [fly(pilot, bank, arguments.layout, arguments.steps) for pilot in pilots]
             film = Film(flown, bank[arguments.layout], arguments.width, arguments.every)

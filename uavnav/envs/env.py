@@ -91,7 +91,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     def _make_specs(self) -> None:
         shape, world = self.batch_size, self.world
-        low = torch.tensor([-1.0, 0.0, 0.0], device=self.device).repeat(self.task.stack * world.n_slots)
+        low = torch.tensor(world.observation_low, device=self.device).repeat(self.task.stack)
         kind: dict[str, Any] = {"shape": shape, "device": self.device}
         episode = Composite({name: Unbounded(dtype=torch.int64, **kind) for name in ("layout", *COUNTS[:-1])}, **kind)
         episode["reward"] = Unbounded(dtype=torch.float64, **kind)

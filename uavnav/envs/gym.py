@@ -1,12 +1,14 @@
 """The world for Gymnasium: one drone (`DroneGymEnv`, in plain numbers) or a batch (`DroneVectorEnv`, in tensors).
 
-Both are registered as `uavnav/Drone-v0`: `gymnasium.make` returns the first, and `gymnasium.make_vec` the second.
+Both are registered as `uavnav/Drone-v0`: `gymnasium.make` returns the first, and `gymnasium.make_vec` the second. Other
+worlds have names of their own, such as `uavnav/Moving-v0`; every field of a world is a keyword: `speed_max=3.0`.
 """
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +35,27 @@ METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
 
 
 def observation_space(world: World, stack: int = 1) -> spaces.Box:
-    """A Box of ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13), for each observation of a stack."""
-    low = np.tile(np.array([-1, 0, 0], dtype=np.float32), stack * world.n_slots)
+    """A Box of what the drone senses: ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13), or a stack of such."""
+    low = np.tile(np.array(world.observation_low, dtype=np.float32), stack)
     return spaces.Box(low, np.ones_like(low), dtype=np.float32)
+
+
+def _task(
+    layouts: str | Path | Tensor,
+    world: World | None,
+    reward: str,
+    max_steps: int | None,
+    task: str | Task,
+    stack: int,
+    faults: Faults | Mapping[str, Any] | None,
+    fields: Mapping[str, Any],
+) -> Task:
+    """The task of an environment, on the CPU, from its keywords."""
+    if fields and isinstance(task, Task):
+        raise ValueError(f"{next(iter(fields))}=...: a whole task has a world; give no fields beside it")
+    given = {**(asdict(world) if isinstance(world, World) else world or {}), **fields} if fields else world
+    whole = make_task(layouts, given, reward, max_steps, task, stack, faults)
+    return whole.with_bank(whole.bank.cpu())
 
 
 def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any, Any]:
@@ -66,7 +86,10 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
     End:
         `terminated`: the drone touched an obstacle or the border. `truncated`: `max_steps` was reached.
     Info:
-        layout (index), x, y (px), heading (degrees), clearance (px to the nearest obstacle or border square).
+        layout (index), x, y (px), heading (degrees), clearance (px to the nearest obstacle or border square); and what
+        the task adds (`Task.info`).
+
+    `fields` are those of the task's world. `obstacles` [k, 3] px and `velocities` [k, 2] px a step are those of now.
 
     Raises:
         LayoutError, ValueError: a bad bank, reward, cap, layout or action.
@@ -84,11 +107,11 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
         task: str | Task = "drone",
         stack: int = 1,
         faults: Faults | Mapping[str, Any] | None = None,
+        **fields: Any,
     ) -> None:
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        whole = make_task(layouts, world, reward, max_steps, task, stack, faults)
-        self.task = whole.with_bank(whole.bank.cpu())
+        self.task = _task(layouts, world, reward, max_steps, task, stack, faults, fields)
         self.world, self.bank = self.task.world, self.task.bank
         self.render_mode = render_mode
         self.observation_space = observation_space(self.world, self.task.stack)
@@ -129,14 +152,25 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
             return None
         if self._layout is None:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
-        flight = self._flight
-        state = self.task.place(torch.tensor(flight.layout), torch.tensor(flight.heading))
-        state = state._replace(x=torch.tensor(flight.x), y=torch.tensor(flight.y))
-        return draw_state(state, self.task)
+        return draw_state(self._now(), self.task)
+
+    @property
+    def obstacles(self) -> np.ndarray[Any, Any]:
+        """The obstacles as they are now: [k, 3] of (x, y, radius) px."""
+        return self.task.obstacles(self._now()).numpy()
+
+    @property
+    def velocities(self) -> np.ndarray[Any, Any]:
+        """Where they move: [k, 2] px a step."""
+        return self.task.velocities(self._now()).numpy()
+
+    def _now(self) -> State:
+        if self._layout is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._flight.state
 
     def _info(self) -> Info:
-        flight = self._flight
-        return {name: getattr(flight, name) for name in ("layout", "x", "y", "heading", "clearance")}
+        return self._flight.info() | {"clearance": self._flight.clearance}
 
 
 class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]], Any]):
@@ -145,7 +179,7 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
     `reset(seed=s)` turns the rows into the parallel worlds of seed s, each with its own first layout; a list gives each
     row its own seed. `reset(options={"layout": ...})` takes one index, or one index per row. When an episode ends,
     `step` returns the next episode's first observation, and `final_obs` and `final_info` of the info describe the last
-    state of the ended episode.
+    state of the ended episode. `obstacles` and `velocities` have an axis more than one drone's: [num_envs, k, 3 or 2].
     """
 
     metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -161,13 +195,13 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         task: str | Task = "drone",
         stack: int = 1,
         faults: Faults | Mapping[str, Any] | None = None,
+        **fields: Any,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs={num_envs}; give at least 1")
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        whole = make_task(layouts, world, reward, max_steps, task, stack, faults)
-        self.task = whole.with_bank(whole.bank.cpu())
+        self.task = _task(layouts, world, reward, max_steps, task, stack, faults, fields)
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode.SAME_STEP
@@ -254,8 +288,23 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         """Where episodes of every row begin."""
         return self.task.start(layout, self._chance.headings().flatten(), _flat(self._chance.first()))
 
+    @property
+    def obstacles(self) -> np.ndarray[Any, Any]:
+        """The obstacles of each row as they are now: [num_envs, k, 3] of (x, y, radius) px."""
+        return self.task.obstacles(self._now()).numpy()
+
+    @property
+    def velocities(self) -> np.ndarray[Any, Any]:
+        """Where they move: [num_envs, k, 2] px a step."""
+        return self.task.velocities(self._now()).numpy()
+
+    def _now(self) -> State:
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._state
+
     def _info(self, state: State, clearance: Tensor) -> Info:
-        values = {name: getattr(state, name).numpy().copy() for name in ("layout", "x", "y", "heading")}
+        values = {name: value.numpy().copy() for name, value in self.task.info(state).items()}
         values["clearance"] = clearance.numpy().copy()
         return values | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in values}
 

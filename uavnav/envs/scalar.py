@@ -38,7 +38,7 @@ class Flight:
     """A drone among the obstacles of one set: `start`, then `step` until it is over. It needs no draws."""
 
     def __init__(self, task: Task) -> None:
-        self.world, self.max_steps = task.world, task.max_steps
+        self.task, self.world, self.max_steps = task, task.world, task.max_steps
         self._bank: list[list[Circle]] = task.bank.tolist()
         action = torch.arange(self.world.n_actions)
         angle, distance = decode(action, self.world)
@@ -68,6 +68,16 @@ class Flight:
         capped = self.max_steps is not None and self.steps >= self.max_steps
         return observation, self._rewards[collided][action], collided, capped and not collided
 
+    @property
+    def state(self) -> State:
+        """Where it is, as a row without a batch; of the counts the steps alone."""
+        start = self.task.start(torch.tensor(self.layout), torch.tensor(self.heading))
+        return start._replace(x=torch.tensor(self.x), y=torch.tensor(self.y), steps=torch.tensor(self.steps))
+
+    def info(self) -> dict[str, float]:
+        """What `Task.info` says, in plain numbers."""
+        return {"layout": self.layout, "x": self.x, "y": self.y, "heading": self.heading}
+
     def _observe(self) -> Observation:
         slots, self.clearance = sense(self.x, self.y, self.heading, self._bank[self.layout], self.world)
         return np.array(slots, dtype=np.float32)
@@ -90,6 +100,10 @@ class BatchOfOne:
         state, outcome = self.task.step(self.state, torch.tensor(action), _flat(draws))
         observation = self._keep(state, outcome.observation, outcome.clearance)
         return observation, float(outcome.reward), bool(outcome.terminated), bool(outcome.truncated)
+
+    def info(self) -> dict[str, float]:
+        """As `Flight.info`."""
+        return {name: value.item() for name, value in self.task.info(self.state).items()}
 
     def _keep(self, state: State, observation: Tensor, clearance: Tensor) -> Observation:
         self.state, self.clearance = state, float(clearance)

@@ -6,6 +6,7 @@ A table of episodes has one row per episode and the columns of `EPISODE_COLUMNS`
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +67,30 @@ METRICS: dict[str, Metric] = {
     "reward": Metric("reward", "reward", over="frame"),
 }
 """The report shows every metric of this table."""
+
+
+class Own(NamedTuple):
+    """A metric that only some worlds or banks have, over all episodes of a seed."""
+
+    label: str
+    columns: tuple[str, ...]  # that a table must have
+    value: Callable[[pd.DataFrame], float]
+
+
+OWN: dict[str, Own] = {
+    "passages_per_1000_steps": Own(
+        "passages per 1,000 steps", ("passages",), lambda rows: 1000 * rows["passages"].sum() / rows["steps"].sum()
+    ),
+    "passages_per_flight": Own("passages per flight", ("passages",), lambda rows: rows["passages"].mean()),
+}
+"""By name; a table shows those whose columns it has."""
+
+
+def own(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The metrics of `OWN` that a table has the columns for: one row per seed, one column per metric."""
+    there = {name: one for name, one in OWN.items() if set(one.columns) <= set(episodes.columns)}
+    found = {seed: {name: one.value(rows) for name, one in there.items()} for seed, rows in episodes.groupby("seed")}
+    return pd.DataFrame.from_dict(found, orient="index", columns=list(there))
 
 
 def finished(episodes: pd.DataFrame) -> pd.DataFrame:

@@ -36,8 +36,9 @@ def reactive(observation: Tensor, generator: torch.Generator | None = None) -> T
     straight ahead, and what is behind recedes: d - 9 y > 30 for all that is in view excludes a collision. It looks at
     the newest observation of a stack.
     """
-    newest = observation[..., : WORLD.observation_size]
-    slots = newest.reshape(*observation.shape[:-1], WORLD.n_slots, 3)
+    size = observation.shape[-1]
+    width = 3 if size % WORLD.observation_size == 0 else 5  # with velocities
+    slots = observation[..., : WORLD.n_slots * width].reshape(*observation.shape[:-1], WORLD.n_slots, width)
     distance = WORLD.drone_radius + slots[..., 2] * (WORLD.sensor_radius - WORLD.drone_radius)
     closest = (distance - FULL_SPEED * slots[..., 1]).amin(-1)
     return torch.where(closest > WORLD.drone_radius + MARGIN, FULL_SPEED, LEFT_IN_PLACE)

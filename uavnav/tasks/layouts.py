@@ -1,67 +1,86 @@
 """Banks of obstacle sets: generate, save, load and validate; the disjoint splits `train`, `validation` and `test`.
 
 A bank is a float32 tensor [n, k, 3] of (x, y, radius) in px, stored as safetensors with a header that says how it was
-made. `uavnav layouts` writes the three that ship with the package, or others; see its --help.
+made; other worlds have more columns. `uavnav layouts` writes the three that ship with the package, or others; see its
+--help.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import os
+import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as serialize
 from torch import Tensor
 
 from uavnav import commands, files
-from uavnav.choices import did_you_mean
+from uavnav.choices import choose_from, did_you_mean
+from uavnav.tasks import circles, moving, slalom
+from uavnav.tasks.circles import LayoutError as LayoutError  # this and the next two are also names of this module
+from uavnav.tasks.circles import generate as generate
+from uavnav.tasks.circles import validate as validate
 from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.protocol import SPLITS as SPLITS  # also asked for as a name of this module
 from uavnav.tasks.world import VERSION, World
 
 
-class LayoutError(ValueError):
-    """A bank cannot be found, read or trusted; the message says what is wrong and what would be right."""
+class Kind(NamedTuple):
+    """The banks of a world: how sets are drawn, and what makes them valid."""
+
+    world: type[World]
+    generate: Callable[[int, int, int, World], Tensor]  # n, k, seed, world -> bank
+    validate: Callable[[Tensor, World], None]
+    reads: tuple[str, ...] = ()  # fields of the world that sets are drawn by, beside those of the paper's
 
 
-def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
-    """Draw n sets of k obstacles: radius uniform in [30, 100], centre uniform in the window, drawn again until the
-    edge is at least 50 px from the start (sec. 4.1). Obstacles may overlap each other and the border.
-
-    Returns:
-        Tensor [n, k, 3] float32 of (x, y, radius) px; the same for the same arguments on every machine.
-
-    Raises:
-        LayoutError: n, k or seed is negative.
-    """
-    world = world or World()
-    if min(n, k, seed) < 0:
-        raise LayoutError(f"n={n}, k={k}, seed={seed}; give whole numbers of at least 0")
-    rng = np.random.Generator(np.random.PCG64(seed))
-    smallest, largest = np.float32(world.obstacle_radius_min), np.float32(world.obstacle_radius_max)
-    bank = np.empty((n, k, 3), dtype=np.float32)
-    bank[..., 2] = smallest + (largest - smallest) * rng.random((n, k), dtype=np.float32)
-    misplaced = np.ones((n, k), dtype=bool)
-    while misplaced.any():
-        size = np.array([world.width, world.height], dtype=np.float32)
-        bank[misplaced, :2] = rng.random((int(misplaced.sum()), 2), dtype=np.float32) * size
-        misplaced = _edge_to_start(bank, world) < world.safe_zone
-    return torch.from_numpy(bank)
+KINDS = {
+    "drone": Kind(World, circles.generate, circles.validate),
+    "moving": Kind(moving.MovingWorld, moving.generate, moving.validate, ("speed_min", "speed_max")),
+}
+"""By the task that they were made for, which is written into the header of all but the first."""
 
 
-def save(bank: Tensor, path: str | Path, *, seed: int, split: str) -> None:
+RUNGS: dict[str, Callable[[int, int, int], Tensor]] = {"density": circles.generate, "slalom": slalom.generate}
+"""Banks of the paper's world by difficulty: n, rung, seed -> bank. `density-12/test` has 12 obstacles a set,
+`slalom-80/test` gaps of 80 px."""
+
+
+def kind_of(world: World) -> str:
+    """The name in `KINDS` of a world's banks: of its class, or of the nearest class that it derives from."""
+    names = {kind.world: name for name, kind in KINDS.items()}
+    return next(names[one] for one in type(world).__mro__ if one in names)
+
+
+def save(bank: Tensor, path: str | Path, *, seed: int, split: str, world: World | None = None) -> None:
     """Write a bank [n, k, 3] with its header; the file appears whole or not at all.
+
+    world: whose bank it is, with the fields that its sets were drawn by.
 
     Raises:
         LayoutError: the bank is not valid, or the place cannot be written.
     """
-    validate(bank)
+    world = world or World()
+    KINDS[kind_of(world)].validate(bank, world)
     path = Path(path)
+    header = _header(bank, seed, split, world)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.write(path, _in_order(serialize({"obstacles": bank.contiguous()}, header)))
+    except (OSError, SafetensorError) as error:
+        raise LayoutError(f"{path}: cannot be written ({error}); give a path that can be written") from error
+
+
+def _header(bank: Tensor, seed: int, split: str, world: World) -> dict[str, str]:
+    """What a bank's file says of it."""
     header = {
         "world_version": VERSION,
         "generator_seed": str(seed),
@@ -70,31 +89,33 @@ def save(bank: Tensor, path: str | Path, *, seed: int, split: str) -> None:
         "split": split,
         "sha256": checksum(bank),
     }
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        files.write(path, _in_order(serialize({"obstacles": bank.contiguous()}, header)))
-    except (OSError, SafetensorError) as error:
-        raise LayoutError(f"{path}: cannot be written ({error}); give a path that can be written") from error
+    name = kind_of(world)
+    own = {"task": name} if name != "drone" else {}
+    return header | own | {field: repr(getattr(world, field)) for field in KINDS[name].reads}
 
 
-def load(layouts: str | Path) -> Tensor:
-    """Read a bank: `train`, `validation`, `test`, or the path of a file that `uavnav layouts` wrote.
+def load(layouts: str | Path, world: World | None = None) -> Tensor:
+    """Read a bank: `train`, `validation`, `test`, a rung's such as `density-12/test` and `slalom-80/test`, or the path
+    of a file that `uavnav layouts` wrote.
+
+    world: whose bank it is; the paper's by default.
 
     Returns:
-        Tensor [n, k, 3] float32 of (x, y, radius) px.
+        Tensor [n, k, 3] float32 of (x, y, radius) px; in other worlds as their tasks say.
 
     Raises:
         LayoutError: there is no such file, or its header, shape, numbers or checksum are not right.
     """
-    return read(layouts)[0]
+    return read(layouts, world)[0]
 
 
 def resolve(layouts: str | Path | Tensor, world: World) -> Tensor:
     """A bank from its name or path, or the tensor itself, valid for this world; raises as `load` does."""
+    validate = KINDS[kind_of(world)].validate
     if isinstance(layouts, Tensor):
         validate(layouts, world)
         return layouts
-    bank = load(layouts)
+    bank = load(layouts, world)
     try:
         validate(bank, world)
     except LayoutError as error:
@@ -102,26 +123,28 @@ def resolve(layouts: str | Path | Tensor, world: World) -> Tensor:
     return bank
 
 
-def read(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
-    """The bank and its header; raises as `load` does."""
+def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[str, str]]:
+    """The bank and its header; raises as `load` does.
+
+    The paper's splits are files of the package. Other worlds draw theirs when they are asked for, by their fields.
+    """
+    name = kind_of(world or World())
+    if layouts in SPLITS and name != "drone":
+        assert world is not None
+        return _drawn(str(layouts), world)
+    if name == "drone" and re.match("|".join(f"{ladder}-" for ladder in RUNGS), str(layouts)):
+        return _rung(str(layouts))
     path = Path(__file__).parent / "banks" / f"{layouts}.safetensors" if layouts in SPLITS else Path(layouts)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
         choices = f"{', '.join(SPLITS)} or a file's path{did_you_mean(layouts, SPLITS)}"
         raise LayoutError(f"layouts={str(layouts)!r}: no such bank; choose from {choices}")
-    try:
-        with safe_open(path, framework="pt") as file:
-            header = file.metadata() or {}
-            bank = file.get_tensor("obstacles") if "obstacles" in file.keys() else None  # noqa: SIM118
-    except (OSError, SafetensorError) as error:
-        raise LayoutError(f"{path}: not a readable bank ({error}); make one with uavnav layouts") from error
-    if bank is None:
-        raise LayoutError(f"{path}: holds no tensor `obstacles`; make one with uavnav layouts")
-    if header.get("world_version") != VERSION:
+    bank, header = _open(path)
+    if header.get("task", "drone") != name:
         raise LayoutError(
-            f"{path}: made for world version {header.get('world_version')}, this is {VERSION}; generate it anew"
+            f"{path}: a bank of task={header.get('task', 'drone')}, not of task={name}; give one of those"
         )
     try:
-        validate(bank)
+        KINDS[name].validate(bank, KINDS[name].world())
     except LayoutError as error:
         raise LayoutError(f"{path}: {error}; generate it anew") from error
     n, k = bank.shape[:2]
@@ -135,49 +158,77 @@ def read(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     return bank, header
 
 
+@functools.lru_cache(maxsize=8)
+def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
+    """A split of a world whose banks are no files of the package, and its header."""
+    bank = KINDS[kind_of(world)].generate(SPLITS[split].n, DEFAULT_K, SPLITS[split].seed, world)
+    return bank, _header(bank, SPLITS[split].seed, split, world)
+
+
+@functools.lru_cache(maxsize=8)
+def _rung(layouts: str) -> tuple[Tensor, dict[str, str]]:
+    """A split of a rung, such as `density-12/test`, and its header."""
+    ladder, rung, split = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL).groups()  # type: ignore[union-attr]
+    if split not in SPLITS or not rung.isdecimal():
+        near = did_you_mean(split, SPLITS)
+        raise LayoutError(f"layouts={layouts!r}: no such bank; give a rung and a split, such as {ladder}-80/test{near}")
+    bank = RUNGS[ladder](SPLITS[split].n, int(rung), SPLITS[split].seed)
+    return bank, _header(bank, SPLITS[split].seed, layouts, World())
+
+
+def _open(path: Path) -> tuple[Tensor, dict[str, str]]:
+    """What a file holds, if it is a bank of this version."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = file.metadata() or {}
+            bank = file.get_tensor("obstacles") if "obstacles" in file.keys() else None  # noqa: SIM118
+    except (OSError, SafetensorError) as error:
+        raise LayoutError(f"{path}: not a readable bank ({error}); make one with uavnav layouts") from error
+    if bank is None:
+        raise LayoutError(f"{path}: holds no tensor `obstacles`; make one with uavnav layouts")
+    if header.get("world_version") != VERSION:
+        raise LayoutError(
+            f"{path}: made for world version {header.get('world_version')}, this is {VERSION}; generate it anew"
+        )
+    return bank, header
+
+
 def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     """The bank and its header, if it is what the seed in its header generates.
 
     Raises:
         LayoutError: it is not, or as `load` does.
     """
-    bank, header = read(layouts)
+    world = World() if layouts in SPLITS else _world_of(layouts)
+    bank, header = read(layouts, world)
+    if layouts == header["split"] and layouts not in SPLITS:  # a rung, which was generated just now
+        return bank, header
     n, k, seed = *bank.shape[:2], header.get("generator_seed", "")
-    if not seed.isdecimal() or not torch.equal(bank, generate(n, k, int(seed))):
+    generate = KINDS[kind_of(world)].generate
+    if not seed.isdecimal() or not torch.equal(bank, generate(n, k, int(seed), world)):
         raise LayoutError(f"{layouts}: is not what seed {seed} generates; generate it anew")
     return bank, header
 
 
-def validate(bank: Tensor, world: World | None = None) -> None:
-    """Check shape, type, finiteness, the range of radii and the safe zone.
-
-    Raises:
-        LayoutError: naming the first set that is wrong.
-    """
-    world = world or World()
-    if bank.ndim != 3 or bank.shape[-1] != 3 or bank.shape[0] == 0:
-        raise LayoutError(f"a bank has the shape [n > 0, k, 3], not {list(bank.shape)}")
-    if bank.dtype != torch.float32:
-        raise LayoutError(f"a bank holds float32, not {str(bank.dtype).removeprefix('torch.')}")
-    numbers = bank.cpu().numpy()
-    radius = numbers[..., 2]
-    edge = _edge_to_start(np.nan_to_num(numbers), world)
-    smallest, largest = world.obstacle_radius_min, world.obstacle_radius_max
-    for wrong, rule in (
-        (~np.isfinite(numbers).all(-1), "is not finite"),
-        (~((radius >= smallest) & (radius <= largest)), f"has a radius outside {smallest:g} ... {largest:g} px"),
-        (edge < world.safe_zone, f"is nearer than {world.safe_zone:g} px to the start"),
-    ):
-        if wrong.any():
-            row, obstacle = np.argwhere(wrong)[0]
-            raise LayoutError(f"obstacle {obstacle} of set {row} {rule}")
+def _world_of(path: str | Path) -> World:
+    """The world that a file's header names, with the fields that its sets were drawn by."""
+    if not os.path.isfile(path):
+        return World()
+    header = _open(Path(path))[1]
+    kind = KINDS.get(header.get("task", "drone"), KINDS["drone"])
+    try:
+        drawn_by: dict[str, Any] = {name: float(header[name]) for name in kind.reads}
+        return kind.world(**drawn_by)
+    except (KeyError, ValueError) as error:
+        raise LayoutError(f"{path}: its header does not say how it was drawn ({error}); generate it anew") from error
 
 
-def _edge_to_start(bank: np.ndarray, world: World) -> np.ndarray:
-    """Distance from the start to every obstacle's edge [n, k] px, in float64."""
-    offset = bank[..., :2].astype(np.float64) - np.array(world.start)
-    edge: np.ndarray = np.hypot(offset[..., 0], offset[..., 1]) - bank[..., 2]
-    return edge
+def name_of(layouts: str | Path) -> str:
+    """A bank's name as part of a file's: `test`, `density-12-test`, or a path's last part and of its checksum the
+    first."""
+    if layouts in SPLITS or not os.path.isfile(layouts):
+        return str(layouts).replace("/", "-")
+    return f"{Path(layouts).stem}-{checksum(_open(Path(layouts))[0])[:8]}"
 
 
 def _in_order(content: bytes) -> bytes:
@@ -205,11 +256,14 @@ def main(argv: list[str] | None = None) -> int:
             return 0
         if arguments.seed is not None and arguments.split == "all":
             raise LayoutError(f"--seed {arguments.seed}: give --split too, or all banks would hold the same sets")
+        if arguments.task not in KINDS:
+            raise LayoutError(f"--task {arguments.task}: {choose_from(arguments.task, KINDS)}")
+        kind = KINDS[arguments.task]
         for split in SPLITS if arguments.split == "all" else [arguments.split]:
             n = SPLITS[split].n if arguments.n is None else arguments.n
             seed = SPLITS[split].seed if arguments.seed is None else arguments.seed
             path = arguments.out / f"{split}.safetensors"
-            save(generate(n, arguments.k, seed), path, seed=seed, split=split)
+            save(kind.generate(n, arguments.k, seed, kind.world()), path, seed=seed, split=split, world=kind.world())
             print(f"wrote {path}: {n} sets of {arguments.k} obstacles from seed {seed}")
     except LayoutError as error:
         print(f"uavnav layouts: {error}", file=sys.stderr)

@@ -22,7 +22,13 @@ Echoes = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 def sense(
-    x: Tensor, y: Tensor, heading: Tensor, obstacles: Tensor, world: World, echoes: Echoes | None = None
+    x: Tensor,
+    y: Tensor,
+    heading: Tensor,
+    obstacles: Tensor,
+    world: World,
+    velocities: Tensor | None = None,
+    echoes: Echoes | None = None,
 ) -> tuple[Tensor, Tensor]:
     """The ten sensed obstacles and the distance to the nearest one.
 
@@ -30,6 +36,9 @@ def sense(
     slots [..., 10, 3] of (right, forward, distance), eq. (13), and clearance [...] px, the smallest distance from the
     drone's centre to any circle or border square, in view or not: at most `world.drone_radius` is a collision.
     What is in view, the order of slots and the clearance follow from true distances, whatever `echoes` does.
+
+    With velocities [..., K, 2], as shares of the greatest speed, a slot has two numbers more: the obstacle's velocity
+    to the right and forward, clamped to [-1, 1]; zero of a square or an empty slot.
 
     Inside, candidates lead and the batch comes last: the innermost loops run over many drones, and vectorise.
     """
@@ -40,6 +49,11 @@ def sense(
     in_view = (distance <= world.sensor_radius) & (forward >= world.view_cosine - VIEW_TOLERANCE)
     proximity = distance if echoes else _scaled(distance, world)  # of what echoes disturb, it is worked out later
     triples = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), proximity if echoes else proximity.clamp(0, 1)])
+    if velocities is not None:
+        east, north = velocities.movedim((-1, -2), (0, 1))
+        own = torch.stack(to_drone_frame(east, north, heading)).clamp(-1, 1)
+        squares = triples.new_zeros(2, len(distance) - own.shape[1], *distance.shape[1:])
+        triples = torch.cat([triples, torch.cat([own, squares], 1)])
     slots = _first_in_view(triples, distance, in_view, world, echoes)
     return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
 
@@ -114,10 +128,10 @@ def _first_in_view(
 ) -> Tensor:
     """The first ten candidates in view, nearest (or lowest index) first, ties by index; empty slots are padded.
 
-    triples [3, N, ...], distance, in_view [N, ...] -> slots [3, 10, ...]. In a graph the rank of a candidate is the
-    number of candidates before it, and a slot the sum over all candidates, of which one has its rank: on so few,
-    counting and adding fuse and vectorise where a sort and a scatter do not, and floats where flags and integers do
-    not. Step by step nothing fuses, and a sort is five times faster.
+    triples [3, N, ...] (5 with velocities), distance, in_view [N, ...] -> slots [3, 10, ...]. In a graph the rank of a
+    candidate is the number of candidates before it, and a slot the sum over all candidates, of which one has its rank:
+    on so few, counting and adding fuse and vectorise where a sort and a scatter do not, and floats where flags and
+    integers do not. Step by step nothing fuses, and a sort is five times faster.
     """
     index, slot = (
         torch.arange(n, dtype=distance.dtype, device=distance.device).reshape(-1, *[1] * (distance.ndim - 1))
@@ -126,13 +140,14 @@ def _first_in_view(
     key = torch.where(in_view, distance if world.slots == "nearest" else index, math.inf)
     if type(distance) is Tensor:  # and not what stands for one while a graph is traced
         order = key.sort(dim=0, stable=True).indices[: world.n_slots]
-        slots = triples.gather(1, order.expand(3, *order.shape)) + 0.0  # a sum has no -0.0
+        slots = triples.gather(1, order.expand(len(triples), *order.shape)) + 0.0  # a sum has no -0.0
     else:
         before = (key[:, None] < key) | ((key[:, None] == key) & (index[:, None] < index))
         rank = before.sum(0, dtype=distance.dtype)
         slots = torch.where(rank == slot[:, None], triples[:, None], 0.0).sum(2)
     filled = (key < math.inf).sum(0, dtype=distance.dtype)
-    padding = torch.tensor([0.0, 0.0, 1.0 if world.padding == "far" else 0.0], device=distance.device)
+    far = 1.0 if world.padding == "far" else 0.0
+    padding = torch.tensor([0.0, 0.0, far, *[0.0] * (len(triples) - 3)], device=distance.device)
     if echoes is None:
         is_filled = slot < filled
     else:  # then the third number is still the distance [px]

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from uavnav.choices import did_you_mean, unknown_key
 from uavnav.tasks import layouts as banks
-from uavnav.tasks import memory
+from uavnav.tasks import memory, moving
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.rewards import REWARDS, Step
@@ -137,13 +137,21 @@ class Task:
         """Where the obstacles of each row are now: [*B, K, 3] px."""
         return self.bank[state.layout]
 
+    def velocities(self, state: State) -> Tensor:
+        """Where the obstacles of each row move: [*B, K, 2] px a step."""
+        return torch.zeros_like(self.obstacles(state)[..., :2])
+
+    def info(self, state: State) -> dict[str, Tensor]:
+        """What an environment tells of each row beside its observation: names and values [*B]."""
+        return {"layout": state.layout, "x": state.x, "y": state.y, "heading": state.heading}
+
     def sense(self, state: State, draws: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """What is sensed now, as one vector a row: [*B, world.observation_size], and clearance [*B] px.
 
         draws [*B, n_draws] disturb it as `faults` says; without them it is as it is.
         """
         around = state.x, state.y, state.heading, self.obstacles(state), self.world
-        slots, clearance = sense(*around, self.echoes(draws))
+        slots, clearance = sense(*around, echoes=self.echoes(draws))
         return slots.flatten(-2), clearance
 
     def echoes(self, draws: Tensor | None) -> Echoes | None:
@@ -202,6 +210,10 @@ class Task:
         outcome = Outcome(observation, clearance, earned, collided, capped & ~collided)
         return after._replace(reward=state.reward + earned), outcome
 
+    def measure(self, before: State, after: State) -> dict[str, Tensor]:
+        """What an evaluation counts of each step, beside `COUNTS`: names and numbers [*B], added up over a flight."""
+        return {}
+
     def with_bank(self, bank: Tensor) -> Self:
         """The same task on a bank that is known to be valid."""
         return replace(self, bank=bank)
@@ -221,7 +233,44 @@ class Task:
         return own | {"stack": self.stack, "faults": asdict(self.faults), "bank": banks.checksum(self.bank)}
 
 
-TASKS: dict[str, type[Task]] = {"drone": Task}
+class Moving(Task):
+    """The paper's task among obstacles that fly straight on and bounce off the edges of the window.
+
+    In a step the drone moves first and the obstacles after it; who stands still can be hit. See `moving`.
+    """
+
+    WORLD = moving.MovingWorld
+    STATIC = False
+    world: moving.MovingWorld
+
+    def obstacles(self, state: State) -> Tensor:
+        """Where the obstacles of each row are now: [*B, K, 3] px."""
+        return moving.motion(self.bank[state.layout], state.steps, self.world)[0]
+
+    def velocities(self, state: State) -> Tensor:
+        """Where the obstacles of each row move: [*B, K, 2] px a step."""
+        return moving.motion(self.bank[state.layout], state.steps, self.world)[1]
+
+    def info(self, state: State) -> dict[str, Tensor]:
+        """As of the paper's task, and the steps of the episode, on which the obstacles depend."""
+        return super().info(state) | {"steps": state.steps}
+
+    def sense(self, state: State, draws: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """What is sensed, with or without velocities: [*B, world.observation_size], clearance [*B] px."""
+        if not self.world.sense_velocity:
+            return super().sense(state, draws)
+        obstacles, velocities = moving.motion(self.bank[state.layout], state.steps, self.world)
+        shares = velocities / self.world.speed_max if self.world.speed_max else torch.zeros_like(velocities)
+        slots, clearance = sense(state.x, state.y, state.heading, obstacles, self.world, shares, self.echoes(draws))
+        return slots.flatten(-2), clearance
+
+    def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
+        """As in the paper's task; then it is the next step, by which the obstacles are where they are."""
+        moved, angle, distance = super().move(state, action)
+        return moved._replace(steps=state.steps + 1), angle, distance
+
+
+TASKS: dict[str, type[Task]] = {"drone": Task, "moving": Moving}
 
 KNOWN = dict(TASKS)
 """Those that every process of a run has: built in, or of a plugin."""
@@ -262,7 +311,8 @@ def make_task(
         world = _made(kind.WORLD, "world", world)
     if not isinstance(faults, Faults):
         faults = _made(Faults, "faults", faults)
-    return kind(world, EMPTY, reward, max_steps, stack, faults).on(layouts, max_steps)
+    made = kind(world, EMPTY, reward, max_steps, stack, faults)
+    return made if layouts is EMPTY else made.on(layouts, max_steps)
 
 
 Part = TypeVar("Part")

@@ -56,7 +56,10 @@ class World:
         for field in fields(self):
             choices = get_args(hints[field.name])
             value: Any = getattr(self, field.name)
-            if choices and value not in choices:
+            if hints[field.name] is bool:
+                if not isinstance(value, bool):
+                    raise ValueError(f"{field.name}={value!r}; choose from false, true")
+            elif choices and value not in choices:
                 hint = did_you_mean(value, choices)
                 raise ValueError(f"{field.name}={value!r}; choose from {', '.join(choices)}{hint}")
             elif not choices and (isinstance(value, bool) or not isinstance(value, (int, float))):
@@ -85,9 +88,19 @@ class World:
         return self.n_turns * self.n_distances
 
     @property
+    def slot_low(self) -> tuple[float, ...]:
+        """The least of each number of a slot, eq. (13); the most is 1."""
+        return -1.0, 0.0, 0.0
+
+    @property
+    def observation_low(self) -> tuple[float, ...]:
+        """The least of each number of an observation; the most is 1."""
+        return self.n_slots * self.slot_low
+
+    @property
     def observation_size(self) -> int:
-        """Three numbers a slot, eq. (13)."""
-        return 3 * self.n_slots
+        """How many numbers are sensed: three a slot, eq. (13)."""
+        return len(self.observation_low)
 
     @property
     def sensed_squares_each_way(self) -> int:

@@ -60,7 +60,7 @@ class TrainConfig:
     hidden: tuple[int, ...] = key((64, 64), "of each hidden layer", "units")
     lr: float = at_least(3e-4, 0, "learning rate")
     gamma: float = within(0.99, 0, 1, "discount of a step")
-    max_grad_norm: float = at_least(0.5, 0, "to which each agent's gradient is scaled down")
+    max_grad_norm: float | None = at_least(0.5, 0, "to which each agent's gradient is scaled down")
     init: Init = key("default", "of the weights; default is PyTorch's, unit suits gains to activations")
     layer_norm: bool = key(False, "LayerNorm before each activation, without parameters of its own")
     layouts: str = key("train", "bank of obstacles: train, validation, test, or a file's path")

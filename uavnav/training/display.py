@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.runs import Run, paper
+from uavnav.runs import Run, metrics, paper
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.runs.readings import ALL, LOG_CURVE, PER_FRAME, decimals, log_curve, per_frame
 from uavnav.training.config import TrainConfig
@@ -194,7 +194,9 @@ def record(run: Run) -> dict[str, Any]:
 def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
     """What `evaluation_summary` shows, for JSON."""
     seeds, sets = sorted(map(int, rows["seed"].unique())), int(rows["layout"].nunique())
-    return {"seeds": seeds, "sets": sets, "metrics": _numbers(_flown(rows))}
+    found = {"seeds": seeds, "sets": sets, "metrics": _numbers(_flown(rows))}
+    own = {str(mode): metrics.own(flown).mean().to_dict() for mode, flown in rows.groupby("mode")}
+    return found | ({"own": own} if any(own.values()) else {})
 
 
 def _numbers(readings: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
@@ -242,11 +244,21 @@ def evaluation_summary(rows: pd.DataFrame, algorithm: str, activation: str = "")
     seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
     return _metric_table(
         f"{f'{algorithm} {activation}'.strip()} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
-        f"{seeds}; cut off at the cap on steps: {censored}",
+        "; ".join([f"{seeds}; cut off at the cap on steps: {censored}", *_own(rows)]),
         flown,
         paper.TABLES.get((algorithm, activation), {}),
         "episode",
     )
+
+
+def _own(rows: pd.DataFrame) -> list[str]:
+    """What the world or the bank has of its own, in words: means over seeds, by mode."""
+    means = {str(mode): metrics.own(flown).mean() for mode, flown in rows.groupby("mode")}
+    return [
+        f"{one.label}: {', '.join(f'{mean[name]:,.1f} {mode}' for mode, mean in means.items())}"
+        for name, one in metrics.OWN.items()
+        if all(name in mean for mean in means.values())
+    ]
 
 
 def report(run: Run) -> None:

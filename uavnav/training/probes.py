@@ -28,13 +28,13 @@ SATURATED = 0.05
 
 
 def poses(task: Task) -> Tensor:
-    """What a drone sees at poses drawn once over the window and the shipped train split: observation [P, 30].
+    """What a drone sees at poses drawn once over the window and the task's train split: observation [P, 30].
 
     As if an episode began there, and without faults, so that nothing of it is random.
     """
     generator = stream(0, "probe")
     x, y = (torch.rand(POSES, generator=generator) * size for size in (task.world.width, task.world.height))
-    task = replace(task, bank=layouts.load("train"), faults=NO_FAULTS)
+    task = replace(task, bank=layouts.load("train", task.world), faults=NO_FAULTS)
     heading, layout = (torch.randint(most, (POSES,), generator=generator) for most in (360, len(task.bank)))
     observation, _ = task.observe(task.remember(task.place(layout, heading)._replace(x=x, y=y)))
     return observation

@@ -97,7 +97,7 @@ class Recorder:
         self._tables: dict[str, list[Columns]] = {"episodes": [], "progress": []}
         self._before: dict[str, Any] = {}
         self._recent = [deque[float](maxlen=LAST) for _ in config.seeds]
-        _, bank = layouts.read(config.layouts)
+        _, bank = layouts.read(config.layouts, config.world)
         self.meta = provenance.facts() | {"bank": {name: bank.get(name) for name in BANK_FACTS}}
         self._lock = FileLock(self.path / LOCK)
         self._described = {"algorithm": config.algorithm, **plain(config)}

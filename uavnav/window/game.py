@@ -117,17 +117,20 @@ def colour(pilot: int) -> Colour:
     return PILOTS[pilot % len(PILOTS)]
 
 
-def new(pilots: Sequence[Pilot], bank: Tensor, split: str = "test", index: int = 0, **how: Any) -> Game:
+def new(
+    pilots: Sequence[Pilot], bank: Tensor, split: str = "test", index: int = 0, you: Pilot | None = None, **how: Any
+) -> Game:
     """A game on one set of a bank; the first of the pilots flies, or the person where there is none.
 
-    how: other fields of `Game`, such as `max_steps`.
+    you: the person, by default in the paper's world; how: other fields of `Game`, such as `max_steps`.
     """
-    you = Pilot("you", _nobody, make_task(EMPTY))
+    you = you or Pilot("you", nobody, make_task(EMPTY))
     state = you.task.start(torch.tensor(0), torch.tensor(UP))
     return following(Game(bank, split, (you, *pilots), min(len(pilots), 1), state, Choice(0), **how), index)
 
 
-def _nobody(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
+def nobody(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """Whoever flies by hand, whom no observation moves."""
     raise AssertionError("the keys say what a person does")
 
 
@@ -201,7 +204,7 @@ def _landed(game: Game, collided: bool) -> Game:
     """The flight is over; if a person flew all of it on a test set, it is one to keep."""
     if {leg.pilot for leg in game.legs} != {0}:
         return game
-    if game.own or game.split != "test":
+    if game.own or game.split != "test" or type(game.task) is not Task:
         return replace(game, message="Flights of the test sets alone can be kept")
     steps, counts = int(game.state.steps), {name: getattr(game.state, name).item() for name in COUNTS}
     place = {"seed": game.person, "frame": steps, "world": game.index, "layout": game.index}
@@ -287,7 +290,7 @@ def save_bank(game: Game) -> Game:
         number += 1
         path = game.bank_path.with_stem(f"{game.bank_path.stem}-{number}")
     try:
-        banks.save(game.obstacles, path, seed=0, split="own")
+        banks.save(game.obstacles, path, seed=0, split="own", world=game.world)
     except banks.LayoutError as error:
         return replace(game, message=str(error))
     return replace(game, message=f"Saved: uavnav play --layouts {path}")

@@ -42,14 +42,17 @@ def drop(game: Game) -> Game:
 def problem(game: Game) -> str:
     """Why the obstacle under the mouse cannot be there; empty if it can."""
     try:
-        banks.validate(_with(game), game.world)
+        banks.resolve(_with(game), game.world)
     except banks.LayoutError as error:
         return f"Not there: {error}"
     return ""
 
 
 def _with(game: Game) -> Tensor:
-    return torch.cat([game.obstacles, torch.tensor([[game.circle]], dtype=torch.float32)], dim=1)
+    """The set with the circle under the mouse, which stands still where others move."""
+    circle = torch.zeros(1, 1, game.obstacles.shape[-1])
+    circle[..., :3] = torch.tensor(game.circle)
+    return torch.cat([game.obstacles, circle], dim=1)
 
 
 def erase(game: Game, x: float, y: float) -> Game:

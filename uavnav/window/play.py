@@ -17,9 +17,10 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.envs.drawing import STEPS_PER_SECOND
 from uavnav.files import check_out
 from uavnav.policies import as_option, is_zip
-from uavnav.render import load_layout, load_pilots
+from uavnav.render import Pilot, load_layout, load_pilots
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training.machine import use_threads
 from uavnav.window import game as rules
 from uavnav.window import hud, mouse
@@ -132,8 +133,9 @@ def main(argv: list[str] | None = None) -> int:
             check_out(path)
         plugins.load(arguments.plugins)
         rows_path = arguments.out or rows_file(arguments.runs)
-        bank = load_layout(arguments.layouts, arguments.layout)
-        pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation)
+        pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation, arguments.task)
+        you = Pilot("you", rules.nobody, pilots[0].task if pilots else make_task(EMPTY, task=arguments.task))
+        bank = load_layout(arguments.layouts, arguments.layout, [you])
         rules.read_rows(rows_path)
         open_window(hud.DESIGN)
     except (RunError, ValueError) as error:
@@ -141,8 +143,8 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     with use_threads(1):
         paths = {"rows_path": rows_path, "bank_path": arguments.bank or BANK}
-        how = {"max_steps": arguments.max_steps, "person": arguments.person}
-        game = play(rules.new(pilots, bank, arguments.layouts, arguments.layout, **how, **paths))
+        how = {"max_steps": arguments.max_steps, "person": arguments.person, **paths}
+        game = play(rules.new(pilots, bank, arguments.layouts, arguments.layout, you, **how))
     if lost := len(game.flights):
         print(f"{rules.counted(lost)} by hand {'was' if lost == 1 else 'were'} not saved")
     return 0

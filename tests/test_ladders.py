@@ -1,0 +1,140 @@
+"""Ladders of the paper's world: their banks, what they count, and the task of each rung."""
+
+import itertools
+import re
+
+import numpy as np
+import oracle
+import pytest
+import torch
+
+import uavnav
+from uavnav import evaluate
+from uavnav.runs import metrics
+from uavnav.tasks import circles, layouts, slalom
+from uavnav.tasks.baselines import BASELINES, straight_ahead
+from uavnav.tasks.ladders import LADDERS
+from uavnav.tasks.simulator import EMPTY, Moving, make_task
+
+# -- banks -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("split", layouts.SPLITS)
+def test_eight_obstacles_of_the_density_ladder_are_the_papers_banks(split):
+    bank, header = layouts.read(f"density-8/{split}")
+    assert torch.equal(bank, layouts.load(split))
+    assert header["sha256"] == layouts.read(split)[1]["sha256"]
+    assert (header["split"], header["generator_seed"]) == (f"density-8/{split}", str(layouts.SPLITS[split].seed))
+    assert layouts.check(f"density-8/{split}")[1] == header
+
+
+def test_each_of_11_densities_has_so_many_obstacles_and_no_set_of_training_in_the_test():
+    for k in LADDERS["density"].rungs:
+        test, validation = layouts.load(f"density-{k}/test"), layouts.load(f"density-{k}/validation")
+        assert test.shape == validation.shape == (1000, k, 3)
+        assert k == 0 or not torch.isin(test, validation).all(-1).any()
+
+
+def columns_of(bank):
+    """Lowest and highest edge of each circle that is there [px], from the bottom up, by set and column."""
+    for row in bank.double().tolist():
+        for column, x in enumerate((150, 290, 510, 650)):
+            places = row[12 * column : 12 * column + 12]
+            there = [place for place in places if place[0] != -1000]
+            assert all(place == [-1000, -1000, 30] for place in places[len(there) :])
+            assert all((place[0], place[2]) == (x, 30) for place in there)
+            yield [(place[1] - 30, place[1] + 30) for place in there]
+
+
+@pytest.mark.parametrize("gap", LADDERS["slalom"].rungs)
+def test_each_column_has_one_gap_of_so_many_px_and_none_other_that_lets_a_drone_through(gap):
+    bank = slalom.generate(60, gap, seed=3)
+    assert bank.shape == (60, 48, 3)
+    circles.validate(bank)
+    middles = []
+    for edges in columns_of(bank):
+        holes = [(low - high, (low + high) / 2) for (_, high), (low, _) in itertools.pairwise(edges)]
+        wide = [(size, middle) for size, middle in holes if size > 1e-3 and size >= 60]
+        assert len(wide) == 1
+        assert wide[0][0] == pytest.approx(gap, abs=1e-3)
+        assert edges[0][0] < 20 + 60
+        assert edges[-1][1] > 580 - 60
+        middles.append(wide[0][1])
+    assert 60 + gap / 2 <= min(middles) < 60 + gap / 2 + 30
+    assert 540 - gap / 2 - 30 < max(middles) <= 540 - gap / 2
+
+
+def test_a_place_without_a_circle_is_never_sensed_and_never_hit():
+    task = make_task("slalom-80/test")
+    n = 200
+    generator = torch.Generator().manual_seed(1)
+    x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
+    heading = torch.randint(360, (n,), generator=generator)
+    state = task.start(torch.arange(n), heading)._replace(x=x, y=y)
+    observation, clearance = task.observe(state)
+    for row in range(n):
+        there = [circle for circle in task.bank[row].tolist() if circle[0] != -1000]
+        slots, nearest = oracle.sense(x[row].item(), y[row].item(), heading[row].item(), there)
+        assert clearance[row].item() == pytest.approx(nearest, abs=2e-4)
+        found = oracle.look(x[row].item(), y[row].item(), heading[row].item(), there)
+        if not oracle.doubtful(found):
+            np.testing.assert_allclose(observation[row].numpy(), np.ravel(slots), atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("density-12", "layouts='density-12': no such bank; give a rung and a split, such as density-80/test"),
+        ("density-12/tset", "such as density-80/test (did you mean test?)"),
+        ("slalom-wide/test", "layouts='slalom-wide/test': no such bank; give a rung and a split"),
+        ("slalom-500/test", "gap=500; give 1 to 480 px"),
+        ("slalom-0/test", "gap=0; give 1 to 480 px"),
+    ],
+)
+def test_each_wrong_rung_is_refused_in_one_line(name, says):
+    with pytest.raises(uavnav.LayoutError, match=re.escape(says)):
+        make_task(name)
+
+
+# -- what they count -------------------------------------------------------------------------------------------------
+
+
+def test_a_flight_across_a_column_and_back_has_two_passages():
+    task = make_task(EMPTY)
+    state = task.start(torch.tensor([0, 0]), torch.tensor([0, 180]))  # columns are 110 px away on both sides
+    counted = torch.zeros(2, dtype=torch.int64)
+    for action in (*[9] * 13, *[50] * 36, *[9] * 3):
+        before, (state, _) = state, task.step(state, torch.tensor([action, action]))
+        counted += slalom.passages(before, state)["passages"]
+        assert slalom.passages(before, before)["passages"].sum() == 0
+    assert counted.tolist() == [2, 2]
+
+
+def test_an_evaluation_on_a_slalom_has_a_column_of_passages_and_two_metrics_of_it():
+    task = evaluate.on(make_task(EMPTY), "slalom-160/test", 6, 40)
+    rows = evaluate.fly({0: BASELINES["random"], 1: straight_ahead}, task, measure=slalom.passages).episodes
+    assert rows.groupby("seed")["passages"].sum()[1] == 0  # up, between two columns
+    own = metrics.own(rows)
+    assert list(own.columns) == ["passages_per_1000_steps", "passages_per_flight"]
+    flown = rows[rows["seed"] == 0]
+    assert own.loc[0, "passages_per_flight"] == flown["passages"].mean()
+    assert own.loc[0, "passages_per_1000_steps"] == 1000 * flown["passages"].sum() / flown["steps"].sum()
+    assert metrics.own(rows.drop(columns="passages")).empty
+
+
+# -- the task of a rung ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", LADDERS)
+def test_on_each_rung_a_policys_world_differs_in_the_ladders_field_alone(name):
+    own = make_task(EMPTY, {"padding": "zeros"}, max_steps=50)
+    for rung in LADDERS[name].rungs:
+        task = LADDERS[name].task(own, rung, "validation")
+        assert (task.max_steps, task.world.padding, len(task.bank)) == (50, "zeros", 1000)
+        assert task.world.sensor_arc == (rung if name == "arc" else 180)
+        state, outcome = task.step(task.start(torch.arange(3), torch.full((3,), 90)), torch.tensor([9, 9, 9]))
+        assert outcome.observation.shape == (3, 30)
+        if name == "speed":
+            assert type(task) is Moving
+            fastest = task.velocities(state).norm(dim=-1).max().item()
+            assert rung * 0.8 <= fastest <= rung + 1e-6 or rung == 0

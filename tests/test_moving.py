@@ -1,0 +1,332 @@
+"""Moving obstacles: a closed function of the step, against slow loops and closed forms."""
+
+import json
+import re
+from fractions import Fraction
+
+import gymnasium
+import numpy as np
+import oracle
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors import safe_open
+from scipy import stats
+
+import uavnav
+from uavnav import DroneEnv, evaluate, load_policy, verify
+from uavnav.algorithms import ppo
+from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
+from uavnav.tasks import circles, layouts, moving
+from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.moving import MovingWorld
+from uavnav.tasks.simulator import Moving, make_task
+
+SENSED = {"sense_velocity": True}
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return layouts.load("test", MovingWorld())
+
+
+def rows_of(bank, n):
+    return bank[:n].double().tolist()
+
+
+def actions(n, steps, seed=0):
+    return torch.randint(100, (steps, n), generator=torch.Generator().manual_seed(seed))
+
+
+# -- where they are --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("steps", [0, 1, 7, 400, 3001])
+def test_200_circles_are_after_so_many_steps_where_a_loop_that_bounces_them_has_them(bank, steps):
+    where, how = moving.motion(bank[:25], torch.full((25,), steps), MovingWorld())
+    expected = [oracle.drift(row, steps) for row in rows_of(bank, 25)]
+    places = torch.tensor([[circle for circle, _ in row] for row in expected])
+    velocities = torch.tensor([[velocity for _, velocity in row] for row in expected])
+    torch.testing.assert_close(where, places, rtol=0, atol=1e-4)
+    torch.testing.assert_close(how, velocities, rtol=0, atol=1e-6)
+    assert steps < 400 or (how != bank[:25, :, 3:]).any()
+
+
+def test_after_a_million_steps_no_place_errs_by_a_ten_thousandth_of_a_pixel(bank):
+    steps = 1_000_000
+    where, _ = moving.motion(bank[:5], torch.full((5,), steps), MovingWorld())
+    for row, found in zip(rows_of(bank, 5), where.tolist(), strict=True):
+        for circle, place in zip(row, found, strict=True):
+            for start, velocity, size, there in zip(circle[:2], circle[3:], (800, 600), place[:2], strict=True):
+                way = (Fraction(start) + Fraction(velocity) * steps) % (2 * size)
+                assert there == pytest.approx(float(min(way, 2 * size - way)), abs=1e-4)
+
+
+def test_at_an_edge_a_velocity_points_inwards():
+    rows = torch.tensor([[[0.0, 10.0, 30.0, -2.0, 0.0], [798.0, 600.0, 30.0, 2.0, 1.0], [2.0, 0.0, 30.0, -2.0, -1.0]]])
+    _, now = moving.motion(rows, torch.tensor([0]), MovingWorld())
+    assert now.tolist() == [[[2.0, 0.0], [2.0, -1.0], [-2.0, 1.0]]]
+    _, later = moving.motion(rows, torch.tensor([1]), MovingWorld())
+    assert later[0, 1:, 0].tolist() == [-2.0, 2.0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(0, 800, width=32),
+    st.floats(0, 600, width=32),
+    st.floats(-2, 2, width=32),
+    st.floats(-2, 2, width=32),
+    st.integers(0, 10**7),
+)
+def test_a_circle_stays_in_the_window_at_its_speed_and_goes_where_its_velocity_points(x, y, vx, vy, steps):
+    row = torch.tensor([[[x, y, 50.0, vx, vy]]])
+    (here, now), (there, _) = (moving.motion(row, torch.tensor([steps + more]), MovingWorld()) for more in (0, 1))
+    assert ((here[..., :2] >= 0) & (here[..., :2] <= torch.tensor([800.0, 600.0]))).all()
+    assert torch.equal(now.abs(), row[..., 3:].abs())
+    ahead = here[..., :2] + now
+    free = (ahead > 0) & (ahead < torch.tensor([800.0, 600.0]))
+    torch.testing.assert_close(there[..., :2][free], ahead[free], rtol=0, atol=2e-4)
+
+
+# -- the task --------------------------------------------------------------------------------------------------------
+
+
+def test_at_speed_0_200_flights_of_100_steps_equal_the_papers_world_bit_for_bit():
+    still, paper = make_task("test", {"speed_max": 0.0}, task="moving"), make_task("test")
+    states = [task.start(torch.arange(200), torch.full((200,), 90)) for task in (still, paper)]
+    for action in actions(200, 100):
+        (ours, found), (theirs, expected) = (
+            task.step(state, action) for task, state in zip((still, paper), states, strict=True)
+        )
+        states = [ours, theirs]
+        assert all(torch.equal(a, b) for a, b in zip((*ours, *found), (*theirs, *expected), strict=True))
+    assert not torch.equal(still.bank[..., :3], make_task("train").bank[:1000])
+
+
+@pytest.mark.parametrize(("sensed", "n"), [(False, 500), (True, 5000)])
+def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop(bank, sensed, n):
+    generator = torch.Generator().manual_seed(5)
+    task = make_task(bank, {"sense_velocity": sensed}, task="moving")
+    heading, layout = (torch.randint(most, (n,), generator=generator) for most in (360, 1000))
+    x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
+    state = task.start(layout, heading)._replace(x=x, y=y)
+    state = state._replace(steps=torch.randint(500, (n,), generator=generator))
+    observation, clearance = task.observe(state)
+    places, velocities = task.obstacles(state).tolist(), task.velocities(state).tolist()
+    compared = 0
+    for row in range(n):  # where the obstacles are is compared above
+        found = oracle.look(x[row].item(), y[row].item(), heading[row].item(), places[row])
+        assert clearance[row].item() == pytest.approx(oracle.clearance_of(found), abs=2e-4)
+        if oracle.doubtful(found):
+            continue
+        with_them = oracle.slots_with_velocities(found, velocities[row], heading[row].item(), 2.0)
+        slots = with_them if sensed else oracle.slots_of(found)
+        np.testing.assert_allclose(observation[row].numpy(), np.ravel(slots), atol=2e-5)
+        compared += 1
+    assert compared > 0.9 * n
+    assert observation.shape == (n, 50 if sensed else 30)
+
+
+@pytest.mark.parametrize("fields", [{}, SENSED, {"speed_min": 3.0, "speed_max": 5.0, **SENSED}])
+def test_whole_flights_of_40_rows_equal_a_loop_that_turns_moves_lets_obstacles_move_and_judges(fields):
+    task = make_task("validation", fields, max_steps=150, task="moving")
+    n, sets = 40, rows_of(task.bank, 40)
+    state = task.start(torch.arange(n), torch.full((n,), 90))
+    up, collisions = set(range(n)), 0
+    for t, action in enumerate(actions(n, 150, seed=2), start=1):
+        before, (state, outcome) = state, task.step(state, action)
+        for row in sorted(up):
+            turn, distance = oracle.decode(action[row].item())
+            pose = before.x[row].item(), before.y[row].item(), before.heading[row].item()
+            x, y, heading = oracle.move(*pose, turn, distance)
+            now = oracle.drift(sets[row], t)
+            found = oracle.look(x, y, heading, [circle for circle, _ in now])
+            assert (state.x[row].item(), state.y[row].item()) == pytest.approx((x, y), abs=1e-4)
+            assert (state.heading[row], state.steps[row]) == (heading, t)
+            if not oracle.doubtful(found):
+                hit = oracle.clearance_of(found) <= 30
+                assert outcome.terminated[row] == hit
+                assert outcome.truncated[row] == (t == 150 and not hit)
+                assert outcome.reward[row].item() == pytest.approx(oracle.reward(turn, distance, hit))
+                slots = oracle.slots_with_velocities(found, [v for _, v in now], heading, task.world.speed_max)
+                slots = np.array(slots)[:, : 5 if task.world.sense_velocity else 3]
+                np.testing.assert_allclose(outcome.observation[row].numpy(), slots.ravel(), atol=2e-5)
+            if outcome.terminated[row]:
+                up.remove(row)
+                collisions += 1
+    assert collisions > 20
+
+
+def test_who_stands_still_is_hit_by_what_comes_at_2_px_a_step_from_120_px_after_60_steps():
+    task = make_task(torch.tensor([[[400.0, 500.0, 50.0, 0.0, -2.0]]]), task="moving")
+    state = task.start(torch.tensor([0]), torch.tensor([90]))
+    for t in range(1, 61):
+        state, outcome = task.step(state, torch.tensor([0]))
+        assert outcome.clearance.item() == 150 - 2 * t
+        assert outcome.terminated.item() == (t == 60)
+    assert outcome.reward.item() == -10
+
+
+@pytest.mark.parametrize("fields", [{}, SENSED])
+def test_rows_do_not_see_each_other(bank, fields):
+    task = make_task(bank, fields, task="moving")
+    all_of_them = task.start(torch.arange(6), torch.arange(6) * 60)._replace(steps=torch.arange(6) * 50)
+    together, outcomes = task.step(all_of_them, torch.arange(6) * 13)
+    for row in range(6):
+        alone, outcome = task.step(type(all_of_them)(*(part[row] for part in all_of_them)), torch.tensor(row * 13))
+        assert all(torch.equal(a[row], b) for a, b in zip((*together, *outcomes), (*alone, *outcome), strict=True))
+
+
+# -- banks -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_three_splits_have_the_papers_circles_and_speeds_uniform_from_0_to_2_px_a_step():
+    found = []
+    for split in layouts.SPLITS:
+        bank, header = layouts.read(split, MovingWorld())
+        assert bank.shape == (layouts.SPLITS[split].n, 8, 5)
+        assert torch.equal(bank[..., :3], layouts.load(split))
+        assert (header["task"], header["speed_min"], header["speed_max"]) == ("moving", "0.0", "2.0")
+        assert header["generator_seed"] == str(layouts.SPLITS[split].seed)
+        found.append(bank.reshape(-1, 5))
+    vx, vy = torch.cat(found)[:, 3:].double().T.numpy()
+    assert stats.kstest(np.hypot(vx, vy), stats.uniform(0, 2).cdf).pvalue > 0.01
+    assert stats.kstest(np.arctan2(vy, vx), stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 0.01
+
+
+def test_a_bank_of_speed_3_is_the_bank_of_speed_2_half_as_fast_again():
+    slow, fast = (layouts.load("test", MovingWorld(speed_max=speed)) for speed in (2.0, 3.0))
+    torch.testing.assert_close(fast[..., 3:], 1.5 * slow[..., 3:])
+
+
+def test_files_of_moving_obstacles_say_how_they_were_drawn_and_fly_in_their_world_alone(tmp_path, capsys):
+    assert layouts.main(["--task", "moving", "--n", "20", "--out", str(tmp_path)]) == 0
+    path = tmp_path / "validation.safetensors"
+    assert layouts.main(["--check", str(path)]) == 0
+    assert "20 sets of 8 obstacles" in capsys.readouterr().out
+    task = make_task(path, task="moving")
+    assert torch.equal(task.bank, moving.generate(20, 8, 2))
+    with pytest.raises(uavnav.LayoutError, match=r"a bank of task=moving, not of task=drone; give one of those"):
+        make_task(path)
+    circles_alone = tmp_path / "circles.safetensors"
+    layouts.save(layouts.generate(3), circles_alone, seed=0, split="own")
+    with pytest.raises(uavnav.LayoutError, match=r"a bank of task=drone, not of task=moving"):
+        make_task(circles_alone, task="moving")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"world": {"speed_min": 3.0}}, "speed_min=3; give 0 to speed_max=2 px a step"),
+        ({"world": {"sense_velocity": 1}}, "sense_velocity=1; choose from false, true"),
+        ({"world": {"speed": 1}}, "there is no key 'world.speed'; choose from "),
+        ({"layouts": circles.generate(2, 3)}, "a bank has the shape [n > 0, k, 5], not [2, 3, 3]"),
+        (
+            {"layouts": torch.tensor([[[-1.0, 0, 30, 0, 0]]])},
+            "obstacle 0 of set 0 has its centre outside the window",
+        ),
+        ({"layouts": torch.tensor([[[0.0, 0, 30, 0, torch.nan]]])}, "obstacle 0 of set 0 is not finite"),
+    ],
+)
+def test_each_wrong_part_is_refused_in_one_line(arguments, says):
+    with pytest.raises(ValueError, match=re.escape(says)) as refused:
+        make_task(**{"layouts": "test", **arguments}, task="moving")
+    assert "\n" not in str(refused.value)
+
+
+# -- the shells ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fields", [{}, SENSED])
+def test_three_environments_fly_the_same_60_steps(fields):
+    one = gymnasium.make("uavnav/Moving-v0", layouts="test", **fields)
+    many = gymnasium.make_vec("uavnav/Moving-v0", num_envs=2, layouts="test", **fields)
+    task = one.unwrapped.task
+    seen, info = one.reset(options={"layout": 3})
+    both, infos = many.reset(options={"layout": [3, 3]})
+    for t, action in enumerate(actions(1, 60, seed=4)[:, 0].tolist()):
+        assert info["steps"] == infos["steps"][1] == t
+        np.testing.assert_array_equal(seen, both[1])
+        assert one.observation_space.contains(seen)
+        expected = oracle.drift(rows_of(task.bank, 4)[3], t)
+        np.testing.assert_allclose(one.unwrapped.obstacles, [circle for circle, _ in expected], atol=1e-4)
+        np.testing.assert_allclose(many.unwrapped.velocities[1], [velocity for _, velocity in expected], atol=1e-6)
+        seen, reward, terminated, _, info = one.step(action)
+        both, rewards, ended, _, infos = many.step(np.array([action, action]))
+        assert (reward, terminated) == (rewards[1], ended[1])
+        if terminated:
+            break
+    assert t > 10
+
+
+def test_fields_are_keywords_of_an_environment_and_wrong_ones_are_answered():
+    env = gymnasium.make("uavnav/Moving-v0", speed_max=5.0, sense_velocity=True, max_steps=9)
+    assert (env.unwrapped.world, env.unwrapped.task.max_steps) == (MovingWorld(speed_max=5.0, sense_velocity=True), 9)
+    assert DroneGymEnv(sensor_arc=90.0).world == uavnav.World(sensor_arc=90.0)
+    assert DroneVectorEnv(world=uavnav.World(padding="zeros"), sensor_arc=90.0).task.world == uavnav.World(
+        padding="zeros", sensor_arc=90.0
+    )
+    with pytest.raises(ValueError, match=re.escape("(did you mean world.speed_max?)")):
+        DroneGymEnv(task="moving", speed_maks=3.0)
+    with pytest.raises(ValueError, match=re.escape("sensor_arc=...: a whole task has a world")):
+        DroneGymEnv(task=make_task("test"), sensor_arc=90.0)
+
+
+def test_a_picture_shows_obstacles_where_they_are_now():
+    env = gymnasium.make("uavnav/Moving-v0", layouts="test", render_mode="rgb_array")
+    env.reset(options={"layout": 0})
+    before = env.render()
+    for _ in range(5):
+        env.step(0)
+    assert (env.render() != before).any()
+
+
+def test_a_saved_environment_goes_on_with_its_obstacles_where_they_were():
+    def env():
+        return DroneEnv([3], "test", task="moving", seeds=4)
+
+    whole = env()
+    torch.manual_seed(1)
+    whole.rollout(30, break_when_any_done=False)
+    saved = whole.state_dict()
+    other = env()
+    other.load_state_dict(saved)
+    torch.manual_seed(2)
+    expected = whole.rollout(20, break_when_any_done=False, auto_reset=False, tensordict=whole.root())
+    torch.manual_seed(2)
+    found = other.rollout(20, break_when_any_done=False)
+    assert torch.equal(found["next", "observation"], expected["next", "observation"])
+
+
+def test_a_run_trains_stops_goes_on_is_evaluated_and_verified_in_a_world_of_speed_3(tmp_path):
+    settings = {"task": "moving", "world": {"speed_max": 3.0, "sense_velocity": True}, "total_frames": 128}
+    config = ppo.PPOConfig(**settings, n_worlds=2, frames_per_batch=64, hidden=(8,), epochs=1)
+    with pytest.raises(uavnav.RunError):
+        ppo.train(config, out=tmp_path / "run", quiet=True, until=64)
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    whole = ppo.train(config, out=tmp_path / "whole", quiet=True)
+    assert run.episodes.equals(whole.episodes)
+    assert run.meta["bank"]["sha256"] == layouts.read("train", config.world)[1]["sha256"]
+    with safe_open(run.path / "policy.safetensors", framework="pt") as file:
+        header = json.loads(file.metadata()["uavnav"])
+    assert (header["task"], header["world"]["speed_max"], header["bank"]) == ("moving", 3.0, run.meta["bank"]["sha256"])
+    rows = evaluate.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
+    assert len(rows) == 6
+    assert load_policy(run.path).task.world == MovingWorld(speed_max=3.0, sense_velocity=True)
+    assert type(load_policy(run.path).task) is Moving
+    assert verify.verify(run, quiet=True).same
+
+
+def test_obstacles_that_move_are_never_counted_as_going_round(tmp_path):
+    config = ppo.PPOConfig(task="moving", total_frames=64, n_worlds=1, frames_per_batch=64, hidden=(8,), epochs=1)
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    policy = load_policy(run.path)
+    assert not evaluate._repeatable({0: policy}, policy.task)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+@pytest.mark.parametrize("fields", [{}, SENSED])
+def test_the_scripted_policies_fly_with_and_without_sensed_velocities(name, fields):
+    task = make_task("test", fields, max_steps=5, task="moving").with_bank(layouts.load("test", MovingWorld())[:3])
+    assert len(evaluate.fly({0: BASELINES[name]}, task).episodes) == 3

@@ -1,0 +1,73 @@
+"""Sets of circles that stand still, the paper's obstacles: how they are drawn, and what makes a bank of them valid."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uavnav.tasks.protocol import DEFAULT_K
+from uavnav.tasks.world import World
+
+
+class LayoutError(ValueError):
+    """A bank cannot be found, read or trusted; the message says what is wrong and what would be right."""
+
+
+def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
+    """Draw n sets of k obstacles: radius uniform in [30, 100], centre uniform in the window, drawn again until the
+    edge is at least 50 px from the start (sec. 4.1). Obstacles may overlap each other and the border.
+
+    Returns:
+        Tensor [n, k, 3] float32 of (x, y, radius) px; the same for the same arguments on every machine.
+
+    Raises:
+        LayoutError: n, k or seed is negative.
+    """
+    world = world or World()
+    if min(n, k, seed) < 0:
+        raise LayoutError(f"n={n}, k={k}, seed={seed}; give whole numbers of at least 0")
+    rng = np.random.Generator(np.random.PCG64(seed))
+    smallest, largest = np.float32(world.obstacle_radius_min), np.float32(world.obstacle_radius_max)
+    bank = np.empty((n, k, 3), dtype=np.float32)
+    bank[..., 2] = smallest + (largest - smallest) * rng.random((n, k), dtype=np.float32)
+    misplaced = np.ones((n, k), dtype=bool)
+    while misplaced.any():
+        size = np.array([world.width, world.height], dtype=np.float32)
+        bank[misplaced, :2] = rng.random((int(misplaced.sum()), 2), dtype=np.float32) * size
+        misplaced = edge_to_start(bank, world) < world.safe_zone
+    return torch.from_numpy(bank)
+
+
+def validate(bank: Tensor, world: World | None = None, columns: int = 3) -> None:
+    """Check shape, type, finiteness, the range of radii and the safe zone; a set begins with (x, y, radius).
+
+    Raises:
+        LayoutError: naming the first set that is wrong.
+    """
+    world = world or World()
+    if bank.ndim != 3 or bank.shape[-1] != columns or bank.shape[0] == 0:
+        raise LayoutError(f"a bank has the shape [n > 0, k, {columns}], not {list(bank.shape)}")
+    if bank.dtype != torch.float32:
+        raise LayoutError(f"a bank holds float32, not {str(bank.dtype).removeprefix('torch.')}")
+    numbers = bank.cpu().numpy()
+    radius = numbers[..., 2]
+    edge = edge_to_start(np.nan_to_num(numbers), world)
+    smallest, largest = world.obstacle_radius_min, world.obstacle_radius_max
+    refuse_first(~np.isfinite(numbers).all(-1), "is not finite")
+    refuse_first(~((radius >= smallest) & (radius <= largest)), f"has a radius outside {smallest:g} ... {largest:g} px")
+    refuse_first(edge < world.safe_zone, f"is nearer than {world.safe_zone:g} px to the start")
+
+
+def refuse_first(wrong: np.ndarray, rule: str) -> None:
+    """Raise a LayoutError that names the first obstacle that breaks a rule; wrong [n, k] bool."""
+    if wrong.any():
+        row, obstacle = np.argwhere(wrong)[0]
+        raise LayoutError(f"obstacle {obstacle} of set {row} {rule}")
+
+
+def edge_to_start(bank: np.ndarray, world: World) -> np.ndarray:
+    """Distance from the start to every obstacle's edge [n, k] px, in float64."""
+    offset = bank[..., :2].astype(np.float64) - np.array(world.start)
+    edge: np.ndarray = np.hypot(offset[..., 0], offset[..., 1]) - bank[..., 2]
+    return edge

@@ -1,0 +1,67 @@
+"""Ladders: one difficulty in steps, and the task of each step. The same policy flies all rungs.
+
+To add a ladder, write a function that gives the task of a rung, and a line of `LADDERS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uavnav.tasks import layouts, slalom
+from uavnav.tasks.moving import MovingWorld
+from uavnav.tasks.simulator import Moving, Task
+from uavnav.tasks.state import State
+
+Measure = Callable[[State, State], dict[str, Tensor]]
+"""States before and after a step -> numbers [*B] that an evaluation adds up over each flight."""
+
+
+class Ladder(NamedTuple):
+    """A difficulty: its meaning with its unit, its rungs, and the task of a rung."""
+
+    words: str
+    rungs: tuple[float, ...]
+    task: Callable[[Task, float, str], Task]  # of a policy, rung, split -> what it flies there
+    measure: Measure | None = None
+
+
+def density(task: Task, rung: float, split: str = "test") -> Task:
+    """The policy's world with so many obstacles a set."""
+    return task.on(f"density-{rung:g}/{split}", task.max_steps)
+
+
+def gaps(task: Task, rung: float, split: str = "test") -> Task:
+    """The policy's world with four columns of circles, each with a gap of so many px."""
+    return task.on(f"slalom-{rung:g}/{split}", task.max_steps)
+
+
+def arc(task: Task, rung: float, split: str = "test") -> Task:
+    """The policy's world with a sensor of so many degrees."""
+    return replace(task, world=replace(task.world, sensor_arc=rung)).on(split, task.max_steps)
+
+
+def speed(task: Task, rung: float, split: str = "test") -> Task:
+    """The policy's world with obstacles of up to so many px a step: the bank of 2 px a step, its velocities scaled."""
+    bank = layouts.load(split, MovingWorld())
+    bank = torch.cat([bank[..., :3], bank[..., 3:] * (rung / MovingWorld().speed_max)], -1)
+    world = task.world if isinstance(task.world, MovingWorld) else MovingWorld(**asdict(task.world))
+    return Moving(world, layouts.resolve(bank, world), task.reward, task.max_steps)
+
+
+LADDERS = {
+    "density": Ladder("obstacles a set", tuple(range(0, 21, 2)), density),
+    "slalom": Ladder("gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), gaps, slalom.passages),
+    "arc": Ladder("sensor's arc [degrees]", (60, 90, 120, 180), arc),
+    "speed": Ladder("greatest speed of an obstacle [px a step]", (0, 1, 2, 3, 4, 6), speed),
+}
+"""By name, in the order of a report."""
+
+
+def measure_of(layouts: object) -> Measure | None:
+    """What an evaluation on a bank of this name counts beside the metrics."""
+    return LADDERS["slalom"].measure if str(layouts).startswith("slalom-") else None

@@ -1,0 +1,93 @@
+"""Circles that fly straight on and bounce off the edges of the window: where each is, is a closed function of the step.
+
+A bank has rows (x, y, radius, vx, vy): a circle as in the paper's world, and its velocity [px a step] at step 0.
+`simulator.Moving` is the task. Letters: B the batch shape, K obstacles of a set.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from uavnav.help import key
+from uavnav.tasks import circles
+from uavnav.tasks.protocol import DEFAULT_K
+from uavnav.tasks.world import World
+
+VELOCITIES = 1
+"""The stream of a bank's velocities, beside that of its circles."""
+
+
+@dataclass(frozen=True)
+class MovingWorld(World):
+    """The paper's arena, drone and sensor, and how fast obstacles are.
+
+    Raises:
+        ValueError: as of `World`, or the speeds are no range.
+    """
+
+    speed_min: float = key(0.0, "of the slowest obstacle", "px a step")
+    speed_max: float = key(2.0, "of the fastest obstacle; sensed velocities are shares of it", "px a step")
+    sense_velocity: bool = key(False, "a slot has two numbers more, the obstacle's velocity to the right and forward")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.speed_min <= self.speed_max < math.inf:
+            raise ValueError(f"speed_min={self.speed_min:g}; give 0 to speed_max={self.speed_max:g} px a step")
+
+    @property
+    def slot_low(self) -> tuple[float, ...]:
+        """The least of each number of a slot."""
+        return (*super().slot_low, -1.0, -1.0) if self.sense_velocity else super().slot_low
+
+
+def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
+    """The circles that the same arguments give `circles.generate`, each with a velocity: its speed is uniform in
+    [speed_min, speed_max] px a step, its direction uniform.
+
+    Returns:
+        Tensor [n, k, 5] float32 of (x, y, radius) px and (vx, vy) px a step.
+
+    Raises:
+        LayoutError: n, k or seed is negative.
+    """
+    world = world if isinstance(world, MovingWorld) else MovingWorld()
+    standing = circles.generate(n, k, seed, world)
+    rng = np.random.Generator(np.random.PCG64([seed, VELOCITIES]))
+    share, turn = rng.random((2, n, k))
+    speed = world.speed_min + (world.speed_max - world.speed_min) * share
+    velocity = speed * np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)])
+    return torch.cat([standing, torch.from_numpy(velocity.astype(np.float32)).movedim(0, -1)], -1)
+
+
+def validate(bank: Tensor, world: World | None = None) -> None:
+    """As `circles.validate`; and every centre lies in the window, for there is no bouncing in from outside.
+
+    Raises:
+        LayoutError: naming the first set that is wrong.
+    """
+    world = world or MovingWorld()
+    circles.validate(bank, world, columns=5)
+    centres = bank[..., :2].cpu().numpy()
+    inside = (centres >= 0) & (centres <= np.array([world.width, world.height]))
+    circles.refuse_first(np.asarray(~inside.all(-1)), "has its centre outside the window")
+
+
+def motion(bank: Tensor, steps: Tensor, world: World) -> tuple[Tensor, Tensor]:
+    """Where obstacles are and move after so many steps: p(t) = reflect(p(0) + v t), a triangle wave between the edges.
+
+    bank [*B, K, 5], steps [*B] int64 -> obstacles [*B, K, 3] px, velocities [*B, K, 2] px a step.
+
+    The way and the wave are float64, for float32 would err by 0.1 px after a million steps; then float32. A velocity
+    is that of the next moment: at an edge it points inwards.
+    """
+    start, radius, velocity = bank[..., :2].double(), bank[..., 2:3], bank[..., 3:]
+    size = torch.tensor([world.width, world.height], dtype=torch.float64, device=bank.device)
+    way = torch.remainder(start + velocity.double() * steps[..., None, None], 2 * size)  # there and back
+    place = torch.where(way <= size, way, 2 * size - way)
+    there = torch.where(velocity > 0, way < size, (way > 0) & (way <= size))
+    return torch.cat([place.float(), radius], -1), torch.where(there, velocity, -velocity)

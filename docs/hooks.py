@@ -16,6 +16,11 @@ from typing import Any
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
+from uavnav import playground
+from uavnav.choices import ConfigError
+from uavnav.runs import POLICY
+from uavnav.runs.tables import RunError
+
 log = logging.getLogger("mkdocs.hooks.uavnav")
 
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
@@ -28,12 +33,26 @@ GENERATED = "results/"
 LINK = re.compile(r"(?<!!)\[([^\]\n]+)\]\((\.\./[^)#\s]+)(?:#[^)\s]+)?\)")
 
 
+FLY, FLIES = "fly.html", "<!-- fly -->"
+"""The playground's page on the site, and where a page says so."""
+
+
 def on_files(files: Any, config: Any, **_: Any) -> Any:
-    """Beside each notebook a page of its words and its code, without outputs."""
+    """Beside each notebook a page of its words and its code, without outputs; the playground of the study's runs."""
     for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
         name = notebook.src_uri.removesuffix(".ipynb")
         files.append(File.generated(config, f"{name}.md", content=page_of(Path(notebook.abs_src_path))))
+    if live := flown(Path(config.config_file_path).parent / GENERATED):
+        files.append(File.generated(config, FLY, content=live))
     return files
+
+
+def flown(folder: Path) -> str:
+    """The playground of a folder's runs; nothing where there are none."""
+    try:
+        return playground.page(playground.collect([folder])[0])
+    except (ConfigError, RunError):
+        return ""
 
 
 def page_of(notebook: Path) -> str:
@@ -48,6 +67,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     """Links to notebooks lead to their pages, others out of docs/ become paths; a file that is missing is a warning."""
     markdown = markdown.replace(".ipynb)", ".md)")
     root = Path(config.config_file_path).parent
+    if FLIES in markdown and any((root / GENERATED).glob(f"*/*/{POLICY}")):
+        markdown = markdown.replace(FLIES, f" [Fly it here]({FLY}).")
 
     def path_of(link: re.Match[str]) -> str:
         text, target = link.groups()

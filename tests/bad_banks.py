@@ -49,8 +49,10 @@ from spoiling import (
 )
 
 import uavnav
+from uavnav.algorithms import ALGORITHMS
 from uavnav.tasks import layouts
 
+KNOWN = ", ".join(sorted(ALGORITHMS))
 CASES = [
     # a bank that is read
     bank("missing", missing, "{}/bank", FILE),
@@ -148,8 +150,8 @@ CASES = [
     policy("too many layers", facts(hidden=[8, 8]), HEADER),
     policy("activation a list", facts(activation=["relu"]), "unknown activation ['relu']", "choose from elu, gelu"),
     policy("an unknown activation", facts(activation="rleu"), "unknown activation 'rleu'", "choose from elu, gelu"),
-    policy("an unknown algorithm", facts(algorithm="sac"), "unknown algorithm 'sac'", "choose from a2c, dqn, ppo"),
-    policy("an unknown reward", facts(reward="eq15"), "unknown reward 'eq15'", "choose from additive, eq14, goal, initial"),
+    policy("an unknown algorithm", facts(algorithm="trpo"), "unknown algorithm 'trpo'", f"choose from {KNOWN}"),
+    policy("an unknown reward", facts(reward="eq15"), "unknown reward 'eq15'", "additive, eq14, goal, initial"),
     policy("epsilon a word", facts(epsilon="small")),
     policy("an unknown switch", facts(world={"gravity": 9.81})),
     policy("an unknown task", facts(task="dron"), "unknown task 'dron'", "(did you mean drone?)"),

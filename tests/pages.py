@@ -9,7 +9,7 @@ from uavnav.algorithms import ALGORITHMS
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 ALL = {str(path.relative_to(ROOT)): path.read_text() for path in [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]}
-MINE = ("start", "world", *ALGORITHMS, "extending")
+MINE = ("start", "world", "faults", *ALGORITHMS, "extending")
 PAGES = {name: ALL[f"docs/{name}.md"] for name in (*MINE, "troubleshooting")}
 CONFIGS = {name: type(import_module(one.module).PRESETS["paper"]) for name, one in ALGORITHMS.items()}
 """Of each algorithm: every one of the table has its page."""

@@ -12,6 +12,8 @@ from uavnav.algorithms.dqn import PRESETS as DQN_PRESETS
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PRESETS as PPO_PRESETS
 from uavnav.algorithms.ppo import PPOConfig
+from uavnav.algorithms.sac import PRESETS as SAC_PRESETS
+from uavnav.algorithms.sac import SACConfig
 from uavnav.choices import ConfigError
 from uavnav.tasks.world import World
 from uavnav.training.config import plain
@@ -55,7 +57,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize("kind", [PPOConfig, DQNConfig, A2CConfig])
+@pytest.mark.parametrize("kind", [PPOConfig, DQNConfig, A2CConfig, SACConfig])
 @pytest.mark.parametrize(("settings", "message"), WRONG, ids=[str(settings) for settings, _ in WRONG])
 def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
     with pytest.raises(ConfigError) as caught:
@@ -75,6 +77,7 @@ def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
         (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give more than n_worlds=64"),
         (DQNConfig, {"epochs": 3}, "there is no key 'epochs'"),
         (A2CConfig, {"minibatch_size": 64}, "there is no key 'minibatch_size'"),
+        (SACConfig, {"tau": 1.1}, "tau=1.1; give a number of at least 0 and at most 1"),
         (A2CConfig, {"gae_lambda": 1.1}, "gae_lambda=1.1; give a number of at least 0 and at most 1"),
     ],
 )
@@ -141,7 +144,8 @@ def test_the_preset_paper_of_dqn_is_sb3s_defaults_and_paper_2_3_learns_from_fram
 
 
 @pytest.mark.parametrize(
-    ("kind", "presets"), [(PPOConfig, PPO_PRESETS), (DQNConfig, DQN_PRESETS), (A2CConfig, A2C_PRESETS)]
+    ("kind", "presets"),
+    [(PPOConfig, PPO_PRESETS), (DQNConfig, DQN_PRESETS), (A2CConfig, A2C_PRESETS), (SACConfig, SAC_PRESETS)],
 )
 def test_each_preset_bears_its_own_name_and_no_other_name_is_taken(kind, presets):
     assert {name: preset.preset for name, preset in presets.items()} == {name: name for name in presets}

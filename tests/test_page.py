@@ -1,23 +1,30 @@
-"""The report's page in a real browser: what a reader sees, clicks and types, and that nothing comes from elsewhere.
-
-Needs Debian's packages chromium and chromium-driver; without them the tests are skipped, and fail where the variable
-UAVNAV_BROWSER is `required`.
-"""
+"""The report's page in a real browser: what a reader sees, clicks and types, and that nothing comes from elsewhere."""
 
 import itertools
-import json
-import os
 import re
-import shutil
 import time
 from pathlib import Path
 
 import pytest
-from selenium import webdriver
-from selenium.webdriver.chrome.service import Service
+from browsing import (
+    FONTS,
+    NARROW,
+    PAIRS,
+    WIDE,
+    complaints,
+    find,
+    forget,
+    one,
+    press,
+    requested,
+    resize,
+    theme,
+    wait,
+)
+from browsing import chrome as chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from selenium.webdriver.support.ui import Select, WebDriverWait
+from selenium.webdriver.support.ui import Select
 
 from uavnav.algorithms import dqn, ppo
 from uavnav.evaluate import evaluate_run
@@ -31,35 +38,6 @@ pytestmark = pytest.mark.slow
 RESULTS = Path(__file__).parent.parent / "results"
 
 SMALL = {"total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}
-WIDE, NARROW = 1280, 390  # [px]
-NAMES = ("chromium", "chromedriver")
-PAIRS = """
-const channels = (colour) => colour.match(/[\\d.]+/g).map(Number);
-const light = (part) => (part /= 255) <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
-const luminance = ([r, g, b]) => 0.2126 * light(r) + 0.7152 * light(g) + 0.0722 * light(b);
-const behind = (element) => {
-  for (let one = element; one; one = one.parentElement) {
-    const found = channels(getComputedStyle(one).backgroundColor);
-    if (found.length === 3 || found[3] === 1) return found;
-  }
-  return [255, 255, 255];
-};
-const worst = {};
-for (const element of document.querySelectorAll("body *")) {
-  const own = [...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
-  if (!own || !element.getClientRects().length || element.closest("script, noscript, option")) continue;
-  const [a, b] = [channels(getComputedStyle(element).color), behind(element)].map(luminance);
-  const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
-  const name = `${element.tagName} ${element.className}`;
-  worst[name] = Math.min(worst[name] ?? 99, ratio);
-}
-return worst;
-"""  # the contrast [WCAG 2] of every element that has text of its own, the least by tag and class
-FONTS = """
-return [...document.querySelectorAll("body *")].filter((element) => element.getClientRects().length
-  && [...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim())
-  && parseFloat(getComputedStyle(element).fontSize) < 12).map((element) => element.outerHTML.slice(0, 99));
-"""
 
 
 @pytest.fixture(scope="module")
@@ -75,51 +53,16 @@ def page(tmp_path_factory):
     return report([folder / "runs"], folder / "report").path
 
 
-@pytest.fixture(scope="module")
-def chrome():
-    found = [shutil.which(name) for name in NAMES]
-    if None in found:
-        complaint = "no browser: apt-get install chromium chromium-driver"
-        (pytest.fail if os.environ.get("UAVNAV_BROWSER") == "required" else pytest.skip)(complaint)
-    options = webdriver.ChromeOptions()
-    options.binary_location = found[0]
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"):
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(found[1]))  # the path given: nothing is looked for
-    yield driver
-    driver.quit()
-
-
 @pytest.fixture
 def browser(chrome, page):
     """The page, freshly opened, wide and light."""
     chrome.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
-    for kind in ("browser", "performance"):
-        chrome.get_log(kind)  # what was before is forgotten
+    forget(chrome)
     resize(chrome, WIDE)
     theme(chrome, "light")
     chrome.get(page.as_uri())
     yield chrome
-    assert [one for one in chrome.get_log("browser") if one["level"] != "INFO"] == []
-
-
-def resize(browser, width):
-    metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width == NARROW}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-
-
-def theme(browser, name):
-    features = [{"name": "prefers-color-scheme", "value": name}, {"name": "prefers-reduced-motion", "value": "reduce"}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
-
-
-def find(browser, selector):
-    return browser.find_elements(By.CSS_SELECTOR, selector)
-
-
-def one(browser, selector):
-    return browser.find_element(By.CSS_SELECTOR, selector)
+    assert complaints(chrome) == []
 
 
 def value(slider):
@@ -130,15 +73,6 @@ def scrub(browser, slider, step):
     browser.execute_script(
         "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))", slider, step
     )
-
-
-def wait(browser, condition, seconds=10):
-    return WebDriverWait(browser, seconds, 0.05).until(lambda _: condition())
-
-
-def press(browser, *keys):
-    """To whatever has the focus."""
-    webdriver.ActionChains(browser).send_keys(*keys).perform()
 
 
 @pytest.fixture
@@ -152,8 +86,7 @@ def player(browser):
 def test_one_file_below_25_mb_loads_nothing_else_and_complains_of_nothing(browser, page, player):
     assert page.stat().st_size < 25e6
     player.find_element(By.CSS_SELECTOR, "[aria-label=play]").click()
-    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    asked = [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
+    asked = requested(browser)
     assert page.as_uri() in asked
     assert [url for url in asked if url != page.as_uri() and not url.startswith("data:")] == []
     assert browser.get_log("browser") == []

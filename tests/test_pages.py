@@ -13,13 +13,14 @@ from pages import CONFIGS, MINE, PAGES, ROOT, blocks, code, table
 import uavnav
 from uavnav import help, runs
 from uavnav.runs import metrics
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import SPLITS
 from uavnav.tasks.rewards import Step
 from uavnav.tasks.simulator import Outcome, Task
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 
-CLASSES = {one.__name__: one for one in (World, State, Outcome, Step, Task, *CONFIGS.values())}
+CLASSES = {one.__name__: one for one in (World, Faults, State, Outcome, Step, Task, *CONFIGS.values())}
 
 
 def said(line):
@@ -62,6 +63,7 @@ SHORT = {
     "ppo": {"n_worlds": 2, "frames_per_batch": 64, "total_frames": 64, "entropy_coeff": 0.01},
     "a2c": {"n_worlds": 2, "total_frames": 64, "entropy_coeff": 0.01},
     "dqn": {"n_worlds": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
+    "sac": {"n_worlds": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
 }
 
 
@@ -122,7 +124,7 @@ def test_every_name_in_code_exists(name):
     dotted = {one for one in code(prose) if re.fullmatch(r"\w+(\.\w+)+", one) and not one.endswith(FILES)}
     known = {one for one in dotted if one.split(".")[0] in {*MODULES, *CLASSES}}
     assert not [one for one in known if resolved(one) is MISSING]
-    assert len(known) >= {"world": 35, "ppo": 15, "dqn": 15, "a2c": 12, "extending": 8}.get(name, 0)
+    assert len(known) >= {"world": 35, "ppo": 15, "dqn": 15, "a2c": 12, "sac": 12, "extending": 8}.get(name, 0)
 
 
 GREEK = r"\\(?:alpha|beta|gamma|delta|epsilon|theta|lambda|pi|rho|sigma|tau)(?![A-Za-z])"
@@ -137,7 +139,7 @@ def symbols(tex):
     return {name + prime + (f"_{index}" if index not in {"", *"itk1n"} else "") for name, prime, index in found}
 
 
-@pytest.mark.parametrize(("name", "least"), [("world", 14), ("ppo", 18), ("dqn", 11), ("a2c", 12)])
+@pytest.mark.parametrize(("name", "least"), [("world", 14), ("ppo", 18), ("dqn", 11), ("a2c", 12), ("sac", 14)])
 def test_every_symbol_of_an_equation_is_in_a_table_of_its_page(name, least):
     equations = re.findall(r"\$\$(.*?)\$\$", PAGES[name], flags=re.DOTALL)
     cells = re.findall(r"^\| ([^|]*\$[^|]*) \|", PAGES[name], flags=re.MULTILINE)
@@ -164,6 +166,10 @@ def test_every_field_of_the_world_is_in_the_table_of_its_settings_and_beside_its
     in_words = {"width", "height"}  # 800 x 600 px
     assert {one for one in fields if f"World.{one}`" not in PAGES["world"]} == in_words
     assert "800 × 600 px" in PAGES["world"]
+
+
+def test_every_fault_is_in_the_table_of_its_page():
+    assert table(PAGES["faults"], "| field | default | unit | meaning |") == [said(line) for line in help.lines(Faults)]
 
 
 def test_the_tables_of_the_world_hold_every_bank_and_every_field_of_a_step():

@@ -25,6 +25,7 @@ from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import metrics
 from uavnav.tasks import rewards, simulator
+from uavnav.tasks.faults import NAMES
 from uavnav.training import machine
 from uavnav.window import play
 
@@ -86,7 +87,7 @@ def test_no_page_loads_anything_from_the_network(site):
 
 
 def test_every_equation_is_mathml(site):
-    for name, least in {"world.html": 30, "ppo.html": 10, "dqn.html": 8, "a2c.html": 6}.items():
+    for name, least in {"world.html": 30, "ppo.html": 10, "dqn.html": 8, "a2c.html": 6, "sac.html": 6}.items():
         assert site[name].count("<math") >= least
     for name, page in site.items():
         assert "arithmatex" not in page, name
@@ -158,6 +159,7 @@ def parse_train(words):
     kind = CONFIGS[given.algorithm]
     names = {field.name for field in dataclasses.fields(kind)}
     names |= {f"world.{one.name}" for kind in simulator.TASKS.values() for one in dataclasses.fields(kind.WORLD)}
+    names |= {f"faults.{name}" for name in NAMES}
     for key, _ in pairs:
         assert key in names | {line.name for line in help.of_command()}, key
     mine = {key: value.split(",") if given.multirun else [value] for key, value in pairs if key in names}
@@ -195,6 +197,7 @@ TINY = {
     "train ppo": ["total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
     "train a2c": ["total_frames=2048", "compile=off", "evaluate=false"],
     "train dqn": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
+    "train sac": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
     "evaluate": ["--episodes", "2", "--max-steps", "50"],
     "render": ["--steps", "20"],
 }

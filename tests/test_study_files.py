@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from uavnav import studies
+from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError
 from uavnav.runs import read_settings, run_folders
 from uavnav.study import main, parse
@@ -75,7 +76,10 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
         ("[", "cannot be read"),
         ("cells: [{algorithm: ppo}]\nwaht: x", "there is no key 'waht'; choose from banks, cells, settings, what (did"),
         ("cells: [{folder: x}]", "is no cell; it needs at least an `algorithm`"),
-        ("cells: [{algorithm: pop}]", "algorithm=pop; choose from a2c, dqn, ppo (did you mean ppo?)"),
+        (
+            "cells: [{algorithm: pop}]",
+            f"algorithm=pop; choose from {', '.join(sorted(ALGORITHMS))} (did you mean ppo?)",
+        ),
         ("cells: [{algorithm: ppo, lrr: 1}]", "there is no key 'lrr'"),
         ("cells: [{algorithm: ppo, lr: [0.1, 0.2]}]", "two cells share it; name in braces what they differ in"),
         ("cells: [{algorithm: ppo, folder: '{lr}'}]", "folder={lr}: names 'lr', which the cell does not set"),

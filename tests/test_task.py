@@ -67,7 +67,7 @@ def batch(task, n, steps, seed=0):
 
 def test_a_header_holds_every_field_of_the_world_the_reward_the_cap_and_the_banks_hash():
     header = make_task("test", OTHER, "additive", 50).header()
-    assert set(header) == {"task", "world", "reward", "max_steps", "bank"}
+    assert set(header) == {"task", "world", "reward", "max_steps", "stack", "faults", "bank"}
     assert list(header["world"]) == FIELDS
     assert len(FIELDS) >= 18
     assert header["world"].items() >= OTHER.items()
@@ -145,9 +145,9 @@ def test_each_of_3_environments_takes_the_parts_of_a_task_or_a_whole_one(kind):
     parameters = inspect.signature(kind.__init__).parameters
     defaults = {name: parameter.default for name, parameter in parameters.items()}
     parts = {"layouts": "train", "world": None, "max_steps": None, "reward": None, "task": "drone"}
+    parts |= {"stack": 1, "faults": None}
     assert [name for name in defaults if name in parts] == list(parts)
     assert {name: defaults[name] for name in parts} == parts
-    assert [name for name in defaults if name != "fields"][-1] == "task"
     whole = make_task("validation", OTHER, "additive", 7)
     for env in (kind(task=whole), kind(layouts="test", reward="initial", max_steps=99, task=whole)):
         assert (env.task.world, env.task.reward, env.task.max_steps) == (whole.world, "additive", 7)

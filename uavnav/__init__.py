@@ -41,7 +41,7 @@ if TYPE_CHECKING:
         stats,
         verify,
     )
-    from uavnav.algorithms import a2c, dqn, ppo
+    from uavnav.algorithms import a2c, dqn, ppo, sac
     from uavnav.choices import ConfigError
     from uavnav.envs import env, gym, sb3, scalar
     from uavnav.envs.env import DroneEnv
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from uavnav.policies import Policy, PolicyError, load_policy
     from uavnav.runs import Run, metrics, paper, readings
     from uavnav.runs.tables import RunError
-    from uavnav.tasks import baselines, dynamics, goal, layouts, moving, rewards, sensing, simulator, world
+    from uavnav.tasks import baselines, dynamics, faults, goal, layouts, moving, rewards, sensing, simulator, world
     from uavnav.tasks.layouts import LayoutError
     from uavnav.tasks.world import World
     from uavnav.training import config, loggers, sampler
@@ -72,7 +72,18 @@ _NAMES = {
 _ROOMS = {
     "envs": ("env", "gym", "sb3", "scalar"),
     "runs": ("metrics", "paper", "readings"),
-    "tasks": ("baselines", "dynamics", "goal", "layouts", "moving", "rewards", "sensing", "simulator", "world"),
+    "tasks": (
+        "baselines",
+        "dynamics",
+        "faults",
+        "goal",
+        "layouts",
+        "moving",
+        "rewards",
+        "sensing",
+        "simulator",
+        "world",
+    ),
     "training": ("config", "loggers", "sampler"),
     "window": ("play",),
 }

@@ -23,6 +23,7 @@ COMMANDS = {
     "runs": "List the runs of some folders: what each is, how far it is, and what it reached.",
     "evaluate": "Fly runs, scripted policies or zips of Stable-Baselines3 on the test split: one row an episode.",
     "play": "Fly a drone with the keyboard, or watch policies fly it, in a window.",
+    "playground": "Write playground.html: fly the drone in a browser, beside trained policies and a hand-written rule.",
     "render": "Draw flights on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG.",
     "compare": "Compare runs, zips of Stable-Baselines3 and scripted policies: intervals, probabilities, curves.",
     "report": "Write report.html: verdicts on the paper's claims, its tables beside ours, figures, replays.",
@@ -35,7 +36,10 @@ COMMANDS = {
 
 KINDS = {
     "Train": (("train", "study", "runs"), "uavnav train ppo preset=fast out=runs/first"),
-    "Look": (("evaluate", "play", "render"), "uavnav render reactive random --layout 20 --out flight.gif"),
+    "Look": (
+        ("evaluate", "play", "playground", "render"),
+        "uavnav render reactive random --layout 20 --out flight.gif",
+    ),
     "Compare": (("compare", "report", "verify", "bench"), "uavnav compare runs/first reactive"),
     "Share": (("export", "layouts"), "uavnav export runs/first --out policy.pt2"),
 }
@@ -169,6 +173,8 @@ def _evaluate(parser: Parser) -> None:
     _max_steps(parser)
     _bank(parser)
     _task(parser)
+    told = "fly with these faults, or with none, instead of those of training, such as noise=5,late=2"
+    parser.add_argument("--faults", metavar="FAULT=NUMBER,...", help=told)
     _activation(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"
@@ -202,6 +208,18 @@ def _play(parser: Parser) -> None:
         help=f"file for rows of flights by hand (default: where a report of the first RUN's root looks, {rows})",
     )
     parser.add_argument("--bank", type=Path, help=f"file for drawn obstacles (default: {BANK})")
+
+
+def _playground(parser: Parser) -> None:
+    parser.epilog = "example: uavnav playground runs --out playground.html"
+    of = "a run, or runs with policies up to two folders below"
+    parser.add_argument(
+        "folders", nargs="*", type=Path, default=[Path("results")], metavar="FOLDER", help=f"{of} (default: results)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("playground.html"), metavar="FILE", help="the page (default: playground.html)"
+    )
+    _plugins(parser)
 
 
 def _render(parser: Parser) -> None:
@@ -290,6 +308,7 @@ PARSERS: dict[str, Callable[[Parser], None]] = {
     "runs": _runs,
     "evaluate": _evaluate,
     "play": _play,
+    "playground": _playground,
     "render": _render,
     "compare": _compare,
     "report": _report,

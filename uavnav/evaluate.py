@@ -27,12 +27,13 @@ from uavnav.runs.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
+from uavnav.tasks.faults import Faults, from_words
 from uavnav.tasks.ladders import Measure, measure_of
 from uavnav.tasks.protocol import EPISODES as EPISODES
 from uavnav.tasks.protocol import MAX_STEPS as MAX_STEPS
 from uavnav.tasks.rewards import BY_ACTION, REWARDS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
-from uavnav.tasks.state import COUNTS, State
+from uavnav.tasks.state import COUNTS, State, at
 from uavnav.tasks.world import World
 from uavnav.training import display, machine
 from uavnav.training.display import evaluation_summary
@@ -60,6 +61,7 @@ def evaluate_policy(
     world: World | None = None,
     reward: str | None = None,
     seed: int = 0,
+    faults: Faults | None = None,
 ) -> pd.DataFrame:
     """One episode on each of the first sets of a bank, each starting at the centre.
 
@@ -70,7 +72,8 @@ def evaluate_policy(
         max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no collision.
         world: constants and switches; by default those that the policy was trained in, if it has any.
         reward: a name of `uavnav.rewards.REWARDS`; by default the policy's, or eq14.
-        seed: of the generator that the policy is given; also written into the column `seed`.
+        seed: of the generator that the policy is given, and of what faults draw; also written into the column `seed`.
+        faults: of its sensor and actuator; by default those that the policy was trained with, if it has any.
 
     Returns:
         A row an episode, the columns of `metrics.EPISODE_COLUMNS` (`frame` is the step of its end, `world` its row).
@@ -81,11 +84,17 @@ def evaluate_policy(
     """
     own = policy.task if isinstance(policy, Policy) else make_task(EMPTY, world)
     own = replace(own, world=world or own.world, reward=reward or own.reward)
-    return fly({seed: policy}, on(own, layouts, episodes, max_steps)).episodes
+    return fly({seed: policy}, on(own, layouts, episodes, max_steps, faults)).episodes
 
 
-def on(task: Task, layouts: str | Path | Tensor = "test", episodes: int = EPISODES, max_steps: int = MAX_STEPS) -> Task:
-    """The task of an evaluation: the first sets of a bank, with a cap.
+def on(
+    task: Task,
+    layouts: str | Path | Tensor = "test",
+    episodes: int = EPISODES,
+    max_steps: int = MAX_STEPS,
+    faults: Faults | None = None,
+) -> Task:
+    """The task of an evaluation: the first sets of a bank, with a cap, and with these faults instead of its own.
 
     Raises:
         LayoutError: the bank cannot be read.
@@ -98,7 +107,8 @@ def on(task: Task, layouts: str | Path | Tensor = "test", episodes: int = EPISOD
         raise ValueError(
             f"episodes={episodes}, max_steps={max_steps}; give 1 to {len(bank)} episodes of at least 1 step"
         )
-    return replace(task, bank=bank[:episodes], max_steps=max_steps)
+    flown = replace(task, bank=bank[:episodes], max_steps=max_steps)
+    return flown if faults is None else replace(flown, faults=faults)
 
 
 def fly(
@@ -114,7 +124,7 @@ def fly(
     counted to the cap instead of flown (`uavnav.repeats`).
     """
     seeds = torch.tensor(list(population)).repeat_interleave(len(task.bank))
-    sums = Sums(measure or task.measure, flights.start(task, len(population)))
+    sums = Sums(measure or task.measure, flights.start(task, list(population)))
     goes_round = not sums.columns and _repeatable(population, task)
     repeats = Repeats(len(seeds), task.max_steps or 0, WATCHED_STEPS) if goes_round else None
     ended: list[dict[str, Tensor]] = []
@@ -127,9 +137,8 @@ def fly(
             sums.add(step.flight, step.state)
         if not up.all():
             over = step.place[~up]
-            state = State(*(field[over] for field in step.states))
             own = sums.of(step.flight[~up])
-            ended.append(_end(seeds[step.flight[~up]], state, step.outcomes.terminated[over]) | own)
+            ended.append(_end(seeds[step.flight[~up]], at(step.states, over), step.outcomes.terminated[over]) | own)
         tell(step.number, int(up.sum()))
         if repeats is not None and (state_at_cap := repeats.see(step)) is not None:
             cut_off = torch.zeros(len(state_at_cap.x), dtype=torch.bool)
@@ -145,13 +154,13 @@ class Sums:
     """What a measure gives, added up over each flight; start: of all flights [F]."""
 
     def __init__(self, measure: Measure, start: State) -> None:
-        self._measure, self._before = measure, [field.clone() for field in start]
+        self._measure, self._before = measure, type(start)(*(field.clone() for field in start))
         self._sums = {name: torch.zeros_like(one) for name, one in measure(start, start).items()}
         self.columns = {name: str(one.dtype).removeprefix("torch.") for name, one in self._sums.items()}
 
     def add(self, flight: Tensor, after: State) -> None:
         """A step of some flights, which led to a state."""
-        found = self._measure(State(*(field[flight] for field in self._before)), after)
+        found = self._measure(at(self._before, flight), after)
         for name, value in found.items():
             self._sums[name][flight] += value
         for field, new in zip(self._before, after, strict=True):
@@ -165,7 +174,7 @@ class Sums:
 def _repeatable(population: Mapping[int, AnyPolicy], task: Task) -> bool:
     """Whether the same pose is always followed by the same steps and rewards."""
     greedy = all(isinstance(policy, Policy) and policy.greedy for policy in population.values())
-    return greedy and task.STATIC and REWARDS[task.reward] in BY_ACTION
+    return greedy and task.STATIC and not task.remembers and REWARDS[task.reward] in BY_ACTION
 
 
 def _end(seed: Tensor, state: State, terminated: Tensor) -> dict[str, Tensor]:
@@ -190,11 +199,12 @@ def evaluate_run(
     max_steps: int = MAX_STEPS,
     layouts: str | Path = "test",
     quiet: bool = False,
+    faults: Faults | None = None,
 ) -> pd.DataFrame:
     """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder (`files_of` says where).
 
     Training's generators play no part, and nothing else in the folder changes. On a terminal a bar shows how far it is,
-    unless it is `quiet`.
+    unless it is `quiet`. Faults are those that the run was trained with, unless others are given.
 
     Returns:
         The columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs`, and in the file's header, the protocol.
@@ -206,33 +216,35 @@ def evaluate_run(
     with machine.use_threads(1):
         for mode in MODES:
             population = {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
-            task = task or on(population[run.seeds[0]].task, layouts, episodes, max_steps)
+            task = task or on(population[run.seeds[0]].task, layouts, episodes, max_steps, faults)
             what = f"{run.algorithm} {run.config['activation']}, {mode}"
             with display.flights(what, episodes * len(population), max_steps, quiet) as tell:
                 flown[mode] = fly(population, task, tell, measure_of(layouts))
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     with lock(run.path):
-        for name, table in zip(files_of(layouts, episodes, max_steps), (rows, behaviour), strict=True):
-            table.attrs = header(layouts, episodes, max_steps)
+        for name, table in zip(files_of(layouts, episodes, max_steps, faults), (rows, behaviour), strict=True):
+            table.attrs = header(layouts, episodes, max_steps, faults)
             write_table(run.path / name, table)
     return rows
 
 
-def header(layouts: str | Path, episodes: int, max_steps: int) -> dict[Any, Any]:
+def header(layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None) -> dict[Any, Any]:
     """What the header of a file of rows says of how they were flown: the protocol."""
-    return {"layouts": str(layouts), "episodes": episodes, "max_steps": max_steps}
+    own = {"layouts": str(layouts), "episodes": episodes, "max_steps": max_steps}
+    return own if faults is None else own | {"faults": str(faults)}
 
 
-def files_of(layouts: str | Path, episodes: int, max_steps: int) -> tuple[str, str]:
+def files_of(layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None) -> tuple[str, str]:
     """The files of rows and of behaviour of a protocol, in a run's folder.
 
-    `evaluation.parquet` is for 200 test sets and 10,000 steps alone; another protocol has a file of its own, such as
-    `evaluation-test-10-500.parquet`.
+    `evaluation.parquet` is for 200 test sets and 10,000 steps alone, with the faults of training; another protocol has
+    a file of its own, such as `evaluation-test-10-500.parquet`, or `evaluation-test-200-10000-noise=5.parquet`.
     """
-    if (str(layouts), episodes, max_steps) == ("test", EPISODES, MAX_STEPS):
+    if (str(layouts), episodes, max_steps, faults) == ("test", EPISODES, MAX_STEPS, None):
         return EVALUATION, BEHAVIOUR
-    own = f"-{banks.name_of(layouts)}-{episodes}-{max_steps}.parquet"
+    given = "" if faults is None else f"-{faults}"
+    own = f"-{banks.name_of(layouts)}-{episodes}-{max_steps}{given}.parquet"
     return EVALUATION.replace(".parquet", own), BEHAVIOUR.replace(".parquet", own)
 
 
@@ -246,6 +258,13 @@ def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
         return Run(name)
     except RunError as error:
         raise RunError(f"{error}{did_you_mean_run(name, BASELINES)}") from error
+
+
+def _faults(words: str) -> Faults:
+    try:
+        return from_words(words)
+    except ValueError as error:
+        raise ValueError(f"--faults {words}: {error}") from error
 
 
 def _rows_file(name: str, mode: str) -> str:
@@ -267,16 +286,17 @@ def main(argv: Sequence[str] | None = None) -> int:
                 for mode in () if isinstance(run, Run) else run:
                     check_out(arguments.out / _rows_file(name, mode))
         bounds = arguments.layouts, arguments.episodes, arguments.max_steps
+        faults = None if arguments.faults is None else _faults(arguments.faults)
         scripted = make_task(EMPTY, task=arguments.task)
         quiet, records = arguments.quiet or arguments.json, []
         for name, run in found.items():
             if isinstance(run, Run):
-                rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts, quiet)
-                who, kept = (run.algorithm, run.config["activation"]), [run.path / files_of(*bounds)[0]]
+                rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts, quiet, faults)
+                who, kept = (run.algorithm, run.config["activation"]), [run.path / files_of(*bounds, faults)[0]]
             else:
                 flown = {}
                 for mode, policy in run.items():
-                    task = on(policy.task if isinstance(policy, Policy) else scripted, *bounds)
+                    task = on(policy.task if isinstance(policy, Policy) else scripted, *bounds, faults)
                     with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:], quiet) as tell:
                         flown[mode] = fly({0: policy}, task, tell, measure_of(arguments.layouts)).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
@@ -284,7 +304,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 for mode, part in flown.items() if arguments.out is not None else ():
                     path = arguments.out / _rows_file(name, mode)
                     path.parent.mkdir(parents=True, exist_ok=True)
-                    part.attrs = header(*bounds)
+                    part.attrs = header(*bounds, faults)
                     write_table(path, part)
                     kept.append(path)
             records.append({"run": name, **display.evaluation_record(rows)})

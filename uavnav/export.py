@@ -67,7 +67,7 @@ def export_policy(policy: Policy, path: str | Path) -> Path:
 def _program(policy: Policy) -> torch.export.ExportedProgram:
     """The policy's network as a graph over any number of rows."""
     layers = [_linear(layer) if isinstance(layer, AgentLinear) else layer for layer in policy.network.children()]
-    rows = torch.zeros(2, policy.world.observation_size)
+    rows = torch.zeros(2, policy.task.observation_size)
     shapes = ({0: torch.export.Dim("rows")},)
     program = torch.export.export(_Values(nn.Sequential(*layers), policy.head).eval(), (rows,), dynamic_shapes=shapes)
     for node in program.graph.nodes:
@@ -131,7 +131,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ConfigError, PolicyError, RunError) as error:
         print(f"uavnav export: {as_option(error)}", file=sys.stderr)
         return 2
-    print(f"{path}: observation [N, {policy.world.observation_size}] -> values [N, {policy.world.n_actions}]")
+    print(f"{path}: observation [N, {policy.task.observation_size}] -> values [N, {policy.world.n_actions}]")
     return 0
 
 

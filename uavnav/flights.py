@@ -1,14 +1,14 @@
 """One loop that flies: evaluation, behaviour, replays and films see the same flights, the window the same rules.
 
 A flyer is a seed with its policy and a generator of its own; it flies each set of the task's bank once. It does not see
-what others do. The number of flights and the cap decide when the step is compiled, which rounds otherwise. Letters: F
-flights that are up, P places of a batch, which holds some that have ended too.
+what others do. The number of flights and the cap decide when the step is compiled, which rounds otherwise. What faults
+draw follows from the flyer's seed, the set and the step, whoever else flies and whatever has ended. Letters: F flights
+that are up, P places of a batch, which holds some that have ended too.
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -18,9 +18,10 @@ from torch import Tensor
 from uavnav import graph
 from uavnav.policies import Policy
 from uavnav.squads import Flyers, Squads
-from uavnav.tasks.seeding import stream
+from uavnav.tasks import memory
+from uavnav.tasks.seeding import Streams, stream
 from uavnav.tasks.simulator import Outcome, Task
-from uavnav.tasks.state import UP, State
+from uavnav.tasks.state import UP, State, at
 from uavnav.training import machine
 
 
@@ -30,7 +31,7 @@ class Step(NamedTuple):
     number: int  # counted from 1
     flight: Tensor  # [F] which they are: first all sets of the first flyer
     place: Tensor  # [F] where they lie in `states` and `outcomes`
-    action: Tensor  # [F]
+    action: Tensor  # [F] as it was executed
     values: Tensor | None  # [F, n_actions] the numbers behind the actions, where they were asked for
     states: State  # [P] after the step
     outcomes: Outcome  # [P]
@@ -39,7 +40,7 @@ class Step(NamedTuple):
     @property
     def state(self) -> State:
         """After the step, [F]."""
-        return State(*(field[self.place] for field in self.states))
+        return at(self.states, self.place)
 
     @property
     def outcome(self) -> Outcome:
@@ -54,11 +55,20 @@ def headings(task: Task, n: int) -> Tensor:
     return torch.randint(360, (n,), generator=stream(0, "headings in evaluation"))
 
 
-def start(task: Task, flyers: int = 1, heading: Tensor | None = None) -> State:
-    """Where the flights of so many flyers begin, each on every set: [flyers x sets]."""
+def start(task: Task, seeds: Sequence[int] = (0,), heading: Tensor | None = None) -> State:
+    """Where the flights of flyers begin, each on every set: [flyers x sets]; seeds: the flyers'."""
     n = len(task.bank)
     heading = headings(task, n) if heading is None else heading
-    return task.start(torch.arange(n).repeat(flyers), heading.repeat(flyers))
+    layout = torch.arange(n).repeat(len(seeds))
+    return task.start(layout, heading.repeat(len(seeds)), next(_draws(task, seeds, "first faults in evaluation")))
+
+
+def _draws(task: Task, seeds: Sequence[int], purpose: str) -> Iterator[Tensor | None]:
+    """Step by step, what the flights of flyers need for faults: [flyers x sets, n_draws], or None."""
+    streams = Streams(seeds, purpose)
+    while True:
+        drawn = streams.draw(task.draw, len(task.bank), device="cpu").flatten(0, 1) if task.n_draws else None
+        yield drawn
 
 
 def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool = False) -> Iterator[Step]:
@@ -69,20 +79,24 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
     Raises:
         ValueError: a policy chose something that is no action.
     """
-    state = start(task, len(flyers), heading)
+    seeds = [seed for seed, _ in flyers]
+    state, draws = start(task, seeds, heading), _draws(task, seeds, "faults in evaluation")
     squads = Squads(flyers, task.world.n_actions)
     flight = place = torch.arange(len(state.x))
     sizes = [len(task.bank)] * len(flyers)
     compiled = False
     compiles_at = 1 if task.max_steps and len(flight) * task.max_steps >= machine.MANY else machine.EAGER_STEPS
     observation, _ = task.observe(state)
-    for number in itertools.count(1):
+    for number, drawn in enumerate(draws, 1):
         with torch.no_grad():
             seen = observation if len(place) == len(observation) else observation[place]
             action, behind = squads.act(seen, sizes, values)
             if not compiled and number == compiles_at and machine.flights(task.max_steps):
                 state, place, compiled = _padded(state, len(place)), torch.arange(len(place)), True
-            state, outcome = _advance(task, state, place, action) if compiled else task.step(state, action)
+            own = None if drawn is None else drawn[flight]
+            state, outcome = _advance(task, state, place, action, own) if compiled else task.step(state, action, own)
+            if task.remembers:
+                action = memory.executed_of(state)[place]
         ended = (outcome.terminated | outcome.truncated)[place]
         yield Step(number, flight, place, action, behind, state, outcome, ended)
         observation, up = outcome.observation, ~ended
@@ -92,28 +106,33 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
             if not len(flight):
                 return
             if not compiled:
-                state, observation = State(*(field[place] for field in state)), observation[place]
+                state, observation = at(state, place), observation[place]
                 place = torch.arange(len(place))
 
 
 def alike(policies: Sequence[Policy]) -> list[list[int]]:
-    """Which policies were trained in the same world with the same reward, so that they can fly as one batch."""
-    keys = [(type(policy.task), policy.task.world, policy.task.reward) for policy in policies]
+    """Which policies were trained in the same task but for its bank and cap, so that they can fly as one batch."""
+    tasks = [policy.task for policy in policies]
+    keys = [(type(task), task.world, task.reward, task.stack, task.faults) for task in tasks]
     return [[place for place, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]
 
 
-def _advance(task: Task, state: State, place: Tensor, action: Tensor) -> tuple[State, Outcome]:
+def _advance(task: Task, state: State, place: Tensor, action: Tensor, draws: Tensor | None) -> tuple[State, Outcome]:
     """A step as a compiled graph: of all P places, those that have ended included."""
     everywhere = torch.zeros_like(state.layout)
     everywhere[place] = action
-    found = _graph(task)(everywhere, task.bank, *state)
-    return State(*found[: len(state)]), Outcome(*found[len(state) :])
+    drawn = [] if draws is None else [torch.zeros(len(everywhere), task.n_draws).index_copy(0, place, draws)]
+    found = _graph(task)(everywhere, task.bank, *state, *drawn)
+    return task.state_class(*found[: len(state)]), Outcome(*found[len(state) :])
 
 
 @functools.lru_cache(maxsize=4)
 def _graph(task: Task) -> graph.Graph:
-    def step(action: Tensor, bank: Tensor, *fields: Tensor) -> tuple[Tensor, ...]:
-        state, outcome = task.with_bank(bank).step(State(*fields), action)
+    kind = task.state_class
+    n = len(kind._fields)
+
+    def step(action: Tensor, bank: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+        state, outcome = task.with_bank(bank).step(kind(*tensors[:n]), action, *tensors[n:])
         return *state, *outcome
 
     return graph.Graph(step)
@@ -122,5 +141,4 @@ def _graph(task: Task) -> graph.Graph:
 def _padded(state: State, n: int) -> State:
     """Repeat the last flight until there are 64, 128, 256, ... of them: few sizes mean few graphs."""
     size = max(64, 1 << (n - 1).bit_length())
-    index = torch.arange(size).clamp(max=n - 1)
-    return State(*(field[index] for field in state))
+    return at(state, torch.arange(size).clamp(max=n - 1))

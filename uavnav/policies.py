@@ -163,6 +163,7 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         task, cap, epsilon = header.get("task", "drone"), header.get("max_steps"), float(header["epsilon"])
         layer_norm = bool(header.get("layer_norm", False))
         world, noted = dict(header["world"]), list(header.get("plugins", []))
+        stack, faults = header.get("stack", 1), dict(header.get("faults", {}))
         how = ALGORITHMS.get(algorithm)
         acts = header.get("acts", how and how.acts)  # files of earlier versions do not say
         head = header.get("head", how and how.head)
@@ -184,7 +185,7 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
             hint = plugins.missing(noted) or f"; {choose_from(value, choices)}"
             raise PolicyError(f"{path}: unknown {name} {value!r}{hint}")
     try:
-        trained_in = make_task(EMPTY, world, reward, cap, task)
+        trained_in = make_task(EMPTY, world, reward, cap, task, stack, faults)
     except (TypeError, ValueError) as error:
         raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
     if not seeds:
@@ -207,18 +208,18 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
             raise RuntimeError(f"not {len(seeds)} networks for {len(seeds)} seeds")
     except (KeyError, IndexError, RuntimeError, TypeError) as error:
         raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
-    _check_sizes(path, inputs, outputs, trained_in.world)
+    _check_sizes(path, inputs, outputs, trained_in)
     for key, tensor in policy.items():
         if not tensor.isfinite().all():
             raise PolicyError(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
     return Policy(network, algorithm, greedy, trained_in, acts, head, epsilon, seed, header.get("bank"))
 
 
-def _check_sizes(path: Path, inputs: int, outputs: int, world: World) -> None:
-    if inputs != world.observation_size or outputs != world.n_actions:
+def _check_sizes(path: Path, inputs: int, outputs: int, task: Task) -> None:
+    if inputs != task.observation_size or outputs != task.world.n_actions:
         raise PolicyError(
             f"{path}: sees {inputs} numbers and chooses from {outputs} actions, not"
-            f" {world.observation_size} and {world.n_actions} as in this world"
+            f" {task.observation_size} and {task.world.n_actions} as in this world"
         )
 
 
@@ -238,7 +239,7 @@ def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
     algorithm, layers = _sb3_layers(path, tensors)
     sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
     task, how = make_task(EMPTY), ALGORITHMS[algorithm]
-    _check_sizes(path, sizes[0], sizes[-1], task.world)
+    _check_sizes(path, sizes[0], sizes[-1], task)
     if activation is None:
         choices = ", ".join(sorted(ACTIVATIONS))
         raise PolicyError(f"{path}: its weights do not tell the activation; give activation=..., one of {choices}")

@@ -30,7 +30,7 @@ from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
 from uavnav.tasks.protocol import EPISODES
 from uavnav.tasks.simulator import EMPTY, Task, make_task
-from uavnav.tasks.state import State
+from uavnav.tasks.state import State, at
 from uavnav.training import machine
 
 SUFFIXES = (".mp4", ".gif", ".png")
@@ -121,11 +121,10 @@ def fly(pilot: Pilot, bank: Tensor, layout: int, max_steps: int) -> Flight:
     An evaluation flies its sets as one batch, in which sampled actions of one flight follow others; so does this.
     """
     task = pilot.task.on(bank[: max(EPISODES, layout + 1)], max_steps)
-    start = flights.start(task)
-    states = [State(*(field[layout] for field in start))]
+    states = [at(flights.start(task, [pilot.seed]), layout)]
     for step in flights.fly([(pilot.seed, pilot.policy)], task):
         mine = step.place[step.flight == layout].squeeze()
-        states.append(State(*(field[mine] for field in step.states)))
+        states.append(at(step.states, mine))
         if step.outcomes.terminated[mine] or step.outcomes.truncated[mine]:
             return Flight(pilot, states, bool(step.outcomes.clearance[mine] <= task.world.drone_radius))
     raise AssertionError("every flight ends at its cap")

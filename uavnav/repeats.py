@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from uavnav.flights import Step
-from uavnav.tasks.state import COUNTS, State
+from uavnav.tasks.state import COUNTS, State, at
 
 POSE = ("x", "y", "heading")
 LONGEST = 512
@@ -39,7 +39,7 @@ class Repeats:
         up = ~step.ended
         flight, place = step.flight[up], step.place[up]
         if len(self._states) and len(flight) == len(self._states[0].x):
-            self._states.append(State(*(field[place] for field in step.states)))
+            self._states.append(at(step.states, place))
             self._rewards.append(step.outcomes.reward[place])
             rounds = self._rounds[flight]
             if len(self._rewards) < rounds.max():
@@ -51,7 +51,7 @@ class Repeats:
         self._states, self._rewards = [], []
         self._compare(step.number, flight, torch.stack([getattr(step.states, name)[place].double() for name in POSE]))
         if len(flight) and step.number >= self._earliest and bool((self._rounds[flight] > 0).all()):
-            self._states = [State(*(field[place] for field in step.states))]
+            self._states = [at(step.states, place)]
         return None
 
     def _compare(self, number: int, flight: Tensor, pose: Tensor) -> None:

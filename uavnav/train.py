@@ -30,11 +30,12 @@ from uavnav.evaluate import evaluate_run
 from uavnav.policies import PolicyError
 from uavnav.runs import EVALUATION, Run
 from uavnav.runs.tables import RunError
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import TASKS
 from uavnav.tasks.world import World
 from uavnav.training import display
-from uavnav.training.config import TrainConfig, plain
+from uavnav.training.config import TrainConfig, part_keys, plain
 from uavnav.training.loggers import chosen
 from uavnav.training.loop import train
 from uavnav.training.recorder import Interrupted, Recorder, default_folder
@@ -61,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise unknown("algorithm", given.algorithm, ALGORITHMS)
         kind = _kind(given.algorithm)
         if given.help:
-            print(help.render(kind, _world(given.settings) or World), end="")
+            print(help.render(kind, _world(given.settings) or World, Faults), end="")
             return 0
         settings = [_composed(kind, words) for words in _cells(kind, given.settings, given.multirun)]
         if given.cfg:
@@ -174,7 +175,7 @@ def _one_line(error: Exception, kind: type[TrainConfig]) -> str:
 
 def _keys(kind: type[TrainConfig]) -> list[str]:
     """Every key that a command line may set."""
-    return [*(item.name for item in fields(kind)), *(f"world.{item.name}" for item in fields(World)), *HERE]
+    return [*(item.name for item in fields(kind)), *part_keys(), *HERE]
 
 
 # -- a run -----------------------------------------------------------------------------------------------------------

@@ -48,4 +48,5 @@ ALGORITHMS = {
         "probability",
         logs=("frames", 100, "n_steps", "n_worlds"),
     ),
+    "sac": Algorithm("uavnav.algorithms.sac", "categorical", "logits", "probability", logs=("episodes", 4)),
 }

@@ -112,7 +112,7 @@ class DQNConfig(TrainConfig):
         """Raise a ConfigError where the buffers of all seeds would not fit into the machine's memory."""
         capacity = min(self.buffer_size, self.frames)
         observations = 2 if self.keeps_next_observations else 1
-        needed = self.n_seeds * capacity * (observations * 4 * self.world.observation_size + FRAME_BYTES) / 2**30
+        needed = self.n_seeds * capacity * (observations * 4 * self.observation_size + FRAME_BYTES) / 2**30
         available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
         if self.device == "cpu" and needed > available:
             raise ConfigError(
@@ -171,7 +171,7 @@ PRESETS = {name: DQNConfig(preset=name) for name in DQNConfig.PRESETS}
 
 def make_network(config: DQNConfig) -> nn.Sequential:
     """The Q network: observation [A, ..., 30] -> [A, ..., 100] values."""
-    inputs, outputs = config.world.observation_size, config.world.n_actions
+    inputs, outputs = config.observation_size, config.world.n_actions
     generators = [stream(seed, "value network") for seed in config.seeds]
     return mlp(
         [inputs, *config.hidden, outputs], config.activation, generators, config.init, layer_norm=config.layer_norm

@@ -100,7 +100,7 @@ PRESETS = {name: PPOConfig(preset=name) for name in PPOConfig.PRESETS}
 
 def make_networks(config: TrainConfig) -> tuple[nn.Sequential, nn.Sequential]:
     """Separate policy [A, ..., 30] -> [A, ..., 100] logits and value [A, ..., 30] -> [A, ..., 1] networks."""
-    inputs, outputs = config.world.observation_size, config.world.n_actions
+    inputs, outputs = config.observation_size, config.world.n_actions
 
     def network(purpose: str, outputs: int, gain: float) -> nn.Sequential:
         generators = [stream(seed, purpose) for seed in config.seeds]

@@ -16,12 +16,14 @@ from torchrl.envs import EnvBase
 
 from uavnav.graph import Graph
 from uavnav.tasks import seeding
+from uavnav.tasks.chance import Chance
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import Outcome, Task, make_task
 from uavnav.tasks.state import COUNTS, UP, State, where
 from uavnav.tasks.world import World
 
 LEAVES = ("observation", "reward", "done", "terminated", "truncated")
-N_LEAVES, N_STATE = len(LEAVES), len(State._fields)
+N_LEAVES = len(LEAVES)
 
 
 class DroneEnv(EnvBase):  # type: ignore[misc]
@@ -30,7 +32,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     Action:
         `action` [*B] int64 in 0..99: ten turns times ten distances, eqs (11) and (12).
     Observation:
-        `observation` [*B, 30] float32: ten triplets (right, forward, distance), eq. (13).
+        `observation` [*B, 30] float32: ten triplets (right, forward, distance), eq. (13); as many of the newest as
+        `stack` says, the newest first.
     Reward:
         `reward` [*B, 1] float32: eq. (14), or another variant of `uavnav.rewards`.
     Start:
@@ -50,10 +53,12 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         world: constants and switches.
         max_steps: a cap on steps, or None as in the paper.
         reward: a name of `uavnav.rewards.REWARDS`; by default the task's own, eq14 of the paper's.
-        task: a name of `uavnav.simulator.TASKS`; or a whole task, which then says layouts, world, cap and reward.
+        task: a name of `uavnav.simulator.TASKS`; or a whole task, which then says all parts of it.
         device: where the tensors live.
         seeds: one seed for all rows, or one for each entry of the first batch dimension. A row depends on its seed
             and its index among that seed's rows, not on the other seeds.
+        stack: newest observations that are seen at once.
+        faults: of the sensor and the actuator (`uavnav.tasks.faults`).
         compile: TorchRL's own keyword: run the step as one compiled graph (`env.compile()`, `env.eager()`).
 
     Raises:
@@ -72,9 +77,11 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         device: str | torch.device = "cpu",
         seeds: int | Sequence[int] = 0,
         task: str | Task = "drone",
+        stack: int = 1,
+        faults: Faults | Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(device=torch.device(device), batch_size=torch.Size(batch_size))
-        whole = make_task(layouts, world, reward, max_steps, task)
+        whole = make_task(layouts, world, reward, max_steps, task, stack, faults)
         self.task = whole.with_bank(whole.bank.to(self.device))
         self.world, self.bank = self.task.world, self.task.bank
         self._first_observations = self._observe_starts()
@@ -84,7 +91,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     def _make_specs(self) -> None:
         shape, world = self.batch_size, self.world
-        low = torch.tensor(world.observation_low, device=self.device)
+        low = torch.tensor(world.observation_low, device=self.device).repeat(self.task.stack)
         kind: dict[str, Any] = {"shape": shape, "device": self.device}
         episode = Composite({name: Unbounded(dtype=torch.int64, **kind) for name in ("layout", *COUNTS[:-1])}, **kind)
         episode["reward"] = Unbounded(dtype=torch.float64, **kind)
@@ -100,7 +107,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         flag = Categorical(2, shape=(*shape, 1), dtype=torch.bool, device=self.device)
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), **kind)
 
-    # -- randomness: one stream of places and headings for each seed ------------------------------------------------
+    # -- randomness: streams of places, headings and faults for each seed --------------------------------------------
 
     def _seed(self, seeds: int | Sequence[int]) -> None:
         one = isinstance(seeds, numbers.Integral)
@@ -109,12 +116,12 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             raise ValueError(
                 f"{len(self.seeds)} seeds for batch_size {list(self.batch_size)}; give one, or one per agent"
             )
-        self._rows_per_seed = self.batch_size.numel() // len(self.seeds)
-        places = seeding.places(self.seeds, self._rows_per_seed, len(self.bank), self.device)
-        self._headings = seeding.Streams(self.seeds, "headings")
+        rows = self.batch_size.numel() // len(self.seeds)
+        places = seeding.places(self.seeds, rows, len(self.bank), self.device)
+        self._chance = Chance(self.task, self.seeds, rows, self.device)
         self._never = torch.zeros((), dtype=torch.bool, device=self.device).expand(*self.batch_size, 1)
         self._begins_here = True  # the next reset of all rows leaves them where they are
-        self.state = self.task.start(places.reshape(self.batch_size), self._draw_headings())
+        self.state = self._start(places.reshape(self.batch_size))
         self._observation, _ = self.task.observe(self.state)
 
     def _set_seed(self, seed: int | None) -> None:
@@ -123,29 +130,36 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
 
     def _observe_starts(self) -> list[Tensor]:
-        """What is seen at the beginning of an episode, by layout: [L, 30]; nothing where the heading is random."""
-        if self.world.start_heading != "up":
+        """What is sensed first in an episode, by layout: [L, 30]; nothing where a part of that is random."""
+        if self.world.start_heading != "up" or self.task.n_draws:
             return []
         layout = torch.arange(len(self.bank), device=self.device)
-        observation, _ = self.task.observe(self.task.start(layout, 0 * layout + UP))
-        return [observation]
+        sensed, _ = self.task.sense(self.task.place(layout, 0 * layout + UP))
+        return [sensed]
+
+    def _start(self, layout: Tensor) -> State:
+        """Where episodes of every row begin: layout [*B]. The streams do not depend on who resets."""
+        return self.task.start(layout, self._draw_headings(), self._rows(self._chance.first()))
 
     def _draw_headings(self) -> Tensor:
-        """Start headings [*B] for every row, drawn whether needed or not: the stream does not depend on who resets."""
-        if self.world.start_heading == "up":
-            return torch.full(self.batch_size, UP, device=self.device)
-        return seeding.headings(self._headings, self._rows_per_seed, self.device).reshape(self.batch_size)
+        """Start headings [*B] for every row, drawn whether needed or not."""
+        return self._chance.headings().reshape(self.batch_size)
+
+    def _rows(self, draws: Tensor | None) -> Tensor | None:
+        """Draws [seeds, rows, n] in the batch's shape [*B, n]."""
+        return None if draws is None else draws.reshape(*self.batch_size, -1)
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the future depends on: each row's state and observation, and the streams of headings."""
+        """All that the future depends on: each row's state and observation, and the streams of headings and faults."""
         state = {name: value.clone() for name, value in self.state._asdict().items()}
-        return {"state": state, "observation": self._observation.clone(), "headings": self._headings.state_dict()}
+        return {"state": state, "observation": self._observation.clone(), **self._chance.state_dict()}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Go on from where `state_dict` was taken, in an environment built alike; the next reset leaves it there."""
-        self.state = State(**{name: value.to(self.device).clone() for name, value in state_dict["state"].items()})
+        fields = {name: value.to(self.device).clone() for name, value in state_dict["state"].items()}
+        self.state = self.task.state_class(**fields)
         self._observation = state_dict["observation"].to(self.device).clone()
-        self._headings.load_state_dict(state_dict["headings"])
+        self._chance.load_state_dict(state_dict)
         self._begins_here = True
 
     # -- TorchRL's protocol -------------------------------------------------------------------------------------------
@@ -155,7 +169,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         if chosen is not None:
             chosen = chosen.reshape(self.batch_size)
         if chosen is not None or not self._begins_here:
-            fresh = self.task.start((self.state.layout + 1) % len(self.bank), self._draw_headings())
+            fresh = self._start((self.state.layout + 1) % len(self.bank))
             self.state = fresh if chosen is None else where(chosen, fresh, self.state)
             self._observation, _ = self.task.observe(self.state)
         self._begins_here = False
@@ -165,18 +179,20 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         action = tensordict["action"]
         if bool(((action < 0) | (action >= self.world.n_actions)).any()):
             raise ValueError(f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}")
-        self.state, outcome = self.task.step(self.state, action)
+        self.state, outcome = self.task.step(self.state, action, self._rows(self._chance.later()))
         self._observation, self._begins_here = outcome.observation, False
         return self._tensordict(_leaves(outcome), self.state)
 
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
+        draws = (self._rows(self._chance.later()), self._rows(self._chance.first()))
         given = (tensordict.get("action"), self._draw_headings(), self.bank, *self._first_observations)
-        found = self._advance(*self.state, *given)
-        leaves, final, following = found[:N_LEAVES], found[N_LEAVES : N_LEAVES + N_STATE], found[N_LEAVES + N_STATE :]
-        self._observation, self.state, self._begins_here = following[0], State(*following[1:]), False
-        tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), State(*final)))
+        found = self._advance(*self.state, *given, *(one for one in draws if one is not None))
+        kind, after = self.task.state_class, N_LEAVES + len(self.state)
+        leaves, final, following = found[:N_LEAVES], found[N_LEAVES:after], found[after:]
+        self._observation, self.state, self._begins_here = following[0], kind(*following[1:]), False
+        tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), kind(*final)))
         return tensordict, self.root()
 
     def compile(self) -> DroneEnv:
@@ -193,15 +209,23 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self
 
     def _advance_rows(self, *tensors: Tensor) -> Sequence[Tensor]:
-        """State, action, start headings, bank, first observations -> the step's leaves, its state, where to go on."""
-        state, (action, heading, bank, *first_observations) = State(*tensors[:N_STATE]), tensors[N_STATE:]
+        """State, action, start headings, bank, then first observations or draws -> the step's leaves, its state, where
+        to go on.
+        """
+        kind = self.task.state_class
+        state, (action, heading, bank, *others) = kind(*tensors[: len(kind._fields)]), tensors[len(kind._fields) :]
+        later, first = others if self.task.n_draws else (None, None)
         task = self.task.with_bank(bank)
-        final, outcome = task.step(state, action)
+        final, outcome = task.step(state, action, later)
         done = outcome.terminated | outcome.truncated
-        fresh = task.start((final.layout + 1) % bank.shape[0], heading)
+        fresh = task.place((final.layout + 1) % bank.shape[0], heading)
+        if task.remembers:
+            fresh = task.remember(fresh, first, others[0][fresh.layout] if self._first_observations else None)
         state = where(done, fresh, final)
-        if first_observations:
-            observation = torch.where(done[..., None], first_observations[0][fresh.layout], outcome.observation)
+        if task.remembers:
+            observation = task.recall(state)
+        elif self._first_observations:
+            observation = torch.where(done[..., None], others[0][fresh.layout], outcome.observation)
         else:
             observation, _ = task.observe(state)
         return *_leaves(outcome).values(), *final, observation, *state

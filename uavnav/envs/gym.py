@@ -22,8 +22,10 @@ from torch import Tensor
 from uavnav.envs import scalar
 from uavnav.envs.drawing import draw_state
 from uavnav.tasks import seeding
+from uavnav.tasks.chance import Chance
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import Task, make_task
-from uavnav.tasks.state import UP, State, where
+from uavnav.tasks.state import State, at, where
 from uavnav.tasks.world import World
 
 Observation = np.ndarray[Any, np.dtype[np.floating[Any] | np.integer[Any]]]
@@ -32,21 +34,27 @@ Info = dict[str, Any]
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
 
 
-def observation_space(world: World) -> spaces.Box:
-    """A Box of what the world's drone senses: ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13)."""
-    low = np.array(world.observation_low, dtype=np.float32)
+def observation_space(world: World, stack: int = 1) -> spaces.Box:
+    """A Box of what the drone senses: ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13), or a stack of such."""
+    low = np.tile(np.array(world.observation_low, dtype=np.float32), stack)
     return spaces.Box(low, np.ones_like(low), dtype=np.float32)
 
 
 def _task(
-    parts: tuple[str | Path | Tensor, World | None, str | None, int | None], task: str | Task, fields: Mapping[str, Any]
+    layouts: str | Path | Tensor,
+    world: World | None,
+    reward: str | None,
+    max_steps: int | None,
+    task: str | Task,
+    stack: int,
+    faults: Faults | Mapping[str, Any] | None,
+    fields: Mapping[str, Any],
 ) -> Task:
-    """The task of an environment, on the CPU, from its keywords; parts: layouts, world, reward and cap."""
-    layouts, world, reward, max_steps = parts
+    """The task of an environment, on the CPU, from its keywords."""
     if fields and isinstance(task, Task):
         raise ValueError(f"{next(iter(fields))}=...: a whole task has a world; give no fields beside it")
     given = {**(asdict(world) if isinstance(world, World) else world or {}), **fields} if fields else world
-    whole = make_task(layouts, given, reward, max_steps, task)
+    whole = make_task(layouts, given, reward, max_steps, task, stack, faults)
     return whole.with_bank(whole.bank.cpu())
 
 
@@ -69,7 +77,7 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
     Action:
         Discrete(100): ten turns times ten distances, eqs (11) and (12).
     Observation:
-        Box of 30 float32: ten triplets (right, forward, proximity), eq. (13).
+        Box of 30 float32: ten triplets (right, forward, proximity), eq. (13); of `stack` such, the newest first.
     Reward:
         Eq. (14), or another variant of `uavnav.rewards`.
     Start:
@@ -97,14 +105,16 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
         reward: str | None = None,
         render_mode: str | None = None,
         task: str | Task = "drone",
+        stack: int = 1,
+        faults: Faults | Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        self.task = _task((layouts, world, reward, max_steps), task, fields)
+        self.task = _task(layouts, world, reward, max_steps, task, stack, faults, fields)
         self.world, self.bank = self.task.world, self.task.bank
         self.render_mode = render_mode
-        self.observation_space = observation_space(self.world)
+        self.observation_space = observation_space(self.world, self.task.stack)
         self.action_space = spaces.Discrete(self.world.n_actions)
         self._flight = scalar.fly(self.task)
         self._layout: int | None = None  # of the present episode
@@ -116,14 +126,13 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
         super().reset(seed=seed)
         if seed is not None or self._layout is None:
             seeds = [int(self.np_random.integers(2**31)) if seed is None else seed]
-            self._streams = seeding.Streams(seeds, "headings")
+            self._chance = Chance(self.task, seeds, 1)
             following = int(seeding.places(seeds, 1, len(self.bank), "cpu"))
         else:
             following = (self._layout + 1) % len(self.bank)
         self._layout = following if chosen is None else chosen
-        random = self.world.start_heading == "random"
-        heading = int(seeding.headings(self._streams, 1, "cpu")) if random else UP
-        return self._flight.start(self._layout, heading), self._info()
+        heading = int(self._chance.headings())
+        return self._flight.start(self._layout, heading, self._chance.first()), self._info()
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, Info]:
         if self._layout is None:
@@ -134,7 +143,7 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
             index = -1
         if not 0 <= index < self.world.n_actions:
             raise ValueError(f"action={action}; give a whole number from 0 to {self.world.n_actions - 1}")
-        return *self._flight.step(index), self._info()
+        return *self._flight.step(index, self._chance.later()), self._info()
 
     def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
         """The picture [600, 800, 3] of the current state, with `render_mode="rgb_array"`."""
@@ -184,17 +193,19 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         reward: str | None = None,
         render_mode: str | None = None,
         task: str | Task = "drone",
+        stack: int = 1,
+        faults: Faults | Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs={num_envs}; give at least 1")
         if render_mode not in (None, *METADATA["render_modes"]):
             raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
-        self.task = _task((layouts, world, reward, max_steps), task, fields)
+        self.task = _task(layouts, world, reward, max_steps, task, stack, faults, fields)
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode.SAME_STEP
-        self.single_observation_space = observation_space(self.task.world)
+        self.single_observation_space = observation_space(self.task.world, self.task.stack)
         self.single_action_space = spaces.Discrete(self.task.world.n_actions)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
@@ -219,7 +230,7 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         if layout is not None:
             chosen = torch.as_tensor(pick(layout, (self.num_envs,), len(self.task.bank)), dtype=torch.int64)
             following = chosen.expand(self.num_envs).clone()
-        self._state = self.task.start(following, self._headings())
+        self._state = self._start(following)
         observation, clearance = self.task.observe(self._state)
         return observation.numpy(), self._info(self._state, clearance)
 
@@ -234,7 +245,7 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
             whole = f"give a whole number from 0 to {n_actions - 1} for each of the {self.num_envs} rows"
             raise ValueError(f"action={actions}; {whole}")
         action = torch.as_tensor(given, dtype=torch.int64).reshape(self.num_envs)
-        state, outcome = self.task.step(self._state, action)
+        state, outcome = self.task.step(self._state, action, _flat(self._chance.later()))
         observation, clearance = outcome.observation, outcome.clearance
         done = outcome.terminated | outcome.truncated
         info = {}
@@ -248,7 +259,7 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
             masks = {f"_{key}": ended.copy() for key in masked}
             info = {"final_obs": final_observations, "final_info": masked | masks}
             info |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
-            fresh = self.task.start((state.layout + 1) % len(self.task.bank), self._headings())
+            fresh = self._start((state.layout + 1) % len(self.task.bank))
             state = where(done, fresh, state)
             observation, clearance = self.task.observe(state)
         self._state = state
@@ -264,20 +275,18 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         """One picture [600, 800, 3] per row, with `render_mode="rgb_array"`."""
         if self.render_mode is None or self._state is None:
             return None
-        rows = [State(*(field[row] for field in self._state)) for row in range(self.num_envs)]
-        return tuple(draw_state(row, self.task) for row in rows)
+        return tuple(draw_state(at(self._state, row), self.task) for row in range(self.num_envs))
 
     def _seed_rows(self, seeds: Sequence[int]) -> None:
         """Choose every row's first layout: all rows share one seed, or each row has its own."""
-        self._rows_per_seed = self.num_envs // len(seeds)
-        self._streams = seeding.Streams(seeds, "headings")
-        self._first = seeding.places(seeds, self._rows_per_seed, len(self.task.bank), "cpu").flatten()
+        rows = self.num_envs // len(seeds)
+        self._chance = Chance(self.task, seeds, rows)
+        self._first = seeding.places(seeds, rows, len(self.task.bank), "cpu").flatten()
         self._seeded, self._state = True, None
 
-    def _headings(self) -> Tensor:
-        if self.task.world.start_heading == "up":
-            return torch.full((self.num_envs,), UP)
-        return seeding.headings(self._streams, self._rows_per_seed, "cpu").flatten()
+    def _start(self, layout: Tensor) -> State:
+        """Where episodes of every row begin."""
+        return self.task.start(layout, self._chance.headings().flatten(), _flat(self._chance.first()))
 
     @property
     def obstacles(self) -> np.ndarray[Any, Any]:
@@ -298,3 +307,8 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
         values = {name: value.numpy().copy() for name, value in self.task.info(state).items()}
         values["clearance"] = clearance.numpy().copy()
         return values | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in values}
+
+
+def _flat(draws: Tensor | None) -> Tensor | None:
+    """Draws [seeds, rows, n] as those of a batch [N, n]."""
+    return None if draws is None else draws.flatten(0, 1)

@@ -27,13 +27,15 @@ Circle = tuple[float, float, float]
 
 
 def fly(task: Task) -> Flight | BatchOfOne:
-    """A drone in plain numbers where a table holds the reward of the paper's task, else as a batch of one."""
-    known = type(task) is Task and REWARDS[task.reward] in BY_ACTION
+    """A drone in plain numbers in the paper's task without memory and faults, for a reward of the table; else as a
+    batch of one.
+    """
+    known = type(task) is Task and REWARDS[task.reward] in BY_ACTION and not task.remembers
     return Flight(task) if known else BatchOfOne(task)
 
 
 class Flight:
-    """A drone among the obstacles of one set: `start`, then `step` until it is over."""
+    """A drone among the obstacles of one set: `start`, then `step` until it is over. It needs no draws."""
 
     def __init__(self, task: Task) -> None:
         self.task, self.world, self.max_steps = task, task.world, task.max_steps
@@ -41,20 +43,20 @@ class Flight:
         action = torch.arange(self.world.n_actions)
         angle, distance = decode(action, self.world)
         self._angles, self._distances = angle.tolist(), distance.tolist()
-        nowhere = task.start(torch.zeros_like(action), torch.zeros_like(action))
+        nowhere = task.place(torch.zeros_like(action), torch.zeros_like(action))
         collided = torch.tensor([[False], [True]])
         step = Step(nowhere, nowhere, action, angle, distance, collided, angle, angle, self.world)
         terms = REWARDS[task.reward](step).values()
         shape = 2, self.world.n_actions
         self._rewards = torch.stack([term.expand(shape) for term in terms]).sum(0).tolist()
 
-    def start(self, layout: int, heading: int) -> Observation:
+    def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
         """Put the drone at the start; layout: index in the bank; heading: whole degrees -> observation [30] float32."""
         self.layout, self.heading, self.steps = layout, heading, 0
         self.x, self.y = self.world.start
         return self._observe()
 
-    def step(self, action: int) -> tuple[Observation, float, bool, bool]:
+    def step(self, action: int, draws: Tensor | None = None) -> tuple[Observation, float, bool, bool]:
         """Turn, move, sense, then judge: action -> observation [30] float32, reward, terminated, truncated."""
         distance = self._distances[action]
         self.heading = (self.heading + self._angles[action]) % 360
@@ -87,15 +89,15 @@ class BatchOfOne:
     def __init__(self, task: Task) -> None:
         self.task = task
 
-    def start(self, layout: int, heading: int) -> Observation:
-        """As `Flight.start`."""
-        state = self.task.start(torch.tensor(layout), torch.tensor(heading))
+    def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
+        """As `Flight.start`; draws: of the task's n_draws numbers, where it needs some."""
+        state = self.task.start(torch.tensor(layout), torch.tensor(heading), _flat(draws))
         observation, clearance = self.task.observe(state)
         return self._keep(state, observation, clearance)
 
-    def step(self, action: int) -> tuple[Observation, float, bool, bool]:
-        """As `Flight.step`."""
-        state, outcome = self.task.step(self.state, torch.tensor(action))
+    def step(self, action: int, draws: Tensor | None = None) -> tuple[Observation, float, bool, bool]:
+        """As `Flight.step`; draws: as for `start`."""
+        state, outcome = self.task.step(self.state, torch.tensor(action), _flat(draws))
         observation = self._keep(state, outcome.observation, outcome.clearance)
         return observation, float(outcome.reward), bool(outcome.terminated), bool(outcome.truncated)
 
@@ -108,6 +110,10 @@ class BatchOfOne:
         self.layout, self.heading = int(state.layout), int(state.heading)
         self.x, self.y = float(state.x), float(state.y)
         return observation.numpy()
+
+
+def _flat(draws: Tensor | None) -> Tensor | None:
+    return None if draws is None else draws.flatten()
 
 
 def _float32(value: float) -> float:

@@ -36,6 +36,10 @@ The world:
 
 {world}
 
+Faults:
+
+{faults}
+
 The command:
 
 {command}
@@ -117,10 +121,11 @@ def of_command() -> list[Line]:
     return found
 
 
-def render(kind: type, world: type) -> str:
-    """The help of an algorithm, from the class of its configuration and that of its world."""
+def render(kind: type, world: type, faults: type) -> str:
+    """The help of an algorithm, from the class of its configuration, that of its world and that of faults."""
     name, presets = kind.algorithm, kind.PRESETS  # type: ignore[attr-defined]
-    settings = [line for line in lines(kind) if line.name != "world"]  # its fields have lines of their own
+    parts = {"world": world, "faults": faults}  # whose fields have lines of their own
+    settings = [line for line in lines(kind) if line.name not in parts]
     width = max(len(one) for one in presets)
     sets = {one: " ".join(f"{key}={shown(value)}" for key, value in given.items()) for one, given in presets.items()}
     return TEXT.format(
@@ -128,7 +133,7 @@ def render(kind: type, world: type) -> str:
         title=(kind.__doc__ or "").partition("\n")[0],
         settings=_table(settings),
         presets="\n".join(f"  {one:{width}}  {given or 'nothing'}" for one, given in sets.items()),
-        world=_table(lines(world, "world.")),
+        **{name: _table(lines(part, f"{name}.")) for name, part in parts.items()},
         command=_table(of_command()),
     )
 

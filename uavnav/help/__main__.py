@@ -4,9 +4,10 @@ from importlib import import_module
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help import render, text_of
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.world import World
 
 if __name__ == "__main__":
     for name, algorithm in ALGORITHMS.items():
         kind = type(next(iter(import_module(algorithm.module).PRESETS.values())))
-        text_of(name).write_text(render(kind, World), encoding="utf-8")
+        text_of(name).write_text(render(kind, World, Faults), encoding="utf-8")

@@ -32,12 +32,15 @@ from uavnav.runs.readings import (
     within,
 )
 from uavnav.runs.tables import RunError
+from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.world import World
 
 BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
 TASK = "drone"
 """The task of a run that names none."""
+PARTS = {"world": World, "faults": Faults}
+"""The tables of a configuration: a field is a setting of its own."""
 ONCE_FLAT = ("slots", "padding", "start_heading")
 """Fields of `World` that older configurations hold beside `world` and not in it."""
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
@@ -135,9 +138,11 @@ def _settings(run: Run) -> dict[str, Any]:
     bank is its checksum, whatever path led to it.
     """
     later = ALGORITHMS[run.algorithm].came_later if run.algorithm in ALGORITHMS else {}
-    config = {"task": TASK, "layouts": "train", **later, **_flat(run.config)}
-    if "world" in config:
-        raise RunError(f"{run.path / 'config.yaml'}: world is no table; not a run of this package")
+    config = _flat({"task": TASK, "layouts": "train", "stack": 1, "faults": asdict(NO_FAULTS)})
+    config |= {**later, **_flat(run.config)}
+    for part in PARTS:
+        if part in config:
+            raise RunError(f"{run.path / 'config.yaml'}: {part} is no table; not a run of this package")
     if config["task"] == TASK:
         config = _flat({"world": asdict(World())}) | config
     bank, layouts = run.meta["bank"], str(config.pop("layouts"))
@@ -151,12 +156,19 @@ def _settings(run: Run) -> dict[str, Any]:
 
 
 def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration with the fields of its table `world` as `world.<field>`; so are the three of older ones."""
+    """A configuration with the fields of its tables as `world.<field>`; so are the three of older ones."""
     rest = dict(config)
-    world = rest.pop("world") if isinstance(rest.get("world"), dict) else {}
-    own = {name: rest.pop(name) for name in ONCE_FLAT if name in rest} | world
-    floats = {name for name, value in own.items() if type(value) is int and isinstance(getattr(World, name, 0), float)}
-    return rest | {f"world.{name}": float(value) if name in floats else value for name, value in own.items()}
+    older = {name: rest.pop(name) for name in ONCE_FLAT if name in rest}
+    for part, kind in PARTS.items():
+        own = rest.pop(part) if isinstance(rest.get(part), dict) else {}
+        own = older | own if part == "world" else own
+        rest |= {f"{part}.{name}": _as_field(getattr(kind, name, None), value) for name, value in own.items()}
+    return rest
+
+
+def _as_field(default: Any, value: Any) -> Any:
+    """A setting in the type of its field: 90 is 90.0."""
+    return float(value) if type(value) is int and isinstance(default, float) else value
 
 
 def _checked(run: Run, name: str, rows: pd.DataFrame) -> pd.DataFrame:

@@ -13,7 +13,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup, escape
 
-from uavnav import evaluate
+from uavnav import browser, evaluate
 from uavnav.report import conclusions, findings, frames, studies, tables
 from uavnav.report.cells import BINS, algorithms, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
@@ -45,7 +45,7 @@ DECISIONS = [
     if not line.startswith("|--")
 ]
 """What the paper leaves open, and what was decided: the table of docs/decisions.md, its header first."""
-PLAYER = ("replay-drawing.js", "replay.js")
+PLAYER = (*browser.WORLD, browser.HERE / "replay.js")
 """Scripts of the player, in the order in which a browser reads them."""
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("uavnav.report"),
@@ -152,8 +152,8 @@ def page(content: Content, pictures: Mapping[str, str], first: Path) -> str:
     return render(
         "page.html",
         content,
-        css=Markup((HERE / "templates" / "page.css").read_text() + (HERE / "replay.css").read_text()),
-        js=Markup("".join((HERE / name).read_text() for name in PLAYER)),
+        css=Markup(browser.joined([HERE / "templates" / "page.css", browser.HERE / "replay.css"])),
+        js=Markup(browser.joined(PLAYER)),
         replays=Markup(replays),
         version=importlib.metadata.version("uavnav"),
         sections=list(SECTIONS.items()),

@@ -150,17 +150,18 @@ def fly(flyers: Sequence[tuple[int, Policy]], bank: Tensor, n_layouts: int, max_
 def _fly_together(flyers: Sequence[tuple[int, Policy]], task: Task, n_layouts: int) -> Iterator[list[Flight]]:
     """The flights of each flyer on the first sets, all of them as one batch."""
     n = len(task.bank)
-    start = flights.start(task, len(flyers))
+    start = flights.start(task, [seed for seed, _ in flyers])
     kept = torch.arange(len(start.x)) % n < n_layouts
     going = int(kept.sum())
     observation, clearance = task.observe(start)
-    poses, choices = [_pose(torch.arange(len(kept)), start, observation, clearance, kept)], []
+    n_seen = task.world.observation_size  # of a stack the newest is drawn
+    poses, choices = [_pose(torch.arange(len(kept)), start, observation[:, :n_seen], clearance, kept)], []
     collided = torch.zeros(len(kept), dtype=torch.bool)
     for step in flights.fly(flyers, task, values=True):
         assert step.values is not None
         mine, outcome = kept[step.flight], step.outcome
         choices.append({"row": step.flight[mine], "action": step.action[mine], "values": step.values[mine]})
-        poses.append(_pose(step.flight, step.state, outcome.observation, outcome.clearance, mine))
+        poses.append(_pose(step.flight, step.state, outcome.observation[:, :n_seen], outcome.clearance, mine))
         collided[step.flight] = outcome.terminated
         going -= int((step.ended & mine).sum())
         if not going:

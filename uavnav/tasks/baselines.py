@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from uavnav.tasks.goal import SCALE
+from uavnav.tasks.goal import SCALE, GoalWorld
 from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.world import World
 
@@ -18,6 +18,7 @@ WORLD = World()
 FULL_SPEED = WORLD.n_distances - 1  # straight ahead, 9 px
 LEFT_IN_PLACE = WORLD.n_turns // 2 * WORLD.n_distances  # 5 degrees, 0 px
 MARGIN = 0.01  # [px] against rounding
+WITH_GOAL = GoalWorld().observation_size
 
 
 def uniform_random(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -35,11 +36,14 @@ def reactive(observation: Tensor, generator: torch.Generator | None = None) -> T
     `towards_goal`.
 
     The distance to a convex body at d px in a direction with forward component y falls by at most s y over s px
-    straight ahead, and what is behind recedes: d - 9 y > 30 for all that is in view excludes a collision.
+    straight ahead, and what is behind recedes: d - 9 y > 30 for all that is in view excludes a collision. It looks at
+    the newest observation of a stack.
     """
-    if observation.shape[-1] % WORLD.n_slots:
+    size = observation.shape[-1]
+    if size % WITH_GOAL == 0:
         return towards_goal(observation, generator)
-    slots = observation.reshape(*observation.shape[:-1], WORLD.n_slots, -1)
+    width = 3 if size % WORLD.observation_size == 0 else 5  # with velocities
+    slots = observation[..., : WORLD.n_slots * width].reshape(*observation.shape[:-1], WORLD.n_slots, width)
     distance = WORLD.drone_radius + slots[..., 2] * (WORLD.sensor_radius - WORLD.drone_radius)
     closest = (distance - FULL_SPEED * slots[..., 1]).amin(-1)
     return torch.where(closest > WORLD.drone_radius + MARGIN, FULL_SPEED, LEFT_IN_PLACE)
@@ -57,7 +61,7 @@ def towards_goal(observation: Tensor, generator: torch.Generator | None = None) 
     to a goal that is nearer. The drone turns on the spot while it has 45 degrees or more to turn, or nothing is free.
     """
     slots = observation[..., : 3 * WORLD.n_slots].unflatten(-1, (WORLD.n_slots, 3))
-    right, forward, away = observation[..., -3:].unbind(-1)
+    right, forward, away = observation[..., WORLD.observation_size : WITH_GOAL].unbind(-1)
     towards, empty = slots[..., :2], (slots[..., :2] == 0).all(-1)
     distance = WORLD.drone_radius + slots[..., 2] * (WORLD.sensor_radius - WORLD.drone_radius)
     ahead = torch.deg2rad(BEARINGS)

@@ -6,6 +6,7 @@ Letters: K obstacles of a layout, S = 28 border squares that can matter, N = K +
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -16,15 +17,25 @@ from uavnav.tasks.world import World
 VIEW_TOLERANCE = 1e-6
 """A direction counts as in front of the drone down to this much behind it, so that rounding never hides a neighbour."""
 
+Echoes = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+"""What faults make of the slots: true distance [S, ...] px, filled [S, ...] bool -> sensed distance, filled."""
+
 
 def sense(
-    x: Tensor, y: Tensor, heading: Tensor, obstacles: Tensor, world: World, velocities: Tensor | None = None
+    x: Tensor,
+    y: Tensor,
+    heading: Tensor,
+    obstacles: Tensor,
+    world: World,
+    velocities: Tensor | None = None,
+    echoes: Echoes | None = None,
 ) -> tuple[Tensor, Tensor]:
     """The ten sensed obstacles and the distance to the nearest one.
 
     x, y [...] px, heading [...] whole degrees in 0..359, obstacles [..., K, 3] of (x, y, radius) px ->
     slots [..., 10, 3] of (right, forward, distance), eq. (13), and clearance [...] px, the smallest distance from the
     drone's centre to any circle or border square, in view or not: at most `world.drone_radius` is a collision.
+    What is in view, the order of slots and the clearance follow from true distances, whatever `echoes` does.
 
     With velocities [..., K, 2], as shares of the greatest speed, a slot has two numbers more: the obstacle's velocity
     to the right and forward, clamped to [-1, 1]; zero of a square or an empty slot.
@@ -36,15 +47,20 @@ def sense(
     scale = torch.where(length > 0, 1 / length, 0.0)  # a centre that coincides has no direction: u = (0, 0)
     right, forward = to_drone_frame(dx * scale, dy * scale, heading)
     in_view = (distance <= world.sensor_radius) & (forward >= world.view_cosine - VIEW_TOLERANCE)
-    proximity = (distance - world.drone_radius) / (world.sensor_radius - world.drone_radius)
-    triples = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), proximity.clamp(0, 1)])
+    proximity = distance if echoes else _scaled(distance, world)  # of what echoes disturb, it is worked out later
+    triples = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), proximity if echoes else proximity.clamp(0, 1)])
     if velocities is not None:
         east, north = velocities.movedim((-1, -2), (0, 1))
         own = torch.stack(to_drone_frame(east, north, heading)).clamp(-1, 1)
         squares = triples.new_zeros(2, len(distance) - own.shape[1], *distance.shape[1:])
         triples = torch.cat([triples, torch.cat([own, squares], 1)])
-    slots = _first_in_view(triples, distance, in_view, world)
+    slots = _first_in_view(triples, distance, in_view, world, echoes)
     return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
+
+
+def _scaled(distance: Tensor, world: World) -> Tensor:
+    """l in eq. (13) before it is clamped: 0 at the drone's edge, 1 at its sensor's reach. Distance [...] px."""
+    return (distance - world.drone_radius) / (world.sensor_radius - world.drone_radius)
 
 
 def clearance(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> Tensor:
@@ -107,7 +123,9 @@ def _offset_to_square(x: Tensor, y: Tensor, left: Tensor, bottom: Tensor, side: 
     return torch.clamp(x, left, left + side) - x, torch.clamp(y, bottom, bottom + side) - y
 
 
-def _first_in_view(triples: Tensor, distance: Tensor, in_view: Tensor, world: World) -> Tensor:
+def _first_in_view(
+    triples: Tensor, distance: Tensor, in_view: Tensor, world: World, echoes: Echoes | None = None
+) -> Tensor:
     """The first ten candidates in view, nearest (or lowest index) first, ties by index; empty slots are padded.
 
     triples [3, N, ...] (5 with velocities), distance, in_view [N, ...] -> slots [3, 10, ...]. In a graph the rank of a
@@ -130,4 +148,10 @@ def _first_in_view(triples: Tensor, distance: Tensor, in_view: Tensor, world: Wo
     filled = (key < math.inf).sum(0, dtype=distance.dtype)
     far = 1.0 if world.padding == "far" else 0.0
     padding = torch.tensor([0.0, 0.0, far, *[0.0] * (len(triples) - 3)], device=distance.device)
-    return torch.where(slot < filled, slots, padding.reshape(-1, *[1] * distance.ndim))
+    if echoes is None:
+        is_filled = slot < filled
+    else:  # then the third number is still the distance [px]
+        right, forward, third, *others = slots
+        third, is_filled = echoes(third, slot < filled)
+        slots = torch.stack([right, forward, _scaled(third, world).clamp(0, 1), *others])
+    return torch.where(is_filled, slots, padding.reshape(-1, *[1] * distance.ndim))

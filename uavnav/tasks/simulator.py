@@ -7,20 +7,22 @@ TensorDicts, specs or agents. Letters: B the batch shape (any, also none), L lay
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import torch
 from torch import Tensor
 
 from uavnav.choices import did_you_mean, unknown_key
-from uavnav.tasks import goal, moving
+from uavnav.tasks import goal, memory, moving
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.dynamics import decode, move
+from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.rewards import REWARDS, Step, Terms
-from uavnav.tasks.sensing import clearance, sense, to_drone_frame
+from uavnav.tasks.sensing import Echoes, clearance, sense, to_drone_frame
 from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
 
@@ -28,7 +30,7 @@ from uavnav.tasks.world import World
 class Outcome(NamedTuple):
     """What a step led to."""
 
-    observation: Tensor  # [*B, observation_size] float32, at the collision where there was one
+    observation: Tensor  # [*B, observation_size] float32 that a policy sees, at the collision where there was one
     clearance: Tensor  # [*B] px
     reward: Tensor  # [*B] float64
     terminated: Tensor  # [*B] bool: a collision
@@ -58,10 +60,15 @@ class Task:
     STATIC: ClassVar[bool] = True
     """Nothing moves but the drone, and nothing is random: from the same place the same actions lead the same way."""
 
+    STATE: ClassVar[type[State]] = State
+    """What a drone is at one moment, aside from what it remembers."""
+
     world: World
     bank: Tensor  # [L, K, 3] of (x, y, radius) px
     reward: str = "eq14"  # a name of `REWARDS`
     max_steps: int | None = None  # a cap on steps, or none as in the paper
+    stack: int = 1  # newest observations that a policy sees at once, the newest first
+    faults: Faults = NO_FAULTS
 
     def __post_init__(self) -> None:
         if self.reward not in REWARDS:
@@ -69,12 +76,68 @@ class Task:
             raise ValueError(f"reward={self.reward!r}; choose from {', '.join(REWARDS)}{hint}")
         if self.max_steps is not None and (not isinstance(self.max_steps, int) or self.max_steps < 1):
             raise ValueError(f"max_steps={self.max_steps}; choose None or a whole number from 1")
+        if not isinstance(self.stack, int) or self.stack < 1:
+            raise ValueError(f"stack={self.stack}; give a whole number from 1")
 
-    def start(self, layout: Tensor, heading: Tensor) -> State:
-        """The state at the beginning of an episode: layout [*B] index, heading [*B] whole degrees."""
+    @property
+    def observation_size(self) -> int:
+        """Numbers that a policy sees: those of the world, for each observation of the stack."""
+        return self.stack * self.world.observation_size
+
+    @property
+    def remembers(self) -> bool:
+        """Whether states remember observations: of a stack, or as faults had them sensed."""
+        return self.stack > 1 or self.faults != NO_FAULTS
+
+    @property
+    def state_class(self) -> type[State]:
+        """That of its states, with what a drone remembers."""
+        return memory.remembering(self.STATE) if self.remembers else self.STATE  # type: ignore[arg-type]
+
+    # -- random numbers: tensors that come in ------------------------------------------------------------------------
+
+    @property
+    def n_draws(self) -> int:
+        """Random numbers that a row needs to start, and for each step; mostly none."""
+        return sum(self.faults.sizes(self.world.n_slots))
+
+    def draw(self, rows: int, generator: torch.Generator) -> Tensor:
+        """The random numbers of one step, or of one start, of so many rows: [rows, n_draws] float32."""
+        normal, *uniform = self.faults.sizes(self.world.n_slots)
+        drawn = torch.randn(rows, normal, generator=generator), torch.rand(rows, sum(uniform), generator=generator)
+        return torch.cat(drawn, -1)
+
+    def _check_draws(self, draws: Tensor | None) -> None:
+        if draws is None and self.n_draws:
+            raise ValueError(f"faults={self.faults}: give draws, which the task's `draw` makes for its rows")
+
+    # -- what happens ------------------------------------------------------------------------------------------------
+
+    def start(self, layout: Tensor, heading: Tensor, draws: Tensor | None = None) -> State:
+        """The state at the beginning of an episode.
+
+        layout [*B] index, heading [*B] whole degrees, draws [*B, n_draws] where the task needs some.
+        """
+        self._check_draws(draws)
+        return self.remember(self.place(layout, heading), draws)
+
+    def place(self, layout: Tensor, heading: Tensor) -> State:
+        """Where an episode begins, without what is sensed there: layout [*B] index, heading [*B] whole degrees."""
         x, y = (torch.full_like(layout, place, dtype=torch.float32) for place in self.world.start)
         counts = {name: torch.zeros_like(layout) for name in COUNTS[:-1]}
         return State(x, y, heading, layout, **counts, reward=torch.zeros_like(layout, dtype=torch.float64))
+
+    def remember(self, state: State, draws: Tensor | None = None, sensed: Tensor | None = None) -> State:
+        """The same state as if the episode began there: where this task remembers, the one observation of now.
+
+        draws [*B, n_draws] disturb what is sensed, if they are given; or sensed [*B, n] says what it was.
+        """
+        bare = memory.forget(state, self.STATE)
+        if not self.remembers:
+            return bare
+        if sensed is None:
+            sensed, _ = self.sense(bare, draws)
+        return memory.begin(bare, sensed, self.faults.late + self.stack)
 
     def obstacles(self, state: State) -> Tensor:
         """Where the obstacles of each row are now: [*B, K, 3] px."""
@@ -88,10 +151,32 @@ class Task:
         """What an environment tells of each row beside its observation: names and values [*B]."""
         return {"layout": state.layout, "x": state.x, "y": state.y, "heading": state.heading}
 
-    def observe(self, state: State) -> tuple[Tensor, Tensor]:
-        """What is sensed, as one vector a row: observation [*B, observation_size], clearance [*B] px."""
-        slots, clearance = sense(state.x, state.y, state.heading, self.obstacles(state), self.world)
+    def sense(self, state: State, draws: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """What is sensed now, as one vector a row: [*B, world.observation_size], and clearance [*B] px.
+
+        draws [*B, n_draws] disturb it as `faults` says; without them it is as it is.
+        """
+        around = state.x, state.y, state.heading, self.obstacles(state), self.world
+        slots, clearance = sense(*around, echoes=self.echoes(draws))
         return slots.flatten(-2), clearance
+
+    def echoes(self, draws: Tensor | None) -> Echoes | None:
+        """What faults make of the echoes of slots, if anything: draws [*B, n_draws]."""
+        if draws is None or not (self.faults.noise or self.faults.lost):
+            return None
+        return functools.partial(self.faults.echoes, draws=draws)
+
+    def observe(self, state: State) -> tuple[Tensor, Tensor]:
+        """What a policy sees, as one vector a row: observation [*B, observation_size], clearance [*B] px.
+
+        A drone that remembers does not sense again: it sees what its state holds.
+        """
+        sensed, clearance = self.sense(state)
+        return self.recall(state) if self.remembers else sensed, clearance
+
+    def recall(self, state: State) -> Tensor:
+        """The stack of observations that a policy sees, late as `faults` says: [*B, observation_size]."""
+        return memory.recall(state, self.faults.late, self.stack)
 
     def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
         """Turn, then fly: where the drone is after action [*B], angle [*B] degrees, distance [*B] px."""
@@ -99,13 +184,23 @@ class Task:
         x, y, heading = move(state.x, state.y, state.heading, angle, distance)
         return state._replace(x=x, y=y, heading=heading), angle, distance
 
-    def step(self, state: State, action: Tensor) -> tuple[State, Outcome]:
-        """Move, sense, then judge: one step of every row, action [*B] int64 in 0..n_actions - 1.
+    def step(self, state: State, action: Tensor, draws: Tensor | None = None) -> tuple[State, Outcome]:
+        """Move, sense, then judge: one step of every row.
 
-        A collision is `terminated`; the cap on steps, where there is one, is `truncated` and never also a collision.
+        action [*B] int64 in 0..n_actions - 1, draws [*B, n_draws] where the task needs some. A collision is
+        `terminated`; the cap on steps, where there is one, is `truncated` and never also a collision.
+
+        Raises:
+            ValueError: the task has faults that need random numbers, and there are none.
         """
+        self._check_draws(draws)
+        if draws is not None and self.faults.sticky:
+            action = self.faults.executed(action, memory.executed_of(state), state.steps, draws)
         moved, angle, distance = self.move(state, action)
-        observation, clearance = self.observe(moved)
+        observation, clearance = self.sense(moved, draws)
+        if self.remembers:
+            moved = memory.add(moved, observation, action)
+            observation = self.recall(moved)
         collided = clearance <= self.world.drone_radius
         stopped, turned = distance == 0, angle != 0
         after = moved._replace(
@@ -139,7 +234,7 @@ class Task:
         return replace(self, bank=bank)
 
     def on(self, layouts: str | Path | Tensor, max_steps: int | None) -> Self:
-        """The same world and reward on another bank, with another cap.
+        """The same task on another bank, with another cap.
 
         Raises:
             LayoutError, ValueError: the bank or the cap is not right.
@@ -150,7 +245,7 @@ class Task:
         """All of it, as the header of a policy's file holds it; of the bank its SHA-256."""
         name = next(name for name, kind in TASKS.items() if kind is type(self))
         own = {"task": name, "world": asdict(self.world), "reward": self.reward, "max_steps": self.max_steps}
-        return own | {"bank": banks.checksum(self.bank)}
+        return own | {"stack": self.stack, "faults": asdict(self.faults), "bank": banks.checksum(self.bank)}
 
 
 class Moving(Task):
@@ -175,13 +270,13 @@ class Moving(Task):
         """As of the paper's task, and the steps of the episode, on which the obstacles depend."""
         return super().info(state) | {"steps": state.steps}
 
-    def observe(self, state: State) -> tuple[Tensor, Tensor]:
-        """What is sensed, with or without velocities: observation [*B, observation_size], clearance [*B] px."""
+    def sense(self, state: State, draws: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """What is sensed, with or without velocities: [*B, world.observation_size], clearance [*B] px."""
         if not self.world.sense_velocity:
-            return super().observe(state)
+            return super().sense(state, draws)
         obstacles, velocities = moving.motion(self.bank[state.layout], state.steps, self.world)
         shares = velocities / self.world.speed_max if self.world.speed_max else torch.zeros_like(velocities)
-        slots, clearance = sense(state.x, state.y, state.heading, obstacles, self.world, shares)
+        slots, clearance = sense(state.x, state.y, state.heading, obstacles, self.world, shares, self.echoes(draws))
         return slots.flatten(-2), clearance
 
     def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
@@ -211,9 +306,9 @@ class Goal(Task):
         dx, dy = place[..., 0] - state.x, place[..., 1] - state.y
         return dx, dy, torch.sqrt(dx * dx + dy * dy)
 
-    def observe(self, state: State) -> tuple[Tensor, Tensor]:
+    def sense(self, state: State, draws: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """What is sensed, then the direction to the goal, right and forward, and its distance / 1,000 px, at most 1."""
-        slots, clearance = super().observe(state)
+        slots, clearance = super().sense(state, draws)
         dx, dy, distance = self.to_goal(state)
         scale = torch.where(distance > 0, 1 / distance, 0.0)
         right, forward = to_drone_frame(dx * scale, dy * scale, state.heading)
@@ -263,6 +358,8 @@ def make_task(
     reward: str | None = None,
     max_steps: int | None = None,
     task: str | Task = "drone",
+    stack: int = 1,
+    faults: Faults | Mapping[str, Any] | None = None,
 ) -> Task:
     """A task from its parts.
 
@@ -270,7 +367,9 @@ def make_task(
         layouts: `train`, `validation`, `test`, a bank's path, or a tensor [L, K, 3].
         world: constants and switches; by default, or where a mapping leaves them out, the task's own.
         reward, max_steps: as of `Task`; by default the task's own, `REWARD` and `MAX_STEPS`.
-        task: a name of `TASKS`; or a whole task, which then says all that is above.
+        task: a name of `TASKS`; or a whole task, which then says all that is above and below.
+        stack: as of `Task`.
+        faults: of its sensor and actuator, or a mapping of some; by default none.
 
     Raises:
         LayoutError: the bank cannot be read or is not valid.
@@ -282,11 +381,21 @@ def make_task(
         raise ValueError(f"task={task!r}; choose from {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
     kind = TASKS[task]
     if not isinstance(world, World):
-        names = [field.name for field in fields(kind.WORLD)]
-        for name in world or {}:
-            if name not in names:
-                raise unknown_key(f"world.{name}", [f"world.{one}" for one in names])
-        world = kind.WORLD(**(world or {}))
+        world = _made(kind.WORLD, "world", world)
+    if not isinstance(faults, Faults):
+        faults = _made(Faults, "faults", faults)
     max_steps = kind.MAX_STEPS if max_steps is None else max_steps
-    made = kind(world, EMPTY, reward or kind.REWARD, max_steps)
+    made = kind(world, EMPTY, reward or kind.REWARD, max_steps, stack, faults)
     return made if layouts is EMPTY else made.on(layouts, max_steps)
+
+
+Part = TypeVar("Part")
+
+
+def _made(kind: type[Part], name: str, given: Mapping[str, Any] | None) -> Part:
+    """A world, or faults, from a mapping of some fields; name: of the key that holds it."""
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    for one in given or {}:
+        if one not in names:
+            raise unknown_key(f"{name}.{one}", [f"{name}.{other}" for other in names])
+    return kind(**(given or {}))

@@ -12,7 +12,11 @@ UP = 90
 
 
 class State(NamedTuple):
-    """Where each drone is and what it did since its episode began; every field has the batch shape B."""
+    """Where each drone is and what it did since its episode began; every field has the batch shape B.
+
+    A task may have a class of its own with more fields (`simulator.Task.STATE`); a drone that remembers has two more
+    (`memory.FIELDS`).
+    """
 
     x: Tensor  # [px] float32
     y: Tensor  # [px] float32
@@ -32,4 +36,15 @@ COUNTS = ("steps", "stops", "full_stops", "turns", "distance", "reward")
 
 def where(condition: Tensor, chosen: State, other: State) -> State:
     """Row by row, one state or the other: condition [*B] bool."""
-    return State(*(torch.where(condition, a, b) for a, b in zip(chosen, other, strict=True)))
+    return type(other)(*(torch.where(_like(condition, a), a, b) for a, b in zip(chosen, other, strict=True)))
+
+
+def at(state: State, index: Tensor | int) -> State:
+    """Some rows of a batch [P], or one: every field at these places."""
+    return type(state)(*(field[index] for field in state))
+
+
+def _like(condition: Tensor, field: Tensor) -> Tensor:
+    """A condition [*B] with a dimension for each further one of a field [*B, ...]."""
+    further = field.ndim - condition.ndim
+    return condition.reshape(*condition.shape, *[1] * further) if further else condition

@@ -13,6 +13,7 @@ from uavnav.choices import ConfigError, unknown, unknown_key
 from uavnav.help import key
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import modern
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.rewards import REWARDS
 from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.world import World
@@ -59,14 +60,16 @@ class TrainConfig:
     hidden: tuple[int, ...] = key((64, 64), "of each hidden layer", "units")
     lr: float = at_least(3e-4, 0, "learning rate")
     gamma: float = within(0.99, 0, 1, "discount of a step")
-    max_grad_norm: float = at_least(0.5, 0, "to which each agent's gradient is scaled down")
+    max_grad_norm: float | None = at_least(0.5, 0, "to which each agent's gradient is scaled down")
     init: Init = key("default", "of the weights; default is PyTorch's, unit suits gains to activations")
     layer_norm: bool = key(False, "LayerNorm before each activation, without parameters of its own")
     layouts: str = key("train", "bank of obstacles: train, validation, test, or a file's path")
     max_steps: int | None = at_least(None, 1, "cap on an episode, which truncates it", "steps")
     reward: str = one_of("eq14", REWARDS, "what a step earns")
     task: str = one_of("drone", TASKS, "what is flown")
+    stack: int = at_least(1, 1, "newest ones that a policy sees at once", "observations")
     world: World = key(None, "fields of the world that differ from the task's own")
+    faults: Faults = key(None, "faults of the sensor and the actuator")
     device: str = key("cpu", "where tensors live")
     compile: Literal["auto", "on", "off"] = key("auto", "auto compiles runs of 100,000 frames and more")
 
@@ -85,10 +88,11 @@ class TrainConfig:
             object.__setattr__(self, "reward", TASKS[self.task].REWARD)
         object.__delattr__(self, "_given")
         hints = get_type_hints(type(self))
-        for item in (item for item in fields(self) if item.name != "world"):
+        for item in (item for item in fields(self) if item.name not in PARTS):
             value = checked(item.name, getattr(self, item.name), hints[item.name], item.metadata)
             object.__setattr__(self, item.name, value)
-        object.__setattr__(self, "world", _world(self.world, TASKS[self.task].WORLD))
+        for name, kind in parts_of(self.task).items():
+            object.__setattr__(self, name, _part(name, getattr(self, name), kind))
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError(f"hidden={list(self.hidden)}; give at least one layer, each of at least 1 unit")
         try:
@@ -106,7 +110,7 @@ class TrainConfig:
         names = [item.name for item in fields(cls)]
         for name in mapping:
             if name not in names:
-                raise unknown_key(name, [*names, *(f"world.{item.name}" for item in fields(World))])
+                raise unknown_key(name, [*names, *part_keys()])
         return cls(**mapping)
 
     @classmethod
@@ -114,7 +118,8 @@ class TrainConfig:
         """The settings in a run's config.yaml; what came later than the run is as a run had it then: the default."""
         default = plain(cls(preset="paper"))
         there = {key: value for key, value in modern(mapping).items() if key != "algorithm"}
-        there["world"] = asdict(TASKS[there.get("task", "drone")].WORLD()) | dict(there.get("world", {}))
+        for name, kind in parts_of(there.get("task", "drone")).items():
+            there[name] = asdict(kind()) | dict(there.get(name, {}))
         return default | there
 
     def beyond_preset(self) -> dict[str, Any]:
@@ -157,9 +162,14 @@ class TrainConfig:
         """One seed an agent."""
         return list(range(self.seed, self.seed + self.n_seeds))
 
+    @property
+    def observation_size(self) -> int:
+        """Numbers that a policy sees."""
+        return self.stack * self.world.observation_size
+
     def make_task(self) -> Task:
         """The task with these settings; raises a LayoutError where its bank is not right."""
-        return make_task(self.layouts, self.world, self.reward, self.max_steps, self.task)
+        return make_task(self.layouts, self.world, self.reward, self.max_steps, self.task, self.stack, self.faults)
 
 
 def plain(config: TrainConfig) -> dict[str, Any]:
@@ -167,30 +177,45 @@ def plain(config: TrainConfig) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(config).items()}
 
 
+EXAMPLES = {"world": "sensor_arc=90", "faults": "noise=5"}
+PARTS = tuple(EXAMPLES)
+"""The fields that are dataclasses of their own, whose fields a command line sets as `world.sensor_arc`."""
+
+
+def parts_of(task: str) -> dict[str, type[World] | type[Faults]]:
+    """The classes of `PARTS` in a task of `TASKS`."""
+    return {"world": TASKS[task].WORLD, "faults": Faults}
+
+
+def part_keys() -> list[str]:
+    """Every field of `PARTS` as a command line sets it."""
+    return [f"{name}.{item.name}" for name, kind in parts_of(TrainConfig.task).items() for item in fields(kind)]
+
+
 def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with a name for each field of the world, as a command line gives them: `world.sensor_arc`."""
-    world = {f"world.{name}": value for name, value in settings["world"].items()}
-    return {name: value for name, value in settings.items() if name != "world"} | world
+    """Settings with a name for each field of `PARTS`, as a command line gives them: `world.sensor_arc`."""
+    own = {f"{part}.{name}": value for part in PARTS for name, value in settings[part].items()}
+    return {name: value for name, value in settings.items() if name not in PARTS} | own
 
 
-def _world(given: World | Mapping[str, Any] | None, kind: type[World]) -> World:
-    """A world from some of its fields; a ConfigError names the one that is wrong."""
-    if isinstance(given, World):
+def _part(name: str, given: Any, kind: type[World] | type[Faults]) -> World | Faults:
+    """A world, or faults, from some of its fields; a ConfigError names the one that is wrong."""
+    hints, names = get_type_hints(kind), [item.name for item in fields(kind)]
+    if isinstance(given, (World, Faults)):
         if type(given) is not kind:
-            raise ConfigError(f"world={given}; give a {kind.__name__}")
+            raise ConfigError(f"{name}={given}; give a {kind.__name__}")
         return given
     if given is not None and not isinstance(given, Mapping):
-        raise ConfigError(f"world={given}; give fields of the world, such as world.sensor_arc=90")
-    hints, names = get_type_hints(kind), [item.name for item in fields(kind)]
+        raise ConfigError(f"{name}={given}; give fields of the {name}, such as {name}.{EXAMPLES[name]}")
     values = {}
-    for name, value in (given or {}).items():
-        if name not in names:
-            raise unknown_key(f"world.{name}", [f"world.{one}" for one in names])
-        values[name] = checked(f"world.{name}", value, hints[name], {})
+    for one, value in (given or {}).items():
+        if one not in names:
+            raise unknown_key(f"{name}.{one}", [f"{name}.{other}" for other in names])
+        values[one] = checked(f"{name}.{one}", value, hints[one], {})
     try:
         return kind(**values)
     except ValueError as error:
-        raise ConfigError(f"world.{error}") from error
+        raise ConfigError(f"{name}.{error}") from error
 
 
 def checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any:

@@ -7,6 +7,7 @@ every parameter; M minibatches of N rows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -43,7 +44,7 @@ class Learner:
         loss: built with `reduction="none"` on networks whose parameters lead with the agent axis.
         losses: names of what it returns; an agent's loss is the sum of their means over the agent's rows.
         optimiser: of `uavnav.training.optimisers`.
-        max_grad_norm: each agent's gradient is scaled down to this norm.
+        max_grad_norm: each agent's gradient is scaled down to this norm; None leaves it as it is.
         compile: run all minibatches of a call as one compiled graph.
         after: what follows each step, such as targets that move softly; a pure function.
     """
@@ -54,11 +55,12 @@ class Learner:
         losses: Sequence[str],
         optimiser: Optimiser,
         *,
-        max_grad_norm: float,
+        max_grad_norm: float | None,
         compile: bool,
         after: After | None = None,
     ) -> None:
-        self.optimiser, self.max_grad_norm, self.after = optimiser, max_grad_norm, after
+        self.optimiser, self.after = optimiser, after
+        self.max_grad_norm = math.inf if max_grad_norm is None else max_grad_norm
         self.compile = compile
         self.names = (*losses, "grad_norm")
         self.objective = _Objective(loss, losses)

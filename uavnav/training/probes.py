@@ -9,12 +9,14 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 
 from uavnav.networks import ACTIVATIONS, Activation
 from uavnav.tasks import layouts
+from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.seeding import stream
 from uavnav.tasks.simulator import Task
 
@@ -26,12 +28,15 @@ SATURATED = 0.05
 
 
 def poses(task: Task) -> Tensor:
-    """What a drone sees at poses drawn once over the window and the task's train split: observation [P, 30]."""
+    """What a drone sees at poses drawn once over the window and the task's train split: observation [P, 30].
+
+    As if an episode began there, and without faults, so that nothing of it is random.
+    """
     generator = stream(0, "probe")
     x, y = (torch.rand(POSES, generator=generator) * size for size in (task.world.width, task.world.height))
-    task = task.with_bank(layouts.load("train", task.world))
+    task = replace(task, bank=layouts.load("train", task.world), faults=NO_FAULTS)
     heading, layout = (torch.randint(most, (POSES,), generator=generator) for most in (360, len(task.bank)))
-    observation, _ = task.observe(task.start(layout, heading)._replace(x=x, y=y))
+    observation, _ = task.observe(task.remember(task.place(layout, heading)._replace(x=x, y=y)))
     return observation
 
 

@@ -67,7 +67,7 @@ class Game:
     choice: Choice
     index: int = 0  # the present set, or the one that came before a set of one's own
     obstacles: Tensor = EMPTY  # [1, K, 3] px, the present set
-    generator: torch.Generator = field(default_factory=torch.Generator)  # of policies that act as in training
+    generator: torch.Generator = field(default_factory=torch.Generator)  # of sampled actions, and of faults
     max_steps: int = MAX_STEPS
     person: int = 0
     rows_path: Path = ROWS
@@ -152,7 +152,7 @@ def step(game: Game) -> Game:
     """One step of the simulation, as the pilot chose."""
     if game.ended or game.drawing:
         return game
-    state, outcome = game.task.step(game.state, torch.tensor(game.choice.action))
+    state, outcome = game.task.step(game.state, torch.tensor(game.choice.action), _draws(game))
     *earlier, last = game.legs
     if last.pilot != game.pilot:
         earlier, last = [*earlier, last], Leg(game.pilot, last.points[-1:])
@@ -171,6 +171,11 @@ def step(game: Game) -> Game:
         tapped=frozenset(),
     )
     return _landed(game, bool(outcome.terminated)) if ended else look(game)
+
+
+def _draws(game: Game) -> Tensor:
+    """What the faults of its task need for a step, or for a start: [n_draws], often none."""
+    return game.task.draw(1, game.generator)[0]
 
 
 def look(game: Game) -> Game:
@@ -218,7 +223,7 @@ def reset(game: Game) -> Game:
     flown = tuple(leg for leg in game.legs if len(leg.points) > 1)
     game.generator.manual_seed(game.pilots[game.pilot].seed)
     heading = flights.headings(game.task, game.index + 1)[-1]
-    state = game.task.start(torch.tensor(0), heading)
+    state = game.task.start(torch.tensor(0), heading, _draws(game))
     _, clearance = game.task.observe(state)
     start = Leg(game.pilot, ((float(state.x), float(state.y)),))
     ghosts = (*game.ghosts, *flown)[-KEPT_TRAILS:]
@@ -234,13 +239,13 @@ def following(game: Game, by: int) -> Game:
 
 
 def seat(game: Game, pilot: int) -> Game:
-    """Hand the drone over, wherever it is."""
+    """Hand the drone over, wherever it is; the next pilot remembers nothing of the flight so far."""
     if pilot >= len(game.pilots):
         return replace(game, message=f"There is no pilot {pilot}: 0 to {len(game.pilots) - 1}")
     swapped = replace(game, pilot=pilot, distance=game.choice.action % game.world.n_distances)
     if not int(game.state.steps):
         swapped = replace(swapped, distance=0, legs=(game.legs[-1]._replace(pilot=pilot),))
-    return look(swapped)
+    return look(replace(swapped, state=swapped.task.remember(swapped.state, _draws(swapped))))
 
 
 def next_pilot(game: Game) -> Game:

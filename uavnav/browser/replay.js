@@ -1,13 +1,43 @@
 /*
  * The player of recorded flights: startReplays(root, data) builds it inside an element.
  *
- * `data` is what uavnav/report/replays.py records; replay-drawing.js reads and draws it. Nothing moves before the reader
- * asks for it.
+ * `data` is what uavnav/report/replays.py records; drawing.js draws it. Nothing moves before the reader asks for it.
  */
 
 const STEPS_PER_SECOND = 30; // at speed 1
 const SPEEDS = [0.25, 1, 4];
 const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) play goes on, and does not jump
+const TYPES = {
+  uint8: [1, "getUint8"], int8: [1, "getInt8"], uint16: [2, "getUint16"], int16: [2, "getInt16"],
+  float32: [4, "getFloat32"],
+}; // of a field: its bytes, and what reads it
+
+// ---------------------------------------------------------------------------------------------- reading a flight
+
+async function inflate(text) {
+  const packed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+}
+
+/** The fields of a flight by name: each a function of the step (and the column) that gives the number. */
+async function unpack(flight, fields) {
+  const view = new DataView(await inflate(flight.bytes));
+  const read = {};
+  let start = 0;
+  for (const { name, type, unit, chosen, columns } of fields) {
+    const [bytes, getter] = TYPES[type];
+    const rows = flight.steps + (chosen ? 0 : 1); // the last pose chooses nothing
+    const first = start;
+    read[name] = (step, column = 0) => view[getter](first + bytes * (column * rows + step), true) * unit;
+    start += bytes * rows * columns;
+  }
+  return read;
+}
+
+function ending(flight) {
+  return `${flight.ended} at ${flight.steps}`;
+}
 
 // ---------------------------------------------------------------------------------------------- the page's elements
 
@@ -217,11 +247,25 @@ class Player {
   draw() {
     if (!this.read) return;
     const { read, step, colours, font, grid, flight } = this;
-    const last = flight.steps;
-    const crashed = step === last && flight.ended === "collision";
-    const circles = this.data.layouts[flight.layout];
-    drawArena(this.parts.arena, { world: this.data.world, circles, read, step, crashed, colours });
-    drawValues(this.parts.values, { grid, read, step, last, colours, font });
+    const { world, layouts } = this.data;
+    const over = step === flight.steps;
+    const place = (at) => [read.x(at), read.y(at)];
+    const [x, y] = place(step);
+    const pose = { x, y, angle: (read.heading(step) * Math.PI) / 180 };
+    const slots = Array.from({ length: world.n_slots }, (_, slot) =>
+      ["right", "forward", "proximity"].map((name) => read[name](step, slot)),
+    );
+    const drone = {
+      pose,
+      trail: Array.from({ length: step + 1 }, (_, at) => place(at)),
+      sensed: sensedPoints(world, pose, slots),
+      crashed: over && flight.ended === "collision",
+    };
+    drawArena(this.parts.arena, { world, circles: layouts[flight.layout], drones: [drone], colours });
+    const values = over
+      ? { instead: "the flight is over" }
+      : { shares: (action) => read.value(step, action), chosen: read.action(step), low: read.low(step), high: read.high(step) };
+    drawValues(this.parts.values, { grid, colours, font, ...values });
   }
 }
 

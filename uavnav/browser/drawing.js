@@ -1,7 +1,5 @@
-"use strict";
-
 /*
- * Flights for the player of replay.js: reading their bytes, their words, and drawing the arena and the values of actions.
+ * Drawing the world of world.js: the arena with its drones, and one value for each action. The words for numbers, too.
  *
  * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle.
  */
@@ -11,33 +9,6 @@ const CIVIDIS = [
   [0, 34, 77], [26, 56, 111], [67, 78, 107], [97, 100, 111], [124, 123, 120],
   [155, 147, 118], [187, 173, 108], [222, 201, 87], [253, 231, 55],
 ]; // dark to bright evenly, to any colour vision
-const TYPES = {
-  uint8: [1, "getUint8"], int8: [1, "getInt8"], uint16: [2, "getUint16"], int16: [2, "getInt16"],
-  float32: [4, "getFloat32"],
-}; // of a field: its bytes, and what reads it
-
-// ---------------------------------------------------------------------------------------------- reading a flight
-
-async function inflate(text) {
-  const packed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Response(stream).arrayBuffer();
-}
-
-/** The fields of a flight by name: each a function of the step (and the column) that gives the number. */
-async function unpack(flight, fields) {
-  const view = new DataView(await inflate(flight.bytes));
-  const read = {};
-  let start = 0;
-  for (const { name, type, unit, chosen, columns } of fields) {
-    const [bytes, getter] = TYPES[type];
-    const rows = flight.steps + (chosen ? 0 : 1); // the last pose chooses nothing
-    const first = start;
-    read[name] = (step, column = 0) => view[getter](first + bytes * (column * rows + step), true) * unit;
-    start += bytes * rows * columns;
-  }
-  return read;
-}
 
 // ---------------------------------------------------------------------------------------------- words
 
@@ -57,17 +28,13 @@ function inWords([degrees, pixels]) {
   return `${turn}, ${pixels === 0 ? "stay" : `fly ${pixels} px`}`;
 }
 
-function ending(flight) {
-  return `${flight.ended} at ${flight.steps}`;
-}
-
 // ---------------------------------------------------------------------------------------------- drawing
 
-/** The page's colours as they are now, each as a canvas understands it. */
-function readColours(element) {
+/** The page's colours as they are now, by their names, each as a canvas understands it. */
+function readColours(element, names = COLOURS) {
   const probe = element.appendChild(document.createElement("span"));
   const found = {};
-  for (const name of COLOURS) {
+  for (const name of names) {
     probe.style.color = `var(--${name})`; // resolves what a property's own text may not: var(), light-dark()
     found[name] = getComputedStyle(probe).color;
   }
@@ -75,14 +42,15 @@ function readColours(element) {
   return found;
 }
 
-/** Fit a canvas to its place on the screen, sharp on any; its context, in CSS px, and its size. */
+/** Fit a canvas to its place on the screen, sharp on any; its context, cleared, in CSS px, and its size. */
 function fit(canvas) {
   const sharpness = window.devicePixelRatio || 1;
   const { width, height } = canvas.getBoundingClientRect();
-  canvas.width = Math.max(1, Math.round(width * sharpness));
-  canvas.height = Math.max(1, Math.round(height * sharpness));
+  const size = [width, height].map((side) => Math.max(1, Math.round(side * sharpness)));
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   const context = canvas.getContext("2d");
-  context.scale(sharpness, sharpness);
+  context.setTransform(sharpness, 0, 0, sharpness, 0, 0);
+  context.clearRect(0, 0, width, height);
   return { context, width, height };
 }
 
@@ -127,22 +95,7 @@ function drawSensor(context, world, { x, y, angle }, colours) {
   context.globalAlpha = 1;
 }
 
-/** The points that the ten slots name, in the world: eqs (9), (10) and (13) backwards. */
-function sensedPoints(world, read, step, { x, y, angle }) {
-  const [cosine, sine] = [Math.cos(angle), Math.sin(angle)];
-  const points = [];
-  for (let slot = 0; slot < world.n_slots; slot += 1) {
-    const [right, forward] = [read.right(step, slot), read.forward(step, slot)];
-    if (right === 0 && forward === 0) continue; // an empty slot
-    const reach = world.drone_radius + read.proximity(step, slot) * (world.sensor_radius - world.drone_radius);
-    points.push([
-      x + reach * (right * sine + forward * cosine),
-      y + reach * (forward * sine - right * cosine),
-    ]);
-  }
-  return points;
-}
-
+/** A drone: a disc in its colour with a line towards its heading; after a collision a cross. */
 function drawDrone(context, world, { x, y, angle }, crashed, colours) {
   const radius = world.drone_radius;
   const at = (turn, share) => [x + share * radius * Math.cos(angle + turn), y + share * radius * Math.sin(angle + turn)];
@@ -154,8 +107,31 @@ function drawDrone(context, world, { x, y, angle }, crashed, colours) {
   for (const stroke of strokes) line(context, stroke, 4, colours.bg);
 }
 
-function drawArena(canvas, scene) {
-  const { world, circles, read, step, crashed, colours } = scene;
+/** A rim around a drone, and its sign behind its line, upright whatever the drone's heading. */
+function drawSign(context, world, { x, y, angle }, sign, colour) {
+  context.beginPath();
+  context.arc(x, y, world.drone_radius, 0, 2 * Math.PI);
+  context.lineWidth = 2;
+  context.strokeStyle = colour;
+  context.stroke();
+  context.save();
+  context.translate(x - 0.42 * world.drone_radius * Math.cos(angle), y - 0.42 * world.drone_radius * Math.sin(angle));
+  context.scale(1, -1);
+  context.fillStyle = colour;
+  context.font = `700 ${0.8 * world.drone_radius}px system-ui, sans-serif`;
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.fillText(sign, 0, 0);
+  context.restore();
+}
+
+/**
+ * The arena from above, its circles and its drones in their order.
+ *
+ * Each drone has a pose { x, y, angle [radians] }, the trail [x, y] that it flew, and the points that it senses; perhaps
+ * `crashed`, `sign` (a character), `accent` (its colour), and `faint` where its sensor is not to be shown.
+ */
+function drawArena(canvas, { world, circles, drones, colours }) {
   const { context, width } = fit(canvas);
   const scale = width / world.width;
   context.fillStyle = colours.bg;
@@ -166,16 +142,17 @@ function drawArena(canvas, scene) {
   for (const [x, y, radius] of circles) disc(context, x, y, radius);
   drawBorder(context, world, colours);
   const thick = Math.max(1, 0.6 / scale); // lines must be seen on a small screen too
-  const place = (at) => [read.x(at), read.y(at)];
-  const [x, y] = place(step);
-  const pose = { x, y, angle: (read.heading(step) * Math.PI) / 180 };
-  drawSensor(context, world, pose, colours);
-  line(context, Array.from({ length: step + 1 }, (_, at) => place(at)), 2.5 * thick, colours.accent);
-  const sensed = sensedPoints(world, read, step, pose);
-  for (const point of sensed) line(context, [[x, y], point], 1.5 * thick, colours.fg);
-  drawDrone(context, world, pose, crashed, colours);
-  context.fillStyle = colours.fg;
-  for (const point of sensed) disc(context, ...point, 5 * thick);
+  for (const { pose, trail, sensed, crashed, sign, accent = colours.accent, faint } of drones) {
+    const mine = { ...colours, accent };
+    if (!faint) drawSensor(context, world, pose, mine);
+    line(context, trail, (faint ? 2 : 2.5) * thick, accent);
+    for (const point of sensed) line(context, [[pose.x, pose.y], point], 1.5 * thick, colours.fg);
+    drawDrone(context, world, pose, crashed, mine);
+    if (sign && !crashed) drawSign(context, world, pose, sign, colours.bg);
+    context.fillStyle = colours.fg;
+    for (const point of sensed) disc(context, ...point, 5 * thick);
+  }
+  return { context, thick };
 }
 
 function colourOf(share) {
@@ -245,28 +222,32 @@ function outline(context, x, y, width, height) {
   }
 }
 
-function drawValues(canvas, scene) {
-  const { grid, read, step, last, colours, font } = scene;
+/**
+ * One square an action, the chosen one framed: `shares` of the way from the value `low` to `high`. Without shares it has
+ * the words that `instead` gives.
+ */
+function drawValues(canvas, { grid, colours, font, instead, shares, chosen, low, high }) {
   const { context, width } = fit(canvas);
   const place = { left: 36, top: 4, side: width - 40 };
   const [across, down] = [place.side / grid.turns.length, place.side / grid.ways.length];
   context.font = font;
   drawAxes(context, grid, place, colours);
+  context.lineWidth = 1;
   context.strokeStyle = colours.muted;
   context.strokeRect(place.left, place.top, place.side, place.side);
-  if (step === last) {
+  const corner = ([column, row]) => [place.left + column * across, place.top + row * down];
+  if (shares) {
+    const gap = 1; // [px] between two actions, so that alike ones can be counted
+    grid.cells.forEach((cell, action) => {
+      context.fillStyle = colourOf(shares(action));
+      const [x, y] = corner(cell);
+      context.fillRect(x + gap / 2, y + gap / 2, across - gap, down - gap);
+    });
+    drawLegend(context, { low, high }, place, colours);
+  } else {
     context.textAlign = "center";
     context.fillStyle = colours.muted;
-    context.fillText("the flight is over", place.left + place.side / 2, place.top + place.side / 2);
-    return;
+    context.fillText(instead, place.left + place.side / 2, place.top + place.side / 2);
   }
-  const gap = 1; // [px] between two actions, so that alike ones can be counted
-  const corner = ([column, row]) => [place.left + column * across, place.top + row * down];
-  grid.cells.forEach((cell, action) => {
-    context.fillStyle = colourOf(read.value(step, action));
-    const [x, y] = corner(cell);
-    context.fillRect(x + gap / 2, y + gap / 2, across - gap, down - gap);
-  });
-  outline(context, ...corner(grid.cells[read.action(step)]), across, down);
-  drawLegend(context, { low: read.low(step), high: read.high(step) }, place, colours);
+  if (chosen !== undefined) outline(context, ...corner(grid.cells[chosen]), across, down);
 }

@@ -1,0 +1,15 @@
+"""Train SAC on the drone's world and compare it with the paper: the same as `uavnav train sac`.
+
+    python recipes/sac.py activation=tanh
+    python recipes/sac.py activation=relu n_seeds=4 total_frames=1e6 preset=paper device=cpu out=runs/mine
+    python recipes/sac.py -m activation=sigmoid,leaky_relu
+
+`python recipes/sac.py --help` says what each key means.
+"""
+
+import sys
+
+from uavnav.__main__ import main
+
+if __name__ == "__main__":
+    sys.exit(main(["train", "sac", *sys.argv[1:]]))

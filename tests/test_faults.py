@@ -1,0 +1,412 @@
+"""Faults and stacks: a slow loop over whole episodes, closed forms, streams, and that nothing else changes."""
+
+import dataclasses
+import math
+
+import oracle
+import pytest
+import torch
+
+from uavnav import DroneEnv, World
+from uavnav.envs import scalar
+from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
+from uavnav.tasks.baselines import reactive
+from uavnav.tasks.faults import NAMES, NO_FAULTS, RUNGS, Faults, from_words, rung
+from uavnav.tasks.seeding import stream
+from uavnav.tasks.simulator import Task, make_task
+from uavnav.tasks.state import State
+
+ALL = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
+SWITCHES = {
+    "noise": {"faults": {"noise": 10.0}, "reward": "additive"},
+    "lost": {"faults": {"lost": 0.3}, "world": {"padding": "zeros"}},
+    "late": {"faults": {"late": 4}, "max_steps": 40},
+    "sticky": {"faults": {"sticky": 0.5}, "world": {"start_heading": "random"}},
+    "stack": {"stack": 4},
+    "all": {"faults": ALL, "stack": 3, "world": {"slots": "listed"}, "max_steps": 60},
+}
+
+
+# -- a slow loop -----------------------------------------------------------------------------------------------------
+
+
+class SlowDrone:
+    """One drone with faults, in float64 and plain Python: what it senses goes into a list, the newest last."""
+
+    def __init__(self, flight, task, draws):
+        self.flight, self.task = flight, task
+        self.begin(draws)
+
+    def begin(self, draws):
+        self.seen, self.doubts, self.last = [], [], None
+        self.sense(draws)
+
+    def sense(self, draws):
+        faults, world, slots = self.task.faults, self.task.world, []
+        padding = (0.0, 0.0, 1.0 if world.padding == "far" else 0.0)
+        inside = [one for one in self.flight.found if oracle.in_view(one)]
+        inside = sorted(inside, key=lambda one: one[0]) if world.slots == "nearest" else inside
+        for nth, (distance, right, forward) in enumerate(inside[:10]):
+            if faults.noise:
+                distance += faults.noise * draws["noise"][nth]
+            lost = faults.lost and draws["lost"][nth] < faults.lost
+            slots.append(padding if lost else oracle.triple((distance, right, forward)))
+        self.seen.append(slots + [padding] * (10 - len(slots)))
+        self.doubts.append(world.slots == "nearest" and oracle.doubtful(self.flight.found))
+
+    def executed(self, action, draws):
+        sticks = self.last is not None and self.task.faults.sticky and draws["sticky"] < self.task.faults.sticky
+        self.last = self.last if sticks else action
+        return self.last
+
+    def remembered(self):
+        newest = len(self.seen) - 1 - self.task.faults.late
+        return [max(newest - back, 0) for back in range(self.task.stack)]
+
+    def observation(self):
+        return torch.tensor([number for nth in self.remembered() for slot in self.seen[nth] for number in slot])
+
+    def doubtful(self):
+        return any(self.doubts[nth] for nth in self.remembered())
+
+
+def drawn(generator, faults, rows):
+    """The numbers of one draw of a seed's stream, by row."""
+    noise = torch.randn(rows, 10 if faults.noise else 0, generator=generator).tolist()
+    n_lost = 10 if faults.lost else 0
+    uniform = torch.rand(rows, n_lost + bool(faults.sticky), generator=generator).tolist()
+    return [
+        {"noise": normal, "lost": flat[:n_lost], "sticky": flat[-1] if faults.sticky else 1.0}
+        for normal, flat in zip(noise, uniform, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("switch", SWITCHES)
+def test_a_slow_loop_sees_and_earns_the_same_in_880_poses_of_whole_episodes(switch):
+    """Each of 6 switches: 8 rows of 2 seeds for 110 steps; the draws come from the streams of each seed."""
+    env = DroneEnv([2, 4], layouts="test", seeds=[3, 8], **SWITCHES[switch])
+    task, bank = env.task, env.bank.tolist()
+    streams = {name: [stream(seed, name) for seed in (3, 8)] for name in ("first_faults", "faults")}
+
+    def draw(name):
+        return [one for generator in streams[name] for one in drawn(generator, task.faults, 4)]
+
+    root, state, first = env.reset(), env.state, draw("first_faults")
+    places = zip(state.layout.flatten().tolist(), state.heading.flatten().tolist(), first, strict=True)
+    drones = [
+        SlowDrone(oracle.Flight(bank, at, heading, task.reward, task.max_steps), task, own)
+        for at, heading, own in places
+    ]
+    generator, ended, doubtful = torch.Generator().manual_seed(1), 0, 0
+    for _ in range(110):
+        actions = torch.randint(100, (2, 4), generator=generator)
+        step, root = env.step_and_maybe_reset(root.set("action", actions))
+        after, later, first = step["next"], draw("faults"), draw("first_faults")
+        for row, (drone, action) in enumerate(zip(drones, actions.flatten().tolist(), strict=True)):
+            at = divmod(row, 4)
+            drone.flight.step(drone.executed(action, later[row]))
+            drone.sense(later[row])
+            counts = {name: after["episode", name][at].item() for name in ("steps", "stops", "turns", "distance")}
+            assert counts == {name: getattr(drone.flight, name) for name in counts}
+            over = after["terminated"][at].item(), after["truncated"][at].item()
+            assert over == (drone.flight.terminated, drone.flight.truncated)
+            assert after["reward"][at].item() == pytest.approx(drone.flight.reward, abs=1e-6)
+            if drone.doubtful():
+                doubtful += 1
+            else:
+                torch.testing.assert_close(after["observation"][at], drone.observation(), rtol=0, atol=2e-4)
+            if any(over):
+                ended += 1
+                drone.flight.begin(drone.flight.layout + 1, env.state.heading[at].item())
+                drone.begin(first[row])
+                assert drone.doubtful() or torch.allclose(root["observation"][at], drone.observation(), atol=2e-4)
+            else:
+                drone.flight.x, drone.flight.y = env.state.x[at].item(), env.state.y[at].item()  # as float32 rounds
+    assert ended >= 4
+    assert doubtful < 50
+
+
+# -- closed forms ----------------------------------------------------------------------------------------------------
+
+
+def in_a_corner(n, heading=225, **how):
+    """n rows at the same pose, where all ten slots are filled, and the draws of as many."""
+    task = make_task("test", **how)
+    state = task.place(torch.zeros(n, dtype=torch.int64), torch.full((n,), heading))
+    state = state._replace(x=torch.full((n,), 80.0), y=torch.full((n,), 85.0))
+    return task, state, task.draw(n, torch.Generator().manual_seed(0))
+
+
+def test_of_100_000_echoes_a_share_of_p_is_lost_and_the_others_stay_where_they_are():
+    task, state, draws = in_a_corner(10_000, faults={"lost": 0.2})
+    true, clearance = task.sense(state)
+    sensed, same_clearance = task.sense(state, draws)
+    true, sensed = true.unflatten(-1, (10, 3)), sensed.unflatten(-1, (10, 3))
+    empty = (sensed == torch.tensor([0.0, 0.0, 1.0])).all(-1)
+    assert not (true == torch.tensor([0.0, 0.0, 1.0])).all(-1).any()
+    assert abs(empty.float().mean().item() - 0.2) < 4 * math.sqrt(0.2 * 0.8 / 100_000)
+    assert (empty.float().mean(0) - 0.2).abs().max() < 5 * math.sqrt(0.2 * 0.8 / 10_000)
+    assert torch.equal(sensed[~empty], true[~empty])
+    assert torch.equal(clearance, same_clearance)
+
+
+def test_the_noise_of_100_000_echoes_has_mean_0_and_the_standard_deviation_asked_for():
+    task, state, draws = in_a_corner(10_000, faults={"noise": 2.0})
+    true, sensed = (one.unflatten(-1, (10, 3)) for one in (task.sense(state)[0], task.sense(state, draws)[0]))
+    assert torch.equal(true[..., :2], sensed[..., :2])
+    error = (sensed - true)[..., 2] * 90  # [px], of slots that no clamp touches
+    error = error[(true[..., 2] > 0.15) & (true[..., 2] < 0.85)]
+    assert len(error) > 30_000
+    assert abs(error.mean()) < 4 * 2 / math.sqrt(len(error))
+    assert error.std().item() == pytest.approx(2, rel=4 / math.sqrt(2 * len(error)))
+
+
+def test_a_slot_at_the_sensors_reach_is_clamped_after_the_noise_and_stays_in_view():
+    task, state, _ = in_a_corner(2, faults={"noise": 20.0})
+    shifts = torch.tensor([[100.0] * 10, [-100.0] * 10])
+    sensed = task.sense(state, shifts)[0].unflatten(-1, (10, 3))
+    assert torch.equal(sensed[0, :, 2], torch.ones(10))
+    assert torch.equal(sensed[1, :, 2], torch.zeros(10))
+    assert torch.equal(sensed[..., :2], task.sense(state)[0].unflatten(-1, (10, 3))[..., :2])
+
+
+def flown(task, actions, draws=None):
+    """Observations of all steps of a batch, the first included: [T + 1, B, n]; actions [T, B], draws [T + 1, B, n]."""
+    given = [None] * (len(actions) + 1) if draws is None else draws
+    n = actions.shape[1]
+    state = task.start(torch.arange(n), torch.full((n,), 90), given[0])
+    seen = [task.observe(state)[0]]
+    for action, own in zip(actions, given[1:], strict=True):
+        state, outcome = task.step(state, action, own)
+        assert torch.equal(outcome.observation, task.observe(state)[0])
+        seen.append(outcome.observation)
+    return torch.stack(seen)
+
+
+@pytest.mark.parametrize("late", [1, 2, 4, 8])
+@pytest.mark.parametrize("noise", [0.0, 5.0])
+def test_late_by_n_steps_shifts_observations_by_n_exactly_with_the_noise_they_were_sensed_with(late, noise):
+    actions = torch.randint(100, (20, 6), generator=torch.Generator().manual_seed(0))
+    prompt = make_task("test", faults={"noise": noise})
+    draws = torch.randn(21, 6, prompt.n_draws, generator=torch.Generator().manual_seed(1))
+    now = flown(prompt, actions, draws)
+    then = flown(rung(prompt, "late", late), actions, draws)
+    assert torch.equal(then[late:], now[:-late])
+    assert torch.equal(then[:late], now[:1].expand(late, -1, -1))
+    assert not torch.equal(now[1:], now[:-1])
+
+
+@pytest.mark.parametrize("late", [0, 3])
+def test_a_stack_of_4_is_the_newest_4_observations_the_newest_first_and_begins_with_the_first_4_times(late):
+    actions = torch.randint(100, (12, 5), generator=torch.Generator().manual_seed(0))
+    single = make_task("test", faults={"late": late})
+    one, four = flown(single, actions), flown(dataclasses.replace(single, stack=4), actions)
+    assert four.shape == (13, 5, 120)
+    for step in range(13):
+        expected = torch.cat([one[max(step - back, 0)] for back in range(4)], -1)
+        assert torch.equal(four[step], expected)
+
+
+def test_of_40_000_steps_a_share_of_p_repeats_the_last_executed_action_and_never_the_first_step():
+    task, n = make_task("test", faults={"sticky": 0.25}), 2_000
+    generator = torch.Generator().manual_seed(0)
+    state = task.start(torch.zeros(n, dtype=torch.int64), torch.full((n,), 90), task.draw(n, generator))
+    repeated, last = 0, None
+    for nth in range(21):
+        given = torch.full((n,), nth)  # each step another one
+        before = state
+        state, outcome = task.step(state, given, task.draw(n, generator))
+        if last is None:
+            assert torch.equal(state.executed, given)
+        else:
+            stuck = state.executed != given
+            assert torch.equal(state.executed[stuck], last[stuck])
+            repeated += stuck.sum().item()
+        turn, distance = zip(*map(oracle.decode, state.executed.tolist()), strict=True)
+        assert torch.equal(state.distance - before.distance, torch.tensor(distance))
+        assert torch.equal((state.heading - before.heading) % 360, torch.tensor(turn) % 360)
+        earned = [oracle.reward(*one) for one in zip(turn, distance, outcome.terminated.tolist(), strict=True)]
+        torch.testing.assert_close(outcome.reward, torch.tensor(earned, dtype=torch.float64), rtol=0, atol=1e-12)
+        last = state.executed
+    assert abs(repeated / 40_000 - 0.25) < 4 * math.sqrt(0.25 * 0.75 / 40_000)
+
+
+def test_faults_of_0_and_1_are_nothing_and_certain():
+    actions = torch.randint(100, (9, 4), generator=torch.Generator().manual_seed(0))
+    plain = flown(make_task("test"), actions)
+    blind = make_task("test", faults={"lost": 1.0})
+    draws = torch.stack([blind.draw(4, torch.Generator().manual_seed(nth)) for nth in range(10)])
+    empty = torch.tensor([0.0, 0.0, 1.0]).repeat(10)
+    assert torch.equal(flown(blind, actions, draws), empty.expand(10, 4, 30))
+    stuck = make_task("test", faults={"sticky": 1.0})
+    draws = torch.stack([stuck.draw(4, torch.Generator().manual_seed(nth)) for nth in range(10)])
+    assert torch.equal(flown(stuck, actions, draws), flown(make_task("test"), actions[:1].expand(9, 4)))
+    nothing = make_task("test", faults=dict.fromkeys(NAMES, 0))
+    assert not nothing.remembers
+    assert torch.equal(flown(nothing, actions), plain)
+
+
+# -- rows, seeds, streams --------------------------------------------------------------------------------------------
+
+
+def rolled(env, steps, seed=0):
+    """Observations and rewards of random flights through several episodes."""
+    root, found, generator = env.root(), [], torch.Generator().manual_seed(seed)
+    for _ in range(steps):
+        action = torch.randint(100, env.batch_size, generator=generator)
+        step, root = env.step_and_maybe_reset(root.set("action", action))
+        found.append(torch.cat([root["observation"], step["next", "observation"], step["next", "reward"]], -1))
+    return torch.stack(found)
+
+
+def test_rows_do_not_see_each_other():
+    task = make_task("test", stack=2, faults=ALL)
+    generator = torch.Generator().manual_seed(0)
+    draws = torch.rand(30, 5, task.n_draws, generator=generator)
+    actions = torch.randint(100, (29, 5), generator=generator)
+    other_draws, other_actions = draws.clone(), actions.clone()
+    other_draws[:, 2], other_actions[:, 2] = 0.9, 17
+    one, other = flown(task, actions, draws), flown(task, other_actions, other_draws)
+    rest = [0, 1, 3, 4]
+    assert torch.equal(one[:, rest], other[:, rest])
+    assert not torch.equal(one[:, 2], other[:, 2])
+
+
+def test_a_seed_flies_among_others_as_alone_and_another_seed_has_another_noise():
+    how = {"layouts": "test", "faults": ALL, "stack": 2}
+    among = DroneEnv([3, 4], seeds=[5, 6, 7], **how)
+    alone = DroneEnv([1, 4], seeds=[6], **how)
+    root, own, generator = among.reset(), alone.reset(), torch.Generator().manual_seed(0)
+    for _ in range(80):
+        action = torch.randint(100, (3, 4), generator=generator)
+        assert torch.equal(root["observation"][1], own["observation"][0])
+        _, root = among.step_and_maybe_reset(root.set("action", action))
+        _, own = alone.step_and_maybe_reset(own.set("action", action[1:2]))
+    here = {"layouts": torch.tensor([[[400.0, 420.0, 50.0]]]), "faults": {"noise": 5.0}}
+    first = [DroneEnv([1], seeds=seed, **here).reset()["observation"] for seed in (0, 0, 1)]
+    assert torch.equal(first[0], first[1])
+    assert not torch.equal(first[0], first[2])
+
+
+def test_an_environment_goes_on_from_its_state_bit_for_bit():
+    env = DroneEnv([2, 3], layouts="test", seeds=[0, 1], stack=3, faults=ALL, max_steps=30)
+    rolled(env, 40)
+    kept = env.state_dict()
+    assert set(kept) == {"state", "observation", "headings", "first_faults", "faults"}
+    assert set(kept["state"]) == {*State._fields, "seen", "executed"}
+    rest = rolled(env, 40, seed=9)
+    again = DroneEnv([2, 3], layouts="test", seeds=[0, 1], stack=3, faults=ALL, max_steps=30)
+    again.load_state_dict(kept)
+    assert torch.equal(rolled(again, 40, seed=9), rest)
+    without = {name: kept[name] for name in ("state", "observation", "headings")}
+    again.load_state_dict(without | {"first_faults": kept["faults"], "faults": kept["first_faults"]})
+    assert not torch.equal(rolled(again, 40, seed=9), rest)  # the streams do matter
+
+
+def test_without_faults_and_stack_an_environment_keeps_what_it_always_kept_and_draws_nothing():
+    env = DroneEnv([2, 3], layouts="test", seeds=[0, 1])
+    assert set(env.state_dict()) == {"state", "observation", "headings"}
+    assert type(env.state) is State
+    assert set(env.state_dict()["state"]) == set(State._fields)
+    assert env.task.n_draws == 0
+    assert env.task.draw(4, torch.Generator()).shape == (4, 0)
+
+
+# -- shells ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "how", [{"faults": ALL}, {"stack": 4}, {"faults": ALL, "stack": 2}], ids=["faults", "stack", "both"]
+)
+def test_one_drone_of_gymnasium_flies_120_steps_as_a_batch_of_one_bit_for_bit(how):
+    single, vector = DroneGymEnv("test", **how), DroneVectorEnv(1, "test", **how)
+    size = 30 * how.get("stack", 1)
+    assert single.observation_space.shape == vector.single_observation_space.shape == (size,)
+    alone, (seen, _) = single.reset(seed=4)[0], vector.reset(seed=4)
+    generator = torch.Generator().manual_seed(0)
+    for action in torch.randint(100, (120,), generator=generator).tolist():
+        assert (alone == seen[0]).all()
+        assert single.observation_space.contains(alone)
+        alone, earned, *over, _ = single.step(action)
+        seen, reward, *flags, info = vector.step(torch.tensor([action]).numpy())
+        assert (earned, over) == (reward[0], [flag[0] for flag in flags])
+        if any(over):
+            assert (alone == info["final_obs"][0]).all()
+            alone, _ = single.reset()
+
+
+def test_the_scalar_core_hands_faults_and_stacks_to_a_batch_of_one():
+    assert type(scalar.fly(make_task("test"))) is scalar.Flight
+    for how in ({"stack": 2}, {"faults": {"sticky": 0.1}}, {"faults": {"late": 1}}):
+        assert type(scalar.fly(make_task("test", **how))) is scalar.BatchOfOne
+
+
+def test_stable_baselines3_sees_the_stack():
+    sb3 = pytest.importorskip("uavnav.envs.sb3")
+    env = sb3.DroneVecEnv(3, seed=0, layouts="test", stack=2, faults=ALL)
+    assert env.reset().shape == (3, 60)
+    observation, *_ = env.step(torch.tensor([9, 9, 9]).numpy())
+    assert observation.shape == (3, 60)
+    assert env.observation_space.shape == (60,)
+
+
+def test_the_reactive_rule_looks_at_the_newest_observation_of_a_stack():
+    newest, older = torch.rand(2, 50, 30)
+    assert torch.equal(reactive(torch.cat([newest, older], -1)), reactive(newest))
+
+
+# -- what is refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"noise": -1}, "noise=-1; give a number of at least 0"),
+        ({"noise": math.inf}, "noise=inf; give a number of at least 0"),
+        ({"lost": 1.5}, "lost=1.5; give a number of at least 0 and at most 1"),
+        ({"late": 1.5}, "late=1.5; give a whole number of at least 0"),
+        ({"sticky": True}, "sticky=True; give a number of at least 0 and at most 1"),
+    ],
+)
+def test_a_fault_out_of_its_range_is_refused_in_one_line(given, says):
+    with pytest.raises(ValueError, match=says):
+        Faults(**given)
+
+
+def test_a_task_refuses_a_wrong_fault_a_wrong_stack_and_steps_without_draws():
+    with pytest.raises(ValueError, match=r"there is no key 'faults.nois'; .*did you mean faults.noise"):
+        make_task("test", faults={"nois": 5})
+    for stack in (0, 1.5):
+        with pytest.raises(ValueError, match=f"stack={stack}; give a whole number from 1"):
+            make_task("test", stack=stack)
+    task, at = make_task("test", faults={"noise": 5.0}), torch.tensor(0)
+    with pytest.raises(ValueError, match="faults=noise=5: give draws"):
+        task.start(at, torch.tensor(90))
+    state = task.start(at, torch.tensor(90), task.draw(1, torch.Generator())[0])
+    with pytest.raises(ValueError, match="faults=noise=5: give draws"):
+        task.step(state, torch.tensor(9))
+
+
+def test_words_of_a_command_become_faults_and_back():
+    assert from_words("noise=5,late=2") == Faults(noise=5, late=2)
+    assert from_words("none") == NO_FAULTS == Faults()
+    assert str(Faults(lost=0.05, noise=5)) == "noise=5,lost=0.05"
+    assert str(NO_FAULTS) == "none"
+    for words, says in {
+        "nois=5": "did you mean noise",
+        "late=1.5": "late=1.5; give a number",
+        "noise": "give a num",
+    }.items():
+        with pytest.raises(ValueError, match=says):
+            from_words(words)
+
+
+@pytest.mark.parametrize("name", RUNGS)
+def test_each_rung_of_a_ladder_changes_one_fault_and_the_first_is_none(name):
+    task = make_task("test", World(sensor_arc=90), stack=2)
+    climbed = [rung(task, name, value) for value in RUNGS[name]]
+    assert [getattr(one.faults, name) for one in climbed] == list(RUNGS[name])
+    assert climbed[0].faults == NO_FAULTS
+    assert {(type(one), one.world, one.stack) for one in climbed} == {(Task, task.world, 2)}
+    both = rung(rung(task, "noise", 5), name, RUNGS[name][-1])
+    assert both.faults == dataclasses.replace(Faults(noise=5), **{name: RUNGS[name][-1]})

@@ -1,0 +1,264 @@
+"""Faults and stacks in runs: trained with, kept, resumed, flown, shown; and what older runs and policies are."""
+
+import dataclasses
+import json
+
+import pandas as pd
+import pytest
+import torch
+import yaml
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+
+from uavnav import ConfigError, Run, evaluate, flights, load_policy, render
+from uavnav.algorithms import a2c, dqn, ppo
+from uavnav.evaluate import evaluate_policy, evaluate_run, files_of, header, on
+from uavnav.export import export_policy
+from uavnav.networks import mlp
+from uavnav.policies import Policy
+from uavnav.render import Pilot
+from uavnav.report import behaviour, cells, replays
+from uavnav.tasks import layouts
+from uavnav.tasks.baselines import straight_ahead, uniform_random
+from uavnav.tasks.faults import NO_FAULTS, Faults
+from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.training import machine, probes
+from uavnav.training.config import plain
+from uavnav.training.recorder import Interrupted
+from uavnav.window import game as rules
+
+ALL = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
+HOW = {"stack": 2, "faults": ALL, "hidden": (8,), "n_seeds": 2, "n_worlds": 4, "compile": "off", "max_steps": 40}
+CONFIGS = {
+    "ppo": ppo.PPOConfig(total_frames=512, frames_per_batch=128, minibatch_size=64, epochs=1, **HOW),
+    "dqn": dqn.DQNConfig(total_frames=512, learning_starts=64, frames_per_update=16, buffer_size=128, **HOW),
+    "a2c": a2c.A2CConfig(total_frames=512, **HOW),
+}
+
+
+def tables(path):
+    read = (pd.read_parquet(path / name) for name in ("episodes.parquet", "progress.parquet"))
+    return [table.drop(columns="frames_per_second", errors="ignore") for table in read]
+
+
+@pytest.mark.parametrize("name", ["ppo", "dqn", pytest.param("a2c", marks=pytest.mark.slow)])
+def test_a_run_with_faults_and_a_stack_resumes_bit_for_bit_and_its_policy_knows_its_task(name, tmp_path):
+    config = CONFIGS[name]
+    whole = ppo.train(config, out=tmp_path / "whole", quiet=True)
+    with pytest.raises(Interrupted):
+        ppo.train(config, out=tmp_path / "again", quiet=True, until=256)
+    again = ppo.train(config, out=tmp_path / "again", quiet=True)
+    for one, other in zip(tables(whole.path), tables(again.path), strict=True):
+        pd.testing.assert_frame_equal(one, other, check_exact=True)
+    weights = [load_file(run.path / "policy.safetensors") for run in (whole, again)]
+    assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
+    assert yaml.safe_load((whole.path / "config.yaml").read_text())["faults"] == ALL
+    policy = load_policy(whole.path, seed=1)
+    assert (policy.task.stack, policy.task.faults) == (2, Faults(**ALL))
+    assert policy.values(torch.zeros(3, 60)).shape == (3, 100)
+    assert len(whole.episodes) > 8
+
+
+def test_one_training_is_flown_exported_and_replayed_and_its_evaluations_with_other_faults_lie_apart(tmp_path):
+    run = ppo.train(CONFIGS["ppo"], out=tmp_path / "run", quiet=True)
+    rows = evaluate_run(run, 12, 30, quiet=True)
+    plain_rows = evaluate_run(run, 12, 30, quiet=True, faults=NO_FAULTS)
+    late = evaluate_run(run, 12, 30, quiet=True, faults=Faults(late=2))
+    names = ["test-12-30", "test-12-30-none", "test-12-30-late=2"]
+    for name in names:
+        assert (run.path / f"evaluation-{name}.parquet").exists()
+        assert (run.path / f"behaviour-{name}.parquet").exists()
+    assert not (run.path / "evaluation.parquet").exists()
+    assert late.attrs["faults"] == "late=2"
+    assert "faults" not in rows.attrs
+    assert not rows.equals(plain_rows)
+    assert evaluate_run(run, 12, 30, quiet=True).equals(rows)
+    policy = load_policy(run.path, seed=0)
+    pd.testing.assert_frame_equal(
+        evaluate_policy(policy, episodes=12, max_steps=30, seed=0),
+        rows[(rows["mode"] == "greedy") & (rows["seed"] == 0)].drop(columns="mode").reset_index(drop=True),
+    )
+    assert export_policy(policy, tmp_path / "policy.pt2").exists()
+    settings = cells.read(run.path).settings
+    assert (settings["stack"], settings["faults.noise"], settings["faults.late"]) == (2, 5.0, 2)
+
+
+def test_files_and_headers_of_an_evaluation_name_its_faults_and_the_protocol_itself_stays_as_it_was():
+    assert files_of("test", 200, 10_000)[0] == "evaluation.parquet"
+    assert files_of("test", 200, 10_000, NO_FAULTS)[0] == "evaluation-test-200-10000-none.parquet"
+    assert files_of("test", 200, 10_000, Faults(noise=5, lost=0.05)) == (
+        "evaluation-test-200-10000-noise=5,lost=0.05.parquet",
+        "behaviour-test-200-10000-noise=5,lost=0.05.parquet",
+    )
+    assert header("test", 9, 8) == {"layouts": "test", "episodes": 9, "max_steps": 8}
+    assert header("test", 9, 8, Faults(late=2))["faults"] == "late=2"
+
+
+@pytest.mark.parametrize(("words", "says"), [("nois=5", "did you mean noise?"), ("lost=2", "at least 0 and at most 1")])
+def test_evaluate_refuses_wrong_faults_in_one_line(words, says, capsys):
+    assert evaluate.main(["random", "--faults", words]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"uavnav evaluate: --faults {words}: ")
+    assert says in said
+    assert said.count("\n") == 1
+
+
+def test_evaluate_flies_a_baseline_with_faults(capsys):
+    for words in ("none", "noise=5,sticky=0.5"):
+        how = ["--episodes", "5", "--max-steps", "40", "--json"]
+        assert evaluate.main(["random", "--faults", words, *how]) == 0
+    assert capsys.readouterr().out.count('"run": "random"') == 2
+
+
+# -- flights ---------------------------------------------------------------------------------------------------------
+
+
+def untrained(task, greedy=True, seed=5):
+    network = mlp([task.observation_size, 16, 100], "tanh", [torch.Generator().manual_seed(seed)], "default")
+    return Policy(network, "ppo", greedy, task, "categorical", "direct", 0.0, seed)
+
+
+@pytest.mark.parametrize("greedy", [True, False])
+def test_a_flyer_with_faults_flies_among_others_as_alone_and_its_film_is_its_row(greedy):
+    own = make_task(EMPTY, stack=2, faults=ALL)
+    policies = {seed: untrained(own, greedy, seed) for seed in (5, 6)}
+    task = on(own, "test", 20, 60)
+    together = evaluate.fly(policies, task).episodes
+    alone = evaluate.fly({6: policies[6]}, task).episodes
+    pd.testing.assert_frame_equal(together[together["seed"] == 6].reset_index(drop=True), alone)
+    film = render.fly(Pilot("own", policies[6], own, 6), layouts.load("test")[:20], 7, 60)
+    row = alone[alone["layout"] == 7].iloc[0]
+    last = film.states[-1]
+    assert (int(last.steps), int(last.distance), float(last.reward)) == (row["steps"], row["distance"], row["reward"])
+    assert film.collided == row["terminated"]
+
+
+def test_draws_of_a_flight_depend_on_its_seed_its_set_and_the_step_and_not_on_who_has_ended():
+    task = on(make_task(EMPTY, faults={"sticky": 0.5}), "test", 30, 50)
+    rows = evaluate.fly({3: uniform_random}, task).behaviour
+    first = on(task, "test", 30, 50)
+    seen = {}
+    for step in flights.fly([(3, straight_ahead)], first):
+        seen[step.number] = step.flight
+    assert len(seen[1]) == 30 > len(seen[max(seen)])  # some have ended
+    drawn = [next(flights._draws(task, [3], "faults in evaluation")) for _ in range(2)]
+    assert torch.equal(*drawn)
+    assert drawn[0].shape == (30, 1)
+    assert len(rows)
+
+
+def test_a_compiled_step_takes_the_same_draws_as_a_step_that_is_not_compiled(monkeypatch):
+    """Flights that have ended keep their places in the batch of a graph; here the graph is left out."""
+    own = make_task(EMPTY, stack=2, faults=ALL)
+    task, policies = on(own, "test", 40, 60), {seed: untrained(own, seed=seed) for seed in (5, 6)}
+    eager = evaluate.fly(policies, task)
+    monkeypatch.setattr(machine, "EAGER_STEPS", 9)
+    monkeypatch.setattr(machine, "flights", lambda max_steps: True)
+    monkeypatch.setattr(flights.graph, "Graph", lambda function: function)
+    flights._graph.cache_clear()
+    padded = evaluate.fly(policies, task)
+    flights._graph.cache_clear()
+    pd.testing.assert_frame_equal(eager.episodes, padded.episodes)
+    pd.testing.assert_frame_equal(eager.behaviour, padded.behaviour)
+
+
+def test_behaviour_keeps_executed_actions_which_lead_where_the_drone_was():
+    own = make_task(EMPTY, faults={"sticky": 0.5})
+    task = on(own, "test", 5, 40)
+    flown = evaluate.fly({3: uniform_random}, task)
+    table = flown.behaviour.assign(mode="sampled")
+    traced = behaviour.retrace(table, task.bank, flights.headings(task, 5), task.world)
+    ends = traced.groupby("layout").last()
+    states = {}
+    for step in flights.fly([(3, uniform_random)], task):
+        for nth, flight in enumerate(step.flight.tolist()):
+            states[flight] = float(step.state.x[nth]), float(step.state.y[nth])
+    assert {layout: (row.x, row.y) for layout, row in ends.iterrows()} == states
+
+
+def test_greedy_flights_with_a_memory_are_flown_and_not_counted():
+    policy = {0: untrained(make_task(EMPTY))}
+    assert evaluate._repeatable(policy, make_task(EMPTY))
+    for how in ({"stack": 2}, {"faults": {"late": 1}}, {"faults": {"noise": 1.0}}):
+        assert not evaluate._repeatable(policy, make_task(EMPTY, **how))
+
+
+def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch():
+    tasks = [make_task(EMPTY), make_task(EMPTY, stack=2), make_task(EMPTY, faults={"noise": 1.0}), make_task(EMPTY)]
+    assert flights.alike([untrained(task) for task in tasks]) == [[0, 3], [1], [2]]
+
+
+def test_a_replay_shows_the_newest_ten_slots_of_a_stack():
+    own = make_task(EMPTY, stack=3, faults={"noise": 2.0})
+    ((flight,),) = replays.fly([(0, untrained(own))], layouts.load("test")[:4], 1, 12)
+    assert flight.poses["slots"].shape[1:] == (10, 3)
+
+
+def test_probes_show_a_pose_as_if_an_episode_began_there_and_without_faults():
+    plain_poses = probes.poses(make_task("test"))
+    assert torch.equal(probes.poses(make_task("test", faults=ALL)), plain_poses)
+    assert torch.equal(probes.poses(make_task("test", stack=3)), plain_poses.repeat(1, 3))
+
+
+def test_the_window_hands_a_drone_from_pilot_to_pilot_whatever_each_remembers():
+    tasks = [make_task(EMPTY), make_task(EMPTY, stack=3, faults=ALL), make_task(EMPTY, faults={"late": 1})]
+    pilots = [Pilot(str(nth), untrained(task), task, nth) for nth, task in enumerate(tasks)]
+    game = rules.new(pilots, layouts.load("test"), max_steps=30)
+    for pilot in (2, 3, 1, 2):
+        before = game.state
+        game = rules.seat(game, pilot)
+        assert (game.state.x, game.state.steps) == (before.x, before.steps)
+        assert type(game.state) is game.task.state_class
+        for _ in range(3):
+            game = rules.step(game)
+    assert game.ended or int(game.state.steps) == 12
+    assert not int(rules.reset(game).state.steps)
+
+
+# -- configurations, older files -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"stack": 0}, "stack=0; give a number of at least 1"),
+        ({"faults": {"nois": 5}}, "there is no key 'faults.nois'; choose from .*did you mean faults.noise"),
+        ({"faults": {"noise": -1}}, "faults.noise=-1.0; give a number of at least 0"),
+        ({"faults": {"lost": "half"}}, "faults.lost=half; give a number"),
+        ({"faults": {"late": 0.5}}, "faults.late=0.5; give a whole number"),
+        ({"faults": "noise"}, "faults=noise; give fields of the faults, such as faults.noise=5"),
+        ({"noise": 5}, "there is no key 'noise'; choose from .*did you mean faults.noise"),
+    ],
+)
+def test_a_wrong_setting_is_one_line_that_names_it(settings, says):
+    with pytest.raises(ConfigError, match=says):
+        ppo.PPOConfig.from_mapping(settings)
+
+
+def test_settings_from_plain_keys_are_kept_and_named_where_they_differ_from_the_preset():
+    config = ppo.PPOConfig.from_mapping({"stack": 4, "faults": {"noise": 5, "late": 2.0}})
+    assert config.faults == Faults(noise=5.0, late=2)
+    assert config.observation_size == config.make_task().observation_size == 120
+    assert config.beyond_preset() == {"stack": 4, "faults.noise": 5.0, "faults.late": 2}
+    assert ppo.PPOConfig.from_mapping(plain(config)) == config
+
+
+def test_a_run_of_an_earlier_version_is_one_without_faults_and_stack():
+    config = ppo.PPOConfig()
+    older = {key: value for key, value in plain(config).items() if key not in ("stack", "faults")}
+    again = ppo.PPOConfig.from_mapping(ppo.PPOConfig.as_run(older | {"algorithm": "ppo"}))
+    assert again == config
+    assert (again.stack, again.faults) == (1, NO_FAULTS)
+
+
+def test_a_policy_of_an_earlier_version_has_neither_faults_nor_stack(tmp_path):
+    config = dataclasses.replace(CONFIGS["ppo"], stack=1, faults=None, total_frames=128)
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    path = run.path / "policy.safetensors"
+    with safe_open(path, framework="pt") as file:
+        facts = json.loads(file.metadata()["uavnav"])
+    older = {key: value for key, value in facts.items() if key not in ("stack", "faults")}
+    save_file(load_file(path), path, metadata={"uavnav": json.dumps(older)})
+    policy = load_policy(path)
+    assert (policy.task.stack, policy.task.faults) == (1, NO_FAULTS)
+    assert Run(run.path).frames == 128

@@ -1,0 +1,253 @@
+"""The playground's world and policies, in a real browser through the page's own code, against Python's."""
+
+import base64
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from browsing import RESULTS, ask
+from browsing import chrome as chrome
+from browsing import opened as opened
+
+from uavnav import load_policy
+from uavnav.networks import ACTIVATIONS, KNOWN
+from uavnav.runs import paper
+from uavnav.runs.metrics import per_episode
+from uavnav.tasks import layouts
+from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.dynamics import COSINE, SINE, decode
+from uavnav.tasks.sensing import sense
+from uavnav.tasks.simulator import make_task
+from uavnav.tasks.state import COUNTS
+from uavnav.tasks.world import World
+
+pytestmark = pytest.mark.slow
+
+CELLS = [f"{algorithm}/{activation}" for algorithm in ("ppo", "dqn") for activation in paper.ACTIVATIONS]
+POSES, SETS = 2000, 40
+CLOSE = 1e-4
+PACKED = """
+const packed = (numbers) => {
+  const bytes = new Uint8Array(Float32Array.from(numbers).buffer);
+  let text = "";
+  for (let at = 0; at < bytes.length; at += 8192) text += String.fromCharCode(...bytes.subarray(at, at + 8192));
+  return btoa(text);
+};
+"""  # numbers on their way out of a browser
+SENSED = (
+    PACKED
+    + """
+const [poses, bank] = arguments;
+const seen = poses.map(([x, y, heading, set]) => sense(playground.world, { x, y, heading }, bank[set]));
+return [packed(seen.flatMap(({ observation }) => [...observation])), packed(seen.map(({ clearance }) => clearance))];
+"""
+)
+FLOWN = (
+    PACKED
+    + """
+const [flights, bank] = arguments;
+const world = playground.world;
+return flights.map(([set, actions]) => {
+  let state = start(world);
+  const rows = [];
+  const seen = [...sense(world, state, bank[set]).observation];
+  for (const action of actions) {
+    const after = step(world, state, action, bank[set]);
+    state = after.state;
+    rows.push(state.x, state.y, state.heading, after.clearance, state.reward, Number(after.collided));
+    seen.push(...after.observation);
+  }
+  const reached = playground.data.metrics.map((metric) => metricOf(metric, state));
+  return [packed(rows), packed(seen), reached];
+});
+"""
+)
+CHOSEN = (
+    PACKED
+    + """
+const [seen, uniforms] = arguments;
+const observations = seen.map((row) => Float32Array.from(row));
+return playground.data.policies.filter(({ key }) => key.endsWith("-0")).map((policy) => {
+  const [think, fly] = [network(policy), thinker(policy)];
+  const drawn = (place) => { let next = 0; return () => uniforms[next++][place]; };
+  const values = observations.map((one) => think(one).values);
+  const greedy = values.map(best);
+  const sampled = values.map((one, place) => ACTS[policy.acts](one, policy.epsilon, drawn(place)));
+  const flown = observations.slice(0, 100).map((one, place) =>
+    [fly(one, null, true).action, fly(one, drawn(place), false).action]);
+  return [policy.key, packed(values.slice(0, 200).flatMap((one) => [...one])), greedy, sampled, flown];
+});
+"""
+)
+
+
+def unpacked(text, *shape):
+    return torch.from_numpy(np.frombuffer(base64.b64decode(text), "<f4").copy()).reshape(shape)
+
+
+# -- the world --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return layouts.load("test")[:SETS]
+
+
+@pytest.fixture(scope="module")
+def poses():
+    """x, y [px], heading, set of obstacles: anywhere, also in walls; a third on whole tens, where distances tie."""
+    random = torch.Generator().manual_seed(17)
+    x, y = (torch.rand(POSES, generator=random) * (side + 20) - 10 for side in (800, 600))
+    heading = torch.randint(360, (POSES,), generator=random)
+    ties = torch.arange(POSES) % 3 == 0
+    x, y = (torch.where(ties, 10 * (place / 10).round(), place) for place in (x, y))
+    heading = torch.where(ties, 90 * (heading // 90), heading)
+    return x, y, heading, torch.arange(POSES) % SETS
+
+
+def test_2000_poses_are_sensed_as_by_python_within_a_ten_thousandth(chrome, opened, bank, poses):
+    x, y, heading, places = poses
+    slots, clearance = sense(x, y, heading, bank[places], World())
+    rows = torch.stack([x.double(), y.double(), heading.double(), places.double()], 1)
+    rows = [[*row[:2], int(row[2]), int(row[3])] for row in rows.tolist()]
+    seen, near = chrome.execute_script(SENSED, rows, bank.double().tolist())
+    assert (unpacked(seen, POSES, 10, 3) - slots).abs().max() <= CLOSE
+    assert (unpacked(near, POSES) - clearance).abs().max() <= CLOSE
+    filled = (slots[..., 2] < 1).sum(1)
+    assert {0, 1, 10} <= set(filled.tolist())  # empty, alone, and more than there is room for
+    assert 0.2 < (clearance <= 30).float().mean() < 0.9
+
+
+def test_every_cosine_and_every_action_is_pythons(chrome, opened):
+    assert ask(chrome, "[...COSINES]") == COSINE.double().tolist()
+    assert ask(chrome, "[...SINES]") == SINE.double().tolist()
+    angle, distance = decode(torch.arange(100), World())
+    every = "Array.from({ length: 100 }, (_, action) => action)"
+    assert (
+        ask(chrome, f"{every}.map((one) => decode(playground.world, one))")
+        == torch.stack([angle, distance], 1).tolist()
+    )
+    assert ask(chrome, f"{every}.map((one) => encode(playground.world, decode(playground.world, one)))") == [
+        *range(100)
+    ]
+
+
+def committed():
+    """Flights of the eight cells, six each, and two that scripts fly: [set, actions]; and the rows of the cells'."""
+    flights, rows = [], []
+    for cell in CELLS:
+        steps = pd.read_parquet(RESULTS / cell / "behaviour.parquet")
+        episodes = pd.read_parquet(RESULTS / cell / "evaluation.parquet")
+        for mode, seed in (("greedy", 0), ("sampled", 1)):
+            watched, flown = (one[(one["mode"] == mode) & (one["seed"] == seed)] for one in (steps, episodes))
+            for place in range(3):
+                flights.append([place, watched["action"][watched["layout"] == place].tolist()])
+                rows.append(flown[flown["layout"] == place])
+    for name in ("random", "reactive"):
+        task, actions = make_task("test"), []
+        state, random = task.start(torch.tensor([7]), torch.tensor([90])), torch.Generator().manual_seed(0)
+        for _ in range(200):
+            action = BASELINES[name](task.observe(state)[0], random)
+            actions.append(int(action))
+            state, outcome = task.step(state, action)
+            if outcome.terminated:
+                break
+        flights.append([7, actions])
+    return flights, pd.concat(rows, ignore_index=True)
+
+
+def in_order(observations):
+    """Slots [..., 10, 3] in the order of their right components, whatever their distances."""
+    slots = observations.unflatten(-1, (10, 3))
+    return slots.gather(-2, slots[..., :1].argsort(-2).expand_as(slots))
+
+
+def test_50_flights_of_committed_actions_are_flown_as_by_python_and_end_as_their_rows_say(chrome, opened, bank):
+    flights, rows = committed()
+    found = chrome.execute_script(FLOWN, flights, bank.double().tolist())
+    assert len(flights) == len(found) == 50
+    task, longest = make_task(bank), max(len(actions) for _, actions in flights)
+    padded = torch.tensor([actions + [0] * (longest - len(actions)) for _, actions in flights])
+    state = task.start(torch.tensor([place for place, _ in flights]), torch.full((50,), 90))
+    seen, poses, counts = [task.observe(state)[0]], [], []
+    for actions in padded.T:
+        state, outcome = task.step(state, actions)
+        seen.append(outcome.observation)
+        reached = state.x, state.y, state.heading, outcome.clearance, state.reward, outcome.terminated
+        poses.append(torch.stack([one.float() for one in reached], -1))
+        counts.append(torch.stack([getattr(state, name).double() for name in COUNTS], -1))
+    seen, poses, counts = (torch.stack(one, 1) for one in (seen, poses, counts))
+    observed = swapped = crashed = 0
+    for place, ((_, actions), (mine, sensed, metrics)) in enumerate(zip(flights, found, strict=True)):
+        n = len(actions)
+        assert (unpacked(mine, n, 6) - poses[place, :n]).abs().max() <= CLOSE
+        here, there = unpacked(sensed, n + 1, 30), seen[place, : n + 1]
+        other = ((here - there).abs() > CLOSE).any(-1)
+        assert torch.allclose(in_order(here[other]), in_order(there[other]), rtol=0, atol=CLOSE)
+        observed, swapped = observed + n + 1, swapped + int(other.sum())
+        counted = pd.DataFrame(counts[place, n - 1 : n].numpy(), columns=list(COUNTS))
+        assert metrics == pytest.approx(per_episode(counted)[list(paper.COLUMNS)].iloc[0].tolist(), abs=CLOSE)
+        crashed += bool(poses[place, n - 1, -1])
+        if place < len(rows) and rows["terminated"][place] and rows["steps"][place] == n:
+            assert metrics == pytest.approx(per_episode(rows)[list(paper.COLUMNS)].iloc[place].tolist(), abs=CLOSE)
+            assert poses[place, n - 1, -1]
+    assert crashed >= 10
+    assert swapped <= observed / 1000, "neighbours at one distance, which PyTorch's square root rounds otherwise"
+
+
+# -- who flies --------------------------------------------------------------------------------------------------------
+
+
+def test_policies_choose_as_in_python_in_999_of_1000_poses_and_the_rule_in_all(chrome, opened, bank, poses):
+    x, y, heading, places = poses
+    seen = sense(x, y, heading, bank[places], World())[0].flatten(1)
+    uniforms = torch.rand(2, POSES, generator=torch.Generator().manual_seed(3))
+    found = chrome.execute_script(CHOSEN, seen.double().tolist(), uniforms.double().tolist())
+    assert [key for key, *_ in found] == [f"{cell.replace('/', '-')}-0" for cell in CELLS]
+    for cell, (_, values, greedy, sampled, flown) in zip(CELLS, found, strict=True):
+        policy = load_policy(RESULTS / cell, 0, greedy=False)
+        expected = policy.values(seen)
+        numbers = uniforms[: len(policy.draw((1,)))]
+        assert (unpacked(values, 200, 100) - expected[:200]).abs().max() <= CLOSE
+        assert flown == [[*both] for both in zip(greedy[:100], sampled[:100], strict=True)]
+        assert (torch.tensor(greedy) == expected.argmax(-1)).float().mean() >= 0.999
+        acted = policy.choose(expected, numbers)
+        assert (torch.tensor(sampled) == acted).float().mean() >= 0.999
+        assert (acted != expected.argmax(-1)).float().mean() > 0.01
+    rule = "arguments[0].map((one) => reactive(playground.world, Float32Array.from(one)))"
+    mine = chrome.execute_script(f"return {rule}", seen.double().tolist())
+    assert mine == BASELINES["reactive"](seen).tolist()
+    assert len({*mine}) == 2
+
+
+def test_every_activation_of_the_package_is_pytorchs_within_a_millionth(chrome, opened):
+    x = torch.linspace(-8, 8, 161)
+    known = {name: ACTIVATIONS[name] for name in KNOWN}
+    found = chrome.execute_script(
+        "const [x] = arguments; const all = Object.entries(ACTIVATIONS);"
+        "return Object.fromEntries(all.map(([name, act]) => [name, x.map((one) => act(one))]));",
+        x.double().tolist(),
+    )
+    assert {*found} == {*known}
+    for name, act in known.items():
+        assert (torch.tensor(found[name]) - act(x)).abs().max() <= 2e-6, name
+    normal = torch.nn.functional.layer_norm(x, x.shape)
+    assert (
+        torch.tensor(ask(chrome, f"[...normalised(Float32Array.from({x.tolist()}))]")).sub(normal).abs().max() <= 1e-5
+    )
+
+
+def test_sets_of_obstacles_leave_the_start_free_and_are_spread_as_pythons(chrome, opened):
+    made = "Array.from({ length: 500 }, (_, seed) => generate(playground.world, 8, seed))"
+    bank = torch.tensor(ask(chrome, made))
+    layouts.validate(bank)  # radii, window, safe zone
+    x, y, radius = bank.flatten(0, 1).T
+    theirs = layouts.generate(500, 8, 0).flatten(0, 1)
+    for mine, other, spread in zip((x, y, radius), theirs.T, (800, 600, 70), strict=True):
+        assert abs(mine.mean() - other.mean()) < 0.03 * spread
+        assert abs(mine.std() - other.std()) < 0.03 * spread
+    assert len({tuple(row) for row in bank.flatten(1).tolist()}) == 500
+    assert ask(chrome, "generate(playground.world, 16, 5).slice(0, 8)") == ask(
+        chrome, "generate(playground.world, 8, 5)"
+    )

@@ -1,0 +1,299 @@
+"""The playground in a real browser: links, keys, fingers and looks, and that nothing comes from elsewhere."""
+
+import json
+from pathlib import Path
+
+import axe_core_python
+import numpy as np
+import pandas as pd
+import pytest
+from browsing import (
+    FONTS,
+    NARROW,
+    PAIRS,
+    WIDE,
+    ask,
+    complaints,
+    find,
+    forget,
+    one,
+    press,
+    requested,
+    resize,
+    visit,
+    wait,
+)
+from browsing import chrome as chrome
+from browsing import opened as opened
+from selenium import webdriver
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select
+
+from uavnav.runs import paper
+from uavnav.runs.metrics import METRICS, per_episode
+from uavnav.tasks.state import COUNTS
+
+pytestmark = pytest.mark.slow
+
+CELLS = [f"{algorithm}/{activation}" for algorithm in ("ppo", "dqn") for activation in paper.ACTIVATIONS]
+AXE = Path(axe_core_python.__file__).parent / "axe.min.js"
+
+
+@pytest.fixture
+def browser(chrome, opened):
+    """The page as a visitor without a link gets it; it makes no request and no complaint."""
+    forget(chrome)
+    visit(chrome, opened)
+    yield chrome
+    assert complaints(chrome) == []
+    asked = {url.partition("#")[0] for url in requested(chrome) if not url.startswith("data:")}
+    assert asked <= {opened.as_uri(), "about:blank"}
+
+
+# -- links ------------------------------------------------------------------------------------------------------------
+
+SCENE = (
+    "set=12&k=2&circles=100_100.5_40~700_500_99.9&pilots=rule~ppo-tanh-0~nobody~you"
+    "&focus=4&speed=0.25&greedy=yes&seed=9"
+)
+BAD = (
+    *("set=-1", "set=1e9", "k=99", "k=", "speed=99", "focus=5", "seed=4294967296", "greedy=perhaps", "pilots=rule"),
+    *("pilots=you~you~rule~rule", "pilots=rule~rule~rule~<b>", "circles=400_300_50", "circles=100_100_500"),
+    *("circles=NaN_1_50", "circles=100_100", "__proto__=1", "constructor=x", "toString", "%3Cscript%3E=1"),
+    "<img/src=x/onerror=alert(1)>=1",
+)
+
+
+def test_a_link_restores_its_scene_and_the_same_flights(browser, opened):
+    ends = []
+    for _ in range(2):
+        visit(browser, opened, f"#{SCENE}")
+        assert ask(browser, "playground.scene") == {
+            "set": 12, "k": 2, "circles": [pytest.approx([100, 100.5, 40]), pytest.approx([700, 500, 99.9])],
+            "pilots": ["rule", "ppo-tanh-0", "nobody", "you"], "focus": 4, "speed": 0.25, "greedy": True, "seed": 9,
+        }  # fmt: skip
+        assert not one(browser, "#notice").is_displayed()
+        steps(browser, 50)
+        ends.append(ask(browser, "playground.race.drones.map(({ state }) => [state.x, state.y])"))
+    assert ends[0] == ends[1]
+    assert ask(browser, "writeLink({ ...playground.scene, circles: playground.race.circles })") == SCENE
+    one(browser, "#next").click()
+    assert "set=13&k=2&pilots=rule~ppo-tanh-0~nobody~you&focus=4" in browser.current_url
+
+
+def test_a_bad_part_of_a_link_is_named_as_text_and_the_rest_holds(browser):
+    first = ask(browser, "playground.first()")
+    for bad in BAD:
+        browser.execute_script("location.hash = arguments[0]", f"speed=2&{bad}")
+        wait(browser, lambda: one(browser, "#notice").is_displayed())
+        assert ask(browser, "playground.scene") == {**first, "speed": 2}, bad
+        name = ask(browser, "location.hash").partition("&")[2].partition("=")[0][:20]
+        assert one(browser, "#notice").text == f"Left out of the link, because it is not right: {name}."
+        browser.execute_script("location.hash = ''")
+        wait(browser, lambda: not one(browser, "#notice").is_displayed())
+    assert find(browser, "#notice *, img, script:not([type]) ~ script") == []
+
+
+# -- what a visitor does ----------------------------------------------------------------------------------------------
+
+
+def drone(browser, place=0):
+    return ask(browser, f"playground.race.drones[{place}].state")
+
+
+def steps(browser, n):
+    browser.execute_script("for (let n = 1; n < arguments[0]; n += 1) playground.advance(); playground.oneStep()", n)
+
+
+def touch(browser, kind, *points):
+    browser.execute_cdp_cmd(
+        "Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y} for x, y in points]}
+    )
+
+
+def on_screen(browser, x, y):
+    """Where a point of the world [px] is in the window."""
+    box = ask(
+        browser,
+        "(({ left, top, width }) => [left, top, width])(document.querySelector('#arena').getBoundingClientRect())",
+    )
+    return box[0] + x * box[2] / 800, box[1] + (600 - y) * box[2] / 800
+
+
+def test_arrow_keys_fly_drone_1_and_only_where_no_control_has_the_focus(browser):
+    press(browser, Keys.ARROW_UP, Keys.ARROW_UP, "w", Keys.ARROW_DOWN)
+    steps(browser, 5)
+    assert (drone(browser)["x"], drone(browser)["y"]) == (400, 310)
+    press(browser, Keys.ARROW_LEFT)  # shorter than a step, and still a turn
+    steps(browser, 2)
+    assert drone(browser)["heading"] == 95
+    webdriver.ActionChains(browser).key_down(Keys.ARROW_RIGHT).perform()
+    steps(browser, 2)
+    webdriver.ActionChains(browser).key_up(Keys.ARROW_RIGHT).perform()
+    steps(browser, 1)
+    assert drone(browser)["heading"] == 87
+    browser.execute_script("document.querySelector('#speed').focus()")
+    press(browser, "w")
+    assert ask(browser, "playground.race.hand[1]") == 2
+
+
+def test_time_goes_stops_steps_and_starts_again_by_keys_alone(browser):
+    assert one(browser, "#banner").text == "Press Play, or Space."
+    press(browser, Keys.SPACE)
+    wait(browser, lambda: drone(browser, 1)["steps"] > 2)
+    assert one(browser, "#play").text == "Pause"
+    press(browser, Keys.SPACE)
+    there = drone(browser, 1)["steps"]
+    press(browser, ".")
+    assert drone(browser, 1)["steps"] == there + 1
+    assert f"2, PPO tanh: flies, step {there + 1}, reward " in one(browser, "#status").get_property("textContent")
+    press(browser, "-", "-", "+")
+    assert Select(one(browser, "#speed")).first_selected_option.text == "0.5×"
+    press(browser, "r")
+    assert drone(browser, 1)["steps"] == 0
+    circles = ask(browser, "playground.race.circles")
+    press(browser, "n")
+    assert ask(browser, "playground.race.circles") != circles
+    press(browser, "p")
+    assert ask(browser, "playground.race.circles") == circles
+
+
+def test_a_drone_is_handed_over_in_mid_flight_and_taken_back_where_it_is(browser):
+    steps(browser, 20)
+    press(browser, "3", "t")
+    before = drone(browser, 2)
+    assert ask(browser, "playground.race.drones.map(({ pilot }) => pilot)") == ["rule", "ppo-tanh-0", "you", "rule"]
+    press(browser, Keys.ARROW_UP)
+    steps(browser, 1)
+    assert drone(browser, 2)["steps"] == before["steps"] + 1
+    press(browser, "t")
+    assert ask(browser, "playground.race.drones[2].pilot") == "dqn-tanh-0"
+    for cell in CELLS:
+        there = drone(browser, 2)
+        Select(one(browser, "#pilot")).select_by_value(f"{cell.replace('/', '-')}-1")
+        assert drone(browser, 2) == there
+        assert cell.split("/")[1].replace("_", " ") in one(browser, ".seat-3 small").text
+        steps(browser, 1)
+        hidden = ask(browser, "playground.race.drones[2].thought.hidden.map((units) => units.length)")
+        assert hidden == [64, 64]
+
+
+def test_the_table_holds_the_six_metrics_of_each_drone(browser):
+    steps(browser, 60)
+    names = [row.get_attribute("data-metric") for row in find(browser, "[data-metric]")]
+    assert names == list(paper.COLUMNS)
+    for place in range(4):
+        state = pd.DataFrame({name: [number] for name, number in drone(browser, place).items() if name in COUNTS})
+        expected = per_episode(state).iloc[0]
+        for name in names:
+            shown = find(browser, f"[data-metric={name}] td")[place].text.replace("−", "-")
+            assert float(shown) == pytest.approx(expected[name], abs=0.51 if METRICS[name].scale != 1 else 0.051)
+
+
+def test_obstacles_are_drawn_moved_sized_and_deleted_by_a_finger_and_by_keys(browser):
+    resize(browser, NARROW)
+    one(browser, "#draw").click()
+    one(browser, "#clear").click()
+    browser.execute_script("scrollTo(0, 0)")
+    start, edge = on_screen(browser, 100, 450), on_screen(browser, 160, 450)
+    touch(browser, "touchStart", start)
+    touch(browser, "touchMove", edge)
+    touch(browser, "touchEnd")
+    (circle,) = ask(browser, "playground.race.circles")
+    assert circle == pytest.approx([100, 450, 60], abs=3)
+    assert "circles=" in browser.current_url
+    touch(browser, "touchStart", start)
+    touch(browser, "touchMove", on_screen(browser, 400, 300))
+    touch(browser, "touchEnd")
+    (moved,) = ask(browser, "playground.race.circles")
+    assert moved[2] == circle[2]
+    assert np.hypot(moved[0] - 400, moved[1] - 300) - moved[2] >= 50  # the start stays free
+    press(browser, Keys.ARROW_LEFT, Keys.ARROW_DOWN, "-", "o")
+    assert len(ask(browser, "playground.race.circles")) == 2
+    nudged = ask(browser, "playground.race.circles[0]")
+    assert nudged[2] == pytest.approx(moved[2] - 5, abs=0.06)
+    press(browser, Keys.DELETE, Keys.DELETE, "e")
+    assert ask(browser, "playground.race.circles") == []
+    assert not one(browser, "#drawing").is_displayed()
+
+
+def test_a_finger_steers_and_the_density_is_a_slider(browser):
+    resize(browser, NARROW)
+    browser.execute_script("scrollTo(0, 0)")
+    touch(browser, "touchStart", on_screen(browser, 600, 300))
+    steps(browser, 25)
+    assert 400 < drone(browser)["x"] <= 600
+    assert drone(browser)["heading"] == pytest.approx(0, abs=20) or drone(browser)["heading"] > 330
+    touch(browser, "touchEnd")
+    there = drone(browser)["distance"]
+    steps(browser, 2)
+    assert drone(browser)["distance"] == there
+    browser.execute_script("const k = document.querySelector('#k'); k.value = 13; k.dispatchEvent(new Event('input'))")
+    assert len(ask(browser, "playground.race.circles")) == 13
+    assert one(browser, "#k-now").text == "13"
+
+
+def test_a_crash_is_told_and_when_all_are_down_the_race_is_over(browser, opened):
+    visit(browser, opened, "#pilots=you~nobody~nobody~nobody")
+    press(browser, *([Keys.ARROW_UP] * 9), Keys.SPACE)
+    wait(browser, lambda: one(browser, "#banner").is_displayed(), 20)
+    assert one(browser, "#banner").text.startswith("All are down.")
+    assert "1, You keys: crashed, step " in one(browser, "#status").get_property("textContent")
+    assert drone(browser)["reward"] == pytest.approx(0.09 * (drone(browser)["steps"] - 1) - 10, abs=0.5)
+
+
+def test_it_plays_by_itself_but_not_for_those_who_want_less_motion(browser, opened):
+    assert drone(browser, 1)["steps"] == 0
+    assert not ask(browser, "playground.playing")
+    visit(browser, opened, motion="no-preference")
+    wait(browser, lambda: drone(browser, 1)["steps"] > 3)
+
+
+# -- how it looks -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("width", "colours"), [(WIDE, "light"), (NARROW, "dark")])
+def test_axe_finds_nothing_and_all_text_is_readable_and_within_the_screen(browser, opened, width, colours):
+    visit(browser, opened, width=width, colours=colours)
+    browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    one(browser, "#draw").click()
+    browser.execute_script("arguments[0].length; (0, eval)(arguments[0])", AXE.read_text())
+    found = browser.execute_async_script(
+        "axe.run(document, {}).then((found) => arguments[arguments.length - 1](found.violations))"
+    )
+    assert [(rule["id"], [node["html"] for node in rule["nodes"]]) for rule in found] == []
+    assert {name: ratio for name, ratio in browser.execute_script(PAIRS).items() if ratio < 4.5} == {}
+    assert browser.execute_script(FONTS) == []
+    assert ask(browser, "document.documentElement.scrollWidth") <= width
+    for control in find(browser, "button, select, input"):
+        if control.is_displayed():
+            assert control.rect["x"] + control.rect["width"] <= width
+            assert control.rect["height"] >= 18
+
+
+def test_tab_reaches_the_arena_and_every_control_with_an_outline(browser):
+    reached = []
+    for _ in range(40):
+        press(browser, Keys.TAB)
+        name, style, width = browser.execute_script(
+            "const one = document.activeElement, style = getComputedStyle(one);"
+            "const name = one === document.body ? '' : one.id || one.className || one.textContent;"
+            "return [name, style.outlineStyle, parseFloat(style.outlineWidth)]"
+        )
+        if name in reached or not name:
+            break
+        assert (style, width >= 2) == ("solid", True), name
+        reached.append(name)
+    controls = [
+        one.get_attribute("id") for one in find(browser, "button[id], select[id], input[id]") if one.is_displayed()
+    ]
+    assert {"stage", *controls} <= {*reached}
+    assert reached[0] == "stage"
+
+
+def test_one_file_below_3_mb_holds_three_seeds_of_each_cell_and_what_it_is(opened):
+    assert opened.stat().st_size < 3e6
+    text = opened.read_text()
+    assert [one["key"] for one in json.loads(text.split('id="data">')[1].split("</script>")[0])["policies"]] == [
+        f"{cell.replace('/', '-')}-{seed}" for cell in CELLS for seed in (0, 1, 2)
+    ]

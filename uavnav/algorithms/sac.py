@@ -1,0 +1,224 @@
+"""Soft Actor-Critic for discrete actions (Christodoulou 2019), from top to bottom: config, networks, loss, learning.
+
+    L_Q     = sum over both Q of (Q(s, a) - y)^2,   y = R + gamma V(s')
+    V(s')   = sum over a' of pi(a'|s') (min Q-(s', a') - alpha log pi(a'|s'))
+    L_pi    = sum over a of pi(a|s) (alpha log pi(a|s) - min Q(s, a))
+    L_alpha = log alpha (H(pi(.|s)) - H_target)
+
+over transitions (s, a, R, s') drawn uniformly from DQN's buffer. Both Q- follow their Q softly after each step; where
+an episode terminated at s', y is R alone. The temperature alpha keeps the policy's entropy H near its target.
+
+Letters: A agents, one a seed, that learn side by side and independently of each other; W worlds an agent; N rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.objectives import DiscreteSACLoss
+
+from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms.dqn import DQNConfig, draw, make_buffer, make_sampler, rows
+from uavnav.algorithms.ppo import make_actor_critic
+from uavnav.networks import mlp
+from uavnav.tasks.seeding import stream
+from uavnav.training import probes
+from uavnav.training.checkpoints import Stateful
+from uavnav.training.config import TrainConfig, at_least, within
+from uavnav.training.learner import After, Learner
+from uavnav.training.loop import Row, train
+from uavnav.training.optimisers import Adam
+from uavnav.training.sampling import Actor
+
+__all__ = ["PRESETS", "SAC", "SACConfig", "train"]
+
+HOW = ALGORITHMS["sac"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SACConfig(TrainConfig):
+    """Soft Actor-Critic for discrete actions, which the paper does not have; the defaults are CleanRL's."""
+
+    algorithm: ClassVar[str] = "sac"
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
+        "paper": {},  # CleanRL's sac_atari.py; what is not from there says so below
+        "one-world": {"n_worlds": 1},  # as CleanRL and SB3 run by default
+    }
+
+    n_worlds: int = at_least(64, 1)  # as DQN here
+    lr: float = at_least(3e-4, 0, "Adam's learning rate, of policy, Q networks and temperature")
+    max_grad_norm: float | None = at_least(None, 0)  # neither CleanRL nor SB3 clips
+    buffer_size: int = at_least(1_000_000, 1, "the newest so many are kept", "frames a seed")
+    learning_starts: int = at_least(20_000, 0, "of the untrained policy, without updates", "frames a seed")
+    batch_size: int = at_least(64, 1, "in a gradient step", "transitions")
+    frames_per_update: int = at_least(4, 1, "for each gradient step", "frames a seed")
+    tau: float = within(0.005, 0, 1, "of the way to the Q networks that the targets go after each step", "share")  # SB3
+    target_entropy: float = within(0.89, 0, 1, "of the entropy of random actions, ln 100, for the policy's", "share")
+    adam_eps: float = at_least(1e-4, 0, "Adam's ε")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.replay  # its checks are DQN's
+
+    def make(self, compile: bool) -> SAC:
+        return SAC(self, compile)
+
+    def check_machine(self) -> None:
+        """Raise a ConfigError where the buffers of all seeds would not fit into the machine's memory."""
+        self.replay.check_machine()
+
+    @property
+    def replay(self) -> DQNConfig:
+        """The buffer and the rounds of updates: DQN's with these settings."""
+        mine = {item.name for item in fields(self)} - {"preset", "max_grad_norm"}  # each has its own of these
+        return DQNConfig(**{item.name: getattr(self, item.name) for item in fields(DQNConfig) if item.name in mine})
+
+    @property
+    def frames_per_iteration(self) -> int:
+        return self.n_worlds * max(self.frames_per_update // self.n_worlds, 1)
+
+
+PRESETS = {name: SACConfig(preset=name) for name in SACConfig.PRESETS}
+
+
+class Twins(nn.Module):
+    """Two Q networks: observation [A, ..., 30] -> [2, A, ..., 100] values."""
+
+    def __init__(self, first: nn.Module, second: nn.Module) -> None:
+        super().__init__()
+        self.first, self.second = first, second
+
+    def forward(self, observation: Tensor) -> Tensor:
+        return torch.stack([self.first(observation), self.second(observation)])
+
+
+def make_networks(config: SACConfig) -> tuple[nn.Sequential, Twins]:
+    """The policy [A, ..., 30] -> [A, ..., 100] logits, and the two Q networks; no layer is shared."""
+    sizes = [config.observation_size, *config.hidden, config.world.n_actions]
+
+    def network(purpose: str, gain: float) -> nn.Sequential:
+        generators = [stream(seed, purpose) for seed in config.seeds]
+        return mlp(sizes, config.activation, generators, config.init, gain, config.layer_norm)
+
+    return network("policy network", 0.01), Twins(network("first Q network", 1.0), network("second Q network", 1.0))
+
+
+class _Loss(DiscreteSACLoss):  # type: ignore[misc]
+    """TorchRL's own, with a temperature for each agent and the twins behind the axis of agents.
+
+    TorchRL's one temperature would tie the agents together; it draws the second Q network from the global random state,
+    and keeps Q's parameters for the policy's loss as they were at the first call, which a graph would freeze.
+    """
+
+    def __init__(self, policy: nn.Sequential, twins: Twins, config: SACConfig) -> None:
+        actor, _ = make_actor_critic(policy, twins)
+        super().__init__(
+            actor,
+            TensorDictModule(twins, in_keys=["observation"], out_keys=["action_value"]),
+            action_space="categorical",
+            num_qvalue_nets=None,  # they are two already
+            loss_function="l2",
+            target_entropy=config.target_entropy * math.log(config.world.n_actions),
+            reduction="none",
+            scalar_output_mode="exclude",
+        )
+        self._has_update_associated["qvalue_network"] = True  # the targets follow in the learner
+        device = next(policy.parameters()).device
+        self.log_alpha = nn.Parameter(torch.zeros(config.n_seeds, 1, device=device))
+
+    def _make_vmap(self) -> None:
+        """Q of both networks by parameters that are given, in place of vmap over their copies."""
+        module = self.qvalue_network
+
+        def values(batch: TensorDictBase, parameters: TensorDictBase) -> TensorDictBase:
+            with parameters.to_module(module, preserve_module_state=False):  # else wrapped anew, which a graph freezes
+                found = module.module(batch["observation"])
+            return TensorDict({"action_value": found}, found.shape[:-1])
+
+        self._vmap_qnetworkN0 = values
+
+    @property
+    def _alpha(self) -> Tensor:
+        """[A, 1, 1]."""
+        return self.log_alpha.detach().exp()[..., None]
+
+    @property
+    def _cached_detached_qvalue_params(self) -> TensorDictBase:
+        """Those of this step."""
+        return self.qvalue_network_params.detach()
+
+
+def make_loss(policy: nn.Sequential, twins: Twins, config: SACConfig) -> DiscreteSACLoss:
+    """All three losses as TorchRL's DiscreteSACLoss, one a row [A, N]."""
+    loss = _Loss(policy, twins, config)
+    loss.make_value_estimator(gamma=config.gamma)
+    return loss
+
+
+def following(tau: float) -> After:
+    """The targets go a share tau of the way to their Q networks."""
+
+    def follow(parameters: Mapping[str, Tensor], buffers: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        pairs = {name.replace("qvalue_network", "target_qvalue_network"): value for name, value in parameters.items()}
+        return {name: value.lerp(pairs[name], tau) for name, value in buffers.items() if name in pairs}
+
+    return follow
+
+
+def make_learner(loss: DiscreteSACLoss, config: SACConfig, compile: bool) -> Learner:
+    """One Adam for all three losses, each at the weights before the step."""
+    return Learner(
+        loss,
+        ["loss_actor", "loss_qvalue", "loss_alpha"],
+        Adam(config.lr, config.adam_eps),
+        max_grad_norm=config.max_grad_norm,
+        compile=compile,
+        after=following(config.tau),
+    )
+
+
+class SAC:
+    """All seeds' agents, as the training loop needs them."""
+
+    def __init__(self, config: SACConfig, compile: bool) -> None:
+        self.config, self.settings = config, config.replay
+        policy, twins = make_networks(config)
+        self.policy, self.twins = policy.to(config.device), twins.to(config.device)
+        self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
+        self.loss = make_loss(self.policy, self.twins, config)
+        self.learner = make_learner(self.loss, config, compile)
+        sampler = make_sampler(self.settings)
+        self.replay = make_buffer(sampler, self.settings)
+        self.probe = probes.poses(config.make_task()).to(config.device)
+        self.parts: Mapping[str, Stateful] = {"replay": sampler, "learner": self.learner}
+
+    def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
+        """Steps [A, W, T] into the buffer, then a round of updates; now and then a row, [A]."""
+        config, losses = self.config, {}
+        self.replay.extend(rows(batch, self.settings))
+        if frames > max(config.learning_starts, config.n_worlds):  # a row has its successor
+            losses = self.learner.learn(draw(self.replay, self.settings))
+        if frames % self.settings.frames_between_rows and frames < config.frames:
+            return None
+        return {**losses, **self.diagnostics(batch["observation"][:, :, -1]), **probes.units(self.policy, self.probe)}
+
+    @torch.no_grad()
+    def diagnostics(self, observation: Tensor) -> dict[str, Tensor]:
+        """Temperature, and entropy and value of the policy: means over observations [A, W, 30], each [A]."""
+        log_pi = self.policy(observation).log_softmax(-1)
+        pi = log_pi.exp()
+        return {
+            "alpha": self.loss.log_alpha.detach().exp().flatten(),
+            "entropy": -(pi * log_pi).sum(-1).mean(1),
+            "q_value": (pi * self.twins(observation).amin(0)).sum(-1).mean(1),
+        }
+
+    def networks(self) -> Mapping[str, nn.Module]:
+        return {"policy": self.policy, "first": self.twins.first, "second": self.twins.second}

@@ -1,0 +1,82 @@
+/*
+ * A scene as the fragment of a link, and back. What a fragment says is data of strangers: each part is checked, and what
+ * does not pass is named and left out.
+ *
+ * A scene is { set, k, circles, pilots, focus, speed, greedy, seed }: the number of the set of obstacles, how many circles
+ * it has, circles [x, y, radius] px if they were drawn by hand (else null), who flies each drone, which drone is in focus,
+ * the speed, whether policies take the best action always, and the seed of their random numbers.
+ */
+
+const YOU = "you";
+const RULE = "rule";
+const NOBODY = "nobody";
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+const MOST_DRONES = 4;
+const MOST_CIRCLES = 24;
+const LAST_NUMBER = 2 ** 32 - 1; // of sets and of seeds
+
+function wholeNumber(text, low, high) {
+  const number = /^\d{1,10}$/.test(text) ? Number(text) : NaN;
+  return number >= low && number <= high ? number : undefined;
+}
+
+/** A circle "x_y_radius" with one decimal at most, within the world and clear of the start. */
+function readCircle(world, text) {
+  const match = /^(\d{1,3}(?:\.\d)?)_(\d{1,3}(?:\.\d)?)_(\d{2,3}(?:\.\d)?)$/.exec(text);
+  if (!match) return undefined;
+  const [x, y, radius] = match.slice(1).map((number) => f32(Number(number)));
+  const fits = x <= world.width && y <= world.height;
+  const sized = radius >= world.obstacle_radius_min && radius <= world.obstacle_radius_max;
+  return fits && sized && isClear(world, [x, y, radius]) ? [x, y, radius] : undefined;
+}
+
+function readCircles(world, text) {
+  const circles = text === "none" ? [] : text.split("~").map((part) => readCircle(world, part));
+  return circles.length <= MOST_CIRCLES && circles.every(Boolean) ? circles : undefined;
+}
+
+function readPilots(known, text) {
+  const pilots = text.split("~");
+  const right = pilots.length === MOST_DRONES && pilots.every((pilot) => known.includes(pilot));
+  return right && pilots.filter((pilot) => pilot === YOU).length <= 1 ? pilots : undefined;
+}
+
+/** How each part of a fragment is read: undefined where it is not right. known: names of those who can fly. */
+const READ = {
+  set: (text) => wholeNumber(text, 0, LAST_NUMBER),
+  k: (text) => wholeNumber(text, 0, MOST_CIRCLES),
+  circles: (text, world) => readCircles(world, text),
+  pilots: (text, world, known) => readPilots(known, text),
+  focus: (text) => wholeNumber(text, 1, MOST_DRONES),
+  speed: (text) => SPEEDS.find((speed) => String(speed) === text),
+  greedy: (text) => ({ yes: true, no: false })[text],
+  seed: (text) => wholeNumber(text, 0, LAST_NUMBER),
+};
+
+/** The parts of a scene that a fragment gives, and the names of those that are wrong: [scene, wrong]. */
+function readLink(fragment, world, known) {
+  const [scene, wrong] = [{}, []];
+  for (const part of fragment.replace(/^#/, "").split("&").filter(Boolean)) {
+    const [name, text] = [part.split("=", 1)[0], part.slice(part.indexOf("=") + 1)];
+    const value = Object.hasOwn(READ, name) && part.includes("=") ? READ[name](text, world, known) : undefined;
+    if (value === undefined) wrong.push(name.slice(0, 20));
+    else scene[name] = value;
+  }
+  return [scene, wrong];
+}
+
+/** The fragment of a scene, without the #. */
+function writeLink(scene) {
+  const circles = scene.circles?.map((circle) => circle.map((number) => Number(number.toFixed(1))).join("_")).join("~");
+  const parts = {
+    set: scene.set,
+    k: scene.k,
+    ...(scene.circles ? { circles: circles || "none" } : {}),
+    pilots: scene.pilots.join("~"),
+    focus: scene.focus,
+    speed: scene.speed,
+    greedy: scene.greedy ? "yes" : "no",
+    seed: scene.seed,
+  };
+  return Object.entries(parts).map((part) => part.join("=")).join("&");
+}

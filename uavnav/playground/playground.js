@@ -1,0 +1,397 @@
+/*
+ * The page: startPlayground(data) brings the race, the arena, the instruments and the controls together.
+ *
+ * `data` is what uavnav/playground/__init__.py writes: the world's constants, the metrics and the policies.
+ */
+
+const STEPS_PER_SECOND = 30; // at speed 1
+const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) the race goes on, and does not jump
+const MOST_AT_ONCE = 8; // steps from one picture to the next
+const INSTRUMENTS = 66; // [ms] from one picture of the instruments to the next
+
+class Playground {
+  constructor(data) {
+    this.data = data;
+    this.world = data.world;
+    this.find = (id) => document.getElementById(id);
+    this.known = [YOU, RULE, NOBODY, ...data.policies.map(({ key }) => key)];
+    this.race = new Race(PAPER, data.world, data.policies, this.first());
+    this.stage = new Stage(this, this.find("stage"));
+    this.panel = new Panel(data, this.find);
+    this.playing = false;
+    this.share = 1; // of the way from the last poses to these
+    this.keyboard = new Keyboard(this);
+    this.build();
+    this.listen();
+    this.recolour();
+    this.open();
+    if (!matchMedia("(prefers-reduced-motion: reduce)").matches && this.race.flying().length) this.start();
+  }
+
+  /** The scene of a page that is opened without a link: a person, a policy of two algorithms, and the rule. */
+  first() {
+    const algorithms = [...new Set(this.data.policies.map(({ algorithm }) => algorithm))];
+    const first = algorithms.map((one) => this.data.policies.find(({ algorithm }) => algorithm === one).key);
+    const pilots = [YOU, first[0] ?? NOBODY, first[1] ?? NOBODY, RULE];
+    return { set: this.data.set, k: this.data.k, circles: null, pilots, focus: 2, speed: 1, greedy: false, seed: 0 };
+  }
+
+  get scene() {
+    return this.race.scene;
+  }
+
+  get focus() {
+    return this.scene.focus - 1;
+  }
+
+  // -------------------------------------------------------------------------------------------- links
+
+  /** The scene that the address names; what is wrong in it is told. */
+  open() {
+    const [parts, wrong] = readLink(location.hash, this.world, this.known);
+    this.race.load({ ...this.first(), ...parts });
+    this.tell(wrong.length ? `Left out of the link, because it is not right: ${wrong.join(", ")}.` : "");
+    this.share = 1;
+    this.showControls();
+    this.show();
+  }
+
+  /** Keep the scene in the address. */
+  keep() {
+    const circles = this.scene.circles ? this.race.circles : null;
+    const address = `#${writeLink({ ...this.scene, circles })}`;
+    if (location.hash !== address) history.replaceState(null, "", address);
+  }
+
+  async copy() {
+    this.keep();
+    try {
+      await navigator.clipboard.writeText(location.href);
+      this.tell("The link to this scene is copied.");
+    } catch {
+      this.tell(`The link to this scene: ${location.href}`);
+    }
+  }
+
+  tell(words) {
+    const notice = this.find("notice");
+    notice.textContent = words;
+    notice.hidden = !words;
+  }
+
+  // -------------------------------------------------------------------------------------------- controls
+
+  build() {
+    const { policies } = this.data;
+    const speeds = SPEEDS.map((speed) => new Option(`${speed}×`, speed));
+    this.find("speed").replaceChildren(...speeds);
+    const groups = [...new Set(policies.map(({ algorithm }) => algorithm))].map((algorithm) => {
+      const group = document.createElement("optgroup");
+      group.label = algorithm.toUpperCase();
+      const mine = policies.filter((policy) => policy.algorithm === algorithm);
+      group.append(...mine.map(({ key, title }) => new Option(title, key)));
+      return group;
+    });
+    this.find("pilot").append(new Option("you", YOU), new Option("the rule", RULE), new Option("nobody", NOBODY), ...groups);
+    this.find("keys").append(
+      ...KEYS.map(([keys, does]) => {
+        const row = document.createElement("tr");
+        const head = row.appendChild(document.createElement("th"));
+        head.scope = "row";
+        head.textContent = keys;
+        row.appendChild(document.createElement("td")).textContent = does;
+        return row;
+      }),
+    );
+  }
+
+  listen() {
+    const on = (id, name, act) => this.find(id).addEventListener(name, (event) => act(event.target));
+    const clicks = {
+      play: () => this.toggle(), "one-step": () => this.oneStep(), again: () => this.again(), take: () => this.take(),
+      next: () => this.setOf(1), draw: () => this.draw(!this.stage.drawing), copy: () => this.copy(),
+      add: () => this.addFree(), smaller: () => this.resize(-STRIDE.size), larger: () => this.resize(STRIDE.size),
+      remove: () => this.remove(), clear: () => this.clear(),
+    };
+    for (const [id, act] of Object.entries(clicks)) on(id, "click", act);
+    on("speed", "change", ({ value }) => this.change({ speed: Number(value) }));
+    on("k", "input", ({ value }) => this.change({ k: Number(value), circles: null }, true));
+    on("pilot", "change", ({ value }) => this.handTo(this.focus, value));
+    on("greedy", "change", ({ checked }) => {
+      this.race.greedy(checked);
+      this.changed();
+    });
+    this.panel.seats.forEach((seat, place) => seat.addEventListener("click", () => this.focusOn(place)));
+    addEventListener("hashchange", () => this.open());
+    new ResizeObserver(() => this.show()).observe(document.body);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      this.recolour();
+      this.show();
+    });
+  }
+
+  /** What the pointer or the keys steer in the next step. */
+  steer() {
+    const yours = this.race.drones.find(({ pilot }) => pilot === YOU);
+    const { target } = this.stage;
+    this.race.hand = target && yours ? towards(this.world, yours.state, target) : this.keyboard.hand();
+  }
+
+  /** Change parts of the scene; from the start: everyone begins again. */
+  change(parts, fromTheStart = false) {
+    if (fromTheStart) {
+      this.race.load({ ...this.scene, ...parts });
+      this.share = 1;
+      this.stage.selected = -1;
+    } else Object.assign(this.scene, parts);
+    this.changed();
+  }
+
+  changed() {
+    this.keep();
+    this.showControls();
+    this.show();
+  }
+
+  again() {
+    const held = this.scene.circles ? this.race.circles : null;
+    this.change({ circles: held }, true);
+  }
+
+  setOf(more) {
+    this.change({ set: Math.max(0, this.scene.set + more), circles: null }, true);
+  }
+
+  paced(by) {
+    const place = clamp(SPEEDS.indexOf(this.scene.speed) + by, 0, SPEEDS.length - 1);
+    this.change({ speed: SPEEDS[place] });
+  }
+
+  focusOn(place) {
+    this.change({ focus: place + 1 });
+  }
+
+  handTo(place, pilot) {
+    if (pilot === YOU) {
+      const { state, last } = this.race.drones[place];
+      this.race.hand = [0, clamp(state.distance - last.distance, 0, this.world.n_distances - 1)];
+    }
+    this.race.handTo(place, pilot);
+    this.changed();
+  }
+
+  /** Fly the drone in focus by hand, or hand it back. */
+  take() {
+    const drone = this.race.drones[this.focus];
+    this.handTo(this.focus, drone.pilot === YOU ? drone.before : YOU);
+    this.find("stage").focus({ preventScroll: true });
+  }
+
+  nextPolicy() {
+    const keys = this.data.policies.map(({ key }) => key);
+    if (keys.length) this.handTo(this.focus, keys[(keys.indexOf(this.race.drones[this.focus].pilot) + 1) % keys.length]);
+  }
+
+  // -------------------------------------------------------------------------------------------- drawn obstacles
+
+  draw(on) {
+    this.stage.drawing = on;
+    this.stage.selected = on && this.race.circles.length ? 0 : -1;
+    document.body.classList.toggle("drawing", on);
+    this.showControls();
+    this.show();
+  }
+
+  /** Other circles, while everyone flies on. */
+  edit(circles) {
+    this.race.replaceCircles(circles);
+    this.scene.circles = circles;
+    this.show();
+  }
+
+  /** After an edit: the address follows. */
+  edited() {
+    this.changed();
+  }
+
+  /** A new circle, selected; false where there are too many. */
+  add(circle) {
+    const { circles } = this.race;
+    if (circles.length >= MOST_CIRCLES) {
+      this.tell(`${MOST_CIRCLES} obstacles are the most.`);
+      return false;
+    }
+    this.edit([...circles, allowed(this.world, circle)]);
+    this.stage.selected = circles.length;
+    return true;
+  }
+
+  /** A new circle somewhere, for those who do not point. */
+  addFree() {
+    const [circle] = this.race.task.generate(this.world, 1, this.scene.set + 1000 * (this.race.circles.length + 1));
+    if (this.add(circle)) this.edited();
+  }
+
+  select(by) {
+    const count = this.race.circles.length;
+    if (!this.stage.drawing || !count) return;
+    this.stage.selected = (this.stage.selected + by + count) % count;
+    this.show();
+  }
+
+  nudge(arrow, by) {
+    const circle = this.race.circles[this.stage.selected];
+    if (!circle) return;
+    const [dx, dy] = WAYS[arrow];
+    this.stage.change([circle[0] + by * dx, circle[1] + by * dy, circle[2]]);
+    this.edited();
+  }
+
+  resize(by) {
+    const circle = this.race.circles[this.stage.selected];
+    if (!circle) return;
+    this.stage.change([circle[0], circle[1], circle[2] + by]);
+    this.edited();
+  }
+
+  remove() {
+    const { selected } = this.stage;
+    if (!this.stage.drawing || !this.race.circles[selected]) return;
+    this.edit(this.race.circles.toSpliced(selected, 1));
+    this.stage.selected = Math.min(selected, this.race.circles.length - 1);
+    this.edited();
+  }
+
+  clear() {
+    this.edit([]);
+    this.stage.selected = -1;
+    this.edited();
+  }
+
+  // -------------------------------------------------------------------------------------------- time
+
+  toggle() {
+    if (this.playing) this.pause();
+    else this.start();
+  }
+
+  start() {
+    if (!this.race.flying().length) this.again();
+    if (!this.race.flying().length) return; // nobody is in the race
+    this.playing = true;
+    this.before = performance.now();
+    this.showControls();
+    const tick = (now) => {
+      if (!this.playing) return;
+      this.frame(now);
+      requestAnimationFrame(tick);
+    };
+    requestAnimationFrame(tick);
+  }
+
+  pause() {
+    this.playing = false;
+    this.showControls();
+    this.show();
+  }
+
+  oneStep() {
+    this.playing = false;
+    if (this.race.flying().length) this.advance();
+    this.share = 1;
+    this.showControls();
+    this.show();
+    this.describe();
+  }
+
+  /** What belongs to one picture: the steps that are due, and drawing. now: [ms] */
+  frame(now) {
+    const passed = clamp((now - this.before) / 1000, 0, LONGEST_PAUSE);
+    this.before = now;
+    this.share += passed * STEPS_PER_SECOND * this.scene.speed;
+    for (let steps = 0; this.share > 1 && this.playing; steps += 1) {
+      this.share = steps < MOST_AT_ONCE ? this.share - 1 : 1;
+      if (steps < MOST_AT_ONCE) this.advance();
+    }
+    this.stage.draw(this.share, this.focus, this.colours);
+    if (this.playing && now - (this.shown ?? 0) > INSTRUMENTS) {
+      this.shown = now;
+      this.showInstruments();
+    }
+  }
+
+  advance() {
+    this.steer();
+    const crashed = this.race.step();
+    if (crashed.length) this.describe();
+    if (this.race.flying().length) return;
+    this.playing = false;
+    this.share = 1;
+    this.showControls();
+    this.show();
+  }
+
+  // -------------------------------------------------------------------------------------------- what is shown
+
+  /** The page's colours as they are now: those of its ground, and those of its cards. */
+  recolour() {
+    const names = [...COLOURS, ...this.race.drones.map((_, place) => `drone-${place + 1}`)];
+    this.colours = readColours(this.stage.element, names);
+    this.cardColours = readColours(document.querySelector("aside > section"), names);
+    this.font = `12px ${getComputedStyle(document.body).fontFamily}`;
+  }
+
+  /** Everything that moves. */
+  show() {
+    this.stage.draw(this.share, this.focus, this.colours);
+    this.showInstruments();
+  }
+
+  showInstruments() {
+    this.panel.showRace(this.race);
+    this.panel.showDrone(this.race.drones[this.focus], this.focus, this.race.hand, this.cardColours, this.font);
+  }
+
+  showControls() {
+    const { race, scene, stage, find } = this;
+    const drone = race.drones[this.focus];
+    const over = !race.flying().length;
+    say(find("play"), this.playing ? "Pause" : "Play");
+    find("speed").value = scene.speed;
+    find("k").value = race.circles.length;
+    find("k").disabled = stage.drawing;
+    say(find("k-now"), String(race.circles.length));
+    find("draw").setAttribute("aria-pressed", String(stage.drawing));
+    find("drawing").hidden = !stage.drawing;
+    say(find("take"), drone.pilot === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
+    say(find("focus-number"), String(scene.focus));
+    find("pilot").value = drone.pilot;
+    find("greedy").checked = scene.greedy;
+    say(find("acts"), this.data.policies.find(({ key }) => key === drone.pilot)?.told ?? "");
+    const yours = race.drones.findIndex(({ pilot }) => pilot === YOU) + 1;
+    const steering = yours
+      ? `Drone ${yours} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
+      : "To fly by hand, choose a drone and take it.";
+    const drawing = "Drag on free ground for a new circle, inside one to move it, at its edge to size it.";
+    say(find("hint"), stage.drawing ? drawing : `${steering} Space pauses.`);
+    const banner = find("banner");
+    const waiting = !this.playing && !stage.drawing;
+    banner.hidden = !waiting || !(over || race.drones.every(({ state }) => state.steps === 0));
+    say(banner, over ? "All are down. R: start again. N: next obstacles." : "Press Play, or Space.");
+    this.panel.showSeats(race, this.focus);
+  }
+
+  /** Words for those who do not see the arena: after a step, and when a drone crashes. */
+  describe() {
+    const words = this.race.drones.map(({ pilot, state, crashed }, place) => {
+      const [who, more] = nameOf(pilot, this.data.policies);
+      const how = crashed ? "crashed" : "flies";
+      return pilot === NOBODY ? "" : `${place + 1}, ${who} ${more}: ${how}, step ${state.steps}, reward ${fixed(state.reward, 1)}.`;
+    });
+    say(this.find("status"), words.filter(Boolean).join(" "));
+  }
+}
+
+function startPlayground(data) {
+  return new Playground(data);
+}

@@ -1,0 +1,143 @@
+/*
+ * Who can fly: trained networks, as uavnav/networks.py and uavnav/training/sampling.py have them, and the hand-written
+ * rule of uavnav/tasks/baselines.py. Everything is a function of what is sensed and of uniform random numbers.
+ *
+ * A network's numbers are float32; sums are taken in double, so that outputs differ from PyTorch's in their last bits.
+ */
+
+/** The error function (Abramowitz and Stegun 7.1.26, within 1.5e-7). */
+function erf(x) {
+  const t = 1 / (1 + 0.3275911 * Math.abs(x));
+  const series = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))));
+  return Math.sign(x) * (1 - series * Math.exp(-x * x));
+}
+
+const sigmoid = (x) => 1 / (1 + Math.exp(-x));
+const softplus = (x) => (x > 20 ? x : Math.log1p(Math.exp(x)));
+
+const ACTIVATIONS = {
+  relu: (x) => Math.max(x, 0),
+  leaky_relu: (x) => (x > 0 ? x : 0.01 * x),
+  sigmoid,
+  tanh: Math.tanh,
+  elu: (x) => (x > 0 ? x : Math.expm1(x)),
+  gelu: (x) => 0.5 * x * (1 + erf(x / Math.SQRT2)),
+  silu: (x) => x * sigmoid(x),
+  mish: (x) => x * Math.tanh(softplus(x)),
+  selu: (x) => 1.0507009873554805 * (x > 0 ? x : 1.6732632423543772 * Math.expm1(x)),
+  softplus,
+  softsign: (x) => x / (1 + Math.abs(x)),
+  identity: (x) => x,
+  hardtanh: (x) => clamp(x, -1, 1),
+  relu6: (x) => clamp(x, 0, 6),
+  sigmoid_centred: (x) => 2 * sigmoid(x) - 1,
+};
+
+/** Base64 of little-endian float32 as numbers. */
+function floats(text) {
+  const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+  const view = new DataView(bytes.buffer);
+  return Float32Array.from({ length: bytes.length / 4 }, (_, place) => view.getFloat32(4 * place, true));
+}
+
+/** Values that LayerNorm centres and scales. */
+function normalised(values) {
+  const mean = values.reduce((sum, value) => sum + value, 0) / values.length;
+  const variance = values.reduce((sum, value) => sum + (value - mean) ** 2, 0) / values.length;
+  return values.map((value) => (value - mean) / Math.sqrt(variance + 1e-5));
+}
+
+/** One layer: bias [out] + inputs [in] x weight [in, out]. */
+function linear(inputs, weight, bias) {
+  const sums = Float64Array.from(bias);
+  const outputs = sums.length;
+  for (let from = 0; from < inputs.length; from += 1) {
+    const input = inputs[from];
+    if (input === 0) continue;
+    for (let to = 0, at = from * outputs; to < outputs; to += 1, at += 1) sums[to] += input * weight[at];
+  }
+  return Float32Array.from(sums);
+}
+
+/** A trained network: observation -> { hidden: the activations of each hidden layer, values: one number an action }. */
+function network({ sizes, activation, layer_norm, weights }) {
+  const numbers = floats(weights);
+  const layers = [];
+  let at = 0;
+  const take = (count) => numbers.subarray(at, (at += count));
+  for (let layer = 0; layer + 1 < sizes.length; layer += 1) {
+    layers.push([take(sizes[layer] * sizes[layer + 1]), take(sizes[layer + 1])]);
+  }
+  const last = layers.pop();
+  return (observation) => {
+    const hidden = [];
+    let inputs = observation;
+    for (const [weight, bias] of layers) {
+      const sums = linear(inputs, weight, bias);
+      inputs = (layer_norm ? normalised(sums) : sums).map(ACTIVATIONS[activation]);
+      hidden.push(inputs);
+    }
+    return { hidden, values: linear(inputs, ...last) };
+  };
+}
+
+function softmax(values) {
+  const largest = values.reduce((one, other) => Math.max(one, other));
+  const powers = Array.from(values, (value) => Math.exp(value - largest));
+  const sum = powers.reduce((one, other) => one + other);
+  return powers.map((power) => power / sum);
+}
+
+function best(values) {
+  return values.indexOf(values.reduce((one, other) => Math.max(one, other)));
+}
+
+/** Ways to act in training: each chooses an action of the values, with uniform random numbers. */
+const ACTS = {
+  /** An action from softmax(values) by inverting its cumulative distribution. */
+  categorical: (values, epsilon, draw) => {
+    const uniform = draw();
+    let [cumulative, action] = [0, 0];
+    for (const share of softmax(values)) {
+      cumulative += share;
+      if (cumulative > uniform) break;
+      action += 1;
+    }
+    return Math.min(action, values.length - 1);
+  },
+  /** The best action, or with probability epsilon a uniformly random one. */
+  "epsilon-greedy": (values, epsilon, draw) => {
+    const [coin, choice] = [draw(), draw()];
+    const explored = Math.min(Math.floor(choice * values.length), values.length - 1);
+    return coin < epsilon ? explored : best(values);
+  },
+};
+
+/** What a picture shows of a policy's values. */
+const SHOWN = { probability: softmax, "Q value": (values) => [...values] };
+
+/** Fly straight at full speed where that is certainly safe, else turn left on the spot. */
+function reactive(world, observation) {
+  const full = world.n_distances - 1;
+  const closest = slotsOf(observation).reduce((least, [, forward, proximity]) => {
+    const distance = f32(world.drone_radius + f32(proximity * (world.sensor_radius - world.drone_radius)));
+    return Math.min(least, f32(distance - f32(full * forward)));
+  }, Infinity);
+  const safe = closest > f32(world.drone_radius + 0.01);
+  return encode(world, safe ? [0, full] : [Math.floor(world.n_turns / 2), 0]);
+}
+
+/**
+ * What a policy of the page makes of an observation: { action, hidden, shares, low, high }, where `shares` [actions] is
+ * what a picture shows. draw: uniform random numbers; greedy: the best action always.
+ */
+function thinker(policy) {
+  let think; // unpacked when it is first asked
+  return (observation, draw, greedy) => {
+    think ??= network(policy);
+    const { hidden, values } = think(observation);
+    const action = greedy ? best(values) : ACTS[policy.acts](values, policy.epsilon, draw);
+    const shown = SHOWN[policy.shown](values);
+    return { action, hidden, shown, low: Math.min(...shown), high: Math.max(...shown) };
+  };
+}

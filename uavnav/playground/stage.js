@@ -1,0 +1,159 @@
+/*
+ * The arena as one touches it: drawing it, steering by pointer, and obstacles drawn, moved and sized by pointer.
+ */
+
+const EDGE = 14; // [px] from a circle's edge within which a drag changes its size
+const ARRIVED = 15; // [px] from the pointer a drone stops
+const SLOW_DOWN = 45; // [degrees] from the way to the pointer above which a drone turns before it flies
+
+/** The turn [degrees] and distance [px] that bring a drone nearer to a point: at most 5 degrees left, 4 right, 9 px. */
+function towards(world, { x, y, heading }, [toX, toY]) {
+  const [dx, dy] = [toX - x, toY - y];
+  const away = Math.hypot(dx, dy);
+  const wanted = Math.round((Math.atan2(dy, dx) * 180) / Math.PI);
+  const turn = ((wanted - heading + 900) % 360) - 180;
+  if (away < ARRIVED) return [0, 0];
+  const left = Math.floor(world.n_turns / 2);
+  const pixels = Math.abs(turn) > SLOW_DOWN ? 1 : clamp(Math.floor(away / 8), 1, world.n_distances - 1);
+  return [clamp(turn, left + 1 - world.n_turns, left), pixels];
+}
+
+/** The nearest circle to a drawn one that the world allows: of its sizes, within it, and clear of the start. */
+function allowed(world, [x, y, radius]) {
+  const rounded = (number) => f32(Math.round(10 * number) / 10);
+  const size = rounded(clamp(radius, world.obstacle_radius_min, world.obstacle_radius_max));
+  const inside = [clamp(x, 0, world.width), clamp(y, 0, world.height)];
+  const [startX, startY] = [world.width / 2, world.height / 2];
+  const [dx, dy] = [inside[0] - startX, inside[1] - startY];
+  const away = Math.hypot(dx, dy);
+  const least = world.safe_zone + size + 0.2; // so that rounding brings it no nearer
+  if (away >= least) return [...inside.map(rounded), size];
+  const [ux, uy] = away > 0 ? [dx / away, dy / away] : [0, 1];
+  return [rounded(startX + least * ux), rounded(startY + least * uy), size];
+}
+
+class Stage {
+  /** app: has `race`, `world`, `circles`, `edit(circles)`, `focusOn(place)`; element: with the canvas inside. */
+  constructor(app, element) {
+    Object.assign(this, { app, element, canvas: element.querySelector("canvas") });
+    this.drawing = false; // whether the pointer draws obstacles
+    this.selected = -1; // the circle that keys and buttons change
+    this.target = null; // [x, y] px where a held pointer is
+    const listen = (name, act) => this.canvas.addEventListener(name, (event) => act.call(this, event, this.at(event)));
+    listen("pointerdown", this.press);
+    listen("pointermove", this.drag);
+    for (const name of ["pointerup", "pointercancel"]) listen(name, this.release);
+    listen("contextmenu", this.erase);
+  }
+
+  /** Where a pointer is in the world [px]. */
+  at(event) {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    const { world } = this.app;
+    const x = ((event.clientX - left) / width) * world.width;
+    return [x, (1 - (event.clientY - top) / height) * world.height];
+  }
+
+  press(event, point) {
+    if (event.button !== 0) return;
+    this.element.focus({ preventScroll: true });
+    this.canvas.setPointerCapture(event.pointerId);
+    if (this.drawing) this.grasp(point);
+    else {
+      const { drones } = this.app.race;
+      const near = drones.findIndex(
+        ({ pilot, state }) => pilot !== NOBODY && Math.hypot(state.x - point[0], state.y - point[1]) < 30,
+      );
+      if (near >= 0) this.app.focusOn(near);
+      this.target = point;
+    }
+  }
+
+  drag(event, point) {
+    if (this.target) this.target = point;
+    if (this.held) this.held(point);
+  }
+
+  release() {
+    if (this.target) this.app.race.hand = [0, 0];
+    if (this.held) this.app.edited();
+    this.target = this.held = null;
+  }
+
+  // -- obstacles by pointer
+
+  /** Take hold of a circle by its inside or its edge, or begin a new one. */
+  grasp([x, y]) {
+    const { circles } = this.app.race;
+    const gap = ([cx, cy, radius]) => Math.hypot(cx - x, cy - y) - radius;
+    this.selected = circles.findLastIndex((circle) => gap(circle) < EDGE / 2);
+    if (this.selected < 0) {
+      if (!this.app.add([x, y, 0])) return;
+      this.held = (to) => this.sized(to);
+    } else if (gap(circles[this.selected]) > -EDGE) {
+      this.held = (to) => this.sized(to);
+    } else {
+      const [cx, cy, radius] = circles[this.selected];
+      this.held = ([toX, toY]) => this.change([cx + toX - x, cy + toY - y, radius]);
+    }
+  }
+
+  sized([toX, toY]) {
+    const [x, y] = this.app.race.circles[this.selected];
+    this.change([x, y, Math.hypot(toX - x, toY - y)]);
+  }
+
+  change(circle) {
+    this.app.edit(this.app.race.circles.with(this.selected, allowed(this.app.world, circle)));
+  }
+
+  erase(event, [x, y]) {
+    if (!this.drawing) return;
+    event.preventDefault();
+    this.selected = this.app.race.circles.findLastIndex(([cx, cy, radius]) => Math.hypot(cx - x, cy - y) < radius);
+    this.app.remove();
+  }
+
+  // -- the picture
+
+  /** Draw the moment so much of the way [0 to 1] from each drone's last pose to its pose. focus: place of a drone. */
+  draw(share, focus, colours) {
+    const { race, world } = this.app;
+    const shown = race.drones.map((drone, place) => ({ drone, place })).filter(({ drone }) => drone.pilot !== NOBODY);
+    shown.sort((one, other) => (one.place === focus) - (other.place === focus)); // the one in focus above all
+    const drones = shown.map(({ drone, place }) => {
+      const pose = race.poseAt(drone, drone.crashed ? 1 : share);
+      const mine = place === focus;
+      const here = { ...drone.state, angle: (drone.state.heading * Math.PI) / 180 };
+      return {
+        pose,
+        trail: [...drone.trail, [pose.x, pose.y]],
+        sensed: mine && !drone.crashed ? sensedPoints(world, here, slotsOf(drone.observation)) : [],
+        crashed: drone.crashed,
+        sign: String(place + 1),
+        accent: colours[`drone-${place + 1}`],
+        faint: !mine || drone.crashed,
+      };
+    });
+    const { context, thick } = drawArena(this.canvas, { world, circles: race.circles, drones, colours });
+    if (this.drawing) this.drawHelp(context, thick, colours);
+  }
+
+  /** While one draws: the zone that must stay free, and the selected circle. */
+  drawHelp(context, thick, colours) {
+    const { world, race } = this.app;
+    const ring = ([x, y, radius]) => {
+      context.beginPath();
+      context.arc(x, y, radius, 0, 2 * Math.PI);
+      context.stroke();
+    };
+    context.lineWidth = 2 * thick;
+    context.strokeStyle = colours.muted;
+    context.setLineDash([6 * thick, 6 * thick]);
+    ring([world.width / 2, world.height / 2, world.safe_zone]);
+    context.setLineDash([]);
+    context.strokeStyle = colours.accent;
+    context.lineWidth = 4 * thick;
+    if (race.circles[this.selected]) ring(race.circles[this.selected]);
+  }
+}

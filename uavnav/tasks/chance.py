@@ -1,0 +1,54 @@
+"""All that is random in the flights of a batch: start headings, and what faults need, from streams of each seed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from uavnav.tasks import seeding
+from uavnav.tasks.simulator import Task
+from uavnav.tasks.state import UP
+
+FIRST, LATER = "first_faults", "faults"
+"""The streams of what is sensed at the beginning of episodes, and of steps."""
+
+
+class Chance:
+    """The streams of each seed, for so many rows a seed: what one seed gets does not depend on the others."""
+
+    def __init__(self, task: Task, seeds: Sequence[int], rows: int, device: torch.device | str = "cpu") -> None:
+        self._task, self._rows, self._device = task, rows, device
+        self._seeds = len(seeds)
+        purposes = ["headings", *((FIRST, LATER) if task.n_draws else ())]
+        self._streams = {purpose: seeding.Streams(seeds, purpose) for purpose in purposes}
+
+    def headings(self) -> Tensor:
+        """Start headings [seeds, rows] whole degrees."""
+        if self._task.world.start_heading == "up":
+            return torch.full((self._seeds, self._rows), UP, device=self._device)
+        return seeding.headings(self._streams["headings"], self._rows, self._device)
+
+    def first(self) -> Tensor | None:
+        """What `Task.start` needs [seeds, rows, n_draws]; None where it needs nothing."""
+        return self._drawn(FIRST)
+
+    def later(self) -> Tensor | None:
+        """What `Task.step` needs [seeds, rows, n_draws]; None where it needs nothing."""
+        return self._drawn(LATER)
+
+    def _drawn(self, purpose: str) -> Tensor | None:
+        if purpose not in self._streams:
+            return None
+        return self._streams[purpose].draw(self._task.draw, self._rows, device=self._device)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where each stream is."""
+        return {purpose: streams.state_dict() for purpose, streams in self._streams.items()}
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Go on from where `state_dict` was taken, of a task alike."""
+        for purpose, streams in self._streams.items():
+            streams.load_state_dict(state_dict[purpose])

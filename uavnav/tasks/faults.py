@@ -1,0 +1,111 @@
+"""What goes wrong between the world and a policy: noise, lost echoes, late observations, an actuator that sticks.
+
+The dataclass is read without torch. Its functions are pure; the random numbers come in as tensors, which a task draws
+(`simulator.Task.draw`). Letters: B the batch shape (any, also none), S slots of an observation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from uavnav.choices import unknown_key
+from uavnav.help import key
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Faults of a drone's sensor and actuator; by default there are none.
+
+    Raises:
+        ValueError: a number is out of its range.
+    """
+
+    noise: float = key(0.0, "standard deviation σ of each sensed distance", "px", least=0)
+    lost: float = key(0.0, "of each echo to be lost, whatever the others do", "probability", least=0, most=1)
+    late: int = key(0, "by which each observation comes too late", "steps", least=0)
+    sticky: float = key(0.0, "of the last executed action to be executed again", "probability", least=0, most=1)
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value: Any = getattr(self, item.name)
+            least, most = item.metadata["least"], item.metadata.get("most", math.inf)
+            whole = item.name != "late" or isinstance(value, int)
+            number = isinstance(value, (int, float)) and not isinstance(value, bool) and value < math.inf
+            if not (number and whole and least <= value <= most):
+                kind = "number" if item.name != "late" else "whole number"
+                bounds = f"at least {least}" + (f" and at most {most}" if most < math.inf else "")
+                raise ValueError(f"{item.name}={value}; give a {kind} of {bounds}")
+
+    def __str__(self) -> str:
+        """Those that there are, as `noise=5,late=2`; `none` where there are none."""
+        found = [f"{item.name}={getattr(self, item.name):g}" for item in fields(self) if getattr(self, item.name)]
+        return ",".join(found) or "none"
+
+    def sizes(self, n_slots: int) -> list[int]:
+        """How many random numbers a row needs in a step: normal ones of noise, uniform ones of lost, and of sticky."""
+        return [n_slots * (self.noise > 0), n_slots * (self.lost > 0), int(self.sticky > 0)]
+
+    def echoes(self, distance: Tensor, filled: Tensor, draws: Tensor) -> tuple[Tensor, Tensor]:
+        """What comes back of the echoes of slots: d + σ ε, and a slot is emptied with probability `lost`.
+
+        distance [S, *B] px, filled [S, *B] bool, draws [*B, n] of `sizes` -> distance px, filled.
+        """
+        normal, uniform, _ = draws.split(self.sizes(len(distance)), -1)  # type: ignore[no-untyped-call]
+        if self.noise:
+            distance = distance + self.noise * normal.movedim(-1, 0)
+        if self.lost:
+            filled = filled & (uniform.movedim(-1, 0) >= self.lost)
+        return distance, filled
+
+    def executed(self, action: Tensor, last: Tensor, steps: Tensor, draws: Tensor) -> Tensor:
+        """The action that is executed: the last one again with probability `sticky`, not in an episode's first step.
+
+        action, last [*B] int64, steps [*B] since the episode began, draws [*B, n] of `sizes` -> [*B]. Machado et al.
+        (2018), "Revisiting the Arcade Learning Environment".
+        """
+        sticks = (draws[..., -1] < self.sticky) & (steps > 0)
+        return last.where(sticks, action)
+
+
+NO_FAULTS = Faults()
+
+NAMES = [item.name for item in fields(Faults)]
+
+RUNGS: dict[str, tuple[float, ...]] = {
+    "noise": (0, 2, 5, 10, 20),
+    "lost": (0, 0.05, 0.1, 0.2, 0.4),
+    "late": (0, 1, 2, 4, 8),
+    "sticky": (0, 0.1, 0.25, 0.5),
+}
+"""The ladders of evaluation: the values of each fault that a policy is flown with, in the fault's unit."""
+
+AnyTask = TypeVar("AnyTask", bound=Any)
+
+
+def rung(task: AnyTask, name: str, value: float) -> AnyTask:
+    """The same task with one of its faults at a value of `RUNGS`, its other faults as they are."""
+    found: AnyTask = replace(task, faults=replace(task.faults, **{name: value}))
+    return found
+
+
+def from_words(words: str) -> Faults:
+    """Faults from `noise=5,late=2`, or from `none`.
+
+    Raises:
+        ValueError: there is no such fault, or its value is not right.
+    """
+    values: dict[str, float] = {}
+    for word in words.split(",") if words != "none" else ():
+        name, _, given = word.strip().partition("=")
+        if name not in NAMES:
+            raise unknown_key(name, NAMES)
+        try:
+            values[name] = int(given) if name == "late" else float(given)
+        except ValueError:
+            raise ValueError(f"{word.strip()}; give a number, as noise=5 or late=2") from None
+    return Faults(**values)  # type: ignore[arg-type]

@@ -93,12 +93,11 @@ def validate(bank: Tensor, world: World | None = None) -> None:
         raise LayoutError(f"a bank has the shape [n > 0, k + 1, 3], not {list(bank.shape)}")
     circles.validate(bank[:, :-1], world)
     goal = bank[:, -1].double().cpu().numpy()
-    if not np.isfinite(goal).all():
-        raise LayoutError(f"the goal of set {np.argwhere(~np.isfinite(goal))[0][0]} is not finite")
     standing = bank[:, :-1].cpu().numpy()
     room = np.array([_room(place[None, :2], around, world)[0] for place, around in zip(goal, standing, strict=True)])
     away = np.hypot(*(goal[:, :2] - np.array(world.start)).T)
     for wrong, rule in (
+        (~np.isfinite(goal).all(-1), "is not finite"),
         (room < ROOM - 1e-3, f"is nearer than {ROOM:g} px to an edge"),
         (away < FAR - 1e-3, f"is nearer than {FAR:g} px to the start"),
         (goal[:, 2] < 0, "has a way of less than 0 px"),

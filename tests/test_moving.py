@@ -19,7 +19,7 @@ from uavnav import DroneEnv, evaluate, load_policy, verify
 from uavnav.algorithms import ppo
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
 from uavnav.tasks import circles, layouts, moving
-from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.baselines import BASELINES, dodge, suited
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.simulator import Moving, make_task
 
@@ -323,6 +323,26 @@ def test_obstacles_that_move_are_never_counted_as_going_round(tmp_path):
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     policy = load_policy(run.path)
     assert not evaluate._repeatable({0: policy}, policy.task)
+
+
+def test_among_moving_obstacles_the_reactive_rule_dodges_and_flies_half_as_long_again(bank):
+    task = make_task(bank[:40], max_steps=300, task="moving")
+    rule = suited(BASELINES["reactive"], task)
+    assert rule is dodge
+    assert suited(BASELINES["reactive"], make_task("test")) is BASELINES["reactive"]
+    assert suited(BASELINES["random"], task) is BASELINES["random"]
+    steps = [evaluate.fly({0: policy}, task).episodes["steps"].mean() for policy in (rule, BASELINES["reactive"])]
+    assert steps[0] > 1.5 * steps[1]
+
+
+def test_the_rule_that_dodges_turns_away_from_what_is_straight_ahead_and_flies_on_where_nothing_is():
+    nothing = torch.tensor([0.0, 0.0, 1.0]).repeat(10)
+    wall = torch.cat([torch.tensor([0.0, 1.0, 0.3]), nothing[3:]])
+    straight, away = dodge(torch.stack([nothing, wall])).tolist()
+    assert straight == 9
+    assert away in (50, 60)  # as far as it can, on the spot
+    with_velocities = torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0]).repeat(10)
+    assert dodge(with_velocities).item() == 9
 
 
 @pytest.mark.parametrize("name", BASELINES)

@@ -25,7 +25,7 @@ from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.runs.tables import RunError
-from uavnav.tasks.baselines import BASELINES, AnyPolicy
+from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
 
@@ -97,6 +97,7 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, scrip
     task = on(first.task if isinstance(first, Policy) else scripted, **protocol)
     n = len(task.bank) * len(population)
     with machine.use_threads(1), display.flights(name, n, protocol["max_steps"]) as tell:
+        population = {seed: suited(policy, task) for seed, policy in population.items()}
         return Contender(name, fly(population, task, tell).episodes, protocol, None)
 
 

@@ -26,7 +26,7 @@ from uavnav.runs import BEHAVIOUR, EVALUATION, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
-from uavnav.tasks.baselines import BASELINES, AnyPolicy
+from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.faults import Faults, from_words
 from uavnav.tasks.ladders import Measure, measure_of
 from uavnav.tasks.protocol import EPISODES as EPISODES
@@ -298,7 +298,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 for mode, policy in run.items():
                     task = on(policy.task if isinstance(policy, Policy) else scripted, *bounds, faults)
                     with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:], quiet) as tell:
-                        flown[mode] = fly({0: policy}, task, tell, measure_of(arguments.layouts)).episodes
+                        flown[mode] = fly({0: suited(policy, task)}, task, tell, measure_of(arguments.layouts)).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
                 who, kept = (name if name in BASELINES else Path(name).stem, ""), []
                 for mode, part in flown.items() if arguments.out is not None else ():

@@ -27,7 +27,7 @@ from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, PILOTS, SENSED, STEPS_PER_SECOND, Colour, Picture, font
 from uavnav.files import check_out
 from uavnav.tasks import layouts as banks
-from uavnav.tasks.baselines import BASELINES, AnyPolicy
+from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.protocol import EPISODES
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import State, at
@@ -100,7 +100,9 @@ def load_pilots(
     of_runs = [pilot.task for pilot in pilots if pilot.task is not scripted]
     if len(kinds := {banks.kind_of(one.world) for one in of_runs}) > 1:
         raise ValueError(f"runs of task={' and task='.join(sorted(kinds))} have no set in common; give those of one")
-    return [one._replace(task=of_runs[0]) if one.task is scripted and of_runs else one for one in pilots]
+    task_of = {scripted: of_runs[0] if of_runs else scripted}
+    placed = [one._replace(task=task_of.get(one.task, one.task)) for one in pilots]
+    return [one._replace(policy=suited(one.policy, one.task)) for one in placed]
 
 
 def load_layout(layouts: str, layout: int, pilots: Sequence[Pilot] = ()) -> Tensor:

@@ -170,6 +170,27 @@ def test_a_slot_at_the_sensors_reach_is_clamped_after_the_noise_and_stays_in_vie
     assert torch.equal(sensed[..., :2], task.sense(state)[0].unflatten(-1, (10, 3))[..., :2])
 
 
+def test_among_moving_obstacles_noise_leaves_velocities_and_a_lost_slot_has_none():
+    task = make_task("test", {"sense_velocity": True}, task="moving", stack=2, faults={"noise": 4.0, "lost": 0.3})
+    n = 400
+    draws = [task.draw(n, torch.Generator().manual_seed(nth)) for nth in range(2)]
+    state = task.start(torch.arange(n), torch.full((n,), 90), draws[0])
+    state, outcome = task.step(state, torch.full((n,), 9), draws[1])
+    true = task.sense(state)[0].unflatten(-1, (10, 5))
+    seen = outcome.observation[:, :50].unflatten(-1, (10, 5))
+    filled = true[..., 2] < 1
+    lost = filled & (draws[1][:, 10:] < 0.3)
+    kept = filled & ~lost
+    assert lost.sum() > 50
+    assert kept.sum() > 150
+    assert torch.equal(seen[lost], torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0]).expand(int(lost.sum()), 5))
+    others = [0, 1, 3, 4]
+    assert torch.equal(seen[kept][:, others], true[kept][:, others])
+    expected = (true[..., 2] + 4 / 90 * draws[1][:, :10]).clamp(0, 1)
+    torch.testing.assert_close(seen[kept][:, 2], expected[kept], rtol=0, atol=1e-5)
+    assert torch.equal(outcome.observation[:, 50:], state.seen[:, 1])  # of the start
+
+
 def flown(task, actions, draws=None):
     """Observations of all steps of a batch, the first included: [T + 1, B, n]; actions [T, B], draws [T + 1, B, n]."""
     given = [None] * (len(actions) + 1) if draws is None else draws

@@ -6,13 +6,18 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from uavnav.algorithms import a2c, dqn, ppo
+from uavnav.algorithms import a2c, dqn, ppo, sac
 from uavnav.envs.env import DroneEnv
 from uavnav.tasks.simulator import make_task
 from uavnav.training import probes
 from uavnav.training.sampling import Actor
 
-ALGORITHMS = {"ppo": ppo.PPOConfig(n_seeds=2), "dqn": dqn.DQNConfig(n_seeds=2), "a2c": a2c.A2CConfig(n_seeds=2)}
+ALGORITHMS = {
+    "ppo": ppo.PPOConfig(n_seeds=2),
+    "dqn": dqn.DQNConfig(n_seeds=2),
+    "a2c": a2c.A2CConfig(n_seeds=2),
+    "sac": sac.SACConfig(n_seeds=2),
+}
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +64,13 @@ def transitions(config):
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_updates_and_diagnostics_stay_on_their_device(meta, algorithm):
     config, (_, poses) = ALGORITHMS[algorithm], meta
-    module = {"ppo": ppo, "dqn": dqn, "a2c": a2c}[algorithm]
+    module = {"ppo": ppo, "dqn": dqn, "a2c": a2c, "sac": sac}[algorithm]
     if algorithm == "dqn":
         policy = dqn.make_network(config).to("meta")
         loss = dqn.make_loss(policy, config)
+    elif algorithm == "sac":
+        policy, twins = (network.to("meta") for network in sac.make_networks(config))
+        loss = sac.make_loss(policy, twins, config).to("meta")
     else:
         policy, value = ppo.make_networks(config)
         loss = module.make_loss(policy, value, config).to("meta")

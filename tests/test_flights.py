@@ -95,7 +95,7 @@ def test_random_headings_belong_to_the_set_whoever_flies_and_however_many_sets_t
     assert headings.unique().numel() > 100
     for n in (1, 2, 17, 100):
         assert torch.equal(flights.headings(task, n), headings[:n])
-    both = flights.start(task, flyers=2)
+    both = flights.start(task, seeds=[0, 1])
     assert torch.equal(both.heading, headings.repeat(2))
     assert torch.equal(flights.headings(on(WORLDS["up, eq14"]), 3), torch.tensor([90, 90, 90]))
 

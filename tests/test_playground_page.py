@@ -158,6 +158,20 @@ def test_time_goes_stops_steps_and_starts_again_by_keys_alone(browser):
     assert ask(browser, "playground.race.circles") == circles
 
 
+def test_a_seed_repeats_the_random_choices_and_another_makes_others(browser):
+    ends = []
+    for seed in (0, 5, 0):
+        one(browser, "#seed").send_keys(Keys.CONTROL, "a", Keys.NULL, str(seed), Keys.TAB)
+        assert drone(browser, 1)["steps"] == 0
+        steps(browser, 60)
+        ends.append([drone(browser, place) for place in (1, 3)])
+    assert ends[0] == ends[2]
+    assert ends[0][0] != ends[1][0]  # PPO samples
+    assert ends[0][1] == ends[1][1]  # the rule does not
+    one(browser, "#seed").send_keys(Keys.CONTROL, "a", Keys.NULL, "-1", Keys.TAB)
+    assert one(browser, "#seed").get_property("value") == "0"
+
+
 def test_a_drone_is_handed_over_in_mid_flight_and_taken_back_where_it_is(browser):
     steps(browser, 20)
     press(browser, "3", "t")

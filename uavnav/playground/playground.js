@@ -116,6 +116,7 @@ class Playground {
     for (const [id, act] of Object.entries(clicks)) on(id, "click", act);
     on("speed", "change", ({ value }) => this.change({ speed: Number(value) }));
     on("k", "input", ({ value }) => this.change({ k: Number(value), circles: null }, true));
+    on("seed", "change", ({ value }) => this.change({ seed: READ.seed(value) ?? this.scene.seed }, true));
     on("pilot", "change", ({ value }) => this.handTo(this.focus, value));
     on("greedy", "change", ({ checked }) => {
       this.race.greedy(checked);
@@ -140,7 +141,8 @@ class Playground {
   /** Change parts of the scene; from the start: everyone begins again. */
   change(parts, fromTheStart = false) {
     if (fromTheStart) {
-      this.race.load({ ...this.scene, ...parts });
+      const drawn = this.scene.circles ? this.race.circles : null;
+      this.race.load({ ...this.scene, circles: drawn, ...parts });
       this.share = 1;
       this.stage.selected = -1;
     } else Object.assign(this.scene, parts);
@@ -154,8 +156,7 @@ class Playground {
   }
 
   again() {
-    const held = this.scene.circles ? this.race.circles : null;
-    this.change({ circles: held }, true);
+    this.change({}, true);
   }
 
   setOf(more) {
@@ -367,6 +368,7 @@ class Playground {
     say(find("focus-number"), String(scene.focus));
     find("pilot").value = drone.pilot;
     find("greedy").checked = scene.greedy;
+    find("seed").value = scene.seed;
     say(find("acts"), this.data.policies.find(({ key }) => key === drone.pilot)?.told ?? "");
     const yours = race.drones.findIndex(({ pilot }) => pilot === YOU) + 1;
     const steering = yours

@@ -7,6 +7,7 @@
 const STEPS_PER_SECOND = 30; // at speed 1
 const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) the race goes on, and does not jump
 const MOST_AT_ONCE = 8; // steps from one picture to the next
+const ADDRESS = 200; // [ms] from a change of the scene to the address that holds it
 const INSTRUMENTS = 66; // [ms] from one picture of the instruments to the next
 
 class Playground {
@@ -48,6 +49,7 @@ class Playground {
 
   /** The scene that the address names; what is wrong in it is told. */
   open() {
+    clearTimeout(this.later);
     const [parts, wrong] = readLink(location.hash, this.world, this.known);
     this.race.load({ ...this.first(), ...parts });
     this.tell(wrong.length ? `Left out of the link, because it is not right: ${wrong.join(", ")}.` : "");
@@ -56,15 +58,20 @@ class Playground {
     this.show();
   }
 
-  /** Keep the scene in the address. */
+  /** Keep the scene in the address, soon: browsers slow down pages that change it at every move of a slider. */
   keep() {
+    clearTimeout(this.later);
+    this.later = setTimeout(() => this.write(), ADDRESS);
+  }
+
+  write() {
     const circles = this.scene.circles ? this.race.circles : null;
     const address = `#${writeLink({ ...this.scene, circles })}`;
     if (location.hash !== address) history.replaceState(null, "", address);
   }
 
   async copy() {
-    this.keep();
+    this.write();
     try {
       await navigator.clipboard.writeText(location.href);
       this.tell("The link to this scene is copied.");

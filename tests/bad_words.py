@@ -83,8 +83,8 @@ CASES = [
     word("a plugin", "plugins=nowhere: is no module in ", "without .py", "ppo", "plugins=nowhere"),
     word("a plugin's file", "plugins=thesis.py: ", "without .py", "ppo", "plugins=thesis.py"),
     word("a plugin of a run", "--plugins nowhere: ", "without .py", *EVALUATE, "--plugins", "nowhere"),
-    word("an algorithm", "algorithm=poo; choose from a2c, dqn, ppo", "did you mean ppo?", "poo"),
-    word("no algorithm", "algorithm=; ", "choose from a2c, dqn, ppo", "activation=relu"),
+    word("an algorithm", "algorithm=poo; choose from a2c, c51, dqn, ppo", "did you mean ppo?", "poo"),
+    word("no algorithm", "algorithm=; ", "choose from a2c, c51, dqn, ppo", "activation=relu"),
     word("a key without a value", "'relu'", "", "ppo", "relu"),
     word("a sweep with one wrong", "activation=rleu; ", "did you mean relu?", "ppo", "-m", "activation=relu,rleu"),
     word(

@@ -20,6 +20,7 @@ SHORT = {
     "ppo": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "evaluate=false"],
     "dqn": ["total_frames=1e3", "learning_starts=500", "evaluate=false"],
     "a2c": ["total_frames=1e3", "evaluate=false"],
+    "c51": ["total_frames=1e3", "learning_starts=800", "evaluate=false"],
 }
 
 
@@ -63,11 +64,16 @@ def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, 
         "per frame",
         "log curve",
         "all training",
-        {"ppo": "16 parallel worlds", "dqn": "64 parallel worlds", "a2c": "16 parallel worlds"}[algorithm],
+        {
+            "ppo": "16 parallel worlds",
+            "dqn": "64 parallel worlds",
+            "a2c": "16 parallel worlds",
+            "c51": "64 parallel worlds",
+        }[algorithm],
         "2 seeds",
     ):
         assert words in out, words
-    of_the_paper = {"ppo": "1,730.6", "dqn": "205.6", "a2c": ""}[algorithm]  # its steps (1730.587, 205.576), or none
+    of_the_paper = {"ppo": "1,730.6", "dqn": "205.6"}.get(algorithm, "")  # its steps (1730.587, 205.576), or none
     assert of_the_paper in out
     assert ("paper ┃" in out) == bool(of_the_paper)
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]  # Hydra writes nothing of its own
@@ -172,7 +178,7 @@ def test_train_without_an_algorithm_of_the_table_names_them(recipe, tmp_path, wo
     status, out, err = recipe(word)
     assert (status, out) == (2, "")
     given = "pppo" if word == "pppo" else ""
-    assert err.startswith(f"uavnav train: algorithm={given}; choose from a2c, dqn, ppo")
+    assert err.startswith(f"uavnav train: algorithm={given}; choose from a2c, c51, dqn, ppo")
     assert err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 

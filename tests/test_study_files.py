@@ -75,7 +75,7 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
         ("[", "cannot be read"),
         ("cells: [{algorithm: ppo}]\nwaht: x", "there is no key 'waht'; choose from banks, cells, settings, what (did"),
         ("cells: [{folder: x}]", "is no cell; it needs at least an `algorithm`"),
-        ("cells: [{algorithm: pop}]", "algorithm=pop; choose from a2c, dqn, ppo (did you mean ppo?)"),
+        ("cells: [{algorithm: pop}]", "algorithm=pop; choose from a2c, c51, dqn, ppo (did you mean ppo?)"),
         ("cells: [{algorithm: ppo, lrr: 1}]", "there is no key 'lrr'"),
         ("cells: [{algorithm: ppo, lr: [0.1, 0.2]}]", "two cells share it; name in braces what they differ in"),
         ("cells: [{algorithm: ppo, folder: '{lr}'}]", "folder={lr}: names 'lr', which the cell does not set"),

@@ -127,7 +127,7 @@ def test_dqn_acts_on_one_device_whose_epsilon_too_lies_there(unspecified):
     config = dqn.DQNConfig(n_seeds=2)
     env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds, task=config.make_task())
     network = dqn.make_network(config).to("meta")
-    actor = Actor(network, config.seeds, dqn.HOW.acts, dqn.HOW.head, compile=False, epsilon=config.epsilon)
+    actor = Actor(network, config.seeds, "epsilon-greedy", config.head, compile=False, epsilon=config.epsilon)
     batch = collected(env, actor, 1)
     assert {value.device.type for value in (actor.epsilon, *batch.values(True, True))} == {"meta"}
     assert dqn.rows(batch, config).batch_size == (config.n_worlds, 2)

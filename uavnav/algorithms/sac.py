@@ -112,7 +112,7 @@ class Twins(nn.Module):
 
 def make_networks(config: SACConfig) -> tuple[nn.Sequential, Twins]:
     """The policy [A, ..., 30] -> [A, ..., 100] logits, and the two Q networks; no layer is shared."""
-    sizes = [config.world.observation_size, *config.hidden, config.world.n_actions]
+    sizes = [config.observation_size, *config.hidden, config.world.n_actions]
 
     def network(purpose: str, gain: float) -> nn.Sequential:
         generators = [stream(seed, purpose) for seed in config.seeds]

@@ -125,8 +125,8 @@ def test_ten_seeds_in_100_s_are_40_times_faster_each_than_one_of_400_s():
     results = results_of(
         training__ppo__sb3__numpy=[{"whole": 400.0}] * 2, training__ppo__uavnav__10=[{"whole": 100.0}] * 2
     )
-    assert sections.against_sb3(results, "ppo", "uavnav/10", 10) == 40
-    assert sections.against_sb3(results, "dqn", "uavnav/10", 10) is None
+    assert sections.against_peer(results, "ppo", "uavnav/10", 10) == 40
+    assert sections.against_peer(results, "dqn", "uavnav/10", 10) is None
 
 
 @pytest.mark.parametrize(

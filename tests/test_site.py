@@ -87,7 +87,14 @@ def test_no_page_loads_anything_from_the_network(site):
 
 
 def test_every_equation_is_mathml(site):
-    for name, least in {"world.html": 30, "ppo.html": 10, "dqn.html": 8, "a2c.html": 6, "sac.html": 6}.items():
+    for name, least in {
+        "world.html": 30,
+        "ppo.html": 10,
+        "dqn.html": 8,
+        "a2c.html": 6,
+        "c51.html": 8,
+        "sac.html": 6,
+    }.items():
         assert site[name].count("<math") >= least
     for name, page in site.items():
         assert "arithmatex" not in page, name
@@ -196,6 +203,7 @@ def test_every_command_that_a_page_shows_is_understood(page, command, tmp_path, 
 TINY = {
     "train ppo": ["total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
     "train a2c": ["total_frames=2048", "compile=off", "evaluate=false"],
+    "train c51": ["total_frames=2048", "learning_starts=1792", "compile=off", "evaluate=false"],
     "train dqn": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
     "train sac": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
     "evaluate": ["--episodes", "2", "--max-steps", "50"],

@@ -38,7 +38,7 @@ ALGORITHMS = {
         "epsilon-greedy",
         "Q values",
         "Q value",
-        came_later={"n_steps": 1},
+        came_later={"n_steps": 1, "dueling": False},
         logs=("episodes", 4),
     ),
     "a2c": Algorithm(
@@ -48,5 +48,6 @@ ALGORITHMS = {
         "probability",
         logs=("frames", 100, "n_steps", "n_worlds"),
     ),
+    "c51": Algorithm("uavnav.algorithms.c51", "epsilon-greedy", "Q values", "Q value", "distribution"),
     "sac": Algorithm("uavnav.algorithms.sac", "categorical", "logits", "probability", logs=("episodes", 4)),
 }

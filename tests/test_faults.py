@@ -13,7 +13,7 @@ from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
 from uavnav.tasks.baselines import reactive
 from uavnav.tasks.faults import NAMES, NO_FAULTS, RUNGS, Faults, from_words, rung
 from uavnav.tasks.seeding import stream
-from uavnav.tasks.simulator import Task, make_task
+from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.state import State
 
 ALL = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
@@ -354,6 +354,24 @@ def test_one_drone_of_gymnasium_flies_120_steps_as_a_batch_of_one_bit_for_bit(ho
         if any(over):
             assert (alone == info["final_obs"][0]).all()
             alone, _ = single.reset()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_of_the_table_flies_with_a_stack_and_all_faults_and_goes_on_from_its_state(task):
+    how = {"layouts": "test", "task": task, "stack": 2, "faults": ALL, "max_steps": 15}
+    env, again = DroneEnv([2, 2], seeds=[0, 1], **how), DroneEnv([2, 2], seeds=[0, 1], **how)
+    size = 2 * env.world.observation_size
+    assert env.observation_spec["observation"].shape == (2, 2, size)
+    rolled(env, 20)
+    again.load_state_dict(env.state_dict())
+    rest = rolled(env, 20, seed=5)
+    assert rest.shape[-1] == 2 * size + 1
+    assert torch.equal(rolled(again, 20, seed=5), rest)
+    assert env.observation_spec.is_in(env.root().select("observation", "episode"))
+    single = DroneGymEnv(**how)
+    alone, _ = single.reset(seed=0)
+    assert single.observation_space.contains(alone)
+    assert single.observation_space.contains(single.step(9)[0])
 
 
 def test_the_scalar_core_hands_faults_and_stacks_to_a_batch_of_one():

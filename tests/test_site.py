@@ -77,6 +77,13 @@ def test_a_notebook_is_a_page_of_all_its_headings_and_code_cells(site, notebook)
     assert ".ipynb" not in re.sub(r"<code>docs/notebooks/[\w-]+\.ipynb</code>", "", page)
 
 
+def test_the_playground_of_the_committed_runs_is_a_page_and_two_pages_lead_to_it(site):
+    assert "const playground = startPlayground(" in site["fly.html"]
+    assert site["fly.html"].count('"key":') == 24
+    for name in ("index.html", "playground.html"):
+        assert re.search(r'<a href="?fly\.html"?>Fly it here</a>', site[name]), name
+
+
 def test_no_page_loads_anything_from_the_network(site):
     for name, page in site.items():
         loaded = re.findall(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"?([^\s\">]+)", page)

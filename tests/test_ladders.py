@@ -1,5 +1,6 @@
 """Ladders of the paper's world: their banks, what they count, and the task of each rung."""
 
+import dataclasses
 import itertools
 import re
 
@@ -13,6 +14,7 @@ from uavnav import evaluate
 from uavnav.runs import metrics
 from uavnav.tasks import circles, layouts, slalom
 from uavnav.tasks.baselines import BASELINES, straight_ahead
+from uavnav.tasks.faults import NAMES, NO_FAULTS
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.simulator import EMPTY, Moving, make_task
 
@@ -132,7 +134,10 @@ def test_on_each_rung_a_policys_world_differs_in_the_ladders_field_alone(name):
         task = LADDERS[name].task(own, rung, "validation")
         assert (task.max_steps, task.world.padding, len(task.bank)) == (50, "zeros", 1000)
         assert task.world.sensor_arc == (rung if name == "arc" else 180)
-        state, outcome = task.step(task.start(torch.arange(3), torch.full((3,), 90)), torch.tensor([9, 9, 9]))
+        assert task.faults == (dataclasses.replace(NO_FAULTS, **{name: rung}) if name in NAMES else NO_FAULTS)
+        draws = task.draw(3, torch.Generator().manual_seed(0))
+        start = task.start(torch.arange(3), torch.full((3,), 90), draws)
+        state, outcome = task.step(start, torch.tensor([9, 9, 9]), draws)
         assert outcome.observation.shape == (3, 30)
         if name == "speed":
             assert type(task) is Moving

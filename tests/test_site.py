@@ -25,6 +25,7 @@ from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import metrics
 from uavnav.tasks import rewards, simulator
+from uavnav.tasks.faults import NAMES
 from uavnav.training import machine
 from uavnav.window import play
 
@@ -172,6 +173,7 @@ def parse_train(words):
     kind = CONFIGS[given.algorithm]
     names = {field.name for field in dataclasses.fields(kind)}
     names |= {f"world.{one.name}" for kind in simulator.TASKS.values() for one in dataclasses.fields(kind.WORLD)}
+    names |= {f"faults.{name}" for name in NAMES}
     for key, _ in pairs:
         assert key in names | {line.name for line in help.of_command()}, key
     mine = {key: value.split(",") if given.multirun else [value] for key, value in pairs if key in names}

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uavnav.tasks import layouts, slalom
+from uavnav.tasks import faults, layouts, slalom
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.simulator import Moving, Task
 from uavnav.tasks.state import State
@@ -50,7 +50,16 @@ def speed(task: Task, rung: float, split: str = "test") -> Task:
     bank = layouts.load(split, MovingWorld())
     bank = torch.cat([bank[..., :3], bank[..., 3:] * (rung / MovingWorld().speed_max)], -1)
     world = task.world if isinstance(task.world, MovingWorld) else MovingWorld(**asdict(task.world))
-    return Moving(world, layouts.resolve(bank, world), task.reward, task.max_steps)
+    return Moving(world, layouts.resolve(bank, world), task.reward, task.max_steps, task.stack, task.faults)
+
+
+def fault(name: str) -> Callable[[Task, float, str], Task]:
+    """The policy's world with one fault of the sensor or the actuator at a value; its other faults stay."""
+
+    def at(task: Task, rung: float, split: str = "test") -> Task:
+        return faults.rung(task, name, rung).on(split, task.max_steps)
+
+    return at
 
 
 LADDERS = {
@@ -58,6 +67,10 @@ LADDERS = {
     "slalom": Ladder("gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), gaps, slalom.passages),
     "arc": Ladder("sensor's arc [degrees]", (60, 90, 120, 180), arc),
     "speed": Ladder("greatest speed of an obstacle [px a step]", (0, 1, 2, 3, 4, 6), speed),
+    "noise": Ladder("noise σ of the sensed distance [px]", faults.RUNGS["noise"], fault("noise")),
+    "lost": Ladder("probability of an echo to be lost", faults.RUNGS["lost"], fault("lost")),
+    "late": Ladder("delay of observations [steps]", faults.RUNGS["late"], fault("late")),
+    "sticky": Ladder("probability of an action to be repeated", faults.RUNGS["sticky"], fault("sticky")),
 }
 """By name, in the order of a report."""
 

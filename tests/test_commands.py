@@ -163,7 +163,7 @@ def test_each_key_has_one_line_of_meaning_with_its_default_and_its_choices(name)
     assert found["total_frames"].startswith("  total_frames=1000000 ")
     assert "[frames a seed] " in found["total_frames"]
     assert re.search(r"=180\.0 +\[degrees\] of the sensor", found["world.sensor_arc"])
-    assert found["reward"].endswith("; additive, eq14, initial")
+    assert found["reward"].endswith("; additive, eq14, goal, initial")
     assert found["preset"].endswith(f"; {', '.join(sorted(CONFIGS[name].PRESETS))}")
     assert all(logger in found["logger"] for logger in LOG_FOLDERS)
 

@@ -183,9 +183,11 @@ def parse_train(words):
 
 def nested(settings):
     """`world.sensor_arc=90` of a command line, as a configuration is given it."""
-    world = {key.removeprefix("world."): value for key, value in settings.items() if key.startswith("world.")}
-    others = {key: value for key, value in settings.items() if not key.startswith("world.")}
-    return others | ({"world": world} if world else {})
+    found = {}
+    for key, value in settings.items():
+        group, _, name = key.rpartition(".")
+        (found.setdefault(group, {}) if group else found)[name] = value
+    return found
 
 
 @pytest.mark.parametrize(("page", "command"), COMMANDS, ids=[command for _, command in COMMANDS])

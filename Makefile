@@ -49,8 +49,7 @@ layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/uavnav layouts --out uavnav/tasks/banks
 
 picture: .venv/.installed # the flights in the README, and the window in docs/start.md
-	$(BIN)/uavnav render $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu --layout 56 --steps 400 \
-	    --every 4 --speed 4 --width 400 --out docs/flight.gif
+	$(BIN)/python docs/film.py $(RESULTS)/ppo/sigmoid $(RESULTS)/dqn/sigmoid reactive
 	$(BIN)/python docs/window.py $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu
 
 clean:

@@ -1,10 +1,10 @@
-"""Both algorithms learn: greedy policies beat the random and the straight-ahead policy on sets never trained on."""
+"""PPO, DQN and C51 learn: greedy policies beat the random and the straight-ahead policy on sets never trained on."""
 
 import numpy as np
 import pytest
 
 import uavnav
-from uavnav.algorithms import dqn, ppo
+from uavnav.algorithms import c51, dqn, ppo
 from uavnav.evaluate import evaluate_policy
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 
@@ -32,6 +32,17 @@ DQN_SETTINGS = {
     "exploration_fraction": 0.2,
     "lr": 1e-3,
     "compile": "off",
+}
+C51_SETTINGS = DQN_SETTINGS | {
+    "total_frames": 16_000,
+    "learning_starts": 1_000,
+    "frames_per_update": 32,
+    "target_update_frames": 500,
+    "lr": 2e-3,
+    "gamma": 0.98,
+    "n_steps": 5,
+    "double": True,
+    "n_atoms": 21,
 }
 
 
@@ -63,6 +74,12 @@ def test_two_seeds_of_dqn_beat_random_and_straight_ahead(tmp_path, best_baseline
     assert beats(run, best_baseline) == [True, True]
 
 
+@pytest.mark.slow
+def test_two_seeds_of_c51_beat_random_and_straight_ahead(tmp_path, best_baseline):
+    run = c51.train(c51.C51Config(**C51_SETTINGS), out=tmp_path / "run", quiet=True)
+    assert beats(run, best_baseline) == [True, True]
+
+
 # Without a learning rate a policy stays what it was at the start, so that these controls need few frames.
 
 
@@ -74,3 +91,8 @@ def test_without_a_learning_rate_ppo_fails(tmp_path, best_baseline):
 def test_without_a_learning_rate_dqn_fails(tmp_path, best_baseline):
     config = dqn.DQNConfig(**DQN_SETTINGS | {"lr": 0.0, "total_frames": 8_192})
     assert beats(dqn.train(config, out=tmp_path / "run", quiet=True), best_baseline) == [False, False]
+
+
+def test_without_a_learning_rate_c51_fails(tmp_path, best_baseline):
+    config = c51.C51Config(**C51_SETTINGS | {"lr": 0.0, "total_frames": 2_048})
+    assert beats(c51.train(config, out=tmp_path / "run", quiet=True), best_baseline) == [False, False]

@@ -384,7 +384,12 @@ def survival(steps: Array, ended: Array) -> pd.Series[float]:
 
 
 def restricted_mean(steps: Array, ended: Array, limit: float) -> float:
-    """Mean steps up to a limit, corrected for censoring: the area below the survival curve."""
+    """Mean steps up to a limit, corrected for censoring: the area below the survival curve.
+
+    Where nothing was cut off before the limit, that is the mean of min(steps, limit).
+    """
+    if np.all(ended.astype(bool) | (steps >= limit)):
+        return float(np.minimum(steps, limit).mean())
     fitted = KaplanMeierFitter().fit(steps, event_observed=ended)
     return float(restricted_mean_survival_time(fitted, t=limit))
 

@@ -87,7 +87,6 @@ class Show:
     def __init__(self, quiet: bool) -> None:
         self._console = Console(highlight=False, soft_wrap=True, markup=False, quiet=quiet)
         self._live = Live(console=self._console, transient=True, auto_refresh=False)
-        self._began: tuple[float, int] | None = None
         self._said = time.monotonic()
 
     def __enter__(self) -> Show:
@@ -103,9 +102,7 @@ class Show:
 
     def tell(self, works: Sequence[Work]) -> None:
         """works: all cells that were not finished when the study began."""
-        now, frames = time.monotonic(), sum(work.frames for work in works)
-        since, before = self._began = self._began or (now, frames)
-        rate = (frames - before) / (now - since) if now > since else 0.0
+        now, frames, rate = time.monotonic(), sum(work.frames for work in works), sum(work.rate for work in works)
         total = sum(work.total for work in works if work.shares)
         left = f", {(total - frames) / rate / 60:,.0f} min left" if rate else ""
         head = f"{frames / 1e6:,.2f} of {total / 1e6:,.2f} million frames of all seeds, {rate:,.0f} a second{left}"

@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from uavnav.policies import PolicyError
-from uavnav.report import behaviour, figures, frames, headline, replays, studies, whys
+from uavnav.report import behaviour, figures, frames, headline, replays, studies, tables, whys
 from uavnav.report.cells import Cell, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.figures import Figure
@@ -65,6 +65,11 @@ class Content:
         """Each cell's test flights as a row a seed, sampled, by the folder of its first run."""
         read = {str(cell.runs[0].path): read_as(cell, SAMPLED) for cell in self.cells}
         return {name: seeds for name, seeds in read.items() if len(seeds)}
+
+    @functools.cached_property
+    def baseline_rows(self) -> list[list[str]]:
+        """Scripts and people beside the study's cells, as a table."""
+        return tables.baselines(self.baselines, studies.paper_cells(self.studies.main))
 
     @property
     def findings(self) -> list[Finding]:

@@ -158,7 +158,7 @@ def peaks(cells: Cells) -> pd.DataFrame:
         frames = cell.settings["frames"]
         if frames < SURGE[1] + AFTER:
             continue
-        best = np.asarray(curve(cell, "reward").idxmax(), dtype=np.float64)
+        best = np.asarray(curve(cell, "reward").round(9).idxmax(), dtype=np.float64)  # of equal ones the first
         before, surge, after = windowed(cell, "reward", [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]).to_numpy().T
         rows += [[name(*key), "peak", *_mean(best)], [name(*key), "lost", *stats.ratio(surge - after, surge - before)]]
     return pd.DataFrame(rows, columns=["cell", "measure", *NUMBERS])

@@ -6,6 +6,7 @@ steps in one of W parallel worlds that ended at frame f lasted from f - s W to f
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -61,14 +62,19 @@ def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.
 
     frames: that each seed had; unit, every: it logs every so many `frames` per seed or finished `episodes`.
     """
-    means = {}
-    for seed, ended in finished(episodes).sort_values(["frame", "world"], kind="stable").groupby("seed"):
-        ends = ended["frame"].to_numpy()
-        logged = ends[every - 1 :: every] if unit == "episodes" else np.arange(every, frames + 1, every)
-        behind = np.searchsorted(ends, logged, side="right")
-        entries = per_episode(ended).rolling(LAST, min_periods=1).mean().iloc[behind[behind > 0] - 1]
-        means[seed] = entries.mean()
-    return pd.DataFrame(means, index=list(METRICS), dtype="float64").T.rename_axis("seed")
+    ended = finished(episodes).sort_values(["seed", "frame", "world"], kind="stable")
+    seeds, first = np.unique(ended["seed"], return_index=True)
+    values, ends = per_episode(ended).to_numpy(), ended["frame"].to_numpy()
+    means = np.full((len(seeds), len(METRICS)), np.nan)
+    for place, (low, high) in enumerate(itertools.pairwise([*first, len(ended)])):
+        own = ends[low:high]
+        logged = own[every - 1 :: every] if unit == "episodes" else np.arange(every, frames + 1, every)
+        behind = np.searchsorted(own, logged, side="right")
+        if len(behind := behind[behind > 0]):
+            sums = np.vstack([np.zeros(len(METRICS)), values[low:high].cumsum(0)])
+            since = np.maximum(behind - LAST, 0)
+            means[place] = ((sums[behind] - sums[since]) / (behind - since)[:, None]).mean(0)
+    return pd.DataFrame(means, pd.Index(seeds, name="seed"), list(METRICS))
 
 
 def within(
@@ -84,10 +90,13 @@ def within(
     last frame. collision: how much that is.
     """
     edges, place = np.unique(np.asarray(windows, dtype=np.float64), return_inverse=True)
-    steps, end, total = (episodes[name].to_numpy(np.float64)[:, None] for name in ("steps", "frame", column))
-    at_end = collision * episodes["terminated"].to_numpy(np.float64)[:, None]
-    flown = np.clip((edges - end) / (steps * n_worlds) + 1, 0, 1)  # [E, edges]: the part of a flight before each
-    before = pd.DataFrame((total - at_end) * flown + at_end * (end <= edges)).groupby(episodes["seed"].to_numpy()).sum()
+    seeds, owner = np.unique(episodes["seed"], return_inverse=True)
+    steps, end, total = (episodes[name].to_numpy(np.float64) for name in ("steps", "frame", column))
+    at_end = collision * episodes["terminated"].to_numpy(np.float64)
+    before = np.empty((len(seeds), len(edges)))
+    for index, edge in enumerate(edges):  # one after the other: a table of all would not fit beside many seeds
+        flown = np.clip((edge - end) / (steps * n_worlds) + 1, 0, 1)  # the part of each flight before the edge
+        earned = (total - at_end) * flown + at_end * (end <= edge)
+        before[:, index] = np.bincount(owner, earned, len(seeds))
     low, high = place.reshape(-1, 2).T
-    sums = before.to_numpy()[:, high] - before.to_numpy()[:, low]
-    return pd.DataFrame(sums / (edges[high] - edges[low]), index=before.index.rename("seed"))
+    return pd.DataFrame((before[:, high] - before[:, low]) / (edges[high] - edges[low]), pd.Index(seeds, name="seed"))

@@ -48,6 +48,7 @@ class Share:
     folder: Path
     config: TrainConfig
     frames: int = 0
+    rate: float = 0.0  # frames a second of each seed, while it runs
     attempts: int = 0
     done: bool = False
 
@@ -64,6 +65,11 @@ class Work:
     def frames(self) -> int:
         """Of all its seeds, so far."""
         return sum(share.frames * share.config.n_seeds for share in self.shares)
+
+    @property
+    def rate(self) -> float:
+        """Frames a second of all its seeds, now."""
+        return sum(share.rate * share.config.n_seeds for share in self.shares)
 
     @property
     def total(self) -> int:
@@ -248,6 +254,7 @@ class Study:
             else:
                 self._failed(work, f"was not evaluated, see {self._log(work)}")
             return
+        share.rate = 0.0
         said = _said(share.folder.with_name(f"{share.folder.name}.ended"))
         if "finished" in said:
             share.done, share.frames = True, share.config.frames
@@ -292,17 +299,20 @@ class Study:
         if now - self._looked < recorder.PROGRESS_SECONDS:
             return
         self._looked = now
-        rates: dict[int, list[float]] = {}
+        flying: dict[int, list[Share]] = {}
         for _, work, share in running:
-            said = _said(share.folder / PROGRESS) if share is not None else {}
-            if share is not None and said.get("frames", 0) > share.frames:
-                share.frames, share.attempts = said["frames"], 0
-            rates.setdefault(id(work), []).append(said.get("rate") or 0.0)
+            if share is not None:
+                said = _said(share.folder / PROGRESS)
+                share.rate = said.get("rate") or 0.0
+                if said.get("frames", 0) > share.frames:
+                    share.frames, share.attempts = said["frames"], 0
+                flying.setdefault(id(work), []).append(share)
         for work in self.works:
-            if id(work) in rates and work.shares and not trained(work.cell):
+            if id(work) in flying and not trained(work.cell):
                 frames = min(share.frames for share in work.shares)
+                rate = min(share.rate for share in flying[id(work)])
                 with contextlib.suppress(OSError):
-                    recorder.tell(work.cell.out, frames, work.cell.config.frames, min(rates[id(work)]) or None)
+                    recorder.tell(work.cell.out, frames, work.cell.config.frames, rate or None)
 
     def _stopped(self, running: Sequence[tuple[Any, Work, Share | None]]) -> Interrupted:
         """Ask the shares to save themselves, and wait until they have."""

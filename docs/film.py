@@ -1,0 +1,59 @@
+"""Draw docs/flight.gif: flights on the same obstacles, and their rewards below (`python docs/film.py RUN ...`)."""
+
+from __future__ import annotations
+
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from uavnav.envs.drawing import GROUND, INK, PILOTS, STEPS_PER_SECOND, Picture
+from uavnav.render import Film, Flight, fly, load_layout, load_pilots, save
+
+LAYOUT, STEPS, EVERY, SPEED, WIDTH = 56, 600, 6, 4, 280
+DPI, HEIGHT = 100, 170
+
+
+def curves(flights: list[Flight], film: Film) -> list[Picture]:
+    """Each flight's reward so far, a picture for each of the film's."""
+    width = film[0].shape[1]
+    figure = Figure((width / DPI, HEIGHT / DPI), dpi=DPI, layout="constrained", facecolor=colour(GROUND))
+    canvas, axes = FigureCanvasAgg(figure), figure.subplots()
+    rewards = [[float(state.reward) for state in flight.states] for flight in flights]
+    axes.set(xlabel="step", ylabel="reward so far", xlim=(0, film.steps[-1]), facecolor=colour(GROUND))
+    axes.set_ylim(min(map(min, rewards)) - 1, max(map(max, rewards)) + 1)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(colors=colour(INK), labelsize=8)
+    lines = [axes.plot([], color=colour(PILOTS[number]), linewidth=2)[0] for number in range(len(rewards))]
+    pictures = []
+    for step in film.steps:
+        for line, own in zip(lines, rewards, strict=True):
+            line.set_data(range(len(own[: step + 1])), own[: step + 1])
+        canvas.draw()
+        pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    return pictures
+
+
+def colour(rgb: tuple[int, int, int]) -> tuple[float, ...]:
+    """As matplotlib takes it."""
+    return tuple(part / 255 for part in rgb)
+
+
+def main(words: list[str]) -> None:
+    """Fly, draw, write."""
+    bank = load_layout("test", LAYOUT)
+    flights = [fly(pilot, bank, LAYOUT, STEPS) for pilot in load_pilots(words)]
+    film = Film(flights, bank[LAYOUT], WIDTH, EVERY)
+    pictures = [np.vstack(both) for both in zip(film, curves(flights, film), strict=True)]
+    out = Path(__file__).parent / "flight.gif"
+    save(pictures, out, Fraction(SPEED * STEPS_PER_SECOND, EVERY))
+    for flight in flights:
+        last = flight.states[-1]
+        print(f"{flight.pilot.title}: {int(last.steps)} steps, reward {float(last.reward):.2f}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -47,6 +47,7 @@ help: .venv/.installed # the help of each algorithm, from its configuration
 
 layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/uavnav layouts --out uavnav/tasks/banks
+	$(BIN)/uavnav layouts --task goal --out uavnav/tasks/banks
 
 picture: .venv/.installed # the flights in the README, and the window in docs/start.md
 	$(BIN)/python docs/film.py $(RESULTS)/ppo/sigmoid $(RESULTS)/dqn/sigmoid reactive

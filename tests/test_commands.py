@@ -55,9 +55,10 @@ def test_the_table_holds_each_module_that_is_a_command_and_each_is_of_one_kind()
 @pytest.mark.parametrize("words", ["", "--help", "-h"])
 def test_uavnav_alone_shows_every_command_with_its_line_and_an_example_of_each_kind(words, capsys):
     lines = told(words, capsys).splitlines()
+    width = max(map(len, commands.COMMANDS))
     assert lines[0].startswith(f"uavnav {uavnav.__version__}: ")
     for name, what in commands.COMMANDS.items():
-        assert f"  {name:8}  {what}" in lines
+        assert f"  {name:{width}}  {what}" in lines
     for kind, (_, example) in commands.KINDS.items():
         assert {f"{kind}:", example} <= {line.strip() for line in lines}
     assert max(map(len, lines)) <= 120
@@ -162,7 +163,7 @@ def test_each_key_has_one_line_of_meaning_with_its_default_and_its_choices(name)
     assert found["total_frames"].startswith("  total_frames=1000000 ")
     assert "[frames a seed] " in found["total_frames"]
     assert re.search(r"=180\.0 +\[degrees\] of the sensor", found["world.sensor_arc"])
-    assert found["reward"].endswith("; additive, eq14, initial")
+    assert found["reward"].endswith("; additive, eq14, goal, initial")
     assert found["preset"].endswith(f"; {', '.join(sorted(CONFIGS[name].PRESETS))}")
     assert all(logger in found["logger"] for logger in LOG_FOLDERS)
 

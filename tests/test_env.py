@@ -332,7 +332,7 @@ def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_f
 @pytest.mark.parametrize(
     ("arguments", "error", "says"),
     [
-        ({"reward": "eq41"}, ValueError, "reward='eq41'; choose from eq14, additive, initial"),
+        ({"reward": "eq41"}, ValueError, "reward='eq41'; choose from eq14, additive, initial, goal"),
         ({"max_steps": 0}, ValueError, "max_steps=0; choose None or a whole number from 1"),
         (
             {"batch_size": [3, 2], "seeds": [1, 2]},

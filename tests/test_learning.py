@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import uavnav
-from uavnav.algorithms import dqn, ppo, sac
+from uavnav.algorithms import c51, dqn, ppo, sac
 from uavnav.evaluate import evaluate_policy
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 
@@ -47,6 +47,17 @@ SAC_SETTINGS = {
     "target_entropy": 0.4,
     "compile": "off",
 }
+C51_SETTINGS = DQN_SETTINGS | {
+    "total_frames": 16_000,
+    "learning_starts": 1_000,
+    "frames_per_update": 32,
+    "target_update_frames": 500,
+    "lr": 2e-3,
+    "gamma": 0.98,
+    "n_steps": 5,
+    "double": True,
+    "n_atoms": 21,
+}
 
 
 def interval(policy):
@@ -83,6 +94,12 @@ def test_two_seeds_of_sac_as_they_act_in_training_beat_random_and_straight_ahead
     assert beats(run, best_baseline, greedy=False) == [True, True]
 
 
+@pytest.mark.slow
+def test_two_seeds_of_c51_beat_random_and_straight_ahead(tmp_path, best_baseline):
+    run = c51.train(c51.C51Config(**C51_SETTINGS), out=tmp_path / "run", quiet=True)
+    assert beats(run, best_baseline) == [True, True]
+
+
 # Without a learning rate a policy stays what it was at the start, so that these controls need few frames.
 
 
@@ -99,3 +116,8 @@ def test_without_a_learning_rate_dqn_fails(tmp_path, best_baseline):
 def test_without_a_learning_rate_sac_fails(tmp_path, best_baseline):
     config = sac.SACConfig(**SAC_SETTINGS | {"lr": 0.0, "total_frames": 4_096})
     assert beats(sac.train(config, out=tmp_path / "run", quiet=True), best_baseline, greedy=False) == [False, False]
+
+
+def test_without_a_learning_rate_c51_fails(tmp_path, best_baseline):
+    config = c51.C51Config(**C51_SETTINGS | {"lr": 0.0, "total_frames": 2_048})
+    assert beats(c51.train(config, out=tmp_path / "run", quiet=True), best_baseline) == [False, False]

@@ -34,10 +34,10 @@ def total(terms):
     return sum(terms.values())
 
 
-def test_there_are_three_variants_and_eq14_is_the_first():
-    assert list(KNOWN) == ["eq14", "additive", "initial"]
-    assert list(KNOWN.values()) == list(BY_ACTION)
-    assert list(REWARDS)[:3] == list(KNOWN)
+def test_there_are_three_variants_and_one_of_a_goal_and_eq14_is_the_first():
+    assert list(KNOWN) == ["eq14", "additive", "initial", "goal"]
+    assert list(KNOWN.values())[:3] == list(BY_ACTION)
+    assert list(REWARDS)[:4] == list(KNOWN)
 
 
 @pytest.mark.parametrize("variant", NAMES)

@@ -78,6 +78,13 @@ def test_a_notebook_is_a_page_of_all_its_headings_and_code_cells(site, notebook)
     assert ".ipynb" not in re.sub(r"<code>docs/notebooks/[\w-]+\.ipynb</code>", "", page)
 
 
+def test_the_playground_of_the_committed_runs_is_a_page_and_two_pages_lead_to_it(site):
+    assert "const playground = startPlayground(" in site["fly.html"]
+    assert site["fly.html"].count('"key":') == 24
+    for name in ("index.html", "playground.html"):
+        assert re.search(r'<a href="?fly\.html"?>Fly it here</a>', site[name]), name
+
+
 def test_no_page_loads_anything_from_the_network(site):
     for name, page in site.items():
         loaded = re.findall(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"?([^\s\">]+)", page)
@@ -176,9 +183,11 @@ def parse_train(words):
 
 def nested(settings):
     """`world.sensor_arc=90` of a command line, as a configuration is given it."""
-    world = {key.removeprefix("world."): value for key, value in settings.items() if key.startswith("world.")}
-    others = {key: value for key, value in settings.items() if not key.startswith("world.")}
-    return others | ({"world": world} if world else {})
+    found = {}
+    for key, value in settings.items():
+        group, _, name = key.rpartition(".")
+        (found.setdefault(group, {}) if group else found)[name] = value
+    return found
 
 
 @pytest.mark.parametrize(("page", "command"), COMMANDS, ids=[command for _, command in COMMANDS])

@@ -98,9 +98,9 @@ def test_a_whole_task_says_all_that_the_other_arguments_would_say():
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"task": "dorne"}, "task='dorne'; choose from drone, moving"),
+        ({"task": "dorne"}, "task='dorne'; choose from drone, moving, goal"),
         ({"task": "dorne"}, " (did you mean drone?)"),
-        ({"reward": "eq41"}, "reward='eq41'; choose from eq14, additive, initial (did you mean eq14?)"),
+        ({"reward": "eq41"}, "reward='eq41'; choose from eq14, additive, initial, goal (did you mean eq14?)"),
         ({"world": {"sensor_ark": 90}}, "there is no key 'world.sensor_ark'; choose from world.border, "),
         ({"world": {"sensor_ark": 90}}, " (did you mean world.sensor_arc?)"),
         ({"world": {"slots": "nearst"}}, "slots='nearst'; choose from nearest, listed (did you mean nearest?)"),
@@ -144,7 +144,7 @@ def test_on_another_bank_and_cap_a_task_keeps_its_world_its_reward_and_its_class
 def test_each_of_3_environments_takes_the_parts_of_a_task_or_a_whole_one(kind):
     parameters = inspect.signature(kind.__init__).parameters
     defaults = {name: parameter.default for name, parameter in parameters.items()}
-    parts = {"layouts": "train", "world": None, "max_steps": None, "reward": "eq14", "task": "drone"}
+    parts = {"layouts": "train", "world": None, "max_steps": None, "reward": None, "task": "drone"}
     parts |= {"stack": 1, "faults": None}
     assert [name for name in defaults if name in parts] == list(parts)
     assert {name: defaults[name] for name in parts} == parts
@@ -152,7 +152,7 @@ def test_each_of_3_environments_takes_the_parts_of_a_task_or_a_whole_one(kind):
     for env in (kind(task=whole), kind(layouts="test", reward="initial", max_steps=99, task=whole)):
         assert (env.task.world, env.task.reward, env.task.max_steps) == (whole.world, "additive", 7)
         assert torch.equal(env.task.bank, whole.bank)
-    with pytest.raises(ValueError, match=r"task='dorne'; choose from drone, moving \(did you mean drone\?\)"):
+    with pytest.raises(ValueError, match=r"task='dorne'; choose from drone, moving, goal \(did you mean drone\?\)"):
         kind(task="dorne")
 
 

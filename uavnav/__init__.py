@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from uavnav.policies import Policy, PolicyError, load_policy
     from uavnav.runs import Run, metrics, paper, readings
     from uavnav.runs.tables import RunError
-    from uavnav.tasks import baselines, dynamics, faults, layouts, moving, rewards, sensing, simulator, world
+    from uavnav.tasks import baselines, dynamics, faults, goal, layouts, moving, rewards, sensing, simulator, world
     from uavnav.tasks.layouts import LayoutError
     from uavnav.tasks.world import World
     from uavnav.training import config, loggers, sampler
@@ -72,7 +72,18 @@ _NAMES = {
 _ROOMS = {
     "envs": ("env", "gym", "sb3", "scalar"),
     "runs": ("metrics", "paper", "readings"),
-    "tasks": ("baselines", "dynamics", "faults", "layouts", "moving", "rewards", "sensing", "simulator", "world"),
+    "tasks": (
+        "baselines",
+        "dynamics",
+        "faults",
+        "goal",
+        "layouts",
+        "moving",
+        "rewards",
+        "sensing",
+        "simulator",
+        "world",
+    ),
     "training": ("config", "loggers", "sampler"),
     "window": ("play",),
 }
@@ -100,7 +111,7 @@ os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, w
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that spin starve each other on a busy machine
 warnings.filterwarnings("ignore", message=".*inline_inbuilt_nn_modules is deprecated", category=FutureWarning)
 
-for _name, _task in {"Drone": "drone", "Moving": "moving"}.items():
+for _name, _task in {"Drone": "drone", "Moving": "moving", "Goal": "goal"}.items():
     gymnasium.register(
         id=f"uavnav/{_name}-v0",
         entry_point="uavnav.envs.gym:DroneGymEnv",

@@ -296,7 +296,7 @@ def _layouts(parser: Parser) -> None:
     parser.epilog = "example: uavnav layouts --split train --k 12"
     parser.add_argument("--out", type=Path, default=Path("banks"), help="folder for the banks (default: banks)")
     parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which bank to write")
-    parser.add_argument("--task", default="drone", help="whose obstacles: drone or moving (default: drone)")
+    parser.add_argument("--task", default="drone", help="whose obstacles: drone, moving or goal (default: drone)")
     parser.add_argument("--k", type=int, default=DEFAULT_K, help="obstacles per set, 0 for an empty arena")
     parser.add_argument("--n", type=int, help=f"sets in the bank (default: {sizes})")
     parser.add_argument("--seed", type=int, help=f"generator seed (default: {seeds})")
@@ -359,7 +359,7 @@ def _bank(parser: Parser) -> None:
 
 
 def _task(parser: Parser) -> None:
-    told = "whose world scripted policies fly in: drone, moving (default: that of the run, or drone)"
+    told = "whose world scripted policies fly in: drone, moving, goal (default: that of the run, or drone)"
     parser.add_argument("--task", default="drone", help=told)
 
 

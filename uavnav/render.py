@@ -126,7 +126,7 @@ def fly(pilot: Pilot, bank: Tensor, layout: int, max_steps: int) -> Flight:
         mine = step.place[step.flight == layout].squeeze()
         states.append(at(step.states, mine))
         if step.outcomes.terminated[mine] or step.outcomes.truncated[mine]:
-            return Flight(pilot, states, bool(step.outcomes.terminated[mine]))
+            return Flight(pilot, states, bool(step.outcomes.clearance[mine] <= task.world.drone_radius))
     raise AssertionError("every flight ends at its cap")
 
 
@@ -171,8 +171,8 @@ class Film(Sequence[Picture]):
         flight, colour = self.flights[number], PILOTS[number % len(PILOTS)]
         state, trail = flight.states[step], self._trails[number][: step + 1]
         task = flight.pilot.task.with_bank(self.obstacles[None])
-        obstacles = task.obstacles(state._replace(layout=torch.tensor(0)))
-        arena = drawing.draw_arena(state, obstacles, task.world, self.width, [(trail, colour)], colour)
+        here = state._replace(layout=torch.tensor(0))
+        arena = drawing.draw_arena(here, task, self.width, [(trail, colour)], colour)
         over = flight.collided and step == len(flight.states) - 1
         strip = _caption(self.width, flight.pilot, state, over, colour)
         panel = Image.new("RGB", (self.width, arena.height + strip.height))

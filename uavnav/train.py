@@ -126,8 +126,9 @@ def _values(override: Override) -> list[str]:
 def _composed(kind: type[TrainConfig], words: list[str]) -> DictConfig:
     """Everything that a run is set to, preset and defaults included."""
     world = _world(words)
+    task = next(iter(commands.names_in(words, "task") if world else ()), TrainConfig.task)
     for name in kind.PRESETS:
-        node = plain(kind(preset=name)) | {"world": asdict(world()) if world else {}}
+        node = plain(kind(preset=name, task=task)) | {"world": asdict(world()) if world else {}}
         ConfigStore.instance().store(group="preset", name=name, node=node, package="_global_")
     with initialize_config_dir(str(help.COMMAND.parent), version_base="1.3"):
         return compose(help.COMMAND.stem, words)

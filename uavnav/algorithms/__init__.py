@@ -48,6 +48,13 @@ ALGORITHMS = {
         "probability",
         logs=("frames", 100, "n_steps", "n_worlds"),
     ),
-    "c51": Algorithm("uavnav.algorithms.c51", "epsilon-greedy", "Q values", "Q value", "distribution"),
+    "c51": Algorithm(
+        "uavnav.algorithms.c51",
+        "epsilon-greedy",
+        "Q values",
+        "Q value",
+        "distribution",
+        logs=("episodes", 4),  # as all that learns from replay there
+    ),
     "sac": Algorithm("uavnav.algorithms.sac", "categorical", "logits", "probability", logs=("episodes", 4)),
 }

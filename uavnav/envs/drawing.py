@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-from torch import Tensor
 
 from uavnav.tasks.dynamics import direction
 from uavnav.tasks.sensing import sense
@@ -26,7 +25,7 @@ Trail = tuple[Sequence[tuple[float, float]], Ink]
 
 # Okabe and Ito's colours, which people with any colour vision tell apart.
 GROUND, BORDER, OBSTACLE, INK = (250, 250, 247), (84, 88, 96), (150, 156, 166), (32, 36, 44)
-DRONE, SENSOR, SENSED = (0, 114, 178), (86, 180, 233, 56), (213, 94, 0)
+DRONE, SENSOR, SENSED, GOAL = (0, 114, 178), (86, 180, 233, 56), (213, 94, 0), (0, 158, 115)
 PILOTS = (DRONE, (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (84, 88, 96))
 """One for each policy, in order: its drone and its trail."""
 
@@ -37,22 +36,25 @@ SMOOTHING = 2  # drawn so many times larger, then scaled down
 
 def draw_state(state: State, task: Task) -> Picture:
     """One row's state, without a batch, at the world's own size [height, width, 3]; see `draw_arena`."""
-    return np.asarray(draw_arena(state, task.obstacles(state), task.world, task.world.width))
+    return np.asarray(draw_arena(state, task, task.world.width))
 
 
 def draw_arena(
-    state: State, obstacles: Tensor, world: World, width: int, trails: Sequence[Trail] = (), colour: Colour = DRONE
+    state: State, task: Task, width: int, trails: Sequence[Trail] = (), colour: Colour = DRONE
 ) -> Image.Image:
-    """The border, the obstacles, the drone with its sensor's arc, and the points that it senses.
+    """The border, the obstacles, what else the task marks, the drone with its sensor's arc, and the points it senses.
 
-    state: fields without a batch; obstacles [K, 3] px; width: of the picture [px]; trails: under the drone.
+    state: fields without a batch; width: of the picture [px]; trails: under the drone.
     """
+    world, obstacles = task.world, task.obstacles(state)
     slots, _ = sense(state.x, state.y, state.heading, obstacles, world)
     x, y, heading = float(state.x), float(state.y), int(state.heading)
     image = _backdrop(tuple(map(tuple, obstacles.tolist())), world, width).copy()
     canvas = ImageDraw.Draw(image, "RGBA")
     at, disc = _places(world, width)
     thickness = max(1, round(SMOOTHING * width / world.width))
+    for mark in task.marks(state).tolist():
+        canvas.ellipse(disc(*mark), outline=GOAL, width=2 * thickness)
     for points, line in trails:
         if len(points) > 1:
             canvas.line([at(*point) for point in points], fill=line, width=thickness + SMOOTHING)

@@ -52,7 +52,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         layouts: `train`, `validation`, `test`, a bank's path, or a tensor [n, k, 3].
         world: constants and switches.
         max_steps: a cap on steps, or None as in the paper.
-        reward: a name of `uavnav.rewards.REWARDS`.
+        reward: a name of `uavnav.rewards.REWARDS`; by default the task's own, eq14 of the paper's.
         task: a name of `uavnav.simulator.TASKS`; or a whole task, which then says all parts of it.
         device: where the tensors live.
         seeds: one seed for all rows, or one for each entry of the first batch dimension. A row depends on its seed
@@ -73,7 +73,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         layouts: str | Path | Tensor = "train",
         world: World | None = None,
         max_steps: int | None = None,
-        reward: str = "eq14",
+        reward: str | None = None,
         device: str | torch.device = "cpu",
         seeds: int | Sequence[int] = 0,
         task: str | Task = "drone",

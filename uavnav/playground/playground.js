@@ -386,7 +386,7 @@ class Playground {
     const banner = find("banner");
     const waiting = !this.playing && !stage.drawing;
     banner.hidden = !waiting || !(over || race.drones.every(({ state }) => state.steps === 0));
-    say(banner, over ? "All are down. R: start again. N: next obstacles." : "Press Play, or Space.");
+    say(banner, over ? "All are down. Again, or the next set?" : "Press Play, or Space.");
     this.panel.showSeats(race, this.focus);
   }
 

@@ -82,8 +82,20 @@ OWN: dict[str, Own] = {
         "passages per 1,000 steps", ("passages",), lambda rows: 1000 * rows["passages"].sum() / rows["steps"].sum()
     ),
     "passages_per_flight": Own("passages per flight", ("passages",), lambda rows: rows["passages"].mean()),
+    "success": Own("success [%]", ("succeeded",), lambda rows: 100 * rows["succeeded"].mean()),
+    "collision": Own(
+        "collision [%]", ("succeeded",), lambda rows: 100 * (rows["terminated"] & (rows["succeeded"] == 0)).mean()
+    ),
+    "time_out": Own("time-out [%]", ("succeeded",), lambda rows: 100 * rows["truncated"].mean()),
+    "spl": Own("SPL", ("succeeded", "shortest"), lambda rows: spl(rows)),
 }
 """By name; a table shows those whose columns it has."""
+
+
+def spl(episodes: pd.DataFrame) -> float:
+    """Success weighted by path length (Anderson et al. 2018): the mean of success x shortest / max(flown, shortest)."""
+    shortest = episodes["shortest"]
+    return float((episodes["succeeded"] * shortest / np.maximum(episodes["distance"], shortest)).mean())
 
 
 def own(episodes: pd.DataFrame) -> pd.DataFrame:

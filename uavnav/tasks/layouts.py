@@ -24,7 +24,7 @@ from torch import Tensor
 
 from uavnav import commands, files
 from uavnav.choices import choose_from, did_you_mean
-from uavnav.tasks import circles, moving, slalom
+from uavnav.tasks import circles, goal, moving, slalom
 from uavnav.tasks.circles import LayoutError as LayoutError  # this and the next two are also names of this module
 from uavnav.tasks.circles import generate as generate
 from uavnav.tasks.circles import validate as validate
@@ -40,11 +40,14 @@ class Kind(NamedTuple):
     generate: Callable[[int, int, int, World], Tensor]  # n, k, seed, world -> bank
     validate: Callable[[Tensor, World], None]
     reads: tuple[str, ...] = ()  # fields of the world that sets are drawn by, beside those of the paper's
+    ships: bool = False  # the splits of the world's defaults are files of the package
+    beside: int = 0  # rows of a set that are no obstacles
 
 
 KINDS = {
-    "drone": Kind(World, circles.generate, circles.validate),
+    "drone": Kind(World, circles.generate, circles.validate, ships=True),
     "moving": Kind(moving.MovingWorld, moving.generate, moving.validate, ("speed_min", "speed_max")),
+    "goal": Kind(goal.GoalWorld, goal.generate, goal.validate, ("goal_radius",), ships=True, beside=1),
 }
 """By the task that they were made for, which is written into the header of all but the first."""
 
@@ -58,6 +61,13 @@ def kind_of(world: World) -> str:
     """The name in `KINDS` of a world's banks: of its class, or of the nearest class that it derives from."""
     names = {kind.world: name for name, kind in KINDS.items()}
     return next(names[one] for one in type(world).__mro__ if one in names)
+
+
+def _ships(world: World) -> bool:
+    """Whether its splits are files of the package: the paper's are for every `World`, others for the defaults alone."""
+    name = kind_of(world)
+    usual = all(getattr(world, field) == getattr(KINDS[name].world(), field) for field in KINDS[name].reads)
+    return KINDS[name].ships and usual
 
 
 def save(bank: Tensor, path: str | Path, *, seed: int, split: str, world: World | None = None) -> None:
@@ -85,7 +95,7 @@ def _header(bank: Tensor, seed: int, split: str, world: World) -> dict[str, str]
         "world_version": VERSION,
         "generator_seed": str(seed),
         "n": str(bank.shape[0]),
-        "k": str(bank.shape[1]),
+        "k": str(bank.shape[1] - KINDS[kind_of(world)].beside),
         "split": split,
         "sha256": checksum(bank),
     }
@@ -126,15 +136,17 @@ def resolve(layouts: str | Path | Tensor, world: World) -> Tensor:
 def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[str, str]]:
     """The bank and its header; raises as `load` does.
 
-    The paper's splits are files of the package. Other worlds draw theirs when they are asked for, by their fields.
+    The paper's splits are files of the package, and so are those of goals. Others are drawn when they are asked for, by
+    the fields of their world.
     """
-    name = kind_of(world or World())
-    if layouts in SPLITS and name != "drone":
-        assert world is not None
+    world = world or World()
+    name = kind_of(world)
+    if layouts in SPLITS and not _ships(world):
         return _drawn(str(layouts), world)
     if name == "drone" and re.match("|".join(f"{ladder}-" for ladder in RUNGS), str(layouts)):
         return _rung(str(layouts))
-    path = Path(__file__).parent / "banks" / f"{layouts}.safetensors" if layouts in SPLITS else Path(layouts)
+    file = str(layouts) if name == "drone" else f"{name}-{layouts}"
+    path = Path(__file__).parent / "banks" / f"{file}.safetensors" if layouts in SPLITS else Path(layouts)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
         choices = f"{', '.join(SPLITS)} or a file's path{did_you_mean(layouts, SPLITS)}"
         raise LayoutError(f"layouts={str(layouts)!r}: no such bank; choose from {choices}")
@@ -147,7 +159,7 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
         KINDS[name].validate(bank, KINDS[name].world())
     except LayoutError as error:
         raise LayoutError(f"{path}: {error}; generate it anew") from error
-    n, k = bank.shape[:2]
+    n, k = len(bank), bank.shape[1] - KINDS[name].beside
     if (header.get("n"), header.get("k")) != (str(n), str(k)):
         raise LayoutError(
             f"{path}: its header says n={header.get('n')}, k={header.get('k')}, not n={n}, k={k} as its obstacles are;"
@@ -203,9 +215,9 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     bank, header = read(layouts, world)
     if layouts == header["split"] and layouts not in SPLITS:  # a rung, which was generated just now
         return bank, header
-    n, k, seed = *bank.shape[:2], header.get("generator_seed", "")
-    generate = KINDS[kind_of(world)].generate
-    if not seed.isdecimal() or not torch.equal(bank, generate(n, k, int(seed), world)):
+    kind, seed = KINDS[kind_of(world)], header.get("generator_seed", "")
+    n, k = len(bank), bank.shape[1] - kind.beside
+    if not seed.isdecimal() or not torch.equal(bank, kind.generate(n, k, int(seed), world)):
         raise LayoutError(f"{layouts}: is not what seed {seed} generates; generate it anew")
     return bank, header
 
@@ -262,7 +274,8 @@ def main(argv: list[str] | None = None) -> int:
         for split in SPLITS if arguments.split == "all" else [arguments.split]:
             n = SPLITS[split].n if arguments.n is None else arguments.n
             seed = SPLITS[split].seed if arguments.seed is None else arguments.seed
-            path = arguments.out / f"{split}.safetensors"
+            name = split if arguments.task == "drone" else f"{arguments.task}-{split}"
+            path = arguments.out / f"{name}.safetensors"
             save(kind.generate(n, arguments.k, seed, kind.world()), path, seed=seed, split=split, world=kind.world())
             print(f"wrote {path}: {n} sets of {arguments.k} obstacles from seed {seed}")
     except LayoutError as error:

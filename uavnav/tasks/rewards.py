@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 
@@ -29,6 +30,7 @@ class Step(NamedTuple):
     clearance: Tensor  # [*B] px from the drone's centre to the nearest obstacle
     observation: Tensor  # [*B, observation_size] that the step led to
     world: World  # with the reward's amounts
+    to_goal: tuple[Tensor, Tensor] | None = None  # [*B] px from the drone to its goal, before and after; None without
 
 
 def eq14(step: Step) -> Terms:
@@ -57,10 +59,30 @@ def initial(step: Step) -> Terms:
     }
 
 
+def goal(step: Step) -> Terms:
+    """A way to a goal: -10 on collision and nothing else; else 10 at the goal, 0.01 a pixel nearer to it, and -0.01 if
+    distance = 0 or angle != 0.
+
+    Raises:
+        ValueError: the task has no goal.
+    """
+    if step.to_goal is None or not isinstance(step.world, GoalWorld):
+        raise ValueError("reward='goal': this task has no goal; choose task=goal, or another reward")
+    before, after = (distance.double() for distance in step.to_goal)
+    penalised = ~step.collided & ((step.distance == 0) | (step.angle != 0))
+    return {
+        "collision": step.world.collision_reward * step.collided.double(),
+        "goal": step.world.goal_reward * (~step.collided & (after <= step.world.goal_radius)).double(),
+        "progress": step.world.reward_per_pixel * (before - after) * ~step.collided,
+        "penalty": step.world.penalty * penalised.double(),
+    }
+
+
 REWARDS: dict[str, Callable[[Step], Terms]] = {
     "eq14": eq14,
     "additive": additive,
     "initial": initial,
+    "goal": goal,
 }
 
 

@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 
 from uavnav.choices import did_you_mean, unknown_key
+from uavnav.tasks import goal, memory, moving
 from uavnav.tasks import layouts as banks
-from uavnav.tasks import memory, moving
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.faults import NO_FAULTS, Faults
-from uavnav.tasks.rewards import REWARDS, Step
-from uavnav.tasks.sensing import Echoes, sense
+from uavnav.tasks.rewards import REWARDS, Step, Terms
+from uavnav.tasks.sensing import Echoes, clearance, sense, to_drone_frame
 from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
 
@@ -50,6 +50,12 @@ class Task:
 
     WORLD: ClassVar[type[World]] = World
     """What is physical about it; every field can be set in a run."""
+
+    REWARD: ClassVar[str] = "eq14"
+    """What a step earns where nothing else is chosen."""
+
+    MAX_STEPS: ClassVar[int | None] = None
+    """The cap where none is given."""
 
     STATIC: ClassVar[bool] = True
     """Nothing moves but the drone, and nothing is random: from the same place the same actions lead the same way."""
@@ -205,10 +211,19 @@ class Task:
             distance=state.distance + distance,
         )
         seen = Step(state, after, action, angle, distance, collided, clearance, observation, self.world)
-        earned = torch.stack(list(REWARDS[self.reward](seen).values())).sum(0)
+        over, terms = self.judge(seen)
+        earned = torch.stack(list(terms.values())).sum(0)
         capped = torch.zeros_like(collided) if self.max_steps is None else after.steps >= self.max_steps
-        outcome = Outcome(observation, clearance, earned, collided, capped & ~collided)
+        outcome = Outcome(observation, clearance, earned, over, capped & ~over)
         return after._replace(reward=state.reward + earned), outcome
+
+    def judge(self, step: Step) -> tuple[Tensor, Terms]:
+        """Whether each row's episode is over [*B] bool, the cap aside; and what the step earns, by name [*B]."""
+        return step.collided, REWARDS[self.reward](step)
+
+    def marks(self, state: State) -> Tensor:
+        """What is drawn of each row and not sensed: [*B, marks, 3] of (x, y, radius) px."""
+        return self.bank.new_zeros(*state.layout.shape, 0, 3)
 
     def measure(self, before: State, after: State) -> dict[str, Tensor]:
         """What an evaluation counts of each step, beside `COUNTS`: names and numbers [*B], added up over a flight."""
@@ -270,7 +285,65 @@ class Moving(Task):
         return moved._replace(steps=state.steps + 1), angle, distance
 
 
-TASKS: dict[str, type[Task]] = {"drone": Task, "moving": Moving}
+class Goal(Task):
+    """The paper's task with a place to fly to: an episode ends there, at a collision, or after 1,000 steps.
+
+    The last row of a set is (x, y) of the goal and the length of the shortest way. See `goal`.
+    """
+
+    WORLD = goal.GoalWorld
+    REWARD = "goal"
+    MAX_STEPS = 1000
+    world: goal.GoalWorld
+
+    def obstacles(self, state: State) -> Tensor:
+        """Where the obstacles of each row are: [*B, K, 3] px."""
+        return self.bank[state.layout][..., :-1, :]
+
+    def to_goal(self, state: State) -> tuple[Tensor, Tensor, Tensor]:
+        """From the drone to its goal: dx, dy and distance, each [*B] px."""
+        place = self.bank[state.layout][..., -1, :]
+        dx, dy = place[..., 0] - state.x, place[..., 1] - state.y
+        return dx, dy, torch.sqrt(dx * dx + dy * dy)
+
+    def sense(self, state: State, draws: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """What is sensed, then the direction to the goal, right and forward, and its distance / 1,000 px, at most 1."""
+        slots, clearance = super().sense(state, draws)
+        dx, dy, distance = self.to_goal(state)
+        scale = torch.where(distance > 0, 1 / distance, 0.0)
+        right, forward = to_drone_frame(dx * scale, dy * scale, state.heading)
+        ahead = [right.clamp(-1, 1), forward.clamp(-1, 1), (distance / goal.SCALE).clamp(max=1)]
+        return torch.cat([slots, torch.stack(ahead, -1)], -1), clearance
+
+    def judge(self, step: Step) -> tuple[Tensor, Terms]:
+        """Over at a collision or at the goal."""
+        before, after = self.to_goal(step.before)[-1], self.to_goal(step.after)[-1]
+        terms = REWARDS[self.reward](step._replace(to_goal=(before, after)))
+        return step.collided | (after <= self.world.goal_radius), terms
+
+    def succeeded(self, state: State) -> Tensor:
+        """Whether each row's drone has reached its goal, without a collision: [*B] bool."""
+        near = clearance(state.x, state.y, self.obstacles(state), self.world)
+        return (self.to_goal(state)[-1] <= self.world.goal_radius) & (near > self.world.drone_radius)
+
+    def info(self, state: State) -> dict[str, Tensor]:
+        """As of the paper's task, and where the goal is and whether it is reached."""
+        place = self.bank[state.layout][..., -1, :]
+        facts = {"goal_x": place[..., 0], "goal_y": place[..., 1], "succeeded": self.succeeded(state)}
+        return super().info(state) | facts
+
+    def marks(self, state: State) -> Tensor:
+        """The goal: [*B, 1, 3] px."""
+        place = self.bank[state.layout][..., -1:, :2]
+        return torch.cat([place, torch.full_like(place[..., :1], self.world.goal_radius)], -1)
+
+    def measure(self, before: State, after: State) -> dict[str, Tensor]:
+        """`succeeded` at the step that reaches the goal, and once a flight the length of its shortest way [px]."""
+        shortest = torch.where(before.steps == 0, self.bank[before.layout][..., -1, 2], 0.0)
+        return {"succeeded": self.succeeded(after).long(), "shortest": shortest * (after.steps > 0)}
+
+
+TASKS: dict[str, type[Task]] = {"drone": Task, "moving": Moving, "goal": Goal}
 
 KNOWN = dict(TASKS)
 """Those that every process of a run has: built in, or of a plugin."""
@@ -282,7 +355,7 @@ EMPTY = torch.empty(1, 0, 3)
 def make_task(
     layouts: str | Path | Tensor = "train",
     world: World | Mapping[str, Any] | None = None,
-    reward: str = "eq14",
+    reward: str | None = None,
     max_steps: int | None = None,
     task: str | Task = "drone",
     stack: int = 1,
@@ -293,7 +366,7 @@ def make_task(
     Args:
         layouts: `train`, `validation`, `test`, a bank's path, or a tensor [L, K, 3].
         world: constants and switches; by default, or where a mapping leaves them out, the task's own.
-        reward, max_steps: as of `Task`.
+        reward, max_steps: as of `Task`; by default the task's own, `REWARD` and `MAX_STEPS`.
         task: a name of `TASKS`; or a whole task, which then says all that is above and below.
         stack: as of `Task`.
         faults: of its sensor and actuator, or a mapping of some; by default none.
@@ -311,7 +384,8 @@ def make_task(
         world = _made(kind.WORLD, "world", world)
     if not isinstance(faults, Faults):
         faults = _made(Faults, "faults", faults)
-    made = kind(world, EMPTY, reward, max_steps, stack, faults)
+    max_steps = kind.MAX_STEPS if max_steps is None else max_steps
+    made = kind(world, EMPTY, reward or kind.REWARD, max_steps, stack, faults)
     return made if layouts is EMPTY else made.on(layouts, max_steps)
 
 

@@ -84,6 +84,8 @@ class TrainConfig:
         for name, value in self.PRESETS[self.preset].items():
             if name not in self.__dict__["_given"]:
                 object.__setattr__(self, name, value)
+        if "reward" not in self.__dict__["_given"] and self.task in TASKS:
+            object.__setattr__(self, "reward", TASKS[self.task].REWARD)
         object.__delattr__(self, "_given")
         hints = get_type_hints(type(self))
         for item in (item for item in fields(self) if item.name not in PARTS):

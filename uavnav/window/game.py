@@ -158,7 +158,9 @@ def step(game: Game) -> Game:
         earlier, last = [*earlier, last], Leg(game.pilot, last.points[-1:])
     points = (*last.points, (float(state.x), float(state.y)))
     count = f"after {int(state.steps)} steps"
-    ended = f"Collided {count}" if outcome.terminated else f"Cut off {count}" if outcome.truncated else ""
+    collided = bool(outcome.clearance <= game.world.drone_radius)
+    reached = f"Arrived {count}" if outcome.terminated else f"Cut off {count}" if outcome.truncated else ""
+    ended = f"Collided {count}" if collided else reached
     game = replace(
         game,
         state=state,

@@ -77,9 +77,7 @@ def draw(game: Game, size: tuple[int, int]) -> Image.Image:
     image = Image.new("RGB", size, WHITE)
     trails: list[drawing.Trail] = [(leg.points, (*colour(leg.pilot), FADED)) for leg in game.ghosts]
     trails += [(leg.points, colour(leg.pilot)) for leg in game.legs]
-    arena = drawing.draw_arena(
-        game.state, game.task.obstacles(game.state), game.world, places.width, trails, colour(game.pilot)
-    )
+    arena = drawing.draw_arena(game.state, game.task, places.width, trails, colour(game.pilot))
     image.paste(arena, (places.left, places.top))
     canvas = ImageDraw.Draw(image, "RGBA")
     if game.drawing:

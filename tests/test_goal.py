@@ -1,0 +1,309 @@
+"""A goal to fly to: banks, shortest ways, what is sensed and earned, against slow loops and closed forms."""
+
+import heapq
+import json
+import math
+import re
+
+import gymnasium
+import numpy as np
+import oracle
+import pandas as pd
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors import safe_open
+
+import uavnav
+from uavnav import evaluate, load_policy, train, verify
+from uavnav.algorithms import ppo
+from uavnav.runs import metrics
+from uavnav.tasks import goal, layouts
+from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.goal import GoalWorld
+from uavnav.tasks.simulator import Goal, make_task
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return layouts.load("test", GoalWorld())
+
+
+def one(x=600.0, y=300.0, shortest=160.0, circles=()):
+    """A bank of one set."""
+    return torch.tensor([[*circles, (x, y, shortest)]], dtype=torch.float32)
+
+
+def room(x, y, circles):
+    """From a place to the nearest edge of the circles and of the border [px]."""
+    walls = min(x - 20, 780 - x, y - 20, 580 - y)
+    return min([walls, *(math.hypot(cx - x, cy - y) - radius for cx, cy, radius in circles)])
+
+
+def way_to(target, circles, radius=40):
+    """Length of the shortest way from the start, found place by place; None where there is none."""
+    free = {
+        (i, j) for i in range(161) for j in range(121) if room(5 * i, 5 * j, circles) > 30
+    }  # fmt: skip
+    moves = [(a, b) for a in range(-2, 3) for b in range(-2, 3) if math.gcd(a, b) == 1]
+    assert len(moves) == 16
+    best, waiting = {(80, 60): 0.0}, [(0.0, (80, 60))]
+    while waiting:
+        length, place = heapq.heappop(waiting)
+        if length > best[place]:
+            continue
+        if math.hypot(5 * place[0] - target[0], 5 * place[1] - target[1]) <= radius:
+            return length
+        for a, b in moves:
+            beside = place[0] + a, place[1] + b
+            longer = length + 5 * math.hypot(a, b)
+            if beside in free and longer < best.get(beside, math.inf):
+                best[beside] = longer
+                heapq.heappush(waiting, (longer, beside))
+    return None
+
+
+# -- banks -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("split", layouts.SPLITS)
+def test_each_split_has_a_goal_a_set_and_its_first_30_are_what_the_seed_generates(split):
+    n, seed = layouts.SPLITS[split]
+    found, header = layouts.read(split, GoalWorld())
+    assert found.shape == (n, 9, 3)
+    assert (header["task"], header["n"], header["k"], header["goal_radius"]) == ("goal", str(n), "8", "40.0")
+    assert header["generator_seed"] == str(seed)
+    first = layouts.generate(n, 8, seed)[:30]
+    assert torch.equal(found[:30, :8], first)
+    assert layouts.checksum(found) == header["sha256"]
+
+
+def test_a_goal_is_generated_again_bit_for_bit_whatever_follows_it(bank):
+    assert torch.equal(goal.generate(4, 0, 7)[:2], goal.generate(2, 0, 7))
+    header = layouts.read("test", GoalWorld())[1]
+    rng = np.random.Generator(np.random.PCG64([int(header["generator_seed"]), 2, 0]))
+    assert np.array_equal(goal._draw_goal(bank[0, :8].numpy(), rng, GoalWorld()).astype(np.float32), bank[0, 8].numpy())
+
+
+def test_1000_goals_have_60_px_of_room_are_200_px_away_and_no_shorter_way_than_a_straight_one(bank):
+    for *circles, (x, y, shortest) in bank.double().tolist():
+        away = math.hypot(x - 400, y - 300)
+        assert room(x, y, circles) >= 60 - 1e-3
+        assert away >= 200 - 1e-3
+        assert away - 40 - 1e-3 <= shortest < 2000
+
+
+@pytest.mark.parametrize("index", [0, 1, 517])
+def test_the_shortest_way_is_that_of_a_search_place_by_place(bank, index):
+    *circles, (x, y, shortest) = bank[index].double().tolist()
+    assert way_to((x, y), circles) == pytest.approx(shortest, abs=1e-3)
+
+
+def test_in_an_empty_arena_the_way_to_a_goal_straight_ahead_is_its_distance_less_the_radius():
+    lengths = goal.shortest_ways(np.empty((0, 3)), GoalWorld())
+    assert lengths.shape == (161, 121)
+    assert lengths[80 + 40, 60] == 200
+    assert lengths[80 + 10, 60 + 20] == pytest.approx(50 * math.sqrt(5))
+    assert np.isinf(lengths[9]).all()  # 45 px: 25 from the border, and the drone has 30
+    assert np.isfinite(lengths[11, 11:110]).all()
+
+
+def test_a_goal_behind_a_closed_ring_of_circles_is_never_drawn():
+    ring = [[400 + 160 * math.cos(a), 300 + 160 * math.sin(a), 60] for a in np.linspace(0, 2 * math.pi, 13)[:-1]]
+    assert goal._draw_goal(np.array(ring), np.random.default_rng(0), GoalWorld()) is None
+
+
+@pytest.mark.parametrize(
+    ("bank", "says"),
+    [
+        (one(x=790.0), "the goal of set 0 is nearer than 60 px to an edge"),
+        (one(x=450.0), "the goal of set 0 is nearer than 200 px to the start"),
+        (one(circles=[(600.0, 400.0, 50.0)]), "the goal of set 0 is nearer than 60 px to an edge"),
+        (one(shortest=-1.0), "the goal of set 0 has a way of less than 0 px"),
+        (one(y=math.nan), "the goal of set 0 is not finite"),
+        (one(circles=[(400.0, 300.0, 50.0)]), "obstacle 0 of set 0 is nearer than 50 px to the start"),
+        (torch.zeros(1, 0, 3), "a bank has the shape [n > 0, k + 1, 3], not [1, 0, 3]"),
+    ],
+)
+def test_each_wrong_bank_is_refused_in_one_line(bank, says):
+    with pytest.raises(uavnav.LayoutError, match=re.escape(says)):
+        make_task(bank, task="goal")
+
+
+# -- the task --------------------------------------------------------------------------------------------------------
+
+
+def test_whole_flights_of_40_rows_equal_a_loop_that_turns_moves_senses_and_judges(bank):
+    task = make_task(bank, task="goal", max_steps=40)
+    n = 40
+    sets = bank[:n].double().tolist()
+    generator = torch.Generator().manual_seed(3)
+    state = task.start(torch.arange(n), torch.where(torch.arange(n) < 10, 180, 90))
+    begun = [(circle[-1][0] + 48, circle[-1][1]) for circle in sets[:10]]  # ten head for their goals
+    state.x[:10], state.y[:10] = torch.tensor(begun).T
+    up, ends = set(range(n)), {"collided": 0, "reached": 0, "capped": 0}
+    for t in range(1, 41):
+        action = torch.randint(100, (n,), generator=generator)
+        before, (state, outcome) = state, task.step(state, action)
+        succeeded = task.succeeded(state)
+        for row in sorted(up):
+            *circles, (gx, gy, _) = sets[row]
+            turn, flown = oracle.decode(action[row].item())
+            pose = before.x[row].item(), before.y[row].item(), before.heading[row].item()
+            x, y, heading = oracle.move(*pose, turn, flown)
+            found = oracle.look(x, y, heading, circles)
+            away, earlier = math.hypot(gx - x, gy - y), math.hypot(gx - pose[0], gy - pose[1])
+            if abs(away - 40) > 1e-3 and not oracle.doubtful(found):
+                hit, reached = oracle.clearance_of(found) <= 30, away <= 40
+                assert outcome.terminated[row] == (hit or reached)
+                assert succeeded[row] == (reached and not hit)
+                assert outcome.truncated[row] == (t == 40 and not hit and not reached)
+                reward = 10 * reached + 0.01 * (earlier - away) - 0.01 * (turn != 0 or flown == 0)
+                assert outcome.reward[row].item() == pytest.approx(-10 if hit else reward, abs=2e-5)
+                cos, sin = oracle.cosine(heading), oracle.sine(heading)
+                ux, uy = (gx - x) / away, (gy - y) / away
+                seen = [*np.ravel(oracle.slots_of(found)), ux * sin - uy * cos, ux * cos + uy * sin, away / 1000]
+                np.testing.assert_allclose(outcome.observation[row].numpy(), seen, atol=5e-5)
+            if outcome.terminated[row] or outcome.truncated[row]:
+                up.remove(row)
+                ends["capped" if outcome.truncated[row] else "reached" if succeeded[row] else "collided"] += 1
+    assert min(ends.values()) >= 3
+    assert not up
+
+
+def test_what_is_sensed_at_5000_poses_equals_the_papers_slots_and_a_slow_loop_to_the_goal(bank):
+    n, generator = 5000, torch.Generator().manual_seed(6)
+    task, paper = make_task(bank, task="goal"), make_task(bank[:, :8])
+    heading, layout = (torch.randint(most, (n,), generator=generator) for most in (360, 1000))
+    x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
+    state = task.start(layout, heading)._replace(x=x, y=y)
+    (seen, near), (slots, clearance) = task.observe(state), paper.observe(state)
+    assert torch.equal(near, clearance)
+    assert torch.equal(seen[:, :30], slots)  # which equal a slow loop in test_sensing
+    for row, (right, forward, away) in enumerate(seen[:, 30:].tolist()):
+        gx, gy, _ = bank[layout[row], 8].tolist()
+        dx, dy, angle = gx - x[row].item(), gy - y[row].item(), heading[row].item()
+        length = math.hypot(dx, dy)
+        assert right == pytest.approx((dx * oracle.sine(angle) - dy * oracle.cosine(angle)) / length, abs=1e-4)
+        assert forward == pytest.approx((dx * oracle.cosine(angle) + dy * oracle.sine(angle)) / length, abs=1e-4)
+        assert away == pytest.approx(min(length / 1000, 1), abs=1e-5)
+
+
+def test_18_steps_straight_to_a_goal_200_px_away_earn_11_point_62_and_end_there():
+    task = make_task(one(x=400.0, y=500.0), task="goal")
+    state = task.start(torch.tensor([0]), torch.tensor([90]))
+    for t in range(1, 19):
+        state, outcome = task.step(state, torch.tensor([9]))
+        assert outcome.terminated.item() == task.succeeded(state).item() == (t == 18)
+    assert state.reward.item() == pytest.approx(10 + 0.01 * 162)
+
+
+def test_a_collision_at_the_goal_earns_minus_10_and_is_no_success():
+    task = make_task(one(x=400.0, y=500.0), task="goal")
+    blocked = torch.cat([one(400.0, 500.0, circles=[(400.0, 520.0, 30.0)])])
+    task = task.with_bank(blocked)
+    state = task.start(torch.tensor([0]), torch.tensor([90]))._replace(y=torch.tensor([459.0]))
+    state, outcome = task.step(state, torch.tensor([3]))
+    assert outcome.terminated.item()
+    assert outcome.reward.item() == -10
+    assert not task.succeeded(state).item()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(0, 99), min_size=1, max_size=40), st.integers(0, 999))
+def test_until_a_flight_ends_its_reward_is_the_way_gained_less_a_hundredth_a_penalty(actions, index):
+    task = make_task("test", task="goal")
+    state = task.start(torch.tensor([index]), torch.tensor([90]))
+    first, penalties = task.to_goal(state)[-1].item(), 0
+    for action in actions:
+        state, outcome = task.step(state, torch.tensor([action]))
+        penalties += action % 10 == 0 or action >= 10
+        if outcome.terminated:
+            return
+    gained = first - task.to_goal(state)[-1].item()
+    assert state.reward.item() == pytest.approx(0.01 * gained - 0.01 * penalties, abs=1e-4)
+
+
+def test_rows_do_not_see_each_other(bank):
+    task = make_task(bank, task="goal")
+    start = task.start(torch.arange(6), torch.arange(6) * 60)
+    together, outcomes = task.step(start, torch.arange(6) * 13)
+    for row in range(6):
+        alone, outcome = task.step(type(start)(*(part[row] for part in start)), torch.tensor(row * 13))
+        for a, b in zip((*together, *outcomes), (*alone, *outcome), strict=True):
+            assert torch.equal(a[row], b)
+
+
+def test_its_own_reward_and_a_cap_of_1000_steps_are_what_is_not_given(bank):
+    assert (make_task(bank, task="goal").reward, make_task(bank, task="goal").max_steps) == ("goal", 1000)
+    assert make_task(bank, task="goal", reward="eq14").reward == make_task(bank[:, :8]).reward == "eq14"
+    assert make_task(bank, reward="eq14", max_steps=7, task="goal").max_steps == 7
+    with pytest.raises(ValueError, match="reward='goal': this task has no goal; choose task=goal"):
+        make_task("test", reward="goal").step(
+            make_task("test").start(torch.tensor(0), torch.tensor(90)), torch.tensor(0)
+        )
+    assert ppo.PPOConfig(task="goal").reward == "goal"
+    assert ppo.PPOConfig(task="goal", reward="eq14").reward == "eq14"
+    assert ppo.PPOConfig().reward == "eq14"
+    kind = ppo.PPOConfig
+    assert train._composed(kind, ["task=goal", "preset=fast"])["reward"] == "goal"
+    assert train._composed(kind, ["preset=fast"])["reward"] == "eq14"
+
+
+# -- the shells ------------------------------------------------------------------------------------------------------
+
+
+def test_gymnasium_tells_where_the_goal_is_and_whether_it_is_reached():
+    env = gymnasium.make("uavnav/Goal-v0", layouts=one(x=400.0, y=500.0))
+    seen, info = env.reset()
+    assert env.observation_space.contains(seen)
+    np.testing.assert_allclose(seen[30:], [0, 1, 0.2], atol=1e-6)
+    assert (info["goal_x"], info["goal_y"], info["succeeded"]) == (400.0, 500.0, False)
+    assert env.unwrapped.obstacles.shape == (0, 3)
+    for _ in range(18):
+        _, _, terminated, _, info = env.step(9)
+    assert terminated
+    assert info["succeeded"] is True
+    many = gymnasium.make_vec("uavnav/Goal-v0", num_envs=2, layouts=one(x=400.0, y=500.0))
+    _, infos = many.reset()
+    assert infos["goal_y"].tolist() == [500.0, 500.0]
+    for _ in range(18):
+        _, _, ended, _, infos = many.step(np.array([9, 0]))
+    assert ended.tolist() == [True, False]
+    assert infos["final_info"]["succeeded"].tolist() == [True, False]
+
+
+def test_a_picture_shows_the_goal_in_its_colour():
+    env = gymnasium.make("uavnav/Goal-v0", layouts=one(x=600.0, y=300.0), render_mode="rgb_array")
+    env.reset()
+    picture = env.render()
+    assert (abs(picture[300, 638:642].astype(int) - [0, 158, 115]).sum(-1) < 60).any()
+
+
+def test_a_run_trains_is_evaluated_with_four_metrics_more_and_verified(tmp_path, bank):
+    config = ppo.PPOConfig(task="goal", layouts="validation", total_frames=64, n_worlds=1, frames_per_batch=64,
+                           hidden=(8,), epochs=1)  # fmt: skip
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    with safe_open(run.path / "policy.safetensors", framework="pt") as file:
+        header = json.loads(file.metadata()["uavnav"])
+    assert (header["task"], header["reward"], header["max_steps"]) == ("goal", "goal", 1000)
+    assert type(load_policy(run.path).task) is Goal
+    rows = evaluate.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
+    assert set(metrics.own(rows).columns) == {"success", "collision", "time_out", "spl"}
+    np.testing.assert_allclose(rows["shortest"], np.tile(bank[:3, 8, 2].numpy(), 2))
+    assert verify.verify(run, quiet=True).same
+
+
+def test_success_collision_and_time_out_add_up_and_spl_weighs_success_by_the_way_flown():
+    rows = pd.DataFrame({"seed": 0, "succeeded": [1, 1, 0, 0], "terminated": [True, True, True, False],
+                         "truncated": [False, False, False, True], "distance": [200, 400, 50, 900],
+                         "shortest": [250.0, 300.0, 200.0, 200.0]})  # fmt: skip
+    own = metrics.own(rows).loc[0]
+    assert own.to_dict() == {"success": 50, "collision": 25, "time_out": 25, "spl": (1 + 0.75) / 4}
+
+
+def test_the_reactive_rule_reaches_at_least_60_percent_of_60_goals(bank):
+    rows = evaluate.fly({0: BASELINES["reactive"]}, make_task(bank[:60], task="goal", max_steps=300)).episodes
+    assert rows["succeeded"].mean() > 0.6
+    assert (rows["distance"][rows["succeeded"] == 1] + 9 >= rows["shortest"][rows["succeeded"] == 1] * 0.98).all()

@@ -1,0 +1,170 @@
+"""A goal to fly to among circles that stand still: where goals are, how far the shortest way is, what a bank holds.
+
+A set of a bank has its circles, and as its last row (x, y, shortest): the goal, and how long the shortest way there is.
+`simulator.Goal` is the task. Letters: B the batch shape, K circles of a set.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from torch import Tensor
+
+from uavnav.help import key
+from uavnav.tasks import circles
+from uavnav.tasks.circles import LayoutError
+from uavnav.tasks.protocol import DEFAULT_K
+from uavnav.tasks.world import World
+
+ROOM = 60.0  # [px] from a goal to the edge of every circle and of the border, at least
+FAR = 200.0  # [px] from the start to a goal, at least
+GRID = 5  # [px] between the places of which shortest ways consist
+TRIES = 100  # goals of a set, before another set is drawn
+GOALS = 2
+"""The stream of a bank's goals, beside that of its circles."""
+SCALE = 1000.0
+"""[px] A goal so far away, or farther, is seen at distance 1."""
+
+Array = np.ndarray[Any, np.dtype[Any]]
+
+
+@dataclass(frozen=True)
+class GoalWorld(World):
+    """The paper's arena, drone and sensor, and a goal.
+
+    Raises:
+        ValueError: as of `World`, or the radius is not above 0.
+    """
+
+    goal_radius: float = key(40.0, "within which the drone's centre has reached the goal", "px")
+    goal_reward: float = key(10.0, "for reaching the goal", "reward")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.goal_radius < math.inf:
+            raise ValueError(f"goal_radius={self.goal_radius:g}; give a number above 0")
+
+    @property
+    def observation_low(self) -> tuple[float, ...]:
+        """The least of each number: of the slots, then of the direction to the goal and its distance."""
+        return (*super().observation_low, -1.0, -1.0, 0.0)
+
+
+def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
+    """The circles that the same arguments give `circles.generate`, each set with a goal.
+
+    A goal is uniform over the places at least 60 px from every edge and 200 px from the start that can be reached:
+    else another is drawn, and after 100 goals another set of circles.
+
+    Returns:
+        Tensor [n, k + 1, 3] float32: (x, y, radius) of the circles, then (x, y, shortest) of the goal, in px.
+
+    Raises:
+        LayoutError: n, k or seed is negative.
+    """
+    world = world if isinstance(world, GoalWorld) else GoalWorld()
+    sets = circles.generate(n, k, seed, world).numpy()
+    found = np.empty((n, k + 1, 3), dtype=np.float32)
+    for index, drawn in enumerate(sets):
+        rng = np.random.Generator(np.random.PCG64([seed, GOALS, index]))
+        standing = drawn
+        while (goal := _draw_goal(standing, rng, world)) is None:
+            standing = circles.generate(1, k, int(rng.integers(2**31)), world)[0].numpy()
+        found[index, :k], found[index, k] = standing, goal
+    return torch.from_numpy(found)
+
+
+def validate(bank: Tensor, world: World | None = None) -> None:
+    """As `circles.validate`; and every goal has room around it, and a way that is long enough.
+
+    Raises:
+        LayoutError: naming the first set that is wrong.
+    """
+    world = world or GoalWorld()
+    if bank.ndim != 3 or bank.shape[1] == 0:
+        raise LayoutError(f"a bank has the shape [n > 0, k + 1, 3], not {list(bank.shape)}")
+    circles.validate(bank[:, :-1], world)
+    goal = bank[:, -1].double().cpu().numpy()
+    standing = bank[:, :-1].cpu().numpy()
+    room = np.array([_room(place[None, :2], around, world)[0] for place, around in zip(goal, standing, strict=True)])
+    away = np.hypot(*(goal[:, :2] - np.array(world.start)).T)
+    for wrong, rule in (
+        (~np.isfinite(goal).all(-1), "is not finite"),
+        (room < ROOM - 1e-3, f"is nearer than {ROOM:g} px to an edge"),
+        (away < FAR - 1e-3, f"is nearer than {FAR:g} px to the start"),
+        (goal[:, 2] < 0, "has a way of less than 0 px"),
+    ):
+        if wrong.any():
+            raise LayoutError(f"the goal of set {np.argwhere(wrong)[0][0]} {rule}")
+
+
+def shortest_ways(standing: Array, world: World) -> Array:
+    """Lengths of the shortest ways from the start to each place of the grid [columns, rows] px; infinite: no way.
+
+    A way leads from place to place, each to 16 neighbours, over places where the drone keeps more than its radius of
+    clearance. standing: circles [K, 3] px.
+    """
+    places, (near, far), length = _grid(world.width, world.height)
+    free = _room(places, standing, world) > world.drone_radius
+    kept = free[near] & free[far]
+    number = np.cumsum(free) - 1  # places that are not free have no row
+    ways = csr_array((length[kept], (number[near[kept]], number[far[kept]])), shape=(int(free.sum()),) * 2)
+    lengths = np.full(len(places), np.inf)
+    columns, rows = world.width // GRID + 1, world.height // GRID + 1
+    start = round(world.start[0] / GRID) * rows + round(world.start[1] / GRID)
+    lengths[free] = dijkstra(ways, directed=False, indices=number[start])
+    return lengths.reshape(columns, rows)
+
+
+def _draw_goal(standing: Array, rng: np.random.Generator, world: GoalWorld) -> Array | None:
+    """(x, y, shortest) of a goal among circles [K, 3], or None where none of 100 can be reached."""
+    drawn = rng.random((20 * TRIES, 2)) * np.array([world.width, world.height])
+    drawn = drawn.astype(np.float32).astype(np.float64)
+    far = np.hypot(*(drawn - np.array(world.start)).T) >= FAR
+    goals = drawn[far & (_room(drawn, standing, world) >= ROOM)][:TRIES]
+    if not len(goals):
+        return None
+    places, lengths = _grid(world.width, world.height)[0], shortest_ways(standing, world).ravel()
+    there = np.isfinite(lengths)
+    for goal in goals:
+        within = there & (np.hypot(*(places - goal).T) <= world.goal_radius)
+        if within.any():
+            return np.array([*goal, lengths[within].min()])
+    return None
+
+
+def _room(places: Array, standing: Array, world: World) -> Array:
+    """Distance [P] px from places [P, 2] to the nearest edge of circles [K, 3] or of the border."""
+    x, y = places.T
+    inner = world.border
+    border = np.minimum(np.minimum(x - inner, world.width - inner - x), np.minimum(y - inner, world.height - inner - y))
+    if not len(standing):
+        return np.asarray(border)
+    offset = places[:, None] - standing[None, :, :2].astype(np.float64)
+    edges = np.hypot(offset[..., 0], offset[..., 1]) - standing[:, 2]
+    return np.asarray(np.minimum(border, edges.min(1)))
+
+
+@functools.lru_cache(maxsize=2)
+def _grid(width: int, height: int) -> tuple[Array, tuple[Array, Array], Array]:
+    """Places [P, 2] px, pairs of neighbours (index, index) [E] each once, and how far they are apart [E] px."""
+    columns, rows = width // GRID + 1, height // GRID + 1
+    index = np.arange(columns * rows).reshape(columns, rows)
+    places = GRID * np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), -1).reshape(-1, 2)
+    near, far, length = [], [], []
+    for dx, dy in itertools.product(range(3), range(-2, 3)):
+        if math.gcd(dx, dy) != 1 or (dx == 0 and dy < 0):
+            continue
+        low, high = max(-dy, 0), rows - max(dy, 0)
+        near.append(index[: columns - dx, low:high].ravel())
+        far.append(index[dx:, low + dy : high + dy].ravel())
+        length.append(np.full(near[-1].size, GRID * math.hypot(dx, dy)))
+    return places.astype(np.float64), (np.concatenate(near), np.concatenate(far)), np.concatenate(length)

@@ -60,7 +60,7 @@ def towards_goal(observation: Tensor, generator: torch.Generator | None = None) 
     A direction is free if the nearest point of nothing in view comes too close to the next 60 px there, or to the way
     to a goal that is nearer. The drone turns on the spot while it has 45 degrees or more to turn, or nothing is free.
     """
-    slots = observation[..., : 3 * WORLD.n_slots].unflatten(-1, (WORLD.n_slots, 3))
+    slots = observation[..., : 3 * WORLD.n_slots].reshape(*observation.shape[:-1], WORLD.n_slots, 3)
     right, forward, away = observation[..., WORLD.observation_size : WITH_GOAL].unbind(-1)
     towards, empty = slots[..., :2], (slots[..., :2] == 0).all(-1)
     distance = WORLD.drone_radius + slots[..., 2] * (WORLD.sensor_radius - WORLD.drone_radius)

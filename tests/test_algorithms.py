@@ -28,7 +28,7 @@ SMALL = {"n_seeds": 2, "n_worlds": 8, "total_frames": 640, "hidden": (16,), "lr"
 TINY = {
     "ppo": {"frames_per_batch": 128, "epochs": 2},
     "dqn": {"learning_starts": 64, "target_update_frames": 64, "frames_per_update": 4},
-    "sac": {"learning_starts": 64, "target_entropy": 0.3},
+    "sac": {"learning_starts": 64, "target_entropy": 0.3, "frames_per_update": 8},
     "c51": {
         "learning_starts": 64,
         "target_update_frames": 64,

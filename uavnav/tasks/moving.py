@@ -87,7 +87,7 @@ def motion(bank: Tensor, steps: Tensor, world: World) -> tuple[Tensor, Tensor]:
     """
     start, radius, velocity = bank[..., :2].double(), bank[..., 2:3], bank[..., 3:]
     size = torch.tensor([world.width, world.height], dtype=torch.float64, device=bank.device)
-    way = torch.remainder(start + velocity.double() * steps[..., None, None], 2 * size)  # there and back
-    place = torch.where(way <= size, way, 2 * size - way)
-    there = torch.where(velocity > 0, way < size, (way > 0) & (way <= size))
-    return torch.cat([place.float(), radius], -1), torch.where(there, velocity, -velocity)
+    way = start + velocity.double() * steps[..., None, None]
+    rest = way - 2 * size * torch.round(way / (2 * size))  # [-size, size]: the wave is its magnitude
+    there = torch.where(velocity > 0, (rest >= 0) & (rest < size), (rest > 0) | (rest <= -size))
+    return torch.cat([rest.abs().float(), radius], -1), torch.where(there, velocity, -velocity)

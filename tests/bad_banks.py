@@ -156,7 +156,7 @@ CASES = [
     policy("an unknown switch", facts(world={"gravity": 9.81})),
     policy("an unknown task", facts(task="dron"), "unknown task 'dron'", "(did you mean drone?)"),
     policy("an unknown way to act", facts(acts="beta"), "unknown way to act 'beta'", "choose from categorical"),
-    policy("an unknown head", facts(head="c51"), "unknown head 'c51'", "choose from direct"),
+    policy("an unknown head", facts(head="quantiles 9"), "unknown head 'quantiles'", "choose from direct, d"),
     policy("a plugin's reward", facts(reward="mine", plugins=["my"]), "unknown reward 'mine'", "give --plugins my "),
     policy("plugins a number", facts(plugins=3)),
     policy("a world that is a list", facts(world=[90])),

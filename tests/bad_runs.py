@@ -76,7 +76,7 @@ CASES = [
     run("config.yaml", "no seeds", replaced("n_seeds: 2", "n_seeds: 0"), "not a run's, its n_seeds=0", RUN),
     run("config.yaml", "cut within a key", cut_before("_radius_max"), DAMAGED, RUN),
     run(
-        "config.yaml", "another algorithm", replaced(": ppo", ": sac"), "algorithm=sac; ", "choose from", verify, VERIFY
+        "config.yaml", "another algorithm", replaced(": ppo", ": td3"), "algorithm=td3; ", "choose from", verify, VERIFY
     ),
     run(
         "config.yaml",
@@ -196,7 +196,7 @@ CASES = [
     ),
     out("over other files", "thesis", nothing, "holds other files", "give a new or empty", "thesis", overwrite=True),
     out("over another program's", "thesis/config.yaml", written("kind: Pod"), NO_RUN, EMPTY, "thesis", overwrite=True),
-    out("over another's run", "thesis/config.yaml", written("algorithm: sac"), NO_RUN, EMPTY, "thesis", overwrite=True),
+    out("over another's run", "thesis/config.yaml", written("algorithm: td3"), NO_RUN, EMPTY, "thesis", overwrite=True),
     out(
         "over a damaged config", "run/config.yaml", written("[1"), "{}/run/config.yaml: " + DAMAGED, "", overwrite=True
     ),

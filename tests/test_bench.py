@@ -10,10 +10,11 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+import torch
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.bench import __main__ as bench
-from uavnav.bench import ours, page, peers, runner, sections, worlds
+from uavnav.bench import ours, page, peers, plain, runner, sections, worlds
 from uavnav.bench.jobs import Job, JobError
 from uavnav.bench.page import read_sections
 from uavnav.bench.plan import Measurement
@@ -129,8 +130,33 @@ def test_the_first_policy_that_is_good_after_training_anew_up_to_its_frame_is_fo
     assert trained == [10_000, 20_000, 30_000][: len(trained)]
 
 
+def test_the_peer_in_plain_pytorch_is_watched_for_three_looks_once_it_is_steady(monkeypatch):
+    learned = []
+    update = plain.Agent.update
+    monkeypatch.setattr(plain.Agent, "update", lambda agent, batch: learned.append(batch) or update(agent, batch))
+    found = plain.watched(0.0, "sac", "numpy", 400, 0.0, learning_starts=300, buffer_size=350)
+    assert found["frames"] == 600  # those after 400, 500 and 600
+    assert len(learned) == 75
+    assert [part.shape for part in learned[-1]] == [(64, 30), (64, 1), (64,), (64, 30), (64,)]
+    assert min(found["rate"], found["rate_before"]) > 0
+
+
+def test_the_agent_in_plain_pytorch_moves_all_its_parts_towards_what_is_paid():
+    """Action 3 of 100 is paid, in one place: the policy then takes it there, at a temperature that has fallen."""
+    torch.manual_seed(0)
+    agent = plain.Agent(ours.settings("sac", lr=1e-2, gamma=0.0, target_entropy=0.2, tau=0.5))
+    action = torch.arange(100)[:, None]
+    place = torch.ones(100, 30)
+    batch = (place, action, (action[:, 0] == 3).float(), place, torch.ones(100))
+    for _ in range(200):
+        agent.update(batch)
+    assert agent.policy(batch[0]).softmax(-1)[:, 3].mean() > 0.5
+    assert agent.log_alpha.item() < -1
+    assert all((target(batch[0]) - network(batch[0])).abs().max() < 0.1 for target, network in agent.pairs)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("algorithm", peers.SPEED_UPS)
+@pytest.mark.parametrize("algorithm", [name for name in peers.SPEED_UPS if name not in peers.PLAIN])
 def test_where_the_time_goes_is_taken_of_stable_baselines3_too(algorithm, tmp_path):
     pytest.importorskip("stable_baselines3")
     how = {"which": "numpy", "frames": 2048, "seconds": 0.5, "learning_starts": 500, "stages": True}
@@ -139,6 +165,14 @@ def test_where_the_time_goes_is_taken_of_stable_baselines3_too(algorithm, tmp_pa
     job.stop()
     assert sum(shares.values()) == pytest.approx(1)
     assert min(shares["collection"], shares["update"], shares["buffer"]) > 0
+
+
+def test_stable_baselines3s_a2c_has_the_settings_and_the_80_frames_an_update_of_ours():
+    pytest.importorskip("stable_baselines3")
+    a2c = peers.make_model("stable_baselines3", "a2c", worlds.make_env("numpy"), 0)
+    assert (a2c.n_steps, a2c.learning_rate, a2c.gamma, a2c.gae_lambda) == (80, 7e-4, 0.99, 1.0)
+    assert (a2c.vf_coef, a2c.ent_coef, a2c.max_grad_norm, a2c.normalize_advantage) == (0.5, 0.0, 0.5, False)
+    assert (type(a2c.policy.optimizer).__name__, a2c.policy.optimizer.defaults["eps"]) == ("RMSprop", 1e-5)
 
 
 def test_stable_baselines3_is_given_the_preset_paper_with_1_and_with_16_parallel_worlds():

@@ -125,8 +125,8 @@ def test_ten_seeds_in_100_s_are_40_times_faster_each_than_one_of_400_s():
     results = results_of(
         training__ppo__sb3__numpy=[{"whole": 400.0}] * 2, training__ppo__uavnav__10=[{"whole": 100.0}] * 2
     )
-    assert sections.against_sb3(results, "ppo", "uavnav/10", 10) == 40
-    assert sections.against_sb3(results, "dqn", "uavnav/10", 10) is None
+    assert sections.against_peer(results, "ppo", "uavnav/10", 10) == 40
+    assert sections.against_peer(results, "dqn", "uavnav/10", 10) is None
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_the_table_of_targets_says_what_was_reached_and_what_was_not():
     assert "against the NumPy world | times | 1 | 3 | 0.5 | **not reached** |" in text
     assert "| memory, DQN, ten seeds of 1 M frames | GB | 4 | 2 | 3 | reached |" in text
     assert "first policy with a reward of 88.5 | s | 90 | 20 | 30 | reached |" in text
-    assert text.count("not measured") == 4
+    assert text.count("not measured") == len(sections.targets(results)) - 5
 
 
 def test_a_seed_that_never_reaches_the_target_takes_for_ever():

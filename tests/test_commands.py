@@ -55,8 +55,8 @@ def test_the_table_holds_each_module_that_is_a_command_and_each_is_of_one_kind()
 @pytest.mark.parametrize("words", ["", "--help", "-h"])
 def test_uavnav_alone_shows_every_command_with_its_line_and_an_example_of_each_kind(words, capsys):
     lines = told(words, capsys).splitlines()
-    assert lines[0].startswith(f"uavnav {uavnav.__version__}: ")
     width = max(map(len, commands.COMMANDS))
+    assert lines[0].startswith(f"uavnav {uavnav.__version__}: ")
     for name, what in commands.COMMANDS.items():
         assert f"  {name:{width}}  {what}" in lines
     for kind, (_, example) in commands.KINDS.items():

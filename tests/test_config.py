@@ -8,6 +8,8 @@ import yaml
 
 from uavnav.algorithms.a2c import PRESETS as A2C_PRESETS
 from uavnav.algorithms.a2c import A2CConfig
+from uavnav.algorithms.c51 import PRESETS as C51_PRESETS
+from uavnav.algorithms.c51 import C51Config
 from uavnav.algorithms.dqn import PRESETS as DQN_PRESETS
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PRESETS as PPO_PRESETS
@@ -57,7 +59,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize("kind", [PPOConfig, DQNConfig, A2CConfig, SACConfig])
+@pytest.mark.parametrize("kind", [PPOConfig, DQNConfig, A2CConfig, C51Config, SACConfig])
 @pytest.mark.parametrize(("settings", "message"), WRONG, ids=[str(settings) for settings, _ in WRONG])
 def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
     with pytest.raises(ConfigError) as caught:
@@ -112,7 +114,12 @@ def test_fields_of_the_world_reach_it_and_its_task_and_the_others_keep_their_def
 
 
 def test_a_configuration_is_the_same_again_from_its_plain_settings_world_included():
-    for config in (PPOConfig(world=SWITCHES, hidden=[8]), DQNConfig(preset="fast"), A2CConfig(max_steps=9)):
+    for config in (
+        PPOConfig(world=SWITCHES, hidden=[8]),
+        DQNConfig(preset="fast"),
+        A2CConfig(max_steps=9),
+        C51Config(v_min=-1),
+    ):
         settings = yaml.safe_load(yaml.safe_dump(plain(config)))
         assert type(config).from_mapping(settings) == config
 
@@ -145,7 +152,13 @@ def test_the_preset_paper_of_dqn_is_sb3s_defaults_and_paper_2_3_learns_from_fram
 
 @pytest.mark.parametrize(
     ("kind", "presets"),
-    [(PPOConfig, PPO_PRESETS), (DQNConfig, DQN_PRESETS), (A2CConfig, A2C_PRESETS), (SACConfig, SAC_PRESETS)],
+    [
+        (PPOConfig, PPO_PRESETS),
+        (DQNConfig, DQN_PRESETS),
+        (A2CConfig, A2C_PRESETS),
+        (C51Config, C51_PRESETS),
+        (SACConfig, SAC_PRESETS),
+    ],
 )
 def test_each_preset_bears_its_own_name_and_no_other_name_is_taken(kind, presets):
     assert {name: preset.preset for name, preset in presets.items()} == {name: name for name in presets}

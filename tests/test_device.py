@@ -6,13 +6,18 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from uavnav.algorithms import a2c, dqn, ppo
+from uavnav.algorithms import a2c, dqn, ppo, sac
 from uavnav.envs.env import DroneEnv
 from uavnav.tasks.simulator import make_task
 from uavnav.training import probes
 from uavnav.training.sampling import Actor
 
-ALGORITHMS = {"ppo": ppo.PPOConfig(n_seeds=2), "dqn": dqn.DQNConfig(n_seeds=2), "a2c": a2c.A2CConfig(n_seeds=2)}
+ALGORITHMS = {
+    "ppo": ppo.PPOConfig(n_seeds=2),
+    "dqn": dqn.DQNConfig(n_seeds=2),
+    "a2c": a2c.A2CConfig(n_seeds=2),
+    "sac": sac.SACConfig(n_seeds=2),
+}
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +64,13 @@ def transitions(config):
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_updates_and_diagnostics_stay_on_their_device(meta, algorithm):
     config, (_, poses) = ALGORITHMS[algorithm], meta
-    module = {"ppo": ppo, "dqn": dqn, "a2c": a2c}[algorithm]
+    module = {"ppo": ppo, "dqn": dqn, "a2c": a2c, "sac": sac}[algorithm]
     if algorithm == "dqn":
         policy = dqn.make_network(config).to("meta")
         loss = dqn.make_loss(policy, config)
+    elif algorithm == "sac":
+        policy, twins = (network.to("meta") for network in sac.make_networks(config))
+        loss = sac.make_loss(policy, twins, config).to("meta")
     else:
         policy, value = ppo.make_networks(config)
         loss = module.make_loss(policy, value, config).to("meta")
@@ -119,7 +127,7 @@ def test_dqn_acts_on_one_device_whose_epsilon_too_lies_there(unspecified):
     config = dqn.DQNConfig(n_seeds=2)
     env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds, task=config.make_task())
     network = dqn.make_network(config).to("meta")
-    actor = Actor(network, config.seeds, dqn.HOW.acts, dqn.HOW.head, compile=False, epsilon=config.epsilon)
+    actor = Actor(network, config.seeds, "epsilon-greedy", config.head, compile=False, epsilon=config.epsilon)
     batch = collected(env, actor, 1)
     assert {value.device.type for value in (actor.epsilon, *batch.values(True, True))} == {"meta"}
     assert dqn.rows(batch, config).batch_size == (config.n_worlds, 2)

@@ -48,29 +48,41 @@ def losses_by_row(batch, config):
 
 
 @pytest.mark.parametrize(
-    ("kind", "gamma", "double", "n_steps"),
+    ("kind", "gamma", "how"),
     [
-        ("huber", 0.99, False, 1),
-        ("squared", 0.99, False, 1),
-        ("huber", 0.5, False, 1),
-        ("squared", 0.99, True, 1),
-        ("squared", 0.9, True, 4),
+        ("huber", 0.99, {}),
+        ("squared", 0.99, {}),
+        ("huber", 0.5, {}),
+        ("squared", 0.99, {"double": True}),
+        ("squared", 0.9, {"double": True, "n_steps": 4}),
+        ("squared", 0.9, {"double": True, "n_steps": 4, "dueling": True, "max_steps": 9}),
+        ("huber", 0.9, {"dueling": True}),
     ],
 )
-def test_the_loss_of_each_row_is_that_of_the_target_by_hand(kind, gamma, double, n_steps):
-    config = DQNConfig(loss=kind, gamma=gamma, double=double, n_steps=n_steps)
+def test_the_loss_of_each_row_is_that_of_the_target_by_hand(kind, gamma, how):
+    """Under a cap, each row says after how many of its four steps it bootstraps."""
+    config = DQNConfig(loss=kind, gamma=gamma, **how)
     batch = transitions(1, 8)
+    steps = torch.full((1, 8, 1), config.n_steps)
+    if config.max_steps:
+        batch["steps_to_next_obs"] = steps = torch.arange(8).reshape(1, 8, 1) % 4 + 1
     got, network, _ = losses_by_row(batch, config)
     halved = make_network(config)
     for parameter in halved.parameters():
         parameter.data.mul_(0.5)
-    other = (network(batch["next", "observation"]).argmax(-1) != halved(batch["next", "observation"]).argmax(-1)).sum()
-    assert other > 2  # or the double estimate would be the same
+
+    def values(one, observation):
+        outputs = one(observation)
+        return outputs[..., :1] + outputs[..., 1:] - outputs[..., 1:].mean(-1, True) if config.dueling else outputs
+
+    best_of = [values(one, batch["next", "observation"]).argmax(-1) for one in (network, halved)]
+    assert (best_of[0] != best_of[1]).sum() > 2  # or the double estimate would be the same
     for row in range(8):
         observation, following = batch["observation"][:, row], batch["next", "observation"][:, row]
-        prediction = network(observation)[0, batch["action"][0, row]].item()
-        best = (network if double else halved)(following).argmax()
-        bootstrap = 0.0 if batch["next", "terminated"][0, row] else gamma**n_steps * halved(following)[0, best].item()
+        prediction = values(network, observation)[0, batch["action"][0, row]].item()
+        best = values(network if config.double else halved, following).argmax()
+        worth = gamma ** steps[0, row].item() * values(halved, following)[0, best].item()
+        bootstrap = 0.0 if batch["next", "terminated"][0, row] else worth
         error = abs(prediction - (batch["next", "reward"][0, row].item() + bootstrap))
         expected = error**2 if kind == "squared" else (0.5 * error**2 if error < 1 else error - 0.5)
         assert got[row].item() == pytest.approx(expected, abs=1e-5)

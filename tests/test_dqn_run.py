@@ -269,31 +269,43 @@ def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_
             assert all(any(place in known for place in places[tuple(row)]) for row in whole(drawn).tolist())
 
 
-def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_and_bootstrap_where_there_was_none(tmp_path):
-    """25 steps of 16 worlds in which nothing is learned, and every world's flight once more by a slow loop."""
+@pytest.mark.parametrize("cap", [None, 7])
+def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_or_cap_and_bootstrap_where_no_collision_was(
+    tmp_path, cap
+):
+    """25 steps of 16 worlds in which nothing is learned, and every world's flight once more by a slow loop.
+
+    A cap has an observation of its own, after as many steps as there were.
+    """
     settings = {"n_seeds": 2, "n_worlds": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
-    seen = watch(DQNConfig(**settings, n_steps=3, gamma=0.5, compile="off"), tmp_path / "run")
+    seen = watch(DQNConfig(**settings, n_steps=3, gamma=0.5, max_steps=cap, compile="off"), tmp_path / "run")
     stored = seen.buffer[:]
     assert len(seen.minibatches) == 22 * 4  # the first step after frame 48
     for agent in (0, 1):
         own = stored[:, agent].reshape(25, 16)  # step, world
-        reward, over = own["next", "reward"].squeeze(-1), own["next", "terminated"].squeeze(-1)
+        names = ("reward", "terminated", "done")
+        reward, over, done = (own["next", name].squeeze(-1) for name in names)
         expected = {}
-        for step, world in itertools.product(range(22), range(16)):
-            total, n, collided = 0.0, 0, False
-            while n < 3 and not collided:
+        for step, world in itertools.product(range(23 if cap else 22), range(16)):
+            total, n, ended = 0.0, 0, False
+            while n < 3 and not ended:
                 total += 0.5**n * reward[step + n, world].item()
-                collided = over[step + n, world].item()
+                collided, ended = over[step + n, world].item(), done[step + n, world].item()
                 n += 1
             start = tuple(own["observation"][step, world].tolist()), own["action"][step, world].item()
-            following = None if collided else tuple(own["observation"][step + 3, world].tolist())
+            then = own["next", "observation"][step + n - 1] if cap else own["observation"][(step + 3) % 25]
+            following = None if collided else (tuple(then[world].tolist()), n)
             expected.setdefault(start, []).append((total, collided, following))
         drawn = torch.cat([batch[agent] for batch in seen.minibatches])
         assert 100 < drawn["next", "terminated"].sum() < 5000
+        if cap:
+            early = (drawn["steps_to_next_obs"] < 3) & ~drawn["next", "terminated"]
+            assert early.sum() > 500
         for row in drawn:
             worth = expected[tuple(row["observation"].tolist()), row["action"].item()]
             collided = row["next", "terminated"].item()
-            following = None if collided else tuple(row["next", "observation"].tolist())
+            n = row["steps_to_next_obs"].item() if cap else 3
+            following = None if collided else (tuple(row["next", "observation"].tolist()), n)
             assert any(
                 total == pytest.approx(row["next", "reward"].item(), abs=1e-5) and (ends, then) == (collided, following)
                 for total, ends, then in worth

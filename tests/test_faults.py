@@ -13,7 +13,7 @@ from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
 from uavnav.tasks.baselines import reactive
 from uavnav.tasks.faults import NAMES, NO_FAULTS, RUNGS, Faults, from_words, rung
 from uavnav.tasks.seeding import stream
-from uavnav.tasks.simulator import Task, make_task
+from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.state import State
 
 ALL = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
@@ -168,6 +168,27 @@ def test_a_slot_at_the_sensors_reach_is_clamped_after_the_noise_and_stays_in_vie
     assert torch.equal(sensed[0, :, 2], torch.ones(10))
     assert torch.equal(sensed[1, :, 2], torch.zeros(10))
     assert torch.equal(sensed[..., :2], task.sense(state)[0].unflatten(-1, (10, 3))[..., :2])
+
+
+def test_among_moving_obstacles_noise_leaves_velocities_and_a_lost_slot_has_none():
+    task = make_task("test", {"sense_velocity": True}, task="moving", stack=2, faults={"noise": 4.0, "lost": 0.3})
+    n = 400
+    draws = [task.draw(n, torch.Generator().manual_seed(nth)) for nth in range(2)]
+    state = task.start(torch.arange(n), torch.full((n,), 90), draws[0])
+    state, outcome = task.step(state, torch.full((n,), 9), draws[1])
+    true = task.sense(state)[0].unflatten(-1, (10, 5))
+    seen = outcome.observation[:, :50].unflatten(-1, (10, 5))
+    filled = true[..., 2] < 1
+    lost = filled & (draws[1][:, 10:] < 0.3)
+    kept = filled & ~lost
+    assert lost.sum() > 50
+    assert kept.sum() > 150
+    assert torch.equal(seen[lost], torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0]).expand(int(lost.sum()), 5))
+    others = [0, 1, 3, 4]
+    assert torch.equal(seen[kept][:, others], true[kept][:, others])
+    expected = (true[..., 2] + 4 / 90 * draws[1][:, :10]).clamp(0, 1)
+    torch.testing.assert_close(seen[kept][:, 2], expected[kept], rtol=0, atol=1e-5)
+    assert torch.equal(outcome.observation[:, 50:], state.seen[:, 1])  # of the start
 
 
 def flown(task, actions, draws=None):
@@ -333,6 +354,24 @@ def test_one_drone_of_gymnasium_flies_120_steps_as_a_batch_of_one_bit_for_bit(ho
         if any(over):
             assert (alone == info["final_obs"][0]).all()
             alone, _ = single.reset()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_of_the_table_flies_with_a_stack_and_all_faults_and_goes_on_from_its_state(task):
+    how = {"layouts": "test", "task": task, "stack": 2, "faults": ALL, "max_steps": 15}
+    env, again = DroneEnv([2, 2], seeds=[0, 1], **how), DroneEnv([2, 2], seeds=[0, 1], **how)
+    size = 2 * env.world.observation_size
+    assert env.observation_spec["observation"].shape == (2, 2, size)
+    rolled(env, 20)
+    again.load_state_dict(env.state_dict())
+    rest = rolled(env, 20, seed=5)
+    assert rest.shape[-1] == 2 * size + 1
+    assert torch.equal(rolled(again, 20, seed=5), rest)
+    assert env.observation_spec.is_in(env.root().select("observation", "episode"))
+    single = DroneGymEnv(**how)
+    alone, _ = single.reset(seed=0)
+    assert single.observation_space.contains(alone)
+    assert single.observation_space.contains(single.step(9)[0])
 
 
 def test_the_scalar_core_hands_faults_and_stacks_to_a_batch_of_one():

@@ -11,7 +11,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from uavnav import ConfigError, Run, evaluate, flights, load_policy, render
-from uavnav.algorithms import a2c, dqn, ppo
+from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.evaluate import evaluate_policy, evaluate_run, files_of, header, on
 from uavnav.export import export_policy
 from uavnav.networks import mlp
@@ -33,6 +33,8 @@ CONFIGS = {
     "ppo": ppo.PPOConfig(total_frames=512, frames_per_batch=128, minibatch_size=64, epochs=1, **HOW),
     "dqn": dqn.DQNConfig(total_frames=512, learning_starts=64, frames_per_update=16, buffer_size=128, **HOW),
     "a2c": a2c.A2CConfig(total_frames=512, **HOW),
+    "c51": c51.C51Config(total_frames=512, learning_starts=64, buffer_size=128, **HOW),
+    "sac": sac.SACConfig(total_frames=512, learning_starts=64, buffer_size=128, **HOW),
 }
 
 
@@ -41,7 +43,9 @@ def tables(path):
     return [table.drop(columns="frames_per_second", errors="ignore") for table in read]
 
 
-@pytest.mark.parametrize("name", ["ppo", "dqn", pytest.param("a2c", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["ppo", "dqn", *(pytest.param(one, marks=pytest.mark.slow) for one in ("a2c", "c51", "sac"))]
+)
 def test_a_run_with_faults_and_a_stack_resumes_bit_for_bit_and_its_policy_knows_its_task(name, tmp_path):
     config = CONFIGS[name]
     whole = ppo.train(config, out=tmp_path / "whole", quiet=True)

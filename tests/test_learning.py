@@ -1,10 +1,10 @@
-"""Both algorithms learn: greedy policies beat the random and the straight-ahead policy on sets never trained on."""
+"""Algorithms learn: their policies beat the random and the straight-ahead one on sets never trained on."""
 
 import numpy as np
 import pytest
 
 import uavnav
-from uavnav.algorithms import dqn, ppo
+from uavnav.algorithms import c51, dqn, ppo, sac
 from uavnav.evaluate import evaluate_policy
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 
@@ -33,6 +33,31 @@ DQN_SETTINGS = {
     "lr": 1e-3,
     "compile": "off",
 }
+SAC_SETTINGS = {
+    "activation": "relu",
+    "n_seeds": 2,
+    "n_worlds": 64,
+    "total_frames": 40_000,
+    "learning_starts": 2_000,
+    "frames_per_update": 16,
+    "batch_size": 128,
+    "lr": 1e-3,
+    "gamma": 0.95,
+    "tau": 0.02,
+    "target_entropy": 0.4,
+    "compile": "off",
+}
+C51_SETTINGS = DQN_SETTINGS | {
+    "total_frames": 16_000,
+    "learning_starts": 1_000,
+    "frames_per_update": 32,
+    "target_update_frames": 500,
+    "lr": 2e-3,
+    "gamma": 0.98,
+    "n_steps": 5,
+    "double": True,
+    "n_atoms": 21,
+}
 
 
 def interval(policy):
@@ -48,8 +73,8 @@ def best_baseline():
     return max(interval(policy)[1] for policy in (uniform_random, straight_ahead))
 
 
-def beats(run, best_baseline):
-    return [interval(uavnav.load_policy(run.path, seed=seed))[0] > best_baseline for seed in (0, 1)]
+def beats(run, best_baseline, greedy=True):
+    return [interval(uavnav.load_policy(run.path, seed=seed, greedy=greedy))[0] > best_baseline for seed in (0, 1)]
 
 
 def test_two_seeds_of_ppo_beat_random_and_straight_ahead(tmp_path, best_baseline):
@@ -60,6 +85,18 @@ def test_two_seeds_of_ppo_beat_random_and_straight_ahead(tmp_path, best_baseline
 @pytest.mark.slow
 def test_two_seeds_of_dqn_beat_random_and_straight_ahead(tmp_path, best_baseline):
     run = dqn.train(dqn.DQNConfig(**DQN_SETTINGS), out=tmp_path / "run", quiet=True)
+    assert beats(run, best_baseline) == [True, True]
+
+
+@pytest.mark.slow
+def test_two_seeds_of_sac_as_they_act_in_training_beat_random_and_straight_ahead(tmp_path, best_baseline):
+    run = sac.train(sac.SACConfig(**SAC_SETTINGS), out=tmp_path / "run", quiet=True)
+    assert beats(run, best_baseline, greedy=False) == [True, True]
+
+
+@pytest.mark.slow
+def test_two_seeds_of_c51_beat_random_and_straight_ahead(tmp_path, best_baseline):
+    run = c51.train(c51.C51Config(**C51_SETTINGS), out=tmp_path / "run", quiet=True)
     assert beats(run, best_baseline) == [True, True]
 
 
@@ -74,3 +111,13 @@ def test_without_a_learning_rate_ppo_fails(tmp_path, best_baseline):
 def test_without_a_learning_rate_dqn_fails(tmp_path, best_baseline):
     config = dqn.DQNConfig(**DQN_SETTINGS | {"lr": 0.0, "total_frames": 8_192})
     assert beats(dqn.train(config, out=tmp_path / "run", quiet=True), best_baseline) == [False, False]
+
+
+def test_without_a_learning_rate_sac_fails(tmp_path, best_baseline):
+    config = sac.SACConfig(**SAC_SETTINGS | {"lr": 0.0, "total_frames": 4_096})
+    assert beats(sac.train(config, out=tmp_path / "run", quiet=True), best_baseline, greedy=False) == [False, False]
+
+
+def test_without_a_learning_rate_c51_fails(tmp_path, best_baseline):
+    config = c51.C51Config(**C51_SETTINGS | {"lr": 0.0, "total_frames": 2_048})
+    assert beats(c51.train(config, out=tmp_path / "run", quiet=True), best_baseline) == [False, False]

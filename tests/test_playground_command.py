@@ -61,6 +61,19 @@ def test_a_policy_of_another_world_is_left_out_in_a_line(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
+    ("given", "says"),
+    [({"faults": {"late": 2}}, "the page has no faults 'late=2'"), ({"stack": 1, "faults": {}}, None)],
+)
+def test_a_policy_with_faults_is_left_out_and_one_without_is_not(given, says, tmp_path):
+    write_run(tmp_path / "here", n_seeds=1)
+    write_run(tmp_path / "there", n_seeds=1, **given)
+    found, left_out = collect([tmp_path])
+    assert len(found) + len(left_out) == 2
+    assert says is None or says in left_out[0]
+    assert bool(left_out) == (says is not None)
+
+
+@pytest.mark.parametrize(
     ("make", "line"),
     [
         (lambda root: None, "there is no such folder; give a folder that holds runs"),

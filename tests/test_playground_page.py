@@ -78,7 +78,7 @@ def test_a_link_restores_its_scene_and_the_same_flights(browser, opened):
     assert ends[0] == ends[1]
     assert ask(browser, "writeLink({ ...playground.scene, circles: playground.race.circles })") == SCENE
     one(browser, "#next").click()
-    assert "set=13&k=2&pilots=rule~ppo-tanh-0~nobody~you&focus=4" in browser.current_url
+    wait(browser, lambda: "set=13&k=2&pilots=rule~ppo-tanh-0~nobody~you&focus=4" in browser.current_url)
 
 
 def test_a_bad_part_of_a_link_is_named_as_text_and_the_rest_holds(browser):
@@ -158,6 +158,20 @@ def test_time_goes_stops_steps_and_starts_again_by_keys_alone(browser):
     assert ask(browser, "playground.race.circles") == circles
 
 
+def test_a_seed_repeats_the_random_choices_and_another_makes_others(browser):
+    ends = []
+    for seed in (0, 5, 0):
+        one(browser, "#seed").send_keys(Keys.CONTROL, "a", Keys.NULL, str(seed), Keys.TAB)
+        assert drone(browser, 1)["steps"] == 0
+        steps(browser, 60)
+        ends.append([drone(browser, place) for place in (1, 3)])
+    assert ends[0] == ends[2]
+    assert ends[0][0] != ends[1][0]  # PPO samples
+    assert ends[0][1] == ends[1][1]  # the rule does not
+    one(browser, "#seed").send_keys(Keys.CONTROL, "a", Keys.NULL, "-1", Keys.TAB)
+    assert one(browser, "#seed").get_property("value") == "0"
+
+
 def test_a_drone_is_handed_over_in_mid_flight_and_taken_back_where_it_is(browser):
     steps(browser, 20)
     press(browser, "3", "t")
@@ -166,7 +180,7 @@ def test_a_drone_is_handed_over_in_mid_flight_and_taken_back_where_it_is(browser
     press(browser, Keys.ARROW_UP)
     steps(browser, 1)
     assert drone(browser, 2)["steps"] == before["steps"] + 1
-    press(browser, "t")
+    press(browser, "r", "t")  # also after the race began again
     assert ask(browser, "playground.race.drones[2].pilot") == "dqn-tanh-0"
     for cell in CELLS:
         there = drone(browser, 2)
@@ -201,7 +215,7 @@ def test_obstacles_are_drawn_moved_sized_and_deleted_by_a_finger_and_by_keys(bro
     touch(browser, "touchEnd")
     (circle,) = ask(browser, "playground.race.circles")
     assert circle == pytest.approx([100, 450, 60], abs=3)
-    assert "circles=" in browser.current_url
+    wait(browser, lambda: "circles=" in browser.current_url)
     touch(browser, "touchStart", start)
     touch(browser, "touchMove", on_screen(browser, 400, 300))
     touch(browser, "touchEnd")

@@ -22,6 +22,7 @@ SHORT = {
     "dqn": ["total_frames=1e3", "learning_starts=500", "evaluate=false"],
     "a2c": ["total_frames=1e3", "evaluate=false"],
     "sac": ["total_frames=1e3", "learning_starts=800", "evaluate=false"],
+    "c51": ["total_frames=1e3", "learning_starts=800", "evaluate=false"],
 }
 
 
@@ -70,6 +71,7 @@ def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, 
             "dqn": "64 parallel worlds",
             "a2c": "16 parallel worlds",
             "sac": "64 parallel worlds",
+            "c51": "64 parallel worlds",
         }[algorithm],
         "2 seeds",
     ):

@@ -63,7 +63,7 @@ def test_per_frame_is_of_all_1000_frames_and_stands_first_with_the_papers_own(te
 def test_a_log_of_fewer_than_4_episodes_is_missing_for_dqn_and_so_is_that_of_an_unknown_algorithm(results):
     of_four = rows(4, *[(n, 10, 0, 0, 0, 0, 9.0) for n in range(4)])
     write_run(results / "more", two(2, -1.0), two(3, -1.0), of_four, seed=2)
-    write_run(results / "sac", two(0, 1.5), algorithm="sac", activation="mish")
+    write_run(results / "trpo", two(0, 1.5), algorithm="trpo", activation="mish")
     text = said(results)
     assert found(text, "tanh", LOG_CURVE)[0][-1] == "9.00"  # of seed 4 alone
     assert len(found(text, "mish", f"{LOG_CURVE}: missing")) == 1
@@ -282,9 +282,9 @@ def test_the_report_says_how_runs_were_made(text):
 
 
 def test_an_algorithm_and_an_activation_that_the_paper_has_not_get_rows_too(results):
-    write_run(results / "sac", two(0, 1.5), algorithm="sac", activation="mish")
+    write_run(results / "trpo", two(0, 1.5), algorithm="trpo", activation="mish")
     text = said(results)
-    assert "\n## SAC\n" in text
+    assert "\n## TRPO\n" in text
     assert found(text, "mish", "all training episodes")[0][-1] == "1.50"
     assert found(text, "mish", "the paper") == []
 

@@ -3,10 +3,12 @@
 import oracle
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import uavnav
 from uavnav.tasks.dynamics import decode
-from uavnav.tasks.rewards import BY_ACTION, KNOWN, REWARDS, Step
+from uavnav.tasks.rewards import BOUNDS, BY_ACTION, KNOWN, REWARDS, Step, bounds_of_returns
 from uavnav.tasks.simulator import EMPTY, make_task
 
 WORLD = uavnav.World()
@@ -89,3 +91,35 @@ def test_the_amounts_are_the_worlds():
     assert (reward[1] == -3).all()
     assert reward[0, [0, 9, 59]].tolist() == [-0.5, 18, -0.5]
     assert total(terms_of("additive", world))[0, [0, 9, 59, 10]].tolist() == [-0.5, 18, 17.5, -1]
+
+
+# -- bounds -----------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from(list(NAMES)), *[st.floats(-20, 20).map(lambda number: round(number, 3))] * 3)
+def test_bounds_are_the_least_and_the_most_of_all_100_actions_whatever_the_amounts(variant, collision, penalty, px):
+    world = uavnav.World(collision_reward=collision, penalty=penalty, reward_per_pixel=px)
+    flying, collided = total(terms_of(variant, world))
+    bounds = BOUNDS[variant](world)
+    assert bounds.flying == pytest.approx((flying.min().item(), flying.max().item()))
+    assert bounds.collided == pytest.approx((collided.min().item(), collided.max().item()))
+
+
+def test_a_return_of_eq14_lies_between_minus_10_and_9_at_a_discount_of_99_percent():
+    assert bounds_of_returns("eq14", WORLD, 0.99) == pytest.approx((-10, 9))
+    assert bounds_of_returns("additive", WORLD, 0.999) == pytest.approx((-20, 90))  # turning in place for ever
+    assert bounds_of_returns("eq14", WORLD, 1.0) is None
+    assert bounds_of_returns("not declared", WORLD, 0.99) is None
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.sampled_from(list(NAMES)), st.floats(0, 0.999), st.lists(st.integers(0, 99), max_size=60), st.booleans())
+def test_no_flight_returns_more_or_less_than_its_bounds(variant, gamma, actions, collides):
+    flying, collided = total(terms_of(variant))
+    rewards = [flying[action].item() for action in actions] + ([collided[0].item()] if collides else [])
+    earned = sum(gamma**n * reward for n, reward in enumerate(rewards))
+    least, most = bounds_of_returns(variant, WORLD, gamma)
+    rest = gamma ** len(rewards) / (1 - gamma)  # of a flight that goes on as well or as badly as it can
+    assert earned <= most + 1e-9 if collides else earned + rest * 0.09 <= most + 1e-9
+    assert earned >= least - 1e-9

@@ -132,11 +132,13 @@ def test_a_run_from_before_a_setting_existed_is_one_with_its_default(tmp_path):
     train, config = ALGORITHMS["dqn"]
     run = train(config, out=tmp_path / "run", quiet=True)
     written = yaml.safe_load((run.path / "config.yaml").read_text())
-    assert written.pop("n_steps") == 1
+    assert (written.pop("n_steps"), written.pop("dueling")) == (1, False)
     (run.path / "config.yaml").write_text(yaml.safe_dump(written))
     assert not train(config, out=run.path, quiet=True).fresh
     with pytest.raises(RunError, match="holds a run with n_steps=1, not 3"):
         train(replace(config, n_steps=3), out=run.path, quiet=True)
+    with pytest.raises(RunError, match="holds a run with dueling=False, not True"):
+        train(replace(config, dueling=True), out=run.path, quiet=True)
 
 
 def test_a_bank_is_the_same_setting_by_any_path_finished_or_not_and_another_bank_is_not(tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.networks import mlp
 from uavnav.tasks.seeding import Streams, headings, places, stream
 from uavnav.training.sampler import AgentSampler
-from uavnav.training.sampling import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical
+from uavnav.training.sampling import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical, values_of
 
 
 def test_sampled_actions_follow_the_softmax_of_their_logits():
@@ -93,12 +93,30 @@ def test_an_actor_goes_on_from_its_streams_and_its_schedule():
 
 
 def test_a_head_turns_3_outputs_an_action_into_the_one_that_counts(monkeypatch):
-    monkeypatch.setitem(HEADS, "mean of three", lambda outputs: outputs.unflatten(-1, (-1, 3)).mean(-1))
+    monkeypatch.setitem(HEADS, "mean-of-three", lambda outputs: outputs.unflatten(-1, (-1, 3)).mean(-1))
     network = mlp([30, 16, 300], "tanh", [stream(0, "test network")], "default")
-    greedy = Actor(network, [0], "epsilon-greedy", "mean of three", compile=False)
+    greedy = Actor(network, [0], "epsilon-greedy", "mean-of-three", compile=False)
     outputs = network(OBSERVATION[:1])
     expected = (outputs[..., 0::3] + outputs[..., 1::3] + outputs[..., 2::3]).argmax(-1)
     assert torch.equal(greedy.act(OBSERVATION[:1]), expected)
+
+
+def test_a_dueling_head_gives_the_actions_a_mean_of_v_and_keeps_the_differences_of_the_advantages():
+    outputs = torch.randn(3, 5, 101, generator=torch.Generator().manual_seed(0))
+    values = values_of("dueling", outputs)
+    torch.testing.assert_close(values.mean(-1), outputs[..., 0])
+    torch.testing.assert_close(values.diff(dim=-1), outputs[..., 1:].diff(dim=-1))
+
+
+def test_a_distribution_is_read_as_its_mean_with_the_numbers_of_the_head():
+    """Two actions, three atoms: 0, 2 and 4."""
+    shares = torch.tensor([[0.2, 0.5, 0.3], [0.0, 0.0, 1.0]])
+    values = values_of("distribution 0 4.0 3", shares.log().flatten()[None])
+    assert values[0].tolist() == pytest.approx([0.5 * 2 + 0.3 * 4, 4])
+    in_two = torch.cat([torch.zeros(3), shares.clamp(min=1e-30).log().flatten()])  # v = 0, and a less its mean
+    mean = shares.clamp(min=1e-30).log().mean(0)
+    expected = ((shares.clamp(min=1e-30).log() - mean).softmax(-1) * torch.tensor([0.0, 2, 4])).sum(-1)
+    torch.testing.assert_close(values_of("dueling-distribution 0 4.0 3", in_two), expected)
 
 
 def test_learning_in_place_is_seen_by_the_actor_in_its_next_choice():

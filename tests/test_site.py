@@ -78,6 +78,13 @@ def test_a_notebook_is_a_page_of_all_its_headings_and_code_cells(site, notebook)
     assert ".ipynb" not in re.sub(r"<code>docs/notebooks/[\w-]+\.ipynb</code>", "", page)
 
 
+def test_the_playground_of_the_committed_runs_is_a_page_and_two_pages_lead_to_it(site):
+    assert "const playground = startPlayground(" in site["fly.html"]
+    assert site["fly.html"].count('"key":') == 24
+    for name in ("index.html", "playground.html"):
+        assert re.search(r'<a href="?fly\.html"?>Fly it here</a>', site[name]), name
+
+
 def test_no_page_loads_anything_from_the_network(site):
     for name, page in site.items():
         loaded = re.findall(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"?([^\s\">]+)", page)
@@ -87,7 +94,14 @@ def test_no_page_loads_anything_from_the_network(site):
 
 
 def test_every_equation_is_mathml(site):
-    for name, least in {"world.html": 30, "ppo.html": 10, "dqn.html": 8, "a2c.html": 6, "sac.html": 6}.items():
+    for name, least in {
+        "world.html": 30,
+        "ppo.html": 10,
+        "dqn.html": 8,
+        "a2c.html": 6,
+        "c51.html": 8,
+        "sac.html": 6,
+    }.items():
         assert site[name].count("<math") >= least
     for name, page in site.items():
         assert "arithmatex" not in page, name
@@ -198,6 +212,7 @@ def test_every_command_that_a_page_shows_is_understood(page, command, tmp_path, 
 TINY = {
     "train ppo": ["total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
     "train a2c": ["total_frames=2048", "compile=off", "evaluate=false"],
+    "train c51": ["total_frames=2048", "learning_starts=1792", "compile=off", "evaluate=false"],
     "train dqn": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
     "train sac": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
     "evaluate": ["--episodes", "2", "--max-steps", "50"],

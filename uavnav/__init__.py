@@ -41,7 +41,7 @@ if TYPE_CHECKING:
         stats,
         verify,
     )
-    from uavnav.algorithms import a2c, dqn, ppo, sac
+    from uavnav.algorithms import a2c, c51, dqn, ppo, sac
     from uavnav.choices import ConfigError
     from uavnav.envs import env, gym, sb3, scalar
     from uavnav.envs.env import DroneEnv

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
@@ -29,7 +29,7 @@ from uavnav.networks import AgentLinear
 from uavnav.policies import Policy, PolicyError, as_option, load_policy, zips
 from uavnav.runs.tables import RunError, write
 from uavnav.tasks.world import VERSION
-from uavnav.training.sampling import HEADS
+from uavnav.training.sampling import Values
 
 SUFFIXES = (".onnx", ".pt2")
 NEEDED = ("onnx", "onnxscript")
@@ -69,22 +69,11 @@ def _program(policy: Policy) -> torch.export.ExportedProgram:
     layers = [_linear(layer) if isinstance(layer, AgentLinear) else layer for layer in policy.network.children()]
     rows = torch.zeros(2, policy.task.observation_size)
     shapes = ({0: torch.export.Dim("rows")},)
-    program = torch.export.export(_Values(nn.Sequential(*layers), policy.head).eval(), (rows,), dynamic_shapes=shapes)
+    program = torch.export.export(Values(nn.Sequential(*layers), policy.head).eval(), (rows,), dynamic_shapes=shapes)
     for node in program.graph.nodes:
         for name in ("stack_trace", "nn_module_stack", "source_fn_stack", "from_node"):  # paths of this machine
             node.meta.pop(name, None)
     return program
-
-
-class _Values(nn.Module):
-    """The network and its head; names the input."""
-
-    def __init__(self, network: nn.Sequential, head: str) -> None:
-        super().__init__()
-        self.network, self.head = network, head
-
-    def forward(self, observation: Tensor) -> Tensor:
-        return HEADS[self.head](self.network(observation))
 
 
 def _linear(layer: AgentLinear) -> nn.Linear:

@@ -26,7 +26,7 @@ from uavnav.runs import POLICY
 from uavnav.tasks.rewards import REWARDS
 from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.tasks.world import VERSION, World
-from uavnav.training.sampling import ACTS, HEADS, SHOWN
+from uavnav.training.sampling import ACTS, HEADS, SHOWN, values_of
 
 SB3_WEIGHTS = "policy.pth"
 SB3_MAX_BYTES = 2**26
@@ -48,7 +48,7 @@ class Policy:
     greedy: bool
     task: Task  # that it was trained in, without the bank
     acts: str  # in training: a name of `uavnav.training.sampling.ACTS`
-    head: str  # how outputs become one number an action: a name of `HEADS` there
+    head: str  # how outputs become one number an action: a name of `HEADS` there, with its numbers
     epsilon: float = 0.0  # the share of random actions, where its way to act has one
     seed: int = 0  # that it was trained with
     bank: str | None = None  # SHA-256 of the bank that it was trained on
@@ -75,7 +75,7 @@ class Policy:
 
     def of_agents(self, observation: Tensor) -> Tensor:
         """The same of a network with several agents: observation [A, ..., 30] -> [A, ..., 100]."""
-        return HEADS[self.head](self.network(observation))
+        return values_of(self.head, self.network(observation))
 
     def __call__(self, observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """An action for each row: observation [..., 30] -> int64 [...]; `generator` is used unless greedy."""
@@ -179,7 +179,7 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         ("task", task, TASKS),
         ("algorithm", algorithm, ALGORITHMS),
         ("way to act", acts, ACTS),
-        ("head", head, HEADS),
+        ("head", str(head).partition(" ")[0], HEADS),  # its numbers follow
     ):
         if value not in list(choices):
             hint = plugins.missing(noted) or f"; {choose_from(value, choices)}"
@@ -203,10 +203,10 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         inputs, outputs = policy["0.weight"].shape[1], policy[f"{2 * len(hidden)}.weight"].shape[2]
         network = mlp([inputs, *hidden, outputs], activation, [torch.Generator()], "default", layer_norm=layer_norm)
         network.load_state_dict(policy)
-        outputs = HEADS[head](torch.zeros(1, outputs)).shape[-1]
+        outputs = values_of(head, torch.zeros(1, outputs)).shape[-1]
         if any(len(tensor) != len(seeds) for tensor in tensors.values()):
             raise RuntimeError(f"not {len(seeds)} networks for {len(seeds)} seeds")
-    except (KeyError, IndexError, RuntimeError, TypeError) as error:
+    except (KeyError, IndexError, RuntimeError, TypeError, ValueError, OverflowError) as error:
         raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
     _check_sizes(path, inputs, outputs, trained_in)
     for key, tensor in policy.items():

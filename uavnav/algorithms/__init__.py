@@ -38,7 +38,7 @@ ALGORITHMS = {
         "epsilon-greedy",
         "Q values",
         "Q value",
-        came_later={"n_steps": 1},
+        came_later={"n_steps": 1, "dueling": False},
         logs=("episodes", 4),
     ),
     "a2c": Algorithm(
@@ -47,6 +47,14 @@ ALGORITHMS = {
         "logits",
         "probability",
         logs=("frames", 100, "n_steps", "n_worlds"),
+    ),
+    "c51": Algorithm(
+        "uavnav.algorithms.c51",
+        "epsilon-greedy",
+        "Q values",
+        "Q value",
+        "distribution",
+        logs=("episodes", 4),  # as all that learns from replay there
     ),
     "sac": Algorithm("uavnav.algorithms.sac", "categorical", "logits", "probability", logs=("episodes", 4)),
 }

@@ -20,7 +20,7 @@ from tensordict import TensorDictBase
 from torch import nn
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.modules import QValueActor
-from torchrl.objectives import DQNLoss, HardUpdate
+from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError
@@ -34,11 +34,10 @@ from uavnav.training.learner import Learner
 from uavnav.training.loop import Row, train
 from uavnav.training.optimisers import Adam
 from uavnav.training.sampler import AgentSampler
-from uavnav.training.sampling import Actor
+from uavnav.training.sampling import Actor, Values, values_of
 
 __all__ = ["DQN", "PRESETS", "DQNConfig", "train"]
 
-HOW = ALGORITHMS["dqn"]
 LOG_FRAMES = 5_000
 """Frames per seed between two rows of progress."""
 FRAME_BYTES = 14
@@ -46,34 +45,8 @@ FRAME_BYTES = 14
 
 
 @dataclass(frozen=True, kw_only=True)
-class DQNConfig(TrainConfig):
-    """Deep Q-Network, sec. 3.2; the defaults are Stable-Baselines3's of the paper's time."""
-
-    algorithm: ClassVar[str] = "dqn"
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "paper": {},
-        "one-world": {"n_worlds": 1},  # as SB3 runs by default
-        "paper-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
-        "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/performance.md
-            "total_frames": 400_000,
-            "n_worlds": 128,
-            "learning_starts": 10_000,
-            "batch_size": 128,
-            "frames_per_update": 8,
-            "lr": 2.5e-4,
-            "gamma": 0.98,
-            "max_grad_norm": 1.0,
-            "target_update_frames": 1_000,
-            "epsilon_end": 0.01,
-            "exploration_fraction": 0.2,
-            "n_steps": 5,
-            "double": True,
-        },
-    }
-    MICROSECONDS: ClassVar[dict[tuple[str, bool], tuple[float, float]]] = {
-        ("paper", True): (30.0, 26.2),
-        ("paper", False): (373.5, 26.2),
-    }
+class ReplayConfig(TrainConfig):
+    """What Q-learning from replay needs, whatever its loss."""
 
     n_worlds: int = at_least(64, 1)
     lr: float = at_least(1e-4, 0, "Adam's learning rate")
@@ -89,9 +62,9 @@ class DQNConfig(TrainConfig):
     epsilon_end: float = within(0.05, 0, 1, "of random actions at the end of the fall", "share")
     exploration_fraction: float = within(0.1, 0, 1, "of total_frames, over which ε falls", "share")
     adam_eps: float = at_least(1e-8, 0, "Adam's ε")
-    loss: Literal["huber", "squared"] = key("huber", "Stable-Baselines3's, or squared as in eq. (1)")
     n_steps: int = at_least(1, 1, "whose rewards are in a target before Q takes over", "steps")
     double: bool = key(False, "double Q-learning: the best action is the network's, its value the target's")
+    dueling: bool = key(False, "the network gives a state's value and each action's advantage, and Q is their sum")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -102,11 +75,13 @@ class DQNConfig(TrainConfig):
         if self.buffer_size <= self.n_steps * self.n_worlds:
             least = "n_worlds" if self.n_steps == 1 else "n_steps x n_worlds"
             raise ConfigError(f"buffer_size={self.buffer_size}; give more than {least}={self.n_steps * self.n_worlds}")
-        if self.n_steps > 1 and self.max_steps is not None:
-            raise ConfigError(f"n_steps={self.n_steps}, max_steps={self.max_steps}; give n_steps=1, or no cap on steps")
 
     def make(self, compile: bool) -> DQN:
         return DQN(self, compile)
+
+    def make_loss(self, network: nn.Module) -> LossModule:
+        """A loss a row, of a network and a target network that `HardUpdate` writes."""
+        raise NotImplementedError(f"{type(self).__name__} has no loss")
 
     def check_machine(self) -> None:
         """Raise a ConfigError where the buffers of all seeds would not fit into the machine's memory."""
@@ -132,6 +107,31 @@ class DQNConfig(TrainConfig):
         an observation that no other row has.
         """
         return self.max_steps is not None
+
+    @property
+    def successors(self) -> list[int]:
+        """How many steps later those lie that a target needs beside its first: s' too, if no row has its own."""
+        return list(range(1, self.n_steps + (not self.keeps_next_observations)))
+
+    @property
+    def steps_vary(self) -> bool:
+        """Whether a target may bootstrap after fewer than n steps: at a cap."""
+        return self.n_steps > 1 and self.keeps_next_observations
+
+    @property
+    def discount(self) -> float:
+        """Of Q in a target: of each of its steps if their number varies, else of all of them."""
+        return self.gamma if self.steps_vary else self.gamma**self.n_steps
+
+    @property
+    def head(self) -> str:
+        """How the network's outputs are read: a line of `sampling.HEADS` with its numbers."""
+        return "dueling" if self.dueling else "direct"
+
+    @property
+    def n_outputs(self) -> int:
+        """Of the network: one an action, and with `dueling` the state's value in front."""
+        return self.world.n_actions + self.dueling
 
     @property
     def frames_per_iteration(self) -> int:
@@ -166,39 +166,74 @@ class DQNConfig(TrainConfig):
         return self.epsilon_start + progress * (self.epsilon_end - self.epsilon_start)
 
 
+@dataclass(frozen=True, kw_only=True)
+class DQNConfig(ReplayConfig):
+    """Deep Q-Network, sec. 3.2; the defaults are Stable-Baselines3's of the paper's time."""
+
+    algorithm: ClassVar[str] = "dqn"
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
+        "paper": {},
+        "one-world": {"n_worlds": 1},  # as SB3 runs by default
+        "paper-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
+        "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/performance.md
+            "total_frames": 400_000,
+            "n_worlds": 128,
+            "learning_starts": 10_000,
+            "batch_size": 128,
+            "frames_per_update": 8,
+            "lr": 2.5e-4,
+            "gamma": 0.98,
+            "max_grad_norm": 1.0,
+            "target_update_frames": 1_000,
+            "epsilon_end": 0.01,
+            "exploration_fraction": 0.2,
+            "n_steps": 5,
+            "double": True,
+        },
+    }
+    MICROSECONDS: ClassVar[dict[tuple[str, bool], tuple[float, float]]] = {
+        ("paper", True): (30.0, 26.2),
+        ("paper", False): (373.5, 26.2),
+    }
+
+    loss: Literal["huber", "squared"] = key("huber", "Stable-Baselines3's, or squared as in eq. (1)")
+
+    def make_loss(self, network: nn.Module) -> DQNLoss:
+        return make_loss(network, self)
+
+
 PRESETS = {name: DQNConfig(preset=name) for name in DQNConfig.PRESETS}
 
 
-def make_network(config: DQNConfig) -> nn.Sequential:
-    """The Q network: observation [A, ..., 30] -> [A, ..., 100] values."""
-    inputs, outputs = config.observation_size, config.world.n_actions
+def make_network(config: ReplayConfig) -> nn.Sequential:
+    """The Q network: observation [A, ..., 30] -> [A, ..., outputs], which `config.head` reads as 100 values."""
+    sizes = [config.observation_size, *config.hidden, config.n_outputs]
     generators = [stream(seed, "value network") for seed in config.seeds]
-    return mlp(
-        [inputs, *config.hidden, outputs], config.activation, generators, config.init, layer_norm=config.layer_norm
-    )
+    return mlp(sizes, config.activation, generators, config.init, layer_norm=config.layer_norm)
 
 
 def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
     """Equation (1) as TorchRL's DQNLoss with a target network, one loss a row."""
+    values = Values(network, config.head) if config.dueling else network
     loss = DQNLoss(
-        QValueActor(network, in_keys=["observation"], spec=None, action_space="categorical"),
+        QValueActor(values, in_keys=["observation"], spec=None, action_space="categorical"),
         loss_function="smooth_l1" if config.loss == "huber" else "l2",
         delay_value=True,
         double_dqn=config.double,
         action_space="categorical",
         reduction="none",
     )
-    loss.make_value_estimator(gamma=config.gamma**config.n_steps)
+    loss.make_value_estimator(gamma=config.discount)
     return loss
 
 
-def make_learner(loss: DQNLoss, config: DQNConfig, compile: bool) -> Learner:
+def make_learner(loss: LossModule, config: ReplayConfig, compile: bool) -> Learner:
     """Adam as SB3 sets it."""
     adam = Adam(config.lr, config.adam_eps)
     return Learner(loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=compile)
 
 
-def make_buffer(sampler: AgentSampler, config: DQNConfig) -> ReplayBuffer:
+def make_buffer(sampler: AgentSampler, config: ReplayConfig) -> ReplayBuffer:
     """A ring of transitions with a draw of its own for each agent: all minibatches of a round at once."""
     return ReplayBuffer(
         storage=LazyTensorStorage(min(config.buffer_size, config.frames), device=config.device),
@@ -207,45 +242,54 @@ def make_buffer(sampler: AgentSampler, config: DQNConfig) -> ReplayBuffer:
     )
 
 
-def rows(batch: TensorDictBase, config: DQNConfig) -> TensorDictBase:
+def rows(batch: TensorDictBase, config: ReplayConfig) -> TensorDictBase:
     """What the buffer keeps of steps [A, W, T], as rows [T W, A] in the order of time: its agents stay apart."""
     names = ["reward", "done", "terminated", *(["observation"] if config.keeps_next_observations else [])]
     following = [("next", name) for name in names]
     return batch.select("observation", "action", *following).transpose(1, 2).flatten(1, 2).transpose(0, 1)
 
 
-def make_sampler(config: DQNConfig) -> AgentSampler:
-    """Draws transitions uniformly; with each those that follow it, where the buffer has no s' of its own."""
-    following = [] if config.keeps_next_observations else [n * config.n_worlds for n in range(1, config.n_steps + 1)]
-    return AgentSampler(config.seeds, "replay", replace=True, successors=following)
+def make_sampler(config: ReplayConfig) -> AgentSampler:
+    """Draws transitions uniformly, each with those that follow it as far as its target needs them."""
+    successors = [n * config.n_worlds for n in config.successors]
+    return AgentSampler(config.seeds, "replay", replace=True, successors=successors)
 
 
-def draw(buffer: ReplayBuffer, config: DQNConfig) -> TensorDictBase:
+def draw(buffer: ReplayBuffer, config: ReplayConfig) -> TensorDictBase:
     """A round's transitions (s, a, R, s') [A, M, N]: M batches of N for each agent.
 
-    With n steps R is R_1 + gamma R_2 + ... + gamma^(n-1) R_n, up to a collision, and s' is n steps later.
+    With n steps R is R_1 + gamma R_2 + ... + gamma^(n-1) R_n, and s' is n steps later. The sum ends at a collision, and
+    at a cap, whose own last observation is s' then: `steps_to_next_obs` says after how many steps.
     """
     batch = buffer.sample()
-    if not config.keeps_next_observations:
+    if config.successors:
         batch, *later = batch.unbind(0)
         following = batch["next"]
-        following["observation"] = later[-1]["observation"]
-        for n, step in enumerate(later[:-1], 1):
-            reward = config.gamma**n * step["next", "reward"]
-            following["reward"] = following["reward"] + torch.where(following["terminated"], 0, reward)
+        steps = torch.ones_like(following["done"], dtype=torch.int64)
+        for n, step in enumerate(later[: config.n_steps - 1], 1):
+            over, then = following["done"], step["next"]
+            following["reward"] = following["reward"] + torch.where(over, 0, config.gamma**n * then["reward"])
+            if config.keeps_next_observations:
+                following["observation"] = torch.where(over, following["observation"], then["observation"])
             for flag in ("terminated", "done"):
-                following[flag] = following[flag] | step["next", flag]
+                following[flag] = following[flag] | (then[flag] & ~over)
+            steps = steps + ~over
+        if config.steps_vary:
+            batch["steps_to_next_obs"] = steps
+        if not config.keeps_next_observations:
+            following["observation"] = later[-1]["observation"]
     return batch.reshape(config.n_seeds, -1, config.batch_size)
 
 
 class DQN:
-    """All seeds' agents, as the training loop needs them."""
+    """All seeds' agents, whatever their loss, as the training loop needs them."""
 
-    def __init__(self, config: DQNConfig, compile: bool) -> None:
+    def __init__(self, config: ReplayConfig, compile: bool) -> None:
         self.config = config
         self.network = make_network(config).to(config.device)
-        self.actor = Actor(self.network, config.seeds, HOW.acts, HOW.head, compile, epsilon=config.epsilon)
-        self.loss = make_loss(self.network, config)
+        acts = ALGORITHMS[config.algorithm].acts
+        self.actor = Actor(self.network, config.seeds, acts, config.head, compile, epsilon=config.epsilon)
+        self.loss = config.make_loss(self.network)
         self.copy_to_target = HardUpdate(self.loss, value_network_update_interval=0)
         self.learner = make_learner(self.loss, config, compile)
         sampler = make_sampler(config)
@@ -265,7 +309,8 @@ class DQN:
         if frames % config.frames_between_rows and frames < config.frames:
             return None
         with torch.no_grad():
-            q_value = self.network(batch["observation"][:, :, -1]).amax(-1).mean(1)
+            values = values_of(config.head, self.network(batch["observation"][:, :, -1]))
+        q_value = values.amax(-1).mean(1)
         epsilon = torch.tensor(config.epsilon(frames)).item()
         return {**losses, "q_value": q_value, "epsilon": epsilon, **probes.units(self.network, self.probe)}
 

@@ -1,4 +1,4 @@
-"""Jobs that train with the peers: Stable-Baselines3, and SBX, which is the same on JAX."""
+"""Jobs that train with the peers: Stable-Baselines3, and SBX, which is the same on JAX. `plain` has one more."""
 
 from __future__ import annotations
 
@@ -14,15 +14,24 @@ from uavnav.bench.results import Result
 from uavnav.bench.watch import WHOLE, Clock, Stages
 from uavnav.bench.worlds import make_env
 
-SPEED_UPS = {"ppo": {1: (8, 20), 10: (25, 60)}, "dqn": {1: (6, 20), 10: (20, 60)}}
-"""How many times less a whole run of ours must take, per seed, than one of SB3: by algorithm and number of seeds, what
-must be reached and the aim."""
+SPEED_UPS: dict[str, dict[int, tuple[float, float | None]]] = {
+    "ppo": {1: (8, 20), 10: (25, 60)},
+    "dqn": {1: (6, 20), 10: (20, 60)},
+    "a2c": {1: (6, None), 10: (20, None)},
+    "sac": {1: (6, None), 10: (20, None)},
+}
+"""How many times less a whole run of ours must take, per seed, than one of its peer: by algorithm and number of seeds,
+what must be reached and the aim."""
+SBX = ("ppo", "dqn")
+"""What SBX has of them."""
+PLAIN = ("sac",)
+"""What SB3 has not: their peer is a program of `uavnav.bench.plain`."""
 
 
 def make_model(library: str, algorithm: str, env: Any, seed: int, n_envs: int = 1, **beyond: Any) -> Any:
     """The model of a library, Stable-Baselines3 or SBX, with the preset `paper`; `beyond` is what differs from it.
 
-    With n_envs parallel environments PPO's frames per rollout and DQN's updates per frame stay the same.
+    With n_envs parallel environments the frames per rollout of PPO and A2C and DQN's updates per frame stay the same.
     """
     config = ours.settings(algorithm)
     activation = beyond.pop("activation", config.activation)
@@ -43,6 +52,15 @@ def make_model(library: str, algorithm: str, env: Any, seed: int, n_envs: int = 
             "n_epochs": config.epochs,
             "gae_lambda": config.gae_lambda,
             "clip_range": config.clip_epsilon,
+            "vf_coef": config.critic_coeff,
+            "ent_coef": config.entropy_coeff,
+            "max_grad_norm": config.max_grad_norm,
+        }
+    elif algorithm == "a2c":
+        same = {
+            "n_steps": config.frames_per_iteration // n_envs,
+            "rms_prop_eps": config.rms_eps,
+            "gae_lambda": config.gae_lambda,
             "vf_coef": config.critic_coeff,
             "ent_coef": config.entropy_coeff,
             "max_grad_norm": config.max_grad_norm,
@@ -102,13 +120,13 @@ def watched(
 
 
 def _stages() -> Stages:
-    from stable_baselines3 import DQN, PPO
+    from stable_baselines3 import A2C, DQN, PPO
     from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 
     methods = {"collect_rollouts": "collection", "train": "update", "dump_logs": "logging"}
     return Stages(
         [
-            *((model, name, stage) for model in (PPO, DQN) for name, stage in methods.items()),
+            *((model, name, stage) for model in (PPO, DQN, A2C) for name, stage in methods.items()),
             (RolloutBuffer, "compute_returns_and_advantage", "advantage"),
             (RolloutBuffer, "add", "buffer"),
             (ReplayBuffer, "add", "buffer"),

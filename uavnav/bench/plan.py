@@ -75,15 +75,19 @@ def training(quick: bool) -> list[Measurement]:
             Measurement("uavnav/1", "ours.watched", [own], CORES, warm=warm),
             Measurement("uavnav/10", "ours.watched", [own | {"n_seeds": 10}], CORES, warm=warm),
         ]
-        if algorithm in peers.SPEED_UPS:
-            peer = {"algorithm": algorithm, **slow, "learning_starts": 2_000 if quick else 10_000}
-            alone = peer | {"which": "numpy"}
+        peer = {"algorithm": algorithm, **slow, "learning_starts": 2_000 if quick else 10_000}
+        alone = peer | {"which": "numpy"}
+        if algorithm in peers.PLAIN:
+            rows.insert(0, Measurement("plain/numpy", "plain.watched", [alone]))
+        elif algorithm in peers.SPEED_UPS:
             rows.insert(0, Measurement("sb3/numpy", "peers.watched", [alone], needs=SB3))
             rows += [
                 Measurement("sb3/two", "peers.watched", [alone, alone], rounds=2, needs=SB3),
                 Measurement("sb3/uavnav", "peers.watched", [peer | {"which": "uavnav"}], rounds=2, needs=SB3),
-                Measurement("sbx/numpy", "peers.watched", [alone | {"library": "sbx"}], CORES, rounds=2, needs="sbx"),
             ]
+        if algorithm in peers.SBX:
+            other = [alone | {"library": "sbx"}]
+            rows.append(Measurement("sbx/numpy", "peers.watched", other, CORES, rounds=2, needs="sbx"))
         found += [replace(row, name=f"training/{algorithm}/{row.name}") for row in (rows[:3] if quick else rows)]
     return found
 
@@ -96,7 +100,7 @@ def stages(quick: bool) -> list[Measurement]:
         for n_seeds in (1, 5):
             name = f"stages/{algorithm}/{n_seeds}"
             found.append(Measurement(name, "ours.watched", [run | {"n_seeds": n_seeds}], rounds=1))
-        if algorithm in peers.SPEED_UPS:
+        if algorithm in peers.SPEED_UPS and algorithm not in peers.PLAIN:
             peer = {"algorithm": algorithm, "which": "numpy", "frames": 100_000, "seconds": 12.0}
             peer |= {"learning_starts": 2_000, "stages": True}
             found.append(Measurement(f"stages/{algorithm}/sb3", "peers.watched", [peer], rounds=1, needs=SB3))

@@ -48,9 +48,15 @@ def best_world(results: Results) -> list[float]:
     return max(found, key=statistics.median, default=[])
 
 
-def against_sb3(results: Results, algorithm: str, key: str, n_seeds: int) -> float | None:
-    """How many times less a whole run takes, per seed, than one of SB3 alone on the machine."""
-    theirs = results.values(f"training/{algorithm}/sb3/numpy", "whole")
+def peer(algorithm: str) -> str:
+    """Whom it is compared with: plain PyTorch or SB3, in a table's words."""
+    return "plain PyTorch" if algorithm in peers.PLAIN else "SB3"
+
+
+def against_peer(results: Results, algorithm: str, key: str, n_seeds: int) -> float | None:
+    """How many times less a whole run takes, per seed, than one of the peer alone on the machine."""
+    who = "plain" if algorithm in peers.PLAIN else "sb3"
+    theirs = results.values(f"training/{algorithm}/{who}/numpy", "whole")
     mine = results.values(f"training/{algorithm}/{key}", "whole")
     return ratio(theirs, [whole / n_seeds for whole in mine])
 
@@ -68,8 +74,10 @@ def targets(results: Results) -> list[Target]:
     for algorithm, bounds in peers.SPEED_UPS.items():
         for n_seeds, (least, aim) in bounds.items():
             run = "one seed, 1 M frames" if n_seeds == 1 else f"{n_seeds} seeds, per seed"
-            value = against_sb3(results, algorithm, f"uavnav/{n_seeds}", n_seeds)
-            found.append(Target(f"{algorithm.upper()} `paper`, {run}, against SB3", "times", least, aim, value))
+            value = against_peer(results, algorithm, f"uavnav/{n_seeds}", n_seeds)
+            found.append(
+                Target(f"{algorithm.upper()} `paper`, {run}, against {peer(algorithm)}", "times", least, aim, value)
+            )
     for algorithm in filter(ours.has_fast, ALGORITHMS):
         label = f"{algorithm.upper()} `fast`: first policy with a reward of {TARGET_REWARD}"
         found.append(Target(label, "s", 90, 20, fast_median(results, algorithm), at_most=True))
@@ -139,6 +147,7 @@ TRAINERS = {
     "uavnav/1": Trainer("uavnav, 1 seed", "batched"),
     "uavnav/10": Trainer("uavnav, 10 seeds", "batched", 10),
     "sb3/numpy": Trainer("SB3, alone", "NumPy"),
+    "plain/numpy": Trainer("plain PyTorch, alone", "NumPy"),
     "sb3/two": Trainer("SB3, two processes side by side", "NumPy", 2),
     "sb3/uavnav": Trainer("SB3, alone", "our Gymnasium"),
     "sbx/numpy": Trainer("SBX (SB3 on JAX)", "NumPy", threads=CORES),
@@ -152,6 +161,7 @@ def write_training(results: Results) -> list[str]:
         " at most 4 % of a long run. Frames/s are of all seeds or processes together. DQN has a rate of its own before"
         " learning starts. SB3 and SBX learn with epsilon at 0.05, as in nine tenths of a whole run."
         " `times SB3` says how many times less a whole run takes, per seed, than one of SB3 alone on the NumPy world."
+        " SB3 has no discrete SAC: its peer is `uavnav/bench/plain.py`, one file of plain PyTorch after CleanRL's."
     ]
     for algorithm in ALGORITHMS:
         rows = [
@@ -161,7 +171,7 @@ def write_training(results: Results) -> list[str]:
         ]
         before = ["frames/s before learning"] if ours.has_buffer(algorithm) else []
         head = [algorithm.upper(), "world", "threads", "rounds × frames", "start-up [s]", *before, "frames/s"]
-        lines += ["", *table([*head, "1 M frames", "per seed", "times SB3", "peak [GB]"], rows, left=2)]
+        lines += ["", *table([*head, "1 M frames", "per seed", f"times {peer(algorithm)}", "peak [GB]"], rows, left=2)]
     return [
         *lines,
         "",
@@ -186,7 +196,7 @@ def _training_row(results: Results, algorithm: str, key: str) -> list[str]:
         *(number(rate and rate * trainer.n_seeds) for rate in rates),
         clock(took),
         clock(took / trainer.n_seeds),
-        number(against_sb3(results, algorithm, key, trainer.n_seeds)),
+        number(against_peer(results, algorithm, key, trainer.n_seeds)),
         number(results.median(name, "peak")),
     ]
 

@@ -94,6 +94,8 @@ def _load(path: Path, n_seeds: int) -> Iterator[Policy]:
             ("head", policy.head, ("direct",)),
             ("way to act", policy.acts, ("categorical", "epsilon-greedy")),
             ("values", shown, ("probability", "Q value")),
+            ("stack", str(policy.task.stack), ("1",)),
+            ("faults", str(policy.task.faults), ("none",)),
         ):
             if value not in choices:
                 raise PolicyError(f"{path}: the page has no {what} {value!r}; it has {', '.join(choices)}")

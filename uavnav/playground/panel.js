@@ -119,7 +119,7 @@ class Panel {
         const value = metricOf(metric, state);
         const decimals = metric.scale === null && metric.column !== "reward" ? 0 : metric.scale === 100 ? 0 : 1;
         say(cells[place], away ? "" : fixed(value, decimals));
-        cells[place].classList.toggle("ahead", metric.column === "reward" && !away && state.reward === most);
+        cells[place].classList.toggle("ahead", metric.column === "reward" && !away && state.steps > 0 && state.reward === most);
       }
     });
   }

@@ -7,6 +7,7 @@
 const STEPS_PER_SECOND = 30; // at speed 1
 const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) the race goes on, and does not jump
 const MOST_AT_ONCE = 8; // steps from one picture to the next
+const ADDRESS = 200; // [ms] from a change of the scene to the address that holds it
 const INSTRUMENTS = 66; // [ms] from one picture of the instruments to the next
 
 class Playground {
@@ -48,6 +49,7 @@ class Playground {
 
   /** The scene that the address names; what is wrong in it is told. */
   open() {
+    clearTimeout(this.later);
     const [parts, wrong] = readLink(location.hash, this.world, this.known);
     this.race.load({ ...this.first(), ...parts });
     this.tell(wrong.length ? `Left out of the link, because it is not right: ${wrong.join(", ")}.` : "");
@@ -56,15 +58,20 @@ class Playground {
     this.show();
   }
 
-  /** Keep the scene in the address. */
+  /** Keep the scene in the address, soon: browsers slow down pages that change it at every move of a slider. */
   keep() {
+    clearTimeout(this.later);
+    this.later = setTimeout(() => this.write(), ADDRESS);
+  }
+
+  write() {
     const circles = this.scene.circles ? this.race.circles : null;
     const address = `#${writeLink({ ...this.scene, circles })}`;
     if (location.hash !== address) history.replaceState(null, "", address);
   }
 
   async copy() {
-    this.keep();
+    this.write();
     try {
       await navigator.clipboard.writeText(location.href);
       this.tell("The link to this scene is copied.");
@@ -116,6 +123,7 @@ class Playground {
     for (const [id, act] of Object.entries(clicks)) on(id, "click", act);
     on("speed", "change", ({ value }) => this.change({ speed: Number(value) }));
     on("k", "input", ({ value }) => this.change({ k: Number(value), circles: null }, true));
+    on("seed", "change", ({ value }) => this.change({ seed: READ.seed(value) ?? this.scene.seed }, true));
     on("pilot", "change", ({ value }) => this.handTo(this.focus, value));
     on("greedy", "change", ({ checked }) => {
       this.race.greedy(checked);
@@ -140,7 +148,8 @@ class Playground {
   /** Change parts of the scene; from the start: everyone begins again. */
   change(parts, fromTheStart = false) {
     if (fromTheStart) {
-      this.race.load({ ...this.scene, ...parts });
+      const drawn = this.scene.circles ? this.race.circles : null;
+      this.race.load({ ...this.scene, circles: drawn, ...parts });
       this.share = 1;
       this.stage.selected = -1;
     } else Object.assign(this.scene, parts);
@@ -154,8 +163,7 @@ class Playground {
   }
 
   again() {
-    const held = this.scene.circles ? this.race.circles : null;
-    this.change({ circles: held }, true);
+    this.change({}, true);
   }
 
   setOf(more) {
@@ -367,6 +375,7 @@ class Playground {
     say(find("focus-number"), String(scene.focus));
     find("pilot").value = drone.pilot;
     find("greedy").checked = scene.greedy;
+    find("seed").value = scene.seed;
     say(find("acts"), this.data.policies.find(({ key }) => key === drone.pilot)?.told ?? "");
     const yours = race.drones.findIndex(({ pilot }) => pilot === YOU) + 1;
     const steering = yours
@@ -377,7 +386,7 @@ class Playground {
     const banner = find("banner");
     const waiting = !this.playing && !stage.drawing;
     banner.hidden = !waiting || !(over || race.drones.every(({ state }) => state.steps === 0));
-    say(banner, over ? "All are down. R: start again. N: next obstacles." : "Press Play, or Space.");
+    say(banner, over ? "All are down. Again, or the next set?" : "Press Play, or Space.");
     this.panel.showSeats(race, this.focus);
   }
 

@@ -26,7 +26,9 @@ class Race {
     this.drones = this.scene.pilots.map((pilot, place) => {
       const state = this.task.start(this.world);
       const draw = randomNumbers(this.scene.seed + place * 0x9e3779b1);
-      return { pilot, before: pilot === YOU ? RULE : YOU, state, last: state, trail: [], draw };
+      const before = this.drones?.[place].before ?? pilot; // who had it, if someone else has it now
+      const other = before === pilot ? (pilot === YOU ? RULE : YOU) : before;
+      return { pilot, before: other, state, last: state, trail: [], draw };
     });
     this.drones.forEach((drone) => this.look(drone));
   }

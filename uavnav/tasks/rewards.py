@@ -1,7 +1,7 @@
 """Equation (14) and the other readings of the paper's reward, each as named terms whose sum is the reward.
 
 A reward is a function of a `Step` and gives float64 tensors [*B] by name. To add one, write a function and a line of
-`REWARDS`; it may look at everything in the step.
+`REWARDS`; it may look at everything in the step. A line of `BOUNDS` declares between which numbers it lies.
 """
 
 from __future__ import annotations
@@ -84,6 +84,45 @@ REWARDS: dict[str, Callable[[Step], Terms]] = {
     "initial": initial,
     "goal": goal,
 }
+
+
+class Bounds(NamedTuple):
+    """The least and the most that a reward gives."""
+
+    flying: tuple[float, float]  # for a step without a collision
+    collided: tuple[float, float]  # for one with, which is an episode's last
+
+
+def _among(flying: list[float], world: World) -> Bounds:
+    return Bounds((min(flying), max(flying)), (world.collision_reward, world.collision_reward))
+
+
+def _progress(world: World, least: int) -> list[float]:
+    """Of the distances that a step can fly, from so many px."""
+    return [world.reward_per_pixel * distance for distance in range(least, world.n_distances)]
+
+
+BOUNDS: dict[str, Callable[[World], Bounds]] = {
+    "eq14": lambda world: _among([world.penalty, *_progress(world, 1)], world),
+    "additive": lambda world: _among(
+        [earned + world.penalty * n for n in (0, 1) for earned in (world.penalty, *_progress(world, 1))], world
+    ),
+    "initial": lambda world: _among(_progress(world, 0), world),
+}
+"""What the rewards of `REWARDS` that have bounds lie between; one without a line declares none."""
+
+
+def bounds_of_returns(reward: str, world: World, gamma: float) -> tuple[float, float] | None:
+    """Between which two numbers all discounted returns of a reward lie; None if it declares no bounds, or gamma = 1.
+
+    A return is (1 - gamma^n) times a mean of the flying steps over 1 - gamma, and gamma^n times the collision.
+    """
+    if reward not in BOUNDS or gamma == 1:
+        return None
+    flying, collided = BOUNDS[reward](world)
+    least, most = (edge / (1 - gamma) for edge in flying)
+    return min(least, collided[0]), max(most, collided[1])
+
 
 BY_ACTION = (eq14, additive, initial)
 """Those that follow from the action and the collision alone, whatever else a step holds."""

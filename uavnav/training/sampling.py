@@ -38,6 +38,29 @@ def epsilon_greedy(values: Tensor, epsilon: Tensor | float, coin: Tensor, choice
     return torch.where(coin < epsilon, explored, values.argmax(-1))
 
 
+def by_atom(outputs: Tensor, n_atoms: float) -> Tensor:
+    """[..., rows x atoms] -> [..., rows, atoms]."""
+    return outputs.reshape(*outputs.shape[:-1], -1, int(n_atoms))
+
+
+def dueling(outputs: Tensor, n_atoms: float = 1) -> Tensor:
+    """A state's value v and each action's advantage a as action values, v + a - mean a. Wang et al. (2016), eq. (9).
+
+    outputs [..., (1 + actions) x atoms], v first -> [..., actions x atoms]; each atom by itself.
+    """
+    value, advantage = by_atom(outputs, n_atoms).tensor_split([1], -2)
+    return (value + (advantage - advantage.mean(-2, keepdim=True))).flatten(-2)
+
+
+def expected(logits: Tensor, least: float, most: float, n_atoms: float) -> Tensor:
+    """Expected returns, from the logits of a distribution for each action. Bellemare et al. (2017), sec. 4.
+
+    logits [..., actions x atoms], of atoms evenly spaced from least to most -> [..., actions].
+    """
+    atoms = torch.linspace(least, most, int(n_atoms), dtype=logits.dtype, device=logits.device)
+    return (by_atom(logits, n_atoms).softmax(-1) * atoms).sum(-1)
+
+
 class Act(NamedTuple):
     """A way to act in training."""
 
@@ -50,10 +73,16 @@ ACTS: dict[str, Act] = {
     "epsilon-greedy": Act(2, lambda values, epsilon, uniforms: epsilon_greedy(values, epsilon, *uniforms)),
 }
 
-HEADS: dict[str, Callable[[Tensor], Tensor]] = {
+HEADS: dict[str, Callable[..., Tensor]] = {
     "direct": lambda outputs: outputs,
+    "dueling": dueling,
+    "distribution": expected,
+    "dueling-distribution": lambda outputs, least, most, n: expected(dueling(outputs, n), least, most, n),
 }
-"""How a network's outputs [..., outputs] become one number an action [..., actions]; the largest is the greedy one."""
+"""How a network's outputs [..., outputs] become one number an action [..., actions]; the largest is the greedy one.
+
+A policy names a line with its numbers, if it has some: `direct`, or `distribution -10.0 9.0 51`.
+"""
 
 SHOWN: dict[str, Callable[[Tensor], Tensor]] = {
     "probability": lambda values: values.softmax(-1),
@@ -62,13 +91,30 @@ SHOWN: dict[str, Callable[[Tensor], Tensor]] = {
 """What a picture shows of those numbers, by its name there."""
 
 
+def values_of(head: str, outputs: Tensor) -> Tensor:
+    """One number an action by a line of `HEADS` with its numbers: outputs [..., outputs] -> [..., actions]."""
+    name, *numbers = head.split()
+    return HEADS[name](outputs, *map(float, numbers))
+
+
+class Values(nn.Module):
+    """A network and its head as one: observation [..., obs] -> [..., actions]."""
+
+    def __init__(self, network: nn.Module, head: str) -> None:
+        super().__init__()
+        self.network, self.head = network, head
+
+    def forward(self, observation: Tensor) -> Tensor:
+        return values_of(self.head, self.network(observation))
+
+
 class Actor(TensorDictModuleBase):  # type: ignore[misc]
     """Acts in training: observation [A, W, obs] -> action [A, W], each agent's from a stream of its own.
 
     Args:
         network: observation -> outputs, with the agent axis in front.
         seeds: one for each agent.
-        acts, head: names of `ACTS` and `HEADS`.
+        acts, head: names of `ACTS` and `HEADS`; a head with its numbers.
         compile: run network and choice as one graph.
         epsilon: the share of random actions after so many frames per seed, where the way to act has one.
     """
@@ -96,7 +142,7 @@ class Actor(TensorDictModuleBase):  # type: ignore[misc]
     def choose(self, observation: Tensor, uniform: Tensor, epsilon: Tensor, *weights: Tensor) -> tuple[Tensor]:
         """Actions from uniform numbers [A, uniforms, W], by the network with these weights."""
         named = dict(zip(self._weights, weights, strict=True))
-        values = HEADS[self.head](functional_call(self.network, named, (observation,)))
+        values = values_of(self.head, functional_call(self.network, named, (observation,)))
         return (ACTS[self.acts].choose(values, epsilon, uniform.unbind(1)),)
 
     def act(self, observation: Tensor) -> Tensor:

@@ -1,0 +1,280 @@
+"""C51: its projection, its loss by hand and as TorchRL has it, each agent alone, its support, and a dueling run."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tensordict import TensorDict
+from torchrl.modules import DistributionalQValueActor
+from torchrl.objectives import DistributionalDQNLoss
+
+from uavnav import load_policy
+from uavnav.algorithms.c51 import PRESETS, C51Config, project, train
+from uavnav.algorithms.dqn import DQNConfig, make_learner, make_network
+from uavnav.choices import ConfigError
+from uavnav.evaluate import evaluate_run
+from uavnav.export import export_policy
+from uavnav.policies import PolicyError
+from uavnav.runs import POLICY
+from uavnav.squads import Squad, Squads
+from uavnav.tasks.rewards import REWARDS
+from uavnav.training.loop import make_collector, make_env
+from uavnav.training.recorder import Interrupted
+from uavnav.verify import verify
+
+SMALL = {"hidden": (8,), "n_atoms": 7, "activation": "relu"}
+
+
+def transitions(*shape, dtype=torch.float64, seed=0):
+    """Made-up transitions with rewards far beyond the support; a quarter of them end in a collision."""
+    g = torch.Generator().manual_seed(seed)
+    following = {
+        "observation": torch.rand(*shape, 30, generator=g, dtype=dtype),
+        "reward": 6 * torch.randn(*shape, 1, generator=g, dtype=dtype),
+        "terminated": torch.rand(*shape, 1, generator=g) < 0.25,
+    }
+    following["done"] = following["terminated"]
+    batch = TensorDict({"action": torch.randint(100, shape, generator=g), "next": TensorDict(following, shape)}, shape)
+    return batch.set("observation", torch.rand(*shape, 30, generator=g, dtype=dtype))
+
+
+def made(config):
+    """A network and its loss in double precision, whose target network is another one."""
+    network, other = (
+        make_network(one).double() for one in (config, C51Config(seed=9, **SMALL, dueling=config.dueling))
+    )
+    loss = config.make_loss(network).double()
+    for target, value in zip(
+        loss.target_value_network_params.values(True, True),
+        TensorDict.from_module(other).values(True, True),
+        strict=True,
+    ):
+        target.data.copy_(value.data.expand_as(target))
+    return network, other, loss
+
+
+def slowly_projected(probabilities, places, atoms):
+    """The algorithm of the paper, atom by atom: floor, ceiling and their shares."""
+    result, dz = np.zeros(len(atoms)), (atoms[-1] - atoms[0]) / (len(atoms) - 1)
+    for probability, place in zip(probabilities, places, strict=True):
+        b = (min(max(place, atoms[0]), atoms[-1]) - atoms[0]) / dz
+        low = min(int(np.floor(b)), len(atoms) - 2)
+        result[low] += probability * (low + 1 - b)
+        result[low + 1] += probability * (b - low)
+    return result
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(2, 60),
+    st.floats(-50, 10),
+    st.floats(0.1, 100),
+    st.floats(-30, 30),
+    st.floats(0, 1),
+    st.integers(0, 2**31),
+)
+def test_the_projection_is_that_of_a_slow_loop_and_keeps_mass_and_a_mean_within_the_support(
+    n, least, width, reward, gamma, seed
+):
+    atoms = torch.linspace(least, least + width, n, dtype=torch.float64)
+    probabilities = torch.rand(3, n, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)).softmax(-1)
+    places = (reward + gamma * atoms).expand(3, n)
+    found = project(probabilities, places, atoms)
+    for row, one, there in zip(found, probabilities, places, strict=True):
+        np.testing.assert_allclose(row, slowly_projected(one.numpy(), there.numpy(), atoms.numpy()), atol=1e-9)
+    torch.testing.assert_close(found.sum(-1), torch.ones(3, dtype=torch.float64))
+    mean = (probabilities * places.clamp(atoms[0], atoms[-1])).sum(-1)
+    torch.testing.assert_close((found * atoms).sum(-1), mean, atol=1e-6, rtol=0)
+
+
+def test_an_atom_that_lands_on_an_atom_stays_whole():
+    atoms = torch.linspace(-1, 1, 5)
+    assert project(torch.eye(5), atoms.expand(5, 5), atoms).equal(torch.eye(5))
+    assert project(torch.eye(5), atoms.expand(5, 5) + 0.5, atoms)[1].tolist() == [0, 0, 1, 0, 0]
+    assert project(torch.eye(5), atoms.expand(5, 5) + 9, atoms)[0].tolist() == [0, 0, 0, 0, 1]
+
+
+@pytest.mark.parametrize("double", [False, True])
+@pytest.mark.parametrize("dueling", [False, True])
+def test_the_loss_of_each_row_is_the_cross_entropy_by_hand(double, dueling):
+    config = C51Config(**SMALL, gamma=0.9, n_steps=2, double=double, dueling=dueling)
+    network, other, loss = made(config)
+    batch = transitions(1, 40)
+    atoms = np.linspace(-10, 0.09 / (1 - 0.9), 7)
+
+    def distributions(one, observation):
+        """[actions, atoms], the combination of the two streams written out."""
+        outputs = one(observation[:, None])[0, 0].reshape(-1, 7)
+        outputs = outputs[0] + outputs[1:] - outputs[1:].mean(0) if dueling else outputs
+        return outputs.softmax(-1).detach().numpy()
+
+    with torch.no_grad():
+        found, chosen = loss(batch)["loss"][0], set()
+    for row in range(40):
+        before, after = batch["observation"][:, row], batch["next", "observation"][:, row]
+        best = (distributions(network if double else other, after) * atoms).sum(-1).argmax()
+        chosen.add((best == (distributions(network, after) * atoms).sum(-1).argmax()).item())
+        gamma = 0.0 if batch["next", "terminated"][0, row] else 0.9**2
+        places = batch["next", "reward"][0, row].item() + gamma * atoms
+        target = slowly_projected(distributions(other, after)[best], places, atoms)
+        expected = -(target * np.log(distributions(network, before)[batch["action"][0, row]])).sum()
+        assert found[row].item() == pytest.approx(expected, abs=1e-5)  # the atoms are float32
+    assert chosen == {double}  # the two networks never agree on the best action
+
+
+def test_for_one_agent_it_is_torchrls_own_loss_and_gradient():
+    """Theirs is always double, wants float32 and [rows, atoms, actions]."""
+    config = C51Config(**SMALL, gamma=0.9, double=True)
+    network, _, ours = made(config)
+    batch = transitions(1, 200, dtype=torch.float32)
+    ours = ours.float()
+
+    def logits(observation):
+        return network(observation[None])[0].unflatten(-1, (-1, 7)).mT
+
+    class Theirs(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.network = network
+
+        def forward(self, observation):
+            return logits(observation)
+
+    actor = DistributionalQValueActor(Theirs(), ours.atoms, in_keys=["observation"], action_space="categorical")
+    theirs = DistributionalDQNLoss(actor, gamma=0.9, delay_value=True, reduction="none")
+    targets = [
+        [value for _, value in sorted(one.target_value_network_params.flatten_keys().items()) if value.ndim == 3]
+        for one in (theirs, ours)
+    ]
+    for there, here in zip(*targets, strict=True):
+        there.data.copy_(here.data)
+    rows = batch[0].clone()
+    rows["action"] = rows["action"][:, None]
+    expected, found = theirs(rows)["loss"], ours(batch)["loss"][0]
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5)
+    gradients = [torch.autograd.grad(one.mean(), list(network.parameters())) for one in (expected, found)]
+    for there, here in zip(*gradients, strict=True):
+        assert there.abs().max() > 1e-4
+        torch.testing.assert_close(here, there, rtol=1e-4, atol=1e-6)
+
+
+def test_the_gradient_of_3_agents_is_each_ones_own_and_a_target_of_fewer_steps_has_another():
+    batch = transitions(3, 16).set("steps_to_next_obs", torch.full((3, 16, 1), 2))
+    how = {**SMALL, "n_steps": 5, "max_steps": 9, "dueling": True}
+
+    def gradient(config, rows):
+        return make_learner(made(config)[2], config, compile=False).gradient(rows)
+
+    population = gradient(C51Config(n_seeds=3, **how), batch)
+    for agent in range(3):
+        alone, config = batch[agent : agent + 1], C51Config(seed=agent, **how)
+        own = gradient(config, alone)
+        later = gradient(config, alone.clone().set("steps_to_next_obs", torch.full((1, 16, 1), 5)))
+        for name, part in own.items():
+            torch.testing.assert_close(population[name][agent], part[0], rtol=1e-12, atol=1e-12)
+            assert (part - later[name]).abs().max() > 1e-6
+
+
+# -- its settings -----------------------------------------------------------------------------------------------------
+
+
+def test_the_support_follows_from_gamma_the_reward_and_the_world_unless_it_is_given():
+    assert C51Config().support == pytest.approx((-10, 9))
+    assert C51Config(gamma=0.98).support == pytest.approx((-10, 4.5))
+    assert C51Config(world={"collision_reward": -0.5}).support == pytest.approx((-1, 9))
+    assert C51Config(v_max=20.0).support == pytest.approx((-10, 20))
+    assert C51Config(gamma=1.0, v_min=-1, v_max=2).support == (-1, 2)
+
+
+def test_a_reward_without_bounds_needs_a_support_and_a_support_has_an_order(monkeypatch):
+    monkeypatch.setitem(REWARDS, "mine", REWARDS["eq14"])
+    for given_, line in (
+        ({"reward": "mine"}, "reward=mine, gamma=0.99: it declares no bounds of returns; give v_min and v_max"),
+        ({"reward": "mine", "v_min": -1}, "give v_min and v_max"),
+        ({"gamma": 1.0}, "reward=eq14, gamma=1: it declares no bounds of returns; give v_min and v_max"),
+        ({"v_min": 9.5}, "v_min=9.5, v_max=9; give a v_min below v_max"),
+        ({"n_atoms": 1}, "n_atoms=1; give a number of at least 2"),
+    ):
+        with pytest.raises(ConfigError, match=line):
+            C51Config(**given_)
+    assert C51Config(reward="mine", v_min=-1, v_max=1).head == "distribution -1.0 1.0 51"
+
+
+def test_the_presets_are_the_authors_numbers_dqns_fast_and_three_parts_of_rainbow():
+    p = PRESETS["paper"]
+    assert (p.n_atoms, p.lr, p.adam_eps, p.batch_size, p.epsilon_end) == (51, 2.5e-4, 0.01 / 32, 32, 0.01)
+    assert (p.double, p.dueling, p.n_steps, p.target_update_frames, p.frames_per_update) == (False, False, 1, 10_000, 4)
+    r = PRESETS["rainbow-lite"]
+    assert (r.double, r.dueling, r.n_steps, r.lr) == (True, True, 5, p.lr)
+    f = PRESETS["fast"]
+    assert (f.double, f.dueling, f.n_steps, f.gamma, f.lr) == (True, False, 5, 0.98, 2.5e-4)
+
+
+# -- a run whose head has two parts -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Two seeds of rainbow-lite under a cap."""
+    settings = {"n_seeds": 2, "n_worlds": 8, "total_frames": 320, "learning_starts": 64, "frames_per_update": 8}
+    settings |= {"max_steps": 12, "compile": "off", **SMALL, "preset": "rainbow-lite"}
+    return train(C51Config(**settings), tmp_path_factory.mktemp("rainbow") / "run", quiet=True)
+
+
+def test_a_dueling_distribution_is_read_by_policies_squads_files_and_verify(run, tmp_path):
+    observation = torch.rand(20, 30)
+    policies = [load_policy(run.path, seed, greedy=True) for seed in (0, 1)]
+    assert policies[0].network[-1].weight.shape == (1, 8, 101 * 7)
+    for policy in policies:
+        outputs = policy.network(observation[None])[0].detach().reshape(20, 101, 7)
+        logits = outputs[:, :1] + outputs[:, 1:] - outputs[:, 1:].mean(1, keepdim=True)
+        expected = (logits.softmax(-1) * torch.linspace(-10, 9, 7)).sum(-1)
+        torch.testing.assert_close(policy.values(observation), expected, rtol=1e-4, atol=1e-4)
+        assert -10 < expected.min() < expected.max() < 9
+    squads = Squads([*enumerate(policies)], 100)
+    actions, _ = squads.act(observation, [10, 10])
+    assert [type(one) for one in squads._dealt.values()] == [Squad]
+    alone = [policy(part) for policy, part in zip(policies, observation.split(10), strict=True)]
+    assert torch.equal(actions, torch.cat(alone))
+    archive = torch.export.load(export_policy(policies[1], tmp_path / "policy.pt2")).module()
+    torch.testing.assert_close(archive(observation), policies[1].values(observation), rtol=1e-4, atol=1e-4)
+    assert len(evaluate_run(run, episodes=2, max_steps=20, quiet=True)) == 8
+    assert verify(run, quiet=True).same
+    assert {*run.progress.columns} >= {"dormant", "saturated", "effective_rank", "q_value"}
+
+
+def test_stopped_after_160_of_320_frames_and_resumed_it_ends_the_same(run, tmp_path):
+    config = C51Config.from_mapping({key: value for key, value in run.config.items() if key != "algorithm"})
+    with pytest.raises(Interrupted):
+        train(config, tmp_path / "run", quiet=True, until=160)
+    again = train(config, tmp_path / "run", quiet=True)
+    assert (again.path / POLICY).read_bytes() == (run.path / POLICY).read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.compiled
+@pytest.mark.parametrize("kind", [C51Config, DQNConfig])
+def test_compiled_updates_of_a_dueling_network_from_several_steps_are_eager_ones(kind):
+    """Double, three steps, caps of five: what each row says of its steps reaches the graph."""
+    small = {"n_seeds": 2, "n_worlds": 8, "total_frames": 256, "learning_starts": 64, "hidden": (16,), "lr": 1e-3}
+    config = kind(**small, n_steps=3, max_steps=5, double=True, dueling=True, target_update_frames=64)
+    flown = make_collector(make_env(config, False), config.make(compile=False).actor, config)
+    eager, compiled = (config.make(compile=compile) for compile in (False, True))
+    for frames, batch in zip(range(8, 257, 8), flown, strict=False):
+        eager.learn(batch.clone(), frames)
+        compiled.learn(batch, frames)
+    first = config.make(compile=False).network
+    for one, other, before in zip(*(net.parameters() for net in (eager.network, compiled.network, first)), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
+        assert (one - before).abs().max() > 1e-3
+
+
+def test_a_head_whose_numbers_do_not_fit_the_weights_is_one_line(run, tmp_path):
+    content = (run.path / "policy.safetensors").read_bytes()
+    head = load_policy(run.path).head.encode()
+    for wrong in (head[:-1] + b"6", head[:-1] + b"x", head[:-1] + b"0"):
+        path = tmp_path / "policy.safetensors"
+        path.write_bytes(content.replace(head, wrong))
+        with pytest.raises(PolicyError, match="its tensors do not fit its header"):
+            load_policy(path)

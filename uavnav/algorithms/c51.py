@@ -1,0 +1,144 @@
+"""Distributional DQN, C51 of Bellemare, Dabney and Munos (2017): DQN that learns the distribution of the return.
+
+    Z(s, a) = z_i with probability p_i(s, a),   z_1, ..., z_n evenly spaced from v_min to v_max
+    m_i = sum_j [1 - |[R + gamma z_j] - z_i| / dz]_0^1 p_j(s', a*; theta-)        eq. (7), [x] within v_min and v_max
+    L(theta) = -E[sum_i m_i log p_i(s, a; theta)]
+
+a* has the largest expected return sum_i z_i p_i(s', .). Buffer, exploration and learning are DQN's.
+Letters: A agents, one a seed; B the rest of a batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictParams
+from torch import Tensor, nn
+from torchrl.objectives import LossModule
+
+from uavnav.algorithms.dqn import DQNConfig, ReplayConfig
+from uavnav.choices import ConfigError
+from uavnav.help import key
+from uavnav.tasks.rewards import bounds_of_returns
+from uavnav.training.config import at_least, within
+from uavnav.training.loop import train
+from uavnav.training.sampling import by_atom, dueling
+
+__all__ = ["PRESETS", "C51Config", "C51Loss", "train"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class C51Config(ReplayConfig):
+    """Distributional DQN, which the paper does not have; the defaults are those of its authors and of CleanRL."""
+
+    algorithm: ClassVar[str] = "c51"
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
+        "paper": {},
+        "one-world": {"n_worlds": 1},
+        "fast": DQNConfig.PRESETS["fast"],
+        "rainbow-lite": {"double": True, "dueling": True, "n_steps": 5},
+    }
+
+    lr: float = at_least(2.5e-4, 0)
+    adam_eps: float = at_least(0.01 / 32, 0)
+    epsilon_end: float = within(0.01, 0, 1)
+    n_atoms: int = at_least(51, 2, "of the distribution of an action's return", "atoms")
+    v_min: float | None = key(None, "the least atom; by default the least return within the reward's bounds")
+    v_max: float | None = key(None, "the greatest atom; by default the greatest return within the reward's bounds")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        least, most = self.support
+        if least >= most:
+            raise ConfigError(f"v_min={least:g}, v_max={most:g}; give a v_min below v_max")
+
+    def make_loss(self, network: nn.Module) -> C51Loss:
+        return C51Loss(network, self)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """The least and the greatest atom.
+
+        Raises:
+            ConfigError: the reward declares no bounds of returns, and they are not given.
+        """
+        given = self.v_min, self.v_max
+        bounds = bounds_of_returns(self.reward, self.world, self.gamma)
+        if bounds is None and None in given:
+            raise ConfigError(
+                f"reward={self.reward}, gamma={self.gamma:g}: it declares no bounds of returns; give v_min and v_max"
+            )
+        least, most = (own if own is not None else bound for own, bound in zip(given, bounds or given, strict=True))
+        assert least is not None
+        assert most is not None
+        return least, most
+
+    @property
+    def head(self) -> str:
+        least, most = self.support
+        return f"{'dueling-' if self.dueling else ''}distribution {least} {most} {self.n_atoms}"
+
+    @property
+    def n_outputs(self) -> int:
+        """Of the network: a logit for each action and atom, and with `dueling` the state's own in front."""
+        return super().n_outputs * self.n_atoms
+
+
+PRESETS = {name: C51Config(preset=name) for name in C51Config.PRESETS}
+
+
+def project(probabilities: Tensor, places: Tensor, atoms: Tensor) -> Tensor:
+    """Move probabilities to evenly spaced atoms, each shared by its two neighbours. Eq. (7).
+
+    probabilities and the places where they lie [B, n], atoms [n] -> [B, n].
+    """
+    inside = places.clamp(atoms[0], atoms[-1])
+    distance = (inside[..., None, :] - atoms[:, None]).abs() / (atoms[1] - atoms[0])
+    return ((1 - distance).clamp(min=0) * probabilities[..., None, :]).sum(-1)
+
+
+class C51Loss(LossModule):  # type: ignore[misc]
+    """The cross-entropy of the projected target and the prediction, one loss a row: batches [A, B] of `dqn.draw`.
+
+    TorchRL's own DistributionalDQNLoss takes one batch dimension, branches on values and is always double.
+    """
+
+    value_network: TensorDictModule
+    value_network_params: TensorDictParams
+    target_value_network_params: TensorDictParams
+
+    def __init__(self, network: nn.Module, config: C51Config) -> None:
+        super().__init__()
+        module = TensorDictModule(network, in_keys=["observation"], out_keys=["outputs"])
+        self.convert_to_functional(module, "value_network", create_target_params=True)
+        self.register_buffer("atoms", torch.linspace(*config.support, config.n_atoms, device=config.device))
+        self.config = config
+
+    def forward(self, batch: TensorDictBase) -> TensorDict:
+        """Transitions [A, B] -> `loss` [A, B]."""
+        predicted = _of_action(self._logits(batch, self.value_network_params), batch["action"]).log_softmax(-1)
+        with torch.no_grad():
+            following = batch["next"]
+            target = self._logits(following, self.target_value_network_params).softmax(-1)
+            judge = self._logits(following, self.value_network_params).softmax(-1) if self.config.double else target
+            best = (judge * self.atoms).sum(-1).argmax(-1)
+            discount = self.config.discount ** batch.get("steps_to_next_obs", 1) * ~following["terminated"]
+            places = following["reward"] + discount * self.atoms
+            target = project(_of_action(target, best), places, self.atoms)
+        return TensorDict({"loss": -(target * predicted).sum(-1)})
+
+    def _logits(self, rows: TensorDictBase, parameters: TensorDictParams) -> Tensor:
+        """Of each action and atom: observations [A, B] -> [A, B, actions, n]."""
+        with parameters.to_module(self.value_network, preserve_module_state=False):
+            outputs = self.value_network(rows.select("observation"))["outputs"]
+        outputs = dueling(outputs, len(self.atoms)) if self.config.dueling else outputs
+        return by_atom(outputs, len(self.atoms))
+
+
+def _of_action(values: Tensor, action: Tensor) -> Tensor:
+    """[..., actions, n], [...] -> [..., n]."""
+    index = action[..., None, None].expand(*action.shape, 1, values.shape[-1])
+    return values.gather(-2, index).squeeze(-2)

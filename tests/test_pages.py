@@ -8,7 +8,7 @@ import re
 
 import pytest
 import yaml
-from pages import CONFIGS, MINE, PAGES, ROOT, blocks, code, table
+from pages import ALL, CONFIGS, MINE, PAGES, ROOT, blocks, code, table
 
 import uavnav
 from uavnav import help, runs
@@ -251,3 +251,8 @@ def test_every_error_line_of_the_source_is_on_the_page():
             if telling(line) and line not in IN_BRACKETS and not any(says(shown, line) for shown in on_the_page()):
                 missing.append(line)
     assert not missing, "a row for each in docs/troubleshooting.md"
+
+
+def test_whoever_chooses_an_algorithm_finds_each_in_the_table():
+    rows = table(ALL["docs/algorithms.md"], "| algorithm | policy | it learns | a buffer | when to use |")
+    assert sorted(re.search(r"\((\w+)\.md\)", row[0])[1] for row in rows) == sorted(CONFIGS)

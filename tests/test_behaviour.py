@@ -365,7 +365,7 @@ def test_overestimation_of_a_seed_does_not_depend_on_the_others(tmp_path):
 
 
 def test_what_has_no_overestimation_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="its algorithm is ppo; only dqn has values of actions"):
+    with pytest.raises(ValueError, match="its algorithm is ppo; those with values of actions are dqn, c51"):
         overestimation(write_run(tmp_path / "ppo", algorithm="ppo"))
     with pytest.raises(RunError, match="its gamma=None is no discount"):
         overestimation(write_run(tmp_path / "gamma", gamma=None))

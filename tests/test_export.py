@@ -21,6 +21,7 @@ from uavnav.export import export_policy
 from uavnav.networks import ACTIVATIONS, Activation, mlp
 from uavnav.policies import Policy
 from uavnav.tasks import layouts
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.tasks.world import World
 from uavnav.training.sampling import HEADS
@@ -104,7 +105,14 @@ def facts(run):
         "ppo": {"values": "logits", "acts": "categorical", "epsilon": 0.0},
         "dqn": {"values": "Q values", "acts": "epsilon-greedy", "epsilon": 0.05},
     }[run.algorithm]
-    task = {"task": "drone", "world": dataclasses.asdict(World()), "reward": "eq14", "max_steps": None}
+    task = {
+        "task": "drone",
+        "world": dataclasses.asdict(World()),
+        "reward": "eq14",
+        "max_steps": None,
+        "stack": 1,
+        "faults": dataclasses.asdict(Faults()),
+    }
     bank = layouts.checksum(layouts.load("train"))
     return {"algorithm": run.algorithm, **own, **task, "bank": bank, "world_version": "1"}
 

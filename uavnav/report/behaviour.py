@@ -318,7 +318,7 @@ def overestimation(run: Run, steps: int = 300, n_layouts: int = 20, tail: float 
     """
     if run.algorithm not in with_values():
         choices = ", ".join(with_values())
-        raise ValueError(f"{run.path}: its algorithm is {run.algorithm}; only {choices} has values of actions")
+        raise ValueError(f"{run.path}: its algorithm is {run.algorithm}; those with values of actions are {choices}")
     gamma = run.config.get("gamma")
     if not isinstance(gamma, (int, float)) or not 0 <= gamma <= 1:
         raise RunError(f"{run.path / 'config.yaml'}: its gamma={gamma} is no discount; give a run's folder")

@@ -292,7 +292,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for name, run in found.items():
             if isinstance(run, Run):
                 rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts, quiet, faults)
-                who, kept = (run.algorithm, run.config["activation"]), [run.path / files_of(*bounds, faults)[0]]
+                kept = [run.path / files_of(*bounds, faults)[0]]
             else:
                 flown = {}
                 for mode, policy in run.items():
@@ -300,7 +300,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                     with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:], quiet) as tell:
                         flown[mode] = fly({0: suited(policy, task)}, task, tell, measure_of(arguments.layouts)).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
-                who, kept = (name if name in BASELINES else Path(name).stem, ""), []
+                kept = []
                 for mode, part in flown.items() if arguments.out is not None else ():
                     path = arguments.out / _rows_file(name, mode)
                     path.parent.mkdir(parents=True, exist_ok=True)
@@ -309,7 +309,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     kept.append(path)
             records.append({"run": name, **display.evaluation_record(rows)})
             if not quiet:
-                display.show(evaluation_summary(rows, *who))
+                who = run if isinstance(run, Run) else name if name in BASELINES else Path(name).stem
+                display.show(evaluation_summary(rows, who))
                 print("".join(f"the rows are in {path}\n" for path in kept), end="", flush=True)
         if arguments.json:
             print(json.dumps(records, indent=2))

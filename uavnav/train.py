@@ -195,7 +195,7 @@ def _train(order: Order, quiet: bool) -> Run:
             print("evaluating on the test split; evaluate=false skips this", flush=True)
         rows = evaluate_run(finished, quiet=quiet)
         if not quiet:
-            display.show(display.evaluation_summary(rows, finished.algorithm, config.activation))
+            display.show(display.evaluation_summary(rows, finished))
     return finished
 
 

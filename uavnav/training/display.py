@@ -179,7 +179,7 @@ def summary(run: Run) -> Table:
         f" {run.meta['bank']['k']} obstacles a set; reward {config['reward']}; init {config['init']};"
         f" steps and distance {PER_FRAME} are per collision",
         _readings(run),
-        paper.TABLES.get((run.algorithm, config["activation"]), {}),
+        of_paper(run),
     )
 
 
@@ -233,20 +233,27 @@ def _metric_table(
     return table
 
 
-def evaluation_summary(rows: pd.DataFrame, algorithm: str, activation: str = "") -> Table:
+def of_paper(run: Run) -> dict[str, float]:
+    """The paper's row for a run of its world; nothing for one of another."""
+    there = run.config.get("task", "drone") == "drone"
+    return paper.TABLES.get((run.algorithm, run.config["activation"]), {}) if there else {}
+
+
+def evaluation_summary(rows: pd.DataFrame, who: str | Run) -> Table:
     """The six metrics of an evaluation in each of its modes, beside the paper's row where there is one.
 
-    rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`.
+    rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`; who: has flown, a run or a policy's name.
     """
     flown = _flown(rows)
     censored = ", ".join(f"{rows.loc[rows['mode'] == mode, 'truncated'].mean():.0%} {mode}" for mode in flown)
     n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
     seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
+    name = f"{who.algorithm} {who.config['activation']}" if isinstance(who, Run) else who
     return _metric_table(
-        f"{f'{algorithm} {activation}'.strip()} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
+        f"{name} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
         "; ".join([f"{seeds}; cut off at the cap on steps: {censored}", *_own(rows)]),
         flown,
-        paper.TABLES.get((algorithm, activation), {}),
+        of_paper(who) if isinstance(who, Run) else {},
         "episode",
     )
 

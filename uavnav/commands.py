@@ -15,7 +15,16 @@ from pathlib import Path
 from uavnav import help as texts
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import Parser, choose_from, did_you_mean
-from uavnav.tasks.protocol import DEFAULT_K, EPISODES, MAX_STEPS, SCRIPTS, SPLITS
+from uavnav.tasks.protocol import (
+    ACROSS_STEPS,
+    DEFAULT_K,
+    EPISODES,
+    GROUPS,
+    LADDER_NAMES,
+    MAX_STEPS,
+    SCRIPTS,
+    SPLITS,
+)
 
 COMMANDS = {
     "train": "Train an algorithm on the drone's world and compare it with the paper.",
@@ -170,11 +179,14 @@ def _evaluate(parser: Parser) -> None:
     parser.epilog = "example: uavnav evaluate runs/ppo/relu reactive --episodes 200"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
-    _max_steps(parser)
+    told = f"cap on steps (default: {MAX_STEPS:,}; across ladders {ACROSS_STEPS:,})"
+    parser.add_argument("--max-steps", type=int, help=told)
     _bank(parser)
     _task(parser)
     told = "fly with these faults, or with none, instead of those of training, such as noise=5,late=2"
     parser.add_argument("--faults", metavar="FAULT=NUMBER,...", help=told)
+    told = f"fly every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
+    parser.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)
     _activation(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"

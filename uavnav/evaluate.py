@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.faults import Faults, from_words
 from uavnav.tasks.ladders import Measure, measure_of
+from uavnav.tasks.protocol import ACROSS_STEPS, GROUPS
 from uavnav.tasks.protocol import EPISODES as EPISODES
 from uavnav.tasks.protocol import MAX_STEPS as MAX_STEPS
 from uavnav.tasks.rewards import BY_ACTION, REWARDS
@@ -272,6 +274,19 @@ def _rows_file(name: str, mode: str) -> str:
     return f"{name}.parquet" if name in BASELINES else f"{Path(name).stem}-{mode}.parquet"
 
 
+def _across(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPolicy]]) -> int:
+    """The command with `--across`; returns the exit status."""
+    from uavnav.across import across  # which flies as this module does
+
+    names = [one for word in arguments.across for one in GROUPS.get(word, (word,))]
+    cap = ACROSS_STEPS if arguments.max_steps is None else arguments.max_steps
+    quiet = arguments.quiet or arguments.json
+    records = across(found, list(dict.fromkeys(names)), arguments.episodes, cap, arguments.out, quiet)
+    if arguments.json:
+        print(json.dumps(records, indent=2))
+    return 0
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Evaluate finished runs, scripted baselines or zips of Stable-Baselines3 on the test split: one row an episode."""
     arguments = commands.parse("evaluate", argv)
@@ -285,13 +300,16 @@ def main(argv: Sequence[str] | None = None) -> int:
             for name, run in found.items():
                 for mode in () if isinstance(run, Run) else run:
                     check_out(arguments.out / _rows_file(name, mode))
-        bounds = arguments.layouts, arguments.episodes, arguments.max_steps
+        if arguments.across is not None:
+            return _across(arguments, found)
+        max_steps = MAX_STEPS if arguments.max_steps is None else arguments.max_steps
+        bounds = arguments.layouts, arguments.episodes, max_steps
         faults = None if arguments.faults is None else _faults(arguments.faults)
         scripted = make_task(EMPTY, task=arguments.task)
         quiet, records = arguments.quiet or arguments.json, []
         for name, run in found.items():
             if isinstance(run, Run):
-                rows = evaluate_run(run, arguments.episodes, arguments.max_steps, arguments.layouts, quiet, faults)
+                rows = evaluate_run(run, arguments.episodes, max_steps, arguments.layouts, quiet, faults)
                 kept = [run.path / files_of(*bounds, faults)[0]]
             else:
                 flown = {}

@@ -1,0 +1,106 @@
+"""Policies across ladders: what is flown, what is judged, what is kept and drawn."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from uavnav import across
+from uavnav.__main__ import main
+from uavnav.algorithms import ppo
+from uavnav.runs import Run
+from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.ladders import LADDERS
+from uavnav.tasks.protocol import GROUPS, LADDER_NAMES
+
+
+def test_the_command_knows_the_ladders_without_torch_by_their_names():
+    assert tuple(LADDERS) == LADDER_NAMES == GROUPS["all"]
+    assert set(GROUPS["faults"]) < set(LADDERS)
+
+
+def test_a_ladder_is_judged_by_reward_collisions_per_1000_px_and_flights_still_up():
+    rows = pd.DataFrame(
+        {
+            "seed": [0, 0, 1, 1],
+            "mode": "sampled",
+            "rung": 2.0,
+            "reward": [1.0, 3.0, 4.0, 4.0],
+            "distance": [1000, 3000, 500, 500],
+            "terminated": [True, False, True, True],
+            "truncated": [False, True, False, False],
+        }
+    )
+    table = across.judged({"mine": rows}).set_index("measure")
+    assert table["value"].to_dict() == {"reward": 3.0, "collisions": pytest.approx((0.25 + 2.0) / 2), "survive": 25.0}
+    assert set(table["n"]) == {2}
+
+
+def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
+    who = across.flyer("straight", {"scripted": BASELINES["straight"]})
+    rows = across.climb(who, LADDERS["density"], episodes=10, max_steps=100)
+    flown = rows.groupby("rung")["distance"].mean()
+    assert list(flown.index) == list(LADDERS["density"].rungs)
+    assert flown[0.0] == 28 * 9  # 250 px from the start to where the drone touches the border
+    assert flown[20.0] < flown[8.0] < flown[0.0]
+    assert len(rows) == 11 * 10
+
+
+def test_the_first_rung_of_noise_is_the_evaluation_itself():
+    who = across.flyer("reactive", {"scripted": BASELINES["reactive"]})
+    rows = across.climb(who, LADDERS["noise"], episodes=5, max_steps=60)
+    assert set(rows.loc[rows["rung"] == 0, "truncated"]) == {True}  # the rule is safe where echoes are exact
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    config = ppo.PPOConfig(total_frames=64, n_worlds=2, frames_per_batch=64, hidden=(8,), epochs=1, n_seeds=2)
+    return ppo.train(config, out=tmp_path_factory.mktemp("across") / "mine", quiet=True)
+
+
+def test_a_run_keeps_a_row_an_episode_and_a_figure_a_ladder_and_stays_the_run_it_was(run, capsys):
+    words = ["evaluate", str(run.path), "--across", "arc", "sticky", "--episodes", "2", "--max-steps", "20", "--json"]
+    assert main(words) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert {one["ladder"] for one in said} == {"arc", "sticky"}
+    assert {one["name"] for one in said} == {str(run.path), *BASELINES}
+    kept = pd.read_parquet(run.path / "across-arc-2-20.parquet")
+    assert len(kept) == 4 * 2 * 2 * 2  # rungs, modes, seeds, sets
+    assert kept.attrs == {"ladder": "arc", "episodes": 2, "max_steps": 20}
+    assert (run.path / "across-sticky.png").read_bytes()[:4] == b"\x89PNG"
+    assert Run(run.path).evaluations() == []
+
+
+def test_the_figure_says_its_rewards_in_words_and_leaves_the_greedy_flights_out():
+    ladder = LADDERS["arc"]
+    table = pd.DataFrame(
+        [
+            ["mine", mode, rung, measure, 2, float(rung), rung - 1.0, rung + 1.0]
+            for mode in ("greedy", "sampled")
+            for rung in ladder.rungs
+            for measure in across.MEASURES
+        ],
+        columns=["name", "mode", "rung", "measure", "n", "value", "low", "high"],
+    )
+    drawn = across.draw(table, ladder)
+    assert drawn.alt == "Reward per flight from 60 to 180 of sensor's arc [degrees]: mine: 60.0 to 180.0."
+    assert all(len(axes.lines) == 1 for axes in drawn.figure.axes)
+    assert np.isfinite(drawn.figure.axes[0].lines[0].get_ydata()).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--across", "density", "--episodes", "0"], "episodes=0, max_steps=2000; give 1 to 1000 episodes"),
+        (["--across", "densty"], "did you mean density?"),
+    ],
+)
+def test_what_is_no_ladder_or_no_count_is_one_line(words, line, capsys):
+    try:
+        status = main(["evaluate", "reactive", *words])
+    except SystemExit as stop:
+        status = stop.code
+    said = capsys.readouterr().err
+    assert (status, said.count("\n")) == (2, 1)
+    assert line in said

@@ -1,0 +1,198 @@
+"""Fly policies across ladders: reward, collisions and survival against difficulty, scripted baselines beside them.
+
+`uavnav evaluate RUN... --across density slalom` flies each policy on every rung and draws one figure a ladder.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from uavnav import policies, stats
+from uavnav.evaluate import fly
+from uavnav.files import write
+from uavnav.policies import Policy
+from uavnav.report import style
+from uavnav.runs import Run
+from uavnav.runs.metrics import MODES
+from uavnav.runs.tables import lock, write_table
+from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
+from uavnav.tasks.ladders import LADDERS, Ladder
+from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
+from uavnav.tasks.simulator import EMPTY, Task, make_task
+from uavnav.training import display, machine
+
+MEASURES = {
+    "reward": "reward per flight",
+    "collisions": "collisions per 1,000 px",
+    "survive": "flights still up at the cap [%]",
+}
+"""What a ladder is judged by, in words with its unit."""
+COLLISIONS_PER = 1000.0  # px
+
+
+class Flyer(NamedTuple):
+    """Who flies a ladder: its seeds by mode, and where its rows are kept."""
+
+    name: str
+    by_mode: Mapping[str, Mapping[int, AnyPolicy]]
+    folder: Path | None = None
+
+
+def flyer(name: str, found: Run | Mapping[str, AnyPolicy]) -> Flyer:
+    """A run, or what else flies by its mode."""
+    if not isinstance(found, Run):
+        return Flyer(name, {mode: {0: policy} for mode, policy in found.items()})
+    by_mode = {
+        mode: {seed: policies.load_policy(found.path, seed, greedy=mode == "greedy") for seed in found.seeds}
+        for mode in MODES
+    }
+    return Flyer(name, by_mode, found.path)
+
+
+def climb(
+    who: Flyer,
+    ladder: Ladder,
+    episodes: int,
+    max_steps: int = ACROSS_STEPS,
+    quiet: bool = True,
+    scripted: Task | None = None,
+) -> pd.DataFrame:
+    """Fly every rung of a ladder on its first test sets.
+
+    scripted: what a script flies there; by default the paper's task.
+
+    Returns:
+        A row an episode: the columns of `metrics.EPISODE_COLUMNS`, `mode` and `rung`.
+    """
+    parts = []
+    for rung in ladder.rungs:
+        for mode, population in who.by_mode.items():
+            first = next(iter(population.values()))
+            own = first.task if isinstance(first, Policy) else scripted or make_task(EMPTY)
+            task = ladder.task(replace(own, max_steps=max_steps), rung, "test")
+            task = replace(task, bank=task.bank[:episodes])
+            flown = {seed: suited(policy, task) for seed, policy in population.items()}
+            what = f"{who.name}, {mode}, {ladder.words} {rung:g}"
+            with machine.use_threads(1), display.flights(what, episodes * len(flown), max_steps, quiet) as tell:
+                rows = fly(flown, task, tell, ladder.measure).episodes
+            parts.append(rows.assign(mode=mode, rung=float(rung)))
+    return pd.concat(parts, ignore_index=True)
+
+
+def judged(rows: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Means and 95 % intervals over seeds, a row a name, mode, rung and measure; rows: of `climb`, by name."""
+    found = []
+    for name, table in rows.items():
+        for (mode, rung), flown in table.groupby(["mode", "rung"], sort=False):
+            sums = flown.groupby("seed").agg(
+                reward=("reward", "mean"), hits=("terminated", "sum"), px=("distance", "sum"), up=("truncated", "mean")
+            )
+            flat = sums["px"].where(sums["px"] > 0)
+            values = {"reward": sums["reward"], "collisions": COLLISIONS_PER * sums["hits"] / flat}
+            values["survive"] = 100 * sums["up"]
+            for measure in MEASURES:
+                one = stats.interval(values[measure].dropna().to_numpy())
+                found.append([name, mode, rung, measure, one.n, one.value, one.low, one.high])
+    columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
+    return pd.DataFrame(found, columns=columns)
+
+
+@matplotlib.rc_context(style.STYLE)
+def draw(table: pd.DataFrame, ladder: Ladder) -> style.Drawn:
+    """Each measure against difficulty, one line a policy as it acts in training, bands for intervals."""
+    figure = Figure(figsize=(style.WIDTH, 8.5), layout="constrained")
+    panels = figure.subplots(len(MEASURES), 1, sharex=True)
+    mine = table[table["mode"] != "greedy"]
+    names = list(dict.fromkeys(mine["name"]))
+    learned = [name for name in names if name not in BASELINES]
+    colours = dict(zip(learned, itertools.cycle([*style.COLOURS.values(), *style.OTHER_COLOURS]), strict=False))
+    lines = dict(zip(BASELINES, (":", "-.", "--"), strict=True))
+    for axes, measure in zip(panels, MEASURES, strict=True):
+        for name, own in mine[mine["measure"] == measure].groupby("name", sort=False):
+            colour, line = colours.get(str(name), style.INK), lines.get(str(name), "-")
+            axes.plot(own["rung"], own["value"], line, color=colour, marker="o", label=str(name))
+            axes.fill_between(own["rung"], own["low"], own["high"], color=colour, alpha=0.15, linewidth=0)
+        axes.set_title(MEASURES[measure])
+    panels[-1].set_xlabel(ladder.words)
+    panels[-1].set_xticks(sorted(ladder.rungs))
+    style.legend(figure, panels[0].get_legend_handles_labels()[0])
+    first, last = ladder.rungs[0], ladder.rungs[-1]
+    rewards = mine[(mine["measure"] == "reward") & mine["rung"].isin([first, last])]
+    told = "; ".join(
+        f"{name}: {' to '.join(style.number(value) for value in own['value'])}"
+        for name, own in rewards.groupby("name", sort=False)
+    )
+    return style.Drawn(figure, f"Reward per flight from {first:g} to {last:g} of {ladder.words}: {told}.")
+
+
+def shown(table: pd.DataFrame, name: str) -> Table:
+    """A ladder as a table: a row a policy and mode, a column a rung."""
+    rungs = list(dict.fromkeys(table["rung"]))
+    text = Table(title=f"{name}: {LADDERS[name].words}", title_justify="left", box=None)
+    for column in ("who", "", "measure", *(f"{rung:g}" for rung in rungs)):
+        text.add_column(column, justify="left" if column in ("who", "", "measure") else "right")
+    for (who, mode, measure), own in table.groupby(["name", "mode", "measure"], sort=False):
+        text.add_row(str(who), str(mode), MEASURES[str(measure)], *map(_number, own["value"]))
+    return text
+
+
+def _number(value: float) -> str:
+    return style.number(round(value, 9)) if np.isfinite(value) else "–"
+
+
+def across(
+    found: Mapping[str, Run | Mapping[str, AnyPolicy]],
+    names: Sequence[str],
+    episodes: int,
+    max_steps: int,
+    out: Path | None,
+    quiet: bool,
+) -> list[dict[str, Any]]:
+    """Fly all that is named, and the scripted baselines, across ladders; keep rows and a figure.
+
+    Scripts fly what the first policy was trained in. The rows of a run lie in its folder, figures in `out` or else in
+    the first run's folder.
+
+    Returns:
+        What the tables show, for JSON.
+
+    Raises:
+        LayoutError, PolicyError, RunError: a bank or a policy cannot be read, or a file not be written.
+        ValueError: a count below 1, or more sets than a bank has.
+    """
+    if not 1 <= episodes <= SPLITS["test"].n or max_steps < 1:
+        most = SPLITS["test"].n
+        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
+    flyers = [flyer(name, one) for name, one in found.items()]
+    flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
+    learned = (one for flown in flyers for one in next(iter(flown.by_mode.values())).values())
+    theirs = next((replace(one.task, stack=1) for one in learned if isinstance(one, Policy)), None)
+    folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
+    records: list[dict[str, Any]] = []
+    for name in names:
+        rows = {}
+        for one in flyers:
+            rows[one.name] = climb(one, LADDERS[name], episodes, max_steps, quiet, theirs)
+            if one.folder is not None:
+                rows[one.name].attrs = {"ladder": name, "episodes": episodes, "max_steps": max_steps}
+                with lock(one.folder):
+                    write_table(one.folder / f"across-{name}-{episodes}-{max_steps}.parquet", rows[one.name])
+        table = judged(rows)
+        svg, png = style.save(draw(table, LADDERS[name]).figure)
+        write(folder / f"across-{name}.svg", svg)
+        write(folder / f"across-{name}.png", png)
+        if not quiet:
+            display.show(shown(table, name))
+            print(f"the figure is {folder / f'across-{name}.png'}", flush=True)
+        records += [{"ladder": name, **dict(one)} for one in table.to_dict("records")]  # type: ignore[arg-type]
+    return records

@@ -258,6 +258,13 @@ def test_nothing_is_wider_than_the_screen_and_no_text_smaller_than_12_px(browser
         assert control.rect["height"] >= 24
 
 
+def test_every_box_that_scrolls_is_reached_by_the_keyboard_and_has_a_name(browser):
+    boxes = "return [...document.querySelectorAll('.picture, .scroll')].map(box => [box.tabIndex, box.ariaLabel])"
+    found = browser.execute_script(boxes)
+    assert len(found) > 20
+    assert all(index == 0 and name for index, name in found)
+
+
 def test_at_390_px_the_first_column_of_a_wide_table_stays_while_the_rest_scrolls(browser):
     resize(browser, NARROW)
     box = one(browser, "#tables .scroll")

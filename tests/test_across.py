@@ -37,6 +37,14 @@ def test_a_ladder_is_judged_by_reward_collisions_per_1000_px_and_flights_still_u
     assert set(table["n"]) == {2}
 
 
+def test_a_flight_that_reaches_its_goal_has_not_collided():
+    rows = pd.DataFrame(
+        {"seed": 0, "mode": "sampled", "rung": 0.0, "reward": [9.0, -10.0], "distance": [500, 500]}
+        | {"terminated": True, "truncated": False, "succeeded": [1, 0]}
+    )
+    assert across.judged({"mine": rows}).set_index("measure")["value"]["collisions"] == 1.0
+
+
 def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
     who = across.flyer("straight", {"scripted": BASELINES["straight"]})
     rows = across.climb(who, LADDERS["density"], episodes=10, max_steps=100)

@@ -17,7 +17,7 @@ from safetensors import safe_open
 
 import uavnav
 from uavnav import evaluate, load_policy, train, verify
-from uavnav.algorithms import ppo
+from uavnav.algorithms import c51, dqn, ppo, sac
 from uavnav.runs import metrics
 from uavnav.tasks import goal, layouts
 from uavnav.tasks.baselines import BASELINES
@@ -307,3 +307,14 @@ def test_the_reactive_rule_reaches_at_least_60_percent_of_60_goals(bank):
     rows = evaluate.fly({0: BASELINES["reactive"]}, make_task(bank[:60], task="goal", max_steps=300)).episodes
     assert rows["succeeded"].mean() > 0.6
     assert (rows["distance"][rows["succeeded"] == 1] + 9 >= rows["shortest"][rows["succeeded"] == 1] * 0.98).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "more"), [(dqn.DQNConfig, {}), (c51.C51Config, {"v_min": -10, "v_max": 10}), (sac.SACConfig, {})]
+)
+def test_what_learns_from_replay_bootstraps_at_the_cap_that_the_task_has_by_default(kind, more):
+    config = kind(task="goal", **more)
+    assert config.max_steps == config.make_task().max_steps == 1000
+    buffered = config.replay if kind is sac.SACConfig else config
+    assert buffered.keeps_next_observations  # no other row has what is seen at the cap
+    assert kind(task="goal", max_steps=70, **more).max_steps == 70

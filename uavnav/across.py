@@ -94,8 +94,11 @@ def judged(rows: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     found = []
     for name, table in rows.items():
         for (mode, rung), flown in table.groupby(["mode", "rung"], sort=False):
-            sums = flown.groupby("seed").agg(
-                reward=("reward", "mean"), hits=("terminated", "sum"), px=("distance", "sum"), up=("truncated", "mean")
+            hit = flown["terminated"] & (flown.get("succeeded", 0) == 0)  # a goal ends a flight too
+            sums = (
+                flown.assign(hit=hit)
+                .groupby("seed")
+                .agg(reward=("reward", "mean"), hits=("hit", "sum"), px=("distance", "sum"), up=("truncated", "mean"))
             )
             flat = sums["px"].where(sums["px"] > 0)
             values = {"reward": sums["reward"], "collisions": COLLISIONS_PER * sums["hits"] / flat}

@@ -71,7 +71,26 @@ def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any,
     return chosen
 
 
-class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
+class _Surroundings:
+    """What is around the drone now; of a batch, with the axis of its rows in front."""
+
+    task: Task
+
+    def _now(self) -> State:
+        raise NotImplementedError
+
+    @property
+    def obstacles(self) -> np.ndarray[Any, Any]:
+        """The obstacles as they are now: [k, 3] of (x, y, radius) px."""
+        return self.task.obstacles(self._now()).numpy()
+
+    @property
+    def velocities(self) -> np.ndarray[Any, Any]:
+        """Where they move: [k, 2] px a step."""
+        return self.task.velocities(self._now()).numpy()
+
+
+class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
     """One drone that must avoid obstacles.
 
     Action:
@@ -154,16 +173,6 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
             raise gymnasium.error.ResetNeeded("call reset() before render()")
         return draw_state(self._now(), self.task)
 
-    @property
-    def obstacles(self) -> np.ndarray[Any, Any]:
-        """The obstacles as they are now: [k, 3] of (x, y, radius) px."""
-        return self.task.obstacles(self._now()).numpy()
-
-    @property
-    def velocities(self) -> np.ndarray[Any, Any]:
-        """Where they move: [k, 2] px a step."""
-        return self.task.velocities(self._now()).numpy()
-
     def _now(self) -> State:
         if self._layout is None:
             raise gymnasium.error.ResetNeeded("call reset() first")
@@ -173,7 +182,7 @@ class DroneGymEnv(gymnasium.Env[Observation, np.int64]):
         return self._flight.info() | {"clearance": self._flight.clearance}
 
 
-class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]], Any]):
+class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]], Any]):
     """A batch of drones, each as in `DroneGymEnv`; when an episode ends, the next one starts in the same step.
 
     `reset(seed=s)` turns the rows into the parallel worlds of seed s, each with its own first layout; a list gives each
@@ -287,16 +296,6 @@ class DroneVectorEnv(VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]],
     def _start(self, layout: Tensor) -> State:
         """Where episodes of every row begin."""
         return self.task.start(layout, self._chance.headings().flatten(), _flat(self._chance.first()))
-
-    @property
-    def obstacles(self) -> np.ndarray[Any, Any]:
-        """The obstacles of each row as they are now: [num_envs, k, 3] of (x, y, radius) px."""
-        return self.task.obstacles(self._now()).numpy()
-
-    @property
-    def velocities(self) -> np.ndarray[Any, Any]:
-        """Where they move: [num_envs, k, 2] px a step."""
-        return self.task.velocities(self._now()).numpy()
 
     def _now(self) -> State:
         if self._state is None:

@@ -86,6 +86,8 @@ class TrainConfig:
                 object.__setattr__(self, name, value)
         if "reward" not in self.__dict__["_given"] and self.task in TASKS:
             object.__setattr__(self, "reward", TASKS[self.task].REWARD)
+        if self.max_steps is None and self.task in TASKS:
+            object.__setattr__(self, "max_steps", TASKS[self.task].MAX_STEPS)
         object.__delattr__(self, "_given")
         hints = get_type_hints(type(self))
         for item in (item for item in fields(self) if item.name not in PARTS):

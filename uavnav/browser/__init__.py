@@ -23,11 +23,13 @@ SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", 
 GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "tries", "scale")}
 RULES: dict[str, dict[str, Any]] = {"slalom": SLALOM, "goal": GOAL}
 """What sets of a world are made by, beside its constants."""
+TITLES = {"drone": "the paper's world", "slalom": "slalom", "moving": "moving obstacles", "goal": "a goal"}
+"""How pages call the worlds of `world.js`; others it does not know."""
 
 
 def constants() -> dict[str, dict[str, Any]]:
     """What `world.js` needs of each world, by its name there: constants, the cap on steps, and `RULES`."""
-    kinds = {"drone": TASKS["drone"], "slalom": TASKS["drone"], "moving": TASKS["moving"], "goal": TASKS["goal"]}
+    kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is a bank alone
     return {
         name: {"world": asdict(kind.WORLD()), "max_steps": kind.MAX_STEPS, "rules": RULES.get(name, {})}
         for name, kind in kinds.items()

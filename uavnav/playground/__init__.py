@@ -69,22 +69,14 @@ SETTINGS = {
     "sticky": Setting("sticky actions", *_rungs("sticky"), 0.05, 0),
 }
 """By name in a link; the bounds are those of the ladders."""
-WORLDS = {
-    "drone": {"title": "the paper's world", "told": ""},
-    "slalom": {
-        "title": "slalom",
-        "told": "Four columns, each with one gap. Networks of the paper's world fly here as they are.",
-    },
-    "moving": {
-        "title": "moving obstacles",
-        "told": "Networks of the paper's world fly here as they are: none senses how fast an obstacle moves.",
-    },
-    "goal": {
-        "title": "a goal",
-        "told": "Fly to the rings, in at most 1,000 steps. It takes a network that senses its goal.",
-    },
+TOLD = {
+    "drone": "",
+    "slalom": "Four columns, each with one gap. Networks of the paper's world fly here as they are.",
+    "moving": "Networks of the paper's world fly here as they are: none senses how fast an obstacle moves.",
+    "goal": "Fly to the rings, in at most 1,000 steps. It takes a network that senses its goal.",
 }
-"""The worlds of `browser.constants`, by name: how the page calls them, and what it says of them."""
+"""What the page says of each world."""
+WORLDS = {name: {"title": title, "told": TOLD[name]} for name, title in browser.TITLES.items()}
 
 
 def runs_in(folder: Path) -> list[Path]:

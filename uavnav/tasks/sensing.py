@@ -64,7 +64,7 @@ def _scaled(distance: Tensor, world: World) -> Tensor:
 
 
 def scaled(reach: float, world: World, echoes: Echoes | None = None) -> Echoes:
-    """Echoes after which l in eq. (13) is 1 at another reach [px] than the sensor's radius: d - r_d times their ratio."""
+    """Echoes after which l in eq. (13) is 1 at another reach [px] than the sensor's radius."""
     near = world.drone_radius
     ratio = (world.sensor_radius - near) / (reach - near)
 

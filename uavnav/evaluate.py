@@ -6,6 +6,7 @@ whatever else flies (scripted baselines, zips of Stable-Baselines3), whose rows 
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 from argparse import Namespace
@@ -283,14 +284,21 @@ def _rows_file(name: str, mode: str, protocol: str = "") -> str:
     return f"{who}{protocol}.parquet"
 
 
-def _across(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPolicy]]) -> int:
-    """The command with `--across`; returns the exit status."""
-    from uavnav.across import across  # which flies as this module does
+def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPolicy]]) -> int:
+    """The command with `--across` or `--transfer`; returns the exit status."""
+    from uavnav.across import across  # which fly as this module does
+    from uavnav.transfer import transfer
 
-    names = [one for word in arguments.across for one in GROUPS.get(word, (word,))]
+    if (given := arguments.faults) is not None:
+        raise ValueError(f"--faults {given}: ladders and worlds of training have their own; leave it out")
     cap = ACROSS_STEPS if arguments.max_steps is None else arguments.max_steps
     quiet = arguments.quiet or arguments.json
-    records = across(found, list(dict.fromkeys(names)), arguments.episodes, cap, arguments.out, quiet)
+    if arguments.transfer:
+        tell = functools.partial(print, file=sys.stderr)
+        records = transfer(found, arguments.episodes, cap, arguments.out, quiet, tell)
+    else:
+        names = [one for word in arguments.across for one in GROUPS.get(word, (word,))]
+        records = across(found, list(dict.fromkeys(names)), arguments.episodes, cap, arguments.out, quiet)
     if arguments.json:
         print(json.dumps(records, indent=2))
     return 0
@@ -313,8 +321,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             for name, run in found.items():
                 for mode in () if isinstance(run, Run) else run:
                     check_out(arguments.out / _rows_file(name, mode, protocol))
-        if arguments.across is not None:
-            return _across(arguments, found)
+        if arguments.across is not None or arguments.transfer:
+            return _elsewhere(arguments, found)
         scripted = make_task(EMPTY, task=arguments.task)
         quiet, records = arguments.quiet or arguments.json, []
         for name, run in found.items():

@@ -47,9 +47,13 @@ def arc(task: Task, rung: float, split: str = "test") -> Task:
 
 def reach(task: Task, rung: float, split: str = "test") -> Task:
     """The policy's world with a sensor that reaches so many px; a proximity is still 1 at the reach of its training."""
-    own = task.trained_reach or task.world.sensor_radius
-    world = replace(task.world, sensor_radius=rung)
-    return replace(task, world=world, trained_reach=None if rung == own else own).on(split, task.max_steps)
+    flown = replace(task, world=replace(task.world, sensor_radius=rung))
+    return reached(flown, task.trained_reach or task.world.sensor_radius).on(split, task.max_steps)
+
+
+def reached(task: Task, own: float) -> Task:
+    """A task as a policy flies it whose sensor reached so many px in training."""
+    return replace(task, trained_reach=None if task.world.sensor_radius == own else own)
 
 
 def speed(task: Task, rung: float, split: str = "test") -> Task:

@@ -163,8 +163,9 @@ class Task:
 
     def echoes(self, draws: Tensor | None) -> Echoes | None:
         """What faults, and a policy's other reach, make of the echoes of slots, if anything: draws [*B, n_draws]."""
-        faulty = draws is not None and (self.faults.noise or self.faults.lost)
-        found = functools.partial(self.faults.echoes, draws=draws) if faulty else None
+        found: Echoes | None = None
+        if draws is not None and (self.faults.noise or self.faults.lost):
+            found = functools.partial(self.faults.echoes, draws=draws)
         return found if self.trained_reach is None else scaled(self.trained_reach, self.world, found)
 
     def observe(self, state: State) -> tuple[Tensor, Tensor]:

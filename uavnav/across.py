@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from uavnav import policies, stats
-from uavnav.evaluate import fly
+from uavnav.evaluate import fly, rows_across
 from uavnav.files import write
 from uavnav.policies import Policy
 from uavnav.report import style
@@ -196,13 +196,14 @@ def across(
     folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
     records: list[dict[str, Any]] = []
     for name in names:
-        rows, stem = {}, f"across-{name}-{episodes}-{max_steps}"
+        rows, kept = {}, rows_across(name, episodes, max_steps)
+        stem = Path(kept).stem
         for one in flyers:
             rows[one.name] = climb(one, LADDERS[name], episodes, max_steps, quiet, theirs)
             if one.folder is not None:
                 rows[one.name].attrs = {"ladder": name, "episodes": episodes, "max_steps": max_steps}
                 with lock(one.folder):
-                    write_table(one.folder / f"{stem}.parquet", rows[one.name])
+                    write_table(one.folder / kept, rows[one.name])
         table = judged(rows)
         svg, png = style.save(draw(table, LADDERS[name]).figure)
         write(folder / f"{stem}.svg", svg)

@@ -259,6 +259,11 @@ def protocol_name(
     return "".join(f"-{part}" for part in parts)
 
 
+def rows_across(ladder: str, episodes: int, max_steps: int) -> str:
+    """The file of a run's rows across a ladder, in its folder."""
+    return f"across-{ladder}-{episodes}-{max_steps}.parquet"
+
+
 def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
     """A run, or what else flies, by its mode."""
     if name in BASELINES:

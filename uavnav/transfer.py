@@ -6,7 +6,6 @@ in.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -53,7 +52,7 @@ def place(run: Run, policy: Policy, episodes: int, max_steps: int) -> Place:
     Raises:
         LayoutError: there are no such sets.
     """
-    task, layouts = policy.task, re.sub(r"train(?=(\.safetensors)?$)", "test", str(run.config["layouts"]))
+    task, layouts = policy.task, banks.judged_on(run.config["layouts"])
     flown = replace(task, stack=1).on(layouts, min(max_steps, task.MAX_STEPS or max_steps))
     return Place(named(task, layouts), flown.with_bank(flown.bank[:episodes]), measure_of(layouts))
 

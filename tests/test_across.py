@@ -45,6 +45,18 @@ def test_a_flight_that_reaches_its_goal_has_not_collided():
     assert across.judged({"mine": rows}).set_index("measure")["value"]["collisions"] == 1.0
 
 
+def test_on_the_slalom_passages_per_1000_steps_and_per_flight_are_judged_and_drawn_too():
+    rows = pd.DataFrame({"seed": [0, 0, 1], "mode": "sampled", "rung": 80.0, "reward": 1.0, "distance": 900})
+    rows = rows.assign(terminated=True, truncated=False, steps=[100, 300, 500], passages=[1, 3, 4])
+    table = across.judged({"mine": rows})
+    found = table.set_index("measure")
+    assert [*found.index] == [*across.MEASURES, "passages_per_1000_steps", "passages_per_flight"]
+    assert found.loc["passages_per_1000_steps", "value"] == (1000 * 4 / 400 + 1000 * 4 / 500) / 2
+    assert found.loc["passages_per_flight", "value"] == (2 + 4) / 2
+    titles = [axes.get_title("left") for axes in across.draw(table, LADDERS["slalom"]).figure.axes]
+    assert titles == [*across.MEASURES.values(), "passages per 1,000 steps", "passages per flight"]
+
+
 def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
     who = across.flyer("straight", {"scripted": BASELINES["straight"]})
     rows = across.climb(who, LADDERS["density"], episodes=10, max_steps=100)
@@ -76,7 +88,7 @@ def test_a_run_keeps_a_row_an_episode_and_a_figure_a_ladder_and_stays_the_run_it
     kept = pd.read_parquet(run.path / "across-arc-2-20.parquet")
     assert len(kept) == 4 * 2 * 2 * 2  # rungs, modes, seeds, sets
     assert kept.attrs == {"ladder": "arc", "episodes": 2, "max_steps": 20}
-    assert (run.path / "across-sticky.png").read_bytes()[:4] == b"\x89PNG"
+    assert (run.path / "across-sticky-2-20.png").read_bytes()[:4] == b"\x89PNG"
     assert Run(run.path).evaluations() == []
 
 

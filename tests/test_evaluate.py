@@ -22,6 +22,7 @@ from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import EMPTY, make_task
 
 RUNS = {
@@ -180,10 +181,25 @@ def test_of_a_flight_of_600_steps_500_are_watched():
 def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
     arguments = ["random", "--episodes", "5", "--max-steps", "50", "--out", str(tmp_path / "baselines")]
     assert evaluate.main(arguments) == 0
-    rows = pd.read_parquet(tmp_path / "baselines" / "random.parquet")
+    rows = pd.read_parquet(tmp_path / "baselines" / "random-test-5-50.parquet")
     assert rows.layout.tolist() == [0, 1, 2, 3, 4]
     assert list(rows.columns) == list(EPISODE_COLUMNS)
     assert rows.attrs == {"layouts": "test", "episodes": 5, "max_steps": 50}
+
+
+@pytest.mark.parametrize(
+    ("protocol", "name"),
+    [
+        (("test", 200, 10_000), ""),
+        (("test", 10, 500), "-test-10-500"),
+        (("density-12/test", 200, 10_000), "-density-12-test-200-10000"),
+        (("test", 200, 10_000, Faults(noise=5)), "-test-200-10000-noise=5"),
+        (("test", 200, 10_000, Faults()), "-test-200-10000-none"),
+        (("test", 200, 10_000, None, "moving"), "-moving-test-200-10000"),
+    ],
+)
+def test_each_protocol_has_a_file_of_its_own(protocol, name):
+    assert evaluate.protocol_name(*protocol) == name
 
 
 @pytest.mark.parametrize("out", ["/proc/x", "file", "file/rows"])
@@ -220,16 +236,16 @@ def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(zippe
     words = [str(zipped), "random", "--activation", "relu", "--episodes", "5", "--max-steps", "50", "--out", str(out)]
     assert evaluate.main(words) == 0
     assert sorted(path.name for path in out.iterdir()) == [
-        "random.parquet",
-        "theirs-greedy.parquet",
-        "theirs-sampled.parquet",
+        "random-test-5-50.parquet",
+        "theirs-greedy-test-5-50.parquet",
+        "theirs-sampled-test-5-50.parquet",
     ]
     for mode in ("greedy", "sampled"):
-        rows = read_table(out / f"theirs-{mode}.parquet", EPISODE_COLUMNS, "")
+        rows = read_table(out / f"theirs-{mode}-test-5-50.parquet", EPISODE_COLUMNS, "")
         policy = uavnav.load_policy(zipped, greedy=mode == "greedy", activation="relu")
         pd.testing.assert_frame_equal(rows, evaluate_policy(policy, episodes=5, max_steps=50))
     printed = capsys.readouterr().out
-    for word in ("theirs on 5 test sets", "greedy", "sampled", "theirs-sampled.parquet"):
+    for word in ("theirs on 5 test sets", "greedy", "sampled", "theirs-sampled-test-5-50.parquet"):
         assert word in printed, word
 
 
@@ -393,7 +409,7 @@ def test_quiet_prints_nothing_and_json_an_entry_for_each_with_the_means_of_the_r
     assert evaluate.main([*words, "--json"]) == 0
     scripted, trained = json.loads(capsys.readouterr().out)
     assert (scripted["run"], scripted["seeds"], scripted["sets"]) == ("random", [0], 3)
-    rows = pd.read_parquet(tmp_path / "random.parquet")
+    rows = pd.read_parquet(tmp_path / "random-test-3-20.parquet")
     found = scripted["metrics"]["scripted"]["reward"]
     assert found == {"mean": pytest.approx(rows["reward"].mean()), "sd": None}
     assert (trained["run"], trained["seeds"]) == (str(run.path), run.seeds)

@@ -14,7 +14,7 @@ from uavnav import evaluate
 from uavnav.runs import metrics
 from uavnav.tasks import circles, layouts, slalom
 from uavnav.tasks.baselines import BASELINES, straight_ahead
-from uavnav.tasks.faults import NAMES, NO_FAULTS
+from uavnav.tasks.faults import NAMES, NO_FAULTS, from_words
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.simulator import EMPTY, Moving, make_task
 
@@ -134,6 +134,7 @@ def test_on_each_rung_a_policys_world_differs_in_the_ladders_field_alone(name):
         task = LADDERS[name].task(own, rung, "validation")
         assert (task.max_steps, task.world.padding, len(task.bank)) == (50, "zeros", 1000)
         assert task.world.sensor_arc == (rung if name == "arc" else 180)
+        assert task.world.sensor_radius == (rung if name == "reach" else 120)
         assert task.faults == (dataclasses.replace(NO_FAULTS, **{name: rung}) if name in NAMES else NO_FAULTS)
         draws = task.draw(3, torch.Generator().manual_seed(0))
         start = task.start(torch.arange(3), torch.full((3,), 90), draws)
@@ -143,3 +144,40 @@ def test_on_each_rung_a_policys_world_differs_in_the_ladders_field_alone(name):
             assert type(task) is Moving
             fastest = task.velocities(state).norm(dim=-1).max().item()
             assert rung * 0.8 <= fastest <= rung + 1e-6 or rung == 0
+
+
+@pytest.mark.parametrize("fault", ["none", "noise=5,lost=0.2"])
+@pytest.mark.parametrize("rung", LADDERS["reach"].rungs)
+def test_with_another_reach_proximity_is_that_of_training_and_the_rest_that_of_the_rung(rung, fault):
+    own = make_task(EMPTY, {"sensor_radius": 100.0}, faults=dataclasses.asdict(from_words(fault)))
+    task = LADDERS["reach"].task(own, rung, "test")
+    n, generator = 400, torch.Generator().manual_seed(3)
+    x, y = (30 + (size - 60) * torch.rand(n, generator=generator) for size in (800, 600))  # not inside of the border
+    heading = torch.randint(360, (n,), generator=generator)
+    draws = task.draw(n, generator)
+    state = task.start(torch.arange(n), heading, draws)._replace(x=x, y=y)
+    seen = task.sense(state, draws)[0].reshape(n, 10, 3).double().numpy()
+    plain = dataclasses.replace(task, trained_reach=None).sense(state, draws)[0].reshape(n, 10, 3).double().numpy()
+    assert (seen[..., :2] == plain[..., :2]).all()
+    empty = (plain[..., :2] == 0).all(-1)
+    assert (seen[empty] == [0, 0, 1]).all()
+    checked = 0
+    for row, slot in zip(*np.nonzero(~empty), strict=True):
+        if 0 < plain[row, slot, 2] < 1:  # else it is clamped, and the distance not known
+            distance = 30 + plain[row, slot, 2] * (rung - 30)
+            assert seen[row, slot, 2] == pytest.approx(min((distance - 30) / (100 - 30), 1), abs=1e-5)
+            checked += 1
+    assert checked > 200
+
+
+def test_a_proximity_is_1_from_the_reach_of_training_on_and_less_within_it():
+    task = LADDERS["reach"].task(make_task(EMPTY), 160, "test").with_bank(torch.tensor([[[400.0, 480.0, 30.0]]]))
+    state = task.start(torch.tensor([0]), torch.tensor([90]))
+    assert task.sense(state)[0][0, :3].tolist() == [0, 1, 1]  # 150 px away, out of the old sensor's reach
+    near = task.sense(state._replace(y=torch.tensor([375.0])))[0][0, :3]
+    assert near.tolist() == pytest.approx([0, 1, 0.5])  # 75 px away
+
+
+def test_at_its_own_reach_a_policy_flies_the_very_same_task():
+    own = make_task(EMPTY)
+    assert LADDERS["reach"].task(own, 120, "test").trained_reach is None

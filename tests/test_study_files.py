@@ -6,12 +6,15 @@ import runpy
 from pathlib import Path
 
 import pytest
+from spoiling import put
 
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError
 from uavnav.runs import read_settings, run_folders
+from uavnav.studies.run import evaluated, unflown
 from uavnav.study import main, parse
+from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
 
 ROOT = Path(__file__).parent.parent
@@ -50,6 +53,45 @@ def test_seeds_and_frames_of_the_command_line_hold_for_every_cell(tmp_path):
     assert {(cell.config.n_seeds, cell.config.total_frames) for cell in found} == {(3, 5_000)}
 
 
+def test_a_cell_is_flown_on_the_test_sets_of_its_rung_and_across_ladders_once_it_is_trained(tmp_path):
+    mine = MINE.replace("cells:", "  evaluate: {episodes: 5, max_steps: 9, across: [density, arc]}\ncells:")
+    mine = mine.replace("world.slots: listed", "layouts: density-4/train, faults.noise: 5")
+    cell = studies.cells(studies.read(written(tmp_path, mine)), tmp_path)[0]
+    assert cell.evaluation == {"episodes": 5, "max_steps": 9, "layouts": "density-4/test"}
+    assert cell.config.faults.noise == 5
+    bounds = ["--episodes", "5", "--max-steps", "9"]
+    own = [*bounds, "--layouts", "density-4/test"]
+    assert unflown(cell) == [own, [*bounds, "--across", "density", "arc"]]
+    put(cell.out / "evaluation-density-4-test-5-9.parquet", "")
+    put(cell.out / "across-density-5-9.parquet", "")
+    assert unflown(cell) == [[*bounds, "--across", "arc"]]
+    put(cell.out / "across-arc-5-9.parquet", "")
+    assert evaluated(cell)
+    assert unflown(cell._replace(evaluation=None)) == []
+
+
+@pytest.mark.parametrize(
+    ("layouts", "test"),
+    [("train", "test"), ("slalom-80/train", "slalom-80/test"), ("runs/banks/4/train.safetensors", "test")],
+)
+def test_the_test_sets_of_a_bank_are_those_of_its_rung(layouts, test):
+    assert judged_on(layouts) == test
+
+
+def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_each_world():
+    found = studies.cells(studies.read("worlds"), Path("out"))
+    worlds = {(one.config.task, str(one.config.layouts), str(one.config.faults)) for one in found}
+    assert len(found) == len(worlds) * 2 * (5 + 2)
+    assert {one.config.total_frames for one in found} == {500_000}
+    assert {one.evaluation["max_steps"] for one in found if one.config.task == "goal"} == {1000}
+    assert {one.across for one in found if one.config.layouts == "train" and one.config.task == "drone"} == {
+        (),
+        ("density", "slalom"),
+    }
+    tuned = {(one.config.algorithm, one.config.preset) for one in found if one.config.preset != "paper"}
+    assert tuned == {("ppo", "fast"), ("dqn", "fast")}
+
+
 @pytest.mark.parametrize("name", studies.names())
 def test_the_study_files_of_the_package_hold_eight_cells_or_so_and_none_shares_a_folder(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -84,6 +126,7 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
         ("cells: [{algorithm: ppo, lr: [0.1, 0.2]}]", "two cells share it; name in braces what they differ in"),
         ("cells: [{algorithm: ppo, folder: '{lr}'}]", "folder={lr}: names 'lr', which the cell does not set"),
         ("cells: [{algorithm: ppo, evaluate: {steps: 3}}]", "evaluate={'steps': 3}; give true, false, or some of"),
+        ("cells: [{algorithm: ppo, evaluate: {across: [arcs]}}]", "across=['arcs']; give a list of some of density"),
         ("banks: many\ncells: [{algorithm: ppo}]", "banks=many; give a list of numbers of obstacles, such as [4, 12]"),
         ("settings: 3\ncells: [{algorithm: ppo}]", "settings=3; give keys and values"),
     ],

@@ -18,11 +18,11 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from uavnav import policies, stats
-from uavnav.evaluate import fly
+from uavnav.evaluate import fly, rows_across
 from uavnav.files import write
 from uavnav.policies import Policy
 from uavnav.report import style
-from uavnav.runs import Run
+from uavnav.runs import Run, metrics
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import lock, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
@@ -36,7 +36,7 @@ MEASURES = {
     "collisions": "collisions per 1,000 px",
     "survive": "flights still up at the cap [%]",
 }
-"""What a ladder is judged by, in words with its unit."""
+"""What every ladder is judged by, in words with its unit; those of `metrics.OWN` that rows tell come on top."""
 COLLISIONS_PER = 1000.0  # px
 
 
@@ -89,43 +89,51 @@ def climb(
     return pd.concat(parts, ignore_index=True)
 
 
-def judged(rows: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Means and 95 % intervals over seeds, a row a name, mode, rung and measure; rows: of `climb`, by name."""
+def of_seeds(flown: pd.DataFrame) -> pd.DataFrame:
+    """Each measure of some episodes: a row a seed, a column a measure; `MEASURES`, and those of `metrics.OWN`."""
+    hit = flown["terminated"] & (flown.get("succeeded", 0) == 0)  # a goal ends a flight too
+    sums = (
+        flown.assign(hit=hit)
+        .groupby("seed")
+        .agg(reward=("reward", "mean"), hits=("hit", "sum"), px=("distance", "sum"), up=("truncated", "mean"))
+    )
+    rate = COLLISIONS_PER * sums["hits"] / sums["px"].where(sums["px"] > 0)
+    values = pd.DataFrame({"reward": sums["reward"], "collisions": rate, "survive": 100 * sums["up"]})
+    return values.join(metrics.own(flown))
+
+
+def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung") -> pd.DataFrame:
+    """Means and 95 % intervals over seeds, a row a name, mode, rung and measure; rows: of `climb`, by name.
+
+    by: the column that tells what was flown.
+    """
     found = []
     for name, table in rows.items():
-        for (mode, rung), flown in table.groupby(["mode", "rung"], sort=False):
-            hit = flown["terminated"] & (flown.get("succeeded", 0) == 0)  # a goal ends a flight too
-            sums = (
-                flown.assign(hit=hit)
-                .groupby("seed")
-                .agg(reward=("reward", "mean"), hits=("hit", "sum"), px=("distance", "sum"), up=("truncated", "mean"))
-            )
-            flat = sums["px"].where(sums["px"] > 0)
-            values = {"reward": sums["reward"], "collisions": COLLISIONS_PER * sums["hits"] / flat}
-            values["survive"] = 100 * sums["up"]
-            for measure in MEASURES:
-                one = stats.interval(values[measure].dropna().to_numpy())
+        for (mode, rung), flown in table.groupby(["mode", by], sort=False):
+            for measure, values in of_seeds(flown).items():
+                one = stats.interval(values.dropna().to_numpy())
                 found.append([name, mode, rung, measure, one.n, one.value, one.low, one.high])
-    columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
+    columns = ["name", "mode", by, "measure", "n", "value", "low", "high"]
     return pd.DataFrame(found, columns=columns)
 
 
 @matplotlib.rc_context(style.STYLE)
 def draw(table: pd.DataFrame, ladder: Ladder) -> style.Drawn:
     """Each measure against difficulty, one line a policy as it acts in training, bands for intervals."""
-    figure = Figure(figsize=(style.WIDTH, 8.5), layout="constrained")
-    panels = figure.subplots(len(MEASURES), 1, sharex=True)
     mine = table[table["mode"] != "greedy"]
+    measures = [*dict.fromkeys(mine["measure"])]
+    figure = Figure(figsize=(style.WIDTH, 1 + 2.5 * len(measures)), layout="constrained")
+    panels = figure.subplots(len(measures), 1, sharex=True)
     names = list(dict.fromkeys(mine["name"]))
     learned = [name for name in names if name not in BASELINES]
     colours = dict(zip(learned, itertools.cycle([*style.COLOURS.values(), *style.OTHER_COLOURS]), strict=False))
     lines = dict(zip(BASELINES, (":", "-.", "--"), strict=True))
-    for axes, measure in zip(panels, MEASURES, strict=True):
+    for axes, measure in zip(panels, measures, strict=True):
         for name, own in mine[mine["measure"] == measure].groupby("name", sort=False):
             colour, line = colours.get(str(name), style.INK), lines.get(str(name), "-")
             axes.plot(own["rung"], own["value"], line, color=colour, marker="o", label=str(name))
             axes.fill_between(own["rung"], own["low"], own["high"], color=colour, alpha=0.15, linewidth=0)
-        axes.set_title(MEASURES[measure])
+        axes.set_title(in_words(measure))
     panels[-1].set_xlabel(ladder.words)
     panels[-1].set_xticks(sorted(ladder.rungs))
     style.legend(figure, panels[0].get_legend_handles_labels()[0])
@@ -145,8 +153,13 @@ def shown(table: pd.DataFrame, name: str) -> Table:
     for column in ("who", "", "measure", *(f"{rung:g}" for rung in rungs)):
         text.add_column(column, justify="left" if column in ("who", "", "measure") else "right")
     for (who, mode, measure), own in table.groupby(["name", "mode", "measure"], sort=False):
-        text.add_row(str(who), str(mode), MEASURES[str(measure)], *map(_number, own["value"]))
+        text.add_row(str(who), str(mode), in_words(str(measure)), *map(_number, own["value"]))
     return text
+
+
+def in_words(measure: str) -> str:
+    """A measure with its unit."""
+    return MEASURES[measure] if measure in MEASURES else metrics.OWN[measure].label
 
 
 def _number(value: float) -> str:
@@ -183,19 +196,20 @@ def across(
     folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
     records: list[dict[str, Any]] = []
     for name in names:
-        rows = {}
+        rows, kept = {}, rows_across(name, episodes, max_steps)
+        stem = Path(kept).stem
         for one in flyers:
             rows[one.name] = climb(one, LADDERS[name], episodes, max_steps, quiet, theirs)
             if one.folder is not None:
                 rows[one.name].attrs = {"ladder": name, "episodes": episodes, "max_steps": max_steps}
                 with lock(one.folder):
-                    write_table(one.folder / f"across-{name}-{episodes}-{max_steps}.parquet", rows[one.name])
+                    write_table(one.folder / kept, rows[one.name])
         table = judged(rows)
         svg, png = style.save(draw(table, LADDERS[name]).figure)
-        write(folder / f"across-{name}.svg", svg)
-        write(folder / f"across-{name}.png", png)
+        write(folder / f"{stem}.svg", svg)
+        write(folder / f"{stem}.png", png)
         if not quiet:
             display.show(shown(table, name))
-            print(f"the figure is {folder / f'across-{name}.png'}", flush=True)
+            print(f"the figure is {folder / f'{stem}.png'}", flush=True)
         records += [{"ladder": name, **dict(one)} for one in table.to_dict("records")]  # type: ignore[arg-type]
     return records

@@ -179,14 +179,17 @@ def _evaluate(parser: Parser) -> None:
     parser.epilog = "example: uavnav evaluate runs/ppo/relu reactive --episodes 200"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
-    told = f"cap on steps (default: {MAX_STEPS:,}; across ladders {ACROSS_STEPS:,})"
+    told = f"cap on steps (default: {MAX_STEPS:,}; across ladders and worlds {ACROSS_STEPS:,})"
     parser.add_argument("--max-steps", type=int, help=told)
     _bank(parser)
     _task(parser)
     told = "fly with these faults, or with none, instead of those of training, such as noise=5,late=2"
     parser.add_argument("--faults", metavar="FAULT=NUMBER,...", help=told)
     told = f"fly every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
-    parser.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)
+    told = "fly each in every world that one of the runs was trained in instead, and draw the matrix"
+    where.add_argument("--transfer", action="store_true", help=told)
     _activation(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"

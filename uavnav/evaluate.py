@@ -6,6 +6,7 @@ whatever else flies (scripted baselines, zips of Stable-Baselines3), whose rows 
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 from argparse import Namespace
@@ -243,11 +244,24 @@ def files_of(layouts: str | Path, episodes: int, max_steps: int, faults: Faults 
     `evaluation.parquet` is for 200 test sets and 10,000 steps alone, with the faults of training; another protocol has
     a file of its own, such as `evaluation-test-10-500.parquet`, or `evaluation-test-200-10000-noise=5.parquet`.
     """
-    if (str(layouts), episodes, max_steps, faults) == ("test", EPISODES, MAX_STEPS, None):
-        return EVALUATION, BEHAVIOUR
-    given = "" if faults is None else f"-{faults}"
-    own = f"-{banks.name_of(layouts)}-{episodes}-{max_steps}{given}.parquet"
+    own = f"{protocol_name(layouts, episodes, max_steps, faults)}.parquet"
     return EVALUATION.replace(".parquet", own), BEHAVIOUR.replace(".parquet", own)
+
+
+def protocol_name(
+    layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None, task: str = "drone"
+) -> str:
+    """What a file's name says of a protocol, so that none replaces another's: nothing for 200 test sets of the paper's
+    task and 10,000 steps, or such as `-test-10-500` and `-moving-test-200-10000-noise=5`."""
+    if (str(layouts), episodes, max_steps, faults, task) == ("test", EPISODES, MAX_STEPS, None, "drone"):
+        return ""
+    parts = (*[task] * (task != "drone"), banks.name_of(layouts), episodes, max_steps, *[faults] * (faults is not None))
+    return "".join(f"-{part}" for part in parts)
+
+
+def rows_across(ladder: str, episodes: int, max_steps: int) -> str:
+    """The file of a run's rows across a ladder, in its folder."""
+    return f"across-{ladder}-{episodes}-{max_steps}.parquet"
 
 
 def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
@@ -269,19 +283,27 @@ def _faults(words: str) -> Faults:
         raise ValueError(f"--faults {words}: {error}") from error
 
 
-def _rows_file(name: str, mode: str) -> str:
+def _rows_file(name: str, mode: str, protocol: str = "") -> str:
     """Where the rows of what is no run are kept; a report calls them so."""
-    return f"{name}.parquet" if name in BASELINES else f"{Path(name).stem}-{mode}.parquet"
+    who = name if name in BASELINES else f"{Path(name).stem}-{mode}"
+    return f"{who}{protocol}.parquet"
 
 
-def _across(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPolicy]]) -> int:
-    """The command with `--across`; returns the exit status."""
-    from uavnav.across import across  # which flies as this module does
+def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPolicy]]) -> int:
+    """The command with `--across` or `--transfer`; returns the exit status."""
+    from uavnav.across import across  # which fly as this module does
+    from uavnav.transfer import transfer
 
-    names = [one for word in arguments.across for one in GROUPS.get(word, (word,))]
+    if (given := arguments.faults) is not None:
+        raise ValueError(f"--faults {given}: ladders and worlds of training have their own; leave it out")
     cap = ACROSS_STEPS if arguments.max_steps is None else arguments.max_steps
     quiet = arguments.quiet or arguments.json
-    records = across(found, list(dict.fromkeys(names)), arguments.episodes, cap, arguments.out, quiet)
+    if arguments.transfer:
+        tell = functools.partial(print, file=sys.stderr)
+        records = transfer(found, arguments.episodes, cap, arguments.out, quiet, tell)
+    else:
+        names = [one for word in arguments.across for one in GROUPS.get(word, (word,))]
+        records = across(found, list(dict.fromkeys(names)), arguments.episodes, cap, arguments.out, quiet)
     if arguments.json:
         print(json.dumps(records, indent=2))
     return 0
@@ -296,15 +318,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
             raise ValueError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
         found = {name: _found(name, arguments.activation) for name in arguments.runs}
-        if arguments.out is not None:
-            for name, run in found.items():
-                for mode in () if isinstance(run, Run) else run:
-                    check_out(arguments.out / _rows_file(name, mode))
-        if arguments.across is not None:
-            return _across(arguments, found)
         max_steps = MAX_STEPS if arguments.max_steps is None else arguments.max_steps
         bounds = arguments.layouts, arguments.episodes, max_steps
         faults = None if arguments.faults is None else _faults(arguments.faults)
+        protocol = protocol_name(*bounds, faults, arguments.task)
+        if arguments.out is not None:
+            for name, run in found.items():
+                for mode in () if isinstance(run, Run) else run:
+                    check_out(arguments.out / _rows_file(name, mode, protocol))
+        if arguments.across is not None or arguments.transfer:
+            return _elsewhere(arguments, found)
         scripted = make_task(EMPTY, task=arguments.task)
         quiet, records = arguments.quiet or arguments.json, []
         for name, run in found.items():
@@ -320,7 +343,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
                 kept = []
                 for mode, part in flown.items() if arguments.out is not None else ():
-                    path = arguments.out / _rows_file(name, mode)
+                    path = arguments.out / _rows_file(name, mode, protocol)
                     path.parent.mkdir(parents=True, exist_ok=True)
                     part.attrs = header(*bounds, faults)
                     write_table(path, part)

@@ -5,7 +5,8 @@
     settings:                   # of every cell, unless it says otherwise
       activation: [tanh, relu]  # a list stands for a cell each, in all combinations
       n_seeds: 20               # any setting of an algorithm
-      evaluate: {episodes: 10, max_steps: 500}  # by default 200 test sets of 10,000 steps; false: not at all
+      evaluate: {episodes: 10, max_steps: 500}  # by default 200 test sets of 10,000 steps; false: not at all;
+                                # with `across: [density]` the rungs of ladders too
       dqn: {learning_starts: 1000}              # of one algorithm's cells
     cells:
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in {out}/rate-0.001/ppo/tanh and so on
@@ -26,7 +27,9 @@ import yaml
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError, choose_from, unknown, unknown_key
 from uavnav.evaluate import EPISODES, MAX_STEPS
-from uavnav.training.config import TrainConfig
+from uavnav.tasks.layouts import judged_on
+from uavnav.tasks.protocol import LADDER_NAMES
+from uavnav.training.config import PARTS, TrainConfig
 
 HERE = Path(__file__).parent
 KEYS = ("what", "banks", "settings", "cells")
@@ -40,8 +43,10 @@ class Cell(NamedTuple):
 
     config: TrainConfig
     out: Path
-    evaluation: dict[str, int] | None
-    """Sets of the bank `test` and steps at most; None: it is not flown."""
+    evaluation: dict[str, Any] | None
+    """Sets and steps at most, and the bank where it is not `test`; None: it is not flown."""
+    across: tuple[str, ...] = ()
+    """Ladders that it flies too, with as many sets and steps."""
 
 
 class Study(NamedTuple):
@@ -150,19 +155,31 @@ def _cell(said: Mapping[str, Any], out: Path) -> Cell:
         folder = str(said.get("folder", "")).format(**names)
     except (KeyError, IndexError, ValueError) as error:
         raise ConfigError(f"folder={said['folder']}: names {error}, which the cell does not set") from error
-    return Cell(config, out / folder / config.algorithm / config.activation, _protocol(said.get("evaluate", True)))
+    evaluation, across = _protocol(said.get("evaluate", True))
+    if evaluation is not None and (bank := judged_on(config.layouts)) != "test" and bank != config.layouts:
+        evaluation |= {"layouts": bank}
+    return Cell(config, out / folder / config.algorithm / config.activation, evaluation, across)
 
 
 def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with `world.slots: listed` as part of a `world`."""
-    world = {key.removeprefix("world."): value for key, value in settings.items() if key.startswith("world.")}
-    others = {key: value for key, value in settings.items() if not key.startswith("world.")}
-    return others | ({"world": world} if world else {})
+    """Settings with `world.slots: listed` as part of a `world`, and those of faults alike."""
+    found: dict[str, Any] = {}
+    for key, value in settings.items():
+        part, _, name = key.partition(".")
+        if part in PARTS and name:
+            found.setdefault(part, {})[name] = value
+        else:
+            found[key] = value
+    return found
 
 
-def _protocol(said: Any) -> dict[str, int] | None:
+def _protocol(said: Any) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """How cells are flown, and across which ladders."""
     if isinstance(said, bool):
-        return dict(PROTOCOL) if said else None
-    if not isinstance(said, dict) or not said.keys() <= PROTOCOL.keys():
-        raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join(PROTOCOL)}")
-    return PROTOCOL | said
+        return (dict(PROTOCOL) if said else None), ()
+    if not isinstance(said, dict) or not said.keys() <= {*PROTOCOL, "across"}:
+        raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join((*PROTOCOL, 'across'))}")
+    across = said.get("across", [])
+    if not isinstance(across, list) or not set(across) <= set(LADDER_NAMES):
+        raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
+    return PROTOCOL | {key: value for key, value in said.items() if key != "across"}, tuple(across)

@@ -11,7 +11,7 @@ import json
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ import pandas as pd
 from uavnav import engines, plugins
 from uavnav.choices import ConfigError
 from uavnav.engines import Engine
-from uavnav.evaluate import files_of
+from uavnav.evaluate import files_of, rows_across
 from uavnav.files import write
 from uavnav.runs import FINISHED, POLICY, PROGRESS, STOP, Run, read_settings
 from uavnav.runs.tables import RunError, lock, write_table
@@ -59,6 +59,7 @@ class Work:
 
     cell: Cell
     shares: list[Share] = field(default_factory=list)
+    flights: int = 0  # that were missing when its last evaluation began
     problem: str = ""
 
     @property
@@ -83,11 +84,28 @@ def trained(cell: Cell) -> bool:
     return meta.is_file() and read_settings(meta).get("status") == FINISHED
 
 
+def unflown(cell: Cell) -> list[list[str]]:
+    """The flights of a cell that its study asks for and that are missing: each the words of `uavnav evaluate`."""
+    if cell.evaluation is None:
+        return []
+    bounds = {key: value for key, value in cell.evaluation.items() if key != "layouts"}
+    missing = [] if (cell.out / _flights(cell.evaluation)[0]).exists() else [_words(cell.evaluation)]
+    ladders = [name for name in cell.across if not (cell.out / rows_across(name, **bounds)).exists()]
+    return missing + [[*_words(bounds), "--across", *ladders]] * bool(ladders)
+
+
 def evaluated(cell: Cell) -> bool:
     """Whether a cell was flown as its study asks."""
-    if cell.evaluation is None:
-        return True
-    return (cell.out / files_of("test", cell.evaluation["episodes"], cell.evaluation["max_steps"])[0]).exists()
+    return not unflown(cell)
+
+
+def _words(protocol: Mapping[str, Any]) -> list[str]:
+    return [part for key, value in protocol.items() for part in (f"--{key.replace('_', '-')}", str(value))]
+
+
+def _flights(protocol: Mapping[str, Any]) -> tuple[str, str]:
+    """The files of rows and behaviour of a protocol."""
+    return files_of(**({"layouts": "test"} | dict(protocol)))
 
 
 def make_banks(out: Path, numbers: Sequence[int]) -> None:
@@ -219,6 +237,7 @@ class Study:
         while len(running) + len(jobs) < self.engine.slots() and (flights or waiting):
             if flights:
                 work = flights.popleft()
+                work.flights = len(unflown(work.cell))
                 jobs.append((self._evaluation(work), work, None))
             else:
                 work, share = waiting.popleft()
@@ -238,9 +257,7 @@ class Study:
         return engines.logged(words, job.with_suffix(".log"))
 
     def _evaluation(self, work: Work) -> list[str]:
-        protocol = work.cell.evaluation or {}
-        words = ["-m", "uavnav", "evaluate", str(work.cell.out)]
-        words += [part for key, value in protocol.items() for part in (f"--{key.replace('_', '-')}", str(value))]
+        words = ["-m", "uavnav", "evaluate", str(work.cell.out), *unflown(work.cell)[0], "--quiet"]
         words += ["--plugins", ",".join(plugins.LOADED)] if plugins.LOADED else []
         return engines.logged(words, self._log(work))
 
@@ -250,9 +267,12 @@ class Study:
     def _ended(self, work: Work, share: Share | None, waiting: deque[tuple[Work, Share]], flights: deque[Work]) -> None:
         """See how a job ended: go on with its cell, give it again, or note what is wrong."""
         if share is None:
-            if evaluated(work.cell):
+            left = len(unflown(work.cell))
+            if not left:
                 self._log(work).unlink(missing_ok=True)
                 self.say(f"{_shown(work.cell.out)}: finished")
+            elif left < work.flights:
+                flights.append(work)
             else:
                 self._failed(work, f"was not evaluated, see {self._log(work)}")
             return
@@ -333,7 +353,7 @@ class Study:
 
 def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
     """Put what the shares have flown together, in the order of one evaluation of all seeds: mode by mode."""
-    names = files_of("test", cell.evaluation["episodes"], cell.evaluation["max_steps"]) if cell.evaluation else ()
+    names = _flights(cell.evaluation) if cell.evaluation else ()
     for name in names:
         parts = [pd.read_parquet(folder / name) for folder in folders]
         table = pd.concat(parts, ignore_index=True).sort_values("mode", kind="stable", ignore_index=True)

@@ -45,6 +45,17 @@ def arc(task: Task, rung: float, split: str = "test") -> Task:
     return replace(task, world=replace(task.world, sensor_arc=rung)).on(split, task.max_steps)
 
 
+def reach(task: Task, rung: float, split: str = "test") -> Task:
+    """The policy's world with a sensor that reaches so many px; a proximity is still 1 at the reach of its training."""
+    flown = replace(task, world=replace(task.world, sensor_radius=rung))
+    return reached(flown, task.trained_reach or task.world.sensor_radius).on(split, task.max_steps)
+
+
+def reached(task: Task, own: float) -> Task:
+    """A task as a policy flies it whose sensor reached so many px in training."""
+    return replace(task, trained_reach=None if task.world.sensor_radius == own else own)
+
+
 def speed(task: Task, rung: float, split: str = "test") -> Task:
     """The policy's world with obstacles of up to so many px a step: the bank of 2 px a step, its velocities scaled."""
     bank = layouts.load(split, MovingWorld())
@@ -66,6 +77,7 @@ LADDERS = {
     "density": Ladder("obstacles a set", tuple(range(0, 21, 2)), density),
     "slalom": Ladder("gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), gaps, slalom.passages),
     "arc": Ladder("sensor's arc [degrees]", (60, 90, 120, 180), arc),
+    "reach": Ladder("sensor's radius [px]", (60, 90, 120, 160), reach),
     "speed": Ladder("greatest speed of an obstacle [px a step]", (0, 1, 2, 3, 4, 6), speed),
     "noise": Ladder("noise σ of the sensed distance [px]", faults.RUNGS["noise"], fault("noise")),
     "lost": Ladder("probability of an echo to be lost", faults.RUNGS["lost"], fault("lost")),

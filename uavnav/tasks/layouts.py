@@ -235,6 +235,12 @@ def _world_of(path: str | Path) -> World:
         raise LayoutError(f"{path}: its header does not say how it was drawn ({error}); generate it anew") from error
 
 
+def judged_on(layouts: str | Path) -> str:
+    """The test sets that belong to a training bank: of a rung its own, such as `density-12/test`; else `test`."""
+    rung, slash, split = str(layouts).rpartition("/")
+    return f"{rung}/test" if slash and split in SPLITS and re.match(r"[a-z]+-[^/]*$", rung) else "test"
+
+
 def name_of(layouts: str | Path) -> str:
     """A bank's name as part of a file's: `test`, `density-12-test`, or a path's last part and of its checksum the
     first."""

@@ -29,7 +29,7 @@ SCRIPTS = ("random", "straight", "reactive")
 """Policies that need no training; what they do is in `baselines`."""
 
 OF_FAULTS = ("noise", "lost", "late", "sticky")
-LADDER_NAMES = ("density", "slalom", "arc", "speed", *OF_FAULTS)
+LADDER_NAMES = ("density", "slalom", "arc", "reach", "speed", *OF_FAULTS)
 """What `ladders` holds, in its order."""
 GROUPS = {"faults": OF_FAULTS, "all": LADDER_NAMES}
 """Several ladders by one name."""

@@ -63,6 +63,19 @@ def _scaled(distance: Tensor, world: World) -> Tensor:
     return (distance - world.drone_radius) / (world.sensor_radius - world.drone_radius)
 
 
+def scaled(reach: float, world: World, echoes: Echoes | None = None) -> Echoes:
+    """Echoes after which l in eq. (13) is 1 at another reach [px] than the sensor's radius."""
+    near = world.drone_radius
+    ratio = (world.sensor_radius - near) / (reach - near)
+
+    def of_reach(distance: Tensor, filled: Tensor) -> tuple[Tensor, Tensor]:
+        if echoes is not None:
+            distance, filled = echoes(distance, filled)
+        return near + (distance - near) * ratio, filled
+
+    return of_reach
+
+
 def clearance(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> Tensor:
     """The clearance that `sense` gives, alone: [...] px."""
     return _candidates(x, y, obstacles, world)[2].amin(0)

@@ -22,7 +22,7 @@ from uavnav.tasks import layouts as banks
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.rewards import REWARDS, Step, Terms
-from uavnav.tasks.sensing import Echoes, clearance, sense, to_drone_frame
+from uavnav.tasks.sensing import Echoes, clearance, scaled, sense, to_drone_frame
 from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
 
@@ -69,6 +69,7 @@ class Task:
     max_steps: int | None = None  # a cap on steps, or none as in the paper
     stack: int = 1  # newest observations that a policy sees at once, the newest first
     faults: Faults = NO_FAULTS
+    trained_reach: float | None = None  # [px] where a proximity is 1, of a policy trained with another sensor's radius
 
     def __post_init__(self) -> None:
         if self.reward not in REWARDS:
@@ -161,10 +162,11 @@ class Task:
         return slots.flatten(-2), clearance
 
     def echoes(self, draws: Tensor | None) -> Echoes | None:
-        """What faults make of the echoes of slots, if anything: draws [*B, n_draws]."""
-        if draws is None or not (self.faults.noise or self.faults.lost):
-            return None
-        return functools.partial(self.faults.echoes, draws=draws)
+        """What faults, and a policy's other reach, make of the echoes of slots, if anything: draws [*B, n_draws]."""
+        found: Echoes | None = None
+        if draws is not None and (self.faults.noise or self.faults.lost):
+            found = functools.partial(self.faults.echoes, draws=draws)
+        return found if self.trained_reach is None else scaled(self.trained_reach, self.world, found)
 
     def observe(self, state: State) -> tuple[Tensor, Tensor]:
         """What a policy sees, as one vector a row: observation [*B, observation_size], clearance [*B] px.

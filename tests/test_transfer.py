@@ -1,0 +1,104 @@
+"""The transfer matrix: who flies where, what is kept, and who is left out."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from uavnav import transfer
+from uavnav.__main__ import main
+from uavnav.algorithms import ppo
+from uavnav.tasks.simulator import EMPTY, make_task
+
+SMALL = {"total_frames": 64, "n_worlds": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
+RUNS = {
+    "paper": {"n_seeds": 2},
+    "moving": {"task": "moving", "world": {"speed_max": 3.0}},
+    "dense": {"layouts": "density-12/train", "stack": 2},
+    "far": {"world": {"sensor_radius": 160.0}, "faults": {"noise": 5.0}},
+    "goal": {"task": "goal"},
+}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("transfer")
+    return {name: ppo.train(ppo.PPOConfig(**SMALL, **own), folder / name, quiet=True) for name, own in RUNS.items()}
+
+
+@pytest.mark.parametrize(
+    ("own", "layouts", "name"),
+    [
+        ({}, "test", "drone"),
+        ({"task": "moving"}, "test", "moving"),
+        ({"task": "moving", "world": {"speed_max": 3.0}}, "test", "moving, speed_max=3.0"),
+        ({}, "slalom-80/test", "slalom-80"),
+        ({"faults": {"noise": 5.0}}, "density-12/test", "density-12, noise=5"),
+    ],
+)
+def test_a_world_is_named_by_what_is_not_as_usual(own, layouts, name):
+    assert transfer.named(make_task(EMPTY, **own), layouts) == name
+
+
+def test_each_policy_flies_in_each_world_of_training_and_one_of_other_observations_is_left_out(runs, capsys, tmp_path):
+    words = ["evaluate", *(str(run.path) for run in runs.values()), "reactive", "--transfer", "--json"]
+    assert main([*words, "--episodes", "2", "--max-steps", "20", "--out", str(tmp_path / "out")]) == 0
+    printed, err = capsys.readouterr()
+    assert err == f"left out, for their observations are not of 30 numbers: {runs['goal'].path}\n"
+    worlds = ["drone", "moving, speed_max=3.0", "density-12", "drone, sensor_radius=160.0, noise=5"]
+    rows = pd.read_parquet(tmp_path / "out" / "transfer-2-20.parquet")
+    seeds = {str(run.path): len(run.seeds) for name, run in runs.items() if name != "goal"}
+    assert len(rows) == 2 * len(worlds) * (2 * sum(seeds.values()) + 1)  # sets, worlds, modes and the rule
+    assert [*rows["flown_in"].unique()] == worlds
+    assert dict(zip(rows["policy"], rows["trained_in"], strict=True)) == {
+        **dict(zip(seeds, worlds, strict=True)),
+        "reactive": "",
+    }
+    said = json.loads(printed)
+    assert {(one["trained_in"], one["flown_in"]) for one in said} == {(a, b) for a in (*worlds, "") for b in worlds}
+    assert (tmp_path / "out" / "transfer-2-20.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_in_its_own_world_a_policy_flies_as_an_evaluation_of_its_run(runs, capsys):
+    for name, bank in (("dense", "density-12/test"), ("far", "test")):
+        who, where = transfer.sort({name: runs[name]}, 3, 30)[:2]
+        own = transfer.visit(who[0][0], where[0]).query("mode == 'greedy'")
+        assert main(["evaluate", str(runs[name].path), "--layouts", bank, "--episodes", "3", "--max-steps", "30"]) == 0
+        kept = pd.read_parquet(next(runs[name].path.glob("evaluation-*-3-30.parquet"))).query("mode == 'greedy'")
+        assert own["reward"].tolist() == kept["reward"].tolist()
+
+
+def test_the_figure_frames_the_world_of_training_and_says_every_number():
+    rows = [
+        ["a", "sampled", world, "reward", 2, value, value - 1, value + 1]
+        for world, value in (("drone", 5.0), ("moving", -3.0))
+    ]
+    columns = ["name", "mode", "flown_in", "measure", "n", "value", "low", "high"]
+    drawn = transfer.draw(pd.DataFrame(rows, columns=columns), {"a": "moving"})
+    assert drawn.alt == "Reward per flight: a in drone 5.00; a in moving -3.00."
+    axes = drawn.figure.axes[0]
+    assert [text.get_text() for text in axes.texts] == ["5.00\n[4.00, 6.00]", "-3.00\n[-4.00, -2.00]"]
+    (frame,) = axes.patches
+    assert round(frame.get_x()) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["reactive", "--transfer"], "--transfer reactive: names no run; give the folders of runs of several worlds"),
+        (["reactive", "--transfer", "--episodes", "0"], "episodes=0, max_steps=2000; give 1 to 1000 episodes"),
+        (
+            ["reactive", "--transfer", "--faults", "noise=5"],
+            "--faults noise=5: ladders and worlds of training",
+        ),
+        (["reactive", "--transfer", "--across", "arc"], "not allowed with argument"),
+    ],
+)
+def test_what_cannot_be_flown_is_one_line(words, line, capsys):
+    try:
+        status = main(["evaluate", *words])
+    except SystemExit as stop:
+        status = stop.code
+    said = capsys.readouterr().err
+    assert (status, said.count("\n")) == (2, 1)
+    assert line in said

@@ -1,0 +1,218 @@
+"""The transfer matrix: trained in one world, flown in another, among worlds whose observations have the same size.
+
+`uavnav evaluate RUN RUN... --transfer` flies each policy on the test sets of each world that one of them was trained
+in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from rich.table import Table
+
+from uavnav.across import MEASURES, Flyer, flyer, judged
+from uavnav.evaluate import fly
+from uavnav.files import write
+from uavnav.policies import Policy
+from uavnav.report import style
+from uavnav.report.tables import with_interval
+from uavnav.runs import Run
+from uavnav.runs.tables import RunError, lock, write_table
+from uavnav.tasks import layouts as banks
+from uavnav.tasks.baselines import AnyPolicy, suited
+from uavnav.tasks.ladders import Measure, measure_of, reached
+from uavnav.tasks.simulator import TASKS, Task
+from uavnav.training import display, machine
+
+FLOWN = "flown_in"
+"""The column that names the world of a flight."""
+
+
+class Place(NamedTuple):
+    """A world that somebody was trained in, on its test sets."""
+
+    name: str
+    task: Task
+    measure: Measure | None
+
+
+def place(run: Run, policy: Policy, episodes: int, max_steps: int) -> Place:
+    """Where a run was trained: its world and faults, on the first test sets that belong to its bank.
+
+    A task's own cap holds where it is lower.
+
+    Raises:
+        LayoutError: there are no such sets.
+    """
+    task, layouts = policy.task, banks.judged_on(run.config["layouts"])
+    flown = replace(task, stack=1).on(layouts, min(max_steps, task.MAX_STEPS or max_steps))
+    return Place(named(task, layouts), flown.with_bank(flown.bank[:episodes]), measure_of(layouts))
+
+
+def named(task: Task, layouts: str) -> str:
+    """A world in words: its task or the rung of its bank, and what else is not as usual."""
+    name = next(name for name, kind in TASKS.items() if kind is type(task))
+    bank = banks.name_of(layouts).removesuffix("-test")
+    usual = asdict(type(task).WORLD())
+    own = [f"{key}={value}" for key, value in asdict(task.world).items() if value != usual[key]]
+    faults = [str(task.faults)] * (str(task.faults) != "none")
+    first = name if bank in banks.SPLITS else bank if name == "drone" else f"{name} {bank}"
+    return ", ".join([first, *own, *faults])
+
+
+def sort(
+    found: Mapping[str, Run | Mapping[str, AnyPolicy]], episodes: int, max_steps: int
+) -> tuple[list[tuple[Flyer, str]], list[Place], list[str]]:
+    """Who flies, each with the world that it was trained in; the worlds; and who is left out.
+
+    A policy is left out if it does not see as many numbers of a moment as the first run's.
+
+    Raises:
+        RunError: no run is given.
+    """
+    flyers = {name: flyer(name, one) for name, one in found.items()}
+    first = {name: next(iter(next(iter(one.by_mode.values())).values())) for name, one in flyers.items()}
+    sizes = {name: one.world.observation_size for name, one in first.items() if isinstance(one, Policy)}
+    places: dict[str, Place] = {}
+    trained: list[tuple[Flyer, str]] = []
+    size = next((sizes[name] for name, one in found.items() if isinstance(one, Run)), None)
+    if size is None:
+        raise RunError(f"--transfer {' '.join(found)}: names no run; give the folders of runs of several worlds")
+    for name, one in found.items():
+        policy, where = first[name], ""
+        if sizes.get(name, size) != size:
+            continue
+        if isinstance(one, Run) and isinstance(policy, Policy):
+            own = place(one, policy, episodes, max_steps)
+            places.setdefault(own.name, own)
+            where = own.name
+        trained.append((flyers[name], where))
+    return trained, [*places.values()], [name for name in found if sizes.get(name, size) != size]
+
+
+def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
+    """Fly a policy's seeds in a world, greedy and sampled: a row an episode, with `mode` and `flown_in`.
+
+    A policy keeps its own memory, and its proximities the reach of its training.
+    """
+    parts = []
+    for mode, population in who.by_mode.items():
+        first = next(iter(population.values()))
+        task = place.task
+        if isinstance(first, Policy):
+            task = replace(reached(task, first.world.sensor_radius), stack=first.task.stack)
+        flown = {seed: suited(policy, task) for seed, policy in population.items()}
+        flights, cap = len(task.bank) * len(flown), task.max_steps or 0
+        with (
+            machine.use_threads(1),
+            display.flights(f"{who.name}, {mode}, in {place.name}", flights, cap, quiet) as tell,
+        ):
+            rows = fly(flown, task, tell, place.measure).episodes
+        parts.append(rows.assign(mode=mode, **{FLOWN: place.name}))
+    return pd.concat(parts, ignore_index=True)
+
+
+@matplotlib.rc_context(style.STYLE)
+def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
+    """The reward of each policy, as it acts in training, in each world: a heat map with its numbers.
+
+    table: of `judged`; trained: by name, the world of its training, which is framed.
+    """
+    mine = table[(table["mode"] != "greedy") & (table["measure"] == "reward")]
+    names, worlds = ([*dict.fromkeys(mine[column])] for column in ("name", FLOWN))
+    found = mine.set_index(["name", FLOWN])
+    values = np.array([[found.loc[(name, world), "value"] for world in worlds] for name in names], dtype=np.float64)
+    figure = Figure(figsize=(style.WIDTH, 2.6 + 0.75 * len(names)), layout="constrained")
+    axes = figure.subplots()
+    image = axes.imshow(values, cmap="cividis", aspect="auto")
+    for (row, column), value in np.ndenumerate(values):
+        one = found.loc[(names[row], worlds[column])]
+        inside = f"\n[{style.number(one['low'])}, {style.number(one['high'])}]" if np.isfinite(one["low"]) else ""
+        dark = np.array(image.to_rgba(np.array([value]))[0, :3]) @ np.array([0.3, 0.6, 0.1]) < 0.5
+        look: dict[str, Any] = {"color": "white" if dark else style.INK, "size": 10}
+        axes.text(column, row, style.number(value) + inside, ha="center", va="center", **look)
+        if trained.get(names[row]) == worlds[column]:
+            axes.add_patch(
+                Rectangle((column - 0.47, row - 0.46), 0.94, 0.92, fill=False, color=style.OPEN, linewidth=2)
+            )
+    axes.set_xticks(range(len(worlds)), worlds, rotation=20, ha="right", rotation_mode="anchor")
+    style.name_rows(axes, [f"{name} (of {trained[name]})" if trained.get(name) else name for name in names])
+    axes.set(title="Reward per flight, framed: the world of training", xlabel="flown in")
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
+    figure.colorbar(image, ax=axes, label="reward per flight", fraction=0.05)
+    told = "; ".join(
+        f"{name} in {world} {style.number(values[row, column])}"
+        for row, name in enumerate(names)
+        for column, world in enumerate(worlds)
+    )
+    return style.Drawn(figure, f"Reward per flight: {told}.")
+
+
+def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
+    """The matrix as a table: a row a policy, mode and measure, a column a world."""
+    text = Table(title="Trained in, flown in: means and 95 % intervals over seeds", title_justify="left", box=None)
+    worlds = [*dict.fromkeys(table[FLOWN])]
+    for column in ("who", "trained in", "", "measure", *worlds):
+        text.add_column(column, justify="right" if column in worlds else "left")
+    kept = table[table["measure"].isin(MEASURES)]
+    for (who, mode, measure), own in kept.groupby(["name", "mode", "measure"], sort=False):
+        numbers = [with_interval(*triple) for triple in own[["value", "low", "high"]].to_numpy().tolist()]
+        text.add_row(str(who), trained.get(str(who), ""), str(mode), MEASURES[str(measure)], *numbers)
+    return text
+
+
+def transfer(
+    found: Mapping[str, Run | Mapping[str, AnyPolicy]],
+    episodes: int,
+    max_steps: int,
+    out: Path | None,
+    quiet: bool,
+    say: Any = print,
+) -> list[dict[str, Any]]:
+    """Fly all that is named in every world of their training; rows and a figure lie in `out` or the first run's folder.
+
+    say: is told, in one line, who is left out because it sees other observations.
+
+    Returns:
+        What the table shows, for JSON.
+
+    Raises:
+        LayoutError, PolicyError, RunError: a bank or a policy cannot be read, or a file not be written.
+        ValueError: a count below 1, or more sets than a bank has.
+    """
+    most = banks.SPLITS["test"].n
+    if not 1 <= episodes <= most or max_steps < 1:
+        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
+    flyers, places, left_out = sort(found, episodes, max_steps)
+    if left_out:
+        size = places[0].task.world.observation_size
+        say(f"left out, for their observations are not of {size} numbers: {', '.join(left_out)}")
+    rows = {who.name: pd.concat([visit(who, one, quiet) for one in places], ignore_index=True) for who, _ in flyers}
+    trained = {who.name: where for who, where in flyers}
+    table = judged(rows, by=FLOWN)
+    first = next(who.folder for who, _ in flyers if who.folder is not None)
+    folder, stem = out or first, f"transfer-{episodes}-{max_steps}"
+    kept = pd.concat(
+        [one.assign(policy=name, trained_in=trained[name]) for name, one in rows.items()], ignore_index=True
+    )
+    kept.attrs = {"episodes": episodes, "max_steps": max_steps}
+    svg, png = style.save(draw(table, trained).figure)
+    folder.mkdir(parents=True, exist_ok=True)
+    with lock(folder):
+        write_table(folder / f"{stem}.parquet", kept)
+        write(folder / f"{stem}.svg", svg)
+        write(folder / f"{stem}.png", png)
+    if not quiet:
+        display.show(shown(table, trained))
+        print(f"the rows are in {folder / f'{stem}.parquet'}\nthe figure is {folder / f'{stem}.png'}", flush=True)
+    return [{"trained_in": trained[one["name"]], **dict(one)} for one in table.to_dict("records")]  # type: ignore[arg-type]

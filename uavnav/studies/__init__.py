@@ -9,6 +9,7 @@
       dqn: {learning_starts: 1000}              # of one algorithm's cells
     cells:
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in {out}/rate-0.001/ppo/tanh and so on
+    tune: ...                   # settings that are searched for first: `search`
 
 `run` carries a study out, and `uavnav.study` is its command.
 """
@@ -25,14 +26,16 @@ import yaml
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError, choose_from, unknown, unknown_key
-from uavnav.evaluate import EPISODES, MAX_STEPS
+from uavnav.evaluate import EPISODES, MAX_STEPS, files_of
 from uavnav.training.config import TrainConfig
 
 HERE = Path(__file__).parent
-KEYS = ("what", "banks", "settings", "cells")
+KEYS = ("what", "banks", "settings", "cells", "tune")
 OF_CELLS = ("folder", "algorithm", "evaluate")
 """Keys of a cell that are no settings of its algorithm."""
 PROTOCOL = {"episodes": EPISODES, "max_steps": MAX_STEPS}
+BANK = "layouts"
+"""A key of `evaluate` for another bank than the test sets."""
 
 
 class Cell(NamedTuple):
@@ -40,8 +43,13 @@ class Cell(NamedTuple):
 
     config: TrainConfig
     out: Path
-    evaluation: dict[str, int] | None
-    """Sets of the bank `test` and steps at most; None: it is not flown."""
+    evaluation: dict[str, Any] | None
+    """`episodes`, sets of the bank `test` or of `layouts`, and `max_steps`; None: it is not flown."""
+
+    @property
+    def flights(self) -> tuple[str, ...]:
+        """The files of rows and of behaviour that its evaluation leaves; none where it is not flown."""
+        return () if self.evaluation is None else files_of(**{BANK: "test"} | self.evaluation)
 
 
 class Study(NamedTuple):
@@ -52,6 +60,7 @@ class Study(NamedTuple):
     banks: list[int]
     settings: Mapping[str, Any]
     cells: list[Mapping[str, Any]]
+    tune: Mapping[str, Any] | None = None
 
 
 def names() -> list[str]:
@@ -93,7 +102,32 @@ def _study(name: str, said: Any) -> Study:
     settings = said.get("settings", {})
     if not isinstance(settings, dict):
         raise ConfigError(f"settings={settings}; give keys and values")
-    return Study(name, str(said.get("what", name)), banks, settings, said["cells"])
+    tune = said.get("tune")
+    if tune is not None and not isinstance(tune, dict):
+        raise ConfigError(f"tune={tune}; give keys and values, as uavnav/studies/tuning.yaml does")
+    return Study(name, str(said.get("what", name)), banks, settings, said["cells"], tune)
+
+
+def only(study: Study, chosen: str | None) -> Study:
+    """The same with the cells of some algorithms, their names between commas.
+
+    Raises:
+        ConfigError: it has no cell of one of them.
+    """
+    if chosen is None:
+        return study
+    wanted = [name.strip() for name in chosen.split(",")]
+    there = {name for cell in study.cells for name in algorithms(cell)}
+    for name in wanted:
+        if name not in there:
+            raise unknown("algorithms", name, there)
+    kept = [dict(cell) | {"algorithm": [name for name in algorithms(cell) if name in wanted]} for cell in study.cells]
+    return study._replace(cells=[cell for cell in kept if cell["algorithm"]])
+
+
+def algorithms(cell: Mapping[str, Any]) -> list[str]:
+    """Those of an entry of `cells`."""
+    return cell["algorithm"] if isinstance(cell["algorithm"], list) else [cell["algorithm"]]
 
 
 def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None = None) -> list[Cell]:
@@ -105,7 +139,7 @@ def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None 
     given = {key: value for key, value in (("n_seeds", seeds), ("total_frames", frames)) if value is not None}
     found = []
     for cell in study.cells:
-        for algorithm in cell["algorithm"] if isinstance(cell["algorithm"], list) else [cell["algorithm"]]:
+        for algorithm in algorithms(cell):
             if algorithm not in ALGORITHMS:
                 raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
             several = _of(algorithm, study.settings) | _of(algorithm, cell) | {"algorithm": algorithm} | given
@@ -160,9 +194,9 @@ def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
     return others | ({"world": world} if world else {})
 
 
-def _protocol(said: Any) -> dict[str, int] | None:
+def _protocol(said: Any) -> dict[str, Any] | None:
     if isinstance(said, bool):
         return dict(PROTOCOL) if said else None
-    if not isinstance(said, dict) or not said.keys() <= PROTOCOL.keys():
-        raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join(PROTOCOL)}")
+    if not isinstance(said, dict) or not said.keys() <= {*PROTOCOL, BANK}:
+        raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join([*PROTOCOL, BANK])}")
     return PROTOCOL | said

@@ -21,7 +21,6 @@ import pandas as pd
 from uavnav import engines, plugins
 from uavnav.choices import ConfigError
 from uavnav.engines import Engine
-from uavnav.evaluate import files_of
 from uavnav.files import write
 from uavnav.runs import FINISHED, POLICY, PROGRESS, STOP, Run, read_settings
 from uavnav.runs.tables import RunError, lock, write_table
@@ -60,6 +59,7 @@ class Work:
     cell: Cell
     shares: list[Share] = field(default_factory=list)
     problem: str = ""
+    diverged: bool = False
 
     @property
     def frames(self) -> int:
@@ -85,9 +85,7 @@ def trained(cell: Cell) -> bool:
 
 def evaluated(cell: Cell) -> bool:
     """Whether a cell was flown as its study asks."""
-    if cell.evaluation is None:
-        return True
-    return (cell.out / files_of("test", cell.evaluation["episodes"], cell.evaluation["max_steps"])[0]).exists()
+    return all((cell.out / name).exists() for name in cell.flights)
 
 
 def make_banks(out: Path, numbers: Sequence[int]) -> None:
@@ -200,7 +198,8 @@ class Study:
             own.note(processes=n)
         work.shares = [Share(path, part) for path, part in shares.split(config, work.cell.out, n).items()]
         for share in work.shares:
-            share.done = (share.folder / "meta.json").is_file() and trained(Cell(share.config, share.folder, None))
+            part = Cell(share.config, share.folder, work.cell.evaluation)
+            share.done = trained(part) and evaluated(part)
             share.frames = share.config.frames if share.done else 0
 
     def _finish_what_is_trained(self, flights: deque[Work]) -> None:
@@ -263,6 +262,7 @@ class Study:
             if all(other.done for other in work.shares):
                 self._join(work, flights)
         elif "error" in said:
+            work.diverged = said.get("diverged", False)
             self._failed(work, said["error"])
         elif share.attempts >= ATTEMPTS:
             log = share.folder.with_name(f"{share.folder.name}.log")
@@ -333,8 +333,7 @@ class Study:
 
 def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
     """Put what the shares have flown together, in the order of one evaluation of all seeds: mode by mode."""
-    names = files_of("test", cell.evaluation["episodes"], cell.evaluation["max_steps"]) if cell.evaluation else ()
-    for name in names:
+    for name in cell.flights:
         parts = [pd.read_parquet(folder / name) for folder in folders]
         table = pd.concat(parts, ignore_index=True).sort_values("mode", kind="stable", ignore_index=True)
         table.attrs = parts[0].attrs

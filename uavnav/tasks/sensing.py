@@ -63,7 +63,7 @@ def scaled(distance: Tensor, world: World) -> Tensor:
     return (distance - world.drone_radius) / (world.sensor_radius - world.drone_radius)
 
 
-def scaled(reach: float, world: World, echoes: Echoes | None = None) -> Echoes:
+def at_reach(reach: float, world: World, echoes: Echoes | None = None) -> Echoes:
     """Echoes after which l in eq. (13) is 1 at another reach [px] than the sensor's radius."""
     near = world.drone_radius
     ratio = (world.sensor_radius - near) / (reach - near)

@@ -22,7 +22,7 @@ from uavnav.tasks import layouts as banks
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.rewards import REWARDS, Step, Terms
-from uavnav.tasks.sensing import Echoes, clearance, scaled, sense, to_drone_frame
+from uavnav.tasks.sensing import Echoes, at_reach, clearance, sense, to_drone_frame
 from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
 
@@ -171,7 +171,7 @@ class Task:
         found: Echoes | None = None
         if draws is not None and (self.faults.noise or self.faults.lost):
             found = functools.partial(self.faults.echoes, draws=draws)
-        return found if self.trained_reach is None else scaled(self.trained_reach, self.world, found)
+        return found if self.trained_reach is None else at_reach(self.trained_reach, self.world, found)
 
     def observe(self, state: State) -> tuple[Tensor, Tensor]:
         """What a policy sees, as one vector a row: observation [*B, observation_size], clearance [*B] px.

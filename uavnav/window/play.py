@@ -137,7 +137,8 @@ def main(argv: list[str] | None = None) -> int:
         you = Pilot("you", rules.nobody, pilots[0].task if pilots else make_task(EMPTY, task=arguments.task))
         if len(you.task.world.size) > 2:
             told = "; uavnav render draws it from above and from the side"
-            raise ValueError(f"{arguments.runs[0] if pilots else arguments.task}: the window shows no world in 3D{told}")
+            shown = arguments.runs[0] if pilots else arguments.task
+            raise ValueError(f"{shown}: the window shows no world in 3D{told}")
         bank = load_layout(arguments.layouts, arguments.layout, [you])
         rules.read_rows(rows_path)
         open_window(hud.DESIGN)

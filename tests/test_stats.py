@@ -175,13 +175,15 @@ def test_intervals_of_many_rows_are_those_of_each_row_alone():
 
 def test_episodes_within_seeds_widen_the_interval_and_a_seed_of_many_episodes_weighs_no_more():
     rng = np.random.default_rng(2)
-    noisy = {seed: rng.normal(0.0, 5.0, 10) for seed in range(8)}
-    exact = {seed: np.full(10, values.mean()) for seed, values in noisy.items()}
-    wide, narrow = stats.nested_interval(noisy), stats.nested_interval(exact)
+    noisy = rng.normal(0.0, 5.0, (8, 10))
+    exact = np.repeat(noisy.mean(1, keepdims=True), 10, axis=1)
+    both = np.stack([noisy, exact], 1)
+    wide, narrow = stats.nested_intervals([*both])
+    assert stats.nested_intervals([*both[:, :1]]) == [wide]  # what stands beside it changes no draw
     assert wide.value == pytest.approx(narrow.value)
     assert wide.high - wide.low > 1.2 * (narrow.high - narrow.low)
-    uneven = {0: np.zeros(1000), 1: np.ones(2)}
-    assert stats.nested_interval(uneven).value == 0.5
+    [uneven] = stats.nested_intervals([np.zeros((1, 1000)), np.ones((1, 2))])
+    assert uneven.value == 0.5
 
 
 @pytest.mark.parametrize(("seeds", "spread"), [(3, 5.0), (5, 5.0), (8, 5.0), (8, 1.0)])
@@ -191,10 +193,8 @@ def test_the_interval_of_few_seeds_of_10_episodes_covers_the_mean_in_88_to_100_p
     """Seeds differ by 1, episodes of a seed by `spread`; of no seeds' own noise the intervals are too wide."""
     monkeypatch.setattr(stats, "RESAMPLES", 500)
     rng = np.random.default_rng(0)
-    found = [
-        stats.nested_interval({seed: rng.normal(rng.normal(7.0, 1.0), spread, 10) for seed in range(seeds)}, seed=draw)
-        for draw in range(200)
-    ]
+    drawn = [[rng.normal(rng.normal(7.0, 1.0), spread, (1, 10)) for _ in range(seeds)] for _ in range(200)]
+    found = [stats.nested_intervals(own, seed=draw)[0] for draw, own in enumerate(drawn)]
     assert 0.88 <= np.mean([one.low <= 7.0 <= one.high for one in found]) <= 1.0
 
 
@@ -270,7 +270,8 @@ def test_where_one_algorithms_activations_are_all_alike_at_most_5_percent_of_stu
 
 
 def test_one_sided_p_values_of_two_and_two_seeds_are_those_of_their_six_orders():
-    above, below = stats._above_and_below(np.array([3.0, 4.0]), np.array([1.0, 2.0]), np.random.default_rng(0))
+    pair = np.array([3.0, 4.0]), np.array([1.0, 2.0])
+    [(above, below)] = stats._above_and_below([pair], np.random.default_rng(0))
     assert above == pytest.approx(1 / 6, abs=0.01)
     assert below == 1.0
 

@@ -27,6 +27,8 @@ TAILS = (1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2
 RESAMPLES = 2_000
 PERMUTATIONS = 19_999
 """Permutations per test; the smallest p value after Holm over 12 ordered pairs is 0.0006."""
+_AT_ONCE = 1 << 22
+"""Numbers that are drawn or permuted in one table, for all of many seeds would not fit in memory."""
 
 
 class Interval(NamedTuple):
@@ -90,6 +92,7 @@ def _ends(table: Array, statistics: Sequence[Callable[..., Any]], value: Array, 
                     (table[varies],),
                     lambda drawn, axis: _each(drawn, statistics, axis),
                     n_resamples=RESAMPLES,
+                    batch=max(1, _AT_ONCE // table.size),
                     confidence_level=CONFIDENCE,
                     method=method,
                     rng=seed,
@@ -279,21 +282,25 @@ def prediction(seeds: Array, number: float) -> Prediction:
     return Prediction(percentile, low, high, low <= number <= high, n)
 
 
-def nested_interval(episodes: Mapping[int, Array], seed: int = 0) -> Interval:
-    """The mean over seeds of each seed's mean over episodes: seeds are resampled, then episodes within each seed.
+def nested_intervals(episodes: Sequence[Array], seed: int = 0) -> list[Interval]:
+    """Means over seeds of each seed's mean over episodes: seeds are resampled, then episodes within each seed.
 
-    episodes: seed -> [E].
+    episodes: [M, E] a seed, whose M columns share their draws; the result is an interval a column.
     """
     rng = np.random.default_rng(seed)
-    means = [float(np.mean(values)) for values in episodes.values()]
+    means = np.array([own.mean(1) for own in episodes])
     if len(means) < 2:
-        return Interval(means[0] if means else np.nan, np.nan, np.nan, len(means))
-    drawn = np.stack(
-        [values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(1) for values in episodes.values()], 1
-    )  # each seed's mean over its resampled episodes
-    picked = np.take_along_axis(drawn, rng.integers(len(means), size=drawn.shape), 1).mean(1)
-    low, high = np.quantile(picked, TAILS)
-    return Interval(float(np.mean(means)), float(low), float(high), len(means))
+        return [Interval(float(one), np.nan, np.nan, 1) for one in means.ravel()]
+    resampled = (rng.integers(own.shape[1], size=(RESAMPLES, own.shape[1])) for own in episodes)
+    drawn = np.array(
+        [[column[places].mean(1) for column in own] for own, places in zip(episodes, resampled, strict=True)]
+    )
+    seeds = rng.integers(len(means), size=(RESAMPLES, len(means)))
+    found = []
+    for value, of_seeds in zip(means.T, drawn.transpose(1, 2, 0), strict=True):
+        low, high = np.quantile(np.take_along_axis(of_seeds, seeds, 1).mean(1), TAILS)
+        found.append(Interval(float(np.mean(value)), float(low), float(high), len(means)))
+    return found
 
 
 def holm(p_values: Sequence[float] | Array) -> Array:
@@ -333,23 +340,32 @@ class Interaction(NamedTuple):
     n: int
 
 
-def _above_and_below(a: Array, b: Array, rng: np.random.Generator) -> Array:
-    """One-sided p values, by permuting seeds, of a's mean above b's mean and below it: [S], [S] -> [2]."""
-    pooled = np.concatenate([a, b])
-    dealt = rng.permuted(np.tile(pooled, (PERMUTATIONS, 1)), axis=1)
-    differences = dealt[:, : len(a)].mean(1) - dealt[:, len(a) :].mean(1)
-    observed, rounding = a.mean() - b.mean(), 1e-12 * np.abs(pooled).max()
-    as_far = [(differences >= observed - rounding).sum(), (differences <= observed + rounding).sum()]
-    return (1 + np.array(as_far)) / (1 + PERMUTATIONS)
+def _above_and_below(pairs: Sequence[tuple[Array, Array]], rng: np.random.Generator) -> Array:
+    """One-sided p values of a's mean above b's mean and below it, by permuting seeds: pairs of [S], [S] -> [pairs, 2].
+
+    Pairs of the same sizes share their permutations.
+    """
+    p_values = np.empty((len(pairs), 2))
+    sizes = [(len(a), len(b)) for a, b in pairs]
+    for n, m in dict.fromkeys(sizes):
+        places = [place for place, size in enumerate(sizes) if size == (n, m)]
+        pooled = np.stack([np.concatenate(pairs[place]) for place in places], 1)
+        share = np.repeat([1 / n, -1 / m], [n, m])  # a permutation of it weighs another choice of n seeds
+        observed, rounding = share @ pooled, 1e-12 * np.abs(pooled).max(0)
+        as_far = np.zeros((2, len(places)))
+        for rows in np.diff([*range(0, PERMUTATIONS, max(1, _AT_ONCE // len(share))), PERMUTATIONS]):
+            differences = rng.permuted(np.tile(share, (rows, 1)), axis=1) @ pooled
+            as_far += (differences >= observed - rounding).sum(0), (differences <= observed + rounding).sum(0)
+        p_values[places] = (1 + as_far.T) / (1 + PERMUTATIONS)
+    return p_values
 
 
 def _crossover(first: Sequence[Array], second: Sequence[Array], rng: np.random.Generator) -> float:
     """P value of a crossover: two cells of one order in the first list and the other order in the second; [S] each."""
-    p_values: list[float] = []
-    for a, b in itertools.combinations(range(len(first)), 2):
-        here, there = (_above_and_below(cells[a], cells[b], rng) for cells in (first, second))
-        p_values.extend(np.maximum(here, there[::-1]))
-    return float(min(1.0, len(p_values) * min(p_values)))  # the smallest after Holm
+    pairs = [*itertools.combinations(range(len(first)), 2)]
+    here, there = (_above_and_below([(cells[a], cells[b]) for a, b in pairs], rng) for cells in (first, second))
+    p_values = np.maximum(here, there[:, ::-1])
+    return float(min(1.0, p_values.size * p_values.min()))  # the smallest after Holm
 
 
 def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -51,6 +51,15 @@ Key = tuple[str, str]
 """Algorithm and activation."""
 
 
+class Counts(NamedTuple):
+    """How many episodes a reading is of; cap: the steps at which some were cut off, 0 where none was."""
+
+    seeds: int
+    episodes: int
+    cut: int
+    cap: int
+
+
 @dataclass(frozen=True, eq=False)
 class Cell:
     """Runs that differ in their seeds alone."""
@@ -62,7 +71,7 @@ class Cell:
     episodes: pd.DataFrame  # of training, the columns of `metrics.EPISODE_COLUMNS`
     evaluation: pd.DataFrame  # the same and `mode`; no rows where there is none
     label: str = ""
-    known: dict[str, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)  # by reading, as of `read_as`
+    known: dict[str, tuple[pd.DataFrame, Counts]] = field(default_factory=dict, init=False, repr=False)  # by reading
 
     def labelled(self, label: str) -> Cell:
         """The same under a label."""
@@ -175,7 +184,8 @@ def _checked(run: Run, name: str, rows: pd.DataFrame) -> pd.DataFrame:
     """The columns that rows of episodes have; or a RunError."""
     if not set(rows["seed"]) <= set(run.seeds):
         raise RunError(f"{run.path / name}.parquet: has seeds that config.yaml has not")
-    return rows[[column for column in (*EPISODE_COLUMNS, "mode") if column in rows]]
+    columns = [column for column in (*EPISODE_COLUMNS, "mode") if column in rows]
+    return rows if columns == [*rows] else rows[columns]  # no copy, for the rows of many seeds are gigabytes
 
 
 def _merged(cell: Cell, other: Cell) -> Cell:
@@ -239,13 +249,29 @@ def read_as(cell: Cell, reading: str) -> pd.DataFrame:
 
     It is worked out once, however often it is asked for: leave the table as it is.
     """
+    return _known(cell, reading)[0]
+
+
+def counts(cell: Cell, reading: str) -> Counts:
+    """How many seeds and episodes a reading is of; worked out once, as `read_as` is."""
+    return _known(cell, reading)[1]
+
+
+def counted(episodes: pd.DataFrame) -> Counts:
+    """How many some rows are."""
+    cut = episodes.loc[episodes["truncated"], "steps"]
+    return Counts(episodes["seed"].nunique(), len(episodes), len(cut), int(cut.max()) if len(cut) else 0)
+
+
+def _known(cell: Cell, reading: str) -> tuple[pd.DataFrame, Counts]:
     if reading not in cell.known:
-        cell.known[reading] = _read_as(cell, reading)
+        episodes = episodes_of(cell, reading)
+        cell.known[reading] = _read_as(cell, reading, episodes), counted(episodes)
     return cell.known[reading]
 
 
-def _read_as(cell: Cell, reading: str) -> pd.DataFrame:
-    own, episodes = cell.settings, episodes_of(cell, reading)
+def _read_as(cell: Cell, reading: str, episodes: pd.DataFrame) -> pd.DataFrame:
+    own = cell.settings
     if reading == PER_FRAME:
         return per_frame(episodes, own["frames"])
     if reading == LOG_CURVE:

@@ -181,12 +181,13 @@ def band(seeds: pd.DataFrame) -> pd.DataFrame:
     if not n:
         return result
     draws = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=RESAMPLES)  # how often each seed
+    sums, counts = draws.astype(np.float64) @ np.stack([filled, there]).transpose(0, 2, 1)
     for row, (own, known) in enumerate(zip(filled, there, strict=True)):
         if known.any():
             result.iloc[row, 0] = own[known].mean()
         if known.sum() > 1:
-            counts = draws @ known
-            means = (draws @ own)[counts > 0] / counts[counts > 0]
+            drawn = counts[:, row] > 0
+            means = sums[drawn, row] / counts[drawn, row]
             result.iloc[row, 1:3] = np.quantile(means, [tail, 1 - tail])
     return result
 

@@ -12,7 +12,7 @@ import pandas as pd
 
 from uavnav import stats
 from uavnav.report import style
-from uavnav.report.cells import Cell, episodes_of, one_line, show
+from uavnav.report.cells import Cell, Counts, counted, counts, episodes_of, one_line, show
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.frames import DIAGNOSTICS, estimates, name, per_seed_values
 from uavnav.report.studies import Cells
@@ -198,10 +198,10 @@ def table(cells: Sequence[Cell], algorithm: str) -> Rows:
                 if not (by_metric["n"] > 0).any():
                     rows.append([cell.label or activation, f"{reading}: missing", "0", "0", NOTHING, *nothing])
                     continue
-                counts = _counts(episodes_of(cell, reading))
+                part = _counts(counts(cell, reading))
                 for which, columns in ((reading, MEAN), (f"{reading}, interquartile mean", MIDDLE)):
                     values = [_estimate(by_metric, one, reading, columns) for one in METRICS]
-                    rows.append([cell.label or activation, which, *counts, *values])
+                    rows.append([cell.label or activation, which, *part, *values])
     return rows
 
 
@@ -215,11 +215,10 @@ def _printed(algorithm: str, activation: str, per_frame: bool) -> list[str]:
     return shown
 
 
-def _counts(part: pd.DataFrame) -> list[str]:
+def _counts(part: Counts) -> list[str]:
     """Seeds, episodes and the share cut off, and at how many steps."""
-    cut = part[part["truncated"]]
-    share = f"{len(cut) / len(part):.1%}" + (f" at {cut['steps'].max():,} steps" if len(cut) else "")
-    return [str(part["seed"].nunique()), f"{len(part):,}", share]
+    share = f"{part.cut / part.episodes:.1%}" + (f" at {part.cap:,} steps" if part.cut else "")
+    return [str(part.seeds), f"{part.episodes:,}", share]
 
 
 def interactions(frame: pd.DataFrame) -> Rows:
@@ -330,16 +329,14 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
         if ended.empty:
             continue
         seeds = per_seed(ended, ratio_of_means=True)
-        of_seeds = [flown for _, flown in ended.groupby("seed")]
+        totals = {key: one.column for key, one in METRICS.items() if one.scale is None and one.column in ended}
+        own = [flown[[*totals.values()]].to_numpy(np.float64).T.copy() for _, flown in ended.groupby("seed")]
+        nested = dict(zip(totals, stats.nested_intervals(own), strict=True))
         shown = []
         for key, metric in METRICS.items():
-            if metric.scale is None and metric.column in ended:
-                own = {seed: flown[metric.column].to_numpy() for seed, flown in enumerate(of_seeds)}
-                one = stats.nested_interval(own)
-            else:
-                one = stats.interval(seeds[key].to_numpy())
+            one = nested[key] if key in nested else stats.interval(seeds[key].to_numpy())
             shown.append(with_interval(*one[:3], min(metric.digits, 2)))
-        rows.append([who, *_counts(ended), *shown])
+        rows.append([who, *_counts(counted(ended)), *shown])
     return rows if found else rows[:1]
 
 

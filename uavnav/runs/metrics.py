@@ -107,7 +107,8 @@ def own(episodes: pd.DataFrame) -> pd.DataFrame:
 
 def finished(episodes: pd.DataFrame) -> pd.DataFrame:
     """The episodes that ended; an episode still open when training ended has neither flag."""
-    return episodes[episodes["terminated"] | episodes["truncated"]]
+    ended = episodes["terminated"] | episodes["truncated"]
+    return episodes if ended.all() else episodes[ended]
 
 
 def last_episodes(episodes: pd.DataFrame, n: int = LAST) -> pd.DataFrame:
@@ -123,9 +124,11 @@ def counted(episodes: pd.DataFrame) -> pd.DataFrame:
 
 def per_episode(episodes: pd.DataFrame) -> pd.DataFrame:
     """Each episode's metrics: a column a metric."""
-    ratios = {name: metric.scale / episodes["steps"] for name, metric in METRICS.items() if metric.scale is not None}
-    counts = counted(episodes)
-    return counts.assign(**{name: ratio * counts[name] for name, ratio in ratios.items()})
+    found = counted(episodes)
+    for name, metric in METRICS.items():
+        if metric.scale is not None:
+            found[name] *= metric.scale / episodes["steps"]
+    return found
 
 
 def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFrame:

@@ -7,6 +7,7 @@ steps in one of W parallel worlds that ended at frame f lasted from f - s W to f
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -93,10 +94,16 @@ def within(
     seeds, owner = np.unique(episodes["seed"], return_inverse=True)
     steps, end, total = (episodes[name].to_numpy(np.float64) for name in ("steps", "frame", column))
     at_end = collision * episodes["terminated"].to_numpy(np.float64)
-    before = np.empty((len(seeds), len(edges)))
-    for index, edge in enumerate(edges):  # one after the other: a table of all would not fit beside many seeds
+    first = np.searchsorted(edges, end - steps * n_worlds, side="right")  # edges that a flight begins behind
+    behind = np.searchsorted(edges, end)  # and those that it ends behind
+    size = len(seeds), len(edges) + 1
+    whole = first == behind  # between two edges
+    sums = np.bincount(owner[whole] * size[1] + behind[whole], total[whole], math.prod(size)).reshape(size)
+    before = sums.cumsum(1)[:, :-1].astype(np.float64)  # of no flights, bincount counts in int64
+    owner, steps, end, total, at_end = (column[~whole] for column in (owner, steps, end, total, at_end))
+    for index, edge in enumerate(edges):
         flown = np.clip((edge - end) / (steps * n_worlds) + 1, 0, 1)  # the part of each flight before the edge
         earned = (total - at_end) * flown + at_end * (end <= edge)
-        before[:, index] = np.bincount(owner, earned, len(seeds))
+        before[:, index] += np.bincount(owner, earned, len(seeds))
     low, high = place.reshape(-1, 2).T
     return pd.DataFrame((before[:, high] - before[:, low]) / (edges[high] - edges[low]), pd.Index(seeds, name="seed"))

@@ -272,9 +272,11 @@ def test_it_plays_by_itself_but_not_for_those_who_want_less_motion(browser, open
 # -- how it looks -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("width", "colours"), [(WIDE, "light"), (NARROW, "dark")])
-def test_axe_finds_nothing_and_all_text_is_readable_and_within_the_screen(browser, opened, width, colours):
-    visit(browser, opened, width=width, colours=colours)
+@pytest.mark.parametrize(
+    ("width", "colours", "fragment"), [(WIDE, "light", "#world=goal&lost=0.1"), (NARROW, "dark", "#world=moving")]
+)
+def test_axe_finds_nothing_and_all_text_is_readable_and_within_the_screen(browser, opened, width, colours, fragment):
+    visit(browser, opened, fragment, width=width, colours=colours)
     browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
     one(browser, "#draw").click()
     browser.execute_script("arguments[0].length; (0, eval)(arguments[0])", AXE.read_text())

@@ -274,7 +274,7 @@ def test_a_flight_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_so
     assert (flight["ended"], flight["steps"]) == ("goal", 20)
     assert flight["reward"] == pytest.approx(10 + 0.01 * 180, abs=0.01)
     assert goal["place"]["sets"] == [{"circles": [], "goal": [400, 520]}]
-    assert late["place"]["title"] == "the paper's world, late=1, stack=2"
+    assert late["place"]["title"] == "late=1, stack=2"
 
 
 def test_a_world_that_the_player_does_not_draw_is_named_with_what_draws_it(tmp_path, monkeypatch):

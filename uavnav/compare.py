@@ -12,15 +12,16 @@ from typing import Any, NamedTuple
 import jinja2
 import numpy as np
 import pandas as pd
+from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
-from uavnav import commands, plugins, policies, stats
+from uavnav import browser, commands, plugins, policies, stats
 from uavnav.choices import did_you_mean_run
 from uavnav.evaluate import EPISODES, MAX_STEPS, evaluate_run, fly, header, on
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
-from uavnav.report import cells, charts, curves, style, tables
+from uavnav.report import cells, charts, curves, replays, style, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import METRICS, per_seed
@@ -179,7 +180,7 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
 
 
 def page(contenders: Sequence[Contender]) -> bytes:
-    """The same as one file of HTML, with figures."""
+    """The same as one file of HTML, with figures, and flights of one seed of each run."""
     trained = {one.name: one.cell for one in contenders if one.cell is not None}
     drawn = [
         charts.improvement_matrix(improvement(contenders), "reward"),
@@ -191,7 +192,15 @@ def page(contenders: Sequence[Contender]) -> bytes:
     names = [one.name for one in contenders]
     template = environment.get_template("compare.html")
     rows, how = tables.side_by_side(seeds_of(contenders)), flown(contenders)
-    return template.render(names=names, rows=rows, pictures=pictures, flown=how).encode()
+    recorded = replays.record([cell.labelled(f"({name})") for name, cell in trained.items()], n_seeds=1)
+    shown = {
+        "css": Markup(browser.joined([browser.HERE / "replay.css"])),
+        "js": Markup(browser.joined(browser.PLAYER)),
+        "replays": Markup(json.dumps(recorded, separators=(",", ":")).replace("<", "\\u003c")),
+        "left_out": recorded["left_out"],
+    }
+    given = {"names": names, "rows": rows, "pictures": pictures, "flown": how}
+    return template.render(**given, **(shown if recorded["cells"] else {"left_out": recorded["left_out"]})).encode()
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -19,6 +19,9 @@ HERE = Path(__file__).parent
 WORLD = (HERE / "world.js", HERE / "sets.js", HERE / "drawing.js")
 """What every page with a drone needs, in the order in which a browser reads it."""
 
+PLAYER = (*WORLD, HERE / "replay.js")
+"""What a page with recorded flights needs."""
+
 SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", "spacing", "height")}
 GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "tries", "scale")}
 RULES: dict[str, dict[str, Any]] = {"slalom": SLALOM, "goal": GOAL}

@@ -35,7 +35,7 @@ async function unpack(flight, fields) {
   return read;
 }
 
-/** A cell in words, with its world where that is not the paper's. */
+/** A cell in words, and where it flies if that has a name. */
 function named({ algorithm, label, mode, place }) {
   return [`${algorithm.toUpperCase()} ${label}`, mode, ...(place ? [place.title] : [])].join(", ");
 }

@@ -45,8 +45,6 @@ DECISIONS = [
     if not line.startswith("|--")
 ]
 """What the paper leaves open, and what was decided: the table of docs/decisions.md, its header first."""
-PLAYER = (*browser.WORLD, browser.HERE / "replay.js")
-"""Scripts of the player, in the order in which a browser reads them."""
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("uavnav.report"),
     trim_blocks=True,
@@ -153,7 +151,7 @@ def page(content: Content, pictures: Mapping[str, str], first: Path) -> str:
         "page.html",
         content,
         css=Markup(browser.joined([HERE / "templates" / "page.css", browser.HERE / "replay.css"])),
-        js=Markup(browser.joined(PLAYER)),
+        js=Markup(browser.joined(browser.PLAYER)),
         replays=Markup(replays),
         version=importlib.metadata.version("uavnav"),
         sections=list(SECTIONS.items()),

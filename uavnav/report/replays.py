@@ -141,8 +141,9 @@ def _place(task: Task, n_layouts: int) -> dict[str, Any]:
     """Where flights were flown, if not in the paper's world as it is: `place`, what the player draws and calls it."""
     name = task.header()["task"]
     faults, stack = task.faults != NO_FAULTS, task.stack > 1
-    words = [browser.TITLES[name], *([str(task.faults)] if faults else []), *([f"stack={task.stack}"] if stack else [])]
-    if name == "drone" and len(words) == 1:
+    found = {browser.TITLES[name]: name != "drone", str(task.faults): faults, f"stack={task.stack}": stack}
+    words = [word for word, is_so in found.items() if is_so]
+    if not words:
         return {}
     rows = _bank(task)[:n_layouts].double().tolist()
     sets = [{"circles": one[:-1], "goal": one[-1][:2]} if isinstance(task, Goal) else {"circles": one} for one in rows]

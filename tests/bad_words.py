@@ -41,7 +41,7 @@ CASES = [
     config({"world": {"border": 30}}, "must divide width=800", "world.border=30 "),
     config({"world": {"slotz": "nearest"}}, "did you mean world.slots?", "there is no key 'world.slotz'"),
     config({"world": 3}, "such as world.sensor_arc=90"),
-    config({"task": "dron"}, "choose from drone, goal, moving (did you mean drone?)"),
+    config({"task": "dron"}, "choose from drone, goal, moving, space, space-moving (did you mean drone?)"),
     config({"slots": "listed"}, "did you mean world.slots?", "there is no key 'slots'"),
     config({"init": "xavier"}, "choose from default, orthogonal"),
     config({"compile": "maybe"}, "choose from auto, off, on"),

@@ -38,26 +38,28 @@ const packed = (numbers) => {
 SENSED = (
     PACKED
     + """
-const [poses, bank] = arguments;
-const seen = poses.map(([x, y, heading, set]) => sense(playground.world, { x, y, heading }, bank[set]));
+const [name, poses, sets] = arguments;
+const task = new TASKS[name](playground.data.tasks[name]);
+const seen = poses.map(([x, y, heading, place, steps]) => task.observe({ x, y, heading, steps }, sets[place]));
 return [packed(seen.flatMap(({ observation }) => [...observation])), packed(seen.map(({ clearance }) => clearance))];
 """
 )
 FLOWN = (
     PACKED
     + """
-const [flights, bank] = arguments;
-const world = playground.world;
-return flights.map(([set, actions]) => {
-  let state = start(world);
+const [name, flights, sets, faults] = arguments;
+const task = new TASKS[name](playground.data.tasks[name], faults ?? NO_FAULTS);
+return flights.map(([place, actions, draws]) => {
+  let state = task.start(sets[place], draws?.[0]);
   const rows = [];
-  const seen = [...sense(world, state, bank[set]).observation];
-  for (const action of actions) {
-    const after = step(world, state, action, bank[set]);
+  const seen = [...task.observe(state, sets[place]).observation];
+  actions.forEach((action, nth) => {
+    const after = task.step(state, action, sets[place], draws?.[nth + 1]);
     state = after.state;
-    rows.push(state.x, state.y, state.heading, after.clearance, state.reward, Number(after.collided));
+    rows.push(state.x, state.y, state.heading, after.clearance, state.reward, Number(after.ended === "collision"));
+    rows.push(Number(after.ended === "goal"), Number(after.ended === "time-out"));
     seen.push(...after.observation);
-  }
+  });
   const reached = playground.data.metrics.map((metric) => metricOf(metric, state));
   return [packed(rows), packed(seen), reached];
 });
@@ -86,12 +88,29 @@ def unpacked(text, *shape):
     return torch.from_numpy(np.frombuffer(base64.b64decode(text), "<f4").copy()).reshape(shape)
 
 
-# -- the world --------------------------------------------------------------------------------------------------------
+# -- the worlds -------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def bank():
     return layouts.load("test")[:SETS]
+
+
+@pytest.fixture(scope="module", params=["drone", "moving", "goal"])
+def task(request):
+    """A world on the first sets of its bank."""
+    whole = make_task("test", task=request.param)
+    return whole.with_bank(whole.bank[:SETS])
+
+
+def name_of(task):
+    return task.header()["task"]
+
+
+def sets_of(task):
+    """A bank as world.js has sets."""
+    rows = task.bank.double().tolist()
+    return [{"circles": one[:-1], "goal": one[-1][:2]} if name_of(task) == "goal" else {"circles": one} for one in rows]
 
 
 @pytest.fixture(scope="module")
@@ -106,15 +125,22 @@ def poses():
     return x, y, heading, torch.arange(POSES) % SETS
 
 
-def test_2000_poses_are_sensed_as_by_python_within_a_ten_thousandth(chrome, opened, bank, poses):
+def placed(task, poses):
+    """The states at poses, after 0 to 100,000 steps."""
     x, y, heading, places = poses
-    slots, clearance = sense(x, y, heading, bank[places], World())
-    rows = torch.stack([x.double(), y.double(), heading.double(), places.double()], 1)
-    rows = [[*row[:2], int(row[2]), int(row[3])] for row in rows.tolist()]
-    seen, near = chrome.execute_script(SENSED, rows, bank.double().tolist())
-    assert (unpacked(seen, POSES, 10, 3) - slots).abs().max() <= CLOSE
+    steps = torch.randint(100_000, (POSES,), generator=torch.Generator().manual_seed(8))
+    return task.place(places, heading)._replace(x=x, y=y, steps=steps)
+
+
+def test_2000_poses_are_sensed_as_by_python_within_a_ten_thousandth(chrome, opened, task, poses):
+    state = placed(task, poses)
+    seen, clearance = task.observe(state)
+    rows = torch.stack([state.x.double(), state.y.double(), state.heading, state.layout, state.steps], 1).tolist()
+    rows = [[*row[:2], *map(int, row[2:])] for row in rows]
+    mine, near = chrome.execute_script(SENSED, name_of(task), rows, sets_of(task))
+    assert (unpacked(mine, *seen.shape) - seen).abs().max() <= CLOSE
     assert (unpacked(near, POSES) - clearance).abs().max() <= CLOSE
-    filled = (slots[..., 2] < 1).sum(1)
+    filled = (seen[:, 2:30:3] < 1).sum(1)
     assert {0, 1, 10} <= set(filled.tolist())  # empty, alone, and more than there is room for
     assert 0.2 < (clearance <= 30).float().mean() < 0.9
 
@@ -159,41 +185,55 @@ def committed():
 
 def in_order(observations):
     """Slots [..., 10, 3] in the order of their right components, whatever their distances."""
-    slots = observations.unflatten(-1, (10, 3))
+    slots = observations[..., :30].unflatten(-1, (10, 3))
     return slots.gather(-2, slots[..., :1].argsort(-2).expand_as(slots))
 
 
-def test_50_flights_of_committed_actions_are_flown_as_by_python_and_end_as_their_rows_say(chrome, opened, bank):
-    flights, rows = committed()
-    found = chrome.execute_script(FLOWN, flights, bank.double().tolist())
-    assert len(flights) == len(found) == 50
-    task, longest = make_task(bank), max(len(actions) for _, actions in flights)
-    padded = torch.tensor([actions + [0] * (longest - len(actions)) for _, actions in flights])
-    state = task.start(torch.tensor([place for place, _ in flights]), torch.full((50,), 90))
-    seen, poses, counts = [task.observe(state)[0]], [], []
-    for actions in padded.T:
-        state, outcome = task.step(state, actions)
+def in_python(task, places, actions, draws=None):
+    """Flights of given actions [F, T] on sets [F] until all have ended: observations, poses, counts, ends [F, time]."""
+    state = task.start(places, torch.full_like(places, 90), None if draws is None else draws[:, 0])
+    seen, poses, counts, ends = [task.observe(state)[0]], [], [], []
+    for nth, action in enumerate(actions.T):
+        state, outcome = task.step(state, action, None if draws is None else draws[:, nth + 1])
+        reached = task.succeeded(state) if name_of(task) == "goal" else torch.zeros(len(places), dtype=torch.bool)
+        pose = state.x, state.y, state.heading, outcome.clearance, state.reward
         seen.append(outcome.observation)
-        reached = state.x, state.y, state.heading, outcome.clearance, state.reward, outcome.terminated
-        poses.append(torch.stack([one.float() for one in reached], -1))
+        poses.append(torch.stack([*pose, outcome.terminated & ~reached, reached, outcome.truncated], -1))
         counts.append(torch.stack([getattr(state, name).double() for name in COUNTS], -1))
-    seen, poses, counts = (torch.stack(one, 1) for one in (seen, poses, counts))
+        ends.append(outcome.terminated | outcome.truncated)
+        if torch.stack(ends).any(0).all():
+            break
+    return *(torch.stack(one, 1) for one in (seen, poses, counts)), torch.stack(ends, 1)
+
+
+def test_50_flights_of_committed_actions_are_flown_as_by_python_and_end_as_their_rows_say(chrome, opened, task):
+    given, rows = committed()
+    longest = max(len(actions) for _, actions in given)
+    padded = torch.tensor([actions + [0] * (longest - len(actions)) for _, actions in given])
+    places = torch.tensor([place for place, _ in given])
+    seen, poses, counts, ends = in_python(task, places, padded)
+    last = torch.where(ends.any(1), ends.int().argmax(1) + 1, ends.shape[1]).tolist()
+    flights = [[place, actions[:end]] for (place, actions), end in zip(given, last, strict=True)]
+    found = chrome.execute_script(FLOWN, name_of(task), flights, sets_of(task))
+    assert len(flights) == len(found) == 50
     observed = swapped = crashed = 0
     for place, ((_, actions), (mine, sensed, metrics)) in enumerate(zip(flights, found, strict=True)):
         n = len(actions)
-        assert (unpacked(mine, n, 6) - poses[place, :n]).abs().max() <= CLOSE
-        here, there = unpacked(sensed, n + 1, 30), seen[place, : n + 1]
+        assert (unpacked(mine, n, 8) - poses[place, :n]).abs().max() <= CLOSE
+        here, there = unpacked(sensed, n + 1, seen.shape[-1]), seen[place, : n + 1]
+        assert torch.allclose(here[:, 30:], there[:, 30:], rtol=0, atol=CLOSE)
         other = ((here - there).abs() > CLOSE).any(-1)
         assert torch.allclose(in_order(here[other]), in_order(there[other]), rtol=0, atol=CLOSE)
         observed, swapped = observed + n + 1, swapped + int(other.sum())
         counted = pd.DataFrame(counts[place, n - 1 : n].numpy(), columns=list(COUNTS))
         assert metrics == pytest.approx(per_episode(counted)[list(paper.COLUMNS)].iloc[0].tolist(), abs=CLOSE)
-        crashed += bool(poses[place, n - 1, -1])
-        if place < len(rows) and rows["terminated"][place] and rows["steps"][place] == n:
+        crashed += bool(poses[place, n - 1, 5])
+        of_row = name_of(task) == "drone" and place < len(rows)
+        if of_row and rows["terminated"][place] and rows["steps"][place] == n:
             assert metrics == pytest.approx(per_episode(rows)[list(paper.COLUMNS)].iloc[place].tolist(), abs=CLOSE)
-            assert poses[place, n - 1, -1]
+            assert poses[place, n - 1, 5]
     assert crashed >= 10
-    assert swapped <= observed / 1000, "neighbours at one distance, which PyTorch's square root rounds otherwise"
+    assert swapped <= max(1, observed / 1000), "neighbours at one distance, which square roots round otherwise"
 
 
 # -- who flies --------------------------------------------------------------------------------------------------------

@@ -60,17 +60,18 @@ def test_a_policy_of_another_world_is_left_out_in_a_line(tmp_path, capsys):
     )
 
 
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [({"faults": {"late": 2}}, "the page has no faults 'late=2'"), ({"stack": 1, "faults": {}}, None)],
-)
-def test_a_policy_with_faults_is_left_out_and_one_without_is_not(given, says, tmp_path):
-    write_run(tmp_path / "here", n_seeds=1)
-    write_run(tmp_path / "there", n_seeds=1, **given)
+def test_policies_trained_with_faults_or_in_other_worlds_of_two_dimensions_are_on_the_page_and_stacks_are_not(tmp_path):
+    write_run(tmp_path / "late", n_seeds=1, faults={"late": 2})
+    write_run(tmp_path / "moving", n_seeds=1, task="moving", world={"speed_max": 4.0})
+    write_run(tmp_path / "sensing", n_seeds=1, n_inputs=50, task="moving", world={"sense_velocity": True})
+    write_run(tmp_path / "stacked", n_seeds=1, n_inputs=120, stack=4)
     found, left_out = collect([tmp_path])
-    assert len(found) + len(left_out) == 2
-    assert says is None or says in left_out[0]
-    assert bool(left_out) == (says is not None)
+    assert [one["key"].split("-")[-4] for one in found] == ["late", "moving"]
+    assert found[1]["title"].startswith("PPO tanh, seed 0 with moving obstacles (")
+    assert [line.split(": ", 1)[1] for line in left_out] == [
+        "trained in another world than the page's, which has every default",
+        "the page has no stack '4'; it has 1",
+    ]
 
 
 @pytest.mark.parametrize(

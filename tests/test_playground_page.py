@@ -29,6 +29,7 @@ from selenium import webdriver
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
+from uavnav.playground import SETTINGS
 from uavnav.runs import paper
 from uavnav.runs.metrics import METRICS, per_episode
 from uavnav.tasks.state import COUNTS
@@ -56,7 +57,10 @@ SCENE = (
     "set=12&k=2&circles=100_100.5_40~700_500_99.9&pilots=rule~ppo-tanh-0~nobody~you"
     "&focus=4&speed=0.25&greedy=yes&seed=9"
 )
+WRITTEN = "writeLink({ ...playground.scene, circles: playground.race.circles }, playground.data.settings)"
 BAD = (
+    *("world=mars", "world=toString", "gap=65", "gap=121", "pace=2.25", "noise=21", "late=1.5", "lost=-1"),
+    "sticky=<b>",
     *("set=-1", "set=1e9", "k=99", "k=", "speed=99", "focus=5", "seed=4294967296", "greedy=perhaps", "pilots=rule"),
     *("pilots=you~you~rule~rule", "pilots=rule~rule~rule~<b>", "circles=400_300_50", "circles=100_100_500"),
     *("circles=NaN_1_50", "circles=100_100", "__proto__=1", "constructor=x", "toString", "%3Cscript%3E=1"),
@@ -69,14 +73,16 @@ def test_a_link_restores_its_scene_and_the_same_flights(browser, opened):
     for _ in range(2):
         visit(browser, opened, f"#{SCENE}")
         assert ask(browser, "playground.scene") == {
-            "set": 12, "k": 2, "circles": [pytest.approx([100, 100.5, 40]), pytest.approx([700, 500, 99.9])],
+            **{name: one.first for name, one in SETTINGS.items()},
+            "world": "drone", "set": 12, "k": 2,
+            "circles": [pytest.approx([100, 100.5, 40]), pytest.approx([700, 500, 99.9])],
             "pilots": ["rule", "ppo-tanh-0", "nobody", "you"], "focus": 4, "speed": 0.25, "greedy": True, "seed": 9,
         }  # fmt: skip
         assert not one(browser, "#notice").is_displayed()
         steps(browser, 50)
         ends.append(ask(browser, "playground.race.drones.map(({ state }) => [state.x, state.y])"))
     assert ends[0] == ends[1]
-    assert ask(browser, "writeLink({ ...playground.scene, circles: playground.race.circles })") == SCENE
+    assert ask(browser, WRITTEN) == SCENE
     one(browser, "#next").click()
     wait(browser, lambda: "set=13&k=2&pilots=rule~ppo-tanh-0~nobody~you&focus=4" in browser.current_url)
 

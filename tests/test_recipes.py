@@ -227,7 +227,7 @@ WRONG = {
     "world.slot=listed": "there is no key 'world.slot'; choose from .* (did you mean world.slots?)",
     "world.slots=first": "world.slots=first; choose from listed, nearest",
     "world.sensor_arc=wide": "world.sensor_arc=wide; give a number",
-    "task=dron": "task=dron; choose from drone, goal, moving (did you mean drone?)",
+    "task=dron": "task=dron; choose from drone, goal, moving, space, space-moving (did you mean drone?)",
     "plugins=no_such_module": "plugins=no_such_module: is no module in .*; give a module's name, without .py",
     "device=gpu": "device=gpu; choose cpu, or a device that this machine has",
     "relu": "'relu' is no setting; settings are key=value: activation=tanh",

@@ -11,15 +11,19 @@ import torch
 import yaml
 from runs_by_hand import policy_bytes
 
+from uavnav import browser
 from uavnav.envs import scalar
 from uavnav.evaluate import EPISODES
 from uavnav.networks import mlp
 from uavnav.policies import load_policy
+from uavnav.report import replays, studies
 from uavnav.report.cells import collect
 from uavnav.report.replays import record
 from uavnav.runs import POLICY
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
+from uavnav.tasks.sensing import sense
+from uavnav.tasks.simulator import Goal, make_task
 
 STRAIGHT, STAY = 9, 0  # actions
 MAX_STEPS = 60
@@ -33,10 +37,10 @@ def always(network, agent, action):
         network[-1].bias[agent, 0, action] = 50.0
 
 
-def write_run(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), **changes):
+def write_run(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs=30, **changes):
     """A finished run of `n_seeds` random networks; `prefer` names the action of those that know but one."""
     generators = [torch.Generator().manual_seed(one) for one in range(seed, seed + n_seeds)]
-    network = mlp([30, 8, 100], "tanh", generators, "default")
+    network = mlp([n_inputs, 8, 100], "tanh", generators, "default")
     with torch.no_grad():
         network[-1].weight.mul_(8.0)  # so that values differ, from action to action and from step to step
     for agent, action in prefer:
@@ -235,6 +239,59 @@ def test_a_random_start_heading_is_that_of_the_set_of_obstacles(tmp_path):
     first = [unpack(flight, data["fields"])["heading"][0, 0] for flight in data["cells"][0]["flights"]]
     assert first[:3] == first[3:]
     assert len(set(first)) == 3
+
+
+def test_obstacles_that_move_are_where_they_were_at_each_step_whether_or_not_velocities_are_sensed(tmp_path):
+    write_run(tmp_path / "plain", task="moving", n_seeds=1, world={"speed_max": 4.0})
+    write_run(
+        tmp_path / "sensed", task="moving", n_seeds=1, world={"speed_max": 4.0, "sense_velocity": True}, n_inputs=50
+    )
+    data = recorded(tmp_path, n_layouts=2)
+    assert len(data["cells"]) == 2
+    for cell in data["cells"]:
+        place = cell["place"]
+        task = make_task("test", place["world"], task=place["task"])
+        assert place["title"] == "moving obstacles"
+        assert torch.equal(torch.tensor([one["circles"] for one in place["sets"]]), task.bank[:2])
+        for flight in cell["flights"]:
+            found = {name: torch.tensor(part) for name, part in unpack(flight, data["fields"]).items()}
+            n = flight["steps"] + 1
+            state = task.place(torch.full((n,), flight["layout"]), found["heading"][:, 0].long())
+            state = state._replace(x=found["x"][:, 0].float(), y=found["y"][:, 0].float(), steps=torch.arange(n))
+            slots, clearance = sense(state.x, state.y, state.heading, task.obstacles(state), task.world)
+            assert (clearance - found["clearance"][:, 0]).abs().max() < 0.2
+            clear = (slots[..., 0, 2] - found["proximity"][:, 0]).abs() < 0.01  # of the nearest in view
+            assert clear.float().mean() > 0.95
+
+
+def test_a_flight_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_so(tmp_path, monkeypatch):
+    write_run(tmp_path / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
+    write_run(tmp_path / "late", stack=2, faults={"late": 1}, n_seeds=1, n_inputs=60)
+    above = torch.tensor([[[400.0, 520.0, 180.0]]])
+    monkeypatch.setattr(replays, "_bank", lambda task: above if isinstance(task, Goal) else layouts.load("test"))
+    goal, late = recorded(tmp_path, n_layouts=1)["cells"]
+    (flight,) = goal["flights"]
+    assert (flight["ended"], flight["steps"]) == ("goal", 20)
+    assert flight["reward"] == pytest.approx(10 + 0.01 * 180, abs=0.01)
+    assert goal["place"]["sets"] == [{"circles": [], "goal": [400, 520]}]
+    assert late["place"]["title"] == "the paper's world, late=1, stack=2"
+
+
+def test_a_world_that_the_player_does_not_draw_is_named_with_what_draws_it(tmp_path, monkeypatch):
+    path = write_run(tmp_path / "run", task="moving", n_seeds=1)
+    monkeypatch.delitem(browser.TITLES, "moving")
+    data = recorded(tmp_path, n_layouts=1)
+    assert data["cells"] == []
+    assert data["left_out"] == [f"{path}: a page has no replays of task=moving; uavnav render makes a film of it"]
+
+
+def test_a_report_records_cells_of_other_worlds_beside_the_papers(tmp_path):
+    write_run(tmp_path / "here", n_seeds=1)
+    write_run(tmp_path / "moving", task="moving", n_seeds=1)
+    write_run(tmp_path / "noise", faults={"noise": 5.0}, n_seeds=1)
+    cells, _ = collect([tmp_path])
+    found = {cell.runs[0].path.name for cell in studies.elsewhere(cells)}
+    assert found == {"moving", "noise"}
 
 
 @pytest.mark.parametrize("counts", [{"n_seeds": 0}, {"n_layouts": 0}, {"n_layouts": 1001}, {"max_steps": 0}])

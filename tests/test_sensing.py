@@ -297,8 +297,8 @@ def test_slots_by_sorting_are_those_by_counting_to_the_last_bit_ties_included(sl
     in_view = torch.rand(36, 500, generator=generator) < torch.rand(500, generator=generator)
     assert {0, 10} <= {*in_view.sum(0).clamp(max=10).tolist()}
     world = uavnav.World(slots=slots)
-    sorted_ = sensing._first_in_view(triples, distance, in_view, world)
-    counted = sensing._first_in_view(triples, distance.as_subclass(Counting), in_view, world).as_subclass(torch.Tensor)
+    sorted_ = sensing.first_in_view(triples, distance, in_view, world)
+    counted = sensing.first_in_view(triples, distance.as_subclass(Counting), in_view, world).as_subclass(torch.Tensor)
     assert sorted_.shape == (3, 10, 500)
     assert (torch.signbit(triples) & (triples == 0)).any()
     assert torch.equal(sorted_.view(torch.int32), counted.view(torch.int32))

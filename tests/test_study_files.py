@@ -116,7 +116,10 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
     [
         ("cells: 3", "is no study; give a list of `cells`"),
         ("[", "cannot be read"),
-        ("cells: [{algorithm: ppo}]\nwaht: x", "there is no key 'waht'; choose from banks, cells, settings, what (did"),
+        (
+            "cells: [{algorithm: ppo}]\nwaht: x",
+            "there is no key 'waht'; choose from banks, cells, settings, tune, what (did",
+        ),
         ("cells: [{folder: x}]", "is no cell; it needs at least an `algorithm`"),
         (
             "cells: [{algorithm: pop}]",
@@ -142,7 +145,7 @@ def test_a_wrong_study_file_is_refused_in_one_line_that_names_it(text, said, tmp
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["papr"], "papr: there is no such study; choose from initial, one-world, paper"),
+        (["papr"], "papr: there is no such study; choose from algorithms, initial, one-world, paper"),
         (["paper", "engine=cloud"], "engine=cloud; choose from local, ray, slurm"),
         (["paper", "sede=3"], "there is no key 'sede'; choose from"),
         (["paper", "seeds=many"], "seeds=many; give a whole number"),

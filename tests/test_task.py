@@ -16,7 +16,7 @@ from uavnav import DroneEnv, World, load_policy
 from uavnav.algorithms import ppo
 from uavnav.envs import scalar
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
-from uavnav.tasks import layouts
+from uavnav.tasks import layouts, protocol
 from uavnav.tasks.rewards import REWARDS
 from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.training import weights
@@ -98,7 +98,7 @@ def test_a_whole_task_says_all_that_the_other_arguments_would_say():
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"task": "dorne"}, "task='dorne'; choose from drone, moving, goal"),
+        ({"task": "dorne"}, "task='dorne'; choose from drone, moving, goal, space, space-moving"),
         ({"task": "dorne"}, " (did you mean drone?)"),
         ({"reward": "eq41"}, "reward='eq41'; choose from eq14, additive, initial, goal (did you mean eq14?)"),
         ({"world": {"sensor_ark": 90}}, "there is no key 'world.sensor_ark'; choose from world.border, "),
@@ -152,7 +152,7 @@ def test_each_of_3_environments_takes_the_parts_of_a_task_or_a_whole_one(kind):
     for env in (kind(task=whole), kind(layouts="test", reward="initial", max_steps=99, task=whole)):
         assert (env.task.world, env.task.reward, env.task.max_steps) == (whole.world, "additive", 7)
         assert torch.equal(env.task.bank, whole.bank)
-    with pytest.raises(ValueError, match=r"task='dorne'; choose from drone, moving, goal \(did you mean drone\?\)"):
+    with pytest.raises(ValueError, match=r"task='dorne'; choose from drone, moving, goal, .* \(did you mean drone\?\)"):
         kind(task="dorne")
 
 
@@ -362,3 +362,7 @@ def test_the_three_built_in_rewards_pay_5000_steps_as_eq_14_and_section_4_2_say(
         torch.testing.assert_close(after.reward, total, rtol=0, atol=1e-9)
         collisions += outcome.terminated.sum().item()
     assert collisions > 20
+
+
+def test_the_names_that_commands_show_without_torch_are_those_of_the_tasks():
+    assert tuple(TASKS) == protocol.TASK_NAMES

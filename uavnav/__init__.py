@@ -49,7 +49,19 @@ if TYPE_CHECKING:
     from uavnav.policies import Policy, PolicyError, load_policy
     from uavnav.runs import Run, metrics, paper, readings
     from uavnav.runs.tables import RunError
-    from uavnav.tasks import baselines, dynamics, faults, goal, layouts, moving, rewards, sensing, simulator, world
+    from uavnav.tasks import (
+        baselines,
+        dynamics,
+        faults,
+        goal,
+        layouts,
+        moving,
+        rewards,
+        sensing,
+        simulator,
+        space,
+        world,
+    )
     from uavnav.tasks.layouts import LayoutError
     from uavnav.tasks.world import World
     from uavnav.training import config, loggers, sampler
@@ -82,6 +94,7 @@ _ROOMS = {
         "rewards",
         "sensing",
         "simulator",
+        "space",
         "world",
     ),
     "training": ("config", "loggers", "sampler"),
@@ -111,7 +124,8 @@ os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, w
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that spin starve each other on a busy machine
 warnings.filterwarnings("ignore", message=".*inline_inbuilt_nn_modules is deprecated", category=FutureWarning)
 
-for _name, _task in {"Drone": "drone", "Moving": "moving", "Goal": "goal"}.items():
+_WORLDS = {"Drone": "drone", "Moving": "moving", "Goal": "goal", "Space": "space", "SpaceMoving": "space-moving"}
+for _name, _task in _WORLDS.items():
     gymnasium.register(
         id=f"uavnav/{_name}-v0",
         entry_point="uavnav.envs.gym:DroneGymEnv",

@@ -24,7 +24,10 @@ from uavnav.tasks.protocol import (
     MAX_STEPS,
     SCRIPTS,
     SPLITS,
+    TASK_NAMES,
 )
+
+TASKS = ", ".join(TASK_NAMES)
 
 COMMANDS = {
     "train": "Train an algorithm on the drone's world and compare it with the paper.",
@@ -311,8 +314,10 @@ def _layouts(parser: Parser) -> None:
     parser.epilog = "example: uavnav layouts --split train --k 12"
     parser.add_argument("--out", type=Path, default=Path("banks"), help="folder for the banks (default: banks)")
     parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which bank to write")
-    parser.add_argument("--task", default="drone", help="whose obstacles: drone, moving or goal (default: drone)")
-    parser.add_argument("--k", type=int, default=DEFAULT_K, help="obstacles per set, 0 for an empty arena")
+    parser.add_argument("--task", default="drone", help=f"whose obstacles: {TASKS} (default: drone)")
+    parser.add_argument(
+        "--k", type=int, help=f"obstacles per set, 0 for an empty arena (default: {DEFAULT_K}; in 3D 40)"
+    )
     parser.add_argument("--n", type=int, help=f"sets in the bank (default: {sizes})")
     parser.add_argument("--seed", type=int, help=f"generator seed (default: {seeds})")
     parser.add_argument("--check", nargs="+", metavar="BANK", help="regenerate these from their headers and compare")
@@ -341,6 +346,8 @@ STUDY_KEYS = {
     "out": "out=DIR (default: runs/NAME)",
     "seeds": "seeds=N of each cell",
     "frames": "frames=N of each seed",
+    "trials": "trials=N of each algorithm, where the study tunes",
+    "algorithms": "algorithms=ppo,sac alone",
     "seeds_per_share": "seeds_per_share=N of a job",
     "checkpoint_seconds": "checkpoint_seconds=60 between two snapshots",
     "policies": "policies=true trains cells again of which only rows are there",
@@ -374,7 +381,7 @@ def _bank(parser: Parser) -> None:
 
 
 def _task(parser: Parser) -> None:
-    told = "whose world scripted policies fly in: drone, moving, goal (default: that of the run, or drone)"
+    told = f"whose world scripted policies fly in: {TASKS} (default: that of the run, or drone)"
     parser.add_argument("--task", default="drone", help=told)
 
 

@@ -141,7 +141,7 @@ class Film(Sequence[Picture]):
 
     def __init__(self, flights: Sequence[Flight], obstacles: Tensor, width: int, every: int = 1) -> None:
         self.flights, self.obstacles, self.width = flights, obstacles, width
-        self._trails = [[(float(state.x), float(state.y)) for state in flight.states] for flight in flights]
+        self._trails = [[_place(state) for state in flight.states] for flight in flights]
         self._panel = functools.lru_cache(len(flights))(self._draw)  # what stands still is drawn once
         last = max(len(flight.states) for flight in flights) - 1
         self.steps = [*range(0, last, every), last]
@@ -181,6 +181,11 @@ class Film(Sequence[Picture]):
         panel.paste(arena, (0, 0))
         panel.paste(strip, (0, arena.height))
         return panel
+
+
+def _place(state: State) -> tuple[float, ...]:
+    """x and y [px], in a box also z."""
+    return tuple(float(getattr(state, axis)) for axis in "xyz" if hasattr(state, axis))
 
 
 def _caption(width: int, pilot: Pilot, state: State, collided: bool, colour: Colour) -> Image.Image:

@@ -19,7 +19,7 @@ from uavnav.choices import ConfigError
 from uavnav.report import report
 from uavnav.runs import PROGRESS, read_settings
 from uavnav.runs.tables import RunError
-from uavnav.studies import Cell
+from uavnav.studies import Cell, search, tuning
 from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
 from uavnav.tasks.layouts import LayoutError
 from uavnav.training.config import checked
@@ -30,6 +30,8 @@ KEYS: dict[str, tuple[Any, Any, dict[str, float]]] = {
     "out": (None, str | None, {}),
     "seeds": (None, int | None, {"least": 1}),
     "frames": (None, int | None, {"least": 1}),
+    "trials": (None, int | None, {"least": 1}),
+    "algorithms": (None, str | None, {}),
     "seeds_per_share": (None, int | None, {"least": 1}),
     "checkpoint_seconds": (CHECKPOINT_SECONDS, float, {"least": 0}),
     "policies": (False, bool, {}),
@@ -124,19 +126,32 @@ class Show:
 def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool, quiet: bool) -> int:
     """Run a study, or say what there is of it; returns the exit status."""
     own, of_engine = parse(words)
-    study = studies.read(name)
+    study = studies.only(studies.read(name), own["algorithms"])
     out = Path(own["out"] or Path("runs") / study.name)
+    if own["trials"] is not None and study.tune is None:
+        raise ConfigError(f"trials={own['trials']}: study {study.name} does not tune; leave it out")
     if only_status:
         rows = [status(cell) for cell in _cells(study, out, own, make=False)]
+        rows += [status(cell) | ({"state": state} if state else {}) for cell, state in _planned(study, out, own)]
         _print_status(rows, as_json)
         return 0
-    engine = engines.build(own["engine"], of_engine, KEYS)
+    engines.build(own["engine"], of_engine, KEYS)
+    plan = _plan(study, out.resolve(), own)
     found = _cells(study, out.resolve(), own, make=True)
     with Show(quiet) as show:
-        how = {"policies": own["policies"], "checkpoint_seconds": own["checkpoint_seconds"]}
-        run = Study(out.resolve(), found, engine, own["seeds_per_share"], **how, tell=show.tell, say=show.say)
-        show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(found)} cells are left, into {out}")
-        failed = run.run()
+
+        def train(cells: Sequence[Cell]) -> list[Work]:
+            engine = engines.build(own["engine"], of_engine, KEYS)
+            how = {"policies": own["policies"], "checkpoint_seconds": own["checkpoint_seconds"]}
+            run = Study(out.resolve(), cells, engine, own["seeds_per_share"], **how, tell=show.tell, say=show.say)
+            show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(cells)} cells are left, into {out}")
+            return run.run()
+
+        if plan is not None:
+            failed = tuning.tune(plan, train, show.say)
+            found += [] if failed else search.winners(plan)
+        if plan is None or not failed:
+            failed = train(found)
     if failed:
         print(
             f"uavnav study: {len(failed)} of {len(found)} cells failed; the same command repeats them", file=sys.stderr
@@ -145,6 +160,16 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
     if own["report"]:
         print(f"the report is in {report([out]).path}")
     return 0
+
+
+def _plan(study: studies.Study, out: Path, own: dict[str, Any]) -> search.Plan | None:
+    """What is tuned first, if anything."""
+    return search.plan(study, out, own["trials"], own["seeds"], own["frames"]) if study.tune is not None else None
+
+
+def _planned(study: studies.Study, out: Path, own: dict[str, Any]) -> list[tuple[Cell, str | None]]:
+    plan = _plan(study, out, own)
+    return search.planned(plan) if plan is not None else []
 
 
 def _cells(study: studies.Study, out: Path, own: dict[str, Any], make: bool) -> list[Cell]:

@@ -1,17 +1,39 @@
-"""What runs in a browser: the world and its drawing, one home each for every page, without a build step or a framework.
+"""What runs in a browser: the worlds and their drawing, one home each, without a build step or a framework.
 
-`world.js` is the world, held to Python's by tests/test_playground.py. `drawing.js` draws it. `replay.js` plays recorded
-flights on a report, and `uavnav.playground` flies live. A page holds the scripts that it needs, one after the other.
+`world.js` is the worlds, held to Python's by tests/test_playground.py, `sets.js` their obstacles; `drawing.js` draws
+them. `replay.js` plays recorded flights on a report, and `uavnav.playground` flies live. A page holds the scripts that
+it needs, one after the other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
+
+from uavnav.tasks import goal, slalom
+from uavnav.tasks.simulator import TASKS
 
 HERE = Path(__file__).parent
-WORLD = (HERE / "world.js", HERE / "drawing.js")
+WORLD = (HERE / "world.js", HERE / "sets.js", HERE / "drawing.js")
 """What every page with a drone needs, in the order in which a browser reads it."""
+
+SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", "spacing", "height")}
+GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "tries", "scale")}
+RULES: dict[str, dict[str, Any]] = {"slalom": SLALOM, "goal": GOAL}
+"""What sets of a world are made by, beside its constants."""
+TITLES = {"drone": "the paper's world", "slalom": "slalom", "moving": "moving obstacles", "goal": "a goal"}
+"""How pages call the worlds of `world.js`; others it does not know."""
+
+
+def constants() -> dict[str, dict[str, Any]]:
+    """What `world.js` needs of each world, by its name there: constants, the cap on steps, and `RULES`."""
+    kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is a bank alone
+    return {
+        name: {"world": asdict(kind.WORLD()), "max_steps": kind.MAX_STEPS, "rules": RULES.get(name, {})}
+        for name, kind in kinds.items()
+    }
 
 
 def joined(paths: Sequence[Path]) -> str:

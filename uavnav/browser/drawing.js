@@ -1,5 +1,5 @@
 /*
- * Drawing the world of world.js: the arena with its drones, and one value for each action. The words for numbers, too.
+ * Drawing the worlds of world.js: the arena with its drones, and one value for each action. The words for numbers, too.
  *
  * The page gives the colours, as the CSS properties --fg, --bg, --muted, --accent and --obstacle.
  */
@@ -125,13 +125,35 @@ function drawSign(context, world, { x, y, angle }, sign, colour) {
   context.restore();
 }
 
+const AHEAD = 12; // [steps] that the line of a moving circle shows
+
+/** Where a circle that moves will be soon: a line from its centre. */
+function drawDrift(context, [x, y, , vx, vy], thick, colours) {
+  line(context, [[x, y], [x + AHEAD * vx, y + AHEAD * vy]], 2 * thick, colours.muted);
+  context.fillStyle = colours.muted;
+  disc(context, x, y, 3 * thick);
+}
+
+/** A goal: the ring within which it is reached, and a mark in its middle. */
+function drawGoal(context, world, [x, y], thick, colours) {
+  context.strokeStyle = context.fillStyle = colours.fg;
+  context.lineWidth = 3 * thick;
+  for (const radius of [world.goal_radius, world.goal_radius / 2]) {
+    context.beginPath();
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+    context.stroke();
+  }
+  disc(context, x, y, world.goal_radius / 6);
+}
+
 /**
  * The arena from above, its circles and its drones in their order.
  *
+ * A circle is [x, y, radius], with [vx, vy] if it moves; the goal [x, y], if there is one.
  * Each drone has a pose { x, y, angle [radians] }, the trail [x, y] that it flew, and the points that it senses; perhaps
  * `crashed`, `sign` (a character), `accent` (its colour), and `faint` where its sensor is not to be shown.
  */
-function drawArena(canvas, { world, circles, drones, colours }) {
+function drawArena(canvas, { world, circles, goal, drones, colours }) {
   const { context, width } = fit(canvas);
   const scale = width / world.width;
   context.fillStyle = colours.bg;
@@ -142,6 +164,8 @@ function drawArena(canvas, { world, circles, drones, colours }) {
   for (const [x, y, radius] of circles) disc(context, x, y, radius);
   drawBorder(context, world, colours);
   const thick = Math.max(1, 0.6 / scale); // lines must be seen on a small screen too
+  for (const circle of circles) if (circle[3] || circle[4]) drawDrift(context, circle, thick, colours);
+  if (goal) drawGoal(context, world, goal, thick, colours);
   for (const { pose, trail, sensed, crashed, sign, accent = colours.accent, faint } of drones) {
     const mine = { ...colours, accent };
     if (!faint) drawSensor(context, world, pose, mine);

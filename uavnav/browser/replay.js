@@ -35,6 +35,18 @@ async function unpack(flight, fields) {
   return read;
 }
 
+/** A cell in words, with its world where that is not the paper's. */
+function named({ algorithm, label, mode, place }) {
+  return [`${algorithm.toUpperCase()} ${label}`, mode, ...(place ? [place.title] : [])].join(", ");
+}
+
+/** What stands around a flight at a step: { circles, goal }. */
+function around({ layouts }, { place }, { layout }, step) {
+  if (!place) return { circles: layouts[layout] };
+  const set = place.sets[layout];
+  return { circles: new TASKS[place.task](place).obstacles(set, step), goal: set.goal };
+}
+
 function ending(flight) {
   return `${flight.ended} at ${flight.steps}`;
 }
@@ -103,7 +115,7 @@ class Player {
     this.read = null; // its fields, once it is unpacked
     this.step = 0;
     this.playing = false;
-    fill(this.parts.cell, data.cells.map((one, place) => [place, `${one.algorithm.toUpperCase()} ${one.label}, ${one.mode}`]));
+    fill(this.parts.cell, data.cells.map((one, place) => [place, named(one)]));
     this.listen();
     this.chooseCell();
   }
@@ -235,7 +247,7 @@ class Player {
     const [{ flight, read, step, cell }, last] = [this, this.flight.steps];
     const where = `step ${step} of ${last}`;
     const facts = `reward so far ${fixed(read.reward(step), 2)}, clearance ${fixed(read.clearance(step), 1)} px`;
-    const did = step === last ? `${flight.ended}` : `action: ${inWords(this.data.actions[read.action(step)])}`;
+    const did = step === last ? { goal: "goal reached" }[flight.ended] ?? flight.ended : `action: ${inWords(this.data.actions[read.action(step)])}`;
     status.textContent = `${where}: ${facts}, ${did}`;
     slider.setAttribute("aria-valuetext", where);
     caption.textContent = `${cell.values} of each action (the chosen one is framed)`;
@@ -247,7 +259,7 @@ class Player {
   draw() {
     if (!this.read) return;
     const { read, step, colours, font, grid, flight } = this;
-    const { world, layouts } = this.data;
+    const world = this.cell.place?.world ?? this.data.world;
     const over = step === flight.steps;
     const place = (at) => [read.x(at), read.y(at)];
     const [x, y] = place(step);
@@ -261,7 +273,7 @@ class Player {
       sensed: sensedPoints(world, pose, slots),
       crashed: over && flight.ended === "collision",
     };
-    drawArena(this.parts.arena, { world, circles: layouts[flight.layout], drones: [drone], colours });
+    drawArena(this.parts.arena, { world, ...around(this.data, this.cell, flight, step), drones: [drone], colours });
     const values = over
       ? { instead: "the flight is over" }
       : { shares: (action) => read.value(step, action), chosen: read.action(step), low: read.low(step), high: read.high(step) };

@@ -1,11 +1,12 @@
 "use strict";
 
 /*
- * The world of uavnav/tasks, for one drone, in plain numbers: how it starts, what it senses, how an action moves it, what
+ * The worlds of uavnav/tasks, for one drone, in plain numbers: how it starts, what it senses, how an action moves it, what
  * a step earns and ends. Nothing here draws, and nothing keeps a state.
  *
- * A page gives the constants, as uavnav/tasks/world.py has them, as `world`. A circle is [x, y, radius] px. A state holds
- * x, y [px], heading [whole degrees] and the counts of an episode. Math.fround is where Python has float32.
+ * A page gives the constants of a task as uavnav/browser/__init__.py has them. A circle is [x, y, radius] px; one that
+ * moves has [vx, vy] px a step more. A set is { circles, goal }, the goal [x, y] px or none. A state holds x, y [px],
+ * heading [whole degrees] and the counts of an episode. Math.fround is where Python has float32.
  */
 
 const f32 = Math.fround;
@@ -76,8 +77,10 @@ function lengthOf(dx, dy) {
 /**
  * The ten nearest obstacles in view, eqs (9), (10) and (13), nearest first, ties in index order; and the clearance: the
  * distance [px] to the nearest of all, in view or not. -> { observation: Float32Array(30), clearance }
+ *
+ * echoes: what faults make of a filled slot, of its place and its distance [px]: the distance, or undefined if it is lost.
  */
-function sense(world, { x, y, heading }, circles) {
+function sense(world, { x, y, heading }, circles, echoes = (slot, distance) => distance) {
   const found = []; // [distance, dx, dy, length]
   for (const [cx, cy, radius] of circles) {
     const [dx, dy] = [f32(cx - x), f32(cy - y)];
@@ -101,13 +104,15 @@ function sense(world, { x, y, heading }, circles) {
     const forward = f32(f32(ux * cosine) + f32(uy * sine));
     if (forward < least) continue;
     const right = f32(f32(ux * sine) - f32(uy * cosine));
-    const proximity = f32(f32(distance - world.drone_radius) / span);
-    seen.push({ distance, slot: [clamp(right, -1, 1), clamp(forward, 0, 1), clamp(proximity, 0, 1)] });
+    seen.push({ distance, direction: [clamp(right, -1, 1), clamp(forward, 0, 1)] });
   }
   if (world.slots === "nearest") seen.sort((one, other) => one.distance - other.distance); // stable
   const observation = new Float32Array(3 * world.n_slots);
   for (let slot = 0; slot < world.n_slots; slot += 1) {
-    observation.set(seen[slot]?.slot ?? [0, 0, world.padding === "far" ? 1 : 0], 3 * slot);
+    const sensed = seen[slot] && echoes(slot, seen[slot].distance);
+    const proximity = clamp(f32(f32(sensed - world.drone_radius) / span), 0, 1);
+    const numbers = sensed === undefined ? [0, 0, world.padding === "far" ? 1 : 0] : [...seen[slot].direction, proximity];
+    observation.set(numbers, 3 * slot);
   }
   return { observation, clearance };
 }
@@ -124,42 +129,35 @@ function sensedPoints(world, { x, y, angle }, slots) {
   return points;
 }
 
-/** An observation as a list of slots [right, forward, proximity]. */
-function slotsOf(observation) {
-  return Array.from({ length: observation.length / 3 }, (_, slot) => [...observation.subarray(3 * slot, 3 * slot + 3)]);
+/** The slots [right, forward, proximity] of an observation. */
+function slotsOf(world, observation) {
+  return Array.from({ length: world.n_slots }, (_, slot) => [...observation.subarray(3 * slot, 3 * slot + 3)]);
+}
+
+// ---------------------------------------------------------------------------------------------- faults
+
+const NO_FAULTS = { noise: 0, lost: 0, late: 0, sticky: 0 }; // [px], probability, [steps], probability
+
+/** How many random numbers a step needs: normal ones of noise, uniform ones of lost echoes, and of a sticky actuator. */
+function drawsOf(world, { noise, lost, sticky }) {
+  return [noise > 0 ? world.n_slots : 0, lost > 0 ? world.n_slots : 0, Number(sticky > 0)];
+}
+
+/** What faults make of echoes, as `sense` asks; draws: of one step. */
+function echoesOf(world, faults, draws) {
+  const [normal] = drawsOf(world, faults);
+  return (slot, distance) => {
+    if (faults.lost && draws[normal + slot] < faults.lost) return undefined;
+    return faults.noise ? f32(distance + f32(faults.noise * draws[slot])) : distance;
+  };
 }
 
 // ---------------------------------------------------------------------------------------------- one step
-
-/** Where an episode starts: the centre of the window, heading up. */
-function start(world) {
-  const counts = { steps: 0, stops: 0, full_stops: 0, turns: 0, distance: 0, reward: 0 };
-  return { x: world.width / 2, y: world.height / 2, heading: 90, ...counts };
-}
 
 /** The reward of a step: eq. (14), exclusive cases. */
 function reward(world, degrees, pixels, collided) {
   if (collided) return world.collision_reward;
   return pixels === 0 || degrees !== 0 ? world.penalty : world.reward_per_pixel * pixels;
-}
-
-/** Move, sense, then judge. -> { state, observation, clearance, collided } */
-function step(world, state, action, circles) {
-  const [degrees, pixels] = decode(world, action);
-  const pose = move(state, degrees, pixels);
-  const { observation, clearance } = sense(world, pose, circles);
-  const collided = clearance <= world.drone_radius;
-  const stopped = Number(pixels === 0);
-  const after = {
-    ...pose,
-    steps: state.steps + 1,
-    stops: state.stops + stopped,
-    full_stops: state.full_stops + stopped * Number(degrees === 0),
-    turns: state.turns + Number(degrees !== 0),
-    distance: state.distance + pixels,
-    reward: state.reward + reward(world, degrees, pixels, collided),
-  };
-  return { state: after, observation, clearance, collided };
 }
 
 /** A metric of sec. 4.3 as uavnav/runs/metrics.py has it: the episode's count, or its share of the steps. */
@@ -168,36 +166,175 @@ function metricOf({ column, scale }, state) {
   return state.steps ? (scale * state[column]) / state.steps : 0;
 }
 
-// ---------------------------------------------------------------------------------------------- sets of obstacles
+// ---------------------------------------------------------------------------------------------- tasks
 
-/** Uniform numbers in [0, 1), the same for the same seed (mulberry32). */
-function randomNumbers(seed) {
-  let place = seed >>> 0;
-  return () => {
-    place = (place + 0x6d2b79f5) >>> 0;
-    let mixed = Math.imul(place ^ (place >>> 15), place | 1);
-    mixed ^= mixed + Math.imul(mixed ^ (mixed >>> 7), mixed | 61);
-    return ((mixed ^ (mixed >>> 14)) >>> 0) / 2 ** 32;
-  };
+/** Where a number is that goes on from `place` at `speed` and bounces between 0 and `size`, and its speed then. */
+function reflect(place, speed, steps, size) {
+  const way = place + speed * steps;
+  const rest = way - 2 * size * Math.round(way / (2 * size)); // [-size, size]: the wave is its magnitude
+  const onwards = speed > 0 ? rest >= 0 && rest < size : rest > 0 || rest <= -size;
+  return [f32(Math.abs(rest)), onwards ? speed : -speed];
 }
 
-/** Whether a circle leaves the start free: sec. 4.1. */
-function isClear(world, [x, y, radius]) {
-  return Math.hypot(x - world.width / 2, y - world.height / 2) - radius >= world.safe_zone;
+/** The paper's task. Another world is a class that says what is different; who flies or draws asks a task alone. */
+class Task {
+  moves = false; // whether obstacles do
+
+  /** given: constants of the task (`world`, `max_steps`, `rules` of its sets); faults: as NO_FAULTS. */
+  constructor({ world, max_steps, rules }, faults = NO_FAULTS) {
+    Object.assign(this, { world, max_steps, rules, faults });
+    this.remembers = Object.values(faults).some((fault) => fault > 0);
+  }
+
+  /** The set of a number, with k circles or gaps of so many px. */
+  generate({ k, set }) {
+    return { circles: generate(this.world, k, set) };
+  }
+
+  /** A set with other circles [x, y, radius] in place of its own; seed: of what is drawn for them. */
+  arrange(set, circles, seed) {
+    return { ...set, circles };
+  }
+
+  /** Where the circles of a set are after so many steps. */
+  obstacles(set, steps) {
+    return set.circles;
+  }
+
+  /** How many numbers a policy sees. */
+  get observationSize() {
+    return 3 * this.world.n_slots;
+  }
+
+  /** The random numbers that faults need to start, and in each step; draw: uniform ones. */
+  draw(draw) {
+    const [normal, ...uniform] = drawsOf(this.world, this.faults);
+    return [...normalNumbers(normal, draw), ...uniform.flatMap((count) => Array.from({ length: count }, draw))];
+  }
+
+  /** Where an episode starts: the centre of the window, heading up. draws: of `draw`, disturb what is sensed first. */
+  start(set, draws) {
+    const counts = { steps: 0, stops: 0, full_stops: 0, turns: 0, distance: 0, reward: 0 };
+    const { width, height } = this.world;
+    return this.remember({ x: width / 2, y: height / 2, heading: 90, ...counts }, set, draws);
+  }
+
+  /** The same state as if the episode began there: where there are faults, it remembers what was sensed. */
+  remember(state, set, draws) {
+    if (!this.remembers) return state;
+    const seen = Array(this.faults.late + 1).fill(this.sense(state, set, draws).observation);
+    return { ...state, seen, executed: 0 };
+  }
+
+  /** What is sensed now; without draws, as it is. -> { observation, clearance } */
+  sense(state, set, draws) {
+    const echoes = draws?.length ? echoesOf(this.world, this.faults, draws) : undefined;
+    return sense(this.world, state, this.obstacles(set, state.steps), echoes);
+  }
+
+  /** What a policy sees, late where observations are. -> { observation, clearance } */
+  observe(state, set) {
+    const { observation, clearance } = this.sense(state, set);
+    return { observation: this.remembers ? state.seen.at(-1) : observation, clearance };
+  }
+
+  /** Move, sense, then judge. -> { state, observation, clearance, ended: "", "collision", "goal" or "time-out" } */
+  step(state, action, set, draws) {
+    const sticks = this.faults.sticky && state.steps > 0 && draws.at(-1) < this.faults.sticky;
+    const executed = sticks ? state.executed : action;
+    const [degrees, pixels] = decode(this.world, executed);
+    const moved = { ...state, ...move(state, degrees, pixels), steps: state.steps + 1 };
+    const { observation, clearance } = this.sense(moved, set, draws);
+    const collided = clearance <= this.world.drone_radius;
+    const [arrived, earned] = this.judge(state, moved, { degrees, pixels, collided }, set);
+    const stopped = Number(pixels === 0);
+    const after = {
+      ...moved,
+      stops: state.stops + stopped,
+      full_stops: state.full_stops + stopped * Number(degrees === 0),
+      turns: state.turns + Number(degrees !== 0),
+      distance: state.distance + pixels,
+      reward: state.reward + earned,
+      ...(this.remembers ? { seen: [observation, ...state.seen.slice(0, -1)], executed } : {}),
+    };
+    const late = this.max_steps && after.steps >= this.max_steps ? "time-out" : "";
+    const ended = collided ? "collision" : arrived ? "goal" : late;
+    return { state: after, observation: this.remembers ? after.seen.at(-1) : observation, clearance, ended };
+  }
+
+  /** Whether a step has reached a goal, and what it earns. */
+  judge(before, after, { degrees, pixels, collided }) {
+    return [false, reward(this.world, degrees, pixels, collided)];
+  }
 }
 
-/** k circles: radius and centre uniform, the centre drawn again until the start is free. More circles keep the first. */
-function generate(world, k, seed) {
-  const draw = randomNumbers(seed);
-  const span = world.obstacle_radius_max - world.obstacle_radius_min;
-  return Array.from({ length: k }, () => {
-    const radius = f32(world.obstacle_radius_min + span * draw());
-    let circle;
-    do circle = [f32(world.width * draw()), f32(world.height * draw()), radius];
-    while (!isClear(world, circle));
-    return circle;
-  });
+/** Four columns of circles, each with a gap. */
+class Slalom extends Task {
+  generate({ gap, set }) {
+    return { circles: generateSlalom(this.rules, gap, set) };
+  }
 }
 
-/** The paper's task. Another world is another object with these functions; who flies or draws asks it alone. */
-const PAPER = { start, sense, step, generate };
+/** Circles that fly straight on and bounce off the edges of the window: where they are follows from the step. */
+class Moving extends Task {
+  moves = true;
+
+  generate({ k, set }) {
+    return this.arrange({}, generate(this.world, k, set), set);
+  }
+
+  arrange(set, circles, seed) {
+    return { ...set, circles: withVelocities(circles, this.world.speed_min, this.world.speed_max, seed) };
+  }
+
+  /** Each as [x, y, radius, vx, vy] now. */
+  obstacles(set, steps) {
+    return set.circles.map(([x, y, radius, vx = 0, vy = 0]) => {
+      const [nowX, nowVx] = reflect(x, vx, steps, this.world.width);
+      const [nowY, nowVy] = reflect(y, vy, steps, this.world.height);
+      return [nowX, nowY, radius, nowVx, nowVy];
+    });
+  }
+}
+
+/** A place to fly to among circles that stand still: an observation has three numbers more. */
+class Goal extends Task {
+  generate({ k, set }) {
+    return generateGoal(this.world, this.rules, k, set);
+  }
+
+  get observationSize() {
+    return super.observationSize + 3;
+  }
+
+  /** From a place to the goal: dx, dy and distance [px]. */
+  toGoal({ x, y }, { goal }) {
+    const [dx, dy] = [f32(goal[0] - x), f32(goal[1] - y)];
+    return [dx, dy, lengthOf(dx, dy)];
+  }
+
+  /** The slots, then the direction to the goal, right and forward, and its distance in 1,000 px, at most 1. */
+  sense(state, set, draws) {
+    const { observation, clearance } = super.sense(state, set, draws);
+    const [dx, dy, distance] = this.toGoal(state, set);
+    const scale = distance > 0 ? f32(1 / distance) : 0;
+    const [ux, uy] = [f32(dx * scale), f32(dy * scale)];
+    const [cosine, sine] = [COSINES[state.heading], SINES[state.heading]];
+    const right = clamp(f32(f32(ux * sine) - f32(uy * cosine)), -1, 1);
+    const forward = clamp(f32(f32(ux * cosine) + f32(uy * sine)), -1, 1);
+    const ahead = [right, forward, Math.min(f32(distance / this.rules.scale), 1)];
+    return { observation: Float32Array.from([...observation, ...ahead]), clearance };
+  }
+
+  /** The goal earns 10, a pixel nearer to it 0.01, a turn or a stop -0.01; a collision -10 and nothing else. */
+  judge(before, after, { degrees, pixels, collided }, set) {
+    const { world } = this;
+    const [far, near] = [before, after].map((state) => this.toGoal(state, set)[2]);
+    const arrived = near <= world.goal_radius;
+    if (collided) return [arrived, world.collision_reward];
+    const penalty = pixels === 0 || degrees !== 0 ? world.penalty : 0;
+    return [arrived, Number(arrived) * world.goal_reward + world.reward_per_pixel * (far - near) + penalty];
+  }
+}
+
+const TASKS = { drone: Task, slalom: Slalom, moving: Moving, goal: Goal };

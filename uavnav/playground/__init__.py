@@ -1,6 +1,6 @@
 """`uavnav playground`: the world and trained policies as one page, to be opened from disk: nothing here trains.
 
-The page holds the world (`uavnav.browser`), the weights of some seeds of each run as they are, in float32, and scripts
+The page holds the worlds (`uavnav.browser`), the weights of some seeds of each run as they are, in float32, and scripts
 without a framework. It loads nothing. What a link to it says is checked by `link.js`.
 """
 
@@ -11,9 +11,9 @@ import importlib.metadata
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 from markupsafe import Markup
@@ -24,12 +24,14 @@ from uavnav.choices import ConfigError
 from uavnav.policies import Policy, PolicyError
 from uavnav.runs import POLICY, paper, read_settings, run_folders
 from uavnav.runs.metrics import METRICS
+from uavnav.tasks.ladders import LADDERS
+from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import DEFAULT_K
-from uavnav.tasks.simulator import Task
 from uavnav.tasks.world import World
 
 HERE = Path(__file__).parent
-SCRIPTS = tuple(HERE / f"{name}.js" for name in ("policies", "link", "race", "stage", "panel", "keys", "playground"))
+PARTS = ("policies", "rules", "link", "race", "stage", "panel", "keys", "playground")
+SCRIPTS = tuple(HERE / f"{name}.js" for name in PARTS)
 """After those of `uavnav.browser`, in the order in which a browser reads them."""
 SEEDS = 3
 """Of each run, the lowest, if there is room."""
@@ -39,6 +41,42 @@ DEPTH = 2
 """Runs lie so many folders below the one that is given: ppo/tanh. Studies within studies are deeper, and left out."""
 FIRST_SET = 3
 """The set of obstacles that the page begins with."""
+
+
+class Setting(NamedTuple):
+    """A slider of the page: what of a world, or which fault, it sets."""
+
+    label: str
+    low: float
+    high: float
+    step: float
+    first: float
+    unit: str = ""
+    worlds: tuple[str, ...] = ()  # that have it; none: a fault, which any world can have
+
+
+def _rungs(name: str) -> tuple[float, float]:
+    """The least and the most of a ladder."""
+    return min(LADDERS[name].rungs), max(LADDERS[name].rungs)
+
+
+SETTINGS = {
+    "gap": Setting("gap", *_rungs("slalom"), 10, 120, "px", ("slalom",)),
+    "pace": Setting("their speed", *_rungs("speed"), 0.5, MovingWorld.speed_max, "px/step", ("moving",)),
+    "noise": Setting("noise", *_rungs("noise"), 1, 0, "px"),
+    "lost": Setting("lost echoes", *_rungs("lost"), 0.05, 0),
+    "late": Setting("delay", *_rungs("late"), 1, 0, "steps"),
+    "sticky": Setting("sticky actions", *_rungs("sticky"), 0.05, 0),
+}
+"""By name in a link; the bounds are those of the ladders."""
+TOLD = {
+    "drone": "",
+    "slalom": "Four columns, each with one gap. Networks of the paper's world fly here as they are.",
+    "moving": "Networks of the paper's world fly here as they are: none senses how fast an obstacle moves.",
+    "goal": "Fly to the rings, in at most 1,000 steps. It takes a network that senses its goal.",
+}
+"""What the page says of each world."""
+WORLDS = {name: {"title": title, "told": TOLD[name]} for name, title in browser.TITLES.items()}
 
 
 def runs_in(folder: Path) -> list[Path]:
@@ -89,19 +127,25 @@ def _load(path: Path, n_seeds: int) -> Iterator[Policy]:
         policy = policies.load_policy(path, seed)
         shown = ALGORITHMS[policy.algorithm].shown
         for what, value, choices in (
-            ("task", type(policy.task).__name__, (Task.__name__,)),
+            ("task", _task(policy), ("drone", "moving", "goal")),
             ("activation", _activation(policy), networks.KNOWN),
             ("head", policy.head, ("direct",)),
             ("way to act", policy.acts, ("categorical", "epsilon-greedy")),
             ("values", shown, ("probability", "Q value")),
             ("stack", str(policy.task.stack), ("1",)),
-            ("faults", str(policy.task.faults), ("none",)),
         ):
             if value not in choices:
                 raise PolicyError(f"{path}: the page has no {what} {value!r}; it has {', '.join(choices)}")
-        if policy.world != World():
+        usual = type(policy.world)()
+        same = {name: getattr(usual, name) for name in ("speed_min", "speed_max") if hasattr(usual, name)}
+        if replace(policy.world, **same) != usual:  # the page has obstacles of any speed
             raise PolicyError(f"{path}: trained in another world than the page's, which has every default")
         yield policy
+
+
+def _task(policy: Policy) -> str:
+    """The name of the task that it was trained in."""
+    return str(policy.task.header()["task"])
 
 
 def _order(policy: Policy) -> tuple[int, int]:
@@ -127,11 +171,12 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
     how = "samples its actions"
     if policy.acts == "epsilon-greedy":
         how = f"a random action in {100 * policy.epsilon:g} % of its steps, else the best"
+    place = "" if _task(policy) == "drone" else f" with {WORLDS[_task(policy)]['title']}"
     words = [*where.split("/"), policy.algorithm, activation, str(policy.seed)] if where else []
     return {
         "key": "-".join(words or [policy.algorithm, activation, str(policy.seed)]),
-        "title": f"{title} ({where})" if where else title,
-        "told": f"{frames:,} frames of training; {how}.",
+        "title": f"{title}{place}" + (f" ({where})" if where else ""),
+        "told": f"{frames:,} frames of training{place}; {how}.",
         "algorithm": policy.algorithm,
         "activation": activation,
         "acts": policy.acts,
@@ -145,8 +190,11 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
 
 def page(found: Sequence[dict[str, Any]]) -> str:
     """The one HTML file, with policies as `collect` gives them."""
+    data: dict[str, Any]
     metrics = [{"name": name, **METRICS[name]._asdict()} for name in paper.COLUMNS]
-    data = {"world": asdict(World()), "metrics": metrics, "policies": found, "set": FIRST_SET, "k": DEFAULT_K}
+    settings = {name: one._asdict() for name, one in SETTINGS.items()}
+    data = {"tasks": browser.constants(), "settings": settings, "worlds": WORLDS, "metrics": metrics}
+    data |= {"policies": found, "set": FIRST_SET, "k": DEFAULT_K}
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     cells = len({(one["algorithm"], one["activation"]) for one in found})
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True)
@@ -155,6 +203,8 @@ def page(found: Sequence[dict[str, Any]]) -> str:
         js=Markup(browser.joined([*browser.WORLD, *SCRIPTS])),
         data=Markup(text),
         metrics=metrics,
+        settings=SETTINGS,
+        worlds=WORLDS,
         world=World(),
         algorithms=" and ".join(dict.fromkeys(one["algorithm"].upper() for one in found)),
         told=f"It holds {len(found)} trained networks: {cells} pairs of an algorithm and an activation.",

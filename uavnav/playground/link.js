@@ -2,9 +2,10 @@
  * A scene as the fragment of a link, and back. What a fragment says is data of strangers: each part is checked, and what
  * does not pass is named and left out.
  *
- * A scene is { set, k, circles, pilots, focus, speed, greedy, seed }: the number of the set of obstacles, how many circles
- * it has, circles [x, y, radius] px if they were drawn by hand (else null), who flies each drone, which drone is in focus,
- * the speed, whether policies take the best action always, and the seed of their random numbers.
+ * A scene is { world, set, k, circles, pilots, focus, speed, greedy, seed } and the world's settings: the name of the world,
+ * the number of the set of obstacles, how many circles it has, circles [x, y, radius] px if they were drawn by hand (else
+ * null), who flies each drone, which drone is in focus, the speed, whether policies take the best action always, and the
+ * seed of all random numbers. The settings are those of `data.settings`: gap, pace, noise, lost, late, sticky.
  */
 
 const YOU = "you";
@@ -12,12 +13,19 @@ const RULE = "rule";
 const NOBODY = "nobody";
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const MOST_DRONES = 4;
-const MOST_CIRCLES = 24;
+const MOST_CIRCLES = 48;
 const LAST_NUMBER = 2 ** 32 - 1; // of sets and of seeds
 
 function wholeNumber(text, low, high) {
   const number = /^\d{1,10}$/.test(text) ? Number(text) : NaN;
   return number >= low && number <= high ? number : undefined;
+}
+
+/** A number that a slider can have: { low, high, step }. */
+function onSlider(text, { low, high, step }) {
+  const number = /^\d{1,3}(\.\d{1,2})?$/.test(text) ? Number(text) : NaN;
+  const steps = number / step;
+  return number >= low && number <= high && Math.abs(steps - Math.round(steps)) < 1e-6 ? number : undefined;
 }
 
 /** A circle "x_y_radius" with one decimal at most, within the world and clear of the start. */
@@ -43,6 +51,7 @@ function readPilots(known, text) {
 
 /** How each part of a fragment is read: undefined where it is not right. known: names of those who can fly. */
 const READ = {
+  world: (text) => (Object.hasOwn(TASKS, text) ? text : undefined),
   set: (text) => wholeNumber(text, 0, LAST_NUMBER),
   k: (text) => wholeNumber(text, 0, MOST_CIRCLES),
   circles: (text, world) => readCircles(world, text),
@@ -54,21 +63,28 @@ const READ = {
 };
 
 /** The parts of a scene that a fragment gives, and the names of those that are wrong: [scene, wrong]. */
-function readLink(fragment, world, known) {
+function readLink(fragment, world, known, settings) {
   const [scene, wrong] = [{}, []];
+  const sliders = Object.entries(settings).map(([name, slider]) => [name, (text) => onSlider(text, slider)]);
+  const read = { ...READ, ...Object.fromEntries(sliders) };
   for (const part of fragment.replace(/^#/, "").split("&").filter(Boolean)) {
     const [name, text] = [part.split("=", 1)[0], part.slice(part.indexOf("=") + 1)];
-    const value = Object.hasOwn(READ, name) && part.includes("=") ? READ[name](text, world, known) : undefined;
+    const value = Object.hasOwn(read, name) && part.includes("=") ? read[name](text, world, known) : undefined;
     if (value === undefined) wrong.push(name.slice(0, 20));
     else scene[name] = value;
   }
   return [scene, wrong];
 }
 
-/** The fragment of a scene, without the #. */
-function writeLink(scene) {
+/** The fragment of a scene, without the #; settings are in it that the world has, and that are not as they come. */
+function writeLink(scene, settings) {
+  const own = Object.entries(settings).filter(
+    ([name, { first, worlds }]) => scene[name] !== first && (!worlds.length || worlds.includes(scene.world)),
+  );
   const circles = scene.circles?.map((circle) => circle.map((number) => Number(number.toFixed(1))).join("_")).join("~");
   const parts = {
+    ...(scene.world === "drone" ? {} : { world: scene.world }),
+    ...Object.fromEntries(own.map(([name]) => [name, scene[name]])),
     set: scene.set,
     k: scene.k,
     ...(scene.circles ? { circles: circles || "none" } : {}),

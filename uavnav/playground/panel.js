@@ -6,6 +6,8 @@ const BOUNDS = {
   tanh: [-1, 1], sigmoid: [0, 1], softsign: [-1, 1], hardtanh: [-1, 1], relu6: [0, 6], sigmoid_centred: [-1, 1],
 }; // of activations that have some
 
+const ENDS = { "": "flying", collision: "crashed", goal: "arrived", "time-out": "too late" };
+
 /** A text of an element, written only where it is another. */
 function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
@@ -18,10 +20,25 @@ function nameOf(pilot, policies) {
   return { [YOU]: ["You", "keys"], [RULE]: ["Rule", "scripted"], [NOBODY]: ["–", "out"] }[pilot];
 }
 
+/** The way to the goal, from the drone at (x, y): a line, and a diamond at its end so many px away. */
+function drawWay(context, [x, y], [right, forward], away, colours) {
+  line(context, [[x, y], [x + away * right, y - away * forward]], 1, colours.muted);
+  context.save();
+  context.translate(x + away * right, y - away * forward);
+  context.rotate(Math.PI / 4);
+  context.fillStyle = colours.bg;
+  context.strokeStyle = colours.fg;
+  context.lineWidth = 2;
+  context.fillRect(-5, -5, 10, 10);
+  context.strokeRect(-5, -5, 10, 10);
+  context.restore();
+}
+
 /**
  * What a drone senses. Above, in its own frame: itself below, ahead of it up. Below, a bar a slot, the higher the nearer.
+ * way: to the goal, if there is one: right, forward [-1 to 1] and away [px].
  */
-function drawSlots(canvas, { world, slots, mine, colours, font }) {
+function drawSlots(canvas, { world, slots, way, mine, colours, font }) {
   const { context, width, height } = fit(canvas);
   const scale = width / 2 / (1.05 * world.sensor_radius);
   const [x, y] = [width / 2, 1.05 * scale * world.sensor_radius];
@@ -41,6 +58,7 @@ function drawSlots(canvas, { world, slots, mine, colours, font }) {
   context.fill();
   const foot = height - 15;
   const step = width / slots.length;
+  if (way) drawWay(context, [x, y], way, scale * Math.min(way[2], 0.9 * world.sensor_radius), colours);
   context.font = font;
   context.textAlign = "center";
   context.textBaseline = "middle";
@@ -87,8 +105,9 @@ class Panel {
   /** data: the page's; find: an element by its id. */
   constructor(data, find) {
     Object.assign(this, { data, find });
-    const { n_turns, n_distances } = data.world;
-    this.actions = Array.from({ length: n_turns * n_distances }, (_, action) => decode(data.world, action));
+    this.world = data.tasks.drone.world; // whose drone every world has
+    const { n_turns, n_distances } = this.world;
+    this.actions = Array.from({ length: n_turns * n_distances }, (_, action) => decode(this.world, action));
     this.grid = gridOf(this.actions);
     this.seats = [...document.querySelectorAll(".seat")];
     this.rows = [...document.querySelectorAll("[data-metric]")].map((row) => [
@@ -110,11 +129,11 @@ class Panel {
   }
 
   showRace(race) {
-    const inRace = race.drones.filter(({ pilot }) => pilot !== NOBODY);
+    const inRace = race.drones.filter(({ pilot }) => race.canFly(pilot));
     const most = Math.max(...inRace.map(({ state }) => state.reward));
-    race.drones.forEach(({ pilot, state, crashed }, place) => {
-      const away = pilot === NOBODY;
-      say(this.states[place], away ? "" : crashed ? "crashed" : "flying");
+    race.drones.forEach(({ pilot, state, ended }, place) => {
+      const away = !race.canFly(pilot);
+      say(this.states[place], pilot === NOBODY ? "" : away ? "cannot fly" : ENDS[ended]);
       for (const [metric, cells] of this.rows) {
         const value = metricOf(metric, state);
         const decimals = metric.scale === null && metric.column !== "reward" ? 0 : metric.scale === 100 ? 0 : 1;
@@ -124,11 +143,12 @@ class Panel {
     });
   }
 
-  /** The instruments of one drone; hand: what a person steers. */
-  showDrone(drone, place, hand, colours, font) {
+  /** The instruments of one drone of a race. */
+  showDrone(race, place, colours, font) {
+    const drone = race.drones[place];
     const policy = this.data.policies.find(({ key }) => key === drone.pilot);
     const { action, shown, low, high, hidden = [] } = drone.thought;
-    const chosen = drone.pilot === NOBODY ? undefined : (action ?? encode(this.data.world, hand));
+    const chosen = race.canFly(drone.pilot) ? (action ?? encode(this.world, race.hand)) : undefined;
     const words = chosen === undefined ? "" : `: ${inWords(this.actions[chosen])}`;
     const subject = policy ? `${policy.shown} of each action, the chosen one framed` : "each action, the chosen one framed";
     say(this.find("values-title"), subject);
@@ -136,11 +156,16 @@ class Panel {
     const shares = shown && ((one) => (shown[one] - low) / (high - low || 1));
     drawValues(values, { grid: this.grid, colours, font, instead: "", shares, chosen, low, high });
     values.setAttribute("aria-label", `${subject}${words}`);
-    const slots = slotsOf(drone.observation);
+    const slots = slotsOf(this.world, drone.observation);
+    const [right, forward, away] = drone.observation.subarray(3 * this.world.n_slots);
+    const way = right === undefined ? undefined : [right, forward, away * race.task.rules.scale];
     const filled = slots.filter(([right, forward]) => right !== 0 || forward !== 0).length;
     const sensor = this.find("sensor");
-    drawSlots(sensor, { world: this.data.world, slots, mine: colours[`drone-${place + 1}`], colours, font });
-    sensor.setAttribute("aria-label", `${filled} of ${slots.length} slots filled; the nearest edge at ${fixed(drone.clearance, 0)} px`);
+    drawSlots(sensor, { world: this.world, slots, way, mine: colours[`drone-${place + 1}`], colours, font });
+    const goal = way ? `; the goal at ${fixed(way[2], 0)} px` : "";
+    const edge = `; the nearest edge at ${fixed(drone.clearance, 0)} px${goal}`;
+    sensor.setAttribute("aria-label", `${filled} of ${slots.length} slots filled${edge}`);
+    say(this.find("sensor-title"), way ? "the ten slots it senses, and the way to the goal" : "the ten slots it senses");
     this.showUnits(policy, hidden, colours, font);
   }
 

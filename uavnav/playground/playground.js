@@ -1,7 +1,7 @@
 /*
  * The page: startPlayground(data) brings the race, the arena, the instruments and the controls together.
  *
- * `data` is what uavnav/playground/__init__.py writes: the world's constants, the metrics and the policies.
+ * `data` is what uavnav/playground/__init__.py writes: constants of the worlds, their settings, metrics and policies.
  */
 
 const STEPS_PER_SECOND = 30; // at speed 1
@@ -13,10 +13,9 @@ const INSTRUMENTS = 66; // [ms] from one picture of the instruments to the next
 class Playground {
   constructor(data) {
     this.data = data;
-    this.world = data.world;
     this.find = (id) => document.getElementById(id);
     this.known = [YOU, RULE, NOBODY, ...data.policies.map(({ key }) => key)];
-    this.race = new Race(PAPER, data.world, data.policies, this.first());
+    this.race = new Race(data.tasks, data.policies, this.first());
     this.stage = new Stage(this, this.find("stage"));
     this.panel = new Panel(data, this.find);
     this.playing = false;
@@ -34,7 +33,13 @@ class Playground {
     const algorithms = [...new Set(this.data.policies.map(({ algorithm }) => algorithm))];
     const first = algorithms.map((one) => this.data.policies.find(({ algorithm }) => algorithm === one).key);
     const pilots = [YOU, first[0] ?? NOBODY, first[1] ?? NOBODY, RULE];
-    return { set: this.data.set, k: this.data.k, circles: null, pilots, focus: 2, speed: 1, greedy: false, seed: 0 };
+    const settings = Object.entries(this.data.settings).map(([name, { first: value }]) => [name, value]);
+    const start = { world: "drone", set: this.data.set, k: this.data.k, circles: null, ...Object.fromEntries(settings) };
+    return { ...start, pilots, focus: 2, speed: 1, greedy: false, seed: 0 };
+  }
+
+  get world() {
+    return this.race.world;
   }
 
   get scene() {
@@ -50,7 +55,7 @@ class Playground {
   /** The scene that the address names; what is wrong in it is told. */
   open() {
     clearTimeout(this.later);
-    const [parts, wrong] = readLink(location.hash, this.world, this.known);
+    const [parts, wrong] = readLink(location.hash, this.world, this.known, this.data.settings);
     this.race.load({ ...this.first(), ...parts });
     this.tell(wrong.length ? `Left out of the link, because it is not right: ${wrong.join(", ")}.` : "");
     this.share = 1;
@@ -66,7 +71,7 @@ class Playground {
 
   write() {
     const circles = this.scene.circles ? this.race.circles : null;
-    const address = `#${writeLink({ ...this.scene, circles })}`;
+    const address = `#${writeLink({ ...this.scene, circles }, this.data.settings)}`;
     if (location.hash !== address) history.replaceState(null, "", address);
   }
 
@@ -123,6 +128,10 @@ class Playground {
     for (const [id, act] of Object.entries(clicks)) on(id, "click", act);
     on("speed", "change", ({ value }) => this.change({ speed: Number(value) }));
     on("k", "input", ({ value }) => this.change({ k: Number(value), circles: null }, true));
+    on("world", "change", ({ value }) => this.enter(value));
+    for (const name of Object.keys(this.data.settings)) {
+      on(name, "input", ({ value }) => this.change({ [name]: Number(value), ...(name === "gap" ? { circles: null } : {}) }, true));
+    }
     on("seed", "change", ({ value }) => this.change({ seed: READ.seed(value) ?? this.scene.seed }, true));
     on("pilot", "change", ({ value }) => this.handTo(this.focus, value));
     on("greedy", "change", ({ checked }) => {
@@ -162,6 +171,14 @@ class Playground {
     this.show();
   }
 
+  /** Another world, its obstacles its own; whoever cannot fly there waits. */
+  enter(world) {
+    if (this.stage.drawing) this.draw(false);
+    this.change({ world, circles: null }, true);
+    const first = this.race.drones.findIndex(({ pilot }) => this.race.canFly(pilot));
+    if (!this.race.canFly(this.race.drones[this.focus].pilot) && first >= 0) this.focusOn(first);
+  }
+
   again() {
     this.change({}, true);
   }
@@ -196,13 +213,17 @@ class Playground {
   }
 
   nextPolicy() {
-    const keys = this.data.policies.map(({ key }) => key);
+    const keys = this.data.policies.map(({ key }) => key).filter((key) => this.race.canFly(key));
     if (keys.length) this.handTo(this.focus, keys[(keys.indexOf(this.race.drones[this.focus].pilot) + 1) % keys.length]);
   }
 
   // -------------------------------------------------------------------------------------------- drawn obstacles
 
   draw(on) {
+    if (on && this.race.task.moves) {
+      this.pause(); // what is drawn is where circles start
+      this.again();
+    }
     this.stage.drawing = on;
     this.stage.selected = on && this.race.circles.length ? 0 : -1;
     document.body.classList.toggle("drawing", on);
@@ -236,7 +257,7 @@ class Playground {
 
   /** A new circle somewhere, for those who do not point. */
   addFree() {
-    const [circle] = this.race.task.generate(this.world, 1, this.scene.set + 1000 * (this.race.circles.length + 1));
+    const [circle] = generate(this.world, 1, this.scene.set + 1000 * (this.race.circles.length + 1));
     if (this.add(circle)) this.edited();
   }
 
@@ -284,6 +305,7 @@ class Playground {
   }
 
   start() {
+    this.fly();
     if (!this.race.flying().length) this.again();
     if (!this.race.flying().length) return; // nobody is in the race
     this.playing = true;
@@ -297,6 +319,11 @@ class Playground {
     requestAnimationFrame(tick);
   }
 
+  /** Among circles that move nobody draws while time goes. */
+  fly() {
+    if (this.stage.drawing && this.race.task.moves) this.draw(false);
+  }
+
   pause() {
     this.playing = false;
     this.showControls();
@@ -305,6 +332,7 @@ class Playground {
 
   oneStep() {
     this.playing = false;
+    this.fly();
     if (this.race.flying().length) this.advance();
     this.share = 1;
     this.showControls();
@@ -330,8 +358,8 @@ class Playground {
 
   advance() {
     this.steer();
-    const crashed = this.race.step();
-    if (crashed.length) this.describe();
+    const ended = this.race.step();
+    if (ended.length) this.describe();
     if (this.race.flying().length) return;
     this.playing = false;
     this.share = 1;
@@ -357,7 +385,7 @@ class Playground {
 
   showInstruments() {
     this.panel.showRace(this.race);
-    this.panel.showDrone(this.race.drones[this.focus], this.focus, this.race.hand, this.cardColours, this.font);
+    this.panel.showDrone(this.race, this.focus, this.cardColours, this.font);
   }
 
   showControls() {
@@ -369,6 +397,7 @@ class Playground {
     find("k").value = race.circles.length;
     find("k").disabled = stage.drawing;
     say(find("k-now"), String(race.circles.length));
+    this.showWorld();
     find("draw").setAttribute("aria-pressed", String(stage.drawing));
     find("drawing").hidden = !stage.drawing;
     say(find("take"), drone.pilot === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
@@ -381,21 +410,43 @@ class Playground {
     const steering = yours
       ? `Drone ${yours} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
       : "To fly by hand, choose a drone and take it.";
-    const drawing = "Drag on free ground for a new circle, inside one to move it, at its edge to size it.";
+    const where = race.task.moves ? " They move when you play." : "";
+    const drawing = `Drag on free ground for a new circle, inside one to move it, at its edge to size it.${where}`;
     say(find("hint"), stage.drawing ? drawing : `${steering} Space pauses.`);
     const banner = find("banner");
     const waiting = !this.playing && !stage.drawing;
     banner.hidden = !waiting || !(over || race.drones.every(({ state }) => state.steps === 0));
-    say(banner, over ? "All are down. Again, or the next set?" : "Press Play, or Space.");
+    const down = race.drones.every(({ pilot, ended }) => !race.canFly(pilot) || ended === "collision");
+    const end = down ? "All are down." : "The race is over.";
+    say(banner, over ? `${end} Again, or the next set?` : "Press Play, or Space.");
     this.panel.showSeats(race, this.focus);
+  }
+
+  /** The world's own controls, and who can fly there. */
+  showWorld() {
+    const { race, scene, find } = this;
+    const { settings, worlds } = this.data;
+    find("world").value = scene.world;
+    for (const [name, { worlds: where, unit }] of Object.entries(settings)) {
+      find(name).value = scene[name];
+      find(name).closest("label").hidden = where.length > 0 && !where.includes(scene.world);
+      say(find(`${name}-now`), `${short(scene[name])}${unit && ` ${unit}`}`);
+    }
+    find("k").closest("label").hidden = scene.world === "slalom";
+    const faults = Object.entries(settings).filter(([name, { worlds: where }]) => !where.length && scene[name] > 0);
+    say(find("faults-now"), faults.map(([name]) => `${name} ${short(scene[name])}`).join(", ") || "none");
+    for (const option of find("pilot").options) option.disabled = option.value !== NOBODY && !race.canFly(option.value);
+    const able = this.data.policies.some(({ key }) => race.canFly(key));
+    say(find("told"), `${worlds[scene.world].told}${able ? "" : " No network here has learned that: you and the rule fly."}`);
+    find("told").hidden = !find("told").textContent;
   }
 
   /** Words for those who do not see the arena: after a step, and when a drone crashes. */
   describe() {
-    const words = this.race.drones.map(({ pilot, state, crashed }, place) => {
+    const words = this.race.drones.map(({ pilot, state, ended }, place) => {
       const [who, more] = nameOf(pilot, this.data.policies);
-      const how = crashed ? "crashed" : "flies";
-      return pilot === NOBODY ? "" : `${place + 1}, ${who} ${more}: ${how}, step ${state.steps}, reward ${fixed(state.reward, 1)}.`;
+      const how = ended ? ENDS[ended] : "flies";
+      return !this.race.canFly(pilot) ? "" : `${place + 1}, ${who} ${more}: ${how}, step ${state.steps}, reward ${fixed(state.reward, 1)}.`;
     });
     say(this.find("status"), words.filter(Boolean).join(" "));
   }

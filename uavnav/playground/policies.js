@@ -1,6 +1,6 @@
 /*
- * Who can fly: trained networks, as uavnav/networks.py and uavnav/training/sampling.py have them, and the hand-written
- * rule of uavnav/tasks/baselines.py. Everything is a function of what is sensed and of uniform random numbers.
+ * Trained networks, as uavnav/networks.py and uavnav/training/sampling.py have them: functions of what is sensed and of
+ * uniform random numbers.
  *
  * A network's numbers are float32; sums are taken in double, so that outputs differ from PyTorch's in their last bits.
  */
@@ -115,17 +115,6 @@ const ACTS = {
 
 /** What a picture shows of a policy's values. */
 const SHOWN = { probability: softmax, "Q value": (values) => [...values] };
-
-/** Fly straight at full speed where that is certainly safe, else turn left on the spot. */
-function reactive(world, observation) {
-  const full = world.n_distances - 1;
-  const closest = slotsOf(observation).reduce((least, [, forward, proximity]) => {
-    const distance = f32(world.drone_radius + f32(proximity * (world.sensor_radius - world.drone_radius)));
-    return Math.min(least, f32(distance - f32(full * forward)));
-  }, Infinity);
-  const safe = closest > f32(world.drone_radius + 0.01);
-  return encode(world, safe ? [0, full] : [Math.floor(world.n_turns / 2), 0]);
-}
 
 /**
  * What a policy of the page makes of an observation: { action, hidden, shares, low, high }, where `shares` [actions] is

@@ -62,7 +62,7 @@ class Stage {
     else {
       const { drones } = this.app.race;
       const near = drones.findIndex(
-        ({ pilot, state }) => pilot !== NOBODY && Math.hypot(state.x - point[0], state.y - point[1]) < 30,
+        ({ pilot, state }) => this.app.race.canFly(pilot) && Math.hypot(state.x - point[0], state.y - point[1]) < 30,
       );
       if (near >= 0) this.app.focusOn(near);
       this.target = point;
@@ -119,23 +119,24 @@ class Stage {
   /** Draw the moment so much of the way [0 to 1] from each drone's last pose to its pose. focus: place of a drone. */
   draw(share, focus, colours) {
     const { race, world } = this.app;
-    const shown = race.drones.map((drone, place) => ({ drone, place })).filter(({ drone }) => drone.pilot !== NOBODY);
+    const shown = race.drones.map((drone, place) => ({ drone, place })).filter(({ drone }) => race.canFly(drone.pilot));
     shown.sort((one, other) => (one.place === focus) - (other.place === focus)); // the one in focus above all
     const drones = shown.map(({ drone, place }) => {
-      const pose = race.poseAt(drone, drone.crashed ? 1 : share);
+      const pose = race.poseAt(drone, drone.ended ? 1 : share);
       const mine = place === focus;
       const here = { ...drone.state, angle: (drone.state.heading * Math.PI) / 180 };
       return {
         pose,
         trail: [...drone.trail, [pose.x, pose.y]],
-        sensed: mine && !drone.crashed ? sensedPoints(world, here, slotsOf(drone.observation)) : [],
-        crashed: drone.crashed,
+        sensed: mine && !drone.ended ? sensedPoints(world, here, slotsOf(world, drone.observation)) : [],
+        crashed: drone.ended === "collision",
         sign: String(place + 1),
         accent: colours[`drone-${place + 1}`],
-        faint: !mine || drone.crashed,
+        faint: !mine || Boolean(drone.ended),
       };
     });
-    const { context, thick } = drawArena(this.canvas, { world, circles: race.circles, drones, colours });
+    const there = { circles: race.obstaclesAt(share), goal: race.set.goal };
+    const { context, thick } = drawArena(this.canvas, { world, ...there, drones, colours });
     if (this.drawing) this.drawHelp(context, thick, colours);
   }
 

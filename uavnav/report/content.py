@@ -91,7 +91,7 @@ def gather(folders: Sequence[Path]) -> Content:
     of_paper = studies.paper_cells(sorted_cells.main)
     with machine.use_threads(1), ThreadPoolExecutor(1) as beside:  # what nothing else waits for flies meanwhile
         valued = beside.submit(_overestimation, of_paper)
-        replayed = beside.submit(replays.record, [*of_paper.values()])
+        replayed = beside.submit(replays.record, list(dict.fromkeys([*of_paper.values(), *studies.elsewhere(cells)])))
         flights, by_layout, watched, problems = watch(sorted_cells)
         evidence = {reading: Rows(sorted_cells, reading, flights, by_layout) for reading in READINGS}
         printed = {reading: functools.partial(studies.of_paper, reading=reading) for reading in READINGS}

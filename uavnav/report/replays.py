@@ -20,14 +20,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uavnav import flights
+from uavnav import browser, flights
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import EPISODES
 from uavnav.policies import Policy, PolicyError, load_policy
 from uavnav.report.cells import Cell, one_line
 from uavnav.tasks import layouts
 from uavnav.tasks.dynamics import decode
-from uavnav.tasks.simulator import Task
+from uavnav.tasks.faults import NO_FAULTS
+from uavnav.tasks.simulator import Goal, Task
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 from uavnav.training import machine
@@ -62,7 +63,7 @@ Columns = dict[str, Tensor]
 
 
 def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_steps: int = 1000) -> dict[str, Any]:
-    """Fly the first seeds of each cell, as in training, on the first sets of obstacles of the test bank.
+    """Fly the first seeds of each cell, as in training, on the first sets of obstacles of their world's test bank.
 
     Args:
         cells: whose policies fly; those of one world and reward as one batch.
@@ -74,7 +75,8 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
         What the player reads, as JSON can hold it: `world` (its constants), `layouts` (sets of [x, y, radius] px),
         `actions` ([degrees, px] of each), `fields` (`FIELDS` in the order of the bytes, and the columns of each),
         `cells` (algorithm, label, mode, what its values are, and `flights` with seed, layout, steps, reward, how it
-        ended, and the bytes), and `left_out`: a line for each policy that cannot fly.
+        ended, and the bytes; elsewhere than in the paper's world also `_place`), and `left_out`: a line for each policy
+        that cannot fly.
 
     Raises:
         ValueError: a count is below 1, or the bank has fewer sets.
@@ -96,6 +98,7 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
     for cell, population in ready:
         name = {"algorithm": cell.algorithm, "label": cell.label or cell.activation}
         own = [_pack(flight) for _ in population for flight in next(flown)]
+        name |= _place(next(iter(population.values())).task, n_layouts)
         shown.append(name | {"values": ALGORITHMS[cell.algorithm].shown, "mode": "sampled", "flights": own})
     angle, distance = decode(torch.arange(world.n_actions), world)
     columns = {"value": world.n_actions} | dict.fromkeys(("right", "forward", "proximity"), world.n_slots)
@@ -117,10 +120,34 @@ def _load(cell: Cell, n_seeds: int) -> tuple[dict[int, Policy], list[str]]:
         if len(population) == n_seeds:
             break
         try:
-            population[seed] = load_policy(path, seed, greedy=False)
+            policy = load_policy(path, seed, greedy=False)
         except PolicyError as error:
             problems.append(one_line(error))
+            continue
+        task = policy.task.header()["task"]
+        if task in browser.TITLES:
+            population[seed] = policy
+        else:
+            problems.append(f"{path}: a page has no replays of task={task}; uavnav render makes a film of it")
     return population, problems
+
+
+def _bank(task: Task) -> Tensor:
+    """The sets of the task's own test bank that an evaluation flies."""
+    return layouts.load("test", task.world)[:EPISODES]
+
+
+def _place(task: Task, n_layouts: int) -> dict[str, Any]:
+    """Where flights were flown, if not in the paper's world as it is: `place`, what the player draws and calls it."""
+    name = task.header()["task"]
+    faults, stack = task.faults != NO_FAULTS, task.stack > 1
+    words = [browser.TITLES[name], *([str(task.faults)] if faults else []), *([f"stack={task.stack}"] if stack else [])]
+    if name == "drone" and len(words) == 1:
+        return {}
+    rows = _bank(task)[:n_layouts].double().tolist()
+    sets = [{"circles": one[:-1], "goal": one[-1][:2]} if isinstance(task, Goal) else {"circles": one} for one in rows]
+    constants = {"world": asdict(task.world), "max_steps": task.max_steps, "rules": browser.RULES.get(name, {})}
+    return {"place": {"task": name, "title": ", ".join(words), "sets": sets, **constants}}
 
 
 class Flight(NamedTuple):
@@ -131,17 +158,20 @@ class Flight(NamedTuple):
     collided: bool  # else it was cut off
     poses: Columns  # T + 1 rows: x, y [px], heading [degrees], clearance [px], reward so far, slots [T + 1, 10, 3]
     choices: Columns  # T rows: action, and values [T, 100], the numbers behind it
+    arrived: bool = False  # at its goal
 
 
 def fly(flyers: Sequence[tuple[int, Policy]], bank: Tensor, n_layouts: int, max_steps: int) -> list[list[Flight]]:
     """For each seed and policy its flights on the first sets of a bank [L, K, 3] px: those that an evaluation counts.
 
-    All sets of the bank are flown, as an evaluation flies them: sampled actions of one flight follow others.
+    All sets of the bank are flown, as an evaluation flies them: sampled actions of one flight follow others. In another
+    world, policies fly as many sets of its own test bank.
     """
     found: list[list[Flight]] = [[] for _ in flyers]
     for places in flights.alike([policy for _, policy in flyers]):
         together = [flyers[place] for place in places]
-        task = together[0][1].task.on(bank, max_steps)
+        own_task = together[0][1].task
+        task = own_task.on(bank if type(own_task) is Task else _bank(own_task)[: len(bank)], max_steps)
         for place, own in zip(places, _fly_together(together, task, n_layouts), strict=True):
             found[place] = own
     return found
@@ -154,30 +184,41 @@ def _fly_together(flyers: Sequence[tuple[int, Policy]], task: Task, n_layouts: i
     kept = torch.arange(len(start.x)) % n < n_layouts
     going = int(kept.sum())
     observation, clearance = task.observe(start)
-    n_seen = task.world.observation_size  # of a stack the newest is drawn
-    poses, choices = [_pose(torch.arange(len(kept)), start, observation[:, :n_seen], clearance, kept)], []
-    collided = torch.zeros(len(kept), dtype=torch.bool)
+    poses, choices = [_pose(torch.arange(len(kept)), start, _slots(task, observation), clearance, kept)], []
+    collided, arrived = torch.zeros(2, len(kept), dtype=torch.bool)
     for step in flights.fly(flyers, task, values=True):
         assert step.values is not None
         mine, outcome = kept[step.flight], step.outcome
         choices.append({"row": step.flight[mine], "action": step.action[mine], "values": step.values[mine]})
-        poses.append(_pose(step.flight, step.state, outcome.observation[:, :n_seen], outcome.clearance, mine))
+        poses.append(_pose(step.flight, step.state, _slots(task, outcome.observation), outcome.clearance, mine))
         collided[step.flight] = outcome.terminated
+        if isinstance(task, Goal):
+            arrived[step.flight] = task.succeeded(step.state)
         going -= int((step.ended & mine).sum())
         if not going:
             break
+    collided &= ~arrived
     seen, done = (dict(_by_row(parts)) for parts in (poses, choices))
     for place, (seed, policy) in enumerate(flyers):
         rows = range(place * n, place * n + n_layouts)
         for row in rows:
             done[row]["values"] = policy.shown(done[row]["values"])
-        yield [Flight(seed, row - rows[0], bool(collided[row]), seen[row], done[row]) for row in rows]
+        yield [
+            Flight(seed, row - rows[0], bool(collided[row]), seen[row], done[row], bool(arrived[row])) for row in rows
+        ]
 
 
-def _pose(row: Tensor, state: State, observation: Tensor, clearance: Tensor, kept: Tensor) -> Columns:
+def _slots(task: Task, observation: Tensor) -> Tensor:
+    """The slots [F, 10, 3] of observations [F, n], without velocities; of a stack those of the newest."""
+    world = task.world
+    slots = observation[:, : world.n_slots * len(world.slot_low)].reshape(len(observation), world.n_slots, -1)
+    return slots[..., :3]
+
+
+def _pose(row: Tensor, state: State, slots: Tensor, clearance: Tensor, kept: Tensor) -> Columns:
     """Those of a step's flights that are shown; row [F]: which they are, kept [F] bool."""
     fields = {name: getattr(state, name) for name in ("x", "y", "heading", "reward")}
-    columns = {"row": row, "clearance": clearance, "slots": observation.reshape(len(row), -1, 3)} | fields
+    columns = {"row": row, "clearance": clearance, "slots": slots} | fields
     return {name: column[kept] for name, column in columns.items()}
 
 
@@ -203,7 +244,7 @@ def _pack(flight: Flight) -> dict[str, Any]:
         "layout": flight.layout,
         "steps": len(values),
         "reward": round(float(flight.poses["reward"][-1]), 2),
-        "ended": "collision" if flight.collided else "cut off",
+        "ended": "goal" if flight.arrived else "collision" if flight.collided else "cut off",
         "bytes": base64.b64encode(zlib.compress(content, 9)).decode(),
     }
 

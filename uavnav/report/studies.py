@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from uavnav.report.cells import Cell, Key, order, read_as, show, windowed
+from uavnav.report.cells import TASK, Cell, Key, order, read_as, show, windowed
 from uavnav.report.claims import PRIMARY, SURGE
 from uavnav.runs import Run, paper
 from uavnav.runs.readings import ALL, PER_FRAME
 from uavnav.stats import Array
+from uavnav.tasks.faults import NO_FAULTS
 
 Cells = dict[Key, Cell]
 
@@ -139,6 +140,12 @@ def in_none(studies: Studies) -> list[str]:
 def paper_cells(cells: Cells) -> Cells:
     """Those of the paper's activations, of whatever algorithm."""
     return {key: cell for key, cell in cells.items() if key[1] in paper.ACTIVATIONS}
+
+
+def elsewhere(cells: Sequence[Cell]) -> list[Cell]:
+    """Those of another world than the paper's, with faults, or with a stack of observations."""
+    usual = {"task": TASK, "stack": 1} | {f"faults.{name}": value for name, value in asdict(NO_FAULTS).items()}
+    return [cell for cell in cells if any(cell.settings.get(key, value) != value for key, value in usual.items())]
 
 
 def wide(studies: Studies) -> Cells:

@@ -39,6 +39,8 @@ STOP = "stop"
 LOG_FOLDERS = ("tensorboard", "wandb")
 NO_RUNS = ("checkpoint", *LOG_FOLDERS)
 """Folders that hold no runs."""
+TUNING, TRIALS = "tuning", "trials"
+"""What a study that tunes writes into, and in there its trials, which are no runs of their own."""
 OF_REPORTS = ("baselines", "bench", "tables", "figures")
 """Folders that a report reads or writes itself."""
 KINDS = {"algorithm": str, "activation": str, "seed": int, "n_seeds": int}
@@ -144,7 +146,8 @@ def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
         raise RunError(f"{folder}: {problem}; give a folder that holds runs")
     found, strays = [], []
     for path, names, files in os.walk(folder):
-        names[:] = sorted(name for name in names if not name.startswith(".") and name not in NO_RUNS)
+        none = (*NO_RUNS, TRIALS) if Path(path).name == TUNING else NO_RUNS
+        names[:] = sorted(name for name in names if not name.startswith(".") and name not in none)
         if "config.yaml" in files:
             found.append(Path(path))
         elif "episodes.parquet" in files:

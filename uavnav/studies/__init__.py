@@ -10,6 +10,7 @@
       dqn: {learning_starts: 1000}              # of one algorithm's cells
     cells:
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in {out}/rate-0.001/ppo/tanh and so on
+    tune: ...                   # settings that are searched for first: `search`
 
 `run` carries a study out, and `uavnav.study` is its command.
 """
@@ -26,16 +27,18 @@ import yaml
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError, choose_from, unknown, unknown_key
-from uavnav.evaluate import EPISODES, MAX_STEPS
+from uavnav.evaluate import EPISODES, MAX_STEPS, files_of
 from uavnav.tasks.layouts import judged_on
 from uavnav.tasks.protocol import LADDER_NAMES
 from uavnav.training.config import PARTS, TrainConfig
 
 HERE = Path(__file__).parent
-KEYS = ("what", "banks", "settings", "cells")
+KEYS = ("what", "banks", "settings", "cells", "tune")
 OF_CELLS = ("folder", "algorithm", "evaluate")
 """Keys of a cell that are no settings of its algorithm."""
 PROTOCOL = {"episodes": EPISODES, "max_steps": MAX_STEPS}
+BANK = "layouts"
+"""A key of `evaluate` for another bank than the test sets."""
 
 
 class Cell(NamedTuple):
@@ -44,9 +47,14 @@ class Cell(NamedTuple):
     config: TrainConfig
     out: Path
     evaluation: dict[str, Any] | None
-    """Sets and steps at most, and the bank where it is not `test`; None: it is not flown."""
+    """`episodes`, sets of the bank `test` or of `layouts`, and `max_steps`; None: it is not flown."""
     across: tuple[str, ...] = ()
     """Ladders that it flies too, with as many sets and steps."""
+
+    @property
+    def flights(self) -> tuple[str, ...]:
+        """The files of rows and of behaviour that its evaluation leaves; none where it is not flown."""
+        return () if self.evaluation is None else files_of(**{BANK: "test"} | self.evaluation)
 
 
 class Study(NamedTuple):
@@ -57,6 +65,7 @@ class Study(NamedTuple):
     banks: list[int]
     settings: Mapping[str, Any]
     cells: list[Mapping[str, Any]]
+    tune: Mapping[str, Any] | None = None
 
 
 def names() -> list[str]:
@@ -98,7 +107,32 @@ def _study(name: str, said: Any) -> Study:
     settings = said.get("settings", {})
     if not isinstance(settings, dict):
         raise ConfigError(f"settings={settings}; give keys and values")
-    return Study(name, str(said.get("what", name)), banks, settings, said["cells"])
+    tune = said.get("tune")
+    if tune is not None and not isinstance(tune, dict):
+        raise ConfigError(f"tune={tune}; give keys and values, as uavnav/studies/tuning.yaml does")
+    return Study(name, str(said.get("what", name)), banks, settings, said["cells"], tune)
+
+
+def only(study: Study, chosen: str | None) -> Study:
+    """The same with the cells of some algorithms, their names between commas.
+
+    Raises:
+        ConfigError: it has no cell of one of them.
+    """
+    if chosen is None:
+        return study
+    wanted = [name.strip() for name in chosen.split(",")]
+    there = {name for cell in study.cells for name in algorithms(cell)}
+    for name in wanted:
+        if name not in there:
+            raise unknown("algorithms", name, there)
+    kept = [dict(cell) | {"algorithm": [name for name in algorithms(cell) if name in wanted]} for cell in study.cells]
+    return study._replace(cells=[cell for cell in kept if cell["algorithm"]])
+
+
+def algorithms(cell: Mapping[str, Any]) -> list[str]:
+    """Those of an entry of `cells`."""
+    return cell["algorithm"] if isinstance(cell["algorithm"], list) else [cell["algorithm"]]
 
 
 def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None = None) -> list[Cell]:
@@ -110,7 +144,7 @@ def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None 
     given = {key: value for key, value in (("n_seeds", seeds), ("total_frames", frames)) if value is not None}
     found = []
     for cell in study.cells:
-        for algorithm in cell["algorithm"] if isinstance(cell["algorithm"], list) else [cell["algorithm"]]:
+        for algorithm in algorithms(cell):
             if algorithm not in ALGORITHMS:
                 raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
             several = _of(algorithm, study.settings) | _of(algorithm, cell) | {"algorithm": algorithm} | given
@@ -157,7 +191,7 @@ def _cell(said: Mapping[str, Any], out: Path) -> Cell:
         raise ConfigError(f"folder={said['folder']}: names {error}, which the cell does not set") from error
     evaluation, across = _protocol(said.get("evaluate", True))
     if evaluation is not None and (bank := judged_on(config.layouts)) != "test" and bank != config.layouts:
-        evaluation |= {"layouts": bank}
+        evaluation = {BANK: bank} | evaluation
     return Cell(config, out / folder / config.algorithm / config.activation, evaluation, across)
 
 
@@ -177,8 +211,8 @@ def _protocol(said: Any) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
     """How cells are flown, and across which ladders."""
     if isinstance(said, bool):
         return (dict(PROTOCOL) if said else None), ()
-    if not isinstance(said, dict) or not said.keys() <= {*PROTOCOL, "across"}:
-        raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join((*PROTOCOL, 'across'))}")
+    if not isinstance(said, dict) or not said.keys() <= {*PROTOCOL, BANK, "across"}:
+        raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join((*PROTOCOL, BANK, 'across'))}")
     across = said.get("across", [])
     if not isinstance(across, list) or not set(across) <= set(LADDER_NAMES):
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")

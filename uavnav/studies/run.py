@@ -21,7 +21,7 @@ import pandas as pd
 from uavnav import engines, plugins
 from uavnav.choices import ConfigError
 from uavnav.engines import Engine
-from uavnav.evaluate import files_of, rows_across
+from uavnav.evaluate import rows_across
 from uavnav.files import write
 from uavnav.runs import FINISHED, POLICY, PROGRESS, STOP, Run, read_settings
 from uavnav.runs.tables import RunError, lock, write_table
@@ -61,6 +61,7 @@ class Work:
     shares: list[Share] = field(default_factory=list)
     flights: int = 0  # that were missing when its last evaluation began
     problem: str = ""
+    diverged: bool = False
 
     @property
     def frames(self) -> int:
@@ -89,7 +90,7 @@ def unflown(cell: Cell) -> list[list[str]]:
     if cell.evaluation is None:
         return []
     bounds = {key: value for key, value in cell.evaluation.items() if key != "layouts"}
-    missing = [] if (cell.out / _flights(cell.evaluation)[0]).exists() else [_words(cell.evaluation)]
+    missing = [] if all((cell.out / name).exists() for name in cell.flights) else [_words(cell.evaluation)]
     ladders = [name for name in cell.across if not (cell.out / rows_across(name, **bounds)).exists()]
     return missing + [[*_words(bounds), "--across", *ladders]] * bool(ladders)
 
@@ -101,11 +102,6 @@ def evaluated(cell: Cell) -> bool:
 
 def _words(protocol: Mapping[str, Any]) -> list[str]:
     return [part for key, value in protocol.items() for part in (f"--{key.replace('_', '-')}", str(value))]
-
-
-def _flights(protocol: Mapping[str, Any]) -> tuple[str, str]:
-    """The files of rows and behaviour of a protocol."""
-    return files_of(**({"layouts": "test"} | dict(protocol)))
 
 
 def make_banks(out: Path, numbers: Sequence[int]) -> None:
@@ -218,7 +214,8 @@ class Study:
             own.note(processes=n)
         work.shares = [Share(path, part) for path, part in shares.split(config, work.cell.out, n).items()]
         for share in work.shares:
-            share.done = (share.folder / "meta.json").is_file() and trained(Cell(share.config, share.folder, None))
+            part = Cell(share.config, share.folder, work.cell.evaluation)
+            share.done = trained(part) and evaluated(part)
             share.frames = share.config.frames if share.done else 0
 
     def _finish_what_is_trained(self, flights: deque[Work]) -> None:
@@ -283,6 +280,7 @@ class Study:
             if all(other.done for other in work.shares):
                 self._join(work, flights)
         elif "error" in said:
+            work.diverged = said.get("diverged", False)
             self._failed(work, said["error"])
         elif share.attempts >= ATTEMPTS:
             log = share.folder.with_name(f"{share.folder.name}.log")
@@ -353,8 +351,7 @@ class Study:
 
 def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
     """Put what the shares have flown together, in the order of one evaluation of all seeds: mode by mode."""
-    names = _flights(cell.evaluation) if cell.evaluation else ()
-    for name in names:
+    for name in cell.flights:
         parts = [pd.read_parquet(folder / name) for folder in folders]
         table = pd.concat(parts, ignore_index=True).sort_values("mode", kind="stable", ignore_index=True)
         table.attrs = parts[0].attrs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import torch
@@ -9,7 +10,8 @@ from torch import Tensor
 
 from uavnav.tasks.goal import SCALE, GoalWorld
 from uavnav.tasks.protocol import SCRIPTS
-from uavnav.tasks.simulator import Task
+from uavnav.tasks.simulator import Space, Task
+from uavnav.tasks.space import SpaceWorld, decode
 from uavnav.tasks.world import World
 
 AnyPolicy = Callable[[Tensor, torch.Generator | None], Tensor]
@@ -123,8 +125,85 @@ def dodge(observation: Tensor, generator: torch.Generator | None = None) -> Tens
     return FIRST[(clear.clamp(max=ENOUGH) + WORTH).argmax(-1)]
 
 
+# -- in a box --------------------------------------------------------------------------------------------------------
+
+BOX = SpaceWorld()
+AHEAD = BOX.n_distances - 1  # straight ahead, 9 px
+LEFT_IN_THE_BOX = BOX.n_turns // 2 * BOX.n_turns * BOX.n_distances  # 4 degrees, 0 px
+LOOKED_AHEAD = 10  # steps of a way
+TURNED = (1, 11)  # steps of a way that turn, before it goes straight on at full speed
+SPHERE = 80.0  # [px] radius that a sensed body is taken to have
+
+
+def straight_in_the_box(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    """As `straight_ahead`, by the actions of a box."""
+    return torch.full(observation.shape[:-1], AHEAD)
+
+
+def reactive_in_the_box(
+    observation: Tensor, generator: torch.Generator | None = None, width: int = len(BOX.slot_low)
+) -> Tensor:
+    """As `reactive`, and for the same reason never into what it senses: straight at full speed, else a yaw to the left.
+
+    width: numbers of a slot, more where velocities are sensed.
+    """
+    towards, distance = _in_the_box(observation, width)
+    closest = (distance - FULL_SPEED * towards[..., 2]).amin(-1)
+    return torch.where(closest > BOX.drone_radius + MARGIN, AHEAD, LEFT_IN_THE_BOX)
+
+
+def _ways_in_the_box() -> tuple[Tensor, Tensor, Tensor]:
+    """As `_ways`, by yaw and pitch: places [W, LOOKED_AHEAD, 3] px to the right, up and forward, and the rest."""
+    action = torch.arange(BOX.n_actions)
+    yaw, pitch, speed = decode(action, BOX)
+    greatest = (yaw.abs() % 4 == 0) & (pitch.abs() % 4 == 0)
+    turns = (yaw != 0) | (pitch != 0)
+    first = torch.cat([action[greatest & turns].repeat(len(TURNED)), action[~turns & (speed > 0)]])
+    turning = torch.tensor(TURNED).repeat_interleave(int((greatest & turns).sum()))
+    turning = torch.cat([turning, torch.zeros(len(first) - len(turning), dtype=torch.int64)])
+    step = torch.arange(1, LOOKED_AHEAD + 1)
+    turned = step.minimum(turning[:, None])
+    side, climb = (torch.deg2rad((angle[first, None] * turned).float()) for angle in (yaw, pitch))
+    pace = torch.where((step <= turning[:, None]) | (turning[:, None] == 0), speed[first, None], FULL_SPEED)
+    ahead = torch.stack([-side.sin() * climb.cos(), climb.sin(), side.cos() * climb.cos()], -1)
+    places = (pace[..., None] * ahead).cumsum(1)
+    return places, first, 0.1 * places[:, -1].norm(dim=-1)
+
+
+BOX_PLACES, BOX_FIRST, BOX_WORTH = _ways_in_the_box()
+
+
+def dodge_in_the_box(
+    observation: Tensor, generator: torch.Generator | None = None, width: int = len(BOX.slot_low)
+) -> Tensor:
+    """As `dodge`, of 67 ways of 10 steps that turn to eight sides; it knows nothing of its pitch, which may be at its
+    end. width: as of `reactive_in_the_box`.
+    """
+    towards, distance = _in_the_box(observation, width)
+    centre = towards * (distance + SPHERE)[..., None]
+    centre = torch.where((towards == 0).all(-1, keepdim=True), torch.inf, centre)
+    apart = (BOX_PLACES[:, :, None] - centre[..., None, None, :, :]).norm(dim=-1).amin(-1)
+    clear = (apart - SPHERE - BOX.drone_radius - DRIFT * torch.arange(1, LOOKED_AHEAD + 1)).amin(-1)
+    return BOX_FIRST[(clear.clamp(max=ENOUGH) + BOX_WORTH).argmax(-1)]
+
+
+def _in_the_box(observation: Tensor, width: int) -> tuple[Tensor, Tensor]:
+    """Directions [..., S, 3] (right, up, forward) and distances [..., S] px of the slots of the newest observation."""
+    slots = observation[..., : BOX.n_slots * width].reshape(*observation.shape[:-1], BOX.n_slots, width)
+    return slots[..., :3], BOX.drone_radius + slots[..., 3] * (BOX.sensor_radius - BOX.drone_radius)
+
+
 def suited(policy: AnyPolicy, task: Task) -> AnyPolicy:
-    """The policy that a name stands for in a task: among obstacles that move, `reactive` is `dodge`."""
+    """The policy that a name stands for in a task: among obstacles that move, `reactive` is `dodge`; a box has its own
+    straight flight and its own rules.
+    """
+    if isinstance(task, Space):
+        rule = reactive_in_the_box if task.STATIC else dodge_in_the_box
+        own: dict[AnyPolicy, AnyPolicy] = {
+            straight_ahead: straight_in_the_box,
+            reactive: functools.partial(rule, width=len(task.world.slot_low)),
+        }
+        return own.get(policy, policy)
     return dodge if policy is reactive and not task.STATIC else policy
 
 

@@ -1,6 +1,11 @@
-"""Sets of circles that stand still, the paper's obstacles: how they are drawn, and what makes a bank of them valid."""
+"""Sets of circles that stand still, the paper's obstacles: how they are drawn, and what makes a bank of them valid.
+
+In a world of three dimensions they are spheres. Letter: D the dimensions of the world.
+"""
 
 from __future__ import annotations
+
+import functools
 
 import numpy as np
 import torch
@@ -19,7 +24,8 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
     edge is at least 50 px from the start (sec. 4.1). Obstacles may overlap each other and the border.
 
     Returns:
-        Tensor [n, k, 3] float32 of (x, y, radius) px; the same for the same arguments on every machine.
+        Tensor [n, k, D + 1] float32 of (x, y, radius) px, in 3D of (x, y, z, radius); the same for the same arguments
+        on every machine.
 
     Raises:
         LayoutError: n, k or seed is negative.
@@ -29,29 +35,31 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
         raise LayoutError(f"n={n}, k={k}, seed={seed}; give whole numbers of at least 0")
     rng = np.random.Generator(np.random.PCG64(seed))
     smallest, largest = np.float32(world.obstacle_radius_min), np.float32(world.obstacle_radius_max)
-    bank = np.empty((n, k, 3), dtype=np.float32)
-    bank[..., 2] = smallest + (largest - smallest) * rng.random((n, k), dtype=np.float32)
+    size = np.array(world.size, dtype=np.float32)
+    bank = np.empty((n, k, len(size) + 1), dtype=np.float32)
+    bank[..., -1] = smallest + (largest - smallest) * rng.random((n, k), dtype=np.float32)
     misplaced = np.ones((n, k), dtype=bool)
     while misplaced.any():
-        size = np.array([world.width, world.height], dtype=np.float32)
-        bank[misplaced, :2] = rng.random((int(misplaced.sum()), 2), dtype=np.float32) * size
+        bank[misplaced, :-1] = rng.random((int(misplaced.sum()), len(size)), dtype=np.float32) * size
         misplaced = edge_to_start(bank, world) < world.safe_zone
     return torch.from_numpy(bank)
 
 
-def validate(bank: Tensor, world: World | None = None, columns: int = 3) -> None:
-    """Check shape, type, finiteness, the range of radii and the safe zone; a set begins with (x, y, radius).
+def validate(bank: Tensor, world: World | None = None, more: int = 0) -> None:
+    """Check shape, type, finiteness, the range of radii and the safe zone; a row begins with its centre and radius,
+    and has so many numbers more.
 
     Raises:
         LayoutError: naming the first set that is wrong.
     """
     world = world or World()
+    columns = len(world.size) + 1 + more
     if bank.ndim != 3 or bank.shape[-1] != columns or bank.shape[0] == 0:
         raise LayoutError(f"a bank has the shape [n > 0, k, {columns}], not {list(bank.shape)}")
     if bank.dtype != torch.float32:
         raise LayoutError(f"a bank holds float32, not {str(bank.dtype).removeprefix('torch.')}")
     numbers = bank.cpu().numpy()
-    radius = numbers[..., 2]
+    radius = numbers[..., len(world.size)]
     edge = edge_to_start(np.nan_to_num(numbers), world)
     smallest, largest = world.obstacle_radius_min, world.obstacle_radius_max
     refuse_first(~np.isfinite(numbers).all(-1), "is not finite")
@@ -68,6 +76,7 @@ def refuse_first(wrong: np.ndarray, rule: str) -> None:
 
 def edge_to_start(bank: np.ndarray, world: World) -> np.ndarray:
     """Distance from the start to every obstacle's edge [n, k] px, in float64."""
-    offset = bank[..., :2].astype(np.float64) - np.array(world.start)
-    edge: np.ndarray = np.hypot(offset[..., 0], offset[..., 1]) - bank[..., 2]
+    axes = len(world.size)
+    offset = bank[..., :axes].astype(np.float64) - np.array(world.start)
+    edge: np.ndarray = functools.reduce(np.hypot, np.moveaxis(offset, -1, 0)) - bank[..., axes]
     return edge

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from uavnav import commands, files
 from uavnav.choices import choose_from, did_you_mean
-from uavnav.tasks import circles, goal, moving, slalom
+from uavnav.tasks import circles, goal, moving, slalom, space
 from uavnav.tasks.circles import LayoutError as LayoutError  # this and the next two are also names of this module
 from uavnav.tasks.circles import generate as generate
 from uavnav.tasks.circles import validate as validate
@@ -42,12 +42,21 @@ class Kind(NamedTuple):
     reads: tuple[str, ...] = ()  # fields of the world that sets are drawn by, beside those of the paper's
     ships: bool = False  # the splits of the world's defaults are files of the package
     beside: int = 0  # rows of a set that are no obstacles
+    k: int = DEFAULT_K  # obstacles of a set where nothing else is said
 
 
 KINDS = {
     "drone": Kind(World, circles.generate, circles.validate, ships=True),
     "moving": Kind(moving.MovingWorld, moving.generate, moving.validate, ("speed_min", "speed_max")),
     "goal": Kind(goal.GoalWorld, goal.generate, goal.validate, ("goal_radius",), ships=True, beside=1),
+    "space": Kind(space.SpaceWorld, space.generate, circles.validate, k=space.DEFAULT_K),
+    "space-moving": Kind(
+        space.SpaceMovingWorld,
+        space.generate_moving,
+        moving.validate,
+        ("speed_min", "speed_max"),
+        k=space.DEFAULT_K,
+    ),
 }
 """By the task that they were made for, which is written into the header of all but the first."""
 
@@ -173,7 +182,8 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
 @functools.lru_cache(maxsize=8)
 def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split of a world whose banks are no files of the package, and its header."""
-    bank = KINDS[kind_of(world)].generate(SPLITS[split].n, DEFAULT_K, SPLITS[split].seed, world)
+    kind = KINDS[kind_of(world)]
+    bank = kind.generate(SPLITS[split].n, kind.k, SPLITS[split].seed, world)
     return bank, _header(bank, SPLITS[split].seed, split, world)
 
 
@@ -277,13 +287,14 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.task not in KINDS:
             raise LayoutError(f"--task {arguments.task}: {choose_from(arguments.task, KINDS)}")
         kind = KINDS[arguments.task]
+        k = kind.k if arguments.k is None else arguments.k
         for split in SPLITS if arguments.split == "all" else [arguments.split]:
             n = SPLITS[split].n if arguments.n is None else arguments.n
             seed = SPLITS[split].seed if arguments.seed is None else arguments.seed
             name = split if arguments.task == "drone" else f"{arguments.task}-{split}"
             path = arguments.out / f"{name}.safetensors"
-            save(kind.generate(n, arguments.k, seed, kind.world()), path, seed=seed, split=split, world=kind.world())
-            print(f"wrote {path}: {n} sets of {arguments.k} obstacles from seed {seed}")
+            save(kind.generate(n, k, seed, kind.world()), path, seed=seed, split=split, world=kind.world())
+            print(f"wrote {path}: {n} sets of {k} obstacles from seed {seed}")
     except LayoutError as error:
         print(f"uavnav layouts: {error}", file=sys.stderr)
         return 2

@@ -42,7 +42,7 @@ class MovingWorld(World):
     @property
     def slot_low(self) -> tuple[float, ...]:
         """The least of each number of a slot."""
-        return (*super().slot_low, -1.0, -1.0) if self.sense_velocity else super().slot_low
+        return (*super().slot_low, *[-1.0] * (len(self.size) * self.sense_velocity))
 
 
 def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
@@ -71,22 +71,25 @@ def validate(bank: Tensor, world: World | None = None) -> None:
         LayoutError: naming the first set that is wrong.
     """
     world = world or MovingWorld()
-    circles.validate(bank, world, columns=5)
-    centres = bank[..., :2].cpu().numpy()
-    inside = (centres >= 0) & (centres <= np.array([world.width, world.height]))
+    axes = len(world.size)
+    circles.validate(bank, world, more=axes)
+    centres = bank[..., :axes].cpu().numpy()
+    inside = (centres >= 0) & (centres <= np.array(world.size))
     circles.refuse_first(np.asarray(~inside.all(-1)), "has its centre outside the window")
 
 
 def motion(bank: Tensor, steps: Tensor, world: World) -> tuple[Tensor, Tensor]:
     """Where obstacles are and move after so many steps: p(t) = reflect(p(0) + v t), a triangle wave between the edges.
 
-    bank [*B, K, 5], steps [*B] int64 -> obstacles [*B, K, 3] px, velocities [*B, K, 2] px a step.
+    bank [*B, K, 5], steps [*B] int64 -> obstacles [*B, K, 3] px, velocities [*B, K, 2] px a step; in 3D bank
+    [*B, K, 7] -> [*B, K, 4], [*B, K, 3].
 
     The way and the wave are float64, for float32 would err by 0.1 px after a million steps; then float32. A velocity
     is that of the next moment: at an edge it points inwards.
     """
-    start, radius, velocity = bank[..., :2].double(), bank[..., 2:3], bank[..., 3:]
-    size = torch.tensor([world.width, world.height], dtype=torch.float64, device=bank.device)
+    axes = len(world.size)
+    start, radius, velocity = bank[..., :axes].double(), bank[..., axes : axes + 1], bank[..., axes + 1 :]
+    size = torch.tensor(world.size, dtype=torch.float64, device=bank.device)
     way = start + velocity.double() * steps[..., None, None]
     rest = way - 2 * size * torch.round(way / (2 * size))  # [-size, size]: the wave is its magnitude
     there = torch.where(velocity > 0, (rest >= 0) & (rest < size), (rest > 0) | (rest <= -size))

@@ -28,6 +28,9 @@ MAX_STEPS = 10_000
 SCRIPTS = ("random", "straight", "reactive")
 """Policies that need no training; what they do is in `baselines`."""
 
+TASK_NAMES = ("drone", "moving", "goal", "space", "space-moving")
+"""What `simulator.TASKS` holds, in its order."""
+
 OF_FAULTS = ("noise", "lost", "late", "sticky")
 LADDER_NAMES = ("density", "slalom", "arc", "reach", "speed", *OF_FAULTS)
 """What `ladders` holds, in its order."""

@@ -24,7 +24,7 @@ class Step(NamedTuple):
     before: State  # where each drone was
     after: State  # where it is, with the counts of this step; the reward is still that of `before`
     action: Tensor  # [*B] int64
-    angle: Tensor  # [*B] whole degrees that it turned, left positive
+    angle: Tensor  # [*B] whole degrees that it turned, left positive; in 3D the degrees of yaw and pitch asked for
     distance: Tensor  # [*B] whole px that it flew
     collided: Tensor  # [*B] bool
     clearance: Tensor  # [*B] px from the drone's centre to the nearest obstacle
@@ -99,7 +99,7 @@ def _among(flying: list[float], world: World) -> Bounds:
 
 def _progress(world: World, least: int) -> list[float]:
     """Of the distances that a step can fly, from so many px."""
-    return [world.reward_per_pixel * distance for distance in range(least, world.n_distances)]
+    return [world.reward_per_pixel * distance for distance in world.distances if distance >= least]
 
 
 BOUNDS: dict[str, Callable[[World], Bounds]] = {

@@ -47,23 +47,23 @@ def sense(
     scale = torch.where(length > 0, 1 / length, 0.0)  # a centre that coincides has no direction: u = (0, 0)
     right, forward = to_drone_frame(dx * scale, dy * scale, heading)
     in_view = (distance <= world.sensor_radius) & (forward >= world.view_cosine - VIEW_TOLERANCE)
-    proximity = distance if echoes else _scaled(distance, world)  # of what echoes disturb, it is worked out later
+    proximity = distance if echoes else scaled(distance, world)  # of what echoes disturb, it is worked out later
     triples = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), proximity if echoes else proximity.clamp(0, 1)])
     if velocities is not None:
         east, north = velocities.movedim((-1, -2), (0, 1))
         own = torch.stack(to_drone_frame(east, north, heading)).clamp(-1, 1)
         squares = triples.new_zeros(2, len(distance) - own.shape[1], *distance.shape[1:])
         triples = torch.cat([triples, torch.cat([own, squares], 1)])
-    slots = _first_in_view(triples, distance, in_view, world, echoes)
+    slots = first_in_view(triples, distance, in_view, world, echoes)
     return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
 
 
-def _scaled(distance: Tensor, world: World) -> Tensor:
+def scaled(distance: Tensor, world: World) -> Tensor:
     """l in eq. (13) before it is clamped: 0 at the drone's edge, 1 at its sensor's reach. Distance [...] px."""
     return (distance - world.drone_radius) / (world.sensor_radius - world.drone_radius)
 
 
-def scaled(reach: float, world: World, echoes: Echoes | None = None) -> Echoes:
+def at_reach(reach: float, world: World, echoes: Echoes | None = None) -> Echoes:
     """Echoes after which l in eq. (13) is 1 at another reach [px] than the sensor's radius."""
     near = world.drone_radius
     ratio = (world.sensor_radius - near) / (reach - near)
@@ -136,15 +136,21 @@ def _offset_to_square(x: Tensor, y: Tensor, left: Tensor, bottom: Tensor, side: 
     return torch.clamp(x, left, left + side) - x, torch.clamp(y, bottom, bottom + side) - y
 
 
-def _first_in_view(
-    triples: Tensor, distance: Tensor, in_view: Tensor, world: World, echoes: Echoes | None = None
+def first_in_view(
+    numbers: Tensor,
+    distance: Tensor,
+    in_view: Tensor,
+    world: World,
+    echoes: Echoes | None = None,
+    place: int = 2,
 ) -> Tensor:
     """The first ten candidates in view, nearest (or lowest index) first, ties by index; empty slots are padded.
 
-    triples [3, N, ...] (5 with velocities), distance, in_view [N, ...] -> slots [3, 10, ...]. In a graph the rank of a
-    candidate is the number of candidates before it, and a slot the sum over all candidates, of which one has its rank:
-    on so few, counting and adding fuse and vectorise where a sort and a scatter do not, and floats where flags and
-    integers do not. Step by step nothing fuses, and a sort is five times faster.
+    numbers [F, N, ...] of each candidate, with its proximity at `place` (or where there are echoes its distance),
+    distance, in_view [N, ...] -> slots [F, 10, ...]. In a graph the rank of a candidate is the number of candidates
+    before it, and a slot the sum over all candidates, of which one has its rank: on so few, counting and adding fuse
+    and vectorise where a sort and a scatter do not, and floats where flags and integers do not. Step by step nothing
+    fuses, and a sort is five times faster.
     """
     index, slot = (
         torch.arange(n, dtype=distance.dtype, device=distance.device).reshape(-1, *[1] * (distance.ndim - 1))
@@ -153,18 +159,17 @@ def _first_in_view(
     key = torch.where(in_view, distance if world.slots == "nearest" else index, math.inf)
     if type(distance) is Tensor:  # and not what stands for one while a graph is traced
         order = key.sort(dim=0, stable=True).indices[: world.n_slots]
-        slots = triples.gather(1, order.expand(len(triples), *order.shape)) + 0.0  # a sum has no -0.0
+        slots = numbers.gather(1, order.expand(len(numbers), *order.shape)) + 0.0  # a sum has no -0.0
     else:
         before = (key[:, None] < key) | ((key[:, None] == key) & (index[:, None] < index))
         rank = before.sum(0, dtype=distance.dtype)
-        slots = torch.where(rank == slot[:, None], triples[:, None], 0.0).sum(2)
+        slots = torch.where(rank == slot[:, None], numbers[:, None], 0.0).sum(2)
     filled = (key < math.inf).sum(0, dtype=distance.dtype)
     far = 1.0 if world.padding == "far" else 0.0
-    padding = torch.tensor([0.0, 0.0, far, *[0.0] * (len(triples) - 3)], device=distance.device)
+    padding = torch.tensor([far * (n == place) for n in range(len(numbers))], device=distance.device)
     if echoes is None:
         is_filled = slot < filled
-    else:  # then the third number is still the distance [px]
-        right, forward, third, *others = slots
-        third, is_filled = echoes(third, slot < filled)
-        slots = torch.stack([right, forward, _scaled(third, world).clamp(0, 1), *others])
+    else:  # then the number at that place is still the distance [px]
+        sensed, is_filled = echoes(slots[place], slot < filled)
+        slots = torch.cat([slots[:place], scaled(sensed, world).clamp(0, 1)[None], slots[place + 1 :]])
     return torch.where(is_filled, slots, padding.reshape(-1, *[1] * distance.ndim))

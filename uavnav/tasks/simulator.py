@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 
 from uavnav.choices import did_you_mean, unknown_key
-from uavnav.tasks import goal, memory, moving
+from uavnav.tasks import goal, memory, moving, space
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.rewards import REWARDS, Step, Terms
-from uavnav.tasks.sensing import Echoes, clearance, scaled, sense, to_drone_frame
+from uavnav.tasks.sensing import Echoes, at_reach, clearance, sense, to_drone_frame
 from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
 
@@ -124,7 +124,7 @@ class Task:
 
     def place(self, layout: Tensor, heading: Tensor) -> State:
         """Where an episode begins, without what is sensed there: layout [*B] index, heading [*B] whole degrees."""
-        x, y = (torch.full_like(layout, place, dtype=torch.float32) for place in self.world.start)
+        x, y = (torch.full_like(layout, place, dtype=torch.float32) for place in self.world.start[:2])
         counts = {name: torch.zeros_like(layout) for name in COUNTS[:-1]}
         return State(x, y, heading, layout, **counts, reward=torch.zeros_like(layout, dtype=torch.float64))
 
@@ -145,8 +145,8 @@ class Task:
         return self.bank[state.layout]
 
     def velocities(self, state: State) -> Tensor:
-        """Where the obstacles of each row move: [*B, K, 2] px a step."""
-        return torch.zeros_like(self.obstacles(state)[..., :2])
+        """Where the obstacles of each row move: [*B, K, 2] px a step, in 3D [*B, K, 3]."""
+        return torch.zeros_like(self.obstacles(state)[..., :-1])
 
     def info(self, state: State) -> dict[str, Tensor]:
         """What an environment tells of each row beside its observation: names and values [*B]."""
@@ -157,16 +157,21 @@ class Task:
 
         draws [*B, n_draws] disturb it as `faults` says; without them it is as it is.
         """
-        around = state.x, state.y, state.heading, self.obstacles(state), self.world
-        slots, clearance = sense(*around, echoes=self.echoes(draws))
+        slots, clearance = self.look(state, self.obstacles(state), None, self.echoes(draws))
         return slots.flatten(-2), clearance
+
+    def look(
+        self, state: State, obstacles: Tensor, velocities: Tensor | None, echoes: Echoes | None
+    ) -> tuple[Tensor, Tensor]:
+        """The slots [*B, S, n] that are sensed of obstacles, and clearance [*B] px; see `sensing.sense`."""
+        return sense(state.x, state.y, state.heading, obstacles, self.world, velocities, echoes)
 
     def echoes(self, draws: Tensor | None) -> Echoes | None:
         """What faults, and a policy's other reach, make of the echoes of slots, if anything: draws [*B, n_draws]."""
         found: Echoes | None = None
         if draws is not None and (self.faults.noise or self.faults.lost):
             found = functools.partial(self.faults.echoes, draws=draws)
-        return found if self.trained_reach is None else scaled(self.trained_reach, self.world, found)
+        return found if self.trained_reach is None else at_reach(self.trained_reach, self.world, found)
 
     def observe(self, state: State) -> tuple[Tensor, Tensor]:
         """What a policy sees, as one vector a row: observation [*B, observation_size], clearance [*B] px.
@@ -278,7 +283,7 @@ class Moving(Task):
             return super().sense(state, draws)
         obstacles, velocities = moving.motion(self.bank[state.layout], state.steps, self.world)
         shares = velocities / self.world.speed_max if self.world.speed_max else torch.zeros_like(velocities)
-        slots, clearance = sense(state.x, state.y, state.heading, obstacles, self.world, shares, self.echoes(draws))
+        slots, clearance = self.look(state, obstacles, shares, self.echoes(draws))
         return slots.flatten(-2), clearance
 
     def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
@@ -345,7 +350,49 @@ class Goal(Task):
         return {"succeeded": self.succeeded(after).long(), "shortest": shortest * (after.steps > 0)}
 
 
-TASKS: dict[str, type[Task]] = {"drone": Task, "moving": Moving, "goal": Goal}
+class Space(Task):
+    """A drone in a box with spheres, which turns by yaw and by pitch. A step turns if it asks for one. See `space`."""
+
+    WORLD = space.SpaceWorld
+    STATE = space.SpaceState
+    world: space.SpaceWorld
+
+    def place(self, layout: Tensor, heading: Tensor) -> State:
+        """Where an episode begins: the centre of the box, level."""
+        z = torch.full_like(layout, self.world.start[2], dtype=torch.float32)
+        return self.STATE(*super().place(layout, heading), z, torch.zeros_like(layout))  # type: ignore[call-arg]
+
+    def info(self, state: State) -> dict[str, Tensor]:
+        """As of the paper's task, and z, yaw and pitch."""
+        facts = {"z": space.z_of(state), "yaw": state.heading, "pitch": space.pitch_of(state)}
+        return super().info(state) | facts
+
+    def look(
+        self, state: State, obstacles: Tensor, velocities: Tensor | None, echoes: Echoes | None
+    ) -> tuple[Tensor, Tensor]:
+        """As of the paper's task, of spheres and walls; see `space.sense`."""
+        return space.sense(state, obstacles, self.world, velocities, echoes)
+
+    def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
+        """Turn, then fly: where the drone is after action [*B], degrees asked for [*B], distance [*B] px."""
+        yaw, pitch, distance = space.decode(action, self.world)
+        return space.move(state, yaw, pitch, distance), yaw.abs() + pitch.abs(), distance
+
+
+class SpaceMoving(Moving, Space):
+    """The same among spheres that fly straight on and bounce off the sides of the box."""
+
+    WORLD = space.SpaceMovingWorld  # type: ignore[assignment]
+    world: space.SpaceMovingWorld
+
+
+TASKS: dict[str, type[Task]] = {
+    "drone": Task,
+    "moving": Moving,
+    "goal": Goal,
+    "space": Space,
+    "space-moving": SpaceMoving,
+}
 
 KNOWN = dict(TASKS)
 """Those that every process of a run has: built in, or of a plugin."""

@@ -78,14 +78,24 @@ class World:
             raise ValueError("drone_radius must lie between 0 and sensor_radius")
 
     @property
-    def start(self) -> tuple[float, float]:
+    def size(self) -> tuple[int, ...]:
+        """How far the world reaches along each axis, from 0 [px]."""
+        return self.width, self.height
+
+    @property
+    def start(self) -> tuple[float, ...]:
         """Where every episode starts: the centre of the window [px], sec. 4.1."""
-        return self.width / 2, self.height / 2
+        return tuple(reach / 2 for reach in self.size)
 
     @property
     def n_actions(self) -> int:
         """Turns x distances, sec. 4.2."""
         return self.n_turns * self.n_distances
+
+    @property
+    def distances(self) -> tuple[int, ...]:
+        """What a step can fly [px], from the least, eq. (12)."""
+        return tuple(range(self.n_distances))
 
     @property
     def slot_low(self) -> tuple[float, ...]:

@@ -33,10 +33,11 @@ def poses(task: Task) -> Tensor:
     As if an episode began there, and without faults, so that nothing of it is random.
     """
     generator = stream(0, "probe")
-    x, y = (torch.rand(POSES, generator=generator) * size for size in (task.world.width, task.world.height))
+    axes = zip("xyz", task.world.size, strict=False)  # a window has two
+    places = {axis: torch.rand(POSES, generator=generator) * size for axis, size in axes}
     task = replace(task, bank=layouts.load("train", task.world), faults=NO_FAULTS)
     heading, layout = (torch.randint(most, (POSES,), generator=generator) for most in (360, len(task.bank)))
-    observation, _ = task.observe(task.remember(task.place(layout, heading)._replace(x=x, y=y)))
+    observation, _ = task.observe(task.remember(task.place(layout, heading)._replace(**places)))
     return observation
 
 

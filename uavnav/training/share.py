@@ -25,6 +25,7 @@ from typing import Any
 from uavnav import files, plugins
 from uavnav.choices import ConfigError
 from uavnav.evaluate import evaluate_run
+from uavnav.policies import PolicyError
 from uavnav.runs import STOP, Run
 from uavnav.runs.tables import Columns, RunError, with_reward
 from uavnav.tasks.layouts import LayoutError
@@ -125,7 +126,10 @@ def unheard(job: Path) -> None:
     os.chdir(described["folder"])
     last = {"stopped": 0, "wanted": True} if (out / STOP).exists() else _train(described)
     if "finished" in last and described["evaluation"] is not None:
-        evaluate_run(Run(out), **described["evaluation"], quiet=True)
+        try:
+            evaluate_run(Run(out), **described["evaluation"], quiet=True)
+        except PolicyError as error:  # what was just trained cannot fly: its weights are not finite
+            last = {"error": str(error), "diverged": True}
     files.write(job.with_suffix(".ended"), json.dumps(last).encode())
 
 

@@ -129,7 +129,8 @@ class _Block:
 def _sketch(canvas: ImageDraw.ImageDraw, game: Game, places: Places) -> None:
     """While drawing: the zone around the start that stays free, and the obstacle under the mouse."""
     scale = places.width / game.world.width
-    rings: list[tuple[float, float, float, Ink, Ink | None]] = [(*game.world.start, game.world.safe_zone, INK, None)]
+    x, y = game.world.start
+    rings: list[tuple[float, float, float, Ink, Ink | None]] = [(x, y, game.world.safe_zone, INK, None)]
     if game.circle is not None:
         edge, fill = (SENSED, SENSED) if problem(game) else (INK, OBSTACLE)
         rings.append((*game.circle, edge, (*fill, 150)))

@@ -1,0 +1,261 @@
+"""Tuning: the same trials whatever kills the study, the same number and ranges for all; training itself is made up."""
+
+import itertools
+import json
+import math
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+from uavnav import studies
+from uavnav.choices import ConfigError
+from uavnav.report.tables import markdown
+from uavnav.runs.tables import RunError, lock
+from uavnav.studies import search, tuning
+from uavnav.study import main
+
+optuna = pytest.importorskip("optuna")
+
+SMALL = """
+what: two settings of two algorithms
+tune:
+  trials: 14
+  at_once: 3
+  settings: {activation: tanh, n_seeds: 2, total_frames: 2000, evaluate: {episodes: 5, max_steps: 50}}
+  ranges: {rate: {low: 1.0e-5, high: 1.0e-2, log: true}, width: [32, 64, 128], passes: {low: 1, high: 20}}
+  space:
+    ppo: {lr: rate, hidden: width, epochs: passes}
+    a2c: {lr: rate, hidden: width}
+settings: {seed: 100, n_seeds: 3, total_frames: 4000}
+cells:
+  - {algorithm: [ppo, a2c], folder: tuning/default}
+"""
+DIVERGES = 5e-3
+"""A learning rate above which the made-up training diverges."""
+
+
+class Killed(BaseException):
+    """As SIGKILL, nothing after it is done."""
+
+
+def planned(folder, text=SMALL, **given):
+    path = folder / "small.yaml"
+    path.write_text(text)
+    return search.plan(studies.read(str(path)), folder / "out", **given)
+
+
+def value(config):
+    """Of a made-up run: best at a rate of 1e-3 and 64 units."""
+    return -abs(math.log10(config.lr) + 3) - abs(config.hidden[0] - 64) / 64
+
+
+def train(cells):
+    """Leave the rows that flights would leave, and return what diverged."""
+    failed = []
+    for cell in cells:
+        cell.out.mkdir(parents=True, exist_ok=True)
+        if cell.config.lr > DIVERGES:
+            failed.append(SimpleNamespace(cell=cell, diverged=True))
+            continue
+        modes = {"mode": ["greedy", "sampled", "sampled"], "reward": [99.0, 1.0, -1.0]}
+        rows = pd.DataFrame(modes)
+        rows["reward"] += value(cell.config)
+        rows.to_parquet(cell.out / cell.flights[0])
+    return failed
+
+
+def tuned(folder, **given):
+    found = planned(folder, **given)
+    assert tuning.tune(found, train, say=lambda line: None) == []
+    return (found.folder / "trials.csv").read_bytes(), (found.folder / "importance.csv").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory):
+    return tuned(tmp_path_factory.mktemp("unbroken"))
+
+
+def test_each_algorithm_gets_the_same_number_of_trials_the_first_with_its_defaults(tmp_path):
+    tuned(tmp_path)
+    table = search.trials(planned(tmp_path))
+    assert table.groupby("algorithm")["trial"].apply(list).to_dict() == {"a2c": [*range(14)], "ppo": [*range(14)]}
+    first = {row.algorithm: json.loads(row.settings) for row in table[table["trial"] == 0].itertuples()}
+    assert first == {"ppo": {"lr": 3e-4, "hidden": 64, "epochs": 10}, "a2c": {"lr": 7e-4, "hidden": 64}}
+
+
+def test_a_trial_is_told_the_mean_reward_of_its_sampled_flights_and_the_best_wins(tmp_path):
+    tuned(tmp_path)
+    found = planned(tmp_path)
+    table = search.trials(found)
+    for row in table[table["state"] == "finished"].itertuples():
+        cell = found.trial(row.algorithm, row.trial, json.loads(row.settings))
+        assert row.value == pytest.approx(value(cell.config))
+    for cell in search.winners(found):
+        mine = table[table["algorithm"] == cell.config.algorithm]
+        assert value(cell.config) == pytest.approx(mine["value"].max())
+        assert (cell.config.seeds, cell.config.total_frames) == ([100, 101, 102], 4000)
+        assert cell.out == found.out / "tuning" / "tuned" / cell.config.algorithm / "tanh"
+
+
+def test_a_trial_that_diverges_is_told_as_failed_and_the_study_goes_on(tmp_path):
+    tuned(tmp_path)
+    table = search.trials(planned(tmp_path))
+    rates = table["settings"].map(lambda settings: json.loads(settings)["lr"])
+    assert (rates > DIVERGES).any()
+    assert ((table["state"] == "diverged") == (rates > DIVERGES)).all()
+    assert table["value"].isna().equals(rates > DIVERGES)
+
+
+@pytest.mark.parametrize("after", [1, 3, 12, 40, 55])
+def test_a_study_killed_after_any_write_ends_with_the_trials_of_an_unbroken_one(after, tmp_path, unbroken, monkeypatch):
+    """Also where the kill comes while a trial is asked for, between two that are told, or in training."""
+    backend = optuna.storages.journal.JournalFileBackend
+    writes, whole = itertools.count(1), backend.append_logs
+
+    def killed(self, logs):
+        whole(self, logs)
+        if next(writes) >= after:
+            raise Killed
+
+    monkeypatch.setattr(backend, "append_logs", killed)
+    with pytest.raises(Killed):
+        tuned(tmp_path)
+    monkeypatch.undo()
+    assert tuned(tmp_path) == unbroken
+
+
+def test_a_trial_that_was_under_way_is_trained_again_with_the_same_settings_in_the_same_folder(tmp_path):
+    seen = []
+
+    def dies(cells):
+        seen.append([(cell.out, cell.config) for cell in cells])
+        raise Killed
+
+    for _ in range(2):
+        with pytest.raises(Killed):
+            tuning.tune(planned(tmp_path), dies)
+    assert seen[0] == seen[1]
+    assert len(seen[0]) == 2 * 3
+
+
+def test_trials_that_fail_otherwise_are_not_told_and_come_back(tmp_path):
+    def full(cells):
+        return [SimpleNamespace(cell=cells[0], diverged=False)]
+
+    assert len(tuning.tune(planned(tmp_path), full)) == 1
+    assert search.trials(planned(tmp_path)).empty
+
+
+def test_more_trials_go_on_where_fewer_ended(tmp_path):
+    tuned(tmp_path, trials=2)
+    few = search.trials(planned(tmp_path))
+    tuned(tmp_path, trials=5)
+    many = search.trials(planned(tmp_path))
+    assert (len(few), len(many)) == (4, 10)
+    assert many.groupby("algorithm").head(2)["settings"].tolist() == few["settings"].tolist()
+
+
+def test_importance_is_a_share_of_each_setting_and_the_one_that_decides_leads(tmp_path):
+    tuned(tmp_path)
+    table = pd.read_csv(tmp_path / "out" / "tuning" / "importance.csv")
+    assert table.groupby("algorithm")["importance"].sum().tolist() == pytest.approx([1.0, 1.0])
+    (passes,) = table.loc[table["setting"] == "epochs", "importance"]
+    assert passes < 0.2  # the made-up training does not look at it
+
+
+def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_setting_the_same_range(tmp_path):
+    study = studies.read("tuning")
+    found = search.plan(study, tmp_path)
+    assert found.algorithms == ["ppo", "dqn", "a2c", "c51", "sac"]
+    assert (found.trials, found.said["settings"]["n_seeds"], found.said["settings"]["total_frames"]) == (40, 2, 200_000)
+    cell = found.trial("sac", 0, {})
+    assert cell.evaluation == {"episodes": 100, "max_steps": 2000, "layouts": "validation"}
+    ranges = {}
+    for algorithm, setting in ((a, s) for a in found.algorithms for s in found.said["space"][a]):
+        ranges.setdefault(setting, []).append(found.range(algorithm, setting))
+    for setting in ("lr", "gamma", "hidden"):
+        assert len(ranges[setting]) == 5
+    assert all(one == of[0] for of in ranges.values() for one in of)
+    assert found.range("ppo", "minibatch_size") == found.range("dqn", "batch_size")
+    defaults = [cell for cell in studies.cells(study, tmp_path) if cell.config.algorithm == "sac"]
+    assert defaults[0].config.seeds == [*range(100, 110)]
+    assert defaults[0].config.total_frames == 1_000_000
+
+
+def test_the_page_shows_the_search_space_of_the_file():
+    page = (Path(__file__).parent.parent / "docs" / "scale.md").read_text()
+    assert f"<!-- space -->\n{markdown(search.space(studies.read('tuning')))}\n<!-- end -->" in page
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("at_once: 3", "at_onec: 3"), "tune: there is no key 'at_onec'"),
+        (("trials: 14", "trials: many"), "tune: trials=many; give it as uavnav/studies/tuning.yaml does"),
+        (("hidden: width}", "hidden: widht}"), "tune: range=widht; choose from passes, rate, width (did you mean widt"),
+        (("lr: rate, hidden: width}", "lrr: rate}"), "there is no key 'lrr'"),
+        (("[32, 64, 128]", "[32, 128]"), "width=[32, 128]; the default of ppo, hidden=64, is not in it"),
+        (("[32, 64, 128]", "64"), "width=64; give a list of values, or low and high"),
+        (("a2c: {", "sac: {"), "tune: algorithm=a2c; choose from ppo, sac"),
+        (("low: 1,", "low: 0,"), "epochs=0; give a number of at least 1"),
+        (
+            (SMALL.partition("settings: {seed")[0], "tune: 3\n"),
+            "tune=3; give keys and values, as uavnav/studies/tuning",
+        ),
+    ],
+)
+def test_a_wrong_plan_is_refused_in_one_line(change, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("small.yaml").write_text(SMALL.replace(*change))
+    assert main(["small.yaml"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+def test_a_folder_of_another_search_and_one_that_is_in_use_are_refused(tmp_path):
+    tuned(tmp_path, trials=1)
+    with pytest.raises(ConfigError, match=r"journal\.jsonl: holds the trials of another search; give another out="):
+        tuned(tmp_path, trials=1, frames=3000)
+    found = planned(tmp_path, trials=1)
+    with lock(found.folder), pytest.raises(RunError, match="another process"):
+        tuning.tune(found, train)
+
+
+def test_a_journal_that_is_damaged_is_one_line(tmp_path):
+    found = planned(tmp_path)
+    found.folder.mkdir(parents=True)
+    (found.folder / "journal.jsonl").write_text("{\n}\n{}\n")
+    with pytest.raises(RunError, match=r"journal\.jsonl: cannot be read"):
+        tuning.tune(found, train)
+
+
+def test_a_missing_optuna_names_the_extra(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    assert main(["tuning", f"out={tmp_path / 'out'}"]) == 2
+    assert capsys.readouterr().err == (
+        "uavnav study: a study that tunes needs Optuna; pip install 'uavnav[tune]' brings it\n"
+    )
+
+
+def test_the_status_counts_trials_and_needs_no_optuna(monkeypatch, tmp_path, capsys):
+    tuned(tmp_path, trials=3)
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    out, path = tmp_path / "out", tmp_path / "small.yaml"
+    assert main([str(path), f"out={out}", "algorithms=ppo", "trials=4", "--status", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    folders = [str(Path(row["cell"]).relative_to(out / "tuning")) for row in rows]
+    assert folders == ["default/ppo/tanh", *(f"trials/{n:03}/ppo/tanh" for n in range(4)), "tuned/ppo/tanh"]
+    table = search.trials(planned(tmp_path))
+    told = table.loc[table["algorithm"] == "ppo", "state"].tolist()
+    assert [row["state"] for row in rows] == ["missing", *told, "missing", "missing"]
+
+
+def test_trials_are_asked_of_a_study_that_tunes_and_algorithms_of_one_that_has_them(capsys):
+    assert main(["paper", "trials=3"]) == 2
+    assert capsys.readouterr().err == "uavnav study: trials=3: study paper does not tune; leave it out\n"
+    assert main(["paper", "algorithms=sac"]) == 2
+    assert "algorithms=sac; choose from dqn, ppo" in capsys.readouterr().err
+    assert len(studies.cells(studies.only(studies.read("paper"), "ppo"), Path("out"))) == 4

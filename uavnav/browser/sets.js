@@ -1,0 +1,104 @@
+/*
+ * Sets of obstacles, drawn as uavnav/tasks/{circles,slalom,moving,goal}.py draw them, from other random numbers. Each is a
+ * function of its seed. `rules` are uavnav/browser/__init__.py's.
+ */
+
+/** Uniform numbers in [0, 1), the same for the same seed (mulberry32). */
+function randomNumbers(seed) {
+  let place = seed >>> 0;
+  return () => {
+    place = (place + 0x6d2b79f5) >>> 0;
+    let mixed = Math.imul(place ^ (place >>> 15), place | 1);
+    mixed ^= mixed + Math.imul(mixed ^ (mixed >>> 7), mixed | 61);
+    return ((mixed ^ (mixed >>> 14)) >>> 0) / 2 ** 32;
+  };
+}
+
+/** Whether a circle leaves the start free: sec. 4.1. */
+function isClear(world, [x, y, radius]) {
+  return Math.hypot(x - world.width / 2, y - world.height / 2) - radius >= world.safe_zone;
+}
+
+/** k circles: radius and centre uniform, the centre drawn again until the start is free. More circles keep the first. */
+function generate(world, k, seed) {
+  const draw = randomNumbers(seed);
+  const span = world.obstacle_radius_max - world.obstacle_radius_min;
+  return Array.from({ length: k }, () => {
+    const radius = f32(world.obstacle_radius_min + span * draw());
+    let circle;
+    do circle = [f32(world.width * draw()), f32(world.height * draw()), radius];
+    while (!isClear(world, circle));
+    return circle;
+  });
+}
+
+/** So many normal numbers, two uniform ones each (Box and Muller). */
+function normalNumbers(count, draw) {
+  return Array.from({ length: count }, () => Math.sqrt(-2 * Math.log(1 - draw())) * Math.cos(2 * Math.PI * draw()));
+}
+
+/** Four columns of circles, each with a gap of so many px whose middle is uniform: uavnav/tasks/slalom.py. */
+function generateSlalom({ columns, radius, spacing, height }, gap, seed) {
+  const draw = randomNumbers(seed);
+  const margin = spacing + gap / 2;
+  return columns.flatMap((x) => {
+    const middle = margin + (height - 2 * margin) * draw();
+    const [bottom, top] = [middle - gap / 2, middle + gap / 2];
+    const places = Array.from({ length: height / spacing + 1 }, (_, nth) => nth * spacing);
+    const below = places.filter((y) => y + radius <= bottom).with(-1, bottom - radius);
+    const above = places.filter((y) => y - radius >= top).with(0, top + radius);
+    return [...below, ...above].map((y) => [x, f32(y), radius]);
+  });
+}
+
+/** Velocities for circles, the same directions whatever the speeds: uniform between two [px a step]. */
+function withVelocities(circles, low, high, seed) {
+  const draw = randomNumbers(seed ^ 0x5bd1e995);
+  return circles.map((circle) => {
+    const [speed, angle] = [low + (high - low) * draw(), 2 * Math.PI * draw()];
+    return [...circle, f32(speed * Math.cos(angle)), f32(speed * Math.sin(angle))];
+  });
+}
+
+/** The places of a grid that the drone can reach from the start: [x, y] px. */
+function reachable({ width, height, border, drone_radius: radius }, circles, grid) {
+  const rows = height / grid + 1;
+  const seen = new Uint8Array((width / grid + 1) * rows);
+  const waiting = [Math.round(width / 2 / grid) * rows + Math.round(height / 2 / grid)];
+  const found = [];
+  while (waiting.length) {
+    const place = waiting.pop();
+    if (seen[place]) continue;
+    seen[place] = 1;
+    const [x, y] = [Math.floor(place / rows) * grid, (place % rows) * grid];
+    if (roomAt({ width, height, border }, circles, x, y) <= radius) continue; // so never beyond the border
+    found.push([x, y]);
+    waiting.push(place - rows, place + rows, place - 1, place + 1);
+  }
+  return found;
+}
+
+/** Distance [px] from a place to the nearest edge of circles or of the border. */
+function roomAt({ width, height, border }, circles, x, y) {
+  const edges = circles.map(([cx, cy, radius]) => Math.hypot(cx - x, cy - y) - radius);
+  return Math.min(x - border, width - border - x, y - border, height - border - y, ...edges);
+}
+
+const SETS_TRIED = 20; // without a goal, before a circle is left out
+
+/** Circles with a goal that can be reached: { circles, goal }. The goal is uniform where there is room: goal.py. */
+function generateGoal(world, rules, k, seed) {
+  const { room, far, tries, grid } = rules;
+  const draw = randomNumbers(seed ^ 0x2c1b3c6d);
+  let circles = generate(world, k, seed);
+  for (let tried = 1; ; tried += 1) {
+    const places = reachable(world, circles, grid);
+    for (let goals = 0; goals < tries; goals += 1) {
+      const goal = [f32(world.width * draw()), f32(world.height * draw())];
+      const away = ([x, y]) => Math.hypot(goal[0] - x, goal[1] - y);
+      const free = away([world.width / 2, world.height / 2]) >= far && roomAt(world, circles, ...goal) >= room;
+      if (free && places.some((place) => away(place) <= world.goal_radius)) return { circles, goal };
+    }
+    circles = generate(world, Math.max(0, k - Math.floor(tried / SETS_TRIED)), Math.floor(2 ** 32 * draw()));
+  }
+}

@@ -348,6 +348,14 @@ def test_the_rule_that_dodges_turns_away_from_what_is_straight_ahead_and_flies_o
     assert dodge(with_velocities).item() == 9
 
 
+def test_with_velocities_and_a_stack_the_rule_sees_the_newest_observation_alone():
+    task = make_task("test", SENSED, task="moving", stack=3)  # 150 numbers, which five observations of 30 have too
+    sensed = torch.rand(200, 150, generator=torch.Generator().manual_seed(0))
+    rule = suited(BASELINES["reactive"], task)
+    assert torch.equal(rule(sensed, None), dodge(sensed[:, :50]))
+    assert not torch.equal(rule(sensed, None), dodge(sensed))
+
+
 @pytest.mark.parametrize("name", BASELINES)
 @pytest.mark.parametrize("fields", [{}, SENSED])
 def test_the_scripted_policies_fly_with_and_without_sensed_velocities(name, fields):

@@ -29,7 +29,7 @@ from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import AnyPolicy, suited
 from uavnav.tasks.ladders import Measure, measure_of, reached
-from uavnav.tasks.simulator import TASKS, Task
+from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.training import display, machine
 
 FLOWN = "flown_in"
@@ -44,16 +44,23 @@ class Place(NamedTuple):
     measure: Measure | None
 
 
-def place(run: Run, policy: Policy, episodes: int, max_steps: int) -> Place:
+def place(run: Run, episodes: int, max_steps: int) -> Place:
     """Where a run was trained: its world and faults, on the first test sets that belong to its bank.
 
     A task's own cap holds where it is lower.
 
     Raises:
         LayoutError: there are no such sets.
+        RunError: its settings name no world.
     """
-    task, layouts = policy.task, banks.judged_on(run.config["layouts"])
-    flown = replace(task, stack=1).on(layouts, min(max_steps, task.MAX_STEPS or max_steps))
+    own, layouts = run.config, banks.judged_on(run.config.get("layouts", "train"))
+    try:
+        task = make_task(
+            EMPTY, own.get("world"), own.get("reward"), None, own.get("task", "drone"), faults=own.get("faults")
+        )
+    except (TypeError, ValueError) as error:
+        raise RunError(f"{run.path / 'config.yaml'}: names no world ({error}); give a run of this package") from error
+    flown = task.on(layouts, min(max_steps, task.MAX_STEPS or max_steps))
     return Place(named(task, layouts), flown.with_bank(flown.bank[:episodes]), measure_of(layouts))
 
 
@@ -87,11 +94,11 @@ def sort(
     if size is None:
         raise RunError(f"--transfer {' '.join(found)}: names no run; give the folders of runs of several worlds")
     for name, one in found.items():
-        policy, where = first[name], ""
+        where = ""
         if sizes.get(name, size) != size:
             continue
-        if isinstance(one, Run) and isinstance(policy, Policy):
-            own = place(one, policy, episodes, max_steps)
+        if isinstance(one, Run):
+            own = place(one, episodes, max_steps)
             places.setdefault(own.name, own)
             where = own.name
         trained.append((flyers[name], where))

@@ -43,6 +43,8 @@ PARTS = {"world": World, "faults": Faults}
 """The tables of a configuration: a field is a setting of its own."""
 ONCE_FLAT = ("slots", "padding", "start_heading")
 """Fields of `World` that older configurations hold beside `world` and not in it."""
+WORLDS = "worlds"
+"""The folder, in a report's, of the study of that name, which `report.worlds` reads."""
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
 NAMED = ("preset", "frames", "n_worlds", "obstacles", "reward", "init")
 """Settings that every section names; it names others where cells differ in them or from their preset."""
@@ -87,7 +89,9 @@ def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
         RunError: a folder is missing or holds no run, or no run can be used.
     """
     walked = [run_folders(folder) for folder in folders]
-    paths = {path.resolve(): path for found, _ in walked for path in found}
+    all_paths = {path.resolve(): path for found, _ in walked for path in found}
+    apart = of_worlds(folders)
+    paths = {key: path for key, path in all_paths.items() if not any(path.is_relative_to(one) for one in apart)}
     cells: dict[str, Cell] = {}
     left_out = []
     for path in paths.values():
@@ -97,9 +101,15 @@ def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
             cells[key] = _merged(cells[key], cell) if key in cells else cell
         except RunError as error:
             left_out.append(one_line(error))
-    if not cells:
+    if not cells and len(paths) == len(all_paths):
         raise RunError(f"{', '.join(map(str, folders))}: no run that can be used; {left_out[0]}")
     return list(cells.values()), [*left_out, *(line for _, strays in walked for line in strays)]
+
+
+def of_worlds(folders: Sequence[Path]) -> list[Path]:
+    """The folders of the study `worlds` in those of a report."""
+    found = [folder / WORLDS for folder in folders]
+    return [folder for folder in found if folder.is_dir() and not (folder / "config.yaml").exists()]
 
 
 def read(path: Path) -> Cell:

@@ -13,13 +13,14 @@ from typing import Any
 import pandas as pd
 
 from uavnav.policies import PolicyError
-from uavnav.report import behaviour, figures, frames, headline, replays, studies, tables, whys
+from uavnav.report import behaviour, figures, frames, headline, replays, studies, tables, whys, worlds
 from uavnav.report.cells import Cell, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.figures import Figure
 from uavnav.report.operating import characteristics
 from uavnav.report.studies import Rows, Studies
 from uavnav.report.verdicts import Finding, audit
+from uavnav.report.worlds import Worlds
 from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
 from uavnav.runs.readings import READINGS, SAMPLED
@@ -48,6 +49,7 @@ class Content:
     baselines: dict[str, pd.DataFrame]
     first_rule: pd.DataFrame  # its verdicts, as history
     left_out: list[str] = field(default_factory=list)
+    worlds: Worlds | None = None  # the study of that name, where there is one
 
     @property
     def missing(self) -> list[str]:
@@ -102,18 +104,39 @@ def gather(folders: Sequence[Path]) -> Content:
     numbers |= {"behaviour_by_layout": frames.flown(by_layout)}
     numbers |= {"overestimation": overestimated, "survival": survived, "predictions": predictions}
     numbers |= {"operating": characteristics(evidence[PRIMARY], printed[PRIMARY])}
+    of_worlds = worlds.gather(folders)
+    if of_worlds:
+        numbers |= worlds.numbers(of_worlds)
+        left_out += of_worlds.left_out
     numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
     return Content(
         cells,
         sorted_cells,
         audits,
         numbers,
-        figures.draw(of_paper, numbers, watched, survival),
+        [*figures.draw(of_paper, numbers, watched, survival), *_of_worlds(of_worlds)],
         flown if flown["cells"] else None,
         baselines,
         frames.first_rule(folders[0]),
-        list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *flown["left_out"]])),
+        list(
+            dict.fromkeys(
+                [
+                    *left_out,
+                    *problems,
+                    *unvalued,
+                    *unread,
+                    *flown["left_out"],
+                    *(of_worlds.left_out if of_worlds else []),
+                ]
+            )
+        ),
+        of_worlds,
     )
+
+
+def _of_worlds(found: Worlds | None) -> list[Figure]:
+    drawn = worlds.figures(found) if found else []
+    return [Figure(name, "worlds", figure, caption) for name, figure, caption in drawn]
 
 
 def watch(all_cells: Studies) -> tuple[Flights, Flights, Flights, list[str]]:

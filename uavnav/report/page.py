@@ -14,7 +14,7 @@ import jinja2
 from markupsafe import Markup, escape
 
 from uavnav import browser, evaluate
-from uavnav.report import conclusions, findings, frames, studies, tables
+from uavnav.report import conclusions, findings, frames, studies, tables, worlds
 from uavnav.report.cells import BINS, algorithms, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
 from uavnav.report.content import Content
@@ -38,6 +38,8 @@ SECTIONS = {
     "speed": "Speed",
     "methods": "Methods",
 }
+WITH_WORLDS = {"worlds": "Worlds"}
+"""The section of the study of that name, before the baselines, where there is one."""
 HERE = Path(__file__).parent
 DECISIONS = [
     line.strip("| ").split(" | ")
@@ -69,7 +71,7 @@ def _cell(text: str) -> Markup:
 
 _TEMPLATES.filters |= {"cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
 _TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "findings": findings, "frames": frames}
-_TEMPLATES.globals |= {"studies": studies}
+_TEMPLATES.globals |= {"studies": studies, "worlds": worlds}
 _TEMPLATES.globals |= {
     "tables": tables,
     "primary": PRIMARY,
@@ -154,11 +156,18 @@ def page(content: Content, pictures: Mapping[str, str], first: Path) -> str:
         js=Markup(browser.joined(browser.PLAYER)),
         replays=Markup(replays),
         version=importlib.metadata.version("uavnav"),
-        sections=list(SECTIONS.items()),
+        sections=_sections(content),
         paper_tables=[(_table_name(one), _table(content, one)) for one in _algorithms(content)],
         pictures=pictures,
         first=first,
     )
+
+
+def _sections(content: Content) -> list[tuple[str, str]]:
+    """The ids and titles of the page's sections, in order."""
+    found = list(SECTIONS.items())
+    place = list(SECTIONS).index("baselines")
+    return [*found[:place], *(WITH_WORLDS.items() if content.worlds else ()), *found[place:]]
 
 
 def _table_name(algorithm: str) -> str:

@@ -108,14 +108,14 @@ def _ways() -> tuple[Tensor, Tensor, Tensor]:
 PLACES, FIRST, WORTH = _ways()
 
 
-def dodge(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
+def dodge(observation: Tensor, generator: torch.Generator | None = None, width: int | None = None) -> Tensor:
     """The first action of the way that keeps most clear of what is in view, also if that comes nearer by itself.
 
     It judges 46 ways of 16 steps, each a turn and then straight on, as the dynamic window approach does (Fox et al.
     1997). A way that leads farther counts a little more. It never stands still without a turn, and looks at no sensed
-    velocities.
+    velocities. width: numbers of a slot, by default as the size of one observation tells.
     """
-    width = 3 if observation.shape[-1] % WORLD.observation_size == 0 else 5
+    width = width or (3 if observation.shape[-1] % WORLD.observation_size == 0 else 5)
     slots = observation[..., : WORLD.n_slots * width].reshape(*observation.shape[:-1], WORLD.n_slots, width)
     distance = WORLD.drone_radius + slots[..., 2] * (WORLD.sensor_radius - WORLD.drone_radius)
     centre = slots[..., :2] * (distance + BODY)[..., None]
@@ -204,7 +204,10 @@ def suited(policy: AnyPolicy, task: Task) -> AnyPolicy:
             reactive: functools.partial(rule, width=len(task.world.slot_low)),
         }
         return own.get(policy, policy)
-    return dodge if policy is reactive and not task.STATIC else policy
+    if policy is not reactive or task.STATIC:
+        return policy
+    width = len(task.world.slot_low)
+    return dodge if width == len(WORLD.slot_low) else functools.partial(dodge, width=width)
 
 
 BASELINES: dict[str, AnyPolicy] = dict(zip(SCRIPTS, (uniform_random, straight_ahead, reactive), strict=True))

@@ -172,12 +172,13 @@ def summary(run: Run) -> Table:
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
     changes = [f"{name}={value}" for name, value in run.meta.get("beyond_preset", {}).items()]
+    ends = "collision or goal" if config.get("task") == "goal" else "collision"
     preset = " with ".join([f"preset {config['preset']}", *([", ".join(changes)] if changes else [])])
     return _metric_table(
         f"{run.algorithm} {config['activation']}, {preset}, {worlds}",
         f"{run.frames:,} frames per seed; {seeds}; {len(run.episodes):,} training episodes;"
         f" {run.meta['bank']['k']} obstacles a set; reward {config['reward']}; init {config['init']};"
-        f" steps and distance {PER_FRAME} are per collision",
+        f" steps and distance {PER_FRAME} are per {ends}",
         _readings(run),
         of_paper(run),
     )

@@ -1,0 +1,379 @@
+"""Where which algorithm flies: the study `worlds`, its verdicts on claims 12 to 16, its tables and figures.
+
+Its runs lie in the folder `worlds` of a report's folder, apart from those that answer for the paper's tables. Letters:
+S seeds of a cell.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from uavnav import across, stats
+from uavnav.evaluate import EPISODES, fly, rows_across
+from uavnav.report import conclusions, style, tables
+from uavnav.report.cells import of_worlds, order
+from uavnav.report.discussion import (
+    ALL,
+    CELLS,
+    DISCUSSION,
+    EXPLAINS,
+    SCATTER,
+    SLOPE,
+    VARIATION,
+    at,
+    nothing_printed,
+    slopes,
+)
+from uavnav.report.operating import characteristics
+from uavnav.report.verdicts import Finding, audit, grade, of_claim
+from uavnav.runs import Run, run_folders
+from uavnav.runs.metrics import OWN
+from uavnav.runs.tables import RunError, read_table
+from uavnav.stats import Array, Interval
+from uavnav.tasks.baselines import BASELINES, suited
+from uavnav.tasks.ladders import LADDERS
+from uavnav.tasks.layouts import LayoutError
+from uavnav.tasks.protocol import ACROSS_STEPS
+from uavnav.transfer import Place, place
+
+MODE = "sampled"
+DEFAULT = "paper"
+"""The preset that a world's name does not say."""
+MEASURES = {
+    "reward": "reward per flight",
+    "collisions": across.MEASURES["collisions"],
+    "survival": "restricted mean survival [steps]",
+}
+RANDOM_SEEDS = 10
+
+Key = tuple[str, str, str]
+"""World (with the preset where it is not the default), algorithm and activation."""
+
+
+class Worlds(NamedTuple):
+    """What the study says."""
+
+    seeds: dict[Key, pd.DataFrame]  # a row a seed: `MEASURES`, those of `metrics.OWN`, and what claims ask
+    scripted: dict[tuple[str, str], pd.DataFrame]  # the same of a world's scripts
+    findings: list[Finding]
+    operating: pd.DataFrame
+    left_out: list[str]
+
+
+def gather(folders: Sequence[Path]) -> Worlds | None:
+    """Read the study in some folders of a report, and let the scripts fly its worlds; None where there is none.
+
+    Raises:
+        RunError: a folder cannot be read.
+    """
+    paths = [path for folder in of_worlds(folders) for path in run_folders(folder)[0]]
+    seeds: dict[Key, pd.DataFrame] = {}
+    places: dict[str, Place] = {}
+    left_out = []
+    for path in paths:
+        try:
+            run = Run(path)
+            where, table = read(run)
+            world = where.name + (f", {run.config['preset']}" if run.config["preset"] != DEFAULT else "")
+            key = (world, run.algorithm, run.config["activation"])
+            if key in seeds and not seeds[key].index.intersection(table.index).empty:
+                raise RunError(f"{path}: its seeds are there already, in {world}")
+            seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
+            places.setdefault(where.name, where)
+        except (RunError, LayoutError, KeyError) as error:
+            left_out.append(" ".join(str(error).split()))
+    if not seeds:
+        return None
+    in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
+    seeds = dict(sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0]))))
+    scripted = {(name, rule): table for name in in_order for rule, table in _scripts(places[name])}
+    evidence = Evidence(seeds)
+    findings = audit(evidence, nothing_printed, DISCUSSION)
+    return Worlds(seeds, scripted, findings, characteristics(evidence, nothing_printed, DISCUSSION), left_out)
+
+
+def _rank(key: Key) -> tuple[object, ...]:
+    """Where a cell stands in its world: the default presets first."""
+    return key[0] != _place(key[0]), *order(key[1:])
+
+
+def _digits_last(name: str) -> tuple[str, float]:
+    """A world's name as words and a number, so that density-4 comes before density-16."""
+    words, _, number = name.partition("-")
+    return (words, float(number)) if number.isdecimal() else (name, 0.0)
+
+
+def _place(world: str) -> str:
+    return world.removesuffix(", fast")
+
+
+def read(run: Run) -> tuple[Place, pd.DataFrame]:
+    """Where a run was trained, and its table of seeds.
+
+    Raises:
+        LayoutError, RunError: its world is not known, or it was not flown.
+    """
+    rows = run.evaluation()
+    if rows is None:
+        raise RunError(f"{run.path}: was not evaluated; give its study again")
+    episodes, cap = rows.attrs.get("episodes", EPISODES), rows.attrs.get("max_steps", ACROSS_STEPS)
+    where = place(run, episodes, cap)
+    table = measured(rows[rows["mode"] == MODE], cap)
+    for name, ladder in LADDERS.items():
+        path = run.path / rows_across(name, episodes, cap)
+        if path.exists():
+            flown = read_table(path, {"seed": "int64", "rung": "float64", "mode": "object"}, "evaluate it again")
+            for rung in ladder.rungs:
+                one = measured(flown[(flown["mode"] == MODE) & (flown["rung"] == rung)], cap)
+                table = table.join(one.set_axis([at(str(metric), name, rung) for metric in one], axis=1))
+            if name == "density":
+                rewards = table[[at("reward", name, rung) for rung in ladder.rungs]]
+                table[SLOPE] = rewards.to_numpy() @ slopes(ladder.rungs)
+    if "grad_norm" in run.progress:
+        norms = run.progress.groupby("seed")["grad_norm"]
+        table[VARIATION] = norms.std() / norms.mean()
+    return where, table
+
+
+def measured(flown: pd.DataFrame, cap: int) -> pd.DataFrame:
+    """The measures of some flights, a row a seed. A flight that reaches its goal counts as cut off there."""
+    ended = flown["terminated"] & (flown.get("succeeded", 0) == 0)
+    survival = {
+        seed: stats.restricted_mean(one["steps"].to_numpy(), np.asarray(ended[one.index], dtype=np.float64), cap)
+        for seed, one in flown.groupby("seed")
+    }
+    return across.of_seeds(flown).drop(columns="survive").assign(survival=pd.Series(survival))
+
+
+def _scripts(where: Place) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The scripted policies in a world, on the sets of its cells: random flight with several seeds."""
+    cap = where.task.max_steps or ACROSS_STEPS
+    for name, rule in BASELINES.items():
+        seeds = range(RANDOM_SEEDS if name == "random" else 1)
+        flown = fly({seed: suited(rule, where.task) for seed in seeds}, where.task, measure=where.measure)
+        yield name, measured(flown.episodes, cap)
+
+
+@dataclass(eq=False)
+class Evidence:
+    """What the claims of the discussion ask (an `Evidence` of `claims`): seeds by world, algorithm and activation."""
+
+    seeds: Mapping[Key, pd.DataFrame]
+
+    def __post_init__(self) -> None:
+        self._seeds = dict(self.seeds)
+        for world in dict.fromkeys(world for world, _, _ in self._seeds):
+            mine = {key: table for key, table in self._seeds.items() if key[0] == world}
+            apart = {key: (table["reward"] - table["reward"].median()).abs() for key, table in mine.items()}
+            usual = pd.concat([*apart.values()]).mean()
+            for key, table in mine.items():
+                self._seeds[key] = table.assign(**{SCATTER: apart[key] / usual if usual > 0 else np.nan})
+
+    def __call__(self, algorithm: str, activation: str, metric: str, study: str = ALL) -> Array:
+        if algorithm == CELLS:
+            found = self._explains(metric)
+            return found if activation == CELLS else np.zeros(len(found))
+        if study != ALL:
+            table = self._seeds.get((study, algorithm, activation))
+            return np.empty(0) if table is None or metric not in table else table[metric].dropna().to_numpy()
+        tables_ = [
+            table[metric]
+            for (world, *cell), table in self._seeds.items()
+            if cell == [algorithm, activation] and world == _place(world) and metric in table
+        ]
+        return pd.concat(tables_, axis=1).mean(axis=1).dropna().to_numpy() if tables_ else np.empty(0)
+
+    def _explains(self, metric: str) -> Array:
+        """The rank correlation of a measure with the reward across the cells of a world, mean over worlds: [S].
+
+        Seeds of the same number are taken together: as if each were a study of its own.
+        """
+        measure = next(name for name, explains in EXPLAINS.items() if explains == metric)
+        parts = []
+        for world in dict.fromkeys(world for world, _, _ in self._seeds if world == _place(world)):
+            mine = [table for key, table in self._seeds.items() if key[0] == world and measure in table]
+            if len(mine) > 2:
+                first, second = (
+                    pd.concat([table[name] for table in mine], axis=1, join="inner", keys=range(len(mine))).rank(axis=1)
+                    for name in (measure, "reward")
+                )
+                parts.append(first.T.corrwith(second.T))
+        return pd.concat(parts, axis=1).mean(axis=1).dropna().to_numpy() if parts else np.empty(0)
+
+
+# -- what a report shows ----------------------------------------------------------------------------------------------
+
+
+def summary(found: Worlds) -> pd.DataFrame:
+    """A row a world, cell (or script) and measure: value, low, high and n, intervals over seeds."""
+    values = []
+    everything = [(key[0], _named(key), table) for key, table in found.seeds.items()]
+    everything += [(world, rule, table) for (world, rule), table in found.scripted.items()]
+    for world, name, table in everything:
+        for metric in (one for one in (*MEASURES, *OWN) if one in table):
+            one = stats.interval(table[metric].dropna().to_numpy())
+            values.append([_place(world), name, metric, *one[:3], one.n])
+    return pd.DataFrame(values, columns=["world", "who", "metric", "value", "low", "high", "n"])
+
+
+def _named(key: Key) -> str:
+    world, algorithm, activation = key
+    return f"{algorithm.upper()} {activation}" + (" fast" if world != _place(world) else "")
+
+
+def table(found: pd.DataFrame, world: str) -> tables.Rows:
+    """A world's cells and scripts as a table. found: of `summary`."""
+    mine = found[found["world"] == world]
+    metrics = [metric for metric in (*MEASURES, *OWN) if metric in set(mine["metric"])]
+    header = ["who", *(MEASURES.get(metric) or OWN[metric].label for metric in metrics), "seeds"]
+    shown = [header]
+    for who, part in mine.groupby("who", sort=False):
+        by_metric = part.set_index("metric")[["value", "low", "high"]].T
+        numbers = [tables.with_interval(*by_metric[metric].tolist()) for metric in metrics]
+        shown.append([str(who), *numbers, str(part["n"].max())])
+    return shown
+
+
+def worlds_of(found: pd.DataFrame) -> list[str]:
+    """The worlds of a summary, in order."""
+    return [*dict.fromkeys(found["world"])]
+
+
+def _rewards(found: pd.DataFrame, world: str) -> tuple[dict[str, Interval], dict[str, Interval]]:
+    """Rewards of a world's learned cells, the best first, and of its scripts."""
+    mine = found[(found["world"] == world) & (found["metric"] == "reward")]
+    both = {one["who"]: Interval(one["value"], one["low"], one["high"], one["n"]) for one in mine.to_dict("records")}
+    learned = {who: one for who, one in both.items() if who not in BASELINES}
+    best = sorted(learned.items(), key=lambda item: -item[1].value)
+    return dict(best), {who: one for who, one in both.items() if who in BASELINES}
+
+
+def sentences(found: pd.DataFrame) -> list[str]:
+    """Who is ahead in each world; where a script beats every cell, and whether all are above random flight."""
+    said: list[str] = []
+    beaten: list[str] = []
+    passed: list[str] = []
+    above: list[str] = []
+    not_above: list[str] = []
+    for world in worlds_of(found):
+        learned, scripts = _rewards(found, world)
+        (best, most), *others = learned.items()
+        rule, rules = max(scripts.items(), key=lambda item: item[1].value)
+        told = [f"{best} {tables.with_interval(*most[:3])}"]
+        told += [f"{who} {tables.with_interval(*one[:3])}" for who, one in others[:1]]
+        said.append(
+            f"In {world}, reward per flight: {', then '.join(told)}; the best script, {rule}, has"
+            f" {tables.number(rules.value)}."
+        )
+        if all(rules.value > _top(one) for one in learned.values()):
+            beaten.append(world)
+        elif most.low > _top(rules):
+            passed.append(f"{world} ({best})")
+        chance = scripts.get("random")
+        if chance is not None:
+            higher = all(one.low > _top(chance) for one in learned.values())
+            (above if higher else not_above).append(world)
+    if beaten:
+        said.append(
+            "A scripted rule still beats every learned cell, its reward above the interval of each, in"
+            f" {', '.join(beaten)}."
+        )
+    if passed:
+        said.append(f"A learned cell is above every script, with its whole interval, in {', '.join(passed)}.")
+    if above:
+        said.append(f"Every learned cell is above random flight, intervals apart, in {', '.join(above)}.")
+    if not_above:
+        said.append(f"Not every learned cell is above random flight with intervals apart in {', '.join(not_above)}.")
+    return said
+
+
+def _top(one: Interval) -> float:
+    """The upper end of an interval, or the value where there is none."""
+    return one.high if np.isfinite(one.high) else one.value
+
+
+@matplotlib.rc_context(style.STYLE)
+def draw(found: pd.DataFrame) -> style.Drawn:
+    """Reward per flight of every cell, a panel a world; the lines are scripts."""
+    worlds = worlds_of(found)
+    counts = [len(_rewards(found, world)[0]) for world in worlds]
+    figure = Figure(figsize=(style.WIDTH, sum(0.9 + 0.3 * count for count in counts)), layout="constrained")
+    panels = figure.subplots(len(worlds), 1, squeeze=False, gridspec_kw={"height_ratios": [2 + n for n in counts]})[
+        :, 0
+    ]
+    looks = dict(zip(BASELINES, (":", "-.", "--"), strict=True))
+    for axes, world in zip(panels, worlds, strict=True):
+        learned, scripts = _rewards(found, world)
+        for row, (who, one) in enumerate(learned.items()):
+            colour = style.COLOURS.get(who.split()[1], style.OTHER_COLOURS[0])
+            axes.plot([one.low, one.high], [row, row], color=colour, linewidth=2.4, solid_capstyle="butt")
+            axes.plot(one.value, row, "o", color=colour, markeredgecolor="white", markersize=8)
+        for name, one in scripts.items():
+            axes.axvline(one.value, linestyle=looks[name], color=style.INK, linewidth=1.2, label=name)
+        style.name_rows(axes, [*learned])
+        axes.set_title(world)
+    panels[-1].set_xlabel("reward per flight, sampled")
+    style.legend(figure, panels[0].get_legend_handles_labels()[0], columns=3)
+    told = "; ".join(f"{world}: {style.said(one)} of {who}" for world in worlds for who, one in _first(found, world))
+    return style.Drawn(figure, f"Best reward per flight in each world: {told}.")
+
+
+def _first(found: pd.DataFrame, world: str) -> list[tuple[str, Interval]]:
+    return [*_rewards(found, world)[0].items()][:1]
+
+
+def ladder(found: Worlds, name: str) -> style.Drawn | None:
+    """The cells that were trained in the paper's world across a ladder, means of their activations; None where none."""
+    rungs, parts = LADDERS[name].rungs, []
+    for (world, algorithm), group in itertools.groupby(found.seeds.items(), key=lambda item: item[0][:2]):
+        flown = [table for _, table in group if at("reward", name, rungs[0]) in table]
+        if not flown or _place(world) != "drone":
+            continue
+        who = algorithm.upper() + (" fast" if world != _place(world) else "")
+        for rung in rungs:
+            for metric in (one for one in ("reward", "collisions", *OWN) if at(one, name, rung) in flown[0]):
+                one = stats.difference([table[at(metric, name, rung)].dropna().to_numpy() for table in flown], [])
+                parts.append([who, MODE, float(rung), metric, one.n, *one[:3]])
+    if not parts:
+        return None
+    columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
+    return across.draw(pd.DataFrame(parts, columns=columns), LADDERS[name])
+
+
+def figures(found: Worlds) -> list[tuple[str, style.Drawn, str]]:
+    """Names, figures and captions."""
+    drawn = [("worlds-rewards", draw(summary(found)), "Means and 95 % intervals over seeds; lines: scripts.")]
+    for name in ("density", "slalom"):
+        if (one := ladder(found, name)) is not None:
+            caption = (
+                f"The ladder {name}: policies trained in the paper's world, the mean of their activations; bands are"
+                " Welch's 95 % intervals over seeds."
+            )
+            drawn.append((f"worlds-{name}", one, caption))
+    return drawn
+
+
+def numbers(found: Worlds) -> dict[str, pd.DataFrame]:
+    """The tables of a report, by the name of their CSV."""
+    verdicts = pd.DataFrame([one._asdict() for one in found.findings])
+    return {"places": summary(found), "places_verdicts": verdicts, "places_operating": found.operating}
+
+
+def claims(found: Worlds) -> list[dict[str, object]]:
+    """Each claim with its grade, its bar and the rows of its parts."""
+    graded = []
+    for claim in DISCUSSION:
+        mine = of_claim(found.findings, claim.number)
+        came_to = grade(mine)
+        own = {"number": claim.number, "sentence": claim.sentence, "grade": came_to, "bar": tables.bar(came_to)}
+        graded.append(own | {"text": conclusions.sentence(claim, mine), "rows": tables.audit_rows(mine)})
+    return graded

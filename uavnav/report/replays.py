@@ -117,9 +117,14 @@ def _load(cell: Cell, n_seeds: int) -> tuple[dict[int, Policy], list[str]]:
         if len(population) == n_seeds:
             break
         try:
-            population[seed] = load_policy(path, seed, greedy=False)
+            policy = load_policy(path, seed, greedy=False)
         except PolicyError as error:
             problems.append(one_line(error))
+            continue
+        if (kind := layouts.kind_of(policy.world)) == "drone":
+            population[seed] = policy
+        else:
+            problems.append(f"{path}: flies task={kind}; the page replays task=drone alone")
     return population, problems
 
 

@@ -18,6 +18,7 @@ from bad_input import (
 
 import uavnav
 from uavnav.algorithms import ALGORITHMS
+from uavnav.tasks.space import SpaceWorld
 
 KNOWN = ", ".join(sorted(ALGORITHMS))
 CASES = [
@@ -104,6 +105,15 @@ CASES = [
     ),
     argument("a reward", lambda f: fly(f, reward="eq15"), "reward='eq15'", "choose from eq14"),
     argument("a slot order", lambda f: uavnav.World(slots="first"), "slots='first'", "choose from nearest, listed"),
+    word(
+        "a window in 3D",
+        "space: the window shows no world in 3D; ",
+        "uavnav render draws it",
+        "play",
+        "--task",
+        "space",
+    ),
+    argument("a box's depth", lambda f: SpaceWorld(depth=280), "depth=280", "give above 280 px"),
     argument("a border", lambda f: uavnav.World(border=30), "border=30", "must divide"),
     argument("an activation", lambda f: uavnav.networks.Activation("rleu"), "activation='rleu'", "choose from elu"),
     argument("a cap", lambda f: uavnav.DroneEnv(max_steps=0), "max_steps=0", "a whole number from 1"),

@@ -289,12 +289,13 @@ class Counting(torch.Tensor):
     """Stands for a tensor, as in a graph that is traced."""
 
 
+@pytest.mark.parametrize("n", [sensing.FEW, sensing.FEW + 20])
 @pytest.mark.parametrize("slots", ["nearest", "listed"])
-def test_slots_by_sorting_are_those_by_counting_to_the_last_bit_ties_included(slots):
+def test_slots_by_sorting_are_those_by_counting_or_one_by_one_to_the_last_bit_ties_included(slots, n):
     generator = torch.Generator().manual_seed(3)
-    triples = torch.randn(3, 36, 500, generator=generator).round()  # with some -0.0
-    distance = torch.randint(60, (36, 500), generator=generator).double() * 10
-    in_view = torch.rand(36, 500, generator=generator) < torch.rand(500, generator=generator)
+    triples = torch.randn(3, n, 500, generator=generator).round()  # with some -0.0
+    distance = torch.randint(60, (n, 500), generator=generator).double() * 10
+    in_view = torch.rand(n, 500, generator=generator) < torch.rand(500, generator=generator)
     assert {0, 10} <= {*in_view.sum(0).clamp(max=10).tolist()}
     world = uavnav.World(slots=slots)
     sorted_ = sensing.first_in_view(triples, distance, in_view, world)

@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if given.json:
             print(json.dumps([display.record(run) for run in finished], indent=2))
         elif not given.quiet and finished[-1].fresh:
-            print(_next(finished[-1].path, given.plugins))
+            print(_next(finished[-1], given.plugins))
     except Interrupted as stop:
         print(stop, file=sys.stderr)
         return 128 + stop.signum
@@ -199,10 +199,12 @@ def _train(order: Order, quiet: bool) -> Run:
     return finished
 
 
-def _next(run: Path, names: Sequence[str]) -> str:
+def _next(finished: Run, names: Sequence[str]) -> str:
     """What to do with a run next, with the very commands; names: of the plugins that it needs."""
+    run = finished.path
     with_plugins = ["--plugins", ",".join(names)] if names else []
-    watch = ["uavnav", "play" if find_spec("pygame") else "render", str(run), *with_plugins]
+    flat = len(TASKS[finished.config["task"]].WORLD().size) == 2  # the window shows no world in 3D
+    watch = ["uavnav", "play" if flat and find_spec("pygame") else "render", str(run), *with_plugins]
     root = str(run) if run.is_absolute() else run.parts[0]
     compare = ["uavnav", "report", root, "--out", "report", *with_plugins]
     return f"watch it:    {shlex.join(watch)}\ncompare it:  {shlex.join(compare)}"

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from uavnav import commands, engines, plugins, studies
+from uavnav import commands, engines, evaluate, plugins, studies
 from uavnav.choices import ConfigError
 from uavnav.report import report
 from uavnav.runs import PROGRESS, read_settings
@@ -157,6 +157,8 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
             f"uavnav study: {len(failed)} of {len(found)} cells failed; the same command repeats them", file=sys.stderr
         )
         return 1
+    if plan is not None and not (out / "baselines" / "reactive.parquet").exists():
+        evaluate.main(["reactive", "--out", str(out / "baselines"), "--quiet"])
     if own["report"]:
         print(f"the report is in {report([out]).path}")
     return 0

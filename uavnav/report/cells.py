@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.runs import EVALUATION, Run, paper, run_folders
+from uavnav.runs import EVALUATION, TUNING, Run, paper, run_folders
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, last_episodes, per_seed
 from uavnav.runs.readings import (
     EVALUATIONS,
@@ -78,7 +78,7 @@ def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
         RunError: a folder is missing or holds no run, or no run can be used.
     """
     walked = [run_folders(folder) for folder in folders]
-    paths = {path.resolve(): path for found, _ in walked for path in found}
+    paths = _beside_tuning(folders, {path.resolve(): path for found, _ in walked for path in found})
     cells: dict[str, Cell] = {}
     left_out = []
     for path in paths.values():
@@ -91,6 +91,16 @@ def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
     if not cells:
         raise RunError(f"{', '.join(map(str, folders))}: no run that can be used; {left_out[0]}")
     return list(cells.values()), [*left_out, *(line for _, strays in walked for line in strays)]
+
+
+def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mapping[Path, Path]:
+    """Without the runs of a study that tunes, which has a section of its own; if it is all there is, its defaults."""
+    tuned = [(folder / TUNING).resolve() for folder in folders]
+    beside = {key: path for key, path in paths.items() if not any(key.is_relative_to(folder) for folder in tuned)}
+    defaults = {
+        key: path for key, path in paths.items() if any(key.is_relative_to(folder / "default") for folder in tuned)
+    }
+    return beside or defaults or paths
 
 
 def read(path: Path) -> Cell:

@@ -14,6 +14,7 @@ import jinja2
 from markupsafe import Markup, escape
 
 from uavnav import browser, evaluate
+from uavnav.report import algorithms as beyond
 from uavnav.report import conclusions, findings, frames, studies, tables
 from uavnav.report.cells import BINS, algorithms, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
@@ -34,6 +35,7 @@ SECTIONS = {
     "behaviour": "Behaviour",
     "why": "Why",
     "sensitivity": "Sensitivity",
+    "algorithms": "Algorithms",
     "baselines": "Baselines",
     "speed": "Speed",
     "methods": "Methods",
@@ -53,7 +55,7 @@ _TEMPLATES = jinja2.Environment(
     lstrip_blocks=True,
     keep_trailing_newline=True,
     undefined=jinja2.StrictUndefined,
-    autoescape=lambda template: template == "page.html",
+    autoescape=lambda template: template in ("page.html", "algorithms.html"),
 )
 _INTERVAL = re.compile(r"([−\d][^\[]*|–) (\[[^\]]+, [^\]]+\])(.*)")
 _MARKDOWN = re.compile(r"`([^`]+)`|\[([^\]]+)\]\([^)]+\)")
@@ -71,7 +73,7 @@ def _cell(text: str) -> Markup:
 
 _TEMPLATES.filters |= {"cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
 _TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "findings": findings, "frames": frames}
-_TEMPLATES.globals |= {"studies": studies}
+_TEMPLATES.globals |= {"algorithms": beyond, "studies": studies}
 _TEMPLATES.globals |= {
     "tables": tables,
     "primary": PRIMARY,
@@ -156,7 +158,9 @@ def page(content: Content, pictures: Mapping[str, str], first: Path) -> str:
         js=Markup(browser.joined(PLAYER)),
         replays=Markup(replays),
         version=importlib.metadata.version("uavnav"),
-        sections=list(SECTIONS.items()),
+        sections=[
+            (id, title) for id, title in SECTIONS.items() if id != "algorithms" or beyond.NAMED & {*content.tables}
+        ],
         paper_tables=[(_table_name(one), _table(content, one)) for one in _algorithms(content)],
         pictures=pictures,
         first=first,

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from test_studies import cell
 
-from uavnav.report import algorithms
-from uavnav.report.algorithms import DIFFERENCE
+from uavnav.report import beyond
+from uavnav.report.beyond import DIFFERENCE
 from uavnav.report.studies import Rows, sort
 from uavnav.runs import run_folders
 
@@ -36,7 +36,7 @@ def cells(**of_seeds):
 
 def compared(rule=20.0):
     found = {"default": cells(ppo=(1.0, 3.0), sac=(9.0, 11.0)), "tuned": cells(ppo=(11.0, 13.0), sac=(8.0, 10.0))}
-    return algorithms._compared(found, {"reactive": flights(rule, mode="scripted")}, ["ppo", "sac"])
+    return beyond._compared(found, {"reactive": flights(rule, mode="scripted")}, ["ppo", "sac"])
 
 
 def test_default_and_tuned_are_means_over_seeds_with_their_difference_and_the_gap_to_the_rule():
@@ -70,20 +70,20 @@ def test_default_and_tuned_are_means_over_seeds_with_their_difference_and_the_ga
 def test_the_sentence_names_the_best_and_the_gap_to_the_rule(gap, said):
     found = compared()
     found.loc[1, ["gap", "gap_low", "gap_high"]] = gap
-    assert algorithms.conclusion(found).endswith(said)
+    assert beyond.conclusion(found).endswith(said)
 
 
 def test_without_the_rules_flights_the_sentence_says_so():
     found = compared().assign(gap=np.nan)
-    assert algorithms.conclusion(found).endswith("No flights of the hand-written rule lie beside them.")
+    assert beyond.conclusion(found).endswith("No flights of the hand-written rule lie beside them.")
 
 
 def test_the_best_so_far_never_falls_and_a_trial_that_diverged_changes_nothing():
-    assert algorithms.so_far(TRIALS).tolist() == [1.0, 1.0, 5.0, 5.0, 2.0, 2.0]
+    assert beyond.so_far(TRIALS).tolist() == [1.0, 1.0, 5.0, 5.0, 2.0, 2.0]
 
 
 def test_the_table_of_trials_has_the_default_and_the_best_with_its_settings():
-    assert algorithms.winners(TRIALS)[1:] == [
+    assert beyond.winners(TRIALS)[1:] == [
         ["PPO", "4", "1", "1.0", "5.0", "2", "lr=0.2, hidden=64"],
         ["SAC", "2", "0", "2.0", "2.0", "0", ""],
     ]
@@ -91,20 +91,20 @@ def test_the_table_of_trials_has_the_default_and_the_best_with_its_settings():
 
 def test_there_is_a_figure_of_cells_of_trials_and_of_what_matters():
     importance = pd.DataFrame({"algorithm": ["ppo"], "setting": ["lr"], "importance": [0.75]})
-    numbers = {"tuning": compared(), "tuning_trials": TRIALS.assign(best=algorithms.so_far(TRIALS))}
-    drawn = algorithms.figures(numbers | {"tuning_importance": importance}, {})
+    numbers = {"tuning": compared(), "tuning_trials": TRIALS.assign(best=beyond.so_far(TRIALS))}
+    drawn = beyond.figures(numbers | {"tuning_importance": importance}, {})
     assert [figure.name for figure in drawn] == ["tuning", "tuning-trials", "tuning-importance"]
     assert "PPO tuned 12.0" in drawn[0].drawn.alt
     assert "PPO from 1.00 to 5.00 in 4 trials; SAC from 2.00 to 2.00 in 2 trials" in drawn[1].drawn.alt
     assert "PPO lr 0.75" in drawn[2].drawn.alt
-    assert algorithms.figures({}, {}) == []
+    assert beyond.figures({}, {}) == []
 
 
 def test_a_folder_without_tuning_has_no_tables_and_a_damaged_one_a_line(tmp_path):
-    assert algorithms.tuning([tmp_path], {}) == ({}, [])
+    assert beyond.tuning([tmp_path], {}) == ({}, [])
     (tmp_path / "tuning").mkdir()
     (tmp_path / "tuning" / "trials.csv").write_text("")
-    tables, (line,) = algorithms.tuning([tmp_path], {})
+    tables, (line,) = beyond.tuning([tmp_path], {})
     assert tables == {}
     assert line.startswith(f"{tmp_path}/tuning: its tables cannot be read")
 
@@ -145,16 +145,16 @@ def ahead(algorithm, activation):
 
 
 def test_a_conclusion_about_activations_carries_over_turns_round_or_stays_open():
-    found = algorithms.carried(made(("ppo", "dqn", "a2c", "c51", "sac"), ahead))
+    found = beyond.carried(made(("ppo", "dqn", "a2c", "c51", "sac"), ahead))
     value = found.set_index(["conclusion", "algorithm"])["value"]
     assert value["tanh − relu", "ppo"] == pytest.approx(1.0)
     assert value["bounded − unbounded", "sac"] == pytest.approx(-0.5)
-    first = algorithms.carries(found).split(". ")[0]
+    first = beyond.carries(found).split(". ")[0]
     assert first.startswith("tanh − relu is above zero under PPO: it holds under A2C, turns round under SAC, is not")
     assert first.endswith("told from zero under C51")
-    assert "DQN" not in algorithms.carries(found)  # which decides nothing
-    assert algorithms.conclusions(found)[0] == ["reward per frame", "DQN", "PPO", "A2C", "C51", "SAC"]
+    assert "DQN" not in beyond.carries(found)  # which decides nothing
+    assert beyond.conclusions(found)[0] == ["reward per frame", "DQN", "PPO", "A2C", "C51", "SAC"]
 
 
 def test_the_papers_algorithms_alone_ask_nothing():
-    assert algorithms.carried(made(("ppo", "dqn"), ahead)).empty
+    assert beyond.carried(made(("ppo", "dqn"), ahead)).empty

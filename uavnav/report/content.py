@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from uavnav.policies import PolicyError
-from uavnav.report import algorithms, behaviour, figures, frames, headline, replays, studies, tables, whys
+from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys
 from uavnav.report.cells import Cell, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.figures import Figure
@@ -95,7 +95,7 @@ def gather(folders: Sequence[Path]) -> Content:
         printed = {reading: functools.partial(studies.of_paper, reading=reading) for reading in READINGS}
         audits = {reading: audit(evidence[reading], printed[reading]) for reading in READINGS}
         baselines, unread = frames.baselines(folders)
-        tuned, untuned = algorithms.tuning(folders, baselines)
+        tuned, untuned = beyond.tuning(folders, baselines)
         survival, survived = frames.survival(sorted_cells.main, baselines)
         numbers = _tables(sorted_cells, audits, flights) | {"whys": whys.table(evidence[PRIMARY])}
         (overestimated, unvalued), flown = valued.result(), replayed.result()
@@ -104,14 +104,14 @@ def gather(folders: Sequence[Path]) -> Content:
     numbers |= {"overestimation": overestimated, "survival": survived, "predictions": predictions}
     numbers |= {"operating": characteristics(evidence[PRIMARY], printed[PRIMARY])}
     numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
-    carried = algorithms.carried(evidence[PRIMARY])
+    carried = beyond.carried(evidence[PRIMARY])
     numbers |= tuned | ({"carried": carried} if len(carried) else {})
     return Content(
         cells,
         sorted_cells,
         audits,
         numbers,
-        [*figures.draw(of_paper, numbers, watched, survival), *algorithms.figures(numbers, baselines)],
+        [*figures.draw(of_paper, numbers, watched, survival), *beyond.figures(numbers, baselines)],
         flown if flown["cells"] else None,
         baselines,
         frames.first_rule(folders[0]),

@@ -14,8 +14,7 @@ import jinja2
 from markupsafe import Markup, escape
 
 from uavnav import browser, evaluate
-from uavnav.report import algorithms as beyond
-from uavnav.report import conclusions, findings, frames, studies, tables
+from uavnav.report import beyond, conclusions, findings, frames, studies, tables
 from uavnav.report.cells import BINS, algorithms, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
 from uavnav.report.content import Content
@@ -35,7 +34,6 @@ SECTIONS = {
     "behaviour": "Behaviour",
     "why": "Why",
     "sensitivity": "Sensitivity",
-    "algorithms": "Algorithms",
     "baselines": "Baselines",
     "speed": "Speed",
     "methods": "Methods",
@@ -73,7 +71,7 @@ def _cell(text: str) -> Markup:
 
 _TEMPLATES.filters |= {"cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
 _TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "findings": findings, "frames": frames}
-_TEMPLATES.globals |= {"algorithms": beyond, "studies": studies}
+_TEMPLATES.globals |= {"beyond": beyond, "studies": studies}
 _TEMPLATES.globals |= {
     "tables": tables,
     "primary": PRIMARY,
@@ -158,13 +156,18 @@ def page(content: Content, pictures: Mapping[str, str], first: Path) -> str:
         js=Markup(browser.joined(PLAYER)),
         replays=Markup(replays),
         version=importlib.metadata.version("uavnav"),
-        sections=[
-            (id, title) for id, title in SECTIONS.items() if id != "algorithms" or beyond.NAMED & {*content.tables}
-        ],
+        sections=_sections(content),
         paper_tables=[(_table_name(one), _table(content, one)) for one in _algorithms(content)],
         pictures=pictures,
         first=first,
     )
+
+
+def _sections(content: Content) -> list[tuple[str, str]]:
+    """Those of the page, in order; more algorithms only where some study has them."""
+    more = {"algorithms": "Algorithms"} if beyond.NAMED & {*content.tables} else {}
+    last = list(SECTIONS).index("baselines")
+    return [*list(SECTIONS.items())[:last], *more.items(), *list(SECTIONS.items())[last:]]
 
 
 def _table_name(algorithm: str) -> str:

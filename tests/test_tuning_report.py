@@ -100,6 +100,16 @@ def test_there_is_a_figure_of_cells_of_trials_and_of_what_matters():
     assert beyond.figures({}, {}) == []
 
 
+def test_the_two_settings_that_matter_most_are_named_with_their_shares():
+    importance = pd.DataFrame(
+        {"algorithm": ["ppo"] * 3 + ["sac"], "setting": ["a", "b", "c", "tau"], "importance": [0.1, 0.6, 0.3, 1.0]}
+    )
+    assert beyond.matters(importance) == (
+        "What matters most among the trials (fANOVA): b (60%) and c (30%) for PPO; tau (100%) for SAC."
+    )
+    assert beyond.matters(importance[:0]) == ""
+
+
 def test_a_folder_without_tuning_has_no_tables_and_a_damaged_one_a_line(tmp_path):
     assert beyond.tuning([tmp_path], {}) == ({}, [])
     (tmp_path / "tuning").mkdir()

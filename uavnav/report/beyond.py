@@ -7,6 +7,7 @@ are in no other table. Letters: S seeds of a cell.
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from uavnav.report import headline, style
 from uavnav.report.cells import Cell, collect, episodes_of, one_line, order
 from uavnav.report.figures import Figure
 from uavnav.report.studies import Cells, Rows
-from uavnav.report.tables import with_interval
+from uavnav.report.tables import number, with_interval
 from uavnav.runs import TUNING, paper
 from uavnav.runs.metrics import finished
 from uavnav.runs.readings import SAMPLED, words
@@ -144,13 +145,14 @@ def winners(trials: Table) -> TextRows:
     for algorithm, part in trials.groupby("algorithm", sort=False):
         known = part.dropna(subset=["value"])
         first = part.loc[part["trial"] == 0, "value"].to_numpy()
-        best = known.loc[known["value"].idxmax()] if len(known) else None
+        best = max(known.to_dict("records"), key=lambda one: one["value"], default=None)
         told = ["–"] * 3
         if best is not None:
-            settings = str(best["settings"]).strip("{}").replace('"', "").replace(": ", "=")
-            told = [f"{best['value']:.1f}", str(best["trial"]), settings]
+            settings = json.loads(best["settings"])
+            shown_ = (f"{key}={value if isinstance(value, int) else f'{value:.3g}'}" for key, value in settings.items())
+            told = [number(best["value"], 1), str(best["trial"]), ", ".join(shown_)]
         diverged = str(len(part) - len(known))
-        shown = f"{first[0]:.1f}" if len(first) and np.isfinite(first[0]) else "–"
+        shown = number(float(first[0]), 1) if len(first) else "–"
         rows.append([str(algorithm).upper(), str(len(part)), diverged, shown, *told])
     return rows
 
@@ -184,6 +186,16 @@ def conclusion(found: Table) -> str:
     else:
         said.append(f"Whether {who}, the best, passes the hand-written rule is open: {gap} a flight.")
     return " ".join(said)
+
+
+def matters(importance: Table) -> str:
+    """Which setting explains most of the variation among trials; importance: as `tuning` gives it."""
+    each = []
+    for algorithm, part in importance.groupby("algorithm", sort=False):
+        top = part.sort_values("importance", ascending=False).head(2).to_dict("records")
+        shown = " and ".join(f"{one['setting']} ({one['importance']:.0%})" for one in top)
+        each.append(f"{shown} for {str(algorithm).upper()}")
+    return f"What matters most among the trials (fANOVA): {'; '.join(each)}." if each else ""
 
 
 def _number(one: Mapping[Hashable, Any]) -> str:
@@ -252,8 +264,8 @@ def pairs(found: Table, rule: float) -> style.Drawn:
         colour = style.CLEAR if one["settings"] == TUNED else style.PALE
         axes.plot([one["low"], one["high"]], [row, row], color=colour, linewidth=3, solid_capstyle="butt")
         axes.plot(one["value"], row, "o", color=colour, markersize=9)
-        number = style.said(stats.Interval(one["value"], one["low"], one["high"], one["n"]))
-        said.append(f"{one['algorithm'].upper()} {one['settings']} {number}")
+        interval = style.said(stats.Interval(one["value"], one["low"], one["high"], one["n"]))
+        said.append(f"{one['algorithm'].upper()} {one['settings']} {interval}")
     style.name_rows(axes, rows)
     axes.set_xlabel(words("reward", SAMPLED))
     if np.isfinite(rule):

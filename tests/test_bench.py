@@ -130,14 +130,16 @@ def test_the_first_policy_that_is_good_after_training_anew_up_to_its_frame_is_fo
     assert trained == [10_000, 20_000, 30_000][: len(trained)]
 
 
-def test_the_peer_in_plain_pytorch_is_watched_for_three_looks_once_it_is_steady(monkeypatch):
+@pytest.mark.parametrize(("algorithm", "rows"), [("sac", 64), ("c51", 32)])
+def test_a_peer_in_plain_pytorch_is_watched_for_three_looks_once_it_is_steady(algorithm, rows, monkeypatch):
     learned = []
-    update = plain.Agent.update
-    monkeypatch.setattr(plain.Agent, "update", lambda agent, batch: learned.append(batch) or update(agent, batch))
-    found = plain.watched(0.0, "sac", "numpy", 400, 0.0, learning_starts=300, buffer_size=350)
+    kind = plain.AGENTS[algorithm]
+    update = kind.update
+    monkeypatch.setattr(kind, "update", lambda agent, batch: learned.append(batch) or update(agent, batch))
+    found = plain.watched(0.0, algorithm, "numpy", 400, 0.0, learning_starts=300, buffer_size=350)
     assert found["frames"] == 600  # those after 400, 500 and 600
     assert len(learned) == 75
-    assert [part.shape for part in learned[-1]] == [(64, 30), (64, 1), (64,), (64, 30), (64,)]
+    assert [part.shape for part in learned[-1]] == [(rows, 30), (rows, 1), (rows,), (rows, 30), (rows,)]
     assert min(found["rate"], found["rate_before"]) > 0
 
 
@@ -153,6 +155,23 @@ def test_the_agent_in_plain_pytorch_moves_all_its_parts_towards_what_is_paid():
     assert agent.policy(batch[0]).softmax(-1)[:, 3].mean() > 0.5
     assert agent.log_alpha.item() < -1
     assert all((target(batch[0]) - network(batch[0])).abs().max() < 0.1 for target, network in agent.pairs)
+
+
+def test_c51_in_plain_pytorch_learns_what_an_action_is_worth_now_and_a_step_ahead():
+    """Action 3 of 100 is paid 1, in one place, and half of the best follows: it is worth 2 there, any other 1."""
+    torch.manual_seed(0)
+    config = ours.settings("c51", lr=1e-2, gamma=0.5, target_update_frames=4, epsilon_end=0.0)
+    agent, action, place = plain.Distributional(config), torch.arange(100)[:, None], torch.ones(100, 30)
+    batch = (place, action, (action[:, 0] == 3).float(), place, torch.zeros(100))
+    agent.atoms = torch.linspace(-3, 3, config.n_atoms)  # eq. (14)'s own end at 0.18
+    for _ in range(300):
+        agent.update(batch)
+    values = (agent.probabilities(agent.network, place[0]) * agent.atoms).sum(-1)
+    assert values[3].item() == pytest.approx(2, abs=0.1)
+    assert values[[0, 50, 99]].tolist() == pytest.approx([1] * 3, abs=0.1)
+    assert agent.act(place[0].numpy()) == 3
+    agent.update((*batch[:4], torch.ones(100)))  # where the episode ends, the reward alone counts
+    assert values[3].item() > (agent.probabilities(agent.network, place[0]) * agent.atoms).sum(-1)[3].item()
 
 
 @pytest.mark.slow

@@ -3,7 +3,9 @@
 import itertools
 import json
 import math
+import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -259,3 +261,29 @@ def test_trials_are_asked_of_a_study_that_tunes_and_algorithms_of_one_that_has_t
     assert main(["paper", "algorithms=sac"]) == 2
     assert "algorithms=sac; choose from dqn, ppo" in capsys.readouterr().err
     assert len(studies.cells(studies.only(studies.read("paper"), "ppo"), Path("out"))) == 4
+
+
+@pytest.mark.slow
+def test_a_real_study_killed_with_signal_9_ends_as_an_unbroken_one_bit_for_bit(tmp_path):
+    text = SMALL.replace("trials: 14", "trials: 2").replace(
+        "n_seeds: 3, total_frames: 4000", "n_seeds: 1, total_frames: 500"
+    )
+    text = text.replace("{seed: 100,", "{seed: 100, evaluate: {episodes: 2, max_steps: 20},")
+    (tmp_path / "small.yaml").write_text(text)
+
+    def study(out):
+        words = ["small.yaml", f"out={out}", "algorithms=a2c", "report=false", "checkpoint_seconds=0"]
+        command = [sys.executable, "-m", "uavnav", "study", *words]
+        return subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    assert study("whole").wait(300) == 0
+    first = study("killed")
+    deadline = time.monotonic() + 120
+    while not [*tmp_path.glob("killed/tuning/trials/*/a2c/tanh/**/progress.json")] and time.monotonic() < deadline:
+        time.sleep(0.05)
+    first.kill()
+    first.wait()
+    assert not (tmp_path / "killed/tuning/trials.csv").exists()
+    assert study("killed").wait(300) == 0
+    for name in ("tuning/trials.csv", "tuning/importance.csv", "tuning/tuned/a2c/tanh/policy.safetensors"):
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "killed" / name).read_bytes(), name

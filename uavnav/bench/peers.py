@@ -1,4 +1,4 @@
-"""Jobs that train with the peers: Stable-Baselines3, and SBX, which is the same on JAX. `plain` has one more."""
+"""Jobs that train with the peers: Stable-Baselines3, and SBX, which is the same on JAX. `plain` has more."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ SPEED_UPS: dict[str, dict[int, tuple[float, float | None]]] = {
     "ppo": {1: (8, 20), 10: (25, 60)},
     "dqn": {1: (6, 20), 10: (20, 60)},
     "a2c": {1: (6, None), 10: (20, None)},
+    "c51": {1: (6, None), 10: (20, None)},
     "sac": {1: (6, None), 10: (20, None)},
 }
 """How many times less a whole run of ours must take, per seed, than one of its peer: by algorithm and number of seeds,
 what must be reached and the aim."""
 SBX = ("ppo", "dqn")
 """What SBX has of them."""
-PLAIN = ("sac",)
-"""What SB3 has not: their peer is a program of `uavnav.bench.plain`."""
+PLAIN = ("c51", "sac")
+"""What SB3 has not: their peers are programs of `uavnav.bench.plain`."""
 
 
 def make_model(library: str, algorithm: str, env: Any, seed: int, n_envs: int = 1, **beyond: Any) -> Any:

@@ -1,7 +1,7 @@
-"""A peer in plain PyTorch, as one would write it in one file: discrete SAC, for which no kept library is at hand.
+"""Peers in plain PyTorch, as one would write them in one file: what Stable-Baselines3 has not, discrete SAC and C51.
 
-It is written after CleanRL's `sac_atari.py`: one environment, a NumPy buffer, a module a network, and three Adams, one
-after the other. Its numbers are those of our preset `paper`.
+They are written after CleanRL's `sac_atari.py` and `c51.py`: one environment, a NumPy buffer, a module a network, and
+an Adam for each loss, one after the other. Their numbers are those of our presets `paper`.
 """
 
 from __future__ import annotations
@@ -49,22 +49,24 @@ class Buffer:
         return s, a, r, following, terminated
 
 
+def network(config: Any, outputs: int) -> nn.Sequential:
+    """Observation to outputs, with the hidden layers of our configuration."""
+    sizes = [config.world.observation_size, *config.hidden, outputs]
+    activation = {"tanh": nn.Tanh, "relu": nn.ReLU}[config.activation]
+    layers = [layer for pair in itertools.pairwise(sizes) for layer in (nn.Linear(*pair), activation())]
+    return nn.Sequential(*layers[:-1])
+
+
 class Agent:
-    """Policy, two Q networks with targets that follow softly, and a temperature."""
+    """SAC: policy, two Q networks with targets that follow softly, and a temperature."""
 
     def __init__(self, config: Any) -> None:
         self.config = config
 
-        def network() -> nn.Sequential:
-            sizes = [config.world.observation_size, *config.hidden, config.world.n_actions]
-            activation = {"tanh": nn.Tanh, "relu": nn.ReLU}[config.activation]
-            layers = [layer for pair in itertools.pairwise(sizes) for layer in (nn.Linear(*pair), activation())]
-            return nn.Sequential(*layers[:-1])
-
         def adam(parameters: Any) -> torch.optim.Adam:
             return torch.optim.Adam(parameters, lr=config.lr, eps=config.adam_eps)
 
-        self.policy, self.first, self.second = network(), network(), network()
+        self.policy, self.first, self.second = (network(config, config.world.n_actions) for _ in range(3))
         self.targets = copy.deepcopy((self.first, self.second))
         self.pairs = list(zip(self.targets, (self.first, self.second), strict=True))
         self.log_alpha = torch.zeros(1, requires_grad=True)
@@ -105,6 +107,53 @@ class Agent:
         optimiser.step()
 
 
+class Distributional:
+    """C51: a network that gives each action a distribution over atoms, and its target, which is a copy now and then."""
+
+    def __init__(self, config: Any) -> None:
+        self.config, self.updates = config, 0
+        self.network = network(config, config.n_outputs)
+        self.target = copy.deepcopy(self.network)
+        self.atoms = torch.linspace(config.support[0], config.support[1], config.n_atoms)
+        self.adam = torch.optim.Adam(self.network.parameters(), lr=config.lr, eps=config.adam_eps)
+
+    def probabilities(self, which: nn.Module, observation: Tensor) -> Tensor:
+        """Of each action and atom [..., actions, atoms]."""
+        logits: Tensor = which(observation).unflatten(-1, (-1, self.config.n_atoms))
+        return logits.softmax(-1)
+
+    @torch.no_grad()
+    def act(self, observation: Any) -> int:
+        if torch.rand(1) < self.config.epsilon_end:  # its last value as soon as learning starts
+            return int(torch.randint(self.config.world.n_actions, (1,)))
+        return int((self.probabilities(self.network, torch.from_numpy(observation)) * self.atoms).sum(-1).argmax())
+
+    def update(self, batch: Batch) -> None:
+        s, a, r, following, terminated = batch
+        rows, last = torch.arange(len(r)), self.config.n_atoms - 1
+        with torch.no_grad():
+            pi = self.probabilities(self.target, following)
+            pi = pi[rows, (pi * self.atoms).sum(-1).argmax(-1)]
+            places = r[:, None] + self.config.gamma * (1 - terminated)[:, None] * self.atoms
+            places = (places.clamp(self.atoms[0], self.atoms[-1]) - self.atoms[0]) / (self.atoms[1] - self.atoms[0])
+            below = places.floor().clamp(0, last - 1)
+            share = places - below
+            target = torch.zeros_like(pi).scatter_add_(1, below.long(), pi * (1 - share))
+            target.scatter_add_(1, below.long() + 1, pi * share)
+        predicted = self.probabilities(self.network, s)[rows, a[:, 0]].clamp(1e-5, 1 - 1e-5)
+        self.adam.zero_grad()
+        loss = -(target * predicted.log()).sum(-1).mean()
+        loss.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.max_grad_norm)
+        self.adam.step()
+        self.updates += 1
+        if self.updates * self.config.frames_per_update % self.config.target_update_frames == 0:
+            self.target.load_state_dict(self.network.state_dict())
+
+
+AGENTS: dict[str, type[Agent] | type[Distributional]] = {"sac": Agent, "c51": Distributional}
+
+
 def watched(
     launched: float, algorithm: str, which: str, frames: int, seconds: float, learning_starts: int, **changed: Any
 ) -> Result:
@@ -112,7 +161,7 @@ def watched(
     config = ours.settings(algorithm, learning_starts=learning_starts, **changed)
     torch.manual_seed(0)
     env, generator = make_env(which), np.random.default_rng(0)
-    agent, buffer = Agent(config), Buffer(min(config.buffer_size, WHOLE), config.world.observation_size)
+    agent, buffer = AGENTS[algorithm](config), Buffer(min(config.buffer_size, WHOLE), config.world.observation_size)
     clock = Clock(launched, learning_starts + LOOK_EVERY, frames, seconds)
     observation, _ = env.reset(seed=0)
     for frame in itertools.count(1):

@@ -161,7 +161,7 @@ def write_training(results: Results) -> list[str]:
         " at most 4 % of a long run. Frames/s are of all seeds or processes together. DQN has a rate of its own before"
         " learning starts. SB3 and SBX learn with epsilon at 0.05, as in nine tenths of a whole run."
         " `times SB3` says how many times less a whole run takes, per seed, than one of SB3 alone on the NumPy world."
-        " SB3 has no discrete SAC: its peer is `uavnav/bench/plain.py`, one file of plain PyTorch after CleanRL's."
+        " SB3 has no C51 and no discrete SAC: their peers are in `uavnav/bench/plain.py`, PyTorch after CleanRL's."
     ]
     for algorithm in ALGORITHMS:
         rows = [

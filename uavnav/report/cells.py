@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.runs import EVALUATION, Run, paper, run_folders
+from uavnav.runs import EVALUATION, TUNING, Run, paper, run_folders
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, last_episodes, per_seed
 from uavnav.runs.readings import (
     EVALUATIONS,
@@ -89,9 +89,10 @@ def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
         RunError: a folder is missing or holds no run, or no run can be used.
     """
     walked = [run_folders(folder) for folder in folders]
-    all_paths = {path.resolve(): path for found, _ in walked for path in found}
-    apart = of_worlds(folders)
-    paths = {key: path for key, path in all_paths.items() if not any(path.is_relative_to(one) for one in apart)}
+    apart = [folder.resolve() for folder in of_worlds(folders)]
+    there = {path.resolve(): path for found, _ in walked for path in found}
+    main = {key: path for key, path in there.items() if not any(key.is_relative_to(one) for one in apart)}
+    paths = _beside_tuning(folders, main)
     cells: dict[str, Cell] = {}
     left_out = []
     for path in paths.values():
@@ -101,7 +102,7 @@ def collect(folders: Sequence[Path]) -> tuple[list[Cell], list[str]]:
             cells[key] = _merged(cells[key], cell) if key in cells else cell
         except RunError as error:
             left_out.append(one_line(error))
-    if not cells and len(paths) == len(all_paths):
+    if not cells and main == there:
         raise RunError(f"{', '.join(map(str, folders))}: no run that can be used; {left_out[0]}")
     return list(cells.values()), [*left_out, *(line for _, strays in walked for line in strays)]
 
@@ -110,6 +111,16 @@ def of_worlds(folders: Sequence[Path]) -> list[Path]:
     """The folders of the study `worlds` in those of a report."""
     found = [folder / WORLDS for folder in folders]
     return [folder for folder in found if folder.is_dir() and not (folder / "config.yaml").exists()]
+
+
+def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mapping[Path, Path]:
+    """Without the runs of a study that tunes, which has a section of its own; if it is all there is, its defaults."""
+    tuned = [(folder / TUNING).resolve() for folder in folders]
+    beside = {key: path for key, path in paths.items() if not any(key.is_relative_to(folder) for folder in tuned)}
+    defaults = {
+        key: path for key, path in paths.items() if any(key.is_relative_to(folder / "default") for folder in tuned)
+    }
+    return beside or defaults or paths
 
 
 def read(path: Path) -> Cell:

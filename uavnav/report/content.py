@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from uavnav.policies import PolicyError
-from uavnav.report import behaviour, figures, frames, headline, replays, studies, tables, whys, worlds
+from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys, worlds
 from uavnav.report.cells import Cell, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.figures import Figure
@@ -97,6 +97,7 @@ def gather(folders: Sequence[Path]) -> Content:
         printed = {reading: functools.partial(studies.of_paper, reading=reading) for reading in READINGS}
         audits = {reading: audit(evidence[reading], printed[reading]) for reading in READINGS}
         baselines, unread = frames.baselines(folders)
+        tuned, untuned = beyond.tuning(folders, baselines)
         survival, survived = frames.survival(sorted_cells.main, baselines)
         numbers = _tables(sorted_cells, audits, flights) | {"whys": whys.table(evidence[PRIMARY])}
         (overestimated, unvalued), flown = valued.result(), replayed.result()
@@ -109,27 +110,22 @@ def gather(folders: Sequence[Path]) -> Content:
         numbers |= worlds.numbers(of_worlds)
         left_out += of_worlds.left_out
     numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
+    carried = beyond.carried(evidence[PRIMARY])
+    numbers |= tuned | ({"carried": carried} if len(carried) else {})
     return Content(
         cells,
         sorted_cells,
         audits,
         numbers,
-        [*figures.draw(of_paper, numbers, watched, survival), *_of_worlds(of_worlds)],
+        [
+            *figures.draw(of_paper, numbers, watched, survival),
+            *beyond.figures(numbers, baselines),
+            *_of_worlds(of_worlds),
+        ],
         flown if flown["cells"] else None,
         baselines,
         frames.first_rule(folders[0]),
-        list(
-            dict.fromkeys(
-                [
-                    *left_out,
-                    *problems,
-                    *unvalued,
-                    *unread,
-                    *flown["left_out"],
-                    *(of_worlds.left_out if of_worlds else []),
-                ]
-            )
-        ),
+        list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *flown["left_out"]])),
         of_worlds,
     )
 

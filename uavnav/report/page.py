@@ -14,7 +14,7 @@ import jinja2
 from markupsafe import Markup, escape
 
 from uavnav import browser, evaluate
-from uavnav.report import conclusions, findings, frames, studies, tables, worlds
+from uavnav.report import beyond, conclusions, findings, frames, studies, tables, worlds
 from uavnav.report.cells import BINS, algorithms, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
 from uavnav.report.content import Content
@@ -53,7 +53,7 @@ _TEMPLATES = jinja2.Environment(
     lstrip_blocks=True,
     keep_trailing_newline=True,
     undefined=jinja2.StrictUndefined,
-    autoescape=lambda template: template == "page.html",
+    autoescape=lambda template: template in ("page.html", "algorithms.html"),
 )
 _INTERVAL = re.compile(r"([−\d][^\[]*|–) (\[[^\]]+, [^\]]+\])(.*)")
 _MARKDOWN = re.compile(r"`([^`]+)`|\[([^\]]+)\]\([^)]+\)")
@@ -71,7 +71,7 @@ def _cell(text: str) -> Markup:
 
 _TEMPLATES.filters |= {"cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
 _TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "findings": findings, "frames": frames}
-_TEMPLATES.globals |= {"studies": studies, "worlds": worlds}
+_TEMPLATES.globals |= {"beyond": beyond, "studies": studies, "worlds": worlds}
 _TEMPLATES.globals |= {
     "tables": tables,
     "primary": PRIMARY,
@@ -164,10 +164,12 @@ def page(content: Content, pictures: Mapping[str, str], first: Path) -> str:
 
 
 def _sections(content: Content) -> list[tuple[str, str]]:
-    """The ids and titles of the page's sections, in order."""
+    """The ids and titles of the page's sections, in order; of further studies only where there are some."""
     found = list(SECTIONS.items())
+    more = {"algorithms": "Algorithms"} if beyond.NAMED & {*content.tables} else {}
+    more |= WITH_WORLDS if content.worlds else {}
     place = list(SECTIONS).index("baselines")
-    return [*found[:place], *(WITH_WORLDS.items() if content.worlds else ()), *found[place:]]
+    return [*found[:place], *more.items(), *found[place:]]
 
 
 def _table_name(algorithm: str) -> str:

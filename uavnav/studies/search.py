@@ -159,14 +159,14 @@ def planned(found: Plan) -> list[tuple[Cell, str | None]]:
 
 def space(study: Study) -> list[list[str]]:
     """The search space as a table, its header first: a row a range, with the settings that it is for."""
-    rows, said = [["range", "values", "settings"]], study.tune or {}
+    rows, said = [["range", "settings", "values"]], study.tune or {}
     for name, values in said["ranges"].items():
         of: dict[str, list[str]] = {}
         for algorithm, own in said["space"].items():
             for setting in (setting for setting, its in own.items() if its == name):
                 of.setdefault(setting, []).append(algorithm.upper())
         settings = "; ".join(f"`{setting}` of {', '.join(found)}" for setting, found in of.items())
-        rows.append([name, _shown(values), settings])
+        rows.append([name, settings, _shown(values)])
     return rows
 
 

@@ -1,0 +1,170 @@
+"""The report's section on more algorithms: made-up cells, numbers known by hand."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_studies import cell
+
+from uavnav.report import beyond
+from uavnav.report.beyond import DIFFERENCE
+from uavnav.report.studies import Rows, sort
+from uavnav.runs import run_folders
+
+TRIALS = pd.DataFrame(
+    {
+        "algorithm": ["ppo"] * 4 + ["sac"] * 2,
+        "trial": [0, 1, 2, 3, 0, 1],
+        "state": ["finished", "diverged", "finished", "finished", "finished", "finished"],
+        "value": [1.0, np.nan, 5.0, 3.0, 2.0, 0.0],
+        "settings": ['{"lr": 0.1}', '{"lr": 9.0}', '{"lr": 0.2, "hidden": 64}', "{}", "{}", "{}"],
+    }
+)
+
+
+def flights(*of_seeds, mode="sampled"):
+    """Two flights a seed, on two sets, with that mean reward."""
+    rows = [
+        (seed, layout, mean + change) for seed, mean in enumerate(of_seeds) for layout, change in ((0, 1.0), (1, -1.0))
+    ]
+    table = pd.DataFrame(rows, columns=["seed", "layout", "reward"])
+    return table.assign(steps=10, terminated=True, truncated=False, mode=mode)
+
+
+def cells(**of_seeds):
+    return {(name, "tanh"): cell(name, flown=flights(*means)) for name, means in of_seeds.items()}
+
+
+def compared(rule=20.0):
+    found = {"default": cells(ppo=(1.0, 3.0), sac=(9.0, 11.0)), "tuned": cells(ppo=(11.0, 13.0), sac=(8.0, 10.0))}
+    return beyond._compared(found, {"reactive": flights(rule, mode="scripted")}, ["ppo", "sac"])
+
+
+def test_default_and_tuned_are_means_over_seeds_with_their_difference_and_the_gap_to_the_rule():
+    found = compared().set_index(["algorithm", "settings"])
+    assert found["value"].to_dict() == {
+        ("ppo", "default"): 2.0,
+        ("ppo", "tuned"): 12.0,
+        ("ppo", DIFFERENCE): 10.0,
+        ("sac", "default"): 10.0,
+        ("sac", "tuned"): 9.0,
+        ("sac", DIFFERENCE): -1.0,
+    }
+    assert found["gap"].dropna().to_dict() == {
+        ("ppo", "default"): -18.0,
+        ("ppo", "tuned"): -8.0,
+        ("sac", "default"): -10.0,
+        ("sac", "tuned"): -11.0,
+    }
+    low, high = found.loc[("ppo", "tuned"), ["low", "high"]]
+    assert (high - low) / 2 == pytest.approx(12.706, abs=1e-3)  # Student's t of one degree of freedom, error 1
+
+
+@pytest.mark.parametrize(
+    ("gap", "said"),
+    [
+        ((-8.0, -9.0, -7.0), "None passes the hand-written rule; PPO comes nearest: −8.0 [−9.0, −7.0] a flight."),
+        ((8.0, 7.0, 9.0), "PPO passes the hand-written rule: 8.0 [7.0, 9.0] a flight."),
+        ((1.0, -7.0, 9.0), "Whether PPO, the best, passes the hand-written rule is open: 1.0 [−7.0, 9.0] a flight."),
+    ],
+)
+def test_the_sentence_names_the_best_and_the_gap_to_the_rule(gap, said):
+    found = compared()
+    found.loc[1, ["gap", "gap_low", "gap_high"]] = gap
+    assert beyond.conclusion(found).endswith(said)
+
+
+def test_without_the_rules_flights_the_sentence_says_so():
+    found = compared().assign(gap=np.nan)
+    assert beyond.conclusion(found).endswith("No flights of the hand-written rule lie beside them.")
+
+
+def test_the_best_so_far_never_falls_and_a_trial_that_diverged_changes_nothing():
+    assert beyond.so_far(TRIALS).tolist() == [1.0, 1.0, 5.0, 5.0, 2.0, 2.0]
+
+
+def test_the_table_of_trials_has_the_default_and_the_best_with_its_settings():
+    assert beyond.winners(TRIALS)[1:] == [
+        ["PPO", "4", "1", "1.0", "5.0", "2", "lr=0.2, hidden=64"],
+        ["SAC", "2", "0", "2.0", "2.0", "0", ""],
+    ]
+
+
+def test_there_is_a_figure_of_cells_of_trials_and_of_what_matters():
+    importance = pd.DataFrame({"algorithm": ["ppo"], "setting": ["lr"], "importance": [0.75]})
+    numbers = {"tuning": compared(), "tuning_trials": TRIALS.assign(best=beyond.so_far(TRIALS))}
+    drawn = beyond.figures(numbers | {"tuning_importance": importance}, {})
+    assert [figure.name for figure in drawn] == ["tuning", "tuning-trials", "tuning-importance"]
+    assert "PPO tuned 12.0" in drawn[0].drawn.alt
+    assert "PPO from 1.00 to 5.00 in 4 trials; SAC from 2.00 to 2.00 in 2 trials" in drawn[1].drawn.alt
+    assert "PPO lr 0.75" in drawn[2].drawn.alt
+    assert beyond.figures({}, {}) == []
+
+
+def test_the_two_settings_that_matter_most_are_named_with_their_shares():
+    importance = pd.DataFrame(
+        {"algorithm": ["ppo"] * 3 + ["sac"], "setting": ["a", "b", "c", "tau"], "importance": [0.1, 0.6, 0.3, 1.0]}
+    )
+    assert beyond.matters(importance) == (
+        "What matters most among the trials (fANOVA): b (60%) and c (30%) for PPO; tau (100%) for SAC."
+    )
+    assert beyond.matters(importance[:0]) == ""
+
+
+def test_a_folder_without_tuning_has_no_tables_and_a_damaged_one_a_line(tmp_path):
+    assert beyond.tuning([tmp_path], {}) == ({}, [])
+    (tmp_path / "tuning").mkdir()
+    (tmp_path / "tuning" / "trials.csv").write_text("")
+    tables, (line,) = beyond.tuning([tmp_path], {})
+    assert tables == {}
+    assert line.startswith(f"{tmp_path}/tuning: its tables cannot be read")
+
+
+def test_trials_are_no_runs_and_a_folder_trials_elsewhere_may_hold_some(tmp_path):
+    for name in ("tuning/trials/000/ppo/tanh", "trials/ppo/tanh", "tuning/tuned/ppo/tanh"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "config.yaml").touch()
+    found = [str(path.relative_to(tmp_path)) for path in run_folders(tmp_path)[0]]
+    assert found == ["trials/ppo/tanh", "tuning/tuned/ppo/tanh"]
+
+
+# -- activations -------------------------------------------------------------------------------------------------------
+
+
+def rows(value):
+    """Evidence of three seeds around a value of each algorithm and activation."""
+
+    class Made(Rows):
+        def __call__(self, algorithm, activation, metric, study="main"):
+            assert (metric, study) == ("reward", "many_worlds")
+            there = (algorithm, activation) in self.studies.of(study)
+            return value(algorithm, activation) + np.array([-0.01, 0.0, 0.01]) if there else np.empty(0)
+
+    return Made
+
+
+def made(algorithms_, value):
+    activations = ("tanh", "sigmoid", "relu", "leaky_relu")
+    studies = sort([cell(one, activation) for one in algorithms_ for activation in activations])
+    return rows(value)(studies, "", {})
+
+
+def ahead(algorithm, activation):
+    """tanh leads under PPO and A2C, trails under SAC, and is like the others under C51."""
+    by = {"ppo": 1.0, "a2c": 1.0, "sac": -1.0}.get(algorithm, 0.0)
+    return by if activation == "tanh" else 0.0
+
+
+def test_a_conclusion_about_activations_carries_over_turns_round_or_stays_open():
+    found = beyond.carried(made(("ppo", "dqn", "a2c", "c51", "sac"), ahead))
+    value = found.set_index(["conclusion", "algorithm"])["value"]
+    assert value["tanh − relu", "ppo"] == pytest.approx(1.0)
+    assert value["bounded − unbounded", "sac"] == pytest.approx(-0.5)
+    first = beyond.carries(found).split(". ")[0]
+    assert first.startswith("tanh − relu is above zero under PPO: it holds under A2C, turns round under SAC, is not")
+    assert first.endswith("told from zero under C51")
+    assert "DQN" not in beyond.carries(found)  # which decides nothing
+    assert beyond.conclusions(found)[0] == ["reward per frame", "DQN", "PPO", "A2C", "C51", "SAC"]
+
+
+def test_the_papers_algorithms_alone_ask_nothing():
+    assert beyond.carried(made(("ppo", "dqn"), ahead)).empty

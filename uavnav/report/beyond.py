@@ -337,10 +337,9 @@ def carries(found: Table) -> str:
         sign = {one["algorithm"]: (one["low"] > 0) - (one["high"] < 0) for one in part.to_dict("records")}
         decided = {algorithm: sign[algorithm] for algorithm in paper.TABLE_OF if sign.get(algorithm)}
         others = [algorithm for algorithm in sign if algorithm not in paper.TABLE_OF]
-        for own, way in decided.items():
-            holds, turns, open_ = ([other.upper() for other in others if sign[other] == one] for one in (way, -way, 0))
-            parts = [
-                f"{what} {_listed(names)}" for what, names in zip(WAYS, (holds, turns, open_), strict=True) if names
-            ]
-            said.append(f"{label} is {'above' if way > 0 else 'below'} zero under {own.upper()}: {', '.join(parts)}.")
+        for way in dict.fromkeys(decided.values()):
+            own = _listed([algorithm.upper() for algorithm in decided if decided[algorithm] == way])
+            of = [[other.upper() for other in others if sign[other] == one] for one in (way, -way, 0)]
+            parts = [f"{what} {_listed(names)}" for what, names in zip(WAYS, of, strict=True) if names]
+            said.append(f"{label} is {'above' if way > 0 else 'below'} zero under {own}: {', '.join(parts)}.")
     return " ".join(said) or "No difference of activations is told from zero under the paper's algorithms."

@@ -8,8 +8,9 @@ from browsing import chrome as chrome
 from browsing import opened as opened
 from selenium.webdriver.support.ui import Select
 from test_playground import CLOSE, FLOWN, in_order, in_python, sets_of, unpacked
+from test_replays import write_run
 
-from uavnav.playground import SETTINGS, WORLDS
+from uavnav.playground import SETTINGS, WORLDS, collect, page
 from uavnav.tasks import goal, slalom
 from uavnav.tasks.baselines import dodge, towards_goal
 from uavnav.tasks.simulator import make_task
@@ -163,6 +164,24 @@ def test_the_rule_reaches_its_goal_and_the_page_says_so(browser, opened):
     visit(browser, opened, "#world=goal&pilots=you~nobody~nobody~nobody")
     go(browser, 1000)
     assert states(browser)[0] == "too late"
+
+
+def test_a_page_of_networks_trained_for_goals_begins_there_and_they_fly_there_alone(chrome, tmp_path):
+    write_run(tmp_path / "ppo" / "tanh", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, 9)])
+    path = tmp_path / "playground.html"
+    path.write_text(page(collect([tmp_path])[0]))
+    visit(chrome, path)
+    assert ask(chrome, "playground.scene.world") == "goal"
+    go(chrome, 1)
+    assert states(chrome) == ["flying", "flying", "", "flying"]
+    assert ask(chrome, "playground.race.drones[1].state.y") == 309  # nine pixels up, as it learned
+    assert "No network" not in one(chrome, "#told").text
+    Select(one(chrome, "#world")).select_by_value("drone")
+    go(chrome, 1)
+    assert states(chrome) == ["flying", "cannot fly", "", "flying"]
+    link = ask(chrome, "writeLink(playground.scene, playground.data.settings)")
+    visit(chrome, path, f"#{link}")
+    assert ask(chrome, "playground.scene.world") == "drone"
 
 
 def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_draws(browser, opened):

@@ -177,6 +177,7 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
         "key": "-".join(words or [policy.algorithm, activation, str(policy.seed)]),
         "title": f"{title}{place}" + (f" ({where})" if where else ""),
         "told": f"{frames:,} frames of training{place}; {how}.",
+        "task": _task(policy),
         "algorithm": policy.algorithm,
         "activation": activation,
         "acts": policy.acts,

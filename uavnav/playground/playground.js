@@ -30,11 +30,14 @@ class Playground {
 
   /** The scene of a page that is opened without a link: a person, a policy of two algorithms, and the rule. */
   first() {
-    const algorithms = [...new Set(this.data.policies.map(({ algorithm }) => algorithm))];
-    const first = algorithms.map((one) => this.data.policies.find(({ algorithm }) => algorithm === one).key);
+    const tasks = this.data.policies.map(({ task }) => task);
+    const world = tasks.includes("drone") ? "drone" : tasks[0];
+    const policies = this.data.policies.filter(({ task }) => task === world);
+    const algorithms = [...new Set(policies.map(({ algorithm }) => algorithm))];
+    const first = algorithms.map((one) => policies.find(({ algorithm }) => algorithm === one).key);
     const pilots = [YOU, first[0] ?? NOBODY, first[1] ?? NOBODY, RULE];
     const settings = Object.entries(this.data.settings).map(([name, { first: value }]) => [name, value]);
-    const start = { world: "drone", set: this.data.set, k: this.data.k, circles: null, ...Object.fromEntries(settings) };
+    const start = { world, set: this.data.set, k: this.data.k, circles: null, ...Object.fromEntries(settings) };
     return { ...start, pilots, focus: 2, speed: 1, greedy: false, seed: 0 };
   }
 
@@ -56,7 +59,8 @@ class Playground {
   open() {
     clearTimeout(this.later);
     const [parts, wrong] = readLink(location.hash, this.world, this.known, this.data.settings);
-    this.race.load({ ...this.first(), ...parts });
+    const first = location.hash.length > 1 ? { ...this.first(), world: "drone" } : this.first(); // unless a link says it
+    this.race.load({ ...first, ...parts });
     this.tell(wrong.length ? `Left out of the link, because it is not right: ${wrong.join(", ")}.` : "");
     this.share = 1;
     this.showControls();

@@ -16,7 +16,7 @@ from typing import Any
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
-from uavnav import playground
+from uavnav import browser, playground
 from uavnav.choices import ConfigError
 from uavnav.runs import POLICY
 from uavnav.runs.tables import RunError
@@ -33,6 +33,11 @@ GENERATED = "results/"
 LINK = re.compile(r"(?<!!)\[([^\]\n]+)\]\((\.\./[^)#\s]+)(?:#[^)\s]+)?\)")
 
 
+REPORT, FIRST = "report/", "<!-- first -->"
+"""Where the report lies on the site, and where a page shows its first screen."""
+PARTS = ("report.html", "preview.png", "figures/*.png", "tables/*.csv")
+"""What of a folder of results the site holds."""
+OF_REPORT = re.compile(r"\]\(\.\./results/(report\.html|figures/[\w-]+\.png)\)")
 FLY, FLIES = "fly.html", "<!-- fly -->"
 """The playground's page on the site, and where a page says so."""
 
@@ -42,6 +47,9 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
     for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
         name = notebook.src_uri.removesuffix(".ipynb")
         files.append(File.generated(config, f"{name}.md", content=page_of(Path(notebook.abs_src_path))))
+    root = Path(config.config_file_path).parent / GENERATED
+    for path in sorted(path for pattern in PARTS for path in root.glob(pattern)):
+        files.append(File.generated(config, REPORT + path.relative_to(root).as_posix(), abs_src_path=str(path)))
     if live := flown(Path(config.config_file_path).parent / GENERATED):
         files.append(File.generated(config, FLY, content=live))
     return files
@@ -65,8 +73,8 @@ def page_of(notebook: Path) -> str:
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     """Links to notebooks lead to their pages, others out of docs/ become paths; a file that is missing is a warning."""
-    markdown = markdown.replace(".ipynb)", ".md)")
     root = Path(config.config_file_path).parent
+    markdown = OF_REPORT.sub(rf"]({REPORT}\1)", markdown.replace(".ipynb)", ".md)"))
     if FLIES in markdown and any((root / GENERATED).glob(f"*/*/{POLICY}")):
         markdown = markdown.replace(FLIES, f" [Fly it here]({FLY}).")
 
@@ -84,8 +92,37 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     return LINK.sub(path_of, markdown)
 
 
-def on_page_content(html_of_page: str, **_: Any) -> str:
-    """TeX that arithmatex has marked becomes MathML, which browsers show by themselves."""
+def first_screen(report: Path) -> str:
+    """The first screen of a report's page, with its looks and scripts; nothing where there is none."""
+    if not report.exists():
+        return ""
+    page = report.read_text(encoding="utf-8")
+    screen = (
+        page.partition(FIRST)[2]
+        .partition("<!-- end of first -->")[0]
+        .replace('href="tables/', f'href="{REPORT}tables/')
+    )
+    scripts = page.partition("</footer>")[2].partition('<script type="application/json" id="replay-data">')[0]
+    return f"<style>{browser.joined([browser.HERE / 'first.css'])}</style>{screen}{scripts}"
+
+
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """A title, a sentence and a picture for those who are sent a link: an address where SITE_URL says which."""
+    up = config.site_url or "../" * page.url.count("/")
+    sentence = re.search(r'<div class="first">\s*<h1>(.*?)</h1>', output, re.DOTALL)
+    said = re.sub(r"<[^>]+>", "", sentence[1]).strip() if sentence else config.site_description
+    title = config.site_name if page.is_homepage else f"{page.title} - {config.site_name}"
+    told = {"og:type": "website", "og:title": title, "og:description": said}
+    told |= {"og:image": f"{up}{REPORT}preview.png", "twitter:card": "summary_large_image"}
+    tags = (f'<meta property="{name}" content="{html.escape(words)}">' for name, words in told.items())
+    return output.replace("</head>", "".join([*tags, "</head>"]), 1)
+
+
+def on_page_content(html_of_page: str, config: Any, **_: Any) -> str:
+    """TeX that arithmatex has marked becomes MathML, which browsers show by themselves; the first screen is put in."""
+    if FIRST in html_of_page:
+        root = Path(config.config_file_path).parent / GENERATED
+        html_of_page = html_of_page.replace(FIRST, first_screen(root / "report.html"))
 
     def mathml(found: re.Match[str]) -> str:
         tex = html.unescape(found[2]).strip()

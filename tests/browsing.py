@@ -9,6 +9,7 @@ import os
 import shutil
 from pathlib import Path
 
+import axe_core_python
 import pytest
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
@@ -16,6 +17,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
 RESULTS = Path(__file__).parent.parent / "results"
+AXE = Path(axe_core_python.__file__).parent / "axe.min.js"
 WIDE, NARROW = 1280, 390  # [px]
 NAMES = ("chromium", "chromedriver")
 PAIRS = """
@@ -80,14 +82,28 @@ def requested(browser):
     return [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
 
 
-def resize(browser, width):
-    metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width == NARROW}
+def resize(browser, width, height=900):
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width == NARROW}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
 
 def theme(browser, name, motion="reduce"):
     features = [{"name": "prefers-color-scheme", "value": name}, {"name": "prefers-reduced-motion", "value": motion}]
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+
+
+def unfold(browser):
+    """Open whatever a page folds."""
+    browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+
+
+def violations(browser):
+    """What axe finds on the page as it is."""
+    browser.execute_script("(0, eval)(arguments[0])", AXE.read_text())
+    found = browser.execute_async_script(
+        "axe.run(document, {}).then((found) => arguments[arguments.length - 1](found.violations))"
+    )
+    return [(rule["id"], [node["html"][:200] for node in rule["nodes"]]) for rule in found]
 
 
 def find(browser, selector):

@@ -49,10 +49,8 @@ def folder(good, tmp_path, monkeypatch):
     return tmp_path / "here"
 
 
-def test_247_cases_in_the_library_and_248_on_the_command_line_have_names_of_their_own():
+def test_each_case_has_a_name_of_its_own():
     assert len({case.name for case in CASES}) == len(CASES)
-    assert sum(case.call is not None for case in CASES) == 247
-    assert sum(bool(case.command) for case in CASES) == 248
 
 
 @pytest.mark.parametrize("case", by_name(case for case in CASES if case.call))

@@ -103,7 +103,7 @@ def test_a_report_is_a_page_its_markdown_tables_and_figures_in_two_forms(whole):
     _, written = whole
     assert written.path.name == "report.html"
     out = written.path.parent
-    kinds = {"report.html", "report.md", "figures", "tables"}
+    kinds = {"report.html", "report.md", "preview.png", "figures", "tables"}
     assert {file.name for file in out.iterdir()} == kinds
     drawn = {file.stem for file in out.glob("figures/*.svg")}
     assert drawn == {file.stem for file in out.glob("figures/*.png")}

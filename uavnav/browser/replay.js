@@ -47,6 +47,23 @@ function around({ layouts }, { place }, { layout }, step) {
   return { circles: new TASKS[place.task](place).obstacles(set, step), goal: set.goal };
 }
 
+/** A drone as drawArena takes it: where it is at a step, what it senses there, and the trail of so many steps. */
+function droneAt(world, read, step, trail = Infinity) {
+  const place = (at) => [read.x(at), read.y(at)];
+  const [x, y] = place(step);
+  const pose = { x, y, angle: (read.heading(step) * Math.PI) / 180 };
+  const slots = Array.from({ length: world.n_slots }, (_, slot) =>
+    ["right", "forward", "proximity"].map((name) => read[name](step, slot)),
+  );
+  const first = Math.max(0, step - trail);
+  const flown = Array.from({ length: step - first + 1 }, (_, at) => place(first + at));
+  return { pose, trail: flown, sensed: sensedPoints(world, pose, slots) };
+}
+
+function crashedAt(flight, step) {
+  return step === flight.steps && flight.ended === "collision";
+}
+
 function ending(flight) {
   return `${flight.ended} at ${flight.steps}`;
 }
@@ -261,18 +278,7 @@ class Player {
     const { read, step, colours, font, grid, flight } = this;
     const world = this.cell.place?.world ?? this.data.world;
     const over = step === flight.steps;
-    const place = (at) => [read.x(at), read.y(at)];
-    const [x, y] = place(step);
-    const pose = { x, y, angle: (read.heading(step) * Math.PI) / 180 };
-    const slots = Array.from({ length: world.n_slots }, (_, slot) =>
-      ["right", "forward", "proximity"].map((name) => read[name](step, slot)),
-    );
-    const drone = {
-      pose,
-      trail: Array.from({ length: step + 1 }, (_, at) => place(at)),
-      sensed: sensedPoints(world, pose, slots),
-      crashed: over && flight.ended === "collision",
-    };
+    const drone = { ...droneAt(world, read, step), crashed: crashedAt(flight, step) };
     drawArena(this.parts.arena, { world, ...around(this.data, this.cell, flight, step), drones: [drone], colours });
     const values = over
       ? { instead: "the flight is over" }

@@ -29,19 +29,19 @@ def trajectories(
     layouts: Sequence[int],
     world: World,
     mode: str = "greedy",
+    width: float = style.WIDTH,
 ) -> style.Drawn:
     """Flown paths of a cell's first seed, as the paper's figures 6 and 7: a row a set of obstacles, a column a cell.
 
     tables: label -> rows with the columns seed, layout, step, x, y, clearance and mode; bank: [L, K, 3] px; layouts:
-    indices into it.
+    indices into it; width: of the figure [inches].
     """
     of_mode = {name: rows[rows["mode"] == mode] for name, rows in tables.items()}
     one = {name: rows[rows["seed"] == rows["seed"].min()] for name, rows in of_mode.items()}
     if not layouts or not any(len(rows) for rows in one.values()):
         return style.nothing(f"Paths flown, {mode}")
-    width = (style.WIDTH - 0.5) / len(one)
-    height = len(layouts) * (width * world.height / world.width + 0.27) + 0.45 + 0.5
-    figure = Figure(figsize=(style.WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04))
+    height = len(layouts) * ((width - 0.5) / len(one) * world.height / world.width + 0.27) + 0.45 + 0.5
+    figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04))
     panels = figure.subplots(len(layouts), len(one), squeeze=False)
     said = []
     for column, (name, (colour, _)) in zip(panels.T, style.coloured(one), strict=True):
@@ -58,7 +58,7 @@ def trajectories(
             axes.set_xlabel(f"{len(path)} steps" if len(path) else "not flown", fontsize=11, labelpad=2)
             ends.append(f"{len(path)} {'crash' if crashed else 'still up'}" if len(path) else "not flown")
         seeds = f", seed {rows['seed'].iloc[0]}" if len(rows) else ""
-        title = [*textwrap.wrap(name, 72 // len(one)), seeds[2:]]
+        title = [*textwrap.wrap(name, int(9 * width) // len(one)), seeds[2:]]
         column[0].set_title("\n".join(title), fontsize=11)
         said.append(f"{name}{seeds}: {', '.join(ends)}")
     for axes, layout in zip(panels[:, 0], layouts, strict=True):
@@ -88,16 +88,43 @@ def _arena(axes: Axes, obstacles: Array, world: World) -> None:
 
 
 @matplotlib.rc_context(style.STYLE)
-def heat_maps(maps: Mapping[str, Array], world: World) -> style.Drawn:
+def preview(title: str, paths: Mapping[str, Array], obstacles: Array, world: World) -> Figure:
+    """What a link to the page shows, 1200 x 630 px: a sentence above drones on the same obstacles [K, 3] px.
+
+    paths: name -> where it flew [T, 2] px.
+    """
+    figure = Figure(figsize=(12, 6.3), dpi=100)
+    figure.text(
+        0.03,
+        0.93,
+        textwrap.fill(title, 44, break_on_hyphens=False),
+        fontsize=30,
+        weight="bold",
+        color=style.INK,
+        va="top",
+    )
+    for place, (name, path) in enumerate(paths.items()):
+        axes = figure.add_axes((0.03 + 0.32 * place, 0.06, 0.3, 0.52))
+        _arena(axes, obstacles, world)
+        colour = style.FIRST[place % len(style.FIRST)]
+        axes.plot(*path.T, color=colour, linewidth=2.5)
+        axes.add_patch(Circle(tuple(path[-1]), world.drone_radius, facecolor=colour, zorder=3))
+        axes.set_title(name, fontsize=18, color=colour, weight="bold")
+    return figure
+
+
+@matplotlib.rc_context(style.STYLE)
+def heat_maps(maps: Mapping[str, Array], world: World, width: float = style.WIDTH) -> style.Drawn:
     """Where the cells fly: a panel a cell, one scale of colours (its square root, so that rare places show).
 
-    maps: label -> shares of steps [rows of y, columns of x], from the lower-left corner.
+    maps: label -> shares of steps [rows of y, columns of x], from the lower-left corner; width: of the figure
+    [inches].
     """
     title = "Where the cells fly"
     if not maps or not any(np.nansum(share) > 0 for share in maps.values()):
         return style.nothing(title)
-    height = (style.WIDTH - 0.8) / len(maps) * world.height / world.width + 0.25 + 1.25
-    figure = Figure(figsize=(style.WIDTH, height), layout="constrained")
+    height = (width - 0.8) / len(maps) * world.height / world.width + 0.25 + 1.25
+    figure = Figure(figsize=(width, height), layout="constrained")
     panels = figure.subplots(1, len(maps), squeeze=False, sharey=True)[0]
     norm, said = PowerNorm(0.5, 0, max(float(np.nanmax(share)) for share in maps.values())), []
     for axes, (name, share) in zip(panels, maps.items(), strict=True):

@@ -12,6 +12,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -25,11 +26,18 @@ from uavnav.stats import Array, Interval
 
 
 @matplotlib.rc_context(style.STYLE)
-def intervals(rows: Mapping[str, Array], printed: Mapping[str, float], axis: str, rule: float = np.nan) -> style.Drawn:
+def intervals(
+    rows: Mapping[str, Array],
+    printed: Mapping[str, float],
+    axis: str,
+    rule: float = np.nan,
+    width: float = style.WIDTH,
+) -> style.Drawn:
     """A metric's mean with its 95 % interval, its interquartile mean, its seeds and the paper's value: a row a cell.
 
     rows: label of the cell -> [S]; printed: label -> the paper's value; axis: the metric with its unit; rule: what the
-    hand-written rule reaches. The algorithms share a scale unless that would squeeze one of them into a fifth of it.
+    hand-written rule reaches; width: of the figure [inches]. The algorithms share a scale unless that would squeeze one
+    of them into a fifth of it.
     """
     if not any(np.isfinite(values).any() for values in rows.values()):
         return style.nothing(axis)
@@ -42,7 +50,7 @@ def intervals(rows: Mapping[str, Array], printed: Mapping[str, float], axis: str
     widths = [float(np.ptp(span)) for span in spans if len(span)]
     share = len(groups) == 1 or min(widths) * 5 >= float(np.ptp(np.concatenate(spans)))
     heights = [len(members) for members in groups.values()]
-    figure = Figure(figsize=(style.WIDTH, 0.5 * sum(heights) + 0.6 * len(groups) + 1.3), layout="constrained")
+    figure = Figure(figsize=(width, 0.5 * sum(heights) + 0.6 * len(groups) + 1.3), layout="constrained")
     panels = figure.subplots(len(groups), 1, sharex=share, squeeze=False, height_ratios=heights)[:, 0]
     said = []
     for axes, (group, members) in zip(panels, groups.items(), strict=True):
@@ -73,15 +81,41 @@ def intervals(rows: Mapping[str, Array], printed: Mapping[str, float], axis: str
 
 
 @matplotlib.rc_context(style.STYLE)
-def rows_of(table: pd.DataFrame, panels: Mapping[str, str]) -> style.Drawn:
+def flights(rows: Mapping[str, Array], rule: float, axis: str, width: float = style.WIDTH) -> style.Drawn:
+    """What the rule and the cells reach on test flights: a row each, the best first, with its number.
+
+    rows: label -> [S]; rule: what the hand-written rule reaches; axis: the metric in words; width: [inches].
+    """
+    known = {name: seeds for name, seeds in rows.items() if np.isfinite(seeds).any()}
+    if not known:
+        return style.nothing(axis)
+    order = sorted(known, key=lambda name: -np.nanmean(known[name]))
+    groups = list(dict.fromkeys(style.parts(name)[0] for name in order))
+    figure = Figure(figsize=(width, 0.24 * (len(order) + 1) + 0.55), layout="constrained")
+    axes, named, said = figure.subplots(), [], []
+    if np.isfinite(rule):
+        axes.axvline(rule, **style.DASHED | {"color": style.FIRST[-1]})
+        axes.plot(rule, 0, "D", color=style.FIRST[-1], markersize=8)
+        named.append(f"{style.RULE}  {rule:,.0f}")
+        said.append(f"{style.RULE} {style.number(rule)}")
+    for name in order:
+        colour = style.FIRST[groups.index(style.parts(name)[0]) % 2]
+        found = style.row_of_seeds(axes, len(named), known[name], colour)
+        named.append(f"{name.replace('_', ' ')}  {found.value:,.0f}")
+        said.append(f"{name} {style.said(found)}")
+    style.name_rows(axes, named)
+    axes.set_xlabel(axis)
+    return style.Drawn(figure, f"{axis}: {'; '.join(said)}.")
+
+
+@matplotlib.rc_context(style.STYLE)
+def rows_of(table: pd.DataFrame, panels: Mapping[str, str], width: float = style.WIDTH) -> style.Drawn:
     """Means with their intervals: a row each, a panel a metric.
 
-    table: columns row, metric, value, low, high, n; panels: metric -> its axis.
+    table: columns row, metric, value, low, high, n; panels: metric -> its axis; width: of the figure [inches].
     """
-    rows = list(dict.fromkeys(table["row"]))
-    figure = Figure(figsize=(style.WIDTH, 0.34 * len(rows) + 1.3), layout="constrained")
-    drawn = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    said = []
+    rows, said = list(dict.fromkeys(table["row"])), []
+    figure, drawn = _side_by_side(len(panels), 0.34 * len(rows) + 1.3, width)
     for axes, (metric, label) in zip(drawn, panels.items(), strict=True):
         for one in table[table["metric"] == metric].to_dict("records"):
             place, colour = rows.index(one["row"]), style.COLOURS["tanh" if one["row"].startswith("PPO") else "relu"]
@@ -91,24 +125,32 @@ def rows_of(table: pd.DataFrame, panels: Mapping[str, str]) -> style.Drawn:
             said.append(f"{one['row']}, {label} {style.said(found)}")
         axes.set_xlabel("\n".join(textwrap.wrap(label, 60 // len(panels))))
         axes.xaxis.set_major_locator(MaxNLocator(5 if len(panels) == 1 else 3))
-    style.name_rows(drawn[0], rows)
+        style.name_rows(axes, rows)
     return style.Drawn(figure, f"Mean over seeds and 95 % interval: {'; '.join(said)}.")
 
 
+def _side_by_side(n: int, height: float, width: float) -> tuple[Figure, list[Axes]]:
+    """Panels with the same rows, of such a height [inches]; in a narrow figure they stand one below the other."""
+    lines = 1 if width >= style.WIDTH else n
+    figure = Figure(figsize=(width, lines * height), layout="constrained")
+    return figure, [*figure.subplots(lines, n // lines, sharey=True, squeeze=False).ravel()]
+
+
 @matplotlib.rc_context(style.STYLE)
-def behaviours(table: pd.DataFrame) -> style.Drawn:
+def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """How the cells fly: a panel a measure, in it a row a cell: mean, 95 % interval and seeds.
 
-    table: a row a seed; columns cell, algorithm, activation, seed, and the measures, of which `MEASURES` names some.
+    table: a row a seed; columns cell, algorithm, activation, seed, and the measures, of which `MEASURES` names some;
+    width: of the figure [inches].
     """
     measures = [name for name in table.columns if name not in ("cell", "algorithm", "activation", "seed")]
     measures = [name for name in measures if table[name].notna().any()]
     if not measures:
         return style.nothing("how the cells fly")
     names = list(dict.fromkeys(table["cell"]))
-    columns = min(len(measures), 2)
+    columns = min(len(measures), 2) if width >= style.WIDTH else 1
     lines = -(-len(measures) // columns)
-    figure = Figure(figsize=(style.WIDTH, lines * (0.3 * len(names) + 0.9) + 0.5), layout="constrained")
+    figure = Figure(figsize=(width, lines * (0.3 * len(names) + 0.9) + 0.5), layout="constrained")
     panels = figure.subplots(lines, columns, sharey=True, squeeze=False).ravel()
     said = []
     for axes, measure in zip(panels, measures, strict=False):
@@ -134,10 +176,10 @@ def behaviours(table: pd.DataFrame) -> style.Drawn:
 
 
 @matplotlib.rc_context(style.STYLE)
-def improvement_matrix(table: pd.DataFrame, what: str) -> style.Drawn:
+def improvement_matrix(table: pd.DataFrame, what: str, width: float = style.WIDTH) -> style.Drawn:
     """The probability that a seed of the row's cell beats one of the column's, starred where Holm's p is below 0.05.
 
-    table: of `stats.improvement`, the larger the better; what: the metric in words.
+    table: of `stats.improvement`, the larger the better; what: the metric in words; width: of the figure [inches].
     """
     names = list(dict.fromkeys([*table["a"], *table["b"]]))
     title = f"Probability that a seed of the row beats\none of the column in {what}"
@@ -151,20 +193,23 @@ def improvement_matrix(table: pd.DataFrame, what: str) -> style.Drawn:
         row, column, beats = place[pair["a"]], place[pair["b"]], float(pair["probability"])
         matrix[row, column], matrix[column, row] = beats, 1 - beats
         starred[row, column] = starred[column, row] = pair["p_holm"] < 0.05
-    figure, axes = style.panel(title, min(0.62 * len(names) + 2.4, 8.0))
-    image = axes.imshow(matrix, cmap="PuOr", vmin=0, vmax=1, aspect="auto")
+    figure, axes = style.panel(title, min(0.62 * len(names) + 2.4, 8.0), width)
+    image, letters = axes.imshow(matrix, cmap="PuOr", vmin=0, vmax=1, aspect="auto"), 12 if width >= style.WIDTH else 9
     for (row, column), value in np.ndenumerate(matrix):
         if np.isfinite(value):
             dark = image.to_rgba(value)[:3] @ np.array([0.3, 0.6, 0.1]) < 0.5
             text = f"{value:.2f}{'*' if starred[row, column] else ''}"
             weight = "bold" if starred[row, column] else "normal"
-            axes.text(column, row, text, ha="center", va="center", color="white" if dark else style.INK, weight=weight)
+            look: dict[str, Any] = {"color": "white" if dark else style.INK, "weight": weight}
+            axes.text(column, row, text, ha="center", va="center", fontsize=letters, **look)
     axes.set_xticks(range(len(names)), names, rotation=40, ha="right", rotation_mode="anchor")
-    axes.set_yticks(range(len(names)), [f"{name}, n = {counts[name]}" for name in names])
+    beside = "\n" if width < style.WIDTH else ", "
+    axes.set_yticks(range(len(names)), [f"{name}{beside}n = {counts[name]}" for name in names])
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
-    figure.colorbar(image, ax=axes, label="probability (* Holm's p < 0.05)", fraction=0.05)
+    side = "right" if width >= style.WIDTH else "bottom"
+    figure.colorbar(image, ax=axes, label="probability (* Holm's p < 0.05)", fraction=0.05, location=side)
     found = int((table["p_holm"] < 0.05).sum())
     known = [(row[np.isfinite(row)], name) for row, name in zip(matrix, names, strict=True)]
     means = sorted(((round(float(row.mean()), 9), name) for row, name in known if len(row)), reverse=True)
@@ -174,18 +219,18 @@ def improvement_matrix(table: pd.DataFrame, what: str) -> style.Drawn:
 
 
 @matplotlib.rc_context(style.STYLE)
-def sensitivity(table: pd.DataFrame) -> style.Drawn:
+def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Whether conclusions hold under other choices: a panel a conclusion, in it a row a switch; the default shaded.
 
-    table: columns switch (one is `default`), conclusion, value, low, high (a difference in mean reward), n.
+    table: columns switch (one is `default`), conclusion, value, low, high (a difference in mean reward), n;
+    width: of the figure [inches].
     """
     title = "Differences in mean reward under other choices"
     if not len(table) or table["value"].isna().all():
         return style.nothing(title)
     names, conclusions = list(dict.fromkeys(table["switch"])), list(dict.fromkeys(table["conclusion"]))
     names.sort(key=lambda name: name != "default")
-    figure = Figure(figsize=(style.WIDTH, 0.42 * len(names) + 2.0), layout="constrained")
-    panels = figure.subplots(1, len(conclusions), sharey=True, squeeze=False)[0]
+    figure, panels = _side_by_side(len(conclusions), 0.42 * len(names) + 2.0, width)
     said = []
     for axes, conclusion in zip(panels, conclusions, strict=True):
         rows = table[table["conclusion"] == conclusion].set_index("switch")
@@ -195,10 +240,10 @@ def sensitivity(table: pd.DataFrame) -> style.Drawn:
         axes.axvline(0, color=style.INK, linewidth=1.2)
         for name, row in rows.iterrows():
             clear = row["low"] > 0 or row["high"] < 0
-            look = {"color": style.CLEAR if clear else style.PALE, "linewidth": 2.2}
+            look: dict[str, Any] = {"color": style.CLEAR if clear else style.PALE, "linewidth": 2.2}
             axes.plot([row["low"], row["high"]], [names.index(str(name))] * 2, **look)
             axes.plot(row["value"], names.index(str(name)), "o", color=look["color"], markersize=7)
-        axes.set_title(textwrap.fill(conclusion, 14))
+        axes.set_title(textwrap.fill(conclusion, 14 if width >= style.WIDTH else 18))
         axes.set_xlabel("difference\nin mean reward")
         axes.xaxis.set_major_locator(MaxNLocator(3))
         if usual is not None:
@@ -208,7 +253,8 @@ def sensitivity(table: pd.DataFrame) -> style.Drawn:
             count = f"of the same sign under {same} of {len(others)} other choices"
             said.append(f"{conclusion} {style.said(found)} by default, {count}")
     least = table.groupby("switch")["n"].min()
-    style.name_rows(panels[0], [f"{name}, n = {least[name]:.0f}" for name in names])
+    for axes in panels:
+        style.name_rows(axes, [f"{name}, n = {least[name]:.0f}" for name in names])
     handles = [
         Line2D([], [], marker="o", color=style.CLEAR, linewidth=2, label="95 % interval without 0"),
         Line2D([], [], marker="o", color=style.PALE, linewidth=2, label="with 0"),
@@ -219,11 +265,11 @@ def sensitivity(table: pd.DataFrame) -> style.Drawn:
 
 
 @matplotlib.rc_context(style.STYLE)
-def power(table: pd.DataFrame, n: int, most: int = 10_000) -> style.Drawn:
+def power(table: pd.DataFrame, n: int, most: int = 10_000, width: float = style.WIDTH) -> style.Drawn:
     """Seeds a cell that find the paper's difference of two cells in 80 % of studies: a row a pair, the easiest first.
 
     table: columns pair and seeds (infinite: there is no difference; NaN: not known); n: seeds that there are; most:
-    beyond it a number is drawn as an arrow.
+    beyond it a number is drawn as an arrow; width: of the figure [inches].
     """
     title = "Seeds a cell to find the paper's difference\n(80 % power, t test at 5 %)"
     if not len(table):
@@ -231,7 +277,7 @@ def power(table: pd.DataFrame, n: int, most: int = 10_000) -> style.Drawn:
     table = table.sort_values("seeds", kind="stable", na_position="last", ignore_index=True)
     seeds = table["seeds"].to_numpy(dtype=np.float64)
     finite, endless, unknown = np.isfinite(seeds), np.isposinf(seeds), np.isnan(seeds)
-    figure, axes = style.panel(title, 0.27 * len(table) + 1.7)
+    figure, axes = style.panel(title, 0.27 * len(table) + 1.7, width)
     drawn, rows = np.minimum(seeds, most), np.arange(len(table))
     words_look: dict[str, Any] = {"va": "center", "fontsize": 11, "zorder": 4}
     words_look["bbox"] = {"facecolor": "white", "linewidth": 0, "pad": 1}
@@ -265,10 +311,11 @@ def power(table: pd.DataFrame, n: int, most: int = 10_000) -> style.Drawn:
 
 
 @matplotlib.rc_context(style.STYLE)
-def speed(table: pd.DataFrame) -> style.Drawn:
+def speed(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Wall time of a million frames of one seed, a row a cell, and the distance to the paper's ten hours.
 
-    table: columns cell, seconds and seeds (side by side in that run, which share its time alike), a row a run.
+    table: columns cell, seconds and seeds (side by side in that run, which share its time alike), a row a run;
+    width: of the figure [inches].
     """
     title = "Wall time of a million frames of one seed"
     known = table[np.isfinite(table["seconds"]) & (table["seconds"] > 0)] if len(table) else table
@@ -278,7 +325,7 @@ def speed(table: pd.DataFrame) -> style.Drawn:
     title += f":\nits share of a run of {beside} side by side"
     groups = known.groupby("cell", sort=False)["seconds"]
     hours = groups.mean() / 3600
-    figure, axes = style.panel(title, 0.42 * len(hours) + 1.6)
+    figure, axes = style.panel(title, 0.42 * len(hours) + 1.6, width)
     said = []
     for row, (name, value) in enumerate(hours.items()):
         ((colour, _),) = style.looks([style.parts(str(name))[1]])
@@ -294,7 +341,8 @@ def speed(table: pd.DataFrame) -> style.Drawn:
     axes.set(xscale="log", xlim=(min(hours.min(), paper.HOURS) / 1.6, max(hours.max(), paper.HOURS) * 1.6))
     ticks = {1 / 60: "1 min", 1 / 20: "3 min", 1 / 6: "10 min", 0.5: "30 min", 1.0: "1 h", 3.0: "3 h", 10.0: "10 h"}
     low, high = axes.get_xlim()
-    shown = {place: words for place, words in ticks.items() if low <= place <= high}
+    few = 1 if width >= style.WIDTH else 2
+    shown = {place: words for place, words in [*ticks.items()][::few] if low <= place <= high}
     axes.set_xticks(list(shown), list(shown.values()))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("wall time (logarithmic)")

@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from uavnav.policies import PolicyError
-from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys, worlds
+from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, style, tables, whys, worlds
 from uavnav.report.cells import Cell, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.figures import Figure
@@ -45,6 +45,7 @@ class Content:
     audits: dict[str, list[Finding]]  # by reading
     tables: dict[str, pd.DataFrame]  # by the name of their CSV
     figures: list[Figure]
+    narrow: list[Figure]  # the same, for a phone
     replays: dict[str, Any] | None
     baselines: dict[str, pd.DataFrame]
     first_rule: pd.DataFrame  # its verdicts, as history
@@ -122,6 +123,7 @@ def gather(folders: Sequence[Path]) -> Content:
             *beyond.figures(numbers, baselines),
             *_of_worlds(of_worlds),
         ],
+        figures.draw(of_paper, numbers, watched, survival, style.NARROW),
         flown if flown["cells"] else None,
         baselines,
         frames.first_rule(folders[0]),

@@ -30,15 +30,15 @@ LINES = {"reward": "mean over seeds", "steps": "all seeds' frames over all their
 
 
 @matplotlib.rc_context(style.STYLE)
-def curves(cells: Sequence[Cell], column: str) -> style.Drawn:
+def curves(cells: Sequence[Cell], column: str, width: float = style.WIDTH) -> style.Drawn:
     """Learning curves of one algorithm, as the paper's figures 4 and 5: a line a cell, a band, the paper's mean dashed.
 
-    cells: labelled ones of one algorithm; column: one of `LINES`.
+    cells: labelled ones of one algorithm; column: one of `LINES`; width: of the figure [inches].
     """
     title = ": ".join([*{cell.algorithm.upper(): cell for cell in cells}, f"{words(column, PER_FRAME)} in training"])
     if not any(len(cell.episodes) for cell in cells):
         return style.nothing(title)
-    figure, axes = style.panel(title)
+    figure, axes = style.panel(title, width=width)
     lines = plot(axes, cells, column)
     _name_dashes(axes, cells, column)
     _over_training(figure, axes, [Line2D([], [], color=style.PALE, linestyle="--", label="the paper's mean")])
@@ -98,7 +98,7 @@ def _over_training(figure: Figure, axes: Axes, more: Sequence[Line2D] = ()) -> N
     """The axis of frames, and a legend of the lines, their bands, and more."""
     axes.set_xlabel("frames per seed")
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
-    axes.xaxis.set_major_locator(MaxNLocator(6))
+    axes.xaxis.set_major_locator(MaxNLocator(6 if figure.get_figwidth() >= style.WIDTH else 3))
     shade = Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")
     style.legend(figure, [*axes.get_legend_handles_labels()[0], shade, *more], 3)
 
@@ -141,22 +141,28 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
 
 
 @matplotlib.rc_context(style.STYLE)
-def why(progress: Mapping[str, pd.DataFrame], column: str, title: str, bound: float | None = None) -> style.Drawn:
+def why(
+    progress: Mapping[str, pd.DataFrame],
+    column: str,
+    title: str,
+    bound: float | None = None,
+    width: float = style.WIDTH,
+) -> style.Drawn:
     """A diagnostic of one algorithm's networks over training: a line an activation, with its band over seeds.
 
     progress: activation -> rows with the columns seed, frame and, if it was kept, `column`; title: `PPO: the
-    diagnostic`; bound: the most that the world allows, drawn in.
+    diagnostic`; bound: the most that the world allows, drawn in; width: of the figure [inches].
     """
     kept = {name: rows for name, rows in progress.items() if column in rows and rows[column].notna().any()}
     if not kept:
         return style.nothing(title)
-    figure, axes = style.panel(title)
+    figure, axes = style.panel(title, width=width)
     frames = max(int(rows["frame"].max()) for rows in kept.values())
     ends: list[str] = []
     for name, (colour, dashes) in style.coloured(kept):
         seeds = binned(kept[name], column, frames)
-        line, width = band(seeds), 1.8 + 1.3 * (len(kept) - 1 - len(ends))  # wider ones are seen below others
-        _line(axes, line, colour, dashes, f"{name}, n = {seeds.shape[1]}", width)
+        line, thick = band(seeds), 1.8 + 1.3 * (len(kept) - 1 - len(ends))  # thicker ones are seen below others
+        _line(axes, line, colour, dashes, f"{name}, n = {seeds.shape[1]}", thick)
         ends.append(f"{name} {_end(line)}")
     if bound is not None:
         axes.axhline(bound, **style.DASHED)
@@ -211,16 +217,17 @@ def _end(line: pd.DataFrame, beside: str = "") -> str:
 
 
 @matplotlib.rc_context(style.STYLE)
-def survival(curves: Mapping[str, pd.Series[float]], cap: int) -> style.Drawn:
+def survival(curves: Mapping[str, pd.Series[float]], cap: int, width: float = style.WIDTH) -> style.Drawn:
     """Kaplan and Meier's share of test flights that are still up, against steps: a line a cell.
 
-    curves: label -> shares, indexed by steps, as of `stats.survival`; cap: where flights were cut off [steps].
+    curves: label -> shares, indexed by steps, as of `stats.survival`; cap: where flights were cut off [steps];
+    width: of the figure [inches].
     """
     title = "Test flights that are still up"
     curves = {name: shares for name, shares in curves.items() if len(shares)}
     if not curves:
         return style.nothing(title)
-    figure, axes = style.panel(title)
+    figure, axes = style.panel(title, width=width)
     most, said = max(float(shares.index.max()) for shares in curves.values()), []
     for name, (colour, dashes) in style.coloured(curves):
         shares = curves[name]

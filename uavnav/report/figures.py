@@ -17,7 +17,9 @@ from uavnav.report.headline import RULE
 from uavnav.report.studies import Cells
 from uavnav.report.style import Drawn
 from uavnav.runs import paper
+from uavnav.runs.metrics import MODES
 from uavnav.runs.readings import PER_FRAME, SAMPLED, words
+from uavnav.stats import Array
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
 
@@ -42,32 +44,34 @@ def draw(
     numbers: Mapping[str, pd.DataFrame],
     flights: Mapping[tuple[str, str, str], pd.DataFrame],
     survival: Mapping[str, pd.Series],
+    width: float = style.WIDTH,
 ) -> list[Figure]:
     """All figures on the main study, in the order of the page.
 
     cells: of the paper's activations; numbers: the report's tables by name; flights: steps by study, algorithm and
-    activation; survival: curves by cell.
+    activation; survival: curves by cell; width: of the figures [inches].
     """
     flown = {key[1:]: table for key, table in flights.items() if key[0] == "main"}
-    found = [*_curves(cells), *_metrics(numbers["seeds"], numbers["gaps"]), *_paths(flown), *_places(flown)]
-    found += _statistics(cells, numbers, survival)
+    found = [*_first(numbers["seeds"], numbers["gaps"], width), *_curves(cells, width)]
+    found += [*_metrics(numbers["seeds"], numbers["gaps"], width), *_paths(flown, width), *_places(flown, width)]
+    found += _statistics(cells, numbers, survival, width)
     if len(numbers["behaviour"]):
         sampled = numbers["behaviour"].query("mode == 'sampled'")
-        drawn = charts.behaviours(sampled[["cell", "algorithm", "activation", "seed", *LOOKED_AT]])
+        drawn = charts.behaviours(sampled[["cell", "algorithm", "activation", "seed", *LOOKED_AT]], width)
         caption = "Each small dot is a seed, the bar its cell's 95 % interval; sampled flights on test sets."
         found.append(Figure("behaviour", "behaviour", drawn, caption))
-    found += [*_whys(numbers["whys"]), *_why(cells)]
+    found += [*_whys(numbers["whys"], width), *_why(cells, width)]
     if len(numbers["sensitivity"]):
         caption = "The band is the interval as decided; an interval that lies across zero from it flips a conclusion."
-        found.append(Figure("sensitivity", "sensitivity", charts.sensitivity(numbers["sensitivity"]), caption))
+        found.append(Figure("sensitivity", "sensitivity", charts.sensitivity(numbers["sensitivity"], width), caption))
     caption = (
         f"The dashed line is the paper's {paper.HOURS:g} hours, on a machine that it does not name. The seeds of a run"
         " train side by side and share its time alike."
     )
-    return [*found, Figure("speed", "speed", charts.speed(numbers["speed"]), caption)]
+    return [*found, Figure("speed", "speed", charts.speed(numbers["speed"], width), caption)]
 
 
-def _curves(cells: Cells) -> list[Figure]:
+def _curves(cells: Cells, width: float) -> list[Figure]:
     found = []
     for algorithm in dict.fromkeys([*paper.TABLE_OF, *algorithms(cells)]):
         mine = [cell for key, cell in cells.items() if key[0] == algorithm]
@@ -79,40 +83,50 @@ def _curves(cells: Cells) -> list[Figure]:
                 f"{algorithm.upper()}{beside}: {words(column, PER_FRAME)} in each stretch of training, of all seeds and"
                 f" flights, open ones too. Line: {curves.LINES[column]}; band: its 95 % interval over seeds{dashed}."
             )
-            found.append(Figure(f"curves-{algorithm}-{column}", "curves", curves.curves(mine, column), caption))
+            found.append(Figure(f"curves-{algorithm}-{column}", "curves", curves.curves(mine, column, width), caption))
     return found
 
 
-def _metrics(values: pd.DataFrame, gaps: pd.DataFrame) -> list[Figure]:
-    """Cells side by side: two metrics of training, and the reward of test flights, with the rule's."""
+def _metrics(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> list[Figure]:
+    """Cells side by side in two metrics of training."""
     rule = gaps[gaps["who"] == RULE]
     found = []
-    for stem, section, metric, reading, own in (
-        ("cells-reward", "tables", "reward", PRIMARY, rule["per_frame"]),
-        ("cells-steps", "tables", "steps", PRIMARY, rule["per_frame"][:0]),
-        ("cells-flights", "baselines", "reward", SAMPLED, rule["reward"]),
-    ):
-        shown = values[(values["reading"] == reading) & (values["metric"] == metric)]
-        rows = {
-            name(*(str(one) for one in key)): part["value"].dropna().to_numpy()
-            for key, part in shown.groupby(["algorithm", "activation"], sort=False)
-            if key[1] in paper.ACTIVATIONS
-        }
-        trained = reading == PRIMARY
-        printed = {name(*key): paper.printed(*key, metric, PRIMARY == PER_FRAME) for key in paper.TABLES if trained}
-        caption = f"{reading.capitalize()}: seeds, their mean with its 95 % interval"
-        caption += ", and the paper's run." if trained else "."
+    for metric, own in (("reward", rule["per_frame"]), ("steps", rule["per_frame"][:0])):
+        printed = {name(*key): paper.printed(*key, metric, PRIMARY == PER_FRAME) for key in paper.TABLES}
+        caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
         caption += f" Dashed: the hand-written rule `{RULE}` on the test sets." if len(own) else ""
-        drawn = charts.intervals(rows, printed, words(metric, reading), float(own.sum()) if len(own) else np.nan)
-        found.append(Figure(stem, section, drawn, caption))
+        dashed = float(own.sum()) if len(own) else np.nan
+        drawn = charts.intervals(_seeds(values, PRIMARY, metric), printed, words(metric, PRIMARY), dashed, width)
+        found.append(Figure(f"cells-{metric}", "tables", drawn, caption))
     return found
 
 
-def _paths(flown: Mapping[tuple[str, str], pd.DataFrame]) -> list[Figure]:
+def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> list[Figure]:
+    """The figure of the first screen, as wide as the page: the reward of test flights, with the rule's."""
+    rule, width = gaps.loc[gaps["who"] == RULE, "reward"], style.FULL if width >= style.WIDTH else width
+    dashed = float(rule.sum()) if len(rule) else np.nan
+    drawn = charts.flights(_seeds(values, SAMPLED, "reward"), dashed, "reward of a flight on test sets", width)
+    caps = gaps.loc[gaps["mode"] == MODES[1], "cap"].dropna()
+    limit = f" Flights end at a collision, or after {caps.max():,.0f} steps." if len(caps) else ""
+    caption = f"A small dot is a training seed, a large one the mean of its cell with its 95 % interval.{limit}"
+    return [Figure("cells-flights", "first", drawn, caption)]
+
+
+def _seeds(values: pd.DataFrame, reading: str, metric: str) -> dict[str, Array]:
+    """Each of the paper's cells: one number a seed [S]."""
+    shown = values[(values["reading"] == reading) & (values["metric"] == metric)]
+    return {
+        name(*(str(one) for one in key)): part["value"].dropna().to_numpy()
+        for key, part in shown.groupby(["algorithm", "activation"], sort=False)
+        if key[1] in paper.ACTIVATIONS
+    }
+
+
+def _paths(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list[Figure]:
     shown = {name(*key): table[table["layout"] >= 0] for key, table in flown.items() if key[1] == SHOWN_ACTIVATION}
     if not shown:
         return []
-    drawn = arena.trajectories(shown, layouts.load("test").numpy(), SHOWN_LAYOUTS, World(), mode="sampled")
+    drawn = arena.trajectories(shown, layouts.load("test").numpy(), SHOWN_LAYOUTS, World(), mode="sampled", width=width)
     caption = (
         f"As the paper's Figures {' and '.join(map(str, paper.PATHS))}: the first seed's flights on"
         f" {len(SHOWN_LAYOUTS)} test sets, at most {WATCHED_STEPS} steps, as in training (sampled), with"
@@ -121,7 +135,7 @@ def _paths(flown: Mapping[tuple[str, str], pd.DataFrame]) -> list[Figure]:
     return [Figure("trajectories", "flights", drawn, caption)]
 
 
-def _places(flown: Mapping[tuple[str, str], pd.DataFrame]) -> list[Figure]:
+def _places(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list[Figure]:
     """Heat maps, a panel an algorithm."""
     found = []
     for stem, where, is_empty in (
@@ -141,17 +155,19 @@ def _places(flown: Mapping[tuple[str, str], pd.DataFrame]) -> list[Figure]:
                 f"Where the drones are {where}: share of steps in each square, of every seed and activation alike"
                 f" ({activations} activations, {n} each)."
             )
-            found.append(Figure(stem, "behaviour", arena.heat_maps(maps, World()), caption))
+            found.append(Figure(stem, "behaviour", arena.heat_maps(maps, World(), width), caption))
     return found
 
 
-def _statistics(cells: Cells, numbers: Mapping[str, pd.DataFrame], survival: Mapping[str, pd.Series]) -> list[Figure]:
+def _statistics(
+    cells: Cells, numbers: Mapping[str, pd.DataFrame], survival: Mapping[str, pd.Series], width: float
+) -> list[Figure]:
     counted = numbers["survival"].set_index("cell")["n"]
     shown = [label for label in (name(*key) for key in cells) if label in survival]
     flights = {f"{label} (n = {counted[label]})": survival[label] for label in shown}
     flights |= {style.RULE: survival[RULE]} if RULE in survival else {}
     n = min((studies.seeds(cell) for cell in cells.values()), default=0)
-    matrix = charts.improvement_matrix(numbers["improvement"], words("reward", PRIMARY))
+    matrix = charts.improvement_matrix(numbers["improvement"], words("reward", PRIMARY), width)
     beats = "How probably a seed of the row's cell beats one of the column's; Mann-Whitney, Holm's correction."
     pooled = (
         "Kaplan-Meier, all seeds of a cell pooled, n of them: a cap on steps censors a flight, and is no collision."
@@ -162,24 +178,24 @@ def _statistics(cells: Cells, numbers: Mapping[str, pd.DataFrame], survival: Map
     )
     return [
         Figure("improvement", "statistics", matrix, beats),
-        Figure("survival", "statistics", curves.survival(flights, frames.CAP), f"{pooled} Sampled."),
-        Figure("power", "statistics", charts.power(numbers["power"], n, tables.MANY), needed),
+        Figure("survival", "statistics", curves.survival(flights, frames.CAP, width), f"{pooled} Sampled."),
+        Figure("power", "statistics", charts.power(numbers["power"], n, tables.MANY, width), needed),
     ]
 
 
-def _whys(table: pd.DataFrame) -> list[Figure]:
+def _whys(table: pd.DataFrame, width: float) -> list[Figure]:
     """A figure for each question that there are cells for."""
     found = []
     for question in whys.QUESTIONS:
         part = table[(table["question"] == question.name) & table["row"].isin([*question.rows])]
         if len(part):
-            drawn = charts.rows_of(part, {metric: whys.in_words(metric) for metric in question.metrics})
+            drawn = charts.rows_of(part, {metric: whys.in_words(metric) for metric in question.metrics}, width)
             said = " ".join(whys.answers(table, question))
             found.append(Figure(f"whys-{question.name}", "why", drawn, f"{question.text} {said}".strip()))
     return found
 
 
-def _why(cells: Cells) -> list[Figure]:
+def _why(cells: Cells, width: float) -> list[Figure]:
     found = []
     for algorithm in algorithms(cells):
         mine = {activation: cell for (which, activation), cell in cells.items() if which == algorithm}
@@ -195,7 +211,7 @@ def _why(cells: Cells) -> list[Figure]:
             bound = _most_return(*gammas) if len(gammas) == 1 else None
             if bound is not None:
                 caption += " No reward above the dashed line can follow: it is that of flying straight on for ever."
-            drawn = curves.why(progress, column, f"{algorithm.upper()}: {label}", bound)
+            drawn = curves.why(progress, column, f"{algorithm.upper()}: {label}", bound, width)
             found.append(Figure(f"why-{algorithm}-{column.replace('_', '-')}", "why", drawn, caption))
     return found
 

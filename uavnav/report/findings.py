@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav.report import frames, tables
-from uavnav.report.claims import CLAIMS, NAMES, PRIMARY, Claim
+from uavnav.report.claims import ALGORITHMS, CLAIMS, NAMES, PRIMARY, Claim
 from uavnav.report.headline import EVERY, MANY_WORLDS, RULE
 from uavnav.report.verdicts import ABSENT, CONTEXT, DOES_NOT, IN_PART, OPEN, REPLICATES, Grade
 from uavnav.runs import paper
@@ -102,6 +102,49 @@ def findings(numbers: Numbers) -> list[Sentence]:
     """What the study found: how many claims hold, the rule, who is ahead, targets, times, readings, more worlds."""
     makers = (_tally, _rule, _ahead, _one_step, _surge, _fit, _many_worlds, _worlds)
     return [sentence for make in makers for sentence in make(numbers)]
+
+
+def headline(numbers: Numbers) -> Sentence:
+    """The one sentence of a report: who flies best of PPO, DQN and the rule, or else the first finding there is."""
+    for place, row in _best(numbers["gaps"], MODES[1:]):
+        gap, ahead = Interval(row.gap, row.gap_low, row.gap_high, row.n), _part(numbers, CLAIMS[0])[1]
+        if row.algorithm == ALGORITHMS[0] and gap.high < 0 < ahead.low:
+            before = "PPO beats DQN, as the paper says, but a hand-written rule beats PPO by "
+            return Sentence(before, between(_times(gap, -1)), " of reward a flight.", "gaps", place)
+    title = "DQN against PPO, four activation functions: what holds of the paper"
+    return next(iter([*_rule(numbers), *_tally(numbers)]), Sentence(title, "", "", "verdicts", None))
+
+
+def of_sections(numbers: Numbers) -> dict[str, Sentence]:
+    """What each section of the page comes to in a sentence, by its id; a section without numbers has none."""
+    by_number = {claim.number: claim for claim in CLAIMS}
+    makers = {
+        "tables": _fit(numbers),
+        "curves": _surge(numbers),
+        "flights": _up(numbers),
+        "statistics": _ahead(numbers),
+        "behaviour": iter([of_claim(numbers, by_number[9])]),
+        "why": _one_step(numbers),
+        "sensitivity": _flips(numbers),
+        "baselines": _rule(numbers),
+        "speed": iter([of_claim(numbers, by_number[11])]),
+        "methods": iter([study(numbers)]),
+    }
+    return {section: first for section, made in makers.items() if (first := next(made, None))}
+
+
+def _up(numbers: Numbers) -> Iterator[Sentence]:
+    for place, row in _best(numbers["gaps"], MODES[1:]):
+        if not np.isnan(row.cap):
+            after = f" of the test flights of {_with(row.who)} last {row.cap:,.0f} steps."
+            yield Sentence("", f"{row.up:.0%}".replace("%", " %"), after, "gaps", place)
+
+
+def _flips(numbers: Numbers) -> Iterator[Sentence]:
+    asked = numbers["sensitivity"].query("flips != ''")
+    if len(asked):
+        after = f" of {len(asked)} comparisons turns round where a choice that the paper leaves open is changed."
+        yield Sentence("", str((asked["flips"] == "yes").sum()), after, "sensitivity", None)
 
 
 def between(found: Interval, unit: str = "") -> str:
@@ -267,6 +310,12 @@ def _with(label: str) -> str:
     """A cell's label in words: PPO with leaky ReLU."""
     algorithm, _, activation = label.partition(" ")
     return f"{algorithm} with {NAMES.get(activation, activation)}"
+
+
+def shown_first(numbers: Numbers) -> dict[str, str]:
+    """Who flies on the first screen: the best cell of each of the paper's algorithms, the better first, in words."""
+    best = [one for algorithm in paper.TABLE_OF for one in _best(numbers["gaps"], MODES[1:], (algorithm,))]
+    return {row.who: _with(row.who) for _, row in sorted(best, key=lambda one: -one[1].reward)}
 
 
 def flights(numbers: Numbers, root: str = "") -> tables.Rows:

@@ -6,24 +6,28 @@ import base64
 import importlib.metadata
 import json
 import re
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 from markupsafe import Markup, escape
 
 from uavnav import browser, evaluate
-from uavnav.report import beyond, conclusions, findings, frames, studies, tables, worlds
+from uavnav.report import arena, beyond, conclusions, findings, frames, studies, tables, worlds
 from uavnav.report.cells import BINS, algorithms, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
 from uavnav.report.content import Content
 from uavnav.report.figures import LOOKED_AT
-from uavnav.report.style import save
+from uavnav.report.replays import paths, together
+from uavnav.report.style import RULE, drawing, save
 from uavnav.report.verdicts import GRADES, SEEDS, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.metrics import LAST
 from uavnav.runs.readings import LOG_CURVE, SAMPLED
+from uavnav.tasks.world import World
 
 SECTIONS = {
     "verdicts": "Verdicts",
@@ -40,6 +44,8 @@ SECTIONS = {
 }
 WITH_WORLDS = {"worlds": "Worlds"}
 """The section of the study of that name, before the baselines, where there is one."""
+PREVIEWED = 240
+"""Steps of the flights that the picture of a link shows."""
 HERE = Path(__file__).parent
 DECISIONS = [
     line.strip("| ").split(" | ")
@@ -47,15 +53,26 @@ DECISIONS = [
     if not line.startswith("|--")
 ]
 """What the paper leaves open, and what was decided: the table of docs/decisions.md, its header first."""
+PLAYER = (*browser.PLAYER, browser.HERE / "together.js")
+"""Scripts of the player, in the order in which a browser reads them."""
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("uavnav.report"),
     trim_blocks=True,
     lstrip_blocks=True,
     keep_trailing_newline=True,
     undefined=jinja2.StrictUndefined,
-    autoescape=lambda template: template in ("page.html", "algorithms.html"),
+    autoescape=lambda template: template.endswith(".html"),
 )
 _INTERVAL = re.compile(r"([−\d][^\[]*|–) (\[[^\]]+, [^\]]+\])(.*)")
+_PLACES, _LONG = re.compile(rb' (?:d|x|y)="[^"]*"'), re.compile(rb"(\.\d\d)\d+")
+_UNDRAWN = {
+    rb"\s*\n\s*": b"",
+    rb' id="[\w.]+_\d+"': b"",
+    rb' transform="rotate\(-0 [^"]*"': b"",
+    rb"font-family: 'DejaVu[^;\"]*(?:; )?": b"",
+    rb'<style type="text/css">\*\{': b"<style>*{font-family: 'DejaVu Sans', Verdana, Arial, sans-serif; ",
+}
+"""What of matplotlib's SVG a page does without, and what stands instead: a quarter of its bytes."""
 _MARKDOWN = re.compile(r"`([^`]+)`|\[([^\]]+)\]\([^)]+\)")
 
 
@@ -69,7 +86,12 @@ def _cell(text: str) -> Markup:
     return Markup("").join(parts)
 
 
-_TEMPLATES.filters |= {"cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
+def _json(data: Any) -> Markup:
+    """Data as a page's script holds it."""
+    return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+_TEMPLATES.filters |= {"json": _json, "cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
 _TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "findings": findings, "frames": frames}
 _TEMPLATES.globals |= {"beyond": beyond, "studies": studies, "worlds": worlds}
 _TEMPLATES.globals |= {
@@ -91,16 +113,30 @@ def contents(content: Content, first: Path) -> dict[str, bytes]:
     for figure in content.figures:
         svg, png = save(figure.drawn.figure)
         found |= {f"figures/{figure.name}.svg": svg, f"figures/{figure.name}.png": png}
-        pictures[figure.name] = base64.b64encode(svg).decode()
+        pictures[figure.name] = [_embedded(svg)]
+    for figure in content.narrow:
+        pictures[figure.name].append(_embedded(drawing(figure.drawn.figure)))
     for stem, frame in content.tables.items():
         found[f"tables/{stem}.csv"] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n").encode()
     for algorithm in _algorithms(content):
         header, *rows = _table(content, algorithm)
         shown = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
         found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *shown]).encode()
+    if flights := first_flights(content):
+        drones = paths(flights, PREVIEWED)
+        drawn = arena.preview(str(findings.headline(content.tables)), drones, np.array(flights["layouts"][0]), World())
+        found["preview.png"] = save(drawn)[1]
     found["report.html"] = page(content, pictures, first).encode()
     found["report.md"] = markdown(content).encode()
     return found
+
+
+def _embedded(svg: bytes) -> str:
+    """A drawing as a page holds it, in base64: places to a hundredth of a point, and nothing that is not drawn."""
+    short = _PLACES.sub(lambda found: _LONG.sub(rb"\1", found[0]), svg)
+    for pattern, instead in _UNDRAWN.items():
+        short = re.sub(pattern, instead, short)
+    return base64.b64encode(short[short.index(b"<svg") :]).decode()
 
 
 def _algorithms(content: Content) -> list[str]:
@@ -143,18 +179,22 @@ def _claim(content: Content, claim: Claim) -> dict[str, Any]:
     }
 
 
-def page(content: Content, pictures: Mapping[str, str], first: Path) -> str:
+def page(content: Content, pictures: Mapping[str, Sequence[str]], first: Path) -> str:
     """The one HTML file: styles, figures, replays and the player's code are in it.
 
-    pictures: SVG by the figure's name, base64; first: the report's first folder, for what a command needs.
+    pictures: SVG by the figure's name, base64, for a page and for a phone; first: the report's first folder, for what a
+    command needs.
     """
-    replays = json.dumps(content.replays, separators=(",", ":")).replace("<", "\\u003c") if content.replays else ""
+    styles = [HERE / "templates" / "page.css", browser.HERE / "replay.css", browser.HERE / "first.css"]
     return render(
         "page.html",
         content,
-        css=Markup(browser.joined([HERE / "templates" / "page.css", browser.HERE / "replay.css"])),
-        js=Markup(browser.joined(browser.PLAYER)),
-        replays=Markup(replays),
+        css=Markup(browser.joined(styles)),
+        js=Markup(browser.joined(PLAYER)),
+        folding=Markup(browser.joined([HERE / "templates" / "page.js"])),
+        conclusions_of=defaultdict(str, findings.of_sections(content.tables)),
+        replays=content.replays,
+        together=first_flights(content),
         version=importlib.metadata.version("uavnav"),
         sections=_sections(content),
         paper_tables=[(_table_name(one), _table(content, one)) for one in _algorithms(content)],
@@ -170,6 +210,11 @@ def _sections(content: Content) -> list[tuple[str, str]]:
     more |= WITH_WORLDS if content.worlds else {}
     place = list(SECTIONS).index("baselines")
     return [*found[:place], *more.items(), *found[place:]]
+
+
+def first_flights(content: Content) -> dict[str, Any] | None:
+    """What flies on the first screen, where there is a policy that can."""
+    return together(content.replays, findings.shown_first(content.tables), RULE) if content.replays else None
 
 
 def _table_name(algorithm: str) -> str:

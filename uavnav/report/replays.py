@@ -12,20 +12,23 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from uavnav import browser, flights
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import EPISODES
 from uavnav.policies import Policy, PolicyError, load_policy
 from uavnav.report.cells import Cell, one_line
+from uavnav.stats import Array
 from uavnav.tasks import layouts
+from uavnav.tasks.baselines import AnyPolicy, reactive
 from uavnav.tasks.dynamics import decode
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.simulator import Goal, Task
@@ -59,6 +62,8 @@ FIELDS = {
     "high": Field("float32", 1, chosen=True),  # and the greatest
     "value": Field("uint8", 1 / (LEVELS - 1), chosen=True),  # 0 is the least, 1 the greatest
 }
+COLUMNS = {"value": World().n_actions} | dict.fromkeys(("right", "forward", "proximity"), World().n_slots)
+"""Of the fields that have more than one."""
 Columns = dict[str, Tensor]
 
 
@@ -75,8 +80,8 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
         What the player reads, as JSON can hold it: `world` (its constants), `layouts` (sets of [x, y, radius] px),
         `actions` ([degrees, px] of each), `fields` (`FIELDS` in the order of the bytes, and the columns of each),
         `cells` (algorithm, label, mode, what its values are, and `flights` with seed, layout, steps, reward, how it
-        ended, and the bytes; elsewhere than in the paper's world also `_place`), and `left_out`: a line for each policy
-        that cannot fly.
+        ended, and the bytes; elsewhere than in the paper's world also `_place`), `rule` (flights of the hand-written
+        rule), and `left_out`: a line for each policy that cannot fly.
 
     Raises:
         ValueError: a count is below 1, or the bank has fewer sets.
@@ -94,6 +99,7 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
     flyers = [flyer for _, population in ready for flyer in population.items()]
     with machine.use_threads(1):
         flown = iter(fly(flyers, bank[:EPISODES], n_layouts, max_steps))
+        (rule,) = _fly_together([(0, reactive)], Task(world, bank[:n_layouts], max_steps=max_steps), n_layouts)
     shown = []
     for cell, population in ready:
         name = {"algorithm": cell.algorithm, "label": cell.label or cell.activation}
@@ -101,15 +107,54 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
         name |= _place(next(iter(population.values())).task, n_layouts)
         shown.append(name | {"values": ALGORITHMS[cell.algorithm].shown, "mode": "sampled", "flights": own})
     angle, distance = decode(torch.arange(world.n_actions), world)
-    columns = {"value": world.n_actions} | dict.fromkeys(("right", "forward", "proximity"), world.n_slots)
     return {
         "world": asdict(world),
         "layouts": bank[:n_layouts].double().numpy().round(2).tolist(),
         "actions": torch.stack([angle, distance], -1).tolist(),
-        "fields": [{"name": name, "columns": columns.get(name, 1), **one._asdict()} for name, one in FIELDS.items()],
+        "fields": [{"name": name, "columns": COLUMNS.get(name, 1), **one._asdict()} for name, one in FIELDS.items()],
         "cells": shown,
+        "rule": [_pack(flight) for flight in rule],
         "left_out": list(dict.fromkeys(left_out)),
     }
+
+
+def together(recorded: dict[str, Any], cells: Mapping[str, str], rule: str) -> dict[str, Any]:
+    """What a page needs to show the first seed of some cells and the hand-written rule on the same obstacles.
+
+    recorded: as `record` gives it; cells: names to show by the cell's label, such as `PPO tanh`; rule: the rule's name.
+    The flights, the longest ones together first, are without what belongs to a choice.
+    """
+    of = {f"{cell['algorithm'].upper()} {cell['label']}": cell["flights"] for cell in recorded["cells"]}
+    flown = {name: of[label] for label, name in cells.items() if label in of} | {rule: recorded["rule"]}
+    firsts = {
+        name: {one["layout"]: one for one in flights if one["seed"] == flights[0]["seed"]}
+        for name, flights in flown.items()
+    }
+    order = sorted(range(len(recorded["layouts"])), key=lambda at: -sum(own[at]["steps"] for own in firsts.values()))
+    return {
+        "world": recorded["world"],
+        "layouts": [recorded["layouts"][at] for at in order],
+        "fields": [field for field in recorded["fields"] if not field["chosen"]],
+        "drones": [{"name": name, "flights": [_poses(own[at]) for at in order]} for name, own in firsts.items()],
+    }
+
+
+def paths(together: dict[str, Any], steps: int) -> dict[str, Array]:
+    """Where the drones of `together` fly in their first steps on the first obstacles: name -> [T, 2] px."""
+    found = {}
+    for drone in together["drones"]:
+        flight = drone["flights"][0]
+        content = zlib.decompress(base64.b64decode(flight["bytes"]))
+        columns = np.frombuffer(content, "<u2", 2 * (flight["steps"] + 1)).reshape(2, -1)  # x and y come first
+        found[drone["name"]] = columns.T[: steps + 1] * FIELDS["x"].unit
+    return found
+
+
+def _poses(flight: dict[str, Any]) -> dict[str, Any]:
+    """A packed flight without its choices, whose bytes are the last."""
+    size = sum(np.dtype(one.type).itemsize * COLUMNS.get(name, 1) for name, one in FIELDS.items() if not one.chosen)
+    content = zlib.decompress(base64.b64decode(flight["bytes"]))[: size * (flight["steps"] + 1)]
+    return flight | {"bytes": base64.b64encode(zlib.compress(content, 9)).decode()}
 
 
 def _load(cell: Cell, n_seeds: int) -> tuple[dict[int, Policy], list[str]]:
@@ -178,7 +223,7 @@ def fly(flyers: Sequence[tuple[int, Policy]], bank: Tensor, n_layouts: int, max_
     return found
 
 
-def _fly_together(flyers: Sequence[tuple[int, Policy]], task: Task, n_layouts: int) -> Iterator[list[Flight]]:
+def _fly_together(flyers: Sequence[tuple[int, AnyPolicy]], task: Task, n_layouts: int) -> Iterator[list[Flight]]:
     """The flights of each flyer on the first sets, all of them as one batch."""
     n = len(task.bank)
     start = flights.start(task, [seed for seed, _ in flyers])
@@ -187,10 +232,12 @@ def _fly_together(flyers: Sequence[tuple[int, Policy]], task: Task, n_layouts: i
     observation, clearance = task.observe(start)
     poses, choices = [_pose(torch.arange(len(kept)), start, _slots(task, observation), clearance, kept)], []
     collided, arrived = torch.zeros(2, len(kept), dtype=torch.bool)
-    for step in flights.fly(flyers, task, values=True):
-        assert step.values is not None
+    for step in flights.fly(flyers, task, values=all(isinstance(policy, Policy) for _, policy in flyers)):
         mine, outcome = kept[step.flight], step.outcome
-        choices.append({"row": step.flight[mine], "action": step.action[mine], "values": step.values[mine]})
+        values = step.values
+        if values is None:  # behind the action of a script is nothing but itself
+            values = functional.one_hot(step.action, task.world.n_actions).float()
+        choices.append({"row": step.flight[mine], "action": step.action[mine], "values": values[mine]})
         poses.append(_pose(step.flight, step.state, _slots(task, outcome.observation), outcome.clearance, mine))
         collided[step.flight] = outcome.terminated
         if isinstance(task, Goal):
@@ -203,7 +250,8 @@ def _fly_together(flyers: Sequence[tuple[int, Policy]], task: Task, n_layouts: i
     for place, (seed, policy) in enumerate(flyers):
         rows = range(place * n, place * n + n_layouts)
         for row in rows:
-            done[row]["values"] = policy.shown(done[row]["values"])
+            if isinstance(policy, Policy):
+                done[row]["values"] = policy.shown(done[row]["values"])
         yield [
             Flight(seed, row - rows[0], bool(collided[row]), seen[row], done[row], bool(arrived[row])) for row in rows
         ]

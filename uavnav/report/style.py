@@ -31,6 +31,8 @@ LINES = ("-", ":", "-.")
 INK, PALE, OBSTACLE = "#333333", "#767676", "#c8ccd2"
 CLEAR, OPEN = "#0072B2", "#D55E00"
 """Colours of what the seeds decide and of what they leave open."""
+FIRST = ("#0072B2", "#D55E00", "#009E73")
+"""Colours of the first screen: the best algorithm, the other, the hand-written rule."""
 DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}
 """The look of a line that no cell drew."""
 RULE = "hand-written rule"
@@ -56,7 +58,8 @@ STYLE: dict[RcKeyType, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "uavnav",
 }
-WIDTH = 8.0  # [inches]
+WIDTH, NARROW, FULL = 8.0, 5.0, 12.3
+"""Of a figure on a page, on a phone, and as wide as a page [inches]; letters are as large on all."""
 
 
 class Drawn(NamedTuple):
@@ -68,21 +71,31 @@ class Drawn(NamedTuple):
 
 def save(figure: Figure) -> tuple[bytes, bytes]:
     """SVG and PNG, the same bytes on every call."""
-    svg, png = io.BytesIO(), io.BytesIO()
+    svg, png = drawing(figure), io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(png, format="png", metadata={"Software": None})
+    return svg, png.getvalue()
+
+
+def drawing(figure: Figure) -> bytes:
+    """SVG, the same bytes on every call."""
+    svg = io.BytesIO()
     with matplotlib.rc_context(STYLE):
         if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine) and figure.axes:
             engine.execute(figure)
             figure.set_layout_engine("none")  # laid out once: a second time would move things by a hair
         figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-        figure.savefig(png, format="png", metadata={"Software": None})
-    return svg.getvalue(), png.getvalue()
+    return svg.getvalue()
 
 
-def panel(title: str, height: float = 5.0) -> tuple[Figure, Axes]:
-    """A figure of one panel; height [inches]."""
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+def panel(title: str, height: float = 5.0, width: float = WIDTH) -> tuple[Figure, Axes]:
+    """A figure of one panel; height, width [inches]."""
+    figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots()
-    axes.set_title(title)
+    if width >= WIDTH:
+        axes.set_title(title)
+    else:
+        figure.suptitle(textwrap.fill(title, 48), x=0.02, ha="left", fontsize=12)
     return figure, axes
 
 
@@ -95,6 +108,9 @@ def nothing(title: str) -> Drawn:
 def legend(figure: Figure, handles: Sequence[Any], columns: int = 2) -> None:
     if any(len(str(handle.get_label())) > 38 for handle in handles):
         columns = 1
+    if figure.get_figwidth() < WIDTH:
+        longest = sorted(len(str(handle.get_label())) for handle in handles)[-2:]
+        columns = 2 if sum(longest) <= 44 else 1
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, columnspacing=1.5)
 
 

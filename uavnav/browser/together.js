@@ -1,0 +1,98 @@
+/*
+ * Recorded flights side by side on the same obstacles: startTogether(root, data) lets them play by themselves, set after
+ * set, and no faster than the screen. Where the reader asks for less motion, they wait for the button.
+ *
+ * `root` holds a figure with a canvas and an output for each drone, and a button. `data` is what `together` of
+ * uavnav/report/replays.py gives; drawing.js draws it.
+ */
+
+const TOGETHER_SPEED = 60; // [steps / s]
+const TRAIL = 160; // [steps] that a trail is long
+const STILL = 240; // [steps] where flights stand that do not play
+const REST = 1.5; // [s] after the last flight of a set
+
+class Together {
+  constructor(root, data) {
+    this.data = data;
+    this.root = root;
+    this.drones = [...root.querySelectorAll("figure")].map((figure, place) => ({
+      canvas: figure.querySelector("canvas"),
+      output: figure.querySelector("output"),
+      flights: data.drones[place].flights,
+      figure,
+    }));
+    this.button = root.querySelector("button");
+    this.playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.button.addEventListener("click", () => this.toggle());
+    new ResizeObserver(() => this.draw()).observe(root);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
+    this.recolour();
+    this.load(0);
+  }
+
+  recolour() {
+    for (const drone of this.drones) drone.colours = readColours(drone.figure);
+    this.draw();
+  }
+
+  /** Unpack the flights on a set of obstacles, and begin. */
+  async load(set) {
+    const flights = this.drones.map((drone) => drone.flights[set]);
+    const read = await Promise.all(flights.map((flight) => unpack(flight, this.data.fields)));
+    this.drones.forEach((drone, place) => Object.assign(drone, { flight: flights[place], read: read[place] }));
+    this.set = set;
+    this.last = Math.max(...flights.map(({ steps }) => steps));
+    this.step = this.playing ? 0 : Math.min(STILL, this.last);
+    this.mark();
+    this.draw();
+    if (this.playing) this.play();
+  }
+
+  toggle() {
+    this.playing = !this.playing;
+    this.mark();
+    if (this.playing) this.play();
+  }
+
+  mark() {
+    this.button.textContent = this.playing ? "Pause" : "Play";
+  }
+
+  play() {
+    let before = performance.now();
+    let due = this.step;
+    const turn = (this.turn = {}); // one loop at a time
+    const tick = (now) => {
+      if (!this.playing || turn !== this.turn) return;
+      due += Math.min(Math.max(0, now - before) / 1000, LONGEST_PAUSE) * TOGETHER_SPEED; // a tick may lie before the click
+      before = now;
+      if (due > this.last + REST * TOGETHER_SPEED) {
+        this.load((this.set + 1) % this.data.layouts.length);
+        return;
+      }
+      if (this.step < this.last) {
+        this.step = Math.min(Math.floor(due), this.last);
+        this.draw();
+      }
+      requestAnimationFrame(tick);
+    };
+    requestAnimationFrame(tick);
+  }
+
+  draw() {
+    if (this.step === undefined) return;
+    for (const { canvas, output, flight, read, colours } of this.drones) {
+      const step = Math.min(this.step, flight.steps);
+      const drone = { ...droneAt(this.data.world, read, step, TRAIL), crashed: crashedAt(flight, step) };
+      drawArena(canvas, { world: this.data.world, circles: this.data.layouts[this.set], drones: [drone], colours });
+      const reward = `reward ${fixed(read.reward(step), 1)}`;
+      output.textContent = drone.crashed ? `${reward}, crashed at step ${step}` : `${reward}, step ${step}`;
+    }
+  }
+}
+
+/** Bring the flights of a page's first screen to life. */
+function startTogether(root, data) {
+  root.hidden = false;
+  return new Together(root, data);
+}

@@ -12,6 +12,7 @@ from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError
 from uavnav.runs import read_settings, run_folders
+from uavnav.studies import search
 from uavnav.studies.run import evaluated, unflown
 from uavnav.study import main, parse
 from uavnav.tasks.layouts import judged_on
@@ -103,7 +104,10 @@ def test_the_study_files_of_the_package_hold_eight_cells_or_so_and_none_shares_a
 def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
     """But for the path of a bank, which the study makes."""
     results = ROOT / "results"
-    cells = {cell.out: cell for name in studies.names() for cell in studies.cells(studies.read(name), results)}
+    named = [studies.read(name) for name in studies.names()]
+    cells = {cell.out: cell for study in named for cell in studies.cells(study, results)}
+    for study in (study for study in named if study.tune):
+        cells |= {cell.out: cell for cell in search.winners(search.plan(study, results))}
     found, _ = run_folders(results)
     assert {*found} <= {*cells}
     for path in found:

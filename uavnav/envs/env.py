@@ -130,8 +130,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
 
     def _observe_starts(self) -> list[Tensor]:
-        """What is sensed first in an episode, by layout: [L, 30]; nothing where a part of that is random."""
-        if self.world.start_heading != "up" or self.task.n_draws:
+        """What is sensed first in an episode, faults aside, by layout: [L, 30]; nothing where headings are random."""
+        if self.world.start_heading != "up":
             return []
         layout = torch.arange(len(self.bank), device=self.device)
         sensed, _ = self.task.sense(self.task.place(layout, 0 * layout + UP))
@@ -214,7 +214,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         """
         kind = self.task.state_class
         state, (action, heading, bank, *others) = kind(*tensors[: len(kind._fields)]), tensors[len(kind._fields) :]
-        later, first = others if self.task.n_draws else (None, None)
+        later, first = others[-2:] if self.task.n_draws else (None, None)
         task = self.task.with_bank(bank)
         final, outcome = task.step(state, action, later)
         done = outcome.terminated | outcome.truncated

@@ -30,7 +30,7 @@ from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.world import World
 
 HERE = Path(__file__).parent
-PARTS = ("policies", "rules", "link", "race", "stage", "panel", "keys", "playground")
+PARTS = ("policies", "rules", "link", "race", "stage", "panel", "worlds", "keys", "playground")
 SCRIPTS = tuple(HERE / f"{name}.js" for name in PARTS)
 """After those of `uavnav.browser`, in the order in which a browser reads them."""
 SEEDS = 3

@@ -28,17 +28,8 @@ class Playground {
     if (!matchMedia("(prefers-reduced-motion: reduce)").matches && this.race.flying().length) this.start();
   }
 
-  /** The scene of a page that is opened without a link: a person, a policy of two algorithms, and the rule. */
   first() {
-    const tasks = this.data.policies.map(({ task }) => task);
-    const world = tasks.includes("drone") ? "drone" : tasks[0];
-    const policies = this.data.policies.filter(({ task }) => task === world);
-    const algorithms = [...new Set(policies.map(({ algorithm }) => algorithm))];
-    const first = algorithms.map((one) => policies.find(({ algorithm }) => algorithm === one).key);
-    const pilots = [YOU, first[0] ?? NOBODY, first[1] ?? NOBODY, RULE];
-    const settings = Object.entries(this.data.settings).map(([name, { first: value }]) => [name, value]);
-    const start = { world, set: this.data.set, k: this.data.k, circles: null, ...Object.fromEntries(settings) };
-    return { ...start, pilots, focus: 2, speed: 1, greedy: false, seed: 0 };
+    return firstScene(this.data);
   }
 
   get world() {
@@ -401,7 +392,7 @@ class Playground {
     find("k").value = race.circles.length;
     find("k").disabled = stage.drawing;
     say(find("k-now"), String(race.circles.length));
-    this.showWorld();
+    showWorld(this.data, race, find);
     find("draw").setAttribute("aria-pressed", String(stage.drawing));
     find("drawing").hidden = !stage.drawing;
     say(find("take"), drone.pilot === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
@@ -424,25 +415,6 @@ class Playground {
     const end = down ? "All are down." : "The race is over.";
     say(banner, over ? `${end} Again, or the next set?` : "Press Play, or Space.");
     this.panel.showSeats(race, this.focus);
-  }
-
-  /** The world's own controls, and who can fly there. */
-  showWorld() {
-    const { race, scene, find } = this;
-    const { settings, worlds } = this.data;
-    find("world").value = scene.world;
-    for (const [name, { worlds: where, unit }] of Object.entries(settings)) {
-      find(name).value = scene[name];
-      find(name).closest("label").hidden = where.length > 0 && !where.includes(scene.world);
-      say(find(`${name}-now`), `${short(scene[name])}${unit && ` ${unit}`}`);
-    }
-    find("k").closest("label").hidden = scene.world === "slalom";
-    const faults = Object.entries(settings).filter(([name, { worlds: where }]) => !where.length && scene[name] > 0);
-    say(find("faults-now"), faults.map(([name]) => `${name} ${short(scene[name])}`).join(", ") || "none");
-    for (const option of find("pilot").options) option.disabled = option.value !== NOBODY && !race.canFly(option.value);
-    const able = this.data.policies.some(({ key }) => race.canFly(key));
-    say(find("told"), `${worlds[scene.world].told}${able ? "" : " No network here has learned that: you and the rule fly."}`);
-    find("told").hidden = !find("told").textContent;
   }
 
   /** Words for those who do not see the arena: after a step, and when a drone crashes. */

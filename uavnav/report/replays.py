@@ -124,7 +124,8 @@ def together(recorded: dict[str, Any], cells: Mapping[str, str], rule: str) -> d
     recorded: as `record` gives it; cells: names to show by the cell's label, such as `PPO tanh`; rule: the rule's name.
     The flights, the longest ones together first, are without what belongs to a choice.
     """
-    of = {f"{cell['algorithm'].upper()} {cell['label']}": cell["flights"] for cell in recorded["cells"]}
+    there = [cell for cell in recorded["cells"] if "place" not in cell]  # in the paper's world
+    of = {f"{cell['algorithm'].upper()} {cell['label']}": cell["flights"] for cell in there}
     flown = {name: of[label] for label, name in cells.items() if label in of} | {rule: recorded["rule"]}
     firsts = {
         name: {one["layout"]: one for one in flights if one["seed"] == flights[0]["seed"]}

@@ -18,15 +18,21 @@ WARM_UP = 10
 
 
 def batched(
-    launched: float, batches: list[int], compiled: bool, seconds: float, meeting: str = "", copies: int = 1
+    launched: float,
+    batches: list[int],
+    compiled: bool,
+    seconds: float,
+    meeting: str = "",
+    copies: int = 1,
+    task: str = "drone",
 ) -> Result:
-    """Steps/s of DroneEnv by batch size, through the call that collectors make.
+    """Steps/s of DroneEnv in a task by batch size, through the call that collectors make.
 
     With a folder `meeting`, so many copies of this job measure each batch size at the same time.
     """
     found = {}
     for batch in batches:
-        step = _batched_step(batch, compiled)
+        step = _batched_step(batch, compiled, task)
         step()  # compiles
         if meeting:
             _meet(Path(meeting), str(batch), copies)
@@ -34,12 +40,12 @@ def batched(
     return found
 
 
-def _batched_step(batch: int, compiled: bool) -> Callable[[], None]:
+def _batched_step(batch: int, compiled: bool, task: str) -> Callable[[], None]:
     import torch
 
     from uavnav.envs.env import DroneEnv
 
-    env = DroneEnv([batch])
+    env = DroneEnv([batch], task=task)
     if compiled:
         env.compile()
     actions = itertools.cycle(torch.randint(100, (16, batch)).unbind(0))

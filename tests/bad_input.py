@@ -23,6 +23,7 @@ from uavnav.report import __main__ as reporting
 from uavnav.runs import POLICY, Run
 from uavnav.tasks import layouts
 from uavnav.training.recorder import Interrupted
+from uavnav.window import play as playing
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 PPO = {
@@ -222,6 +223,7 @@ MAINS = {
     "verify": verification.main,
     "render": rendering.main,
     "report": reporting.main,
+    "play": playing.main,
 }
 
 

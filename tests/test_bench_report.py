@@ -206,6 +206,16 @@ def test_a_table_aligns_its_first_columns_left_and_the_others_right():
     assert table(["a", "b", "c"], [["x", "y", "1"]], left=2) == ["| a | b | c |", "|---|---|--:|", "| x | y | 1 |"]
 
 
+def test_worlds_are_shares_of_the_papers_rate_and_memory():
+    found = Results()
+    for name, steps, peak in (("drone", 1e6, 0.5), ("noise=5.0", 7e5, 1.0)):
+        found.found[f"worlds/{name}"] = [[{"4096": steps, "peak": peak}]]
+    assert sections.write_worlds(found)[-2:] == [
+        "| drone | 1,000,000 | 1 | 0.5 | 1 |",
+        "| noise=5.0 | 700,000 | 0.7 | 1 | 2 |",
+    ]
+
+
 # -- growth -----------------------------------------------------------------------------------------------------------
 
 

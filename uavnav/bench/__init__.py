@@ -4,7 +4,7 @@ from pathlib import Path
 
 QUICK = ("world", "gymnasium", "training")
 BY_DEFAULT = (*QUICK, "stages", "compile", "memory", "fast")
-LONGER = ("growth", "parity")
+LONGER = ("worlds", "growth", "parity")
 """The sections that a quick run measures, those of a plain run, and those that only `--only` chooses."""
 
 OUT = Path("docs/benchmarks.md")

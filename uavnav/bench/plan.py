@@ -51,6 +51,36 @@ def world(quick: bool) -> list[Measurement]:
     return found
 
 
+WORLD_BATCH = 4096
+PAPER = "drone"
+"""What the other worlds are measured against."""
+WORLDS: dict[str, Result] = {
+    PAPER: {},
+    **{f"density-{k}": {"layouts": f"density-{k}/train"} for k in (0, 20)},
+    "slalom-100": {"layouts": "slalom-100/train"},
+    "a sensor of 160 px": {"world": {"sensor_radius": 160.0}},
+    "moving": {"task": "moving"},
+    "moving, velocities sensed": {"task": "moving", "world": {"sense_velocity": True}},
+    "goal": {"task": "goal"},
+    "space": {"task": "space"},
+    "space-moving": {"task": "space-moving"},
+    **{
+        f"{fault}={value}": {"faults": {fault: value}}
+        for fault, value in (("noise", 5.0), ("lost", 0.1), ("late", 2), ("sticky", 0.1))
+    },
+}
+"""Keywords of `DroneEnv` by name."""
+
+
+def worlds(quick: bool) -> list[Measurement]:
+    """Every world, one process of one thread."""
+    how: Result = {"batches": [WORLD_BATCH], "compiled": True, "seconds": 0.5 if quick else 2.0}
+    return [
+        Measurement(f"worlds/{name}", "worlds.batched", [how | {"settings": settings}], rounds=1 if quick else 3)
+        for name, settings in WORLDS.items()
+    ]
+
+
 def gymnasium(quick: bool) -> list[Measurement]:
     seconds = 0.5 if quick else 2.0
     found = [

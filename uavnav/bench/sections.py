@@ -265,6 +265,21 @@ def write_fast(results: Results) -> list[str]:
     return lines
 
 
+def write_worlds(results: Results) -> list[str]:
+    batch, usual = str(plan.WORLD_BATCH), f"worlds/{plan.PAPER}"
+    rows = []
+    for name in results.measured("worlds"):
+        rate, peak = results.median(name, batch), results.median(name, "peak")
+        shares = [ratio(results.values(name, key), results.values(usual, key)) for key in (batch, "peak")]
+        rows.append([name.split("/")[1], number(rate), number(shares[0]), number(peak), number(shares[1])])
+    return [
+        f"Steps/s of `DroneEnv`, compiled, {plan.WORLD_BATCH:,} rows in one process of one thread with random actions,"
+        " and the peak memory of the process with its compiler. Each also as a share of the paper's world, `drone`.",
+        "",
+        *table(["world", "steps/s", "times drone", "peak [GB]", "times drone"], rows),
+    ]
+
+
 # -- all of them ------------------------------------------------------------------------------------------------------
 
 
@@ -286,6 +301,7 @@ SECTIONS = {
     "compile": Section("Compilation", plan.compilation, write_compile),
     "memory": Section("Memory", plan.memory, write_memory),
     "fast": Section("Preset `fast`", plan.fast, write_fast),
+    "worlds": Section("More worlds", plan.worlds, write_worlds),
     "growth": Section("Growth", growth.plan, growth.section, growth.draw),
     "parity": Section(
         "Parity: is the learning the same?",

@@ -6,7 +6,7 @@ import functools
 import itertools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +24,15 @@ def batched(
     seconds: float,
     meeting: str = "",
     copies: int = 1,
-    task: str = "drone",
+    settings: Mapping[str, Any] | None = None,
 ) -> Result:
-    """Steps/s of DroneEnv in a task by batch size, through the call that collectors make.
+    """Steps/s of DroneEnv by batch size, through the call that collectors make; settings: its keywords.
 
     With a folder `meeting`, so many copies of this job measure each batch size at the same time.
     """
     found = {}
     for batch in batches:
-        step = _batched_step(batch, compiled, task)
+        step = _batched_step(batch, compiled, settings or {})
         step()  # compiles
         if meeting:
             _meet(Path(meeting), str(batch), copies)
@@ -40,12 +40,12 @@ def batched(
     return found
 
 
-def _batched_step(batch: int, compiled: bool, task: str) -> Callable[[], None]:
+def _batched_step(batch: int, compiled: bool, settings: Mapping[str, Any]) -> Callable[[], None]:
     import torch
 
     from uavnav.envs.env import DroneEnv
 
-    env = DroneEnv([batch], task=task)
+    env = DroneEnv([batch], **settings)
     if compiled:
         env.compile()
     actions = itertools.cycle(torch.randint(100, (16, batch)).unbind(0))

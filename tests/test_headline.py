@@ -8,13 +8,39 @@ import pandas as pd
 import pytest
 
 from uavnav import stats
-from uavnav.report import charts, curves, headline, style
+from uavnav.report import charts, curves, findings, headline, style
 from uavnav.report.cells import EMPTY, Cell
+from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.studies import Studies
 from uavnav.runs.metrics import EPISODE_COLUMNS
 
 KEY = ("dqn", "sigmoid")
 NONE = Studies({}, {}, {}, {}, {}, {}, {}, [])
+
+
+def test_the_headline_names_ppo_dqn_and_the_rule_where_intervals_do_and_is_else_the_first_finding():
+    columns = ["who", "algorithm", "mode", "cap", "n", "up", "reward", "low", "high", "gap", "gap_low", "gap_high"]
+    row = ["PPO tanh", "ppo", "sampled", 10_000, 20, 0.3, 200.0, 150.0, 250.0, -228.0, -278.0, -178.0]
+    claim = CLAIMS[0]
+    part = {
+        "reading": PRIMARY,
+        "claim": 1,
+        "text": claim.parts[claim.said.part].text,
+        "n": 20,
+        "grade_of_claim": "open",
+    }
+    numbers = {"gaps": pd.DataFrame([row], columns=columns)}
+    for low, start in (
+        (0.1, "PPO beats DQN, as the paper says, but a hand-written rule"),
+        (-0.1, "A hand-written rule"),
+    ):
+        numbers["verdicts"] = pd.DataFrame([{**part, "value": 0.2, "low": low, "high": 0.3}])
+        said = findings.headline(numbers)
+        assert str(said).startswith(start)
+        assert said.number == "228 (178 to 278)"
+        assert (said.table, said.row) == ("gaps", 0)
+    numbers = {"gaps": numbers["gaps"][:0], "verdicts": numbers["verdicts"][:0]}
+    assert str(findings.headline(numbers)).startswith("DQN against PPO")
 
 
 def flights(*rows):

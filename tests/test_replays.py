@@ -18,7 +18,7 @@ from uavnav.networks import mlp
 from uavnav.policies import load_policy
 from uavnav.report import replays, studies
 from uavnav.report.cells import collect
-from uavnav.report.replays import record
+from uavnav.report.replays import paths, record, together
 from uavnav.runs import POLICY
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
@@ -298,3 +298,33 @@ def test_a_report_records_cells_of_other_worlds_beside_the_papers(tmp_path):
 def test_counts_that_make_no_sense_are_refused(counts):
     with pytest.raises(ValueError, match="give whole numbers from 1, and at most 1000 layouts"):
         record([], **counts)
+
+
+def test_flights_side_by_side_are_the_first_seeds_and_the_rules_poses_on_the_same_obstacles(run, data):
+    (cell,) = data["cells"]
+    label = f"{cell['algorithm'].upper()} {cell['label']}"
+    shown = together(data, {label: "mine", "PPO nobody": "nobody"}, "rule")
+    assert [drone["name"] for drone in shown["drones"]] == ["mine", "rule"]
+    assert [len(drone["flights"]) for drone in shown["drones"]] == [3, 3]
+    order = [flight["layout"] for flight in shown["drones"][0]["flights"]]
+    assert order == [flight["layout"] for flight in shown["drones"][1]["flights"]]
+    assert shown["layouts"] == [data["layouts"][at] for at in order]
+    lengths = [sum(drone["flights"][at]["steps"] for drone in shown["drones"]) for at in range(3)]
+    assert lengths == sorted(lengths, reverse=True)
+    for drone, flights in zip(shown["drones"], (cell["flights"], data["rule"]), strict=True):
+        for flight in drone["flights"]:
+            (whole,) = [one for one in flights if (one["seed"], one["layout"]) == (flight["seed"], flight["layout"])]
+            kept, before = unpack(flight, shown["fields"]), unpack(whole, data["fields"])
+            assert "action" not in kept
+            assert all((kept[name] == before[name]).all() for name in kept)
+            assert len(flight["bytes"]) < len(whole["bytes"])
+        path = paths(shown, 5)[drone["name"]]
+        first = unpack(drone["flights"][0], shown["fields"])
+        assert path == pytest.approx(np.hstack([first["x"], first["y"]])[:6])
+
+
+def test_the_rule_flies_as_baselines_say_it_does(data):
+    for flight in data["rule"]:
+        found = unpack(flight, data["fields"])
+        assert set(found["action"][:, 0]) <= {STRAIGHT, 50}
+        assert (flight["ended"], flight["steps"]) == ("cut off", MAX_STEPS)

@@ -85,6 +85,28 @@ def test_the_playground_of_the_committed_runs_is_a_page_and_two_pages_lead_to_it
         assert re.search(r'<a href="?fly\.html"?>Fly it here</a>', site[name]), name
 
 
+def test_the_front_page_is_the_reports_first_screen_and_its_number_leads_to_the_row(site):
+    report = (ROOT / "results" / "report.html").read_text()
+    screen = report.partition("<!-- first -->")[2].partition("<!-- end of first -->")[0]
+    sentence = re.search(r"<h1>(.*?)<a ", screen)[1]
+    assert sentence in site["index.html"]
+    assert site["index.html"].count("<canvas") == screen.count("<canvas") == 3
+    assert 'startTogether(document.getElementById("together")' in site["index.html"]
+    assert re.search(r'href="?report/tables/gaps\.csv#L\d+', site["index.html"])
+    assert site["report/report.html"] == report
+    assert re.search(r'href="?report/report\.html"?>the report as one page', site["results.html"])
+    assert len(re.findall(r'src="?report/figures/', site["results.html"])) == 2
+
+
+def test_every_page_tells_whom_it_is_sent_to_what_it_is(site):
+    for name, page in site.items():
+        if name not in ("fly.html", "404.html"):
+            told = dict(re.findall(r'<meta (?:property|name)="((?:og|twitter):\w+)" content="([^"]+)"', page))
+            assert {*told} >= {"og:title", "og:description", "og:image", "twitter:card"}, name
+            assert told["og:image"].endswith("preview.png")
+    assert (ROOT / "results" / "preview.png").read_bytes()[16:24] == bytes.fromhex("000004b000000276")  # 1200 x 630
+
+
 def test_no_page_loads_anything_from_the_network(site):
     for name, page in site.items():
         loaded = re.findall(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"?([^\s\">]+)", page)

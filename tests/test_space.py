@@ -31,6 +31,7 @@ from uavnav.tasks.rewards import bounds_of_returns
 from uavnav.tasks.simulator import Space, make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
 from uavnav.training import probes
+from uavnav.window import play
 
 SENSED = {"sense_velocity": True}
 SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]
@@ -569,6 +570,12 @@ def test_a_film_of_a_flight_in_3d_has_both_views_and_a_trail_in_each():
     left, right = np.hsplit(np.abs(film[0].astype(int) - film[-1]).sum(-1) > 0, [160])
     assert left.any()
     assert right.any()
+
+
+def test_the_window_says_in_one_line_that_render_shows_a_world_in_3d(capsys):
+    assert play.main(["reactive", "--task", "space"]) == 2
+    told = "reactive: the window shows no world in 3D; uavnav render draws it from above and from the side"
+    assert capsys.readouterr().err == f"uavnav play: {told}\n"
 
 
 def _always(observation, generator=None, action=0):

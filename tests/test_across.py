@@ -1,5 +1,6 @@
 """Policies across ladders: what is flown, what is judged, what is kept and drawn."""
 
+import functools
 import json
 
 import numpy as np
@@ -10,6 +11,7 @@ from uavnav import across
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
 from uavnav.runs import Run
+from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.protocol import GROUPS, LADDER_NAMES
@@ -65,6 +67,18 @@ def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
     assert flown[0.0] == 28 * 9  # 250 px from the start to where the drone touches the border
     assert flown[20.0] < flown[8.0] < flown[0.0]
     assert len(rows) == 11 * 10
+
+
+def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_refused(tmp_path):
+    config = ppo.PPOConfig(task="space", hidden=(4,), total_frames=64, frames_per_batch=64, epochs=1, compile="off")
+    run = ppo.train(config, out=tmp_path / "run", quiet=True)
+    told = []
+    fly = functools.partial(across.across, {"mine": run}, episodes=1, max_steps=2, out=tmp_path, quiet=True)
+    fly(["density", "sticky"], tell=told.append)
+    assert told == ["left out: the ladder density, which the world of mine does not have"]
+    assert [path.name for path in tmp_path.glob("*.svg")] == ["across-sticky-1-2.svg"]
+    with pytest.raises(RunError, match="--across density: no ladder of these worlds; give some of noise, lost"):
+        fly(["density"], tell=told.append)
 
 
 def test_the_first_rung_of_noise_is_the_evaluation_itself():

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,10 +24,11 @@ from uavnav.policies import Policy
 from uavnav.report import style
 from uavnav.runs import Run, metrics
 from uavnav.runs.metrics import MODES
-from uavnav.runs.tables import lock, write_table
+from uavnav.runs.tables import RunError, lock, write_table
+from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.ladders import LADDERS, Ladder
-from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
+from uavnav.tasks.protocol import ACROSS_STEPS, OF_FAULTS, SPLITS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
 
@@ -166,6 +167,12 @@ def _number(value: float) -> str:
     return style.number(round(value, 9)) if np.isfinite(value) else "–"
 
 
+def _has(one: Flyer, ladder: Ladder) -> bool:
+    """Whether the world of a policy has a ladder; a script has whatever it is given."""
+    first = next(iter(next(iter(one.by_mode.values())).values()))
+    return not ladder.of or not isinstance(first, Policy) or banks.kind_of(first.world) in ladder.of
+
+
 def across(
     found: Mapping[str, Run | Mapping[str, AnyPolicy]],
     names: Sequence[str],
@@ -173,29 +180,40 @@ def across(
     max_steps: int,
     out: Path | None,
     quiet: bool,
+    tell: Callable[[str], object] = print,
 ) -> list[dict[str, Any]]:
     """Fly all that is named, and the scripted baselines, across ladders; keep rows and a figure.
 
-    Scripts fly what the first policy was trained in. The rows of a run lie in its folder, figures in `out` or else in
+    Scripts fly what the first policy was trained in. A ladder that the world of some policy does not have is left out,
+    and `tell` is told so. The rows of a run lie in its folder, figures in `out` or else in
     the first run's folder.
 
     Returns:
         What the tables show, for JSON.
 
     Raises:
-        LayoutError, PolicyError, RunError: a bank or a policy cannot be read, or a file not be written.
+        LayoutError, PolicyError: a bank or a policy cannot be read.
+        RunError: a file cannot be written, or no ladder is left.
         ValueError: a count below 1, or more sets than a bank has.
     """
     if not 1 <= episodes <= SPLITS["test"].n or max_steps < 1:
         most = SPLITS["test"].n
         raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
     flyers = [flyer(name, one) for name, one in found.items()]
+    climbed = []
+    for name in names:
+        unfit = [one.name for one in flyers if not _has(one, LADDERS[name])]
+        climbed += [] if unfit else [name]
+        if unfit:
+            tell(f"left out: the ladder {name}, which the world of {', '.join(unfit)} does not have")
+    if not climbed:
+        raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {', '.join(OF_FAULTS)}")
     flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
     learned = (one for flown in flyers for one in next(iter(flown.by_mode.values())).values())
     theirs = next((replace(one.task, stack=1) for one in learned if isinstance(one, Policy)), None)
     folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
     records: list[dict[str, Any]] = []
-    for name in names:
+    for name in climbed:
         rows, kept = {}, rows_across(name, episodes, max_steps)
         stem = Path(kept).stem
         for one in flyers:

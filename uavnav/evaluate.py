@@ -298,12 +298,12 @@ def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPoli
         raise ValueError(f"--faults {given}: ladders and worlds of training have their own; leave it out")
     cap = ACROSS_STEPS if arguments.max_steps is None else arguments.max_steps
     quiet = arguments.quiet or arguments.json
+    tell = functools.partial(print, file=sys.stderr)
     if arguments.transfer:
-        tell = functools.partial(print, file=sys.stderr)
         records = transfer(found, arguments.episodes, cap, arguments.out, quiet, tell)
     else:
         names = [one for word in arguments.across for one in GROUPS.get(word, (word,))]
-        records = across(found, list(dict.fromkeys(names)), arguments.episodes, cap, arguments.out, quiet)
+        records = across(found, list(dict.fromkeys(names)), arguments.episodes, cap, arguments.out, quiet, tell)
     if arguments.json:
         print(json.dumps(records, indent=2))
     return 0

@@ -29,7 +29,7 @@ from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import AnyPolicy, suited
 from uavnav.tasks.ladders import Measure, measure_of, reached
-from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
+from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
 from uavnav.training import display, machine
 
 FLOWN = "flown_in"
@@ -66,7 +66,7 @@ def place(run: Run, episodes: int, max_steps: int) -> Place:
 
 def named(task: Task, layouts: str) -> str:
     """A world in words: its task or the rung of its bank, and what else is not as usual."""
-    name = next(name for name, kind in TASKS.items() if kind is type(task))
+    name = name_of(task)
     bank = banks.name_of(layouts).removesuffix("-test")
     usual = asdict(type(task).WORLD())
     own = [f"{key}={value}" for key, value in asdict(task.world).items() if value != usual[key]]

@@ -27,6 +27,7 @@ from uavnav.runs.metrics import METRICS
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import DEFAULT_K
+from uavnav.tasks.simulator import name_of
 from uavnav.tasks.world import World
 
 HERE = Path(__file__).parent
@@ -127,7 +128,7 @@ def _load(path: Path, n_seeds: int) -> Iterator[Policy]:
         policy = policies.load_policy(path, seed)
         shown = ALGORITHMS[policy.algorithm].shown
         for what, value, choices in (
-            ("task", _task(policy), ("drone", "moving", "goal")),
+            ("task", name_of(policy.task), ("drone", "moving", "goal")),
             ("activation", _activation(policy), networks.KNOWN),
             ("head", policy.head, ("direct",)),
             ("way to act", policy.acts, ("categorical", "epsilon-greedy")),
@@ -141,11 +142,6 @@ def _load(path: Path, n_seeds: int) -> Iterator[Policy]:
         if replace(policy.world, **same) != usual:  # the page has obstacles of any speed
             raise PolicyError(f"{path}: trained in another world than the page's, which has every default")
         yield policy
-
-
-def _task(policy: Policy) -> str:
-    """The name of the task that it was trained in."""
-    return str(policy.task.header()["task"])
 
 
 def _order(policy: Policy) -> tuple[int, int]:
@@ -171,13 +167,13 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
     how = "samples its actions"
     if policy.acts == "epsilon-greedy":
         how = f"a random action in {100 * policy.epsilon:g} % of its steps, else the best"
-    place = "" if _task(policy) == "drone" else f" with {WORLDS[_task(policy)]['title']}"
+    place = "" if name_of(policy.task) == "drone" else f" with {WORLDS[name_of(policy.task)]['title']}"
     words = [*where.split("/"), policy.algorithm, activation, str(policy.seed)] if where else []
     return {
         "key": "-".join(words or [policy.algorithm, activation, str(policy.seed)]),
         "title": f"{title}{place}" + (f" ({where})" if where else ""),
         "told": f"{frames:,} frames of training{place}; {how}.",
-        "task": _task(policy),
+        "task": name_of(policy.task),
         "algorithm": policy.algorithm,
         "activation": activation,
         "acts": policy.acts,

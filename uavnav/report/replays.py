@@ -31,7 +31,7 @@ from uavnav.tasks import layouts
 from uavnav.tasks.baselines import AnyPolicy, reactive
 from uavnav.tasks.dynamics import decode
 from uavnav.tasks.faults import NO_FAULTS
-from uavnav.tasks.simulator import Goal, Task
+from uavnav.tasks.simulator import Goal, Task, name_of
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 from uavnav.training import machine
@@ -170,7 +170,7 @@ def _load(cell: Cell, n_seeds: int) -> tuple[dict[int, Policy], list[str]]:
         except PolicyError as error:
             problems.append(one_line(error))
             continue
-        task = policy.task.header()["task"]
+        task = name_of(policy.task)
         if task in browser.TITLES:
             population[seed] = policy
         else:
@@ -185,7 +185,7 @@ def _bank(task: Task) -> Tensor:
 
 def _place(task: Task, n_layouts: int) -> dict[str, Any]:
     """Where flights were flown, if not in the paper's world as it is: `place`, what the player draws and calls it."""
-    name = task.header()["task"]
+    name = name_of(task)
     faults, stack = task.faults != NO_FAULTS, task.stack > 1
     found = {browser.TITLES[name]: name != "drone", str(task.faults): faults, f"stack={task.stack}": stack}
     words = [word for word, is_so in found.items() if is_so]

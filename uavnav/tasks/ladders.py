@@ -28,6 +28,7 @@ class Ladder(NamedTuple):
     rungs: tuple[float, ...]
     task: Callable[[Task, float, str], Task]  # of a policy, rung, split -> what it flies there
     measure: Measure | None = None
+    of: tuple[str, ...] = ()  # kinds of banks whose worlds have it (`layouts.kind_of`); by default all
 
 
 def density(task: Task, rung: float, split: str = "test") -> Task:
@@ -74,11 +75,11 @@ def fault(name: str) -> Callable[[Task, float, str], Task]:
 
 
 LADDERS = {
-    "density": Ladder("obstacles a set", tuple(range(0, 21, 2)), density),
-    "slalom": Ladder("gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), gaps, slalom.passages),
+    "density": Ladder("obstacles a set", tuple(range(0, 21, 2)), density, of=("drone",)),
+    "slalom": Ladder("gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), gaps, slalom.passages, ("drone",)),
     "arc": Ladder("sensor's arc [degrees]", (60, 90, 120, 180), arc),
     "reach": Ladder("sensor's radius [px]", (60, 90, 120, 160), reach),
-    "speed": Ladder("greatest speed of an obstacle [px a step]", (0, 1, 2, 3, 4, 6), speed),
+    "speed": Ladder("greatest speed of an obstacle [px a step]", (0, 1, 2, 3, 4, 6), speed, of=("drone", "moving")),
     "noise": Ladder("noise σ of the sensed distance [px]", faults.RUNGS["noise"], fault("noise")),
     "lost": Ladder("probability of an echo to be lost", faults.RUNGS["lost"], fault("lost")),
     "late": Ladder("delay of observations [steps]", faults.RUNGS["late"], fault("late")),

@@ -1,0 +1,294 @@
+"""A task: where flights start, what is sensed, how an action moves the drone, what a step earns and ends.
+
+A `Task` holds no state. Its functions are pure and work on a batch of independent rows; the shells around them (TorchRL
+in `env`, Gymnasium in `gym`, flights, pictures) ask it and do not know which world it is. Nothing here knows of
+TensorDicts, specs or agents. Letters: B the batch shape (any, also none), L layouts of a bank, K obstacles of a layout.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Self
+
+import torch
+from torch import Tensor
+
+from uavnav.choices import did_you_mean
+from uavnav.tasks import layouts as banks
+from uavnav.tasks import memory
+from uavnav.tasks.dynamics import decode, move
+from uavnav.tasks.faults import NO_FAULTS, Faults
+from uavnav.tasks.rewards import REWARDS, Step, Terms
+from uavnav.tasks.sensing import Echoes, at_reach, sense
+from uavnav.tasks.state import COUNTS, State
+from uavnav.tasks.world import World
+
+
+class Outcome(NamedTuple):
+    """What a step led to."""
+
+    observation: Tensor  # [*B, observation_size] float32 that a policy sees, at the collision where there was one
+    clearance: Tensor  # [*B] px
+    reward: Tensor  # [*B] float64
+    terminated: Tensor  # [*B] bool: a collision
+    truncated: Tensor  # [*B] bool: the cap on steps, and no collision
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """The paper's task: a drone among circles in a window, whose observation is eq. (13).
+
+    Another world is another class: a subclass that says what is different, and a line of `TASKS`.
+
+    Raises:
+        ValueError: an unknown reward, or a cap that is no whole number from 1.
+        LayoutError: the bank is not valid for the world.
+    """
+
+    WORLD: ClassVar[type[World]] = World
+    """What is physical about it; every field can be set in a run."""
+
+    REWARD: ClassVar[str] = "eq14"
+    """What a step earns where nothing else is chosen."""
+
+    MAX_STEPS: ClassVar[int | None] = None
+    """The cap where none is given."""
+
+    STATIC: ClassVar[bool] = True
+    """Nothing moves but the drone, and nothing is random: from the same place the same actions lead the same way."""
+
+    STATE: ClassVar[type[State]] = State
+    """What a drone is at one moment, aside from what it remembers."""
+
+    world: World
+    bank: Tensor  # [L, K, 3] of (x, y, radius) px
+    reward: str = "eq14"  # a name of `REWARDS`
+    max_steps: int | None = None  # a cap on steps, or none as in the paper
+    stack: int = 1  # newest observations that a policy sees at once, the newest first
+    faults: Faults = NO_FAULTS
+    trained_reach: float | None = None  # [px] where a proximity is 1, of a policy trained with another sensor's radius
+
+    def __post_init__(self) -> None:
+        if self.reward not in REWARDS:
+            hint = did_you_mean(self.reward, REWARDS)
+            raise ValueError(f"reward={self.reward!r}; choose from {', '.join(REWARDS)}{hint}")
+        if self.max_steps is not None and (not isinstance(self.max_steps, int) or self.max_steps < 1):
+            raise ValueError(f"max_steps={self.max_steps}; choose None or a whole number from 1")
+        if not isinstance(self.stack, int) or self.stack < 1:
+            raise ValueError(f"stack={self.stack}; give a whole number from 1")
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers that a policy sees: those of the world, for each observation of the stack."""
+        return self.stack * self.world.observation_size
+
+    @property
+    def remembers(self) -> bool:
+        """Whether states remember observations: of a stack, or as faults had them sensed."""
+        return self.stack > 1 or self.faults != NO_FAULTS
+
+    @property
+    def state_class(self) -> type[State]:
+        """That of its states, with what a drone remembers."""
+        return memory.remembering(self.STATE) if self.remembers else self.STATE  # type: ignore[arg-type]
+
+    # -- random numbers: tensors that come in ------------------------------------------------------------------------
+
+    @property
+    def n_draws(self) -> int:
+        """Random numbers that a row needs to start, and for each step; mostly none."""
+        return sum(self.faults.sizes(self.world.n_slots))
+
+    def draw(self, rows: int, generator: torch.Generator) -> Tensor:
+        """The random numbers of one step, or of one start, of so many rows: [rows, n_draws] float32."""
+        normal, *uniform = self.faults.sizes(self.world.n_slots)
+        drawn = torch.randn(rows, normal, generator=generator), torch.rand(rows, sum(uniform), generator=generator)
+        return torch.cat(drawn, -1)
+
+    def _check_draws(self, draws: Tensor | None) -> None:
+        if draws is None and self.n_draws:
+            raise ValueError(f"faults={self.faults}: give draws, which the task's `draw` makes for its rows")
+
+    # -- what happens ------------------------------------------------------------------------------------------------
+
+    def start(self, layout: Tensor, heading: Tensor, draws: Tensor | None = None) -> State:
+        """The state at the beginning of an episode.
+
+        layout [*B] index, heading [*B] whole degrees, draws [*B, n_draws] where the task needs some.
+        """
+        self._check_draws(draws)
+        return self.remember(self.place(layout, heading), draws)
+
+    def place(self, layout: Tensor, heading: Tensor) -> State:
+        """Where an episode begins, without what is sensed there: layout [*B] index, heading [*B] whole degrees."""
+        x, y = (torch.full_like(layout, place, dtype=torch.float32) for place in self.world.start[:2])
+        counts = {name: torch.zeros_like(layout) for name in COUNTS[:-1]}
+        return State(x, y, heading, layout, **counts, reward=torch.zeros_like(layout, dtype=torch.float64))
+
+    def remember(self, state: State, draws: Tensor | None = None, sensed: Tensor | None = None) -> State:
+        """The same state as if the episode began there: where this task remembers, the one observation of now.
+
+        draws [*B, n_draws] disturb what is sensed, if they are given; sensed [*B, n] says what it is without them.
+        """
+        bare = memory.forget(state, self.STATE)
+        if not self.remembers:
+            return bare
+        if sensed is None:
+            sensed, _ = self.sense(bare, draws if self.trained_reach else None)
+        if draws is not None and (self.faults.noise or self.faults.lost) and not self.trained_reach:
+            sensed = self.disturb(sensed, draws)
+        return memory.begin(bare, sensed, self.faults.late + self.stack)
+
+    def obstacles(self, state: State) -> Tensor:
+        """Where the obstacles of each row are now: [*B, K, 3] px."""
+        return self.bank[state.layout]
+
+    def velocities(self, state: State) -> Tensor:
+        """Where the obstacles of each row move: [*B, K, 2] px a step, in 3D [*B, K, 3]."""
+        return torch.zeros_like(self.obstacles(state)[..., :-1])
+
+    def info(self, state: State) -> dict[str, Tensor]:
+        """What an environment tells of each row beside its observation: names and values [*B]."""
+        return {"layout": state.layout, "x": state.x, "y": state.y, "heading": state.heading}
+
+    def sense(self, state: State, draws: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """What is sensed now, as one vector a row: [*B, world.observation_size], and clearance [*B] px.
+
+        draws [*B, n_draws] disturb it as `faults` says; without them it is as it is.
+        """
+        slots, clearance = self.look(state, self.obstacles(state), None, self.echoes(draws))
+        return slots.flatten(-2), clearance
+
+    def look(
+        self, state: State, obstacles: Tensor, velocities: Tensor | None, echoes: Echoes | None
+    ) -> tuple[Tensor, Tensor]:
+        """The slots [*B, S, n] that are sensed of obstacles, and clearance [*B] px; see `sensing.sense`."""
+        return sense(state.x, state.y, state.heading, obstacles, self.world, velocities, echoes)
+
+    def echoes(self, draws: Tensor | None) -> Echoes | None:
+        """What faults, and a policy's other reach, make of the echoes of slots, if anything: draws [*B, n_draws]."""
+        found: Echoes | None = None
+        if draws is not None and (self.faults.noise or self.faults.lost):
+            found = functools.partial(self.faults.echoes, draws=draws)
+        return found if self.trained_reach is None else at_reach(self.trained_reach, self.world, found)
+
+    def disturb(self, sensed: Tensor, draws: Tensor) -> Tensor:
+        """What faults make of a first observation [*B, n], by draws [*B, n_draws]: as if its echoes had been disturbed.
+
+        No drone begins beside an obstacle: what fills a slot has a direction, and its proximity tells its distance.
+        """
+        world, place = self.world, self.world.proximity_place
+        near, span = world.drone_radius, world.sensor_radius - world.drone_radius
+        width = len(world.slot_low)
+        slots = sensed[..., : world.n_slots * width].reshape(*sensed.shape[:-1], world.n_slots, width)
+        filled = (slots[..., :place] != 0).any(-1)
+        distance = near + slots[..., place] * span
+        distance, kept = self.faults.echoes(distance.movedim(-1, 0), filled.movedim(-1, 0), draws)
+        proximity = ((distance.movedim(0, -1) - near) / span).clamp(0, 1)
+        found = torch.cat([slots[..., :place], proximity[..., None], slots[..., place + 1 :]], -1)
+        padding = torch.zeros_like(found)
+        padding[..., place] = 1.0 if world.padding == "far" else 0.0
+        slots = torch.where(kept.movedim(0, -1)[..., None], found, padding)
+        return torch.cat([slots.flatten(-2), sensed[..., world.n_slots * width :]], -1)
+
+    def observe(self, state: State) -> tuple[Tensor, Tensor]:
+        """What a policy sees, as one vector a row: observation [*B, observation_size], clearance [*B] px.
+
+        A drone that remembers does not sense again: it sees what its state holds.
+        """
+        sensed, clearance = self.sense(state)
+        return self.recall(state) if self.remembers else sensed, clearance
+
+    def recall(self, state: State) -> Tensor:
+        """The stack of observations that a policy sees, late as `faults` says: [*B, observation_size]."""
+        return memory.recall(state, self.faults.late, self.stack)
+
+    def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
+        """Turn, then fly: where the drone is after action [*B], angle [*B] degrees, distance [*B] px."""
+        angle, distance = decode(action, self.world)
+        x, y, heading = move(state.x, state.y, state.heading, angle, distance)
+        return state._replace(x=x, y=y, heading=heading), angle, distance
+
+    def step(self, state: State, action: Tensor, draws: Tensor | None = None) -> tuple[State, Outcome]:
+        """Move, sense, then judge: one step of every row.
+
+        action [*B] int64 in 0..n_actions - 1, draws [*B, n_draws] where the task needs some. A collision is
+        `terminated`; the cap on steps, where there is one, is `truncated` and never also a collision.
+
+        Raises:
+            ValueError: the task has faults that need random numbers, and there are none.
+        """
+        self._check_draws(draws)
+        if draws is not None and self.faults.sticky:
+            action = self.faults.executed(action, memory.executed_of(state), state.steps, draws)
+        moved, angle, distance = self.move(state, action)
+        observation, clearance = self.sense(moved, draws)
+        if self.remembers:
+            moved = memory.add(moved, observation, action)
+            observation = self.recall(moved)
+        collided = clearance <= self.world.drone_radius
+        stopped, turned = distance == 0, angle != 0
+        after = moved._replace(
+            steps=state.steps + 1,
+            stops=state.stops + stopped,
+            full_stops=state.full_stops + (stopped & ~turned),
+            turns=state.turns + turned,
+            distance=state.distance + distance,
+        )
+        seen = Step(state, after, action, angle, distance, collided, clearance, observation, self.world)
+        over, terms = self.judge(seen)
+        earned = torch.stack(list(terms.values())).sum(0)
+        capped = torch.zeros_like(collided) if self.max_steps is None else after.steps >= self.max_steps
+        outcome = Outcome(observation, clearance, earned, over, capped & ~over)
+        return after._replace(reward=state.reward + earned), outcome
+
+    def judge(self, step: Step) -> tuple[Tensor, Terms]:
+        """Whether each row's episode is over [*B] bool, the cap aside; and what the step earns, by name [*B]."""
+        return step.collided, REWARDS[self.reward](step)
+
+    def marks(self, state: State) -> Tensor:
+        """What is drawn of each row and not sensed: [*B, marks, 3] of (x, y, radius) px."""
+        return self.bank.new_zeros(*state.layout.shape, 0, 3)
+
+    def measure(self, before: State, after: State) -> dict[str, Tensor]:
+        """What an evaluation counts of each step, beside `COUNTS`: names and numbers [*B], added up over a flight."""
+        return {}
+
+    def with_bank(self, bank: Tensor) -> Self:
+        """The same task on a bank that is known to be valid."""
+        return replace(self, bank=bank)
+
+    def on(self, layouts: str | Path | Tensor, max_steps: int | None) -> Self:
+        """The same task on another bank, with another cap.
+
+        Raises:
+            LayoutError, ValueError: the bank or the cap is not right.
+        """
+        return replace(self, bank=banks.resolve(layouts, self.world), max_steps=max_steps)
+
+    def header(self) -> dict[str, Any]:
+        """All of it, as the header of a policy's file holds it; of the bank its SHA-256.
+
+        Raises:
+            ValueError: its class has no name in `TASKS`.
+        """
+        own = {"task": name_of(self), "world": asdict(self.world), "reward": self.reward, "max_steps": self.max_steps}
+        return own | {"stack": self.stack, "faults": asdict(self.faults), "bank": banks.checksum(self.bank)}
+
+
+TASKS: dict[str, type[Task]] = {"drone": Task}
+"""Every world by its name; `uavnav.tasks.simulator` adds the package's further ones, and a plugin its own."""
+
+
+def name_of(task: Task) -> str:
+    """The name of a task's world.
+
+    Raises:
+        ValueError: its class has none.
+    """
+    for name, kind in TASKS.items():
+        if kind is type(task):
+            return name
+    raise ValueError(f"{type(task).__name__}: has no name; give it one in TASKS, as TASKS['mine'] = Mine")

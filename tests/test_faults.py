@@ -449,17 +449,3 @@ def test_each_rung_of_a_ladder_changes_one_fault_and_the_first_is_none(name):
     assert {(type(one), one.world, one.stack) for one in climbed} == {(Task, task.world, 2)}
     both = rung(rung(task, "noise", 5), name, RUNGS[name][-1])
     assert both.faults == dataclasses.replace(Faults(noise=5), **{name: RUNGS[name][-1]})
-
-
-@pytest.mark.parametrize("name", ["drone", "moving", "goal", "space", "space-moving"])
-@pytest.mark.parametrize("padding", ["far", "zeros"])
-def test_a_disturbed_first_observation_is_what_disturbed_echoes_give(name, padding):
-    fields = {"padding": padding} | ({"sense_velocity": True} if "moving" in name else {})
-    task = make_task("validation", fields, task=name, faults={"noise": 20.0, "lost": 0.3, "sticky": 0.1})
-    task = task.with_bank(task.bank[:300])
-    draws = task.draw(300, torch.Generator().manual_seed(2))
-    state = task.place(torch.arange(300), torch.full((300,), 90))
-    echoes, _ = task.sense(state, draws)
-    plain, _ = task.sense(state)
-    assert (echoes != plain).any(-1).sum() > 50
-    torch.testing.assert_close(task.disturb(plain, draws), echoes, atol=1e-5, rtol=0)

@@ -130,8 +130,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
 
     def _observe_starts(self) -> list[Tensor]:
-        """What is sensed first in an episode, faults aside, by layout: [L, 30]; nothing where headings are random."""
-        if self.world.start_heading != "up":
+        """What is sensed first in an episode, by layout: [L, 30]; nothing where a part of that is random."""
+        if self.world.start_heading != "up" or self.task.faults.disturbs:
             return []
         layout = torch.arange(len(self.bank), device=self.device)
         sensed, _ = self.task.sense(self.task.place(layout, 0 * layout + UP))

@@ -144,7 +144,7 @@ def read(path: Path) -> Cell:
     return Cell(
         run.algorithm,
         run.config["activation"],
-        _settings(run),
+        settings_of(run),
         [run],
         _checked(run, "episodes", run.episodes),
         EMPTY if evaluation is None else _checked(run, "evaluation", evaluation),
@@ -161,7 +161,7 @@ def _protocol(run: Run, rows: pd.DataFrame) -> str:
     return read + (f"; not read: {', '.join(others)}" if others else "")
 
 
-def _settings(run: Run) -> dict[str, Any]:
+def settings_of(run: Run) -> dict[str, Any]:
     """All that a run's episodes depend on, except algorithm, activation and seeds.
 
     A field of the world is `world.<field>`; whatever a run of the task `drone` does not name is a default of `World`. A

@@ -18,9 +18,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from uavnav import across, stats
-from uavnav.evaluate import EPISODES, fly, rows_across
+from uavnav.evaluate import EPISODES, files_of, fly, rows_across
 from uavnav.report import conclusions, style, tables
-from uavnav.report.cells import of_worlds, order
+from uavnav.report.cells import of_worlds, order, settings_of
 from uavnav.report.discussion import (
     ALL,
     CELLS,
@@ -36,9 +36,10 @@ from uavnav.report.discussion import (
 from uavnav.report.operating import characteristics
 from uavnav.report.verdicts import Finding, audit, grade, of_claim
 from uavnav.runs import Run, run_folders
-from uavnav.runs.metrics import OWN
+from uavnav.runs.metrics import FIRST_COLUMNS, OWN
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Interval
+from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, suited
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.layouts import LayoutError
@@ -46,8 +47,8 @@ from uavnav.tasks.protocol import ACROSS_STEPS
 from uavnav.transfer import Place, place
 
 MODE = "sampled"
-DEFAULT = "paper"
-"""The preset that a world's name does not say."""
+DEFAULT, TUNED = "paper", "fast"
+"""The presets of the study; a world's name says the second."""
 MEASURES = {
     "reward": "reward per flight",
     "collisions": across.MEASURES["collisions"],
@@ -78,15 +79,20 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
     paths = [path for folder in of_worlds(folders) for path in run_folders(folder)[0]]
     seeds: dict[Key, pd.DataFrame] = {}
     places: dict[str, Place] = {}
+    settings: dict[Key, dict[str, object]] = {}
     left_out = []
     for path in paths:
         try:
             run = Run(path)
             where, table = read(run)
-            world = where.name + (f", {run.config['preset']}" if run.config["preset"] != DEFAULT else "")
+            if (preset := run.config["preset"]) not in (DEFAULT, TUNED):
+                raise RunError(f"{path}: preset={preset}; the study has {DEFAULT} and {TUNED}")
+            world = where.name + f", {TUNED}" * (preset == TUNED)
             key = (world, run.algorithm, run.config["activation"])
             if key in seeds and not seeds[key].index.intersection(table.index).empty:
                 raise RunError(f"{path}: its seeds are there already, in {world}")
+            if settings.setdefault(key, settings_of(run)) != settings_of(run):
+                raise RunError(f"{path}: its settings differ from those of another run in {world}")
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
             places.setdefault(where.name, where)
         except (RunError, LayoutError, KeyError) as error:
@@ -113,23 +119,24 @@ def _digits_last(name: str) -> tuple[str, float]:
 
 
 def _place(world: str) -> str:
-    return world.removesuffix(", fast")
+    return world.removesuffix(f", {TUNED}")
 
 
 def read(run: Run) -> tuple[Place, pd.DataFrame]:
-    """Where a run was trained, and its table of seeds.
+    """Where a run was trained, and its table of seeds: of the study's flights, whatever else was flown.
 
     Raises:
-        LayoutError, RunError: its world is not known, or it was not flown.
+        LayoutError, RunError: its world is not known, or it was not flown as in the study.
     """
-    rows = run.evaluation()
-    if rows is None:
-        raise RunError(f"{run.path}: was not evaluated; give its study again")
-    episodes, cap = rows.attrs.get("episodes", EPISODES), rows.attrs.get("max_steps", ACROSS_STEPS)
-    where = place(run, episodes, cap)
+    where = place(run, EPISODES, ACROSS_STEPS)
+    cap = where.task.max_steps or ACROSS_STEPS
+    name, _ = files_of(layouts.judged_on(run.config.get("layouts", "train")), EPISODES, cap)
+    if not (run.path / name).exists():
+        raise RunError(f"{run.path}: has no {name}; give its study again")
+    rows = read_table(run.path / name, FIRST_COLUMNS | {"mode": "object"}, "evaluate the run again")
     table = measured(rows[rows["mode"] == MODE], cap)
     for name, ladder in LADDERS.items():
-        path = run.path / rows_across(name, episodes, cap)
+        path = run.path / rows_across(name, EPISODES, cap)
         if path.exists():
             flown = read_table(path, {"seed": "int64", "rung": "float64", "mode": "object"}, "evaluate it again")
             for rung in ladder.rungs:

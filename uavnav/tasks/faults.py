@@ -62,6 +62,11 @@ class Faults:
             filled = filled & (uniform.movedim(-1, 0) >= self.lost)
         return distance, filled
 
+    @property
+    def disturbs(self) -> bool:
+        """Whether chance has a part in what is sensed."""
+        return bool(self.noise or self.lost)
+
     def executed(self, action: Tensor, last: Tensor, steps: Tensor, draws: Tensor) -> Tensor:
         """The action that is executed: the last one again with probability `sticky`, not in an episode's first step.
 

@@ -76,11 +76,6 @@ class SpaceWorld(World):
         right, *others = super().slot_low
         return right, -1.0, *others
 
-    @property
-    def proximity_place(self) -> int:
-        """Which number of a slot is its proximity."""
-        return 3
-
 
 @dataclass(frozen=True)
 class SpaceMovingWorld(SpaceWorld, MovingWorld):

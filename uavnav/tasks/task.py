@@ -130,15 +130,13 @@ class Task:
     def remember(self, state: State, draws: Tensor | None = None, sensed: Tensor | None = None) -> State:
         """The same state as if the episode began there: where this task remembers, the one observation of now.
 
-        draws [*B, n_draws] disturb what is sensed, if they are given; sensed [*B, n] says what it is without them.
+        draws [*B, n_draws] disturb what is sensed, if they are given; or sensed [*B, n] says what it was.
         """
         bare = memory.forget(state, self.STATE)
         if not self.remembers:
             return bare
         if sensed is None:
-            sensed, _ = self.sense(bare, draws if self.trained_reach else None)
-        if draws is not None and (self.faults.noise or self.faults.lost) and not self.trained_reach:
-            sensed = self.disturb(sensed, draws)
+            sensed, _ = self.sense(bare, draws)
         return memory.begin(bare, sensed, self.faults.late + self.stack)
 
     def obstacles(self, state: State) -> Tensor:
@@ -170,28 +168,9 @@ class Task:
     def echoes(self, draws: Tensor | None) -> Echoes | None:
         """What faults, and a policy's other reach, make of the echoes of slots, if anything: draws [*B, n_draws]."""
         found: Echoes | None = None
-        if draws is not None and (self.faults.noise or self.faults.lost):
+        if draws is not None and self.faults.disturbs:
             found = functools.partial(self.faults.echoes, draws=draws)
         return found if self.trained_reach is None else at_reach(self.trained_reach, self.world, found)
-
-    def disturb(self, sensed: Tensor, draws: Tensor) -> Tensor:
-        """What faults make of a first observation [*B, n], by draws [*B, n_draws]: as if its echoes had been disturbed.
-
-        No drone begins beside an obstacle: what fills a slot has a direction, and its proximity tells its distance.
-        """
-        world, place = self.world, self.world.proximity_place
-        near, span = world.drone_radius, world.sensor_radius - world.drone_radius
-        width = len(world.slot_low)
-        slots = sensed[..., : world.n_slots * width].reshape(*sensed.shape[:-1], world.n_slots, width)
-        filled = (slots[..., :place] != 0).any(-1)
-        distance = near + slots[..., place] * span
-        distance, kept = self.faults.echoes(distance.movedim(-1, 0), filled.movedim(-1, 0), draws)
-        proximity = ((distance.movedim(0, -1) - near) / span).clamp(0, 1)
-        found = torch.cat([slots[..., :place], proximity[..., None], slots[..., place + 1 :]], -1)
-        padding = torch.zeros_like(found)
-        padding[..., place] = 1.0 if world.padding == "far" else 0.0
-        slots = torch.where(kept.movedim(0, -1)[..., None], found, padding)
-        return torch.cat([slots.flatten(-2), sensed[..., world.n_slots * width :]], -1)
 
     def observe(self, state: State) -> tuple[Tensor, Tensor]:
         """What a policy sees, as one vector a row: observation [*B, observation_size], clearance [*B] px.

@@ -103,11 +103,6 @@ class World:
         return -1.0, 0.0, 0.0
 
     @property
-    def proximity_place(self) -> int:
-        """Which number of a slot is its proximity, l in eq. (13); those before it are a direction."""
-        return 2
-
-    @property
     def observation_low(self) -> tuple[float, ...]:
         """The least of each number of an observation; the most is 1."""
         return self.n_slots * self.slot_low

@@ -171,7 +171,7 @@ def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path)
     try:
         second = cluster.add_node(num_cpus=2)
         process = study("engine=ray", f"address={cluster.address}")
-        until(lambda: len(study.snapshots()) == 4)
+        until(lambda: study.snapshots() and len(study.jobs()) == 4)  # two of them on each machine
         cluster.remove_node(second, allow_graceful=False)
         assert "its job is gone; given again" in finished(process)
     finally:

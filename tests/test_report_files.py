@@ -43,9 +43,11 @@ def test_a_metric_is_one_line_and_on_the_page_in_the_csv_in_latex_and_in_report_
     monkeypatch.setitem(METRICS, "stood", Metric("stood", "stops", 1000.0, unit="‰", better=-1))
     written = report([results])
     page, text = written.path.read_text(), written.path.with_suffix(".md").read_text()
-    assert page.count('<th scope="col">stood [‰]</th>') == 2
-    assert '<td>50.00 <span class="interval">[50.00, 50.00]</span></td>' in page
-    assert '<td>25.00 <span class="interval">[25.00, 25.00]</span></td>' in page  # as a ratio of means
+    assert page.count('<th scope="col" role="columnheader">stood [‰]</th>') == 2
+    assert '<td role="cell" data-of="stood [‰]">50.00 <span class="interval">[50.00, 50.00]</span></td>' in page
+    assert (
+        '<td role="cell" data-of="stood [‰]">25.00 <span class="interval">[25.00, 25.00]</span></td>' in page
+    )  # as a ratio of means
     assert found(text, "tanh", ALL)[0][-1] == "50.00 [50.00, 50.00]"
     assert found(text, "sigmoid", "the paper")[0][-1] == "–"
     csv = pd.read_csv(results / "tables" / "metrics.csv").set_index(["algorithm", "reading", "metric"])
@@ -111,7 +113,7 @@ def test_a_report_is_a_page_its_markdown_tables_and_figures_in_two_forms(whole):
     assert drawn >= {"survival", "improvement", "power", "behaviour", "speed"}
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in out.glob("figures/*.png"))
     page = written.path.read_text()
-    assert page.count("data:image/svg+xml;base64,") == len(drawn)
+    assert page.count("data:image/svg+xml;base64,") == 2 * len(drawn)  # for a page and for a phone
     for section in SECTIONS:
         assert f'id="{section}"' in page
     text = (out / "report.md").read_text()
@@ -210,7 +212,7 @@ def test_a_third_algorithm_has_its_cells_and_tables_behind_the_papers(three):
     assert len(found(text, "tanh", PRIMARY)) == 3
     page = (out / "report.html").read_text()
     for caption in ("Table 1: DQN", "Table 2: PPO", "A2C"):
-        assert f"<span>{caption}</span>" in page
+        assert f"<caption>{caption}</caption>" in page
     assert "the paper" not in (out / "tables" / "paper-a2c.tex").read_text()
 
 

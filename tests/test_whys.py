@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uavnav import studies
-from uavnav.report import figures, whys
+from uavnav.report import figures, style, whys
 from uavnav.report.studies import WHY
 
 ASKED = ("layer_norm", "init", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", "reward")
@@ -37,13 +37,13 @@ def test_equal_cells_are_not_told_apart_and_cells_without_seeds_are_left_out():
     (said,) = whys.answers(whys.table(evidence({"epochs=1": 50.0, "epochs=20": 50.0})), caution)
     assert said.endswith("clearance [px]: not told apart: 0.00 [−0.63, 0.63].")
     assert whys.answers(whys.table(evidence({})), caution) == []
-    assert figures._whys(whys.table(evidence({}))) == []
+    assert figures._whys(whys.table(evidence({})), style.WIDTH) == []
 
 
 def test_a_figure_has_a_row_for_each_cell_that_was_flown_and_is_there_once_a_contrast_is():
     flown = {"gamma=0.9": 1.0, "clip_epsilon=0.4": 50.0, "epochs=1": 60.0}
-    assert figures._whys(whys.table(evidence(flown))) == []
-    (found,) = figures._whys(whys.table(evidence(flown | {"epochs=20": 55.0})))
+    assert figures._whys(whys.table(evidence(flown)), style.WIDTH) == []
+    (found,) = figures._whys(whys.table(evidence(flown | {"epochs=20": 55.0})), style.WIDTH)
     assert found.name == "whys-caution"
     assert found.caption.startswith("Do gradual updates make PPO cautious? PPO with epochs=1 against with epochs=20")
     assert "PPO clip_epsilon=0.4, clearance [px] 50" in found.drawn.alt

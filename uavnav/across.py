@@ -19,15 +19,15 @@ from rich.table import Table
 
 from uavnav import policies, stats
 from uavnav.evaluate import fly, rows_across
-from uavnav.files import write
+from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.report import style
 from uavnav.runs import Run, metrics
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
-from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
-from uavnav.tasks.ladders import LADDERS, Ladder
+from uavnav.tasks.baselines import BASELINES, WORLD, AnyPolicy, suited
+from uavnav.tasks.ladders import LADDERS, Ladder, reached
 from uavnav.tasks.protocol import ACROSS_STEPS, OF_FAULTS, SPLITS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
@@ -80,6 +80,7 @@ def climb(
         for mode, population in who.by_mode.items():
             first = next(iter(population.values()))
             own = first.task if isinstance(first, Policy) else scripted or make_task(EMPTY)
+            own = own if isinstance(first, Policy) else reached(own, WORLD.sensor_radius)
             task = ladder.task(replace(own, max_steps=max_steps), rung, "test")
             task = replace(task, bank=task.bank[:episodes])
             flown = {seed: suited(policy, task) for seed, policy in population.items()}
@@ -167,10 +168,11 @@ def _number(value: float) -> str:
     return style.number(round(value, 9)) if np.isfinite(value) else "–"
 
 
-def _has(one: Flyer, ladder: Ladder) -> bool:
-    """Whether the world of a policy has a ladder; a script has whatever it is given."""
+def _has(one: Flyer, scripted: Task, ladder: Ladder) -> bool:
+    """Whether the world that it flies in has a ladder."""
     first = next(iter(next(iter(one.by_mode.values())).values()))
-    return not ladder.of or not isinstance(first, Policy) or banks.kind_of(first.world) in ladder.of
+    task = first.task if isinstance(first, Policy) else scripted
+    return not ladder.of or banks.kind_of(task.world) in ladder.of
 
 
 def across(
@@ -181,12 +183,13 @@ def across(
     out: Path | None,
     quiet: bool,
     tell: Callable[[str], object] = print,
+    task: str = "drone",
 ) -> list[dict[str, Any]]:
     """Fly all that is named, and the scripted baselines, across ladders; keep rows and a figure.
 
-    Scripts fly what the first policy was trained in. A ladder that the world of some policy does not have is left out,
-    and `tell` is told so. The rows of a run lie in its folder, figures in `out` or else in
-    the first run's folder.
+    Scripts fly what the first policy was trained in, and where there is none, the world of `task`. A ladder that the
+    world of somebody does not have is left out, and `tell` is told so. The rows of a run lie in its folder, figures in
+    `out` or else in the first run's folder.
 
     Returns:
         What the tables show, for JSON.
@@ -200,18 +203,21 @@ def across(
         most = SPLITS["test"].n
         raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
     flyers = [flyer(name, one) for name, one in found.items()]
+    learned = (one for flown in flyers for one in next(iter(flown.by_mode.values())).values())
+    trained = (replace(one.task, stack=1) for one in learned if isinstance(one, Policy))
+    theirs = next(trained, make_task(EMPTY, task=task))
+    folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
+    check_out(folder / "across.svg")
     climbed = []
     for name in names:
-        unfit = [one.name for one in flyers if not _has(one, LADDERS[name])]
+        unfit = [one.name for one in flyers if not _has(one, theirs, LADDERS[name])]
         climbed += [] if unfit else [name]
         if unfit:
             tell(f"left out: the ladder {name}, which the world of {', '.join(unfit)} does not have")
     if not climbed:
         raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {', '.join(OF_FAULTS)}")
     flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
-    learned = (one for flown in flyers for one in next(iter(flown.by_mode.values())).values())
-    theirs = next((replace(one.task, stack=1) for one in learned if isinstance(one, Policy)), None)
-    folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
+    folder.mkdir(parents=True, exist_ok=True)
     records: list[dict[str, Any]] = []
     for name in climbed:
         rows, kept = {}, rows_across(name, episodes, max_steps)

@@ -296,14 +296,20 @@ def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPoli
 
     if (given := arguments.faults) is not None:
         raise ValueError(f"--faults {given}: ladders and worlds of training have their own; leave it out")
+    if arguments.layouts != "test":
+        told = "--across and --transfer fly on test sets of their own"
+        raise ValueError(f"--layouts {arguments.layouts}: {told}; leave it out")
+    if arguments.transfer and arguments.task != "drone":
+        raise ValueError(f"--task {arguments.task}: --transfer flies in the worlds of the runs; leave it out")
     cap = ACROSS_STEPS if arguments.max_steps is None else arguments.max_steps
     quiet = arguments.quiet or arguments.json
     tell = functools.partial(print, file=sys.stderr)
     if arguments.transfer:
         records = transfer(found, arguments.episodes, cap, arguments.out, quiet, tell)
     else:
-        names = [one for word in arguments.across for one in GROUPS.get(word, (word,))]
-        records = across(found, list(dict.fromkeys(names)), arguments.episodes, cap, arguments.out, quiet, tell)
+        names = dict.fromkeys(one for word in arguments.across for one in GROUPS.get(word, (word,)))
+        bounds = arguments.episodes, cap, arguments.out
+        records = across(found, [*names], *bounds, quiet, tell, arguments.task)
     if arguments.json:
         print(json.dumps(records, indent=2))
     return 0

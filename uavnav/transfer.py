@@ -6,6 +6,7 @@ in.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -20,14 +21,14 @@ from rich.table import Table
 
 from uavnav.across import MEASURES, Flyer, flyer, judged
 from uavnav.evaluate import fly
-from uavnav.files import write
+from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.report import style
 from uavnav.report.tables import with_interval
 from uavnav.runs import Run
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
-from uavnav.tasks.baselines import AnyPolicy, suited
+from uavnav.tasks.baselines import WORLD, AnyPolicy, suited
 from uavnav.tasks.ladders import Measure, measure_of, reached
 from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
 from uavnav.training import display, machine
@@ -80,14 +81,14 @@ def sort(
 ) -> tuple[list[tuple[Flyer, str]], list[Place], list[str]]:
     """Who flies, each with the world that it was trained in; the worlds; and who is left out.
 
-    A policy is left out if it does not see as many numbers of a moment as the first run's.
+    A policy is left out if it does not see as many numbers of a moment as the first run's, or has other actions.
 
     Raises:
         RunError: no run is given.
     """
     flyers = {name: flyer(name, one) for name, one in found.items()}
     first = {name: next(iter(next(iter(one.by_mode.values())).values())) for name, one in flyers.items()}
-    sizes = {name: one.world.observation_size for name, one in first.items() if isinstance(one, Policy)}
+    sizes = {name: _sizes(one) for name, one in first.items() if isinstance(one, Policy)}
     places: dict[str, Place] = {}
     trained: list[tuple[Flyer, str]] = []
     size = next((sizes[name] for name, one in found.items() if isinstance(one, Run)), None)
@@ -105,6 +106,12 @@ def sort(
     return trained, [*places.values()], [name for name in found if sizes.get(name, size) != size]
 
 
+def _sizes(policy: Policy) -> tuple[int, int, int]:
+    """What worlds must have in common: numbers of an observation, turns and distances to choose from."""
+    world = policy.world
+    return world.observation_size, world.n_turns, world.n_distances
+
+
 def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
     """Fly a policy's seeds in a world, greedy and sampled: a row an episode, with `mode` and `flown_in`.
 
@@ -113,9 +120,9 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
     parts = []
     for mode, population in who.by_mode.items():
         first = next(iter(population.values()))
-        task = place.task
+        task = reached(place.task, first.world.sensor_radius if isinstance(first, Policy) else WORLD.sensor_radius)
         if isinstance(first, Policy):
-            task = replace(reached(task, first.world.sensor_radius), stack=first.task.stack)
+            task = replace(task, stack=first.task.stack)
         flown = {seed: suited(policy, task) for seed, policy in population.items()}
         flights, cap = len(task.bank) * len(flown), task.max_steps or 0
         with (
@@ -188,7 +195,7 @@ def transfer(
 ) -> list[dict[str, Any]]:
     """Fly all that is named in every world of their training; rows and a figure lie in `out` or the first run's folder.
 
-    say: is told, in one line, who is left out because it sees other observations.
+    say: is told, in one line, who is left out because it sees or does something else.
 
     Returns:
         What the table shows, for JSON.
@@ -202,13 +209,15 @@ def transfer(
         raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
     flyers, places, left_out = sort(found, episodes, max_steps)
     if left_out:
-        size = places[0].task.world.observation_size
-        say(f"left out, for their observations are not of {size} numbers: {', '.join(left_out)}")
+        size, actions = places[0].task.world.observation_size, places[0].task.world.n_actions
+        say(f"left out, for they have not {size} numbers to see and these {actions} actions: {', '.join(left_out)}")
+    folder = out or next(who.folder for who, _ in flyers if who.folder is not None)
+    names = hashlib.sha256("\n".join(map(str, found)).encode()).hexdigest()[:6]  # others may have a matrix there
+    stem = f"transfer-{episodes}-{max_steps}-{names}"
+    check_out(folder / f"{stem}.parquet")
     rows = {who.name: pd.concat([visit(who, one, quiet) for one in places], ignore_index=True) for who, _ in flyers}
     trained = {who.name: where for who, where in flyers}
     table = judged(rows, by=FLOWN)
-    first = next(who.folder for who, _ in flyers if who.folder is not None)
-    folder, stem = out or first, f"transfer-{episodes}-{max_steps}"
     kept = pd.concat(
         [one.assign(policy=name, trained_in=trained[name]) for name, one in rows.items()], ignore_index=True
     )

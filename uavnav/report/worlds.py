@@ -40,8 +40,8 @@ from uavnav.runs.metrics import FIRST_COLUMNS, OWN
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Interval
 from uavnav.tasks import layouts
-from uavnav.tasks.baselines import BASELINES, suited
-from uavnav.tasks.ladders import LADDERS
+from uavnav.tasks.baselines import BASELINES, WORLD, suited
+from uavnav.tasks.ladders import LADDERS, reached
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.protocol import ACROSS_STEPS
 from uavnav.transfer import Place, place
@@ -166,7 +166,8 @@ def _scripts(where: Place) -> Iterator[tuple[str, pd.DataFrame]]:
     cap = where.task.max_steps or ACROSS_STEPS
     for name, rule in BASELINES.items():
         seeds = range(RANDOM_SEEDS if name == "random" else 1)
-        flown = fly({seed: suited(rule, where.task) for seed in seeds}, where.task, measure=where.measure)
+        task = reached(where.task, WORLD.sensor_radius)
+        flown = fly({seed: suited(rule, task) for seed in seeds}, task, measure=where.measure)
         yield name, measured(flown.episodes, cap)
 
 

@@ -62,7 +62,8 @@ def speed(task: Task, rung: float, split: str = "test") -> Task:
     bank = layouts.load(split, MovingWorld())
     bank = torch.cat([bank[..., :3], bank[..., 3:] * (rung / MovingWorld().speed_max)], -1)
     world = task.world if isinstance(task.world, MovingWorld) else MovingWorld(**asdict(task.world))
-    return Moving(world, layouts.resolve(bank, world), task.reward, task.max_steps, task.stack, task.faults)
+    kept = task.reward, task.max_steps, task.stack, task.faults, task.trained_reach
+    return Moving(world, layouts.resolve(bank, world), *kept)
 
 
 def fault(name: str) -> Callable[[Task, float, str], Task]:

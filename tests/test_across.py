@@ -15,6 +15,7 @@ from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.protocol import GROUPS, LADDER_NAMES
+from uavnav.tasks.simulator import EMPTY, make_task
 
 
 def test_the_command_knows_the_ladders_without_torch_by_their_names():
@@ -79,6 +80,26 @@ def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_
     assert [path.name for path in tmp_path.glob("*.svg")] == ["across-sticky-1-2.svg"]
     with pytest.raises(RunError, match="--across density: no ladder of these worlds; give some of noise, lost"):
         fly(["density"], tell=told.append)
+
+
+@pytest.mark.parametrize("name", ["late", "density", "reach", "speed"])
+def test_a_script_reads_distances_right_where_a_sensor_reaches_less_far(name):
+    who = across.flyer("reactive", {"scripted": BASELINES["reactive"]})
+    near = make_task(EMPTY, {"sensor_radius": 90.0})
+    ladder = LADDERS[name]._replace(rungs=LADDERS[name].rungs[:1])
+    rows = across.climb(who, ladder, episodes=20, max_steps=200, scripted=near)
+    assert not rows["terminated"].any()
+
+
+def test_without_a_run_scripts_fly_the_world_that_is_named(tmp_path, capsys):
+    words = ["evaluate", "straight", "--task", "space", "--across", "sticky", "density", "--episodes", "2"]
+    assert main([*words, "--max-steps", "5", "--json", "--out", str(tmp_path / "new" / "folder")]) == 0
+    printed, err = capsys.readouterr()
+    assert err.startswith("left out: the ladder density, which the world of straight")
+    assert {one["ladder"] for one in json.loads(printed)} == {"sticky"}
+    assert (tmp_path / "new" / "folder" / "across-sticky-2-5.png").exists()
+    assert main([*words, "--layouts", "train"]) == 2
+    assert "--layouts train: --across and --transfer fly on test sets of their own" in capsys.readouterr().err
 
 
 def test_the_first_rung_of_noise_is_the_evaluation_itself():

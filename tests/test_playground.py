@@ -40,7 +40,7 @@ SENSED = (
     + """
 const [name, poses, sets] = arguments;
 const task = new TASKS[name](playground.data.tasks[name]);
-const seen = poses.map(([x, y, heading, place, steps]) => task.observe({ x, y, heading, steps }, sets[place]));
+const seen = poses.map(([x, y, heading, place, steps]) => task.observe({ x, y, heading, steps, waited: 0 }, sets[place]));
 return [packed(seen.flatMap(({ observation }) => [...observation])), packed(seen.map(({ clearance }) => clearance))];
 """
 )

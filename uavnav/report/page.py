@@ -213,8 +213,9 @@ def _sections(content: Content) -> list[tuple[str, str]]:
 
 
 def first_flights(content: Content) -> dict[str, Any] | None:
-    """What flies on the first screen, where there is a policy that can."""
-    return together(content.replays, findings.shown_first(content.tables), RULE) if content.replays else None
+    """What flies on the first screen, where at least one policy can beside the rule."""
+    shown = together(content.replays, findings.shown_first(content.tables), RULE) if content.replays else None
+    return shown if shown and len(shown["drones"]) > 1 else None
 
 
 def _table_name(algorithm: str) -> str:

@@ -77,9 +77,29 @@ def test_under_reduced_motion_the_drones_wait_in_flight_until_they_are_asked(chr
     before = chrome.execute_script(PICTURES)
     time.sleep(0.5)
     assert chrome.execute_script(PICTURES) == before
-    assert all("step 240" in output.text for output in find(chrome, ".together output"))
+    assert "step 240" in find(chrome, ".together output")[-1].text  # of the rule, which flies on
     one(chrome, ".together button").click()
     wait(chrome, lambda: chrome.execute_script(PICTURES) != before)
+
+
+def test_a_flight_that_ends_says_how_and_when(chrome):
+    visit(chrome)
+    words = "const page = document.getElementById('together').cloneNode(true);"
+    words += "const data = JSON.parse(document.getElementById('together-data').textContent);"
+    words += "const one = startTogether(page, data); return one.load(0).then(() => { one.step = 1e9; one.draw();"
+    words += "return one.drones.map(({ output, flight }) => [output.textContent, flight.ended, flight.steps]); })"
+    for said, ended, n in chrome.execute_script(words):
+        assert said.endswith(f", {'collided' if ended == 'collision' else 'stopped'} at {n:,}")
+
+
+def test_the_palette_of_a_site_recolours_the_drones(chrome):
+    visit(chrome)
+    before = chrome.execute_script(PICTURES)
+    chrome.execute_script(
+        "document.querySelector('.first').style.cssText = '--drone-1: red; --drone-2: red; --drone-3: red';"
+        "document.body.setAttribute('data-md-color-scheme', 'slate')"
+    )
+    wait(chrome, lambda: all(a != b for a, b in zip(chrome.execute_script(PICTURES), before, strict=True)))
 
 
 def test_the_sentence_is_short_and_its_number_leads_to_its_row_and_the_drones_have_names(chrome):

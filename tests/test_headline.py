@@ -8,11 +8,12 @@ import pandas as pd
 import pytest
 
 from uavnav import stats
-from uavnav.report import charts, curves, findings, headline, style
+from uavnav.report import charts, curves, figures, findings, headline, style
 from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.studies import Studies
 from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.readings import SAMPLED
 
 KEY = ("dqn", "sigmoid")
 NONE = Studies({}, {}, {}, {}, {}, {}, {}, [])
@@ -41,6 +42,32 @@ def test_the_headline_names_ppo_dqn_and_the_rule_where_intervals_do_and_is_else_
         assert (said.table, said.row) == ("gaps", 0)
     numbers = {"gaps": numbers["gaps"][:0], "verdicts": numbers["verdicts"][:0]}
     assert str(findings.headline(numbers)).startswith("DQN against PPO")
+
+
+def test_what_stands_beside_the_first_flights_names_their_limit_and_that_the_rule_stays_up_only_where_it_does():
+    columns = ["who", "algorithm", "mode", "cap", "n", "up", "reward", "gap_high"]
+    rule, policy = ("reactive", "", "scripted", 10_000, 1, 1.0, 428.0, np.nan), ("PPO tanh", "ppo", "sampled", 10_000)
+    shown = {"drones": [{"flights": [{"steps": 1000, "ended": "cut off"}, {"steps": 90, "ended": "collision"}]}]}
+    behind, level, higher = (
+        {"gaps": pd.DataFrame([rule, (*policy, 20, up, 200.0, high)], columns=columns)}
+        for up, high in ((0.3, -178.0), (0.3, 5.0), (1.0, -178.0))
+    )
+    first = "The first 1,000 steps of at most 10,000. Obstacles are new to every policy."
+    assert findings.beside_flights(behind, shown) == f"{first} The rule wins by staying up."
+    assert findings.beside_flights(level, shown) == findings.beside_flights(higher, shown) == first
+    nobody = {"gaps": behind["gaps"][:0]}
+    assert findings.beside_flights(nobody, {"drones": []}) == "Obstacles are new to every policy."
+
+
+def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():
+    gaps = pd.DataFrame(
+        [("PPO tanh", "sampled", 10_000, 2, 4.0, -1.5, 9.5), ("PPO relu", "greedy", 10_000, 2, 9.0, 8.0, 10.0)],
+        columns=["who", "mode", "cap", "n", "reward", "low", "high"],
+    )
+    seeds = pd.DataFrame({"algorithm": "ppo", "activation": ["tanh"] * 2, "value": [3.0, 5.0]})
+    (figure,) = figures._first(seeds.assign(reading=SAMPLED, metric="reward"), gaps, style.WIDTH)
+    assert figure.drawn.alt == "reward a flight, new obstacles: PPO tanh 4.00 (95 % interval -1.50 to 9.50; n = 2)."
+    assert "after 10,000 steps" in figure.caption
 
 
 def flights(*rows):

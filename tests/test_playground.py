@@ -40,7 +40,8 @@ SENSED = (
     + """
 const [name, poses, sets] = arguments;
 const task = new TASKS[name](playground.data.tasks[name]);
-const seen = poses.map(([x, y, heading, place, steps]) => task.observe({ x, y, heading, steps }, sets[place]));
+const at = ([x, y, heading, , steps]) => ({ x, y, heading, steps, waited: 0 });
+const seen = poses.map((pose) => task.observe(at(pose), sets[pose[3]]));
 return [packed(seen.flatMap(({ observation }) => [...observation])), packed(seen.map(({ clearance }) => clearance))];
 """
 )

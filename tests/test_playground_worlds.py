@@ -166,6 +166,15 @@ def test_the_rule_reaches_its_goal_and_the_page_says_so(browser, opened):
     assert states(browser)[0] == "too late"
 
 
+def test_networks_trained_with_faults_say_so(tmp_path):
+    write_run(tmp_path / "plain", n_seeds=1)
+    write_run(tmp_path / "faulty", n_seeds=1, faults={"noise": 5.0, "late": 2})
+    faulty, plain = sorted(collect([tmp_path])[0], key=lambda one: "noise" not in one["title"])
+    assert "seed 0 with noise=5, late=2 (" in faulty["title"]
+    assert faulty["told"].startswith("100 frames of training with noise=5, late=2; ")
+    assert " with " not in plain["title"] + plain["told"]
+
+
 def test_a_page_of_networks_trained_for_goals_begins_there_and_they_fly_there_alone(chrome, tmp_path):
     write_run(tmp_path / "ppo" / "tanh", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, 9)])
     path = tmp_path / "playground.html"
@@ -205,6 +214,45 @@ def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_
     visit(browser, opened, f"#{browser.current_url.partition('#')[2]}")
     for mine, other in zip(ask(browser, "playground.race.set.circles"), drawn["circles"], strict=True):
         assert mine == pytest.approx(other, abs=0.06)
+
+
+def test_a_drone_that_nobody_flew_senses_obstacles_where_they_are_once_it_is_handed_over(browser, opened):
+    visit(browser, opened, "#world=moving&pace=4&pilots=rule~nobody~nobody~nobody&set=3")
+    go(browser, 25)
+    browser.execute_script("playground.handTo(1, 'rule')")
+    expected = "playground.race.task.obstacles(playground.race.set, playground.race.steps)"
+    near = f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)"  # px, at the start
+    waited, clearance = ask(browser, "(({ state, clearance }) => [state, clearance])(playground.race.drones[1])")
+    assert (waited["steps"], waited["waited"], waited["x"], waited["y"]) == (0, 25, 400, 300)
+    assert clearance == pytest.approx(ask(browser, near), abs=1e-3)
+    assert clearance != pytest.approx(ask(browser, near.replace("playground.race.steps", "0")), abs=1)
+    go(browser, 1)
+    assert ask(browser, "playground.race.drones.map(({ state }) => state.steps)") == [26, 1, 0, 0]
+
+
+def test_an_edited_obstacle_leaves_what_sticks_as_it_is(browser, opened):
+    visit(browser, opened, "#sticky=0.5&pilots=rule~nobody~nobody~nobody")
+    go(browser, 3)
+    before = ask(browser, "playground.race.drones[0].state.executed")
+    browser.execute_script("playground.edit([])")
+    assert ask(browser, "playground.race.drones[0].state.executed") == before == 9
+
+
+def test_a_circle_stays_off_the_goal_in_a_drawing_and_in_a_link(browser, opened):
+    visit(browser, opened, "#world=goal&set=5")
+    assert ask(browser, "playground.focus") == 0  # the first that can fly
+    goal_x, goal_y = ask(browser, "playground.race.set.goal")
+    for at in ((goal_x, goal_y), (goal_x + 30, goal_y), (400, 300), (0, 0), (800, 600)):
+        placed = "allowed(playground.world, [...arguments, 100], playground.race.free)"
+        x, y, radius = browser.execute_script(f"return {placed}", *at)
+        assert np.hypot(x - goal_x, y - goal_y) - radius >= goal.ROOM
+        assert np.hypot(x - 400, y - 300) - radius >= 50
+        assert 0 <= x <= 800
+        assert 0 <= y <= 600
+    for at, words in ((f"{goal_x:.1f}_{goal_y:.1f}", "circles"), (f"{x:.1f}_{y:.1f}", "")):
+        visit(browser, opened, f"#world=goal&set=5&circles={at}_100")
+        assert one(browser, "#notice").text.endswith(f": {words}." if words else "")
+        assert bool(ask(browser, "playground.scene.circles")) != bool(words)
 
 
 def test_faults_are_sliders_in_a_link_and_change_the_flights(browser, opened):

@@ -309,8 +309,8 @@ def test_flights_side_by_side_are_the_first_seeds_and_the_rules_poses_on_the_sam
     order = [flight["layout"] for flight in shown["drones"][0]["flights"]]
     assert order == [flight["layout"] for flight in shown["drones"][1]["flights"]]
     assert shown["layouts"] == [data["layouts"][at] for at in order]
-    lengths = [sum(drone["flights"][at]["steps"] for drone in shown["drones"]) for at in range(3)]
-    assert lengths == sorted(lengths, reverse=True)
+    lengths = [flight["steps"] for flight in shown["drones"][0]["flights"]]
+    assert lengths == sorted(lengths)  # where a policy collides first, the rule is seen to fly on
     for drone, flights in zip(shown["drones"], (cell["flights"], data["rule"]), strict=True):
         for flight in drone["flights"]:
             (whole,) = [one for one in flights if (one["seed"], one["layout"]) == (flight["seed"], flight["layout"])]

@@ -95,16 +95,33 @@ function drawSensor(context, world, { x, y, angle }, colours) {
   context.globalAlpha = 1;
 }
 
-/** A drone: a disc in its colour with a line towards its heading; after a collision a cross. */
-function drawDrone(context, world, { x, y, angle }, crashed, colours) {
+/** A drone: a disc in its colour with a line towards its heading; after a collision a faint disc and a cross. */
+function drawDrone(context, world, { x, y, angle }, crashed, thick, colours) {
   const radius = world.drone_radius;
   const at = (turn, share) => [x + share * radius * Math.cos(angle + turn), y + share * radius * Math.sin(angle + turn)];
   context.fillStyle = colours.accent;
+  context.globalAlpha = crashed ? 0.35 : 1;
   disc(context, x, y, radius);
-  const strokes = crashed
-    ? [[at(Math.PI / 4, 0.6), at((5 * Math.PI) / 4, 0.6)], [at((3 * Math.PI) / 4, 0.6), at((7 * Math.PI) / 4, 0.6)]]
-    : [[[x, y], at(0, 1)]];
-  for (const stroke of strokes) line(context, stroke, 4, colours.bg);
+  context.globalAlpha = 1;
+  if (crashed) {
+    for (const turn of [Math.PI / 4, (3 * Math.PI) / 4]) line(context, [at(turn, 1), at(turn + Math.PI, 1)], 4 * thick, colours.accent);
+    return;
+  }
+  line(context, [[x, y], at(0, 1)], 4, colours.bg);
+}
+
+const SHADES = 8; // of a trail that fades
+
+/** A trail that is the fainter, the longer ago. */
+function drawFading(context, trail, width, colour) {
+  context.lineCap = "butt"; // round ends would lie over one another
+  for (let shade = 0; shade < SHADES; shade += 1) {
+    const [first, last] = [shade, shade + 1].map((one) => Math.floor((one * (trail.length - 1)) / SHADES));
+    context.globalAlpha = (shade + 1) / SHADES;
+    line(context, trail.slice(first, last + 1), width, colour);
+  }
+  context.globalAlpha = 1;
+  context.lineCap = "round";
 }
 
 /** A rim around a drone, and its sign behind its line, upright whatever the drone's heading. */
@@ -151,7 +168,8 @@ function drawGoal(context, world, [x, y], thick, colours) {
  *
  * A circle is [x, y, radius], with [vx, vy] if it moves; the goal [x, y], if there is one.
  * Each drone has a pose { x, y, angle [radians] }, the trail [x, y] that it flew, and the points that it senses; perhaps
- * `crashed`, `sign` (a character), `accent` (its colour), and `faint` where its sensor is not to be shown.
+ * `crashed`, `sign` (a character), `accent` (its colour), `faint` where its sensor is not to be shown, and `fades` where
+ * its trail does.
  */
 function drawArena(canvas, { world, circles, goal, drones, colours }) {
   const { context, width } = fit(canvas);
@@ -166,12 +184,12 @@ function drawArena(canvas, { world, circles, goal, drones, colours }) {
   const thick = Math.max(1, 0.6 / scale); // lines must be seen on a small screen too
   for (const circle of circles) if (circle[3] || circle[4]) drawDrift(context, circle, thick, colours);
   if (goal) drawGoal(context, world, goal, thick, colours);
-  for (const { pose, trail, sensed, crashed, sign, accent = colours.accent, faint } of drones) {
+  for (const { pose, trail, sensed, crashed, sign, accent = colours.accent, faint, fades } of drones) {
     const mine = { ...colours, accent };
-    if (!faint) drawSensor(context, world, pose, mine);
-    line(context, trail, (faint ? 2 : 2.5) * thick, accent);
+    if (!faint && !crashed) drawSensor(context, world, pose, mine);
+    (fades ? drawFading : line)(context, trail, (faint ? 2 : 2.5) * thick, accent);
     for (const point of sensed) line(context, [[pose.x, pose.y], point], 1.5 * thick, colours.fg);
-    drawDrone(context, world, pose, crashed, mine);
+    drawDrone(context, world, pose, crashed, thick, mine);
     if (sign && !crashed) drawSign(context, world, pose, sign, colours.bg);
     context.fillStyle = colours.fg;
     for (const point of sensed) disc(context, ...point, 5 * thick);

@@ -14,20 +14,21 @@ function randomNumbers(seed) {
   };
 }
 
-/** Whether a circle leaves the start free: sec. 4.1. */
-function isClear(world, [x, y, radius]) {
-  return Math.hypot(x - world.width / 2, y - world.height / 2) - radius >= world.safe_zone;
+/** Whether a circle leaves a place [x, y, room] free, such as the start: sec. 4.1. */
+function isClear([atX, atY, room], [x, y, radius]) {
+  return Math.hypot(x - atX, y - atY) - radius >= room;
 }
 
 /** k circles: radius and centre uniform, the centre drawn again until the start is free. More circles keep the first. */
 function generate(world, k, seed) {
   const draw = randomNumbers(seed);
+  const start = [world.width / 2, world.height / 2, world.safe_zone];
   const span = world.obstacle_radius_max - world.obstacle_radius_min;
   return Array.from({ length: k }, () => {
     const radius = f32(world.obstacle_radius_min + span * draw());
     let circle;
     do circle = [f32(world.width * draw()), f32(world.height * draw()), radius];
-    while (!isClear(world, circle));
+    while (!isClear(start, circle));
     return circle;
   });
 }

@@ -26,6 +26,8 @@ class Together {
     this.button.addEventListener("click", () => this.toggle());
     new ResizeObserver(() => this.draw()).observe(root);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
+    const palette = new MutationObserver(() => this.recolour()); // the button of a site
+    palette.observe(document.body, { attributeFilter: ["data-md-color-scheme"] });
     this.recolour();
     this.load(0);
   }
@@ -83,10 +85,14 @@ class Together {
     if (this.step === undefined) return;
     for (const { canvas, output, flight, read, colours } of this.drones) {
       const step = Math.min(this.step, flight.steps);
-      const drone = { ...droneAt(this.data.world, read, step, TRAIL), crashed: crashedAt(flight, step) };
+      const crashed = crashedAt(flight, step);
+      const drone = { ...droneAt(this.data.world, read, step, TRAIL), crashed, fades: true };
+      if (crashed) drone.sensed = [];
       drawArena(canvas, { world: this.data.world, circles: this.data.layouts[this.set], drones: [drone], colours });
       const reward = `reward ${fixed(read.reward(step), 1)}`;
-      output.textContent = drone.crashed ? `${reward}, crashed at step ${step}` : `${reward}, step ${step}`;
+      const at = step.toLocaleString("en");
+      const ended = step < flight.steps ? `step ${at}` : crashed ? `collided at ${at}` : `stopped at ${at}`;
+      output.textContent = `${reward}, ${ended}`;
     }
   }
 }

@@ -214,22 +214,22 @@ class Task {
 
   /** Where an episode starts: the centre of the window, heading up. draws: of `draw`, disturb what is sensed first. */
   start(set, draws) {
-    const counts = { steps: 0, stops: 0, full_stops: 0, turns: 0, distance: 0, reward: 0 };
+    const counts = { steps: 0, stops: 0, full_stops: 0, turns: 0, distance: 0, reward: 0, waited: 0 };
     const { width, height } = this.world;
     return this.remember({ x: width / 2, y: height / 2, heading: 90, ...counts }, set, draws);
   }
 
-  /** The same state as if the episode began there: where there are faults, it remembers what was sensed. */
+  /** The same state where only what is there now was ever sensed, if there are faults; the last action stays. */
   remember(state, set, draws) {
     if (!this.remembers) return state;
     const seen = Array(this.faults.late + 1).fill(this.sense(state, set, draws).observation);
-    return { ...state, seen, executed: 0 };
+    return { ...state, seen, executed: state.executed ?? 0 };
   }
 
-  /** What is sensed now; without draws, as it is. -> { observation, clearance } */
+  /** What is sensed now; without draws, as it is. Circles move also while a drone has waited. -> { observation, clearance } */
   sense(state, set, draws) {
     const echoes = draws?.length ? echoesOf(this.world, this.faults, draws) : undefined;
-    return sense(this.world, state, this.obstacles(set, state.steps), echoes);
+    return sense(this.world, state, this.obstacles(set, state.steps + state.waited), echoes);
   }
 
   /** What a policy sees, late where observations are. -> { observation, clearance } */
@@ -260,6 +260,11 @@ class Task {
     const late = this.max_steps && after.steps >= this.max_steps ? "time-out" : "";
     const ended = collided ? "collision" : arrived ? "goal" : late;
     return { state: after, observation: this.remembers ? after.seen.at(-1) : observation, clearance, ended };
+  }
+
+  /** What circles leave free: [x, y, room], px from a place to every circle's edge. The start is one. */
+  free(set) {
+    return [[this.world.width / 2, this.world.height / 2, this.world.safe_zone]];
   }
 
   /** Whether a step has reached a goal, and what it earns. */
@@ -305,6 +310,10 @@ class Goal extends Task {
 
   get observationSize() {
     return super.observationSize + 3;
+  }
+
+  free(set) {
+    return [...super.free(set), [...set.goal, this.rules.room]];
   }
 
   /** From a place to the goal: dx, dy and distance [px]. */

@@ -24,6 +24,7 @@ from uavnav.choices import ConfigError
 from uavnav.policies import Policy, PolicyError
 from uavnav.runs import POLICY, paper, read_settings, run_folders
 from uavnav.runs.metrics import METRICS
+from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import DEFAULT_K
@@ -167,13 +168,15 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
     how = "samples its actions"
     if policy.acts == "epsilon-greedy":
         how = f"a random action in {100 * policy.epsilon:g} % of its steps, else the best"
-    place = "" if name_of(policy.task) == "drone" else f" with {WORLDS[name_of(policy.task)]['title']}"
+    task = policy.task
+    place = "" if name_of(task) == "drone" else f" with {WORLDS[name_of(task)]['title']}"
+    place += "" if task.faults == NO_FAULTS else f" with {str(task.faults).replace(',', ', ')}"
     words = [*where.split("/"), policy.algorithm, activation, str(policy.seed)] if where else []
     return {
         "key": "-".join(words or [policy.algorithm, activation, str(policy.seed)]),
         "title": f"{title}{place}" + (f" ({where})" if where else ""),
         "told": f"{frames:,} frames of training{place}; {how}.",
-        "task": name_of(policy.task),
+        "task": name_of(task),
         "algorithm": policy.algorithm,
         "activation": activation,
         "acts": policy.acts,

@@ -28,14 +28,14 @@ function onSlider(text, { low, high, step }) {
   return number >= low && number <= high && Math.abs(steps - Math.round(steps)) < 1e-6 ? number : undefined;
 }
 
-/** A circle "x_y_radius" with one decimal at most, within the world and clear of the start. */
+/** A circle "x_y_radius" with one decimal at most, within the world; a race says whether it leaves the start free. */
 function readCircle(world, text) {
   const match = /^(\d{1,3}(?:\.\d)?)_(\d{1,3}(?:\.\d)?)_(\d{2,3}(?:\.\d)?)$/.exec(text);
   if (!match) return undefined;
   const [x, y, radius] = match.slice(1).map((number) => f32(Number(number)));
   const fits = x <= world.width && y <= world.height;
   const sized = radius >= world.obstacle_radius_min && radius <= world.obstacle_radius_max;
-  return fits && sized && isClear(world, [x, y, radius]) ? [x, y, radius] : undefined;
+  return fits && sized ? [x, y, radius] : undefined;
 }
 
 function readCircles(world, text) {

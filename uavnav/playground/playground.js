@@ -52,6 +52,11 @@ class Playground {
     const [parts, wrong] = readLink(location.hash, this.world, this.known, this.data.settings);
     const first = location.hash.length > 1 ? { ...this.first(), world: "drone" } : this.first(); // unless a link says it
     this.race.load({ ...first, ...parts });
+    if (parts.circles && !this.race.circlesFit()) {
+      wrong.push("circles");
+      this.race.load({ ...this.scene, circles: null });
+    }
+    this.focusOnFlyer();
     this.tell(wrong.length ? `Left out of the link, because it is not right: ${wrong.join(", ")}.` : "");
     this.share = 1;
     this.showControls();
@@ -170,8 +175,14 @@ class Playground {
   enter(world) {
     if (this.stage.drawing) this.draw(false);
     this.change({ world, circles: null }, true);
+    this.focusOnFlyer();
+    this.changed();
+  }
+
+  /** Where the drone in focus cannot fly, the first that can is in focus. */
+  focusOnFlyer() {
     const first = this.race.drones.findIndex(({ pilot }) => this.race.canFly(pilot));
-    if (!this.race.canFly(this.race.drones[this.focus].pilot) && first >= 0) this.focusOn(first);
+    if (!this.race.canFly(this.race.drones[this.focus].pilot) && first >= 0) this.scene.focus = first + 1;
   }
 
   again() {
@@ -245,7 +256,7 @@ class Playground {
       this.tell(`${MOST_CIRCLES} obstacles are the most.`);
       return false;
     }
-    this.edit([...circles, allowed(this.world, circle)]);
+    this.edit([...circles, allowed(this.world, circle, this.race.free)]);
     this.stage.selected = circles.length;
     return true;
   }

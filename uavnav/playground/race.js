@@ -4,6 +4,7 @@
  */
 
 const TRAIL = 1500; // points of a trail that are kept, up to the pose before the last
+const ROUNDED = 0.15; // [px] that a link, which has one decimal, may bring a circle nearer
 
 class Race {
   /** tasks: constants of each world; policies: of the page, each with its key; scene: as link.js has it. */
@@ -35,6 +36,16 @@ class Race {
     return this.set.circles.map((circle) => circle.slice(0, 3));
   }
 
+  /** What circles leave free: [x, y, room] px. */
+  get free() {
+    return this.task.free(this.set);
+  }
+
+  /** Whether all circles leave free what they must, as far as a link can say. */
+  circlesFit() {
+    return this.circles.every((circle) => this.free.every(([x, y, room]) => isClear([x, y, room - ROUNDED], circle)));
+  }
+
   /** Every drone back at the start, on the same obstacles and with the same random numbers. */
   again() {
     this.steps = 0;
@@ -53,9 +64,7 @@ class Race {
   replaceCircles(circles) {
     this.set = this.task.arrange(this.set, circles, this.scene.set);
     for (const drone of this.drones) {
-      if (drone.ended) continue;
-      drone.state = this.task.remember(drone.state, this.set, this.task.draw(drone.chance));
-      this.look(drone);
+      if (!drone.ended) this.wake(drone);
     }
   }
 
@@ -65,15 +74,24 @@ class Race {
     if (pilot === YOU && other >= 0 && other !== place) this.handTo(other, this.drones[other].before);
     const drone = this.drones[place];
     if (drone.pilot === pilot) return;
+    const waited = this.steps > 0 && !this.canFly(drone.pilot);
     if (drone.pilot !== NOBODY) drone.before = drone.pilot;
     drone.pilot = pilot;
     this.scene.pilots[place] = pilot;
-    if (!drone.ended) this.decide(drone);
+    if (drone.ended) return;
+    if (waited) this.wake(drone);
+    else this.decide(drone);
   }
 
   greedy(greedy) {
     this.scene.greedy = greedy;
     this.drones.forEach((drone) => drone.ended || this.decide(drone));
+  }
+
+  /** Sense what is there now, whatever was sensed before. */
+  wake(drone) {
+    drone.state = this.task.remember(drone.state, this.set, this.task.draw(drone.chance));
+    this.look(drone);
   }
 
   look(drone) {
@@ -100,10 +118,13 @@ class Race {
     return this.drones.filter((drone) => this.canFly(drone.pilot) && !drone.ended);
   }
 
-  /** One step of everyone. -> the drones that ended in it */
+  /** One step of everyone; who is not flown waits where it is. -> the drones that ended in it */
   step() {
     const flying = this.flying();
     this.steps += 1;
+    for (const drone of this.drones) {
+      if (!drone.ended && !flying.includes(drone)) drone.state = drone.last = { ...drone.state, waited: drone.state.waited + 1 };
+    }
     for (const drone of flying) {
       const action = drone.thought.action ?? encode(this.world, this.hand);
       drone.last = drone.state;

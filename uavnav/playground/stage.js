@@ -18,18 +18,27 @@ function towards(world, { x, y, heading }, [toX, toY]) {
   return [clamp(turn, left + 1 - world.n_turns, left), pixels];
 }
 
-/** The nearest circle to a drawn one that the world allows: of its sizes, within it, and clear of the start. */
-function allowed(world, [x, y, radius]) {
+const BEARINGS_TRIED = 72; // around a place that must stay free
+
+/** The nearest circle to a drawn one that the world allows: of its sizes, within it, and clear of places [x, y, room]. */
+function allowed(world, [x, y, radius], free) {
   const rounded = (number) => f32(Math.round(10 * number) / 10);
   const size = rounded(clamp(radius, world.obstacle_radius_min, world.obstacle_radius_max));
   const inside = [clamp(x, 0, world.width), clamp(y, 0, world.height)];
-  const [startX, startY] = [world.width / 2, world.height / 2];
-  const [dx, dy] = [inside[0] - startX, inside[1] - startY];
-  const away = Math.hypot(dx, dy);
-  const least = world.safe_zone + size + 0.2; // so that rounding brings it no nearer
-  if (away >= least) return [...inside.map(rounded), size];
-  const [ux, uy] = away > 0 ? [dx / away, dy / away] : [0, 1];
-  return [rounded(startX + least * ux), rounded(startY + least * uy), size];
+  const away = ([toX, toY]) => Math.hypot(toX - inside[0], toY - inside[1]);
+  const around = free.flatMap(([atX, atY, room]) => {
+    const [least, way] = [room + size + 0.2, Math.atan2(inside[1] - atY, inside[0] - atX)];
+    return Array.from({ length: BEARINGS_TRIED }, (_, nth) => {
+      const bearing = way + (2 * Math.PI * nth) / BEARINGS_TRIED;
+      return [atX + least * Math.cos(bearing), atY + least * Math.sin(bearing)];
+    });
+  });
+  const fits = ([toX, toY]) => {
+    const within = toX >= 0 && toX <= world.width && toY >= 0 && toY <= world.height;
+    return within && free.every((place) => isClear(place, [toX, toY, size + 0.1])); // rounding brings it no nearer
+  };
+  const nearest = [inside, ...around].filter(fits).reduce((one, other) => (away(other) < away(one) ? other : one));
+  return [...nearest.map(rounded), size];
 }
 
 class Stage {
@@ -104,7 +113,7 @@ class Stage {
   }
 
   change(circle) {
-    this.app.edit(this.app.race.circles.with(this.selected, allowed(this.app.world, circle)));
+    this.app.edit(this.app.race.circles.with(this.selected, allowed(this.app.world, circle, this.app.race.free)));
   }
 
   erase(event, [x, y]) {
@@ -140,9 +149,9 @@ class Stage {
     if (this.drawing) this.drawHelp(context, thick, colours);
   }
 
-  /** While one draws: the zone that must stay free, and the selected circle. */
+  /** While one draws: what must stay free, and the selected circle. */
   drawHelp(context, thick, colours) {
-    const { world, race } = this.app;
+    const { race } = this.app;
     const ring = ([x, y, radius]) => {
       context.beginPath();
       context.arc(x, y, radius, 0, 2 * Math.PI);
@@ -151,7 +160,7 @@ class Stage {
     context.lineWidth = 2 * thick;
     context.strokeStyle = colours.muted;
     context.setLineDash([6 * thick, 6 * thick]);
-    ring([world.width / 2, world.height / 2, world.safe_zone]);
+    for (const place of race.free) ring(place);
     context.setLineDash([]);
     context.strokeStyle = colours.accent;
     context.lineWidth = 4 * thick;

@@ -88,10 +88,10 @@ def _arena(axes: Axes, obstacles: Array, world: World) -> None:
 
 
 @matplotlib.rc_context(style.STYLE)
-def preview(title: str, paths: Mapping[str, Array], obstacles: Array, world: World) -> Figure:
+def preview(title: str, paths: Mapping[str, Array], collided: set[str], obstacles: Array, world: World) -> Figure:
     """What a link to the page shows, 1200 x 630 px: a sentence above drones on the same obstacles [K, 3] px.
 
-    paths: name -> where it flew [T, 2] px.
+    paths: name -> where it flew [T, 2] px; collided: those whose path ends in a collision, with a cross.
     """
     figure = Figure(figsize=(12, 6.3), dpi=100)
     figure.text(
@@ -108,7 +108,10 @@ def preview(title: str, paths: Mapping[str, Array], obstacles: Array, world: Wor
         _arena(axes, obstacles, world)
         colour = style.FIRST[place % len(style.FIRST)]
         axes.plot(*path.T, color=colour, linewidth=2.5)
-        axes.add_patch(Circle(tuple(path[-1]), world.drone_radius, facecolor=colour, zorder=3))
+        shade = 0.35 if name in collided else 1.0
+        axes.add_patch(Circle(tuple(path[-1]), world.drone_radius, facecolor=colour, alpha=shade, zorder=3))
+        if name in collided:
+            axes.plot(*path[-1], "x", color=colour, markersize=18, markeredgewidth=4, zorder=4)
         axes.set_title(name, fontsize=18, color=colour, weight="bold")
     return figure
 

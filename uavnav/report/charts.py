@@ -81,15 +81,17 @@ def intervals(
 
 
 @matplotlib.rc_context(style.STYLE)
-def flights(rows: Mapping[str, Array], rule: float, axis: str, width: float = style.WIDTH) -> style.Drawn:
+def flights(
+    rows: Mapping[str, tuple[Array, Interval]], rule: float, axis: str, width: float = style.WIDTH
+) -> style.Drawn:
     """What the rule and the cells reach on test flights: a row each, the best first, with its number.
 
-    rows: label -> [S]; rule: what the hand-written rule reaches; axis: the metric in words; width: [inches].
+    rows: label -> seeds [S] and their mean; rule: what the hand-written rule reaches; axis: the metric in words;
+    width: [inches].
     """
-    known = {name: seeds for name, seeds in rows.items() if np.isfinite(seeds).any()}
-    if not known:
+    if not rows:
         return style.nothing(axis)
-    order = sorted(known, key=lambda name: -np.nanmean(known[name]))
+    order = sorted(rows, key=lambda name: -rows[name][1].value)
     groups = list(dict.fromkeys(style.parts(name)[0] for name in order))
     figure = Figure(figsize=(width, 0.24 * (len(order) + 1) + 0.55), layout="constrained")
     axes, named, said = figure.subplots(), [], []
@@ -100,7 +102,7 @@ def flights(rows: Mapping[str, Array], rule: float, axis: str, width: float = st
         said.append(f"{style.RULE} {style.number(rule)}")
     for name in order:
         colour = style.FIRST[groups.index(style.parts(name)[0]) % 2]
-        found = style.row_of_seeds(axes, len(named), known[name], colour)
+        found = style.row_of_seeds(axes, len(named), rows[name][0], colour, rows[name][1])
         named.append(f"{name.replace('_', ' ')}  {found.value:,.0f}")
         said.append(f"{name} {style.said(found)}")
     style.name_rows(axes, named)

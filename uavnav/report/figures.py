@@ -19,7 +19,7 @@ from uavnav.report.style import Drawn
 from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
 from uavnav.runs.readings import PER_FRAME, SAMPLED, words
-from uavnav.stats import Array
+from uavnav.stats import Array, Interval
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
 
@@ -105,10 +105,17 @@ def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> list[Figur
     """The figure of the first screen, as wide as the page: the reward of test flights, with the rule's."""
     rule, width = gaps.loc[gaps["who"] == RULE, "reward"], style.FULL if width >= style.WIDTH else width
     dashed = float(rule.sum()) if len(rule) else np.nan
-    drawn = charts.flights(_seeds(values, SAMPLED, "reward"), dashed, "reward of a flight on test sets", width)
+    seeds = _seeds(values, SAMPLED, "reward")
+    rows = {
+        row["who"]: (seeds[row["who"]], Interval(row["reward"], row["low"], row["high"], row["n"]))
+        for row in gaps[gaps["mode"] == MODES[1]].to_dict("records")
+        if row["who"] in seeds
+    }
+    drawn = charts.flights(rows, dashed, "reward a flight, new obstacles", width)
     caps = gaps.loc[gaps["mode"] == MODES[1], "cap"].dropna()
     limit = f" Flights end at a collision, or after {caps.max():,.0f} steps." if len(caps) else ""
-    caption = f"A small dot is a training seed, a large one the mean of its cell with its 95 % interval.{limit}"
+    caption = "A small dot is a training run, a large one the mean of its row with its 95 % interval."
+    caption += f"{limit} The paper: {paper.TITLE}."
     return [Figure("cells-flights", "first", drawn, caption)]
 
 

@@ -318,6 +318,17 @@ def shown_first(numbers: Numbers) -> dict[str, str]:
     return {row.who: _with(row.who) for _, row in sorted(best, key=lambda one: -one[1].reward)}
 
 
+def beside_flights(numbers: Numbers, shown: dict[str, Any]) -> str:
+    """What must be known of the flights on the first screen, as `replays.together` gives them."""
+    cut = [one["steps"] for drone in shown["drones"] for one in drone["flights"] if one["ended"] == "cut off"]
+    rule, best = next(_rows(numbers["gaps"], who=RULE), None), next(_best(numbers["gaps"], MODES[1:]), None)
+    limit = f" of at most {rule[1].cap:,.0f}" if rule and not np.isnan(rule[1].cap) else ""
+    where = "Obstacles are new to every policy"
+    said = f"The first {max(cut):,} steps{limit}. {where}." if cut else f"{where}."
+    stays = rule and best and best[1].gap_high < 0 and best[1].up < rule[1].up
+    return f"{said} The rule wins by staying up." if stays else said
+
+
 def flights(numbers: Numbers, root: str = "") -> tables.Rows:
     """Test flights of the rule and of each algorithm's best cell: reward, its gap to the rule, share still up."""
     gaps = numbers["gaps"]

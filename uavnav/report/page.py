@@ -124,7 +124,11 @@ def contents(content: Content, first: Path) -> dict[str, bytes]:
         found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *shown]).encode()
     if flights := first_flights(content):
         drones = paths(flights, PREVIEWED)
-        drawn = arena.preview(str(findings.headline(content.tables)), drones, np.array(flights["layouts"][0]), World())
+        firsts = {drone["name"]: drone["flights"][0] for drone in flights["drones"]}
+        ends = {name: one["ended"] for name, one in firsts.items() if one["steps"] <= PREVIEWED}
+        collided = {name for name, ended in ends.items() if ended == "collision"}
+        title, obstacles = str(findings.headline(content.tables)), np.array(flights["layouts"][0])
+        drawn = arena.preview(title, drones, collided, obstacles, World())
         found["preview.png"] = save(drawn)[1]
     found["report.html"] = page(content, pictures, first).encode()
     found["report.md"] = markdown(content).encode()
@@ -213,8 +217,9 @@ def _sections(content: Content) -> list[tuple[str, str]]:
 
 
 def first_flights(content: Content) -> dict[str, Any] | None:
-    """What flies on the first screen, where there is a policy that can."""
-    return together(content.replays, findings.shown_first(content.tables), RULE) if content.replays else None
+    """What flies on the first screen, where at least one policy can beside the rule."""
+    shown = together(content.replays, findings.shown_first(content.tables), RULE) if content.replays else None
+    return shown if shown and len(shown["drones"]) > 1 else None
 
 
 def _table_name(algorithm: str) -> str:

@@ -122,7 +122,7 @@ def together(recorded: dict[str, Any], cells: Mapping[str, str], rule: str) -> d
     """What a page needs to show the first seed of some cells and the hand-written rule on the same obstacles.
 
     recorded: as `record` gives it; cells: names to show by the cell's label, such as `PPO tanh`; rule: the rule's name.
-    The flights, the longest ones together first, are without what belongs to a choice.
+    The flights are without what belongs to a choice. They begin where the cells' flights are shortest.
     """
     there = [cell for cell in recorded["cells"] if "place" not in cell]  # in the paper's world
     of = {f"{cell['algorithm'].upper()} {cell['label']}": cell["flights"] for cell in there}
@@ -131,7 +131,8 @@ def together(recorded: dict[str, Any], cells: Mapping[str, str], rule: str) -> d
         name: {one["layout"]: one for one in flights if one["seed"] == flights[0]["seed"]}
         for name, flights in flown.items()
     }
-    order = sorted(range(len(recorded["layouts"])), key=lambda at: -sum(own[at]["steps"] for own in firsts.values()))
+    learned = [own for name, own in firsts.items() if name != rule]
+    order = sorted(range(len(recorded["layouts"])), key=lambda at: sum(own[at]["steps"] for own in learned))
     return {
         "world": recorded["world"],
         "layouts": [recorded["layouts"][at] for at in order],

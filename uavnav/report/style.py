@@ -119,9 +119,9 @@ def mark(marker: str, label: str, **look: Any) -> Line2D:
     return Line2D([], [], linestyle="none", marker=marker, color=INK, label=label, **look)
 
 
-def row_of_seeds(axes: Axes, row: int, seeds: Array, colour: str) -> Interval:
-    """A cell's seeds [S], their mean and its interval, in one row of a chart."""
-    found = stats.interval(np.where(np.isfinite(seeds), seeds, np.nan))
+def row_of_seeds(axes: Axes, row: int, seeds: Array, colour: str, known: Interval | None = None) -> Interval:
+    """A cell's seeds [S], their mean and its interval, in one row of a chart; known: the mean that a table holds."""
+    found = known or stats.interval(np.where(np.isfinite(seeds), seeds, np.nan))
     spread = row + np.linspace(-0.14, 0.14, len(seeds)) if len(seeds) > 1 else [row] * len(seeds)
     axes.plot(seeds, spread, "o", color=colour, markersize=4.5, alpha=0.5, markeredgewidth=0, linestyle="none")
     if np.isfinite(found.low):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+TITLE = "Comparative Analysis of DQN and PPO Algorithms in UAV Obstacle Avoidance 2D Simulation"
 COLUMNS = ("steps", "full_stops", "turns", "distance", "speed", "reward")
 """The six metrics in the tables' order; their units: per episode, %, %, px per episode, px per step, per episode."""
 

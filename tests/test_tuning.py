@@ -15,6 +15,7 @@ import pytest
 from uavnav import studies
 from uavnav.choices import ConfigError
 from uavnav.report.tables import markdown
+from uavnav.runs import trials
 from uavnav.runs.tables import RunError, lock
 from uavnav.studies import search, tuning
 from uavnav.study import main
@@ -99,7 +100,8 @@ def test_a_trial_is_told_the_mean_reward_of_its_sampled_flights_and_the_best_win
         mine = table[table["algorithm"] == cell.config.algorithm]
         assert value(cell.config) == pytest.approx(mine["value"].max())
         assert (cell.config.seeds, cell.config.total_frames) == ([100, 101, 102], 4000)
-        assert cell.out == found.out / "tuning" / "tuned" / cell.config.algorithm / "tanh"
+        number = mine.loc[mine["value"].idxmax(), "trial"]
+        assert cell.out == found.out / f"tuning/tuned/{number:03}/{cell.config.algorithm}/tanh"
 
 
 def test_a_trial_that_diverges_is_told_as_failed_and_the_study_goes_on(tmp_path):
@@ -123,6 +125,25 @@ def test_a_study_killed_after_any_write_ends_with_the_trials_of_an_unbroken_one(
             raise Killed
 
     monkeypatch.setattr(backend, "append_logs", killed)
+    with pytest.raises(Killed):
+        tuned(tmp_path)
+    monkeypatch.undo()
+    assert tuned(tmp_path) == unbroken
+
+
+def test_a_study_whose_journal_is_cut_off_in_mid_line_ends_with_the_same_trials(tmp_path, unbroken, monkeypatch):
+    """As a full disk or a lost machine leaves it."""
+    backend = optuna.storages.journal.JournalFileBackend
+    writes, whole = itertools.count(1), backend.append_logs
+
+    def torn(self, logs):
+        whole(self, logs)
+        if next(writes) >= 12:
+            journal = tmp_path / "out" / "tuning" / "journal.jsonl"
+            journal.write_bytes(journal.read_bytes()[:-20])
+            raise Killed
+
+    monkeypatch.setattr(backend, "append_logs", torn)
     with pytest.raises(Killed):
         tuned(tmp_path)
     monkeypatch.undo()
@@ -158,6 +179,25 @@ def test_more_trials_go_on_where_fewer_ended(tmp_path):
     many = search.trials(planned(tmp_path))
     assert (len(few), len(many)) == (4, 10)
     assert many.groupby("algorithm").head(2)["settings"].tolist() == few["settings"].tolist()
+
+
+def test_another_winner_after_more_trials_is_another_run(tmp_path):
+    """Else the run of the one before would stand as its own."""
+    tuned(tmp_path, trials=2)
+    before = {cell.config.algorithm: cell for cell in search.winners(planned(tmp_path))}
+    tuned(tmp_path)
+    after = {cell.config.algorithm: cell for cell in search.winners(planned(tmp_path))}
+    changed = [name for name in after if after[name].config != before[name].config]
+    assert changed
+    assert all((after[name].out != before[name].out) == (name in changed) for name in after)
+
+
+def test_algorithms_that_are_searched_one_after_the_other_have_all_rows(tmp_path, unbroken):
+    found = planned(tmp_path)
+    for name in ("a2c", "ppo"):
+        assert tuning.tune(found._replace(study=studies.only(found.study, name)), train, say=lambda line: None) == []
+    for name, both in zip(("trials.csv", "importance.csv"), unbroken, strict=True):
+        assert sorted((found.folder / name).read_bytes().splitlines()) == sorted(both.splitlines())
 
 
 def test_importance_is_a_share_of_each_setting_and_the_one_that_decides_leads(tmp_path):
@@ -226,10 +266,11 @@ def test_a_folder_of_another_search_and_one_that_is_in_use_are_refused(tmp_path)
         tuning.tune(found, train)
 
 
-def test_a_journal_that_is_damaged_is_one_line(tmp_path):
+@pytest.mark.parametrize("content", [b"{\n}\n{}\n", b"{}\n", b"\xff\n", b"[]\n", b'{"op_code":\n'])
+def test_a_journal_that_is_damaged_is_one_line(content, tmp_path):
     found = planned(tmp_path)
     found.folder.mkdir(parents=True)
-    (found.folder / "journal.jsonl").write_text("{\n}\n{}\n")
+    (found.folder / "journal.jsonl").write_bytes(content)
     with pytest.raises(RunError, match=r"journal\.jsonl: cannot be read"):
         tuning.tune(found, train)
 
@@ -248,9 +289,10 @@ def test_the_status_counts_trials_and_needs_no_optuna(monkeypatch, tmp_path, cap
     out, path = tmp_path / "out", tmp_path / "small.yaml"
     assert main([str(path), f"out={out}", "algorithms=ppo", "trials=4", "--status", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
-    folders = [str(Path(row["cell"]).relative_to(out / "tuning")) for row in rows]
-    assert folders == ["default/ppo/tanh", *(f"trials/{n:03}/ppo/tanh" for n in range(4)), "tuned/ppo/tanh"]
     table = search.trials(planned(tmp_path))
+    best = trials.best(table, "ppo")["trial"]
+    folders = [str(Path(row["cell"]).relative_to(out / "tuning")) for row in rows]
+    assert folders == ["default/ppo/tanh", *(f"trials/{n:03}/ppo/tanh" for n in range(4)), f"tuned/{best:03}/ppo/tanh"]
     told = table.loc[table["algorithm"] == "ppo", "state"].tolist()
     assert [row["state"] for row in rows] == ["missing", *told, "missing", "missing"]
 
@@ -287,5 +329,6 @@ def test_a_real_study_killed_with_signal_9_ends_as_an_unbroken_one_bit_for_bit(t
     first.wait()
     assert not (tmp_path / "killed/tuning/trials.csv").exists()
     assert study("killed").wait(300) == 0
-    for name in ("tuning/trials.csv", "tuning/importance.csv", "tuning/tuned/a2c/tanh/policy.safetensors"):
+    (winner,) = tmp_path.glob("whole/tuning/tuned/*/a2c/tanh/policy.safetensors")
+    for name in ("tuning/trials.csv", "tuning/importance.csv", winner.relative_to(tmp_path / "whole")):
         assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "killed" / name).read_bytes(), name

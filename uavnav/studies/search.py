@@ -23,15 +23,10 @@ import pandas as pd
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError, unknown, unknown_key
-from uavnav.runs import TRIALS, TUNING
+from uavnav.runs.trials import COLUMNS, TABLE, TRIALS, TUNED, TUNING, best, read, winner
 from uavnav.studies import Cell, Study
 
 KEYS = {"trials": int, "at_once": int, "settings": dict, "ranges": dict, "space": dict}
-TABLE = "trials.csv"
-COLUMNS = ["algorithm", "trial", "state", "value", "settings"]
-FINISHED, DIVERGED = "finished", "diverged"
-"""States of a trial that was told."""
-TUNED = "tuned"
 
 Settings = dict[str, Any]
 
@@ -80,12 +75,13 @@ class Plan(NamedTuple):
         return self.cell(algorithm, settings, f"{TRIALS}/{number:03}", self.said["settings"])
 
     def winner(self, algorithm: str, trials: pd.DataFrame) -> Cell | None:
-        """The best trial's settings, trained as the study's other cells are; None where no trial has finished."""
-        mine = trials[(trials["algorithm"] == algorithm) & (trials["state"] == FINISHED)]
-        if mine.empty:
+        """The best trial's settings, trained as the study's other cells are; None where no trial has finished.
+
+        Its folder has the trial's number, so that another winner after more trials is a run of its own.
+        """
+        if (found := best(trials, algorithm)) is None:
             return None
-        best = mine.set_index("settings")["value"].idxmax()
-        return self.cell(algorithm, json.loads(str(best)), TUNED, self.study.settings)
+        return self.cell(algorithm, json.loads(found["settings"]), winner(found["trial"]), self.study.settings)
 
 
 def _short(name: str, value: Any) -> Any:
@@ -137,8 +133,7 @@ def _check(found: Plan, algorithm: str) -> None:
 
 def trials(found: Plan) -> pd.DataFrame:
     """The trials that were told so far: columns algorithm, trial, state, value, settings (JSON)."""
-    path = found.folder / TABLE
-    return pd.read_csv(path) if path.exists() else pd.DataFrame(columns=COLUMNS)
+    return read(found.folder / TABLE, COLUMNS)
 
 
 def winners(found: Plan) -> list[Cell]:

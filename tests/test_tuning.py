@@ -243,6 +243,17 @@ def test_the_page_shows_the_search_space_of_the_file():
         (("[32, 64, 128]", "64"), "width=64; give a list of values, or low and high"),
         (("a2c: {", "sac: {"), "tune: algorithm=a2c; choose from ppo, sac"),
         (("low: 1,", "low: 0,"), "epochs=0; give a number of at least 1"),
+        (("low: 1.0e-5", "low: 0.0"), "'log': True}; give numbers, low below high, and low above 0 with log: true"),
+        (("low: 1.0e-5", "low: small"), "give numbers, low below high"),
+        (("low: 1,", "low: 30,"), "passes={'low': 30, 'high': 20}; give numbers, low below high"),
+        (("ppo: {lr: rate, hidden: width, epochs: passes}", "ppo: lr"), "tune: space: ppo=lr; give settings with the"),
+        (("epochs: passes}", "task: passes}"), "task=1"),
+        (("epochs: passes}", "max_grad_norm: [passes]}"), "range=['passes']; choose from passes, rate, width"),
+        (("at_once: 3", "at_once: -3"), "tune: at_once=-3; give it as uavnav/studies/tuning.yaml does"),
+        (("    a2c: {", "    pop: {lr: rate}\n    a2c: {"), "tune: algorithm=pop; choose from a2c, "),
+        (("activation: tanh", "activation: [tanh, relu]"), "tune: ppo: a trial is one cell, not 2; give one value"),
+        (("evaluate: {episodes: 5, max_steps: 50}", "evaluate: false"), "tune: settings: evaluate=false; a trial is"),
+        (("{seed: 100, n", "{seed: 1, n"), "tune: ppo: seed=1 is of trials and of what they are compared in; give"),
         (
             (SMALL.partition("settings: {seed")[0], "tune: 3\n"),
             "tune=3; give keys and values, as uavnav/studies/tuning",
@@ -255,6 +266,12 @@ def test_a_wrong_plan_is_refused_in_one_line(change, said, tmp_path, capsys, mon
     assert main(["small.yaml"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
+
+
+def test_more_seeds_than_lie_between_trials_and_winners_are_refused(tmp_path):
+    assert planned(tmp_path, seeds=100).seeds == 100
+    with pytest.raises(ConfigError, match="ppo: seed=100 is of trials and of what they are compared in"):
+        planned(tmp_path, seeds=101)
 
 
 def test_a_folder_of_another_search_and_one_that_is_in_use_are_refused(tmp_path):

@@ -12,13 +12,15 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from uavnav import studies
+from uavnav import studies, study
 from uavnav.choices import ConfigError
+from uavnav.policies import Diverged, PolicyError
 from uavnav.report.tables import markdown
 from uavnav.runs import trials
 from uavnav.runs.tables import RunError, lock
 from uavnav.studies import search, tuning
 from uavnav.study import main
+from uavnav.training import share
 
 optuna = pytest.importorskip("optuna")
 
@@ -113,6 +115,25 @@ def test_a_trial_that_diverges_is_told_as_failed_and_the_study_goes_on(tmp_path)
     assert table["value"].isna().equals(rates > DIVERGES)
 
 
+@pytest.mark.parametrize(("error", "diverged"), [(Diverged, True), (PolicyError, False)])
+def test_a_share_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_otherwise_did_not(
+    error, diverged, tmp_path, monkeypatch
+):
+    def flown(*given, **how):
+        raise error("policy.0.weight of seed 3")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
+    monkeypatch.setattr(share, "_train", lambda described: {"finished": 64})
+    monkeypatch.setattr(share, "Run", lambda out: out)
+    monkeypatch.setattr(share, "evaluate_run", flown)
+    job = tmp_path / "seeds.job"
+    job.write_text(json.dumps({"out": str(tmp_path), "folder": str(tmp_path), "evaluation": {"episodes": 1}}))
+    share.unheard(job)
+    said = json.loads((tmp_path / "seeds.ended").read_text())
+    assert said == {"error": "policy.0.weight of seed 3", "diverged": diverged}
+
+
 @pytest.mark.parametrize("after", [1, 3, 12, 40, 55])
 def test_a_study_killed_after_any_write_ends_with_the_trials_of_an_unbroken_one(after, tmp_path, unbroken, monkeypatch):
     """Also where the kill comes while a trial is asked for, between two that are told, or in training."""
@@ -170,6 +191,17 @@ def test_trials_that_fail_otherwise_are_not_told_and_come_back(tmp_path):
 
     assert len(tuning.tune(planned(tmp_path), full)) == 1
     assert search.trials(planned(tmp_path)).empty
+
+
+def test_a_study_whose_trials_fail_counts_them_and_not_its_cells(tmp_path, capsys, monkeypatch):
+    class Full(study.Study):
+        def run(self):
+            return [study.Work(work.cell, problem="the disk is full") for work in self.works[:5]]
+
+    monkeypatch.setattr(study, "Study", Full)
+    (tmp_path / "small.yaml").write_text(SMALL)
+    assert main([str(tmp_path / "small.yaml"), f"out={tmp_path / 'out'}"]) == 1
+    assert capsys.readouterr().err == "uavnav study: 5 trials failed; the same command repeats them\n"
 
 
 def test_more_trials_go_on_where_fewer_ended(tmp_path):
@@ -248,6 +280,7 @@ def test_the_page_shows_the_search_space_of_the_file():
         (("low: 1,", "low: 30,"), "passes={'low': 30, 'high': 20}; give numbers, low below high"),
         (("ppo: {lr: rate, hidden: width, epochs: passes}", "ppo: lr"), "tune: space: ppo=lr; give settings with the"),
         (("epochs: passes}", "task: passes}"), "task=1"),
+        (("epochs: passes}", "max_steps: passes}"), "the default of ppo, max_steps=None, is not in it"),
         (("epochs: passes}", "max_grad_norm: [passes]}"), "range=['passes']; choose from passes, rate, width"),
         (("at_once: 3", "at_once: -3"), "tune: at_once=-3; give it as uavnav/studies/tuning.yaml does"),
         (("    a2c: {", "    pop: {lr: rate}\n    a2c: {"), "tune: algorithm=pop; choose from a2c, "),

@@ -147,15 +147,13 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
             show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(cells)} cells are left, into {out}")
             return run.run()
 
-        if plan is not None:
-            failed = tuning.tune(plan, train, show.say)
-            found += [] if failed else search.winners(plan)
-        if plan is None or not failed:
-            failed = train(found)
-    if failed:
-        print(
-            f"uavnav study: {len(failed)} of {len(found)} cells failed; the same command repeats them", file=sys.stderr
-        )
+        untold = tuning.tune(plan, train, show.say) if plan is not None else []
+        if plan is not None and not untold:
+            found += search.winners(plan)
+        failed = [] if untold else train(found)
+    if untold or failed:
+        what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} cells"
+        print(f"uavnav study: {what} failed; the same command repeats them", file=sys.stderr)
         return 1
     if own["report"]:
         if plan is not None and not (out / "baselines" / "reactive.parquet").exists():

@@ -4,7 +4,7 @@ BIN := .venv/bin
 RESULTS ?= results
 ENGINE ?= engine=local
 
-.PHONY: train test study one-world initial tuned sensitivity wide why algorithms tuning baselines report docs help layouts picture clean
+.PHONY: train test study one-world initial tuned sensitivity wide why algorithms worlds tuning baselines report docs help layouts picture clean
 
 train: .venv/.installed
 	$(BIN)/uavnav train ppo activation=relu
@@ -29,7 +29,7 @@ test: .venv/.installed-dev
 study: .venv/.installed
 	$(BIN)/uavnav study paper out=$(RESULTS) $(ENGINE)
 
-one-world initial tuned sensitivity wide why algorithms: .venv/.installed
+one-world initial tuned sensitivity wide why algorithms worlds: .venv/.installed
 	$(BIN)/uavnav study $@ out=$(RESULTS) report=false $(ENGINE)
 
 tuning: .venv/.installed-dev # Optuna comes with what tests need

@@ -190,7 +190,7 @@ def test_the_tables_of_the_world_hold_every_bank_and_every_field_of_a_step():
 # -- error lines ------------------------------------------------------------------------------------------------------
 
 ERRORS = {
-    *("ConfigError", "LayoutError", "PolicyError", "RunError", "HydraException"),
+    *("ConfigError", "Diverged", "LayoutError", "PolicyError", "RunError", "HydraException"),
     *("ValueError", "AttributeError", "ImportError", "ResetNeeded"),
 }
 IN_BRACKETS = {"more than … bytes of weights", "not a table of float32 tensors", "… has more than … bytes"}

@@ -192,6 +192,14 @@ def test_the_status_says_what_is_finished_and_what_is_missing(capsys):
     assert capsys.readouterr().out.splitlines()[-1] == "8 missing"
 
 
+def test_every_study_has_a_target_of_make_and_a_name_on_the_page():
+    (targets,) = re.findall(r"^\.PHONY: (.*)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    page = (ROOT / "docs" / "scale.md").read_text()
+    for name in studies.names():
+        assert name in [*targets.split(), "paper"]
+        assert f"`{name}`" in page
+
+
 def test_makespans_of_known_jobs_and_the_table_of_the_page():
     makespan = runpy.run_path(str(ROOT / "docs" / "makespan.py"))
     assert makespan["makespan"]([3.0, 3.0, 2.0], 2) == 5.0

@@ -12,12 +12,15 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from uavnav import studies
+from uavnav import studies, study
 from uavnav.choices import ConfigError
+from uavnav.policies import Diverged, PolicyError
 from uavnav.report.tables import markdown
+from uavnav.runs import trials
 from uavnav.runs.tables import RunError, lock
 from uavnav.studies import search, tuning
 from uavnav.study import main
+from uavnav.training import share
 
 optuna = pytest.importorskip("optuna")
 
@@ -99,7 +102,8 @@ def test_a_trial_is_told_the_mean_reward_of_its_sampled_flights_and_the_best_win
         mine = table[table["algorithm"] == cell.config.algorithm]
         assert value(cell.config) == pytest.approx(mine["value"].max())
         assert (cell.config.seeds, cell.config.total_frames) == ([100, 101, 102], 4000)
-        assert cell.out == found.out / "tuning" / "tuned" / cell.config.algorithm / "tanh"
+        number = mine.loc[mine["value"].idxmax(), "trial"]
+        assert cell.out == found.out / f"tuning/tuned/{number:03}/{cell.config.algorithm}/tanh"
 
 
 def test_a_trial_that_diverges_is_told_as_failed_and_the_study_goes_on(tmp_path):
@@ -109,6 +113,25 @@ def test_a_trial_that_diverges_is_told_as_failed_and_the_study_goes_on(tmp_path)
     assert (rates > DIVERGES).any()
     assert ((table["state"] == "diverged") == (rates > DIVERGES)).all()
     assert table["value"].isna().equals(rates > DIVERGES)
+
+
+@pytest.mark.parametrize(("error", "diverged"), [(Diverged, True), (PolicyError, False)])
+def test_a_share_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_otherwise_did_not(
+    error, diverged, tmp_path, monkeypatch
+):
+    def flown(*given, **how):
+        raise error("policy.0.weight of seed 3")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
+    monkeypatch.setattr(share, "_train", lambda described: {"finished": 64})
+    monkeypatch.setattr(share, "Run", lambda out: out)
+    monkeypatch.setattr(share, "evaluate_run", flown)
+    job = tmp_path / "seeds.job"
+    job.write_text(json.dumps({"out": str(tmp_path), "folder": str(tmp_path), "evaluation": {"episodes": 1}}))
+    share.unheard(job)
+    said = json.loads((tmp_path / "seeds.ended").read_text())
+    assert said == {"error": "policy.0.weight of seed 3", "diverged": diverged}
 
 
 @pytest.mark.parametrize("after", [1, 3, 12, 40, 55])
@@ -123,6 +146,25 @@ def test_a_study_killed_after_any_write_ends_with_the_trials_of_an_unbroken_one(
             raise Killed
 
     monkeypatch.setattr(backend, "append_logs", killed)
+    with pytest.raises(Killed):
+        tuned(tmp_path)
+    monkeypatch.undo()
+    assert tuned(tmp_path) == unbroken
+
+
+def test_a_study_whose_journal_is_cut_off_in_mid_line_ends_with_the_same_trials(tmp_path, unbroken, monkeypatch):
+    """As a full disk or a lost machine leaves it."""
+    backend = optuna.storages.journal.JournalFileBackend
+    writes, whole = itertools.count(1), backend.append_logs
+
+    def torn(self, logs):
+        whole(self, logs)
+        if next(writes) >= 12:
+            journal = tmp_path / "out" / "tuning" / "journal.jsonl"
+            journal.write_bytes(journal.read_bytes()[:-20])
+            raise Killed
+
+    monkeypatch.setattr(backend, "append_logs", torn)
     with pytest.raises(Killed):
         tuned(tmp_path)
     monkeypatch.undo()
@@ -151,6 +193,17 @@ def test_trials_that_fail_otherwise_are_not_told_and_come_back(tmp_path):
     assert search.trials(planned(tmp_path)).empty
 
 
+def test_a_study_whose_trials_fail_counts_them_and_not_its_cells(tmp_path, capsys, monkeypatch):
+    class Full(study.Study):
+        def run(self):
+            return [study.Work(work.cell, problem="the disk is full") for work in self.works[:5]]
+
+    monkeypatch.setattr(study, "Study", Full)
+    (tmp_path / "small.yaml").write_text(SMALL)
+    assert main([str(tmp_path / "small.yaml"), f"out={tmp_path / 'out'}"]) == 1
+    assert capsys.readouterr().err == "uavnav study: 5 trials failed; the same command repeats them\n"
+
+
 def test_more_trials_go_on_where_fewer_ended(tmp_path):
     tuned(tmp_path, trials=2)
     few = search.trials(planned(tmp_path))
@@ -158,6 +211,25 @@ def test_more_trials_go_on_where_fewer_ended(tmp_path):
     many = search.trials(planned(tmp_path))
     assert (len(few), len(many)) == (4, 10)
     assert many.groupby("algorithm").head(2)["settings"].tolist() == few["settings"].tolist()
+
+
+def test_another_winner_after_more_trials_is_another_run(tmp_path):
+    """Else the run of the one before would stand as its own."""
+    tuned(tmp_path, trials=2)
+    before = {cell.config.algorithm: cell for cell in search.winners(planned(tmp_path))}
+    tuned(tmp_path)
+    after = {cell.config.algorithm: cell for cell in search.winners(planned(tmp_path))}
+    changed = [name for name in after if after[name].config != before[name].config]
+    assert changed
+    assert all((after[name].out != before[name].out) == (name in changed) for name in after)
+
+
+def test_algorithms_that_are_searched_one_after_the_other_have_all_rows(tmp_path, unbroken):
+    found = planned(tmp_path)
+    for name in ("a2c", "ppo"):
+        assert tuning.tune(found._replace(study=studies.only(found.study, name)), train, say=lambda line: None) == []
+    for name, both in zip(("trials.csv", "importance.csv"), unbroken, strict=True):
+        assert sorted((found.folder / name).read_bytes().splitlines()) == sorted(both.splitlines())
 
 
 def test_importance_is_a_share_of_each_setting_and_the_one_that_decides_leads(tmp_path):
@@ -203,6 +275,18 @@ def test_the_page_shows_the_search_space_of_the_file():
         (("[32, 64, 128]", "64"), "width=64; give a list of values, or low and high"),
         (("a2c: {", "sac: {"), "tune: algorithm=a2c; choose from ppo, sac"),
         (("low: 1,", "low: 0,"), "epochs=0; give a number of at least 1"),
+        (("low: 1.0e-5", "low: 0.0"), "'log': True}; give numbers, low below high, and low above 0 with log: true"),
+        (("low: 1.0e-5", "low: small"), "give numbers, low below high"),
+        (("low: 1,", "low: 30,"), "passes={'low': 30, 'high': 20}; give numbers, low below high"),
+        (("ppo: {lr: rate, hidden: width, epochs: passes}", "ppo: lr"), "tune: space: ppo=lr; give settings with the"),
+        (("epochs: passes}", "task: passes}"), "task=1"),
+        (("epochs: passes}", "max_steps: passes}"), "the default of ppo, max_steps=None, is not in it"),
+        (("epochs: passes}", "max_grad_norm: [passes]}"), "range=['passes']; choose from passes, rate, width"),
+        (("at_once: 3", "at_once: -3"), "tune: at_once=-3; give it as uavnav/studies/tuning.yaml does"),
+        (("    a2c: {", "    pop: {lr: rate}\n    a2c: {"), "tune: algorithm=pop; choose from a2c, "),
+        (("activation: tanh", "activation: [tanh, relu]"), "tune: ppo: a trial is one cell, not 2; give one value"),
+        (("evaluate: {episodes: 5, max_steps: 50}", "evaluate: false"), "tune: settings: evaluate=false; a trial is"),
+        (("{seed: 100, n", "{seed: 1, n"), "tune: ppo: seed=1 is of trials and of what they are compared in; give"),
         (
             (SMALL.partition("settings: {seed")[0], "tune: 3\n"),
             "tune=3; give keys and values, as uavnav/studies/tuning",
@@ -217,6 +301,12 @@ def test_a_wrong_plan_is_refused_in_one_line(change, said, tmp_path, capsys, mon
     assert said in line
 
 
+def test_more_seeds_than_lie_between_trials_and_winners_are_refused(tmp_path):
+    assert planned(tmp_path, seeds=100).seeds == 100
+    with pytest.raises(ConfigError, match="ppo: seed=100 is of trials and of what they are compared in"):
+        planned(tmp_path, seeds=101)
+
+
 def test_a_folder_of_another_search_and_one_that_is_in_use_are_refused(tmp_path):
     tuned(tmp_path, trials=1)
     with pytest.raises(ConfigError, match=r"journal\.jsonl: holds the trials of another search; give another out="):
@@ -226,10 +316,11 @@ def test_a_folder_of_another_search_and_one_that_is_in_use_are_refused(tmp_path)
         tuning.tune(found, train)
 
 
-def test_a_journal_that_is_damaged_is_one_line(tmp_path):
+@pytest.mark.parametrize("content", [b"{\n}\n{}\n", b"{}\n", b"\xff\n", b"[]\n", b'{"op_code":\n'])
+def test_a_journal_that_is_damaged_is_one_line(content, tmp_path):
     found = planned(tmp_path)
     found.folder.mkdir(parents=True)
-    (found.folder / "journal.jsonl").write_text("{\n}\n{}\n")
+    (found.folder / "journal.jsonl").write_bytes(content)
     with pytest.raises(RunError, match=r"journal\.jsonl: cannot be read"):
         tuning.tune(found, train)
 
@@ -248,9 +339,10 @@ def test_the_status_counts_trials_and_needs_no_optuna(monkeypatch, tmp_path, cap
     out, path = tmp_path / "out", tmp_path / "small.yaml"
     assert main([str(path), f"out={out}", "algorithms=ppo", "trials=4", "--status", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
-    folders = [str(Path(row["cell"]).relative_to(out / "tuning")) for row in rows]
-    assert folders == ["default/ppo/tanh", *(f"trials/{n:03}/ppo/tanh" for n in range(4)), "tuned/ppo/tanh"]
     table = search.trials(planned(tmp_path))
+    best = trials.best(table, "ppo")["trial"]
+    folders = [str(Path(row["cell"]).relative_to(out / "tuning")) for row in rows]
+    assert folders == ["default/ppo/tanh", *(f"trials/{n:03}/ppo/tanh" for n in range(4)), f"tuned/{best:03}/ppo/tanh"]
     told = table.loc[table["algorithm"] == "ppo", "state"].tolist()
     assert [row["state"] for row in rows] == ["missing", *told, "missing", "missing"]
 
@@ -287,5 +379,6 @@ def test_a_real_study_killed_with_signal_9_ends_as_an_unbroken_one_bit_for_bit(t
     first.wait()
     assert not (tmp_path / "killed/tuning/trials.csv").exists()
     assert study("killed").wait(300) == 0
-    for name in ("tuning/trials.csv", "tuning/importance.csv", "tuning/tuned/a2c/tanh/policy.safetensors"):
+    (winner,) = tmp_path.glob("whole/tuning/tuned/*/a2c/tanh/policy.safetensors")
+    for name in ("tuning/trials.csv", "tuning/importance.csv", winner.relative_to(tmp_path / "whole")):
         assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "killed" / name).read_bytes(), name

@@ -3,10 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from spoiling import put
 from test_studies import cell
 
 from uavnav.report import beyond
 from uavnav.report.beyond import DIFFERENCE
+from uavnav.report.cells import _beside_tuning
 from uavnav.report.studies import Rows, sort
 from uavnav.runs import run_folders
 
@@ -119,12 +121,37 @@ def test_a_folder_without_tuning_has_no_tables_and_a_damaged_one_a_line(tmp_path
     assert line.startswith(f"{tmp_path}/tuning: its tables cannot be read")
 
 
+@pytest.mark.parametrize("where", ["tuning", "tuning/tuning"])
+def test_a_study_is_found_beside_others_and_in_a_folder_of_its_own_and_its_runs_are_in_no_other_table(where, tmp_path):
+    for name in ("trials/000/ppo/tanh", "default/ppo/tanh", "tuned/002/ppo/tanh", "tuned/000/ppo/tanh"):
+        put(tmp_path / where / name / "config.yaml", "")
+    assert len(_beside_tuning([tmp_path], paths(tmp_path))) == 3
+    TRIALS.to_csv(tmp_path / where / "trials.csv", index=False)
+    put(tmp_path / "ppo" / "relu" / "config.yaml", "")
+    assert [*_beside_tuning([tmp_path], paths(tmp_path)).values()] == [tmp_path / "ppo" / "relu"]
+    tables, left_out = beyond.tuning([tmp_path], {})
+    assert tables["tuning_trials"]["best"].tolist() == beyond.so_far(TRIALS).tolist()
+    read = {line.partition(": no run")[0] for line in left_out}
+    assert read == {str(tmp_path / where / name) for name in ("default", "tuned/002/ppo")}  # not the winner before
+
+
+def test_a_second_study_that_tuned_is_named(tmp_path):
+    for name in ("one", "two"):
+        put(tmp_path / name / "tuning" / "trials.csv", TRIALS.to_csv(index=False))
+    _, lines = beyond.tuning([tmp_path / "one", tmp_path / "two"], {})
+    assert lines == [f"{tmp_path}/two/tuning: tuned too; the report shows {tmp_path}/one/tuning"]
+
+
+def paths(folder):
+    return {path.resolve(): path for path in run_folders(folder)[0]}
+
+
 def test_trials_are_no_runs_and_a_folder_trials_elsewhere_may_hold_some(tmp_path):
-    for name in ("tuning/trials/000/ppo/tanh", "trials/ppo/tanh", "tuning/tuned/ppo/tanh"):
+    for name in ("tuning/trials/000/ppo/tanh", "trials/ppo/tanh", "tuning/tuned/002/ppo/tanh"):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "config.yaml").touch()
     found = [str(path.relative_to(tmp_path)) for path in run_folders(tmp_path)[0]]
-    assert found == ["trials/ppo/tanh", "tuning/tuned/ppo/tanh"]
+    assert found == ["trials/ppo/tanh", "tuning/tuned/002/ppo/tanh"]
 
 
 # -- activations -------------------------------------------------------------------------------------------------------

@@ -39,6 +39,10 @@ class PolicyError(ValueError):
     """A policy cannot be found, read or trusted; the message says what is wrong and what would be right."""
 
 
+class Diverged(PolicyError):
+    """A policy's weights are not finite."""
+
+
 @dataclass(frozen=True, eq=False)
 class Policy:
     """One seed's network with a way to act: greedy, or as in training."""
@@ -211,7 +215,7 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     _check_sizes(path, inputs, outputs, trained_in)
     for key, tensor in policy.items():
         if not tensor.isfinite().all():
-            raise PolicyError(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
+            raise Diverged(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
     return Policy(network, algorithm, greedy, trained_in, acts, head, epsilon, seed, header.get("bank"))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import time
@@ -135,27 +136,23 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         rows += [status(cell) | ({"state": state} if state else {}) for cell, state in _planned(study, out, own)]
         _print_status(rows, as_json)
         return 0
-    engines.build(own["engine"], of_engine, KEYS)
-    plan = _plan(study, out.resolve(), own)
-    found = _cells(study, out.resolve(), own, make=True)
-    with Show(quiet) as show:
+    with contextlib.closing(engines.build(own["engine"], of_engine, KEYS)) as engine, Show(quiet) as show:
+        plan = _plan(study, out.resolve(), own)
+        found = _cells(study, out.resolve(), own, make=True)
 
         def train(cells: Sequence[Cell]) -> list[Work]:
-            engine = engines.build(own["engine"], of_engine, KEYS)
             how = {"policies": own["policies"], "checkpoint_seconds": own["checkpoint_seconds"]}
             run = Study(out.resolve(), cells, engine, own["seeds_per_share"], **how, tell=show.tell, say=show.say)
             show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(cells)} cells are left, into {out}")
             return run.run()
 
-        if plan is not None:
-            failed = tuning.tune(plan, train, show.say)
-            found += [] if failed else search.winners(plan)
-        if plan is None or not failed:
-            failed = train(found)
-    if failed:
-        print(
-            f"uavnav study: {len(failed)} of {len(found)} cells failed; the same command repeats them", file=sys.stderr
-        )
+        untold = tuning.tune(plan, train, show.say) if plan is not None else []
+        if plan is not None and not untold:
+            found += search.winners(plan)
+        failed = [] if untold else train(found)
+    if untold or failed:
+        what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} cells"
+        print(f"uavnav study: {what} failed; the same command repeats them", file=sys.stderr)
         return 1
     if own["report"]:
         if plan is not None and not (out / "baselines" / "reactive.parquet").exists():

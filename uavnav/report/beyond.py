@@ -24,19 +24,19 @@ from uavnav.report.cells import Cell, collect, episodes_of, one_line, order
 from uavnav.report.figures import Figure
 from uavnav.report.studies import Cells, Rows
 from uavnav.report.tables import number, with_interval
-from uavnav.runs import TUNING, paper
+from uavnav.runs import paper
 from uavnav.runs.metrics import finished
 from uavnav.runs.readings import SAMPLED, words
 from uavnav.runs.tables import RunError
+from uavnav.runs.trials import COLUMNS, IMPORTANCE, OF_IMPORTANCE, TABLE, TUNED, best, folders, read, winner
 
 Table = pd.DataFrame
 TextRows = list[list[str]]
-DEFAULT, TUNED = "default", "tuned"
-"""Folders of a study that tunes, and what they hold."""
+DEFAULT = "default"
+"""A folder of the study `tuning` and what it holds, as `TUNED`."""
 DIFFERENCE = "tuned − default"
 NAMED = {"tuning", "carried"}
 """Tables of a report that has this section."""
-TRIALS, IMPORTANCE = "trials.csv", "importance.csv"
 COLOURS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Of algorithms."""
 BOUNDED, UNBOUNDED = ("tanh", "sigmoid"), ("relu", "leaky_relu")
@@ -51,25 +51,33 @@ WAYS = ("it holds under", "turns round under", "is not told from zero under")
 """What may become of such a difference under another algorithm."""
 
 
-def tuning(folders: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str, Table], list[str]]:
-    """The tables of the first folder that was tuned in, by name, and a line for what is of no use; none without one.
+def tuning(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str, Table], list[str]]:
+    """The tables of the first study that tuned in some folders, by name, and a line for what is of no use.
 
     tuning: columns algorithm, settings (default, tuned, their difference), value, low, high, n, and the gap to the
     hand-written rule; tuning_trials: what was tried, with the `best` so far; tuning_importance: shares of settings.
     """
-    for folder in (folder / TUNING for folder in folders if (folder / TUNING / TRIALS).is_file()):
-        try:
-            trials, importance = pd.read_csv(folder / TRIALS), _read(folder / IMPORTANCE)
-            trials = trials.assign(best=so_far(trials))
-        except (KeyError, ValueError) as error:
-            return {}, [one_line(f"{folder}: its tables cannot be read ({error}); carry the study out again")]
-        cells, left_out = {}, []
-        for which in (DEFAULT, TUNED):
-            cells[which], lines = _cells(folder / which)
-            left_out += lines
-        compared = _compared(cells, baselines, list(dict.fromkeys(trials["algorithm"])))
-        return {"tuning": compared, "tuning_trials": trials, "tuning_importance": importance}, left_out
-    return {}, []
+    found = folders(of)
+    if not found:
+        return {}, []
+    folder, *others = found
+    left_out = [f"{other}: tuned too; the report shows {folder}" for other in others]
+    try:
+        trials, importance = read(folder / TABLE, COLUMNS), read(folder / IMPORTANCE, OF_IMPORTANCE)
+        trials = trials.assign(best=so_far(trials))
+        algorithms = list(dict.fromkeys(trials["algorithm"]))
+        won = {name: row["trial"] for name in algorithms if (row := best(trials, name))}
+    except (KeyError, ValueError) as error:
+        return {}, [one_line(f"{folder}: its tables cannot be read ({error}); carry the study out again"), *left_out]
+    cells: dict[str, Cells] = {DEFAULT: {}, TUNED: {}}
+    places = [(DEFAULT, folder / DEFAULT)]
+    places += [(TUNED, folder / winner(trial) / name) for name, trial in won.items()]
+    for which, place in places:
+        own, lines = _cells(place)
+        cells[which] |= own
+        left_out += lines
+    compared = _compared(cells, baselines, algorithms)
+    return {"tuning": compared, "tuning_trials": trials, "tuning_importance": importance}, left_out
 
 
 def so_far(trials: Table) -> pd.Series[float]:
@@ -77,11 +85,6 @@ def so_far(trials: Table) -> pd.Series[float]:
     of_each = trials["algorithm"]
     best: pd.Series[float] = trials.groupby(of_each)["value"].cummax().groupby(of_each).ffill()
     return best
-
-
-def _read(path: Path) -> Table:
-    """Importances, which are there once the study has ended."""
-    return pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=["algorithm", "setting", "importance"])
 
 
 def _cells(folder: Path) -> tuple[Cells, list[str]]:
@@ -145,12 +148,12 @@ def winners(trials: Table) -> TextRows:
     for algorithm, part in trials.groupby("algorithm", sort=False):
         known = part.dropna(subset=["value"])
         first = part.loc[part["trial"] == 0, "value"].to_numpy()
-        best = max(known.to_dict("records"), key=lambda one: one["value"], default=None)
+        top = best(trials, str(algorithm))
         told = ["–"] * 3
-        if best is not None:
-            settings = json.loads(best["settings"])
+        if top is not None:
+            settings = json.loads(top["settings"])
             shown_ = (f"{key}={value if isinstance(value, int) else f'{value:.3g}'}" for key, value in settings.items())
-            told = [number(best["value"], 1), str(best["trial"]), ", ".join(shown_)]
+            told = [number(top["value"], 1), str(top["trial"]), ", ".join(shown_)]
         diverged = str(len(part) - len(known))
         shown = number(float(first[0]), 1) if len(first) else "–"
         rows.append([str(algorithm).upper(), str(len(part)), diverged, shown, *told])

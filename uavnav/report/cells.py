@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.runs import EVALUATION, TUNING, Run, paper, run_folders
+from uavnav.runs import EVALUATION, Run, paper, run_folders, trials
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, last_episodes, per_seed
 from uavnav.runs.readings import (
     EVALUATIONS,
@@ -115,7 +115,7 @@ def of_worlds(folders: Sequence[Path]) -> list[Path]:
 
 def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mapping[Path, Path]:
     """Without the runs of a study that tunes, which has a section of its own; if it is all there is, its defaults."""
-    tuned = [(folder / TUNING).resolve() for folder in folders]
+    tuned = [folder.resolve() for folder in trials.folders(folders)]
     beside = {key: path for key, path in paths.items() if not any(key.is_relative_to(folder) for folder in tuned)}
     defaults = {
         key: path for key, path in paths.items() if any(key.is_relative_to(folder / "default") for folder in tuned)

@@ -28,6 +28,7 @@ import yaml
 
 from uavnav.runs.metrics import FIRST_COLUMNS
 from uavnav.runs.tables import RunError, read_table
+from uavnav.runs.trials import TRIALS, TUNING
 
 FINISHED = "finished"
 EVALUATION = "evaluation.parquet"
@@ -39,8 +40,6 @@ STOP = "stop"
 LOG_FOLDERS = ("tensorboard", "wandb")
 NO_RUNS = ("checkpoint", *LOG_FOLDERS)
 """Folders that hold no runs."""
-TUNING, TRIALS = "tuning", "trials"
-"""What a study that tunes writes into, and in there its trials, which are no runs of their own."""
 OF_REPORTS = ("baselines", "bench", "tables", "figures")
 """Folders that a report reads or writes itself."""
 KINDS = {"algorithm": str, "activation": str, "seed": int, "n_seeds": int}

@@ -177,20 +177,17 @@ class Study:
             waiting = deque((work, share) for work in self.works for share in work.shares if not share.done)
             flights = deque(work for work in self.works if self._trained(work.cell))
             running: list[tuple[Any, Work, Share | None]] = []
-            try:
-                self._finish_what_is_trained(flights)
-                while waiting or flights or running:
-                    self._start(waiting, flights, running)
-                    time.sleep(POLL_SECONDS)
-                    for entry in [entry for entry in running if self.engine.ended(entry[0])]:
-                        running.remove(entry)
-                        self._ended(entry[1], entry[2], waiting, flights)
-                    self._look(running)
-                    self.tell(self.works)
-                    if self._stop is not None:
-                        raise self._stopped(running)
-            finally:
-                self.engine.close()
+            self._finish_what_is_trained(flights)
+            while waiting or flights or running:
+                self._start(waiting, flights, running)
+                time.sleep(POLL_SECONDS)
+                for entry in [entry for entry in running if self.engine.ended(entry[0])]:
+                    running.remove(entry)
+                    self._ended(entry[1], entry[2], waiting, flights)
+                self._look(running)
+                self.tell(self.works)
+                if self._stop is not None:
+                    raise self._stopped(running)
         return [work for work in self.works if work.problem]
 
     @contextlib.contextmanager

@@ -23,15 +23,10 @@ import pandas as pd
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.choices import ConfigError, unknown, unknown_key
-from uavnav.runs import TRIALS, TUNING
+from uavnav.runs.trials import COLUMNS, TABLE, TRIALS, TUNED, TUNING, best, read, winner
 from uavnav.studies import Cell, Study
 
 KEYS = {"trials": int, "at_once": int, "settings": dict, "ranges": dict, "space": dict}
-TABLE = "trials.csv"
-COLUMNS = ["algorithm", "trial", "state", "value", "settings"]
-FINISHED, DIVERGED = "finished", "diverged"
-"""States of a trial that was told."""
-TUNED = "tuned"
 
 Settings = dict[str, Any]
 
@@ -73,19 +68,22 @@ class Plan(NamedTuple):
         """A cell with some settings of the search space."""
         own = {name: [value] * 2 if name == "hidden" else value for name, value in settings.items()}
         entry = {"algorithm": algorithm, "folder": f"{TUNING}/{folder}", **own}
-        (found,) = studies.cells(self.study._replace(settings=usual, cells=[entry]), self.out, self.seeds, self.frames)
-        return found
+        found = studies.cells(self.study._replace(settings=usual, cells=[entry]), self.out, self.seeds, self.frames)
+        if len(found) != 1:
+            raise ConfigError(f"{algorithm}: a trial is one cell, not {len(found)}; give one value of each setting")
+        return found[0]
 
     def trial(self, algorithm: str, number: int, settings: Mapping[str, Any]) -> Cell:
         return self.cell(algorithm, settings, f"{TRIALS}/{number:03}", self.said["settings"])
 
     def winner(self, algorithm: str, trials: pd.DataFrame) -> Cell | None:
-        """The best trial's settings, trained as the study's other cells are; None where no trial has finished."""
-        mine = trials[(trials["algorithm"] == algorithm) & (trials["state"] == FINISHED)]
-        if mine.empty:
+        """The best trial's settings, trained as the study's other cells are; None where no trial has finished.
+
+        Its folder has the trial's number, so that another winner after more trials is a run of its own.
+        """
+        if (found := best(trials, algorithm)) is None:
             return None
-        best = mine.set_index("settings")["value"].idxmax()
-        return self.cell(algorithm, json.loads(str(best)), TUNED, self.study.settings)
+        return self.cell(algorithm, json.loads(found["settings"]), winner(found["trial"]), self.study.settings)
 
 
 def _short(name: str, value: Any) -> Any:
@@ -99,7 +97,8 @@ def plan(
     """What a study's file says of tuning, and other numbers where they are given.
 
     Raises:
-        ConfigError: a key, a range or a setting is not right, or a default lies outside of its range.
+        ConfigError: a key, a range or a setting is not right, a default lies outside of its range, or trials share
+            seeds with the cells that are compared in the end.
     """
     said = study.tune or {}
     try:
@@ -107,38 +106,67 @@ def plan(
             if key not in KEYS:
                 raise unknown_key(str(key), KEYS)
         for key, kind in KEYS.items():
-            if type(said.get(key)) is not kind or not said[key]:
+            if type(said.get(key)) is not kind or not said[key] or (kind is int and said[key] < 1):
                 raise ConfigError(f"{key}={said.get(key)}; give it as uavnav/studies/tuning.yaml does")
         found = Plan(study, out, trials or said["trials"], seeds, frames)
-        for algorithm in {name for cell in study.cells for name in studies.algorithms(cell)} | {*said["space"]}:
+        for algorithm in dict.fromkeys(name for cell in study.cells for name in studies.algorithms(cell)):
             if algorithm not in said["space"]:
                 raise unknown("algorithm", algorithm, said["space"])
-        for algorithm in found.algorithms:
+        for algorithm in said["space"]:
+            if algorithm not in ALGORITHMS:
+                raise unknown("algorithm", algorithm, ALGORITHMS)
             _check(found, algorithm)
+        _check_seeds(found)
     except ConfigError as error:
         raise ConfigError(f"study {study.name}: tune: {error}") from error
     return found
 
 
 def _check(found: Plan, algorithm: str) -> None:
-    usual = found.defaults(algorithm)
-    for setting, name in found.said["space"][algorithm].items():
-        if name not in found.said["ranges"]:
+    space = found.said["space"][algorithm]
+    if not isinstance(space, dict) or not space:
+        raise ConfigError(f"space: {algorithm}={space}; give settings with the names of their ranges, as lr: rate")
+    for setting, name in space.items():
+        if not isinstance(name, str) or name not in found.said["ranges"]:
             raise unknown("range", name, found.said["ranges"])
         values = found.range(algorithm, setting)
         bounds = isinstance(values, dict) and {"low", "high"} <= values.keys() <= {"low", "high", "log"}
         if not bounds and (not isinstance(values, list) or len(values) < 2):
             raise ConfigError(f"{name}={values}; give a list of values, or low and high, and log: true if you like")
+        if bounds and not _in_order(**values):
+            raise ConfigError(f"{name}={values}; give numbers, low below high, and low above 0 with log: true")
         for value in [values["low"], values["high"]] if bounds else values:
-            found.trial(algorithm, 0, {setting: value})
-        if not (values["low"] <= usual[setting] <= values["high"] if bounds else usual[setting] in values):
-            raise ConfigError(f"{name}={values}; the default of {algorithm}, {setting}={usual[setting]}, is not in it")
+            if not found.trial(algorithm, 0, {setting: value}).flights:
+                raise ConfigError("settings: evaluate=false; a trial is judged by its flights, leave it out")
+        usual = found.defaults(algorithm)[setting]
+        number = type(usual) in (int, float)
+        if not (number and values["low"] <= usual <= values["high"] if bounds else usual in values):
+            raise ConfigError(f"{name}={values}; the default of {algorithm}, {setting}={usual}, is not in it")
+
+
+def _in_order(low: Any, high: Any, log: Any = False) -> bool:
+    numbers = all(type(end) in (int, float) for end in (low, high)) and type(log) is bool
+    return numbers and low < high and (not log or low > 0)
+
+
+def _check_seeds(found: Plan) -> None:
+    """A winner is judged on seeds that did not choose it."""
+    said, seeds = found.study.settings, found.seeds
+    compared = studies.cells(found.study, found.out, seeds, found.frames)
+    for algorithm in found.algorithms:
+        seen = {*found.trial(algorithm, 0, {}).config.seeds}
+        own = [cell for cell in compared if cell.config.algorithm == algorithm]
+        for cell in (found.cell(algorithm, {}, TUNED, said), *own):
+            if shared := seen.intersection(cell.config.seeds):
+                raise ConfigError(
+                    f"{algorithm}: seed={min(shared)} is of trials and of what they are compared in; "
+                    "give fewer seeds, or another seed in settings"
+                )
 
 
 def trials(found: Plan) -> pd.DataFrame:
     """The trials that were told so far: columns algorithm, trial, state, value, settings (JSON)."""
-    path = found.folder / TABLE
-    return pd.read_csv(path) if path.exists() else pd.DataFrame(columns=COLUMNS)
+    return read(found.folder / TABLE, COLUMNS)
 
 
 def winners(found: Plan) -> list[Cell]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,13 +20,13 @@ from typing import Any
 import pandas as pd
 
 from uavnav.choices import ConfigError
-from uavnav.files import write
-from uavnav.runs.tables import RunError, lock
+from uavnav.runs.tables import RunError, lock, write
+from uavnav.runs.trials import COLUMNS, DIVERGED, FINISHED, IMPORTANCE, OF_IMPORTANCE, TABLE, read
 from uavnav.studies import Cell
 from uavnav.studies.run import Work
-from uavnav.studies.search import COLUMNS, DIVERGED, FINISHED, TABLE, Plan, trials
+from uavnav.studies.search import Plan
 
-JOURNAL, IMPORTANCE = "journal.jsonl", "importance.csv"
+JOURNAL = "journal.jsonl"
 PLAN = "plan"
 """An attribute of Optuna's studies: what their trials have in common."""
 
@@ -69,7 +70,7 @@ def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[
             counts = ", ".join(f"{name} {len(_told(search))}" for name, search in searches.items())
             say(f"{found.folder}: trials of {found.trials}: {counts}")
         _keep(found, searches)
-        write(found.folder / IMPORTANCE, _importance(optuna, searches).to_csv(index=False).encode())
+        _put(found.folder / IMPORTANCE, _importance(optuna, searches), list(searches))
     return []
 
 
@@ -90,7 +91,13 @@ def _optuna() -> Any:
 
 
 def _storage(optuna: Any, journal: Path) -> Any:
+    """The journal; half a line at its end, of a write that was cut off, is taken from it."""
     try:
+        if journal.exists():
+            said = journal.read_bytes()
+            os.truncate(journal, said.rfind(b"\n") + 1)  # else the next line would be joined to it
+            for line in said.split(b"\n")[:-1]:
+                json.loads(line)
         return optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(str(journal)))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunError(f"{journal}: cannot be read ({' '.join(str(error).split())}); give another out=") from error
@@ -148,10 +155,15 @@ def _keep(found: Plan, searches: Mapping[str, Any]) -> None:
         for name, search in searches.items()
         for trial in _told(search)
     ]
-    others = trials(found)
-    others = others[~others["algorithm"].isin(searches)]
-    table = pd.concat([part for part in (others, pd.DataFrame(rows, columns=COLUMNS)) if len(part)] or [others])
-    write(found.folder / TABLE, table.to_csv(index=False).encode())
+    _put(found.folder / TABLE, pd.DataFrame(rows, columns=COLUMNS), list(searches))
+
+
+def _put(path: Path, table: pd.DataFrame, algorithms: Sequence[str]) -> None:
+    """Write what there is of some algorithms; rows of others, which a call before this one searched, stay."""
+    there = read(path, [str(name) for name in table])
+    others = there[~there["algorithm"].isin(algorithms)]
+    whole = pd.concat([part for part in (others, table) if len(part)] or [table])
+    write(path, whole.to_csv(index=False).encode())
 
 
 def _importance(optuna: Any, searches: Mapping[str, Any]) -> pd.DataFrame:
@@ -162,4 +174,4 @@ def _importance(optuna: Any, searches: Mapping[str, Any]) -> pd.DataFrame:
         with contextlib.suppress(ValueError, RuntimeError):  # fewer than two trials, or all have the same value
             found = optuna.importance.get_param_importances(search, evaluator=evaluator)
             rows += [[name, setting, float(share)] for setting, share in found.items()]
-    return pd.DataFrame(rows, columns=["algorithm", "setting", "importance"])
+    return pd.DataFrame(rows, columns=OF_IMPORTANCE)

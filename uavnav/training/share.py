@@ -25,7 +25,7 @@ from typing import Any
 from uavnav import files, plugins
 from uavnav.choices import ConfigError
 from uavnav.evaluate import evaluate_run
-from uavnav.policies import PolicyError
+from uavnav.policies import Diverged, PolicyError
 from uavnav.runs import STOP, Run
 from uavnav.runs.tables import Columns, RunError, with_reward
 from uavnav.tasks.layouts import LayoutError
@@ -128,8 +128,8 @@ def unheard(job: Path) -> None:
     if "finished" in last and described["evaluation"] is not None:
         try:
             evaluate_run(Run(out), **described["evaluation"], quiet=True)
-        except PolicyError as error:  # what was just trained cannot fly: its weights are not finite
-            last = {"error": str(error), "diverged": True}
+        except PolicyError as error:
+            last = {"error": str(error), "diverged": isinstance(error, Diverged)}
     files.write(job.with_suffix(".ended"), json.dumps(last).encode())
 
 

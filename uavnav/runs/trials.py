@@ -1,0 +1,39 @@
+"""What a study that tunes leaves for others to read: its folders, its tables, and which trial won."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
+"""What a study that tunes writes into; in there its trials, which are no runs of their own; and winners, by trial."""
+TABLE, IMPORTANCE = "trials.csv", "importance.csv"
+COLUMNS = ["algorithm", "trial", "state", "value", "settings"]
+OF_IMPORTANCE = ["algorithm", "setting", "importance"]
+FINISHED, DIVERGED = "finished", "diverged"
+"""States of a trial that was told."""
+
+
+def best(trials: pd.DataFrame, algorithm: str) -> dict[str, Any] | None:
+    """An algorithm's row with the highest value, the first of equals; None where no trial has finished."""
+    mine = trials[(trials["algorithm"] == algorithm) & (trials["state"] == FINISHED)]
+    return None if mine.empty else {**mine.loc[mine["value"].idxmax()]}
+
+
+def winner(trial: int) -> str:
+    """Where the settings of a trial that won are trained, in `TUNING`."""
+    return f"{TUNED}/{trial:03}"
+
+
+def folders(of: Sequence[Path]) -> list[Path]:
+    """Where some folders hold a study that tuned: beside other studies, or in one of its own that is named so."""
+    places = [place for folder in of for place in (folder / TUNING, folder / TUNING / TUNING)]
+    return [place for place in places if (place / TABLE).is_file()]
+
+
+def read(path: Path, columns: Sequence[str]) -> pd.DataFrame:
+    """One of the tables; no rows where it is not there yet."""
+    return pd.read_csv(path, float_precision="round_trip") if path.is_file() else pd.DataFrame(columns=list(columns))

@@ -50,6 +50,7 @@ from spoiling import (
 
 import uavnav
 from uavnav.algorithms import ALGORITHMS
+from uavnav.policies import Diverged
 from uavnav.tasks import layouts
 
 KNOWN = ", ".join(sorted(ALGORITHMS))
@@ -168,6 +169,8 @@ CASES = [
     policy("a tensor cut", tensor("policy.2.weight", lambda t: t[:, :7]), HEADER),
     policy("a tensor flat", tensor("policy.0.weight", torch.flatten), HEADER),
     policy("31 inputs", tensor("policy.0.weight", widened), "sees 31 numbers", "not 30 and 100"),
-    policy("nan", tensor("policy.2.weight", to_nan), "policy.2.weight of seed 0 is not finite", "lower lr"),
+    policy(
+        "nan", tensor("policy.2.weight", to_nan), "policy.2.weight of seed 0 is not finite", "lower lr", error=Diverged
+    ),
     policy("another seed", nothing, "seed=7 is not there", "choose from 0 ... 1", seed=7),
 ]

@@ -137,10 +137,18 @@ def bank_for(name, call, wrong, right, command=(), spoil=nothing):
     return Case(f"bank: {name}", "bank", spoil, call, LayoutError, wrong, right, list(command))
 
 
-def policy(name, spoil, wrong="not a readable policy file", right="of a finished run", part="policy", seed=None):
+def policy(
+    name,
+    spoil,
+    wrong="not a readable policy file",
+    right="of a finished run",
+    part="policy",
+    seed=None,
+    error=PolicyError,
+):
     command = [word.replace("/policy", "/" + part) for word in RENDER] + (["--seed", str(seed)] if seed else [])
     load = lambda f: uavnav.load_policy(f / part, seed)  # noqa: E731
-    return Case(f"policy: {name}", part, spoil, load, PolicyError, "{}/" + part + ": " + wrong, right, command)
+    return Case(f"policy: {name}", part, spoil, load, error, "{}/" + part + ": " + wrong, right, command)
 
 
 def run(part, name, spoil, wrong, right, call=read, command=EVALUATE, error=RunError):

@@ -115,6 +115,7 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
     told = {"og:type": "website", "og:title": title, "og:description": said}
     told |= {"og:image": f"{up}{REPORT}preview.png", "twitter:card": "summary_large_image"}
     tags = (f'<meta property="{name}" content="{html.escape(words)}">' for name, words in told.items())
+    output = output.replace('role="dialog">', 'role="dialog" aria-label="Search">', 1)  # the theme names no dialog
     return output.replace("</head>", "".join([*tags, "</head>"]), 1)
 
 

@@ -134,40 +134,33 @@ def test_a_share_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_o
     assert said == {"error": "policy.0.weight of seed 3", "diverged": diverged}
 
 
-@pytest.mark.parametrize("after", [1, 3, 12, 40, 55])
-def test_a_study_killed_after_any_write_ends_with_the_trials_of_an_unbroken_one(after, tmp_path, unbroken, monkeypatch):
-    """Also where the kill comes while a trial is asked for, between two that are told, or in training."""
+def stopped(tmp_path, monkeypatch, after, leave=lambda journal: None):
+    """A study that is killed after so many writes of its journal, which is then left as a function leaves it."""
     backend = optuna.storages.journal.JournalFileBackend
     writes, whole = itertools.count(1), backend.append_logs
 
     def killed(self, logs):
         whole(self, logs)
         if next(writes) >= after:
+            leave(tmp_path / "out" / "tuning" / "journal.jsonl")
             raise Killed
 
-    monkeypatch.setattr(backend, "append_logs", killed)
-    with pytest.raises(Killed):
-        tuned(tmp_path)
-    monkeypatch.undo()
+    with monkeypatch.context() as patched:
+        patched.setattr(backend, "append_logs", killed)
+        with pytest.raises(Killed):
+            tuned(tmp_path)
+
+
+@pytest.mark.parametrize("after", [1, 3, 12, 40, 55])
+def test_a_study_killed_after_any_write_ends_with_the_trials_of_an_unbroken_one(after, tmp_path, unbroken, monkeypatch):
+    """Also where the kill comes while a trial is asked for, between two that are told, or in training."""
+    stopped(tmp_path, monkeypatch, after)
     assert tuned(tmp_path) == unbroken
 
 
 def test_a_study_whose_journal_is_cut_off_in_mid_line_ends_with_the_same_trials(tmp_path, unbroken, monkeypatch):
     """As a full disk or a lost machine leaves it."""
-    backend = optuna.storages.journal.JournalFileBackend
-    writes, whole = itertools.count(1), backend.append_logs
-
-    def torn(self, logs):
-        whole(self, logs)
-        if next(writes) >= 12:
-            journal = tmp_path / "out" / "tuning" / "journal.jsonl"
-            journal.write_bytes(journal.read_bytes()[:-20])
-            raise Killed
-
-    monkeypatch.setattr(backend, "append_logs", torn)
-    with pytest.raises(Killed):
-        tuned(tmp_path)
-    monkeypatch.undo()
+    stopped(tmp_path, monkeypatch, 12, leave=lambda journal: journal.write_bytes(journal.read_bytes()[:-20]))
     assert tuned(tmp_path) == unbroken
 
 

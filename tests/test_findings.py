@@ -78,12 +78,12 @@ def flown(*rewards, rule=428.0):
 
 def test_ppo_is_ahead_by_half_of_the_papers_lead():
     first, *_ = said(verdicts=verdicts([LEAD / 2] * 4, [0.0] * 4))
-    assert first == "PPO is ahead of DQN, as in the paper, by 50 % (49 to 51 %) of its gap."
+    assert first.startswith("PPO is ahead of DQN, as in the paper, by 50 % (49 to 51 %)")
 
 
 def test_dqn_ahead_is_ppo_behind():
     first, *_ = said(verdicts=verdicts([0.0] * 4, [LEAD] * 4))
-    assert first == "Unlike in the paper, DQN is ahead of PPO, by 100 % (99 to 101 %) of its gap."
+    assert first.startswith("Unlike in the paper, DQN is ahead of PPO, by 100 % (99 to 101 %)")
 
 
 def test_equal_cells_are_less_than_half_of_the_papers_lead_where_many_seeds_agree_and_not_told_apart_where_few_do():
@@ -174,30 +174,20 @@ def test_the_reading_in_which_most_numbers_fit_is_named_and_the_cells_that_fit_l
 
 
 @pytest.mark.parametrize(
-    ("reward", "expected"),
+    ("reward", "opening", "number"),
     [
-        (
-            228.0,
-            "A hand-written rule beats the best policy, PPO with sigmoid, by 200 (150 to 250) of mean reward on"
-            " test flights.",
-        ),
-        (
-            628.0,
-            "The best policy, PPO with sigmoid, beats a hand-written rule by 200 (150 to 250) of mean reward on"
-            " test flights.",
-        ),
-        (
-            448.0,
-            "A hand-written rule and the best policy, PPO with sigmoid, are not told apart: 20 (−30 to 70) of mean"
-            " reward on test flights.",
-        ),
+        (228.0, "A hand-written rule earns", "200 (150 to 250)"),
+        (628.0, "The best policy, PPO with sigmoid, earns", "200 (150 to 250)"),
+        (448.0, "A hand-written rule and the best policy, PPO with sigmoid, are not told apart", "20 (−30 to 70)"),
     ],
 )
-def test_the_best_cell_beside_the_rule(reward, expected):
+def test_the_best_cell_beside_the_rule(reward, opening, number):
     rows = flown(
         ("PPO sigmoid", "sampled", reward, 50), ("DQN tanh", "sampled", 20.0, 9), ("PPO relu", "greedy", 999.0, 9)
     )
-    assert said(gaps=rows) == [expected]
+    (sentence,) = said(gaps=rows)
+    assert sentence.startswith(opening)
+    assert number in sentence
     assert said(gaps=rows[:1]) == []
     unpaired = pd.DataFrame(rows, columns=headline.gaps({}, {}).columns).assign(gap_low=np.nan, gap_high=np.nan)
     assert said(gaps=unpaired) == []

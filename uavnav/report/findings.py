@@ -211,8 +211,8 @@ def _ahead(numbers: Numbers) -> Iterator[Sentence]:
         undecided = f"{_upper(first)} is not told apart from {second}: {{}} of the paper's gap."
         less = "differ by less than half of what they do in the paper: {}."
         yield from _told(
-            f"{_upper(first)} is ahead of {second}, as in the paper, by {{}} of its gap.",
-            f"Unlike in the paper, {second} is ahead of {first}, by {{}} of its gap.",
+            f"{_upper(first)} is ahead of {second}, as in the paper, by {{}} of the paper's gap.",
+            f"Unlike in the paper, {second} is ahead of {first}, by {{}} of the paper's gap.",
             f"{_upper(first)} and {second} {less}" if row.verdict == ABSENT else undecided,
             *(percent, "verdicts", place, " %"),
         )
@@ -273,9 +273,9 @@ def _rule(numbers: Numbers) -> Iterator[Sentence]:
     for place, row in _best(numbers["gaps"], MODES[1:]):
         best = f"the best policy, {_with(row.who)}"
         yield from _told(
-            f"{_upper(best)}, beats a hand-written rule by {{}} of mean reward on test flights.",
-            f"A hand-written rule beats {best}, by {{}} of mean reward on test flights.",
-            f"A hand-written rule and {best}, are not told apart: {{}} of mean reward on test flights.",
+            f"{_upper(best)}, earns {{}} more on a test flight than a hand-written rule.",
+            f"A hand-written rule earns {{}} more on a test flight than {best}.",
+            f"A hand-written rule and {best}, are not told apart: {{}} of reward on a test flight.",
             *(Interval(row.gap, row.gap_low, row.gap_high, row.n), "gaps", place),
         )
 

@@ -16,8 +16,9 @@ from typing import Any
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
-from uavnav import browser, playground
-from uavnav.choices import ConfigError
+from uavnav import browser
+from uavnav.browser import playground
+from uavnav.help.choices import ConfigError
 from uavnav.runs import POLICY
 from uavnav.runs.tables import RunError
 

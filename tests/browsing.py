@@ -130,7 +130,7 @@ def ask(browser, words):
 @pytest.fixture(scope="module")
 def opened(chrome, tmp_path_factory):
     """The playground of the committed cells, in a folder of its own."""
-    from uavnav import playground
+    from uavnav.browser import playground
 
     path = tmp_path_factory.mktemp("playground") / "playground.html"
     path.write_text(playground.page(playground.collect([RESULTS])[0]))

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uavnav import across
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
+from uavnav.evaluate import across
 from uavnav.runs import Run
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES

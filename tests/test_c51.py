@@ -12,12 +12,12 @@ from torchrl.objectives import DistributionalDQNLoss
 from uavnav import load_policy
 from uavnav.algorithms.c51 import PRESETS, C51Config, project, train
 from uavnav.algorithms.dqn import DQNConfig, make_learner, make_network
-from uavnav.choices import ConfigError
 from uavnav.evaluate import evaluate_run
 from uavnav.export import export_policy
+from uavnav.flights.squads import Squad, Squads
+from uavnav.help.choices import ConfigError
 from uavnav.policies import PolicyError
 from uavnav.runs import POLICY
-from uavnav.squads import Squad, Squads
 from uavnav.tasks.rewards import REWARDS
 from uavnav.training.loop import make_collector, make_env
 from uavnav.training.recorder import Interrupted

@@ -16,7 +16,7 @@ import uavnav
 from uavnav import commands, help
 from uavnav.__main__ import main, module_of
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import Parser
+from uavnav.help.choices import Parser
 from uavnav.runs import LOG_FOLDERS
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.world import World
@@ -201,13 +201,14 @@ def test_the_page_has_each_exit_status_of_the_code():
 
 
 def test_the_help_of_a_study_has_its_keys_those_of_its_engines_and_its_files(capsys):
-    from uavnav import engines, studies, study
+    from uavnav import studies
+    from uavnav.studies import engines, study
 
     assert list(commands.STUDY_KEYS) == list(study.KEYS)
     text = " ".join(told("study --help", capsys).split())
     own = [
         item.name
         for name, kind in engines.ENGINES.items()
-        for item in dataclasses.fields(getattr(importlib.import_module(f"uavnav.engines.{name}"), kind))
+        for item in dataclasses.fields(getattr(importlib.import_module(f"uavnav.studies.engines.{name}"), kind))
     ]
     assert all(word in text for word in [*engines.ENGINES, *own, *studies.names()])

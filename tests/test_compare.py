@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from uavnav import compare
-from uavnav.compare import (
+from uavnav.evaluate import EPISODES, MAX_STEPS, header
+from uavnav.report import compare
+from uavnav.report.compare import (
     Contender,
     check,
     contend,
@@ -21,7 +22,6 @@ from uavnav.compare import (
     survival,
     text,
 )
-from uavnav.evaluate import EPISODES, MAX_STEPS, header
 from uavnav.report.tables import side_by_side
 from uavnav.runs.metrics import EPISODE_COLUMNS
 

@@ -41,7 +41,7 @@ class Started:
         self.folder, self.out, self.processes = folder, folder / "out", []
 
     def __call__(self, *settings, env=None):
-        words = [sys.executable, "-m", "uavnav.study", "mine.yaml", "out=out", *GIVEN, *settings]
+        words = [sys.executable, "-m", "uavnav.studies.study", "mine.yaml", "out=out", *GIVEN, *settings]
         how = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "process_group": 0}
         process = subprocess.Popen(words, cwd=self.folder, env=os.environ | (env or {}), **how)
         self.processes.append(process)
@@ -62,7 +62,7 @@ class Started:
                 words = (entry / "cmdline").read_bytes().decode().split("\0")
             except OSError:
                 continue
-            if words[0] == sys.executable and "uavnav.training.share" in words and str(self.folder) in words[-2]:
+            if words[0] == sys.executable and "uavnav.train.share" in words and str(self.folder) in words[-2]:
                 found.append(int(entry.name))
         return found
 

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uavnav import stats
-from uavnav.report import arena, charts, curves, frames, style
+from uavnav import stats, style
+from uavnav.report import arena, charts, curves, frames
 from uavnav.report.cells import BINS, EMPTY, Cell
 from uavnav.runs import paper
 from uavnav.runs.metrics import EPISODE_COLUMNS

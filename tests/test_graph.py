@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from uavnav import graph
-from uavnav.choices import ConfigError
 from uavnav.graph import Graph
+from uavnav.help.choices import ConfigError
 from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
 from uavnav.training.sampling import ACTS, Actor

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uavnav import stats
-from uavnav.report import charts, curves, figures, findings, headline, style
+from uavnav import stats, style
+from uavnav.report import charts, curves, figures, findings, headline
 from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.studies import Studies

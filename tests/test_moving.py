@@ -18,11 +18,11 @@ import uavnav
 from uavnav import DroneEnv, evaluate, load_policy, verify
 from uavnav.algorithms import ppo
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
+from uavnav.evaluate.summary import of_evaluation, of_run
 from uavnav.tasks import circles, layouts, moving
 from uavnav.tasks.baselines import BASELINES, dodge, suited
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.simulator import Moving, make_task
-from uavnav.training.display import evaluation_summary, summary
 
 SENSED = {"sense_velocity": True}
 
@@ -314,7 +314,7 @@ def test_a_run_trains_stops_goes_on_is_evaluated_and_verified_in_a_world_of_spee
     assert (header["task"], header["world"]["speed_max"], header["bank"]) == ("moving", 3.0, run.meta["bank"]["sha256"])
     rows = evaluate.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
     assert len(rows) == 6
-    titles = [column.header for table in (summary(run), evaluation_summary(rows, run)) for column in table.columns]
+    titles = [column.header for table in (of_run(run), of_evaluation(rows, run)) for column in table.columns]
     assert "paper" not in titles  # whose world is another
     assert load_policy(run.path).task.world == MovingWorld(speed_max=3.0, sense_velocity=True)
     assert type(load_policy(run.path).task) is Moving

@@ -28,7 +28,7 @@ from selenium import webdriver
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
-from uavnav.playground import SETTINGS
+from uavnav.browser.playground import SETTINGS
 from uavnav.runs import paper
 from uavnav.runs.metrics import METRICS, per_episode
 from uavnav.tasks.state import COUNTS

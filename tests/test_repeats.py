@@ -13,9 +13,9 @@ from torch import nn
 import uavnav
 from uavnav import evaluate, flights
 from uavnav.evaluate import WATCHED_STEPS, evaluate_policy, on
+from uavnav.flights.repeats import counted
 from uavnav.networks import mlp
 from uavnav.policies import Policy, load_policy
-from uavnav.repeats import counted
 from uavnav.tasks import layouts, rewards, simulator
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import COUNTS, State

@@ -8,8 +8,8 @@ from selenium.webdriver.support.ui import Select
 from test_compare import made_up
 from test_replays import STRAIGHT, write_run
 
-from uavnav.compare import page
 from uavnav.report import cells, replays
+from uavnav.report.compare import page
 from uavnav.tasks import layouts
 from uavnav.tasks.moving import MovingWorld, motion
 

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from uavnav.__main__ import main
-from uavnav.runs.__main__ import row, span
+from uavnav.commands.runs import row, span
 
 CONFIG = {"algorithm": "ppo", "activation": "relu", "preset": "fast", "seed": 3, "n_seeds": 2, "total_frames": 400_000}
 NOW = 1_800_000_000.0

@@ -10,7 +10,7 @@ from torch import nn
 from torchrl.objectives import DiscreteSACLoss
 
 from uavnav.algorithms.sac import PRESETS, SACConfig, following, make_learner, make_loss, make_networks, train
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 

@@ -18,7 +18,7 @@ from uavnav import networks
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.dqn import train as train_dqn
 from uavnav.algorithms.ppo import PPOConfig, train
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 from uavnav.policies import load_policy
 from uavnav.runs import POLICY
 from uavnav.runs.tables import RunError

@@ -24,7 +24,7 @@ import uavnav
 from uavnav import DroneEnv, evaluate, load_policy, render, train, verify
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.envs import drawing
-from uavnav.repeats import pose_of
+from uavnav.flights.repeats import pose_of
 from uavnav.tasks import baselines, layouts, moving, space
 from uavnav.tasks.baselines import BASELINES, suited
 from uavnav.tasks.rewards import bounds_of_returns

@@ -5,9 +5,9 @@ import torch
 
 from uavnav import flights
 from uavnav.evaluate import on
+from uavnav.flights.squads import Alone, Squad, Squads
 from uavnav.networks import made_of, mlp, stacked
 from uavnav.policies import Policy
-from uavnav.squads import Alone, Squad, Squads
 from uavnav.tasks.baselines import reactive
 from uavnav.tasks.simulator import EMPTY, make_task
 

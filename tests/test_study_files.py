@@ -10,11 +10,11 @@ from spoiling import put
 
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 from uavnav.runs import read_settings, run_folders
 from uavnav.studies import search
 from uavnav.studies.run import evaluated, unflown
-from uavnav.study import main, parse
+from uavnav.studies.study import main, parse
 from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
 

@@ -5,9 +5,9 @@ import json
 import pandas as pd
 import pytest
 
-from uavnav import transfer
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
+from uavnav.evaluate import transfer
 from uavnav.tasks.simulator import EMPTY, make_task
 
 SMALL = {"total_frames": 64, "n_worlds": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}

@@ -12,15 +12,15 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from uavnav import studies, study
-from uavnav.choices import ConfigError
+from uavnav import studies
+from uavnav.help.choices import ConfigError
 from uavnav.policies import Diverged, PolicyError
 from uavnav.report.tables import markdown
 from uavnav.runs import trials
 from uavnav.runs.tables import RunError, lock
-from uavnav.studies import search, tuning
-from uavnav.study import main
-from uavnav.training import share
+from uavnav.studies import search, study, tuning
+from uavnav.studies.study import main
+from uavnav.train import share
 
 optuna = pytest.importorskip("optuna")
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uavnav import studies
-from uavnav.report import figures, style, whys
+from uavnav import studies, style
+from uavnav.report import figures, whys
 from uavnav.report.studies import WHY
 
 ASKED = ("layer_norm", "init", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", "reward")

@@ -23,7 +23,7 @@ from contextlib import suppress
 ADDRESS = "UAVNAV_WARM"
 """The variable with the server's name, an abstract socket of Linux."""
 PATH = sys.path[1:]
-MODULES = ("uavnav.training.share", "uavnav.evaluate", "uavnav.render", "uavnav.report", "uavnav.export", "hydra")
+MODULES = ("uavnav.train.share", "uavnav.evaluate", "uavnav.render", "uavnav.report", "uavnav.export", "hydra")
 SERVERS = []
 """That this process has started: one, and none in a fork."""
 ALIVE_SECONDS = 1.0

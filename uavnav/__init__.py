@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-from uavnav.terminal import end_quietly
+from uavnav.help.terminal import end_quietly
 
 _folder, _program = os.path.split("".join(sys.argv[:1]))
 if _program in ("-m", "uavnav") or os.path.basename(_folder) == "recipes":
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import did_you_mean
+from uavnav.help.choices import did_you_mean
 
 if TYPE_CHECKING:
     from uavnav import (
@@ -42,10 +42,10 @@ if TYPE_CHECKING:
         verify,
     )
     from uavnav.algorithms import a2c, c51, dqn, ppo, sac
-    from uavnav.choices import ConfigError
     from uavnav.envs import env, gym, sb3, scalar
     from uavnav.envs.env import DroneEnv
     from uavnav.evaluate import evaluate_policy
+    from uavnav.help.choices import ConfigError
     from uavnav.policies import Policy, PolicyError, load_policy
     from uavnav.runs import Run, metrics, paper, readings
     from uavnav.runs.tables import RunError
@@ -82,8 +82,12 @@ _NAMES = {
     "World": "tasks.world",
 }
 _ROOMS = {
+    "browser": ("playground",),
     "envs": ("env", "gym", "sb3", "scalar"),
+    "help": ("choices",),
+    "report": ("compare",),
     "runs": ("metrics", "paper", "readings"),
+    "studies": ("study",),
     "tasks": (
         "baselines",
         "dynamics",

@@ -5,18 +5,21 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Sequence
-from pathlib import Path
+from importlib.util import find_spec
 
 import uavnav
 from uavnav import commands
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import choose_from
+from uavnav.help.choices import choose_from
 
 
 def module_of(command: str) -> str:
-    """Where a command's `main` is."""
+    """Where a command's `main` is: in `commands`, in the module of its name, or in the `__main__` of that folder."""
+    if find_spec(f"uavnav.commands.{command}") is not None:
+        return f"uavnav.commands.{command}"
     home = uavnav.HOMES.get(command, f"uavnav.{command}")
-    return f"{home}.__main__" if (Path(__file__).parent / command).is_dir() else home
+    spec = find_spec(home)
+    return f"{home}.__main__" if spec is not None and spec.submodule_search_locations else home
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -24,7 +24,7 @@ from torch import nn
 
 from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 from uavnav.networks import AgentLinear
 from uavnav.policies import Policy, PolicyError, as_option, load_policy, zips
 from uavnav.runs.tables import RunError, write

@@ -14,7 +14,7 @@ import torch
 import torch._inductor.config
 from torch import Tensor
 
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 
 try:
     from torch._higher_order_ops.while_loop import while_loop_op

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from uavnav import networks
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 from uavnav.tasks import rewards, simulator
 
 LOADED: dict[str, str] = {}

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import choose_from
+from uavnav.help.choices import choose_from
 from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.runs import POLICY
 from uavnav.tasks.rewards import REWARDS

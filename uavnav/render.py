@@ -22,10 +22,10 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from uavnav import commands, files, flights, plugins, policies
-from uavnav.choices import did_you_mean, did_you_mean_run
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, PILOTS, SENSED, STEPS_PER_SECOND, Colour, Picture, font
 from uavnav.files import check_out
+from uavnav.help.choices import did_you_mean, did_you_mean_run
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.protocol import EPISODES

@@ -19,7 +19,7 @@ from safetensors.torch import load_file
 
 from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError, choose_from
+from uavnav.help.choices import ConfigError, choose_from
 from uavnav.policies import as_option
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import finished

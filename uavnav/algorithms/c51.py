@@ -20,8 +20,8 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from uavnav.algorithms.dqn import DQNConfig, ReplayConfig
-from uavnav.choices import ConfigError
 from uavnav.help import key
+from uavnav.help.choices import ConfigError
 from uavnav.tasks.rewards import bounds_of_returns
 from uavnav.training.config import at_least, within
 from uavnav.training.loop import train

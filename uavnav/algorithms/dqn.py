@@ -23,8 +23,8 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError
 from uavnav.help import key
+from uavnav.help.choices import ConfigError
 from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes

@@ -26,8 +26,8 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError
 from uavnav.help import key
+from uavnav.help.choices import ConfigError
 from uavnav.networks import Init, mlp
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes

@@ -19,11 +19,11 @@ from dataclasses import replace
 from rich.console import Console
 
 from uavnav import commands
-from uavnav.bench import BY_DEFAULT, OUT, QUICK, SCRATCH
 from uavnav.bench.page import write_figure, write_sections
 from uavnav.bench.plan import Measurement
 from uavnav.bench.runner import Runner
 from uavnav.bench.sections import SECTIONS, write
+from uavnav.commands.benches import BY_DEFAULT, OUT, QUICK, SCRATCH
 from uavnav.files import check_out
 
 STOPS = (signal.SIGTERM, signal.SIGHUP)

@@ -13,10 +13,10 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from uavnav import files
-from uavnav.bench import BY_DEFAULT
 from uavnav.bench.plan import CORES
 from uavnav.bench.results import clock, when
 from uavnav.bench.sections import SECTIONS
+from uavnav.commands.benches import BY_DEFAULT
 from uavnav.tasks.world import VERSION
 
 HEADER = """# Benchmarks

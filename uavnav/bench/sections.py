@@ -311,7 +311,7 @@ SECTIONS = {
         kept=True,
     ),
 }
-"""In the order of the file: those of `bench.BY_DEFAULT`, then those of `bench.LONGER`."""
+"""In the order of the file: those of `commands.benches.BY_DEFAULT`, then those of `LONGER`."""
 
 
 def write(results: Results, names: list[str]) -> dict[str, list[str]]:

@@ -1,8 +1,8 @@
 """What runs in a browser: the worlds and their drawing, one home each, without a build step or a framework.
 
 `world.js` is the worlds, held to Python's by tests/test_playground.py, `sets.js` their obstacles; `drawing.js` draws
-them. `replay.js` plays recorded flights on a report, and `uavnav.playground` flies live. A page holds the scripts that
-it needs, one after the other.
+them. `replay.js` plays recorded flights on a report, and the folder `playground` flies live. A page holds the scripts
+that it needs, one after the other.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What each key of a run means: said once, beside the key, and shown by `uavnav train ALGORITHM --help`.
 
-`python -m uavnav.help` writes that text for each algorithm of the package into this folder, where it is found without
-torch. Nothing here imports more than the standard library.
+`python -m uavnav.train.help` writes that text for each algorithm of the package into this folder, where it is found
+without torch. Nothing here imports more than the standard library.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 HERE = Path(__file__).parent
-COMMAND = HERE.parent / "conf" / "train.yaml"
+COMMAND = HERE / "train.yaml"
 """The keys of the command itself, each with its meaning behind it."""
 
 TEXT = """usage: uavnav train {name} [KEY=VALUE ...] [-m] [--cfg job] [--quiet] [--json]

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from uavnav import commands, plugins
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 from uavnav.report import report
 from uavnav.report.cells import one_line
 from uavnav.runs.tables import RunError

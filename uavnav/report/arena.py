@@ -17,7 +17,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from uavnav.report import style
+from uavnav import style
 from uavnav.stats import Array
 from uavnav.tasks.world import World
 

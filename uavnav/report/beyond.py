@@ -18,8 +18,8 @@ import pandas as pd
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from uavnav import stats
-from uavnav.report import headline, style
+from uavnav import stats, style
+from uavnav.report import headline
 from uavnav.report.cells import Cell, collect, episodes_of, one_line, order
 from uavnav.report.figures import Figure
 from uavnav.report.studies import Cells, Rows

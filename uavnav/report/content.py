@@ -12,8 +12,9 @@ from typing import Any
 
 import pandas as pd
 
+from uavnav import style
 from uavnav.policies import PolicyError
-from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, style, tables, whys, worlds
+from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys, worlds
 from uavnav.report.cells import Cell, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.figures import Figure

@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
-from uavnav import stats
-from uavnav.report import style
+from uavnav import stats, style
 from uavnav.report.cells import Cell, binned, curve
 from uavnav.runs import paper
 from uavnav.runs.readings import PER_FRAME, words

@@ -8,18 +8,19 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from uavnav import style
 from uavnav.evaluate import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import arena, behaviour, charts, curves, frames, studies, style, tables, whys
+from uavnav.report import arena, behaviour, charts, curves, frames, studies, tables, whys
 from uavnav.report.cells import algorithms
 from uavnav.report.claims import PRIMARY
 from uavnav.report.frames import DIAGNOSTICS, name
 from uavnav.report.headline import RULE
 from uavnav.report.studies import Cells
-from uavnav.report.style import Drawn
 from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
 from uavnav.runs.readings import PER_FRAME, SAMPLED, words
 from uavnav.stats import Array, Interval
+from uavnav.style import Drawn
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
 

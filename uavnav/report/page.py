@@ -22,11 +22,11 @@ from uavnav.report.claims import CLAIMS, PRIMARY, Claim
 from uavnav.report.content import Content
 from uavnav.report.figures import LOOKED_AT
 from uavnav.report.replays import paths, together
-from uavnav.report.style import RULE, drawing, save
 from uavnav.report.verdicts import GRADES, SEEDS, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.metrics import LAST
 from uavnav.runs.readings import LOG_CURVE, SAMPLED
+from uavnav.style import RULE, drawing, save
 from uavnav.tasks.world import World
 
 SECTIONS = {

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from uavnav import stats
-from uavnav.report import style
+from uavnav import stats, style
 from uavnav.report.cells import Cell, Counts, counted, counts, episodes_of, one_line, show
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.frames import DIAGNOSTICS, estimates, name, per_seed_values

@@ -17,9 +17,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from uavnav import across, stats
-from uavnav.evaluate import EPISODES, files_of, fly, rows_across
-from uavnav.report import conclusions, style, tables
+from uavnav import stats, style
+from uavnav.evaluate import EPISODES, across, files_of, fly, rows_across
+from uavnav.evaluate.transfer import Place, place
+from uavnav.report import conclusions, tables
 from uavnav.report.cells import of_worlds, order, settings_of
 from uavnav.report.discussion import (
     ALL,
@@ -44,7 +45,6 @@ from uavnav.tasks.baselines import BASELINES, WORLD, suited
 from uavnav.tasks.ladders import LADDERS, reached
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.protocol import ACROSS_STEPS
-from uavnav.transfer import Place, place
 
 MODE = "sampled"
 DEFAULT, TUNED = "paper", "fast"

@@ -12,7 +12,7 @@
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in {out}/rate-0.001/ppo/tanh and so on
     tune: ...                   # settings that are searched for first: `search`
 
-`run` carries a study out, and `uavnav.study` is its command.
+`run` carries a study out, and `uavnav.studies.study` is its command.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from typing import Any, NamedTuple
 import yaml
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError, choose_from, unknown, unknown_key
 from uavnav.evaluate import EPISODES, MAX_STEPS, files_of
+from uavnav.help.choices import ConfigError, choose_from, unknown, unknown_key
 from uavnav.tasks.layouts import judged_on
 from uavnav.tasks.protocol import LADDER_NAMES
 from uavnav.training.config import PARTS, TrainConfig

@@ -18,14 +18,14 @@ from typing import Any
 
 import pandas as pd
 
-from uavnav import engines, plugins
-from uavnav.choices import ConfigError
-from uavnav.engines import Engine
+from uavnav import plugins
 from uavnav.evaluate import rows_across
 from uavnav.files import write
+from uavnav.help.choices import ConfigError
 from uavnav.runs import FINISHED, POLICY, PROGRESS, STOP, Run, read_settings
 from uavnav.runs.tables import RunError, lock, write_table
-from uavnav.studies import Cell
+from uavnav.studies import Cell, engines
+from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
 from uavnav.training import machine, recorder, shares
 from uavnav.training.config import TrainConfig
@@ -247,7 +247,7 @@ class Study:
         job = share.folder.with_name(f"{share.folder.name}.job")
         described |= {"evaluation": work.cell.evaluation, "folder": str(Path.cwd())}
         write(job, json.dumps(described).encode())
-        words = ["-m", "uavnav.training.share", str(job)]
+        words = ["-m", "uavnav.train.share", str(job)]
         return engines.logged(words, job.with_suffix(".log"))
 
     def _evaluation(self, work: Work) -> list[str]:

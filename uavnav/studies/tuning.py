@@ -19,7 +19,7 @@ from typing import Any
 
 import pandas as pd
 
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 from uavnav.runs.tables import RunError, lock, write
 from uavnav.runs.trials import COLUMNS, DIVERGED, FINISHED, IMPORTANCE, OF_IMPORTANCE, TABLE, read
 from uavnav.studies import Cell

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from uavnav.choices import unknown_key
 from uavnav.help import key
+from uavnav.help.choices import unknown_key
 
 if TYPE_CHECKING:
     from torch import Tensor

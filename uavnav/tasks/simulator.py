@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from uavnav.choices import did_you_mean, unknown_key
+from uavnav.help.choices import did_you_mean, unknown_key
 from uavnav.tasks import goal, moving, space
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.rewards import REWARDS, Step, Terms

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_type_hints
 
-from uavnav.choices import did_you_mean
 from uavnav.help import key
+from uavnav.help.choices import did_you_mean
 
 VERSION = "1"
 """Version of the world's semantics and of the distribution of obstacles; written into every bank, run and policy."""

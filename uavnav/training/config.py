@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_
 
 import torch
 
-from uavnav.choices import ConfigError, unknown, unknown_key
 from uavnav.help import key
+from uavnav.help.choices import ConfigError, unknown, unknown_key
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import modern
 from uavnav.tasks.faults import Faults

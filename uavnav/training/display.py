@@ -1,25 +1,17 @@
-"""What a run shows on the terminal: what it will do, its progress, and at the end its metrics beside the paper's."""
+"""What a run shows on the terminal while it trains: what it will do, and its progress."""
 
 from __future__ import annotations
 
 import contextlib
-import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Self
 
-import pandas as pd
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
-from uavnav.algorithms import ALGORITHMS
-from uavnav.runs import Run, metrics, paper
-from uavnav.runs.metrics import METRICS, per_seed
-from uavnav.runs.readings import ALL, LOG_CURVE, PER_FRAME, decimals, log_curve, per_frame
 from uavnav.training.config import TrainConfig
 
 Tell = Callable[[int, list[float]], None]
@@ -79,7 +71,7 @@ class Display:
         task = self._progress.tasks[0]
         rate = f"{task.speed / 1000:,.1f}k" if task.speed else "-"
         done = f"{frames // 1000:,}k/{self._config.frames // 1000:,}k"
-        self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=_with_spread(rewards, 1))
+        self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=with_spread(rewards, 1))
         if self._unknown and frames >= getattr(self._config, "learning_starts", 0):
             self._tell_how_long(frames)
         if self._tell is not None:
@@ -152,140 +144,13 @@ def _rounded(took: float) -> str:
     return f"{took / 60:.0f} min" if took < 90 * 60 else f"{took / 3600:.0f} h"
 
 
-def _readings(run: Run) -> dict[str, pd.DataFrame]:
-    """A finished run per frame, by the log curve and per episode."""
-    rhythm = ALGORITHMS[run.algorithm].rhythm(run.config)
-    readings = {PER_FRAME: per_frame(run.episodes, run.frames)}
-    if rhythm is not None:
-        readings[LOG_CURVE] = log_curve(run.episodes, run.frames, *rhythm)
-    return readings | {ALL: per_seed(run.episodes)}
-
-
-def _flown(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """An evaluation in each of its modes; rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`."""
-    return {mode: per_seed(rows[rows["mode"] == mode]) for mode in rows["mode"].unique()}
-
-
-def summary(run: Run) -> Table:
-    """The six metrics of a finished run, per frame, by the log curve and per episode, beside the paper's row."""
-    config = run.config
-    seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
-    worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
-    changes = [f"{name}={value}" for name, value in run.meta.get("beyond_preset", {}).items()]
-    ends = "collision or goal" if config.get("task") == "goal" else "collision"
-    preset = " with ".join([f"preset {config['preset']}", *([", ".join(changes)] if changes else [])])
-    return _metric_table(
-        f"{run.algorithm} {config['activation']}, {preset}, {worlds}",
-        f"{run.frames:,} frames per seed; {seeds}; {len(run.episodes):,} training episodes;"
-        f" {run.meta['bank']['k']} obstacles a set; reward {config['reward']}; init {config['init']};"
-        f" steps and distance {PER_FRAME} are per {ends}",
-        _readings(run),
-        of_paper(run),
-    )
-
-
-def record(run: Run) -> dict[str, Any]:
-    """What the tables of a finished run and of its evaluation show, for JSON."""
-    rows, activation = run.evaluation(), run.config["activation"]
-    facts = {"run": str(run.path), "algorithm": run.algorithm, "activation": activation, "frames": run.frames}
-    readings = _readings(run) | ({} if rows is None else _flown(rows))
-    return facts | {"seeds": run.seeds, "seconds": run.meta["wall_seconds"], "metrics": _numbers(readings)}
-
-
-def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
-    """What `evaluation_summary` shows, for JSON."""
-    seeds, sets = sorted(map(int, rows["seed"].unique())), int(rows["layout"].nunique())
-    found = {"seeds": seeds, "sets": sets, "metrics": _numbers(_flown(rows))}
-    own = {str(mode): metrics.own(flown).mean().to_dict() for mode, flown in rows.groupby("mode")}
-    return found | ({"own": own} if any(own.values()) else {})
-
-
-def _numbers(readings: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
-    """Of each reading, each metric's mean and standard deviation over seeds; null where there is none."""
-    found: dict[str, Any] = {}
-    for reading, seeds in readings.items():
-        known = {name: seeds[name].dropna().tolist() for name in METRICS}
-        found[reading] = {
-            name: {
-                "mean": statistics.mean(values) if values else None,
-                "sd": statistics.stdev(values) if len(values) > 1 else None,
-            }
-            for name, values in known.items()
-        }
-    return found
-
-
-def _metric_table(
-    title: str, caption: str, readings: dict[str, pd.DataFrame], printed: dict[str, float], over: str = ""
-) -> Table:
-    """readings: by name, a row a seed and a column a metric; over: what sums are divided by, if all by the same."""
-    table = Table(title=title, caption=caption, min_width=79)
-    table.add_column("metric")
-    for reading in readings:
-        table.add_column(reading, justify="right")
-    if printed:
-        table.add_column("paper", justify="right")
-    for name, metric in METRICS.items():
-        cells = [
-            _with_spread(seeds[name].dropna().tolist(), decimals(name, reading)) for reading, seeds in readings.items()
-        ]
-        beside = f"{printed[name]:,.{decimals(name, ALL)}f}" if name in printed else ""
-        table.add_row(escape(metric.words(over)), *cells, *([beside] if printed else []))
-    return table
-
-
-def of_paper(run: Run) -> dict[str, float]:
-    """The paper's row for a run of its world; nothing for one of another."""
-    there = run.config.get("task", "drone") == "drone"
-    return paper.TABLES.get((run.algorithm, run.config["activation"]), {}) if there else {}
-
-
-def evaluation_summary(rows: pd.DataFrame, who: str | Run) -> Table:
-    """The six metrics of an evaluation in each of its modes, beside the paper's row where there is one.
-
-    rows: the columns of `metrics.EPISODE_COLUMNS` and `mode`; who: has flown, a run or a policy's name.
-    """
-    flown = _flown(rows)
-    censored = ", ".join(f"{rows.loc[rows['mode'] == mode, 'truncated'].mean():.0%} {mode}" for mode in flown)
-    n_seeds, n_layouts = rows["seed"].nunique(), rows["layout"].nunique()
-    seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
-    name = f"{who.algorithm} {who.config['activation']}" if isinstance(who, Run) else who
-    return _metric_table(
-        f"{name} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
-        "; ".join([f"{seeds}; cut off at the cap on steps: {censored}", *_own(rows)]),
-        flown,
-        of_paper(who) if isinstance(who, Run) else {},
-        "episode",
-    )
-
-
-def _own(rows: pd.DataFrame) -> list[str]:
-    """What the world or the bank has of its own, in words: means over seeds, by mode."""
-    means = {str(mode): metrics.own(flown).mean() for mode, flown in rows.groupby("mode")}
-    return [
-        f"{one.label}: {', '.join(f'{mean[name]:,.2f} {mode}' for mode, mean in means.items())}"
-        for name, one in metrics.OWN.items()
-        if all(name in mean for mean in means.values())
-    ]
-
-
-def report(run: Run) -> None:
-    """Print the summary, how long the run took, and where it is."""
-    show(summary(run))
-    print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}")
-
-
-def show(table: Table) -> None:
-    """Print a table."""
-    Console().print(table)
-
-
 def _console() -> Console:
     """The terminal; in a notebook without ipywidgets plain text, where rich would warn at every step of a bar."""
     return Console(force_jupyter=None if find_spec("ipywidgets") else False)
 
 
-def _with_spread(values: list[float], digits: int) -> str:
+def with_spread(values: list[float], digits: int) -> str:
+    """A mean, and the standard deviation of several."""
     if not values:
         return "-"
     mean = f"{statistics.mean(values):,.{digits}f}"

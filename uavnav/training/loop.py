@@ -16,8 +16,8 @@ from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.data import ReplayBuffer
 
-from uavnav.choices import ConfigError
 from uavnav.envs.env import DroneEnv
+from uavnav.help.choices import ConfigError
 from uavnav.runs import Run
 from uavnav.training import loggers, machine, weights
 from uavnav.training.checkpoints import Stateful

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import torch
 
 from uavnav import graph, plugins
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 from uavnav.training.config import TrainConfig
 
 MAPPED_FROM = 2**20

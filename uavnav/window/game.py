@@ -18,6 +18,7 @@ from torch import Tensor
 
 from uavnav import flights
 from uavnav.algorithms import ALGORITHMS
+from uavnav.commands.keys import BANK, LEFT, RIGHT, ROWS, TURNING
 from uavnav.envs.drawing import PILOTS, STEPS_PER_SECOND, Colour
 from uavnav.policies import Policy
 from uavnav.render import Pilot
@@ -29,7 +30,6 @@ from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import COUNTS, UP, State
 from uavnav.tasks.world import World
-from uavnav.window.keys import BANK, LEFT, RIGHT, ROWS, TURNING
 
 PACES = (1 / 10, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
 """How many times as fast as the simulation's own rate."""

@@ -12,13 +12,13 @@ import torch
 from matplotlib import colormaps
 from PIL import Image, ImageDraw
 
+from uavnav.commands.keys import HELP
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Ink, font, height_of
 from uavnav.runs.metrics import METRICS
 from uavnav.tasks.dynamics import decode
 from uavnav.tasks.world import World
 from uavnav.window.game import PACES, Game, colour
-from uavnav.window.keys import HELP
 from uavnav.window.mouse import problem
 
 MARGIN, BLOCK, FOOTER = 12, 330, 30  # [units]; a block of the panel is as wide as that

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
+from uavnav.commands.keys import BANK, ROWS
 from uavnav.envs.drawing import STEPS_PER_SECOND
 from uavnav.files import check_out
 from uavnav.policies import as_option, is_zip
@@ -25,7 +26,7 @@ from uavnav.training.machine import use_threads
 from uavnav.window import game as rules
 from uavnav.window import hud, mouse
 from uavnav.window.game import Game
-from uavnav.window.keys import BANK, ROWS, press, release, release_all
+from uavnav.window.keys import press, release, release_all
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 try:

@@ -25,8 +25,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from uavnav import commands, help, plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError, unknown, unknown_key
-from uavnav.evaluate import evaluate_run
+from uavnav.evaluate import evaluate_run, summary
+from uavnav.help.choices import ConfigError, unknown, unknown_key
 from uavnav.policies import PolicyError
 from uavnav.runs import EVALUATION, Run
 from uavnav.runs.tables import RunError
@@ -34,7 +34,6 @@ from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import TASKS
 from uavnav.tasks.world import World
-from uavnav.training import display
 from uavnav.training.config import TrainConfig, part_keys, plain
 from uavnav.training.loggers import chosen
 from uavnav.training.loop import train
@@ -72,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _check(orders)
         finished = [_train(order, given.quiet or given.json) for order in orders]
         if given.json:
-            print(json.dumps([display.record(run) for run in finished], indent=2))
+            print(json.dumps([summary.record(run) for run in finished], indent=2))
         elif not given.quiet and finished[-1].fresh:
             print(_next(finished[-1], given.plugins))
     except Interrupted as stop:
@@ -187,7 +186,7 @@ def _train(order: Order, quiet: bool) -> Run:
     how = {key: here[key] for key in ("overwrite", "checkpoint_seconds", "logger")}
     finished = train(config, out=out, quiet=quiet, **how)
     if not quiet and finished.fresh:
-        display.report(finished)
+        summary.report(finished)
     elif not quiet:
         print(f"{out}: this run is already finished; overwrite=true starts it anew")
     if here["evaluate"] and not (finished.path / EVALUATION).exists():
@@ -195,7 +194,7 @@ def _train(order: Order, quiet: bool) -> Run:
             print("evaluating on the test split; evaluate=false skips this", flush=True)
         rows = evaluate_run(finished, quiet=quiet)
         if not quiet:
-            display.show(display.evaluation_summary(rows, finished))
+            summary.show(summary.of_evaluation(rows, finished))
     return finished
 
 

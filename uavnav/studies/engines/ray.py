@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from uavnav import engines
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
+from uavnav.studies import engines
 
 SECONDS = 60.0
 """Given to a machine to answer."""

@@ -13,7 +13,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Protocol, get_type_hints
 
-from uavnav.choices import ConfigError, unknown, unknown_key
+from uavnav.help.choices import ConfigError, unknown, unknown_key
 from uavnav.training.config import checked
 
 ENGINES = {"local": "Local", "ray": "Ray", "slurm": "Slurm"}
@@ -50,7 +50,7 @@ def build(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) 
     """
     if name not in ENGINES:
         raise unknown("engine", name, ENGINES)
-    kind = getattr(importlib.import_module(f"uavnav.engines.{name}"), ENGINES[name])
+    kind = getattr(importlib.import_module(f"uavnav.studies.engines.{name}"), ENGINES[name])
     hints = get_type_hints(kind)
     names = {item.name: item.metadata for item in fields(kind)}
     for key in settings:

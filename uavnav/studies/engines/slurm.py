@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from uavnav import engines
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
+from uavnav.studies import engines
 
 SACCT_SECONDS = 30
 """The time between two questions to SLURM."""

@@ -14,7 +14,9 @@ from pathlib import Path
 
 from uavnav import help as texts
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import Parser, choose_from, did_you_mean
+from uavnav.commands.benches import BY_DEFAULT, LONGER, OUT, SCRATCH
+from uavnav.commands.keys import BANK, HELP, ROWS
+from uavnav.help.choices import Parser, choose_from, did_you_mean
 from uavnav.tasks.protocol import (
     ACROSS_STEPS,
     DEFAULT_K,
@@ -211,8 +213,6 @@ def _runs(parser: Parser) -> None:
 
 
 def _play(parser: Parser) -> None:
-    from uavnav.window.keys import BANK, HELP, ROWS
-
     table = "\n".join(f"  {shown:12} {does}" for shown, does in HELP)
     parser.epilog = f"example: uavnav play runs/ppo/relu reactive --layout 20\n\nkeys:\n{table}"
     parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN}; keys 1 to 9 (default: you fly)")
@@ -256,7 +256,7 @@ def _render(parser: Parser) -> None:
 
 
 def _study(parser: Parser) -> None:
-    studies = sorted(path.stem for path in (Path(__file__).parent / "studies").glob("*.yaml"))
+    studies = sorted(path.stem for path in (Path(__file__).parent.parent / "studies").glob("*.yaml"))
     parser.epilog = "example: uavnav study paper engine=slurm seeds=40 out=/shared/paper"
     parser.add_argument("name", metavar="NAME", help=f"{', '.join(studies)}, or a yaml file of your own")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="; ".join(STUDY_KEYS.values()))
@@ -289,8 +289,6 @@ def _verify(parser: Parser) -> None:
 
 
 def _bench(parser: Parser) -> None:
-    from uavnav.bench import BY_DEFAULT, LONGER, OUT, SCRATCH
-
     parser.epilog = "example: uavnav bench --quick"
     parser.add_argument("--quick", action="store_true", help="a first impression: 3 minutes, 5 if caches are cold")
     sections = (*BY_DEFAULT, *LONGER)

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 from uavnav import files, plugins
-from uavnav.choices import ConfigError
 from uavnav.evaluate import evaluate_run
+from uavnav.help.choices import ConfigError
 from uavnav.policies import Diverged, PolicyError
 from uavnav.runs import STOP, Run
 from uavnav.runs.tables import Columns, RunError, with_reward

@@ -16,12 +16,12 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
-from uavnav import browser, commands, plugins, policies, stats
-from uavnav.choices import did_you_mean_run
+from uavnav import browser, commands, plugins, policies, stats, style
 from uavnav.evaluate import EPISODES, MAX_STEPS, evaluate_run, fly, header, on
 from uavnav.files import check_out, write
+from uavnav.help.choices import did_you_mean_run
 from uavnav.policies import Policy
-from uavnav.report import cells, charts, curves, replays, style, tables
+from uavnav.report import cells, charts, curves, replays, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import METRICS, per_seed

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from uavnav import graph
+from uavnav.flights.squads import Flyers, Squads
 from uavnav.policies import Policy
-from uavnav.squads import Flyers, Squads
 from uavnav.tasks import memory
 from uavnav.tasks.seeding import Streams, stream
 from uavnav.tasks.simulator import Outcome, Task

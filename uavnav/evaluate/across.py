@@ -17,11 +17,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from uavnav import policies, stats
-from uavnav.evaluate import fly, rows_across
+from uavnav import policies, stats, style
+from uavnav.evaluate import fly, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
-from uavnav.report import style
 from uavnav.runs import Run, metrics
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, lock, write_table
@@ -233,7 +232,7 @@ def across(
         write(folder / f"{stem}.svg", svg)
         write(folder / f"{stem}.png", png)
         if not quiet:
-            display.show(shown(table, name))
+            summary.show(shown(table, name))
             print(f"the figure is {folder / f'{stem}.png'}", flush=True)
         records += [{"ladder": name, **dict(one)} for one in table.to_dict("records")]  # type: ignore[arg-type]
     return records

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 
 from uavnav import commands, files, plugins
-from uavnav.choices import ConfigError
-from uavnav.playground import collect, page
+from uavnav.browser.playground import collect, page
+from uavnav.help.choices import ConfigError
 from uavnav.policies import as_option
 from uavnav.runs.tables import RunError, write
 

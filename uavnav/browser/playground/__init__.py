@@ -20,7 +20,7 @@ from markupsafe import Markup
 
 from uavnav import browser, networks, policies
 from uavnav.algorithms import ALGORITHMS
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
 from uavnav.policies import Policy, PolicyError
 from uavnav.runs import POLICY, paper, read_settings, run_folders
 from uavnav.runs.metrics import METRICS

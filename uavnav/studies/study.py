@@ -15,12 +15,13 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from uavnav import commands, engines, evaluate, plugins, studies
-from uavnav.choices import ConfigError
+from uavnav import commands, plugins, studies
+from uavnav.evaluate.__main__ import main as fly
+from uavnav.help.choices import ConfigError
 from uavnav.report import report
 from uavnav.runs import PROGRESS, read_settings
 from uavnav.runs.tables import RunError
-from uavnav.studies import Cell, search, tuning
+from uavnav.studies import Cell, engines, search, tuning
 from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
 from uavnav.tasks.layouts import LayoutError
 from uavnav.training.config import checked
@@ -156,7 +157,7 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         return 1
     if own["report"]:
         if plan is not None and not (out / "baselines" / "reactive.parquet").exists():
-            evaluate.main(["reactive", "--out", str(out / "baselines"), "--quiet"])  # what a winner is held against
+            fly(["reactive", "--out", str(out / "baselines"), "--quiet"])  # what a winner is held against
         print(f"the report is in {report([out]).path}")
     return 0
 

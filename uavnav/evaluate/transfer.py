@@ -19,12 +19,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from rich.table import Table
 
-from uavnav.across import MEASURES, Flyer, flyer, judged
-from uavnav.evaluate import fly
+from uavnav import style
+from uavnav.evaluate import fly, summary
+from uavnav.evaluate.across import MEASURES, Flyer, flyer, judged
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
-from uavnav.report import style
-from uavnav.report.tables import with_interval
 from uavnav.runs import Run
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
@@ -149,10 +148,9 @@ def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
     image = axes.imshow(values, cmap="cividis", aspect="auto")
     for (row, column), value in np.ndenumerate(values):
         one = found.loc[(names[row], worlds[column])]
-        inside = f"\n[{style.number(one['low'])}, {style.number(one['high'])}]" if np.isfinite(one["low"]) else ""
         dark = np.array(image.to_rgba(np.array([value]))[0, :3]) @ np.array([0.3, 0.6, 0.1]) < 0.5
         look: dict[str, Any] = {"color": "white" if dark else style.INK, "size": 10}
-        axes.text(column, row, style.number(value) + inside, ha="center", va="center", **look)
+        axes.text(column, row, _in_brackets("\n", *one[["value", "low", "high"]]), ha="center", va="center", **look)
         if trained.get(names[row]) == worlds[column]:
             axes.add_patch(
                 Rectangle((column - 0.47, row - 0.46), 0.94, 0.92, fill=False, color=style.OPEN, linewidth=2)
@@ -172,6 +170,11 @@ def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
     return style.Drawn(figure, f"Reward per flight: {told}.")
 
 
+def _in_brackets(between: str, value: float, low: float, high: float) -> str:
+    """A number, and its interval in brackets if it has one."""
+    return style.number(value) + (f"{between}[{style.number(low)}, {style.number(high)}]" if np.isfinite(low) else "")
+
+
 def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
     """The matrix as a table: a row a policy, mode and measure, a column a world."""
     text = Table(title="Trained in, flown in: means and 95 % intervals over seeds", title_justify="left", box=None)
@@ -180,7 +183,7 @@ def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
         text.add_column(column, justify="right" if column in worlds else "left")
     kept = table[table["measure"].isin(MEASURES)]
     for (who, mode, measure), own in kept.groupby(["name", "mode", "measure"], sort=False):
-        numbers = [with_interval(*triple) for triple in own[["value", "low", "high"]].to_numpy().tolist()]
+        numbers = [_in_brackets(" ", *triple) for triple in own[["value", "low", "high"]].to_numpy().tolist()]
         text.add_row(str(who), trained.get(str(who), ""), str(mode), MEASURES[str(measure)], *numbers)
     return text
 
@@ -229,6 +232,6 @@ def transfer(
         write(folder / f"{stem}.svg", svg)
         write(folder / f"{stem}.png", png)
     if not quiet:
-        display.show(shown(table, trained))
+        summary.show(shown(table, trained))
         print(f"the rows are in {folder / f'{stem}.parquet'}\nthe figure is {folder / f'{stem}.png'}", flush=True)
     return [{"trained_in": trained[one["name"]], **dict(one)} for one in table.to_dict("records")]  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""`python -m uavnav.help` (`make help`): write the help of each algorithm, from its configuration."""
+"""`python -m uavnav.train.help` (`make help`): write the help of each algorithm, from its configuration."""
 
 from importlib import import_module
 

@@ -1,0 +1,12 @@
+"""The sections of `uavnav bench`, and where it writes."""
+
+from pathlib import Path
+
+QUICK = ("world", "gymnasium", "training")
+BY_DEFAULT = (*QUICK, "stages", "compile", "memory", "fast")
+LONGER = ("worlds", "growth", "parity")
+"""The sections that a quick run measures, those of a plain run, and those that only `--only` chooses."""
+
+OUT = Path("docs/benchmarks.md")
+SCRATCH = Path("build/bench")
+"""The folder of compiled graphs, and of what `--quick` writes."""

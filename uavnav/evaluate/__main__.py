@@ -1,0 +1,135 @@
+"""`uavnav evaluate`: the command."""
+
+from __future__ import annotations
+
+import functools
+import json
+import sys
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from uavnav import commands, plugins, policies
+from uavnav.evaluate import evaluate_run, files_of, fly, header, on, protocol_name, summary
+from uavnav.evaluate.across import across
+from uavnav.evaluate.transfer import transfer
+from uavnav.files import check_out
+from uavnav.help.choices import did_you_mean_run
+from uavnav.policies import Policy
+from uavnav.runs import Run
+from uavnav.runs.metrics import MODES
+from uavnav.runs.tables import RunError, write_table
+from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
+from uavnav.tasks.faults import Faults, from_words
+from uavnav.tasks.ladders import measure_of
+from uavnav.tasks.protocol import ACROSS_STEPS, GROUPS, MAX_STEPS
+from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.training import display, machine
+
+
+def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
+    """A run, or what else flies, by its mode."""
+    if name in BASELINES:
+        return {"scripted": BASELINES[name]}
+    if policies.is_zip(name):
+        return {mode: policies.load_policy(name, greedy=mode == "greedy", activation=activation) for mode in MODES}
+    try:
+        return Run(name)
+    except RunError as error:
+        raise RunError(f"{error}{did_you_mean_run(name, BASELINES)}") from error
+
+
+def _faults(words: str) -> Faults:
+    try:
+        return from_words(words)
+    except ValueError as error:
+        raise ValueError(f"--faults {words}: {error}") from error
+
+
+def _rows_file(name: str, mode: str, protocol: str = "") -> str:
+    """Where the rows of what is no run are kept; a report calls them so."""
+    who = name if name in BASELINES else f"{Path(name).stem}-{mode}"
+    return f"{who}{protocol}.parquet"
+
+
+def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPolicy]]) -> int:
+    """The command with `--across` or `--transfer`; returns the exit status."""
+    if (given := arguments.faults) is not None:
+        raise ValueError(f"--faults {given}: ladders and worlds of training have their own; leave it out")
+    if arguments.layouts != "test":
+        told = "--across and --transfer fly on test sets of their own"
+        raise ValueError(f"--layouts {arguments.layouts}: {told}; leave it out")
+    if arguments.transfer and arguments.task != "drone":
+        raise ValueError(f"--task {arguments.task}: --transfer flies in the worlds of the runs; leave it out")
+    cap = ACROSS_STEPS if arguments.max_steps is None else arguments.max_steps
+    quiet = arguments.quiet or arguments.json
+    tell = functools.partial(print, file=sys.stderr)
+    if arguments.transfer:
+        records = transfer(found, arguments.episodes, cap, arguments.out, quiet, tell)
+    else:
+        names = dict.fromkeys(one for word in arguments.across for one in GROUPS.get(word, (word,)))
+        bounds = arguments.episodes, cap, arguments.out
+        records = across(found, [*names], *bounds, quiet, tell, arguments.task)
+    if arguments.json:
+        print(json.dumps(records, indent=2))
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Evaluate finished runs, scripted baselines or zips of Stable-Baselines3 on the test split: one row an episode."""
+    arguments = commands.parse("evaluate", argv)
+    try:
+        plugins.load(arguments.plugins)
+        zips = policies.zips(arguments.runs, arguments.activation)
+        if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
+            raise ValueError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
+        found = {name: _found(name, arguments.activation) for name in arguments.runs}
+        max_steps = MAX_STEPS if arguments.max_steps is None else arguments.max_steps
+        bounds = arguments.layouts, arguments.episodes, max_steps
+        faults = None if arguments.faults is None else _faults(arguments.faults)
+        protocol = protocol_name(*bounds, faults, arguments.task)
+        if arguments.out is not None:
+            for name, run in found.items():
+                for mode in () if isinstance(run, Run) else run:
+                    check_out(arguments.out / _rows_file(name, mode, protocol))
+        if arguments.across is not None or arguments.transfer:
+            return _elsewhere(arguments, found)
+        scripted = make_task(EMPTY, task=arguments.task)
+        quiet, records = arguments.quiet or arguments.json, []
+        for name, run in found.items():
+            if isinstance(run, Run):
+                rows = evaluate_run(run, arguments.episodes, max_steps, arguments.layouts, quiet, faults)
+                kept = [run.path / files_of(*bounds, faults)[0]]
+            else:
+                flown = {}
+                for mode, policy in run.items():
+                    task = on(policy.task if isinstance(policy, Policy) else scripted, *bounds, faults)
+                    with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:], quiet) as tell:
+                        flown[mode] = fly({0: suited(policy, task)}, task, tell, measure_of(arguments.layouts)).episodes
+                rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
+                kept = []
+                for mode, part in flown.items() if arguments.out is not None else ():
+                    path = arguments.out / _rows_file(name, mode, protocol)
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    part.attrs = header(*bounds, faults)
+                    write_table(path, part)
+                    kept.append(path)
+            records.append({"run": name, **summary.evaluation_record(rows)})
+            if not quiet:
+                who = run if isinstance(run, Run) else name if name in BASELINES else Path(name).stem
+                summary.show(summary.of_evaluation(rows, who))
+                print("".join(f"the rows are in {path}\n" for path in kept), end="", flush=True)
+        if arguments.json:
+            print(json.dumps(records, indent=2))
+    except BrokenPipeError:  # nobody reads on: `terminal` ends it
+        raise
+    except (RunError, ValueError, OSError) as error:
+        print(f"uavnav evaluate: {policies.as_option(error)}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -41,10 +41,10 @@ def told(words, capsys):
 
 
 def test_the_table_holds_each_module_that_is_a_command_and_each_is_of_one_kind():
-    modules = {path.stem: path for path in [*PACKAGE.glob("*.py"), *PACKAGE.glob("*/*.py")]}
-    modules |= {path.parent.name: path for path in PACKAGE.glob("*/__main__.py")}
-    there = {name for name, path in modules.items() if "\nif __name__ ==" in path.read_text()}
-    assert set(commands.COMMANDS) == there - {"__main__", "docs", "help", "jobs", "share"}
+    there = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts) for path in PACKAGE.rglob("*.py")
+             if "\ndef main(" in path.read_text()}  # fmt: skip
+    others = {"uavnav.__main__", "uavnav.report.docs", "uavnav.bench.jobs", "uavnav.train.share"}
+    assert {module_of(name) for name in commands.COMMANDS} == there - others
     assert set(commands.PARSERS) == set(commands.COMMANDS) - {"train"}
     of_a_kind = [name for names, _ in commands.KINDS.values() for name in names]
     assert sorted(of_a_kind) == sorted(commands.COMMANDS)
@@ -71,8 +71,8 @@ def test_the_version_is_that_of_the_package(capsys):
 def test_the_wheel_has_the_command_and_what_it_reads():
     project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())
     assert project["project"]["scripts"] == {"uavnav": "uavnav.__main__:main"}
-    data = project["tool"]["setuptools"]["package-data"]["uavnav"]
-    assert {help.COMMAND, *map(help.text_of, ALGORITHMS)} <= {path for one in data for path in PACKAGE.glob(one)}
+    data = project["tool"]["setuptools"]["package-data"]["uavnav.help"]
+    assert {help.COMMAND, *map(help.text_of, ALGORITHMS)} <= {path for one in data for path in help.HERE.glob(one)}
     folders = {path.parent.relative_to(PACKAGE.parent).as_posix() for path in PACKAGE.rglob("*.py")}
     assert {name.replace(".", "/") for name in project["tool"]["setuptools"]["packages"]} == folders
 

@@ -1,7 +1,10 @@
 """`import uavnav` is cheap, and every name that it promises is there."""
 
+import ast
 import subprocess
 import sys
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
 
 import pytest
 
@@ -23,3 +26,44 @@ def test_every_public_name_resolves(name):
 def test_a_name_that_is_not_there_is_answered_with_those_that_are():
     with pytest.raises(AttributeError, match=r"no attribute 'DroneEnvironment'; it has .*DroneEnv"):
         uavnav.DroneEnvironment  # noqa: B018
+
+
+# -- the house ---------------------------------------------------------------------------------------------------------
+
+PACKAGE = Path(uavnav.__file__).parent
+MODULES = {
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in PACKAGE.rglob("*.py")
+}
+ROOMS = 26
+"""Files and folders at the top of the package, at most."""
+
+
+def imported(name):
+    """The modules of the package that a module imports, also within functions."""
+    for node in ast.walk(ast.parse(MODULES[name].read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in MODULES)
+        elif isinstance(node, ast.ImportFrom) and node.module in MODULES:
+            inner = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from (one if one in MODULES else node.module for one in inner)
+
+
+def room(name):
+    return ".".join(name.split(".")[:2])
+
+
+@pytest.mark.parametrize("of", [str, room], ids=["file", "room"])
+def test_no_two_import_each_other_not_even_by_way_of_others(of):
+    above = {of(name): set() for name in MODULES}
+    for name in MODULES:
+        if name != "uavnav":  # whose names are found on first use
+            above[of(name)] |= {of(other) for other in imported(name)} - {of(name), "uavnav"}
+    try:
+        assert len([*TopologicalSorter(above).static_order()]) == len(above)
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_the_top_of_the_package_is_seen_at_a_glance():
+    assert len([path for path in PACKAGE.iterdir() if path.name not in ("__pycache__", "py.typed")]) <= ROOMS

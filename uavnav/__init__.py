@@ -145,7 +145,11 @@ class _ShortName(SourceFileLoader):
     def find_spec(cls, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         package, _, short = name.rpartition(".")
         home = importlib.util.find_spec(HOMES[short]) if package == __name__ and short in HOMES else None
-        return home and ModuleSpec(name, cls(name, str(home.origin)), origin=home.origin)
+        if home is None:
+            return None
+        spec = ModuleSpec(name, cls(name, str(home.origin)), origin=home.origin)
+        spec.submodule_search_locations = home.submodule_search_locations  # of a folder, whose `__main__` -m looks for
+        return spec
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         module = importlib.import_module(HOMES[spec.name.rpartition(".")[2]])

@@ -39,3 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"uavnav layouts: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

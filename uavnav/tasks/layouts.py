@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib
 import json
 import os
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -271,7 +269,3 @@ def _in_order(content: bytes) -> bytes:
 def checksum(bank: Tensor) -> str:
     """SHA-256 of a bank's numbers."""
     return hashlib.sha256(bank.cpu().contiguous().numpy().tobytes()).hexdigest()
-
-
-if __name__ == "__main__":  # as `uavnav layouts`, which is above this file in the house
-    sys.exit(importlib.import_module("uavnav.commands.layouts").main())

@@ -16,14 +16,12 @@ import uavnav
 from uavnav import ConfigError, LayoutError, PolicyError, RunError
 from uavnav import evaluate as evaluation
 from uavnav import render as rendering
-from uavnav import train as training
 from uavnav import verify as verification
+from uavnav.__main__ import main
 from uavnav.algorithms import dqn, ppo
-from uavnav.report import __main__ as reporting
 from uavnav.runs import POLICY, Run
 from uavnav.tasks import layouts
 from uavnav.training.recorder import Interrupted
-from uavnav.window import play as playing
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 PPO = {
@@ -225,14 +223,7 @@ def by_name(cases):
     return [pytest.param(case, id=case.name) for case in cases]
 
 
-MAINS = {
-    "layouts": layouts.main,
-    "evaluate": evaluation.main,
-    "verify": verification.main,
-    "render": rendering.main,
-    "report": reporting.main,
-    "play": playing.main,
-}
+COMMANDS = ("layouts", "evaluate", "verify", "render", "report", "play")
 
 
 def in_the_library(case, folder):
@@ -248,12 +239,12 @@ def on_the_command_line(case, folder, capfd):
     program, *arguments = [word.replace("{}", str(folder)) for word in case.command]
     with spoilt(case, folder):
         try:
-            status = MAINS[program](arguments) if program in MAINS else training.main([program, *arguments])
+            status = main([program, *arguments] if program in COMMANDS else ["train", program, *arguments])
         except SystemExit as stop:
             status = stop.code
     printed, complained = capfd.readouterr()
     assert status == 2
     assert printed == ""
-    assert complained.startswith(f"uavnav {program if program in MAINS else 'train'}: ")
+    assert complained.startswith(f"uavnav {program if program in COMMANDS else 'train'}: ")
     assert complained.endswith("\n")
     said(case, folder, complained[:-1])

@@ -16,6 +16,7 @@ import uavnav
 from uavnav import evaluate
 from uavnav.algorithms import dqn, ppo
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, files_of, fly, on
+from uavnav.evaluate.__main__ import main as fly_command
 from uavnav.report import behaviour
 from uavnav.runs import Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
@@ -180,7 +181,7 @@ def test_of_a_flight_of_600_steps_500_are_watched():
 
 def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
     arguments = ["random", "--episodes", "5", "--max-steps", "50", "--out", str(tmp_path / "baselines")]
-    assert evaluate.main(arguments) == 0
+    assert fly_command(arguments) == 0
     rows = pd.read_parquet(tmp_path / "baselines" / "random-test-5-50.parquet")
     assert rows.layout.tolist() == [0, 1, 2, 3, 4]
     assert list(rows.columns) == list(EPISODE_COLUMNS)
@@ -207,7 +208,7 @@ def test_a_folder_for_rows_that_cannot_be_is_refused_before_anyone_flies(out, tm
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setattr(evaluate, "fly", None)
-    assert evaluate.main(["random", "--out", out]) == 2
+    assert fly_command(["random", "--out", out]) == 2
     printed, err = capsys.readouterr()
     assert err.startswith(f"uavnav evaluate: {out}/random.parquet: cannot be written (")
     assert err.endswith("); give a path that can be written\n")
@@ -215,7 +216,7 @@ def test_a_folder_for_rows_that_cannot_be_is_refused_before_anyone_flies(out, tm
 
 
 def test_a_run_that_is_spelt_wrongly_is_the_nearest_folder_beside_it(run, capsys):
-    assert evaluate.main([str(run.path.parent / "rum")]) == 2
+    assert fly_command([str(run.path.parent / "rum")]) == 2
     assert capsys.readouterr().err.endswith(f"give a run's folder (did you mean {run.path}?)\n")
 
 
@@ -234,7 +235,7 @@ def zipped(tmp_path):
 def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(zipped, tmp_path, capsys):
     out = tmp_path / "baselines"
     words = [str(zipped), "random", "--activation", "relu", "--episodes", "5", "--max-steps", "50", "--out", str(out)]
-    assert evaluate.main(words) == 0
+    assert fly_command(words) == 0
     assert sorted(path.name for path in out.iterdir()) == [
         "random-test-5-50.parquet",
         "theirs-greedy-test-5-50.parquet",
@@ -267,7 +268,7 @@ def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(zippe
 )
 def test_a_zip_that_cannot_be_flown_is_one_line_and_no_rows(zipped, monkeypatch, capsys, words, line):
     monkeypatch.chdir(zipped.parent)
-    assert evaluate.main(words) == 2
+    assert fly_command(words) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(f"uavnav evaluate: {line}")
@@ -290,7 +291,7 @@ def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_e
 
 
 def test_the_command_evaluates_nothing_where_one_of_two_runs_is_not_there(run, capsys):
-    assert evaluate.main([str(run.path), str(run.path.parent / "nowhere"), "--episodes", "2"]) == 2
+    assert fly_command([str(run.path), str(run.path.parent / "nowhere"), "--episodes", "2"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.endswith("nowhere: no such run folder; give a run's folder\n")
@@ -374,7 +375,7 @@ def test_an_evaluation_of_another_protocol_is_read_where_there_is_no_evaluation_
 
 def test_the_command_says_in_which_file_the_rows_of_a_protocol_are(small, tmp_path, capsys):
     run = shutil.copytree(small.path, tmp_path / "run")
-    assert evaluate.main([str(run), "--episodes", "3", "--max-steps", "5", "--layouts", "validation"]) == 0
+    assert fly_command([str(run), "--episodes", "3", "--max-steps", "5", "--layouts", "validation"]) == 0
     path = run / "evaluation-validation-3-5.parquet"
     assert f"the rows are in {path}\n" in capsys.readouterr().out
     assert len(pd.read_parquet(path)) == 2 * 3
@@ -404,9 +405,9 @@ def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained
 
 def test_quiet_prints_nothing_and_json_an_entry_for_each_with_the_means_of_the_rows(run, capsys, tmp_path):
     words = ["random", str(run.path), "--episodes", "3", "--max-steps", "20"]
-    assert evaluate.main([*words, "--quiet", "--out", str(tmp_path)]) == 0
+    assert fly_command([*words, "--quiet", "--out", str(tmp_path)]) == 0
     assert capsys.readouterr() == ("", "")
-    assert evaluate.main([*words, "--json"]) == 0
+    assert fly_command([*words, "--json"]) == 0
     scripted, trained = json.loads(capsys.readouterr().out)
     assert (scripted["run"], scripted["seeds"], scripted["sets"]) == ("random", [0], 3)
     rows = pd.read_parquet(tmp_path / "random-test-3-20.parquet")

@@ -13,6 +13,7 @@ from safetensors.torch import load_file, save_file
 from uavnav import ConfigError, Run, evaluate, flights, load_policy, render
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.evaluate import evaluate_policy, evaluate_run, files_of, header, on
+from uavnav.evaluate.__main__ import main as fly_command
 from uavnav.export import export_policy
 from uavnav.networks import mlp
 from uavnav.policies import Policy
@@ -100,7 +101,7 @@ def test_files_and_headers_of_an_evaluation_name_its_faults_and_the_protocol_its
 
 @pytest.mark.parametrize(("words", "says"), [("nois=5", "did you mean noise?"), ("lost=2", "at least 0 and at most 1")])
 def test_evaluate_refuses_wrong_faults_in_one_line(words, says, capsys):
-    assert evaluate.main(["random", "--faults", words]) == 2
+    assert fly_command(["random", "--faults", words]) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"uavnav evaluate: --faults {words}: ")
     assert says in said
@@ -110,7 +111,7 @@ def test_evaluate_refuses_wrong_faults_in_one_line(words, says, capsys):
 def test_evaluate_flies_a_baseline_with_faults(capsys):
     for words in ("none", "noise=5,sticky=0.5"):
         how = ["--episodes", "5", "--max-steps", "40", "--json"]
-        assert evaluate.main(["random", "--faults", words, *how]) == 0
+        assert fly_command(["random", "--faults", words, *how]) == 0
     assert capsys.readouterr().out.count('"run": "random"') == 2
 
 

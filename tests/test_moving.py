@@ -17,6 +17,7 @@ from scipy import stats
 import uavnav
 from uavnav import DroneEnv, evaluate, load_policy, verify
 from uavnav.algorithms import ppo
+from uavnav.commands.layouts import main as write_banks
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
 from uavnav.evaluate.summary import of_evaluation, of_run
 from uavnav.tasks import circles, layouts, moving
@@ -202,9 +203,9 @@ def test_a_bank_of_speed_3_is_the_bank_of_speed_2_half_as_fast_again():
 
 
 def test_files_of_moving_obstacles_say_how_they_were_drawn_and_fly_in_their_world_alone(tmp_path, capsys):
-    assert layouts.main(["--task", "moving", "--n", "20", "--out", str(tmp_path)]) == 0
+    assert write_banks(["--task", "moving", "--n", "20", "--out", str(tmp_path)]) == 0
     path = tmp_path / "moving-validation.safetensors"
-    assert layouts.main(["--check", str(path)]) == 0
+    assert write_banks(["--check", str(path)]) == 0
     assert "20 sets of 8 obstacles" in capsys.readouterr().out
     task = make_task(path, task="moving")
     assert torch.equal(task.bank, moving.generate(20, 8, 2))

@@ -15,13 +15,13 @@ from playing import EMPTY, REACTIVE, STRAIGHT, click, drag, fly, new, opened, pl
 
 import uavnav
 from uavnav import render
+from uavnav.commands.keys import ALIASES, KEYS, MOUSE, ROWS
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead
 from uavnav.window import game as rules
 from uavnav.window import hud, keys, play
 from uavnav.window.game import PACES
-from uavnav.window.keys import ALIASES, KEYS, MOUSE
 
 NAMES = [name for key in KEYS for name in key.names]
 
@@ -62,7 +62,7 @@ DOES = {
     "c": ("drawing", lambda was, now: now.obstacles.shape == (1, 0, 3) and now.own),
     "delete": ("drawing", lambda was, now: now.obstacles.shape == (1, 0, 3) and now.own),
     "b": ("policy", lambda was, now: torch.equal(layouts.load("own.safetensors"), was.obstacles)),
-    "k": ("landed", lambda was, now: not now.flights and len(pd.read_parquet(keys.ROWS)) == 1),
+    "k": ("landed", lambda was, now: not now.flights and len(pd.read_parquet(ROWS)) == 1),
     "h": ("policy", lambda was, now: now.help and not press(now, "h").help),
     "f1": ("policy", lambda was, now: now.help),
     "escape": ("policy", lambda was, now: now.closed),

@@ -16,8 +16,9 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 import uavnav
-from uavnav import ConfigError, PolicyError, Run, evaluate, export, load_policy, plugins, render, verify
+from uavnav import ConfigError, PolicyError, Run, export, load_policy, plugins, render, verify
 from uavnav.algorithms import ppo
+from uavnav.evaluate.__main__ import main as fly_command
 from uavnav.runs import POLICY
 from uavnav.window import play
 
@@ -121,7 +122,7 @@ def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monke
 # -- commands --------------------------------------------------------------------------------------------------------
 
 COMMANDS = {
-    "evaluate": (evaluate.main, ["RUN", "--episodes", "3", "--max-steps", "20"]),
+    "evaluate": (fly_command, ["RUN", "--episodes", "3", "--max-steps", "20"]),
     "verify": (verify.main, ["RUN", "--frames", "512"]),
     "render": (render.main, ["RUN", "--steps", "5", "--out", "flight.png"]),
     "export": (export.main, ["RUN", "--out", "policy.pt2"]),

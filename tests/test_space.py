@@ -23,6 +23,7 @@ from torchrl.envs.utils import check_env_specs
 import uavnav
 from uavnav import DroneEnv, evaluate, load_policy, render, train, verify
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
+from uavnav.commands.layouts import main as write_banks
 from uavnav.envs import drawing
 from uavnav.flights.repeats import pose_of
 from uavnav.tasks import baselines, layouts, moving, space
@@ -326,9 +327,9 @@ def test_after_a_thousand_steps_100_spheres_are_where_a_loop_that_bounces_them_h
 
 @pytest.mark.parametrize("name", ["space", "space-moving"])
 def test_files_of_spheres_are_what_their_seed_generates_and_fly_in_their_world_alone(name, tmp_path, capsys):
-    assert layouts.main(["--task", name, "--n", "5", "--split", "test", "--out", str(tmp_path)]) == 0
+    assert write_banks(["--task", name, "--n", "5", "--split", "test", "--out", str(tmp_path)]) == 0
     path = tmp_path / f"{name}-test.safetensors"
-    assert layouts.main(["--check", str(path)]) == 0
+    assert write_banks(["--check", str(path)]) == 0
     assert "5 sets of 40 obstacles" in capsys.readouterr().out
     assert make_task(path, task=name).bank.shape[:2] == (5, 40)
     with pytest.raises(uavnav.LayoutError, match=f"a bank of task={name}, not of task=drone; give one of those"):

@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 from safetensors import safe_open
 
 import uavnav
-from uavnav import evaluate, load_policy, train, verify
+from uavnav import evaluate, load_policy, verify
 from uavnav.algorithms import c51, dqn, ppo, sac
 from uavnav.runs import metrics
 from uavnav.tasks import goal, layouts
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.simulator import Goal, make_task
+from uavnav.train import __main__ as train
 
 
 @pytest.fixture(scope="module")

@@ -91,7 +91,7 @@ def test_a_finished_run_says_so_in_one_line_and_exits_0(recipe):
 
 
 def test_after_training_it_says_what_to_do_next_with_the_very_commands(recipe, monkeypatch):
-    monkeypatch.setattr("uavnav.train.find_spec", lambda name: None)  # no pygame
+    monkeypatch.setattr("uavnav.train.__main__.find_spec", lambda name: None)  # no pygame
     _, out, _ = recipe("ppo", "out=runs/my own", *SHORT["ppo"])
     last = ["watch it:    uavnav render 'runs/my own'", "compare it:  uavnav report runs --out report"]
     assert out.splitlines()[-2:] == last

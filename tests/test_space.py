@@ -21,7 +21,7 @@ from scipy import stats
 from torchrl.envs.utils import check_env_specs
 
 import uavnav
-from uavnav import DroneEnv, evaluate, load_policy, render, train, verify
+from uavnav import DroneEnv, evaluate, load_policy, render, verify
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.commands.layouts import main as write_banks
 from uavnav.envs import drawing
@@ -31,6 +31,7 @@ from uavnav.tasks.baselines import BASELINES, suited
 from uavnav.tasks.rewards import bounds_of_returns
 from uavnav.tasks.simulator import Space, make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
+from uavnav.train import __main__ as train
 from uavnav.training import probes
 from uavnav.window import play
 
@@ -422,7 +423,7 @@ def test_a_run_trains_stops_goes_on_is_evaluated_and_verified_in_a_deeper_box(tm
 
 
 def test_after_training_in_3d_the_command_that_shows_it_is_render(tmp_path, monkeypatch):
-    monkeypatch.setattr("uavnav.train.find_spec", lambda name: True)
+    monkeypatch.setattr("uavnav.train.__main__.find_spec", lambda name: True)
     told = {task: train._next(FakeRun(tmp_path, {"task": task}), []) for task in ("drone", "space")}
     assert told["drone"].startswith("watch it:    uavnav play ")
     assert told["space"].startswith("watch it:    uavnav render ")

@@ -70,7 +70,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _NAMES = {
-    "ConfigError": "choices",
+    "ConfigError": "help.choices",
     "DroneEnv": "envs.env",
     "evaluate_policy": "evaluate",
     "LayoutError": "tasks.layouts",

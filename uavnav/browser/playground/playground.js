@@ -1,7 +1,7 @@
 /*
  * The page: startPlayground(data) brings the race, the arena, the instruments and the controls together.
  *
- * `data` is what uavnav/playground/__init__.py writes: constants of the worlds, their settings, metrics and policies.
+ * `data` is what __init__.py writes: constants of the worlds, their settings, metrics and policies.
  */
 
 const STEPS_PER_SECOND = 30; // at speed 1

@@ -84,7 +84,6 @@ _NAMES = {
 _ROOMS = {
     "browser": ("playground",),
     "envs": ("env", "gym", "sb3", "scalar"),
-    "help": ("choices",),
     "report": ("compare",),
     "runs": ("metrics", "paper", "readings"),
     "studies": ("study",),

@@ -18,15 +18,16 @@ named = re.search(r"--nodelist=(\\S+)", text)
 machine = named[1] if named else "first"
 if machine == "small":
     sys.exit("sbatch: error: Requested node configuration is not available")
-state = {{"blind": "FAILED", "bare": "FAILED", "busy": "PENDING"}}.get(machine, "COMPLETED")
-(jobs / f"{{number}}_0").write_text(state)
+state = {{"blind": "FAILED", "bare": "FAILED", "busy": "PENDING"}}.get(machine, "RUNNING")
+(jobs / str(number)).write_text(state)
 if machine == "bare":
-    error = pathlib.Path(re.search(r"--error=(\\S+)", text)[1].replace("%A", str(number)).replace("%a", "0"))
+    error = pathlib.Path(re.search(r"--error=(\\S+)", text)[1].replace("%j", str(number)))
     error.write_text("no python here")
 if machine in ("first", "second"):
-    facts = dict.fromkeys(["SLURM_NODEID", "SLURM_PROCID", "SLURM_LOCALID", "SLURM_ARRAY_TASK_ID"], "0")
-    facts |= {{"SLURM_NTASKS": "1", "SLURM_JOB_NUM_NODES": "1", "SLURM_ARRAY_JOB_ID": str(number)}}
-    subprocess.run(["bash", sys.argv[-1]], env=os.environ | facts, capture_output=True)
+    facts = dict.fromkeys(["SLURM_NODEID", "SLURM_PROCID", "SLURM_LOCALID"], "0")
+    facts |= {{"SLURM_NTASKS": "1", "SLURM_JOB_NUM_NODES": "1", "SLURM_JOB_NODELIST": "x", "SLURM_JOB_ID": str(number)}}
+    nobody = dict.fromkeys(["stdin", "stdout", "stderr"], subprocess.DEVNULL)
+    subprocess.Popen(["bash", sys.argv[-1]], env=os.environ | facts, **nobody)
 print("Submitted batch job", number)
 """
 SACCT = """#!{python}
@@ -102,7 +103,8 @@ class Cluster:
         self.folder, self.disk, self.machines = str(folder), str(disk), machines
 
     def nodes(self):
-        return [{"NodeID": name, "NodeManagerHostname": name, "Alive": name != "dead"} for name in self.machines]
+        named = [(name, name.encode().hex().ljust(56, "0")) for name in self.machines]
+        return [{"NodeID": key, "NodeManagerHostname": name, "Alive": name != "dead"} for name, key in named]
 
     def remote(self, function):
         def call(asked, machine):
@@ -110,8 +112,11 @@ class Cluster:
                 return function([word.replace(self.folder, self.disk) for word in asked], stderr=subprocess.DEVNULL)
             return function(asked) and not (machine == "bare" and asked == sys.executable)
 
+        def named(key):
+            return bytes.fromhex(key).rstrip(b"\0").decode()
+
         def options(num_cpus, scheduling_strategy):
-            return types.SimpleNamespace(remote=lambda asked: (call, asked, scheduling_strategy.node_id))
+            return types.SimpleNamespace(remote=lambda asked: (call, asked, named(scheduling_strategy.node_id)))
 
         return types.SimpleNamespace(options=options)
 

@@ -24,6 +24,7 @@ from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
 from uavnav.tasks.sensing import sense
 from uavnav.tasks.simulator import Goal, make_task
+from uavnav.tasks.world import World
 
 STRAIGHT, STAY = 9, 0  # actions
 MAX_STEPS = 60
@@ -275,6 +276,25 @@ def test_a_flight_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_so
     assert flight["reward"] == pytest.approx(10 + 0.01 * 180, abs=0.01)
     assert goal["place"]["sets"] == [{"circles": [], "goal": [400, 520]}]
     assert late["place"]["title"] == "late=1, stack=2"
+
+
+def test_a_run_trained_on_a_rung_is_shown_on_the_rungs_own_test_sets(tmp_path):
+    write_run(tmp_path / "paper", n_seeds=1)
+    for rung in ("slalom-100", "density-20"):
+        write_run(tmp_path / rung, n_seeds=2, layouts=f"{rung}/train")
+    data = recorded(tmp_path, n_layouts=2)
+    found = {cell["place"]["title"] if "place" in cell else "": cell for cell in data["cells"]}
+    assert {*found} == {"", "slalom-100", "density-20"}
+    for rung, cell in found.items():
+        bank = layouts.load(f"{rung}/test" if rung else "test")[:2].double()
+        shown = [one["circles"] for one in cell["place"]["sets"]] if rung else data["layouts"]
+        assert np.allclose(shown, bank, atol=0.01)
+        for flight in cell["flights"]:
+            poses = unpack(flight, data["fields"])
+            x, y, heading = (torch.from_numpy(poses[name][:, 0]) for name in ("x", "y", "heading"))
+            circles = bank[flight["layout"]].expand(len(x), -1, -1)
+            clearance = sense(x, y, heading.long(), circles, World())[1]
+            assert np.allclose(poses["clearance"][:, 0], clearance, atol=0.3)
 
 
 def test_a_world_that_the_player_does_not_draw_is_named_with_what_draws_it(tmp_path, monkeypatch):

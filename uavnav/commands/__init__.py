@@ -259,7 +259,7 @@ def _study(parser: Parser) -> None:
     studies = sorted(path.stem for path in (Path(__file__).parent.parent / "studies").glob("*.yaml"))
     parser.epilog = "example: uavnav study paper engine=slurm seeds=40 out=/shared/paper"
     parser.add_argument("name", metavar="NAME", help=f"{', '.join(studies)}, or a yaml file of your own")
-    parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="; ".join(STUDY_KEYS.values()))
+    parser.add_argument("settings", nargs="*", default=[], metavar="KEY=VALUE", help="; ".join(STUDY_KEYS.values()))
     parser.add_argument("--status", action="store_true", help="say which cells are finished, under way, missing")
     parser.add_argument("--json", action="store_true", help="the status as JSON")
     parser.add_argument("--quiet", action="store_true", help="show no progress")

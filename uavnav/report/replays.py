@@ -68,7 +68,7 @@ Columns = dict[str, Tensor]
 
 
 def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_steps: int = 1000) -> dict[str, Any]:
-    """Fly the first seeds of each cell, as in training, on the first sets of obstacles of their world's test bank.
+    """Fly the first seeds of each cell, as in training, on the first sets of obstacles of their own test bank.
 
     Args:
         cells: whose policies fly; those of one world and reward as one batch.
@@ -90,21 +90,24 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
     if min(n_seeds, n_layouts, max_steps) < 1 or n_layouts > len(bank):
         counts = f"n_seeds={n_seeds}, n_layouts={n_layouts}, max_steps={max_steps}"
         raise ValueError(f"{counts}; give whole numbers from 1, and at most {len(bank)} layouts")
-    ready: list[tuple[Cell, dict[int, Policy]]] = []
+    ready: list[tuple[Cell, str, dict[int, Policy]]] = []
     left_out: list[str] = []
     for cell in cells:
         population, problems = _load(cell, n_seeds)
         left_out += problems
-        ready += [(cell, population)] if population else []
-    flyers = [flyer for _, population in ready for flyer in population.items()]
+        sets = layouts.judged_on(cell.runs[0].config.get("layouts", "train"))
+        ready += [(cell, sets, population)] if population else []
+    flown = {}
     with machine.use_threads(1):
-        flown = iter(fly(flyers, bank[:EPISODES], n_layouts, max_steps))
+        for sets in dict.fromkeys(sets for _, sets, _ in ready):
+            flyers = [flyer for _, own, population in ready if own == sets for flyer in population.items()]
+            flown[sets] = iter(fly(flyers, layouts.load(sets)[:EPISODES], n_layouts, max_steps))
         (rule,) = _fly_together([(0, reactive)], Task(world, bank[:n_layouts], max_steps=max_steps), n_layouts)
     shown = []
-    for cell, population in ready:
+    for cell, sets, population in ready:
         name = {"algorithm": cell.algorithm, "label": cell.label or cell.activation}
-        own = [_pack(flight) for _ in population for flight in next(flown)]
-        name |= _place(next(iter(population.values())).task, n_layouts)
+        own = [_pack(flight) for _ in population for flight in next(flown[sets])]
+        name |= _place(next(iter(population.values())).task, sets, n_layouts)
         shown.append(name | {"values": ALGORITHMS[cell.algorithm].shown, "mode": "sampled", "flights": own})
     angle, distance = decode(torch.arange(world.n_actions), world)
     return {
@@ -179,23 +182,27 @@ def _load(cell: Cell, n_seeds: int) -> tuple[dict[int, Policy], list[str]]:
     return population, problems
 
 
-def _bank(task: Task) -> Tensor:
-    """The sets of the task's own test bank that an evaluation flies."""
-    return layouts.load("test", task.world)[:EPISODES]
+def _bank(task: Task, sets: str = "test") -> Tensor:
+    """The sets of the task's own test bank, or of a rung's, that an evaluation flies."""
+    return layouts.load(sets, task.world)[:EPISODES]
 
 
-def _place(task: Task, n_layouts: int) -> dict[str, Any]:
-    """Where flights were flown, if not in the paper's world as it is: `place`, what the player draws and calls it."""
+def _place(task: Task, sets: str, n_layouts: int) -> dict[str, Any]:
+    """Where flights were flown, if not in the paper's world as it is: `place`, what the player draws and calls it.
+
+    sets: the bank, which may be a rung's such as `slalom-80/test`.
+    """
     name = name_of(task)
     faults, stack = task.faults != NO_FAULTS, task.stack > 1
-    found = {browser.TITLES[name]: name != "drone", str(task.faults): faults, f"stack={task.stack}": stack}
+    found = {browser.TITLES[name]: name != "drone", sets.removesuffix("/test"): sets != "test"}
+    found |= {str(task.faults): faults, f"stack={task.stack}": stack}
     words = [word for word, is_so in found.items() if is_so]
     if not words:
         return {}
-    rows = _bank(task)[:n_layouts].double().tolist()
-    sets = [{"circles": one[:-1], "goal": one[-1][:2]} if isinstance(task, Goal) else {"circles": one} for one in rows]
+    rows = _bank(task, sets)[:n_layouts].double().tolist()
+    shown = [{"circles": one[:-1], "goal": one[-1][:2]} if isinstance(task, Goal) else {"circles": one} for one in rows]
     constants = {"world": asdict(task.world), "max_steps": task.max_steps, "rules": browser.RULES.get(name, {})}
-    return {"place": {"task": name, "title": ", ".join(words), "sets": sets, **constants}}
+    return {"place": {"task": name, "title": ", ".join(words), "sets": shown, **constants}}
 
 
 class Flight(NamedTuple):

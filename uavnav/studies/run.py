@@ -169,8 +169,10 @@ class Study:
             RunError: another process carries this study out.
         """
         self.out.mkdir(parents=True, exist_ok=True)
-        with lock(self.out), self._signals():
-            self.engine.check(self.out)
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(lock(self.out))
+            self.engine.check(self.out)  # which may wait in a queue, and may be stopped there
+            stack.enter_context(self._signals())
             for work in self.works:
                 if not self._trained(work.cell):
                     self._begin(work)

@@ -7,11 +7,14 @@ knows whether one has ended; how it ended is in the files. An engine is a file h
 from __future__ import annotations
 
 import importlib
+import os
+import secrets
+import shutil
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Protocol, get_type_hints
+from typing import Any, ClassVar, Protocol, get_type_hints
 
 from uavnav.help.choices import ConfigError, unknown, unknown_key
 from uavnav.training.config import checked
@@ -30,7 +33,7 @@ class Engine(Protocol):
         """How many jobs it runs at once, at this moment."""
 
     def check(self, folder: Path) -> None:
-        """Raise a ConfigError unless its machines see this folder."""
+        """Raise a ConfigError unless its machines see this folder and have this environment."""
 
     def start(self, jobs: Sequence[list[str]]) -> list[Any]:
         """Start command lines, and return what stands for each."""
@@ -60,6 +63,35 @@ def build(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) 
     return engine
 
 
+class Probe:
+    """A folder of a new name in the folder of a study: a machine that sees it copies a file in it, under its own name.
+
+    So a folder of the same path on the machine's own disk, or one that it may not write to, does not pass.
+    """
+
+    SECONDS: ClassVar[float] = 60.0
+    """The time in which what one machine writes is seen by another."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / f"seen-{secrets.token_hex(4)}" / "question"
+
+    def __enter__(self) -> Probe:
+        self._file.parent.mkdir(parents=True)
+        self._file.touch()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        shutil.rmtree(self._file.parent, ignore_errors=True)
+
+    def words(self, machine: str) -> list[str]:
+        """The command line for a machine."""
+        return ["cp", str(self._file), str(self._file.with_name(machine))]
+
+    def answered(self, machine: str) -> bool:
+        """Whether the copy is seen from here."""
+        return machine in os.listdir(self._file.parent)
+
+
 def missing(engine: str) -> ConfigError:
     """The error where an engine's package is not installed."""
     return ConfigError(f"engine={engine}: not installed; pip install 'uavnav[scale]' brings it")
@@ -68,6 +100,11 @@ def missing(engine: str) -> ConfigError:
 def unseen(folder: Path, machine: str) -> ConfigError:
     """The error where a machine does not see the folder of a study."""
     return ConfigError(f"out={folder}: {machine} does not see it; give a folder that all machines share")
+
+
+def lacking(engine: str, machine: str) -> ConfigError:
+    """The error where a machine does not have this environment."""
+    return ConfigError(f"engine={engine}: {machine} has no {sys.executable}; install uavnav there, at that path")
 
 
 def logged(words: Sequence[str], log: Path) -> list[str]:

@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,20 +53,31 @@ class Ray:
     def check(self, folder: Path) -> None:
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-        exists = self._ray.remote(os.path.exists)
-        for node in self._ray.nodes():
-            if node["Alive"]:
-                there = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-                ask = exists.options(num_cpus=0, scheduling_strategy=there)
-                name = f"the machine {node['NodeManagerHostname']} of the Ray cluster"
+        call, exists = self._ray.remote(subprocess.call), self._ray.remote(os.path.exists)
+        names, asked = {}, {}
+        with engines.Probe(folder) as probe:
+            for node in self._ray.nodes():
+                if node["Alive"]:
+                    key = node["NodeID"]
+                    how = {"num_cpus": 0, "scheduling_strategy": NodeAffinitySchedulingStrategy(key, soft=False)}
+                    names[key] = f"the machine {node['NodeManagerHostname']} of the Ray cluster"
+                    asked[key] = [
+                        call.options(**how).remote(probe.words(key)),
+                        exists.options(**how).remote(sys.executable),
+                    ]
+            for key, name in names.items():
                 try:
-                    sees, runs = self._ray.get([ask.remote(str(folder)), ask.remote(sys.executable)], timeout=SECONDS)
+                    failed, runs = self._ray.get(asked[key], timeout=SECONDS)
                 except self._ray.exceptions.RayError as error:
                     raise ConfigError(f"engine=ray: {name} does not answer") from error
-                if not sees:
+                limit = time.monotonic() + probe.SECONDS
+                while not failed and not probe.answered(key):
+                    failed = time.monotonic() > limit
+                    time.sleep(0.1)
+                if failed:
                     raise engines.unseen(folder, name)
                 if not runs:
-                    raise ConfigError(f"engine=ray: {name} has no {sys.executable}; install uavnav there, at that path")
+                    raise engines.lacking("ray", name)
 
     def start(self, jobs: Sequence[list[str]]) -> list[Any]:
         return [self._call.remote(words) for words in jobs]

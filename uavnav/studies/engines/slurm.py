@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import os
+import contextlib
 import shutil
+import subprocess
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,8 +16,9 @@ from uavnav.studies import engines
 
 SACCT_SECONDS = 30
 """The time between two questions to SLURM."""
-SEEN_SECONDS = 60.0
-"""The time in which what one machine writes is seen by another."""
+FREE = ["sinfo", "--noheader", "--Node", "--states=idle,mixed", "--format=%N %P"]
+"""Lists the machines that take a job at once, with their partitions; a star marks the cluster's own."""
+ANY = "a machine"
 
 
 @dataclass
@@ -47,12 +49,15 @@ class Slurm:
             raise ConfigError("engine=slurm: there is no sbatch on this machine; give the command where it is")
         self._submitit: Any = submitit
         self._running: list[Any] = []
+        self._executor: Any = None
         submitit.SlurmJob.watcher._delay_s = SACCT_SECONDS
 
     def slots(self) -> int:
         return self.jobs
 
     def check(self, folder: Path) -> None:
+        if self._executor is not None:
+            return
         self._executor = self._submitit.AutoExecutor(folder=folder / "slurm", cluster=self.cluster)
         self._executor.update_parameters(
             name="uavnav",
@@ -62,16 +67,47 @@ class Slurm:
             slurm_array_parallelism=self.jobs,
             **({"slurm_partition": self.partition} if self.partition else {}),
         )
-        seen = folder / "slurm" / "seen"
-        seen.unlink(missing_ok=True)
-        (probe,) = self.start([["touch", str(seen)]])
-        while not self.ended(probe):
+        with engines.Probe(folder) as probe:
+            asked = {ANY: self.start([probe.words(ANY)])[0]}
+            for machine in self._free():
+                self._executor.update_parameters(slurm_nodelist=machine)
+                with contextlib.suppress(ConfigError):  # it is too small for such jobs
+                    (asked[machine],) = self.start([probe.words(machine)])
+            self._executor.update_parameters(slurm_nodelist=None)
+            self._wait(folder, probe, asked)
+
+    def _free(self) -> list[str]:
+        """Machines that take a job at once; none where it cannot be told."""
+        if self.cluster != "slurm":
+            return []
+        try:
+            said = subprocess.run(FREE, capture_output=True, text=True, check=True).stdout
+        except (OSError, subprocess.CalledProcessError):
+            return []
+        rows = [line.split() for line in said.splitlines()]
+        return sorted({machine for machine, where in rows if self._goes_to(where)})
+
+    def _goes_to(self, partition: str) -> bool:
+        return partition.rstrip("*") == self.partition if self.partition else partition.endswith("*")
+
+    def _wait(self, folder: Path, probe: engines.Probe, asked: dict[str, Any]) -> None:
+        """Wait for the answers of machines; one that is busy by now need not answer, if another has."""
+        ended: dict[str, float] = {}
+        limit = float("inf")
+        while left := [machine for machine in asked if not probe.answered(machine)]:
+            now = time.monotonic()
+            limit = min(limit, now + probe.SECONDS) if len(left) < len(asked) else limit
+            silent = [machine for machine in left if self.ended(asked[machine])]
+            for machine in silent:
+                if now >= ended.setdefault(machine, now) + probe.SECONDS:
+                    name = f"{machine if machine == ANY else f'the machine {machine}'} of the SLURM cluster"
+                    heard = asked[machine].paths.stderr.exists()
+                    raise engines.lacking("slurm", name) if heard else engines.unseen(folder, name)
+            if now >= limit and not silent:
+                break
             time.sleep(1)
-        limit = time.monotonic() + SEEN_SECONDS
-        while seen.name not in os.listdir(seen.parent):
-            if time.monotonic() > limit:
-                raise engines.unseen(folder, "a machine of the SLURM cluster")
-            time.sleep(1)
+        for machine in left:
+            asked[machine].cancel()
 
     def start(self, jobs: Sequence[list[str]]) -> list[Any]:
         function, utils = self._submitit.helpers.CommandFunction, self._submitit.core.utils

@@ -184,18 +184,16 @@ def band(seeds: pd.DataFrame) -> pd.DataFrame:
     there = np.isfinite(values)
     filled, n = np.where(there, values, 0.0), values.shape[1]
     tail = (1 - stats.CONFIDENCE) / 2
-    result = pd.DataFrame({"mean": np.nan, "low": np.nan, "high": np.nan, "n": there.sum(1)}, index=seeds.index)
-    if not n:
-        return result
-    sums, counts = _draws(n) @ np.stack([filled, there]).transpose(0, 2, 1)
+    found = np.full((len(values), 3), np.nan)
+    sums, counts = _draws(n) @ np.stack([filled, there]).transpose(0, 2, 1) if n else np.empty((2, 0, len(values)))
     for row, (own, known) in enumerate(zip(filled, there, strict=True)):
         if known.any():
-            result.iloc[row, 0] = own[known].mean()
+            found[row, 0] = own[known].mean()
         if known.sum() > 1:
             drawn = counts[:, row] > 0
             means = sums[drawn, row] / counts[drawn, row]
-            result.iloc[row, 1:3] = np.quantile(means, [tail, 1 - tail])
-    return result
+            found[row, 1:] = np.quantile(means, [tail, 1 - tail])
+    return pd.DataFrame(found, seeds.index, ["mean", "low", "high"]).assign(n=there.sum(1))
 
 
 @functools.lru_cache(maxsize=2)

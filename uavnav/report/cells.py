@@ -265,9 +265,7 @@ def episodes_of(cell: Cell, reading: str) -> pd.DataFrame:
     if reading in EVALUATIONS:
         mode = MODES[EVALUATIONS.index(reading)]
         return finished(cell.evaluation[cell.evaluation["mode"] == mode])
-    if reading == PER_FRAME:
-        return cell.episodes
-    return last_episodes(cell.episodes) if reading == LAST_EPISODES else finished(cell.episodes)
+    return cell.episodes if reading == PER_FRAME else _of_ended(cell)[reading]
 
 
 def read_as(cell: Cell, reading: str) -> pd.DataFrame:

@@ -69,7 +69,8 @@ def per_seed_values(cells: Cells) -> pd.DataFrame:
     parts = []
     for (algorithm, activation), cell in cells.items():
         for reading, table in readings(cell).items():
-            seeds, metrics = np.tile(table.index, table.shape[1]), np.repeat(table.columns, len(table))
+            seeds = np.tile(table.index.to_numpy(), table.shape[1])
+            metrics = np.repeat(table.columns.to_numpy(), len(table))
             where = (np.full(table.size, one, dtype=object) for one in (algorithm, activation, reading))
             parts.append([*where, metrics, seeds, table.to_numpy().T.ravel()])
     columns = ["algorithm", "activation", "reading", "metric", "seed", "value"]

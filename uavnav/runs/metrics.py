@@ -137,7 +137,8 @@ def counted(episodes: pd.DataFrame) -> pd.DataFrame:
 def per_episode(episodes: pd.DataFrame) -> pd.DataFrame:
     """Each episode's metrics: a column a metric."""
     scales = {name: one.scale / episodes["steps"] for name, one in METRICS.items() if one.scale is not None}
-    columns = {name: column * scales[name] if name in scales else column for name, column in counted(episodes).items()}
+    sums = counted(episodes)
+    columns = {name: sums[name] * scales[name] if name in scales else sums[name] for name in METRICS}
     return pd.DataFrame(columns, copy=False)
 
 

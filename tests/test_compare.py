@@ -1,6 +1,8 @@
 """Runs, zips and baselines side by side: known numbers, and what is refused."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -81,9 +83,13 @@ def test_flights_under_another_cap_are_refused():
         check([ABOVE, other])
 
 
-def test_a_committed_run_is_read_and_not_flown(monkeypatch):
-    monkeypatch.setattr(compare, "fly", None)
-    monkeypatch.setattr(compare, "evaluate_run", None)
+def test_committed_runs_are_compared_without_torch():
+    code = "import sys; from uavnav.report.compare import main; main(sys.argv[1:]); sys.exit('torch' in sys.modules)"
+    words = [sys.executable, "-c", code, "results/tuned/ppo/tanh", "results/tuned/ppo/sigmoid"]
+    assert subprocess.run(words, capture_output=True, check=False).returncode == 0
+
+
+def test_a_committed_run_is_read_and_not_flown():
     (run,) = contend(["results/ppo/tanh"])
     assert len(run.flights) == 20 * EPISODES
     assert run.cell is not None

@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from uavnav.runs import paper
-from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric, finished, last_episodes, per_seed
+from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric, finished, in_order, last_episodes, per_seed
 
 
 def episode(seed, frame, steps, stops, full_stops, turns, distance, reward, terminated=True, truncated=False):
@@ -38,6 +38,12 @@ def test_a_mean_of_ratios_weighs_episodes_and_a_ratio_of_means_weighs_steps(epis
 
 def test_open_episodes_are_in_no_reading(episodes):
     assert len(finished(episodes)) == 3
+
+
+def test_episodes_in_order_are_those_of_each_seed_by_their_frame_and_world(episodes):
+    found = in_order(episodes.iloc[[3, 1, 2, 0]])
+    assert found.index.tolist() == [0, 1, 3]
+    assert in_order(found) is found  # as it is
 
 
 def test_the_last_episodes_are_each_seeds_own(episodes):

@@ -6,8 +6,8 @@ import types
 
 import pytest
 
-from uavnav import engines
-from uavnav.choices import ConfigError
+from uavnav.help.choices import ConfigError
+from uavnav.studies import engines
 
 SBATCH = """#!{python}
 import pathlib, os, re, subprocess, sys
@@ -46,7 +46,7 @@ exec "$@"
 def slurm(tmp_path, monkeypatch):
     """An engine on a cluster of machines: first and second see every folder, blind sees none, bare lacks Python."""
     pytest.importorskip("submitit")
-    from uavnav.engines import slurm
+    from uavnav.studies.engines import slurm
 
     monkeypatch.setattr(slurm, "SACCT_SECONDS", 0)
     monkeypatch.setattr(engines.Probe, "SECONDS", 0.5)
@@ -137,7 +137,7 @@ class Cluster:
 )
 def test_every_living_machine_of_a_ray_cluster_is_asked(machine, said, tmp_path):
     pytest.importorskip("ray")
-    from uavnav.engines.ray import Ray
+    from uavnav.studies.engines.ray import Ray
 
     out, disk = tmp_path / "out", tmp_path / "disk"
     disk.mkdir()

@@ -13,6 +13,14 @@ from statsmodels.stats.power import TTestIndPower
 from uavnav import stats
 
 
+def test_what_is_drawn_in_small_tables_is_what_one_table_holds(monkeypatch):
+    rows = np.random.default_rng(0).normal(size=(3, 2, 11))
+    ask = (stats.nested_intervals, lambda rows: stats.intervals(rows[0], [np.mean, stats.interquartile_mean]))
+    whole = [one(rows) for one in ask]
+    monkeypatch.setattr(stats, "_AT_ONCE", 100)  # nine draws of eleven episodes
+    assert [one(rows) for one in ask] == whole
+
+
 def test_three_p_values_adjusted_by_hand():
     assert stats.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
 

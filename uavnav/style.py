@@ -83,7 +83,7 @@ def drawing(figure: Figure) -> bytes:
     with matplotlib.rc_context(STYLE):
         if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine) and figure.axes:
             engine.execute(figure)
-            figure.set_layout_engine("none")  # laid out once: a second time would move things by a hair
+            figure.set_layout_engine(None)  # laid out once: a second time would move things by a hair
         figure.savefig(svg, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     return svg.getvalue()
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 import torch
@@ -27,6 +27,7 @@ from uavnav.tasks.faults import Faults
 from uavnav.tasks.ladders import Measure, measure_of
 from uavnav.tasks.protocol import EPISODES as EPISODES
 from uavnav.tasks.protocol import MAX_STEPS as MAX_STEPS
+from uavnav.tasks.protocol import header as header
 from uavnav.tasks.rewards import BY_ACTION, REWARDS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import COUNTS, State, at
@@ -222,12 +223,6 @@ def evaluate_run(
             table.attrs = header(layouts, episodes, max_steps, faults)
             write_table(run.path / name, table)
     return rows
-
-
-def header(layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None) -> dict[Any, Any]:
-    """What the header of a file of rows says of how they were flown: the protocol."""
-    own = {"layouts": str(layouts), "episodes": episodes, "max_steps": max_steps}
-    return own if faults is None else own | {"faults": str(faults)}
 
 
 def files_of(layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None) -> tuple[str, str]:

@@ -200,8 +200,9 @@ def surroundings(table: pd.DataFrame, bank: Tensor, world: World) -> tuple[Flags
         border[part] = distance[-4:].amin(0) <= distance.amin(0)
         near = distance <= world.sensor_radius
         toward_x, toward_y = toward_x * near, toward_y * near  # a body that is far has no direction, and no opposite
-        cosine = toward_x[:, None] * toward_x + toward_y[:, None] * toward_y
-        corridor[part] = cosine.amin((0, 1)) <= OPPOSITE
+        for body in range(1, len(distance)):  # each pair once
+            cosine = toward_x[body] * toward_x[:body] + toward_y[body] * toward_y[:body]
+            corridor[part] |= cosine.amin(0) <= OPPOSITE
     return corridor.numpy(), border.numpy()
 
 

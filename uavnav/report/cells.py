@@ -19,8 +19,9 @@ import pandas as pd
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import EVALUATION, Run, paper, run_folders, trials
-from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, last_episodes, per_seed
+from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, in_order, last_episodes, per_seed
 from uavnav.runs.readings import (
+    ALL,
     EVALUATIONS,
     LAST_EPISODES,
     LOG_CURVE,
@@ -49,6 +50,8 @@ NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
 NAMED = ("preset", "frames", "n_worlds", "obstacles", "reward", "init")
 """Settings that every section names; it names others where cells differ in them or from their preset."""
 EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)
+OF_ENDED = (LOG_CURVE, ALL, TOTALS, LAST_EPISODES)
+"""Readings of the training episodes that ended."""
 Key = tuple[str, str]
 """Algorithm and activation."""
 
@@ -74,11 +77,13 @@ class Cell:
     evaluation: pd.DataFrame  # the same and `mode`; no rows where there is none
     label: str = ""
     known: dict[str, tuple[pd.DataFrame, Counts]] = field(default_factory=dict, init=False, repr=False)  # by reading
+    curves: dict[str, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)  # by column
 
     def labelled(self, label: str) -> Cell:
         """The same under a label."""
         same = replace(self, label=label)
         same.known.update(self.known)
+        same.curves.update(self.curves)
         return same
 
 
@@ -260,9 +265,7 @@ def episodes_of(cell: Cell, reading: str) -> pd.DataFrame:
     if reading in EVALUATIONS:
         mode = MODES[EVALUATIONS.index(reading)]
         return finished(cell.evaluation[cell.evaluation["mode"] == mode])
-    if reading == PER_FRAME:
-        return cell.episodes
-    return last_episodes(cell.episodes) if reading == LAST_EPISODES else finished(cell.episodes)
+    return cell.episodes if reading == PER_FRAME else _of_ended(cell)[reading]
 
 
 def read_as(cell: Cell, reading: str) -> pd.DataFrame:
@@ -286,9 +289,15 @@ def counted(episodes: pd.DataFrame) -> Counts:
 
 def _known(cell: Cell, reading: str) -> tuple[pd.DataFrame, Counts]:
     if reading not in cell.known:
-        episodes = episodes_of(cell, reading)
-        cell.known[reading] = _read_as(cell, reading, episodes), counted(episodes)
+        episodes = {reading: episodes_of(cell, reading)} if reading not in OF_ENDED else _of_ended(cell)
+        cell.known.update({one: (_read_as(cell, one, rows), counted(rows)) for one, rows in episodes.items()})
     return cell.known[reading]
+
+
+def _of_ended(cell: Cell) -> dict[str, pd.DataFrame]:
+    """The episodes of each reading of `OF_ENDED`, which share one table in order: it is large where seeds are many."""
+    ended = in_order(cell.episodes)
+    return dict.fromkeys(OF_ENDED, ended) | {LAST_EPISODES: last_episodes(ended)}
 
 
 def _read_as(cell: Cell, reading: str, episodes: pd.DataFrame) -> pd.DataFrame:
@@ -314,10 +323,15 @@ def windowed(cell: Cell, column: str, windows: Sequence[tuple[float, float]]) ->
 
 
 def curve(cell: Cell, column: str) -> pd.DataFrame:
-    """A column per frame in each of `BINS` equal stretches of training (index: its middle) and of each seed."""
-    edges = np.linspace(0, cell.settings["frames"], BINS + 1)
-    seeds = windowed(cell, column, [*itertools.pairwise(edges)])
-    return seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
+    """A column per frame in each of `BINS` equal stretches of training (index: its middle) and of each seed.
+
+    It is worked out once, as `read_as` is.
+    """
+    if column not in cell.curves:
+        edges = np.linspace(0, cell.settings["frames"], BINS + 1)
+        seeds = windowed(cell, column, [*itertools.pairwise(edges)])
+        cell.curves[column] = seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
+    return cell.curves[column]
 
 
 def binned(table: pd.DataFrame, column: str, frames: int) -> pd.DataFrame:

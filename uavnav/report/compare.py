@@ -1,13 +1,17 @@
-"""The command `uavnav compare`: runs, policies, zips and baselines side by side, as text and as a small page."""
+"""The command `uavnav compare`: runs, policies, zips and baselines side by side, as text and as a small page.
+
+What flies or loads a policy is imported where it is needed: rows of runs are compared without torch.
+"""
 
 from __future__ import annotations
 
 import base64
 import json
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jinja2
 import numpy as np
@@ -16,26 +20,26 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
-from uavnav import browser, commands, plugins, policies, stats, style
-from uavnav.evaluate import EPISODES, MAX_STEPS, evaluate_run, fly, header, on
+from uavnav import commands, stats, style
 from uavnav.files import check_out, write
 from uavnav.help.choices import did_you_mean_run
-from uavnav.policies import Policy
-from uavnav.report import cells, charts, curves, replays, tables
+from uavnav.report import cells, charts, curves, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.runs.tables import RunError
-from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
-from uavnav.tasks.simulator import EMPTY, Task, make_task
-from uavnav.training import display, machine
+from uavnav.tasks.protocol import EPISODES, MAX_STEPS, SCRIPTS, header
+
+if TYPE_CHECKING:
+    from uavnav.tasks.baselines import AnyPolicy
+    from uavnav.tasks.task import Task
 
 MODE = "sampled"
 """As a policy acts at the end of training."""
 MARKS = (100, 1_000, 10_000)
 """Steps after which the flights that are still up are counted."""
 BARS = "▁▂▃▄▅▆▇█"
-TEMPLATE = Path(__file__).parent / "report" / "templates"
+TEMPLATE = Path(__file__).parent / "templates"
 
 
 class Contender(NamedTuple):
@@ -55,14 +59,16 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
     Raises:
         LayoutError, PolicyError, RunError: a name is none of a run, a policy file, a zip or a baseline.
     """
-    runs = {name: _of_run(name) for name in names if name not in BASELINES and not _is_policy(name)}
+    runs = {name: _of_run(name) for name in names if name not in SCRIPTS and not _is_policy(name)}
     protocol = next((one.protocol for one in runs.values()), header("test", EPISODES, MAX_STEPS))
-    scripted = _scripted(next(iter(runs), None))
-    return [runs[name] if name in runs else _flown(name, protocol, activation, scripted) for name in names]
+    first = next(iter(runs), None)
+    return [runs[name] if name in runs else _flown(name, protocol, activation, first) for name in names]
 
 
 def _scripted(run: str | None) -> Task:
     """What scripted policies fly: the paper's task, or that of a run of another one."""
+    from uavnav.tasks.simulator import EMPTY, make_task
+
     path = Path(run or "") / "config.yaml"
     settings = read_settings(path) if run is not None and path.exists() else {}
     if settings.get("task", "drone") == "drone":
@@ -71,22 +77,30 @@ def _scripted(run: str | None) -> Task:
 
 
 def _is_policy(name: str) -> bool:
-    return policies.is_zip(name) or Path(name).suffix == Path(POLICY).suffix
+    return Path(name).suffix in (".zip", Path(POLICY).suffix) and not os.path.isdir(name)
 
 
 def _of_run(name: str) -> Contender:
     try:
         run = Run(name)
     except RunError as error:
-        raise RunError(f"{error}{did_you_mean_run(name, BASELINES)}") from error
+        raise RunError(f"{error}{did_you_mean_run(name, SCRIPTS)}") from error
     rows = run.evaluation()
     if rows is None:
+        from uavnav.evaluate import evaluate_run
+
         rows = evaluate_run(run)
     protocol = {key: rows.attrs.get(key, value) for key, value in header("test", EPISODES, MAX_STEPS).items()}
     return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), protocol, cells.read(Path(name)))
 
 
-def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, scripted: Task) -> Contender:
+def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
+    from uavnav import policies
+    from uavnav.evaluate import fly, on
+    from uavnav.policies import Policy
+    from uavnav.tasks.baselines import BASELINES, suited
+    from uavnav.training import display, machine
+
     population: dict[int, AnyPolicy]
     if name in BASELINES:
         population = {0: BASELINES[name]}
@@ -95,7 +109,7 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, scrip
     else:
         population = {seed: policies.load_policy(name, seed, greedy=False) for seed in policies.seeds(name)}
     first = next(iter(population.values()))
-    task = on(first.task if isinstance(first, Policy) else scripted, **protocol)
+    task = on(first.task if isinstance(first, Policy) else _scripted(run), **protocol)
     n = len(task.bank) * len(population)
     with machine.use_threads(1), display.flights(name, n, protocol["max_steps"]) as tell:
         population = {seed: suited(policy, task) for seed, policy in population.items()}
@@ -181,6 +195,9 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
 
 def page(contenders: Sequence[Contender]) -> bytes:
     """The same as one file of HTML, with figures, and flights of one seed of each run."""
+    from uavnav import browser
+    from uavnav.report import replays
+
     trained = {one.name: one.cell for one in contenders if one.cell is not None}
     drawn = [
         charts.improvement_matrix(improvement(contenders), "reward"),
@@ -207,10 +224,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Compare runs, zips of Stable-Baselines3 and scripted baselines: intervals, probabilities, curves."""
     arguments = commands.parse("compare", argv)
     try:
-        plugins.load(arguments.plugins)
+        if arguments.plugins or arguments.activation:
+            from uavnav import plugins, policies
+
+            plugins.load(arguments.plugins)
+            policies.zips(arguments.runs, arguments.activation)
         if arguments.out is not None:
             check_out(arguments.out)
-        policies.zips(arguments.runs, arguments.activation)
         names = list(dict.fromkeys(arguments.runs))
         if len(names) < 2:
             raise ValueError(f"{names[0]}: there is nothing to compare it with; give at least two, such as reactive")
@@ -226,7 +246,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # nobody reads on: `terminal` ends it
         raise
     except (RunError, ValueError, OSError) as error:
-        print(f"uavnav compare: {policies.as_option(error)}", file=sys.stderr)
+        from uavnav.policies import as_option
+
+        print(f"uavnav compare: {as_option(error)}", file=sys.stderr)
         return 2
     return 0
 

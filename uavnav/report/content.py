@@ -102,29 +102,29 @@ def gather(folders: Sequence[Path]) -> Content:
         tuned, untuned = beyond.tuning(folders, baselines)
         survival, survived = frames.survival(sorted_cells.main, baselines)
         numbers = _tables(sorted_cells, audits, flights) | {"whys": whys.table(evidence[PRIMARY])}
-        (overestimated, unvalued), flown = valued.result(), replayed.result()
-    predictions = frames.predictions(evidence)
-    numbers |= {"behaviour_by_layout": frames.flown(by_layout)}
-    numbers |= {"overestimation": overestimated, "survival": survived, "predictions": predictions}
-    numbers |= {"operating": characteristics(evidence[PRIMARY], printed[PRIMARY])}
-    of_worlds = worlds.gather(folders)
-    if of_worlds:
-        numbers |= worlds.numbers(of_worlds)
-        left_out += of_worlds.left_out
-    numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
-    carried = beyond.carried(evidence[PRIMARY])
-    numbers |= tuned | ({"carried": carried} if len(carried) else {})
+        overestimated, unvalued = valued.result()
+        predictions = frames.predictions(evidence)
+        numbers |= {"behaviour_by_layout": frames.flown(by_layout)}
+        numbers |= {"overestimation": overestimated, "survival": survived, "predictions": predictions}
+        numbers |= {"operating": characteristics(evidence[PRIMARY], printed[PRIMARY])}
+        of_worlds = worlds.gather(folders)
+        if of_worlds:
+            numbers |= worlds.numbers(of_worlds)
+            left_out += of_worlds.left_out
+        numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
+        carried = beyond.carried(evidence[PRIMARY])
+        numbers |= tuned | ({"carried": carried} if len(carried) else {})
+        drawn = [*figures.draw(of_paper, numbers, watched, survival), *beyond.figures(numbers, baselines)]
+        drawn += _of_worlds(of_worlds)
+        narrow = figures.draw(of_paper, numbers, watched, survival, style.NARROW)
+        flown = replayed.result()
     return Content(
         cells,
         sorted_cells,
         audits,
         numbers,
-        [
-            *figures.draw(of_paper, numbers, watched, survival),
-            *beyond.figures(numbers, baselines),
-            *_of_worlds(of_worlds),
-        ],
-        figures.draw(of_paper, numbers, watched, survival, style.NARROW),
+        drawn,
+        narrow,
         flown if flown["cells"] else None,
         baselines,
         frames.first_rule(folders[0]),

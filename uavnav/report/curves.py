@@ -5,6 +5,7 @@ Every function takes plain data and returns a figure with its words. Letters: S 
 
 from __future__ import annotations
 
+import functools
 import textwrap
 from collections.abc import Mapping, Sequence
 
@@ -20,7 +21,7 @@ from uavnav import stats, style
 from uavnav.report.cells import Cell, binned, curve
 from uavnav.runs import paper
 from uavnav.runs.readings import PER_FRAME, words
-from uavnav.stats import Interval
+from uavnav.stats import Array, Interval
 
 RESAMPLES = 1_000
 """Bootstrap draws of the band of a curve."""
@@ -182,19 +183,23 @@ def band(seeds: pd.DataFrame) -> pd.DataFrame:
     there = np.isfinite(values)
     filled, n = np.where(there, values, 0.0), values.shape[1]
     tail = (1 - stats.CONFIDENCE) / 2
-    result = pd.DataFrame({"mean": np.nan, "low": np.nan, "high": np.nan, "n": there.sum(1)}, index=seeds.index)
-    if not n:
-        return result
-    draws = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=RESAMPLES)  # how often each seed
-    sums, counts = draws.astype(np.float64) @ np.stack([filled, there]).transpose(0, 2, 1)
+    found = np.full((len(values), 3), np.nan)
+    sums, counts = _draws(n) @ np.stack([filled, there]).transpose(0, 2, 1) if n else np.empty((2, 0, len(values)))
     for row, (own, known) in enumerate(zip(filled, there, strict=True)):
         if known.any():
-            result.iloc[row, 0] = own[known].mean()
+            found[row, 0] = own[known].mean()
         if known.sum() > 1:
             drawn = counts[:, row] > 0
             means = sums[drawn, row] / counts[drawn, row]
-            result.iloc[row, 1:3] = np.quantile(means, [tail, 1 - tail])
-    return result
+            found[row, 1:] = np.quantile(means, [tail, 1 - tail])
+    return pd.DataFrame(found, seeds.index, ["mean", "low", "high"]).assign(n=there.sum(1))
+
+
+@functools.lru_cache(maxsize=2)
+def _draws(n: int) -> Array:
+    """How often each of n seeds is drawn: [RESAMPLES, n]."""
+    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=RESAMPLES)
+    return drawn.astype(np.float64)
 
 
 def _line(axes: Axes, line: pd.DataFrame, colour: str, dashes: str, legend: str, width: float = 1.8) -> None:

@@ -69,10 +69,13 @@ def per_seed_values(cells: Cells) -> pd.DataFrame:
     parts = []
     for (algorithm, activation), cell in cells.items():
         for reading, table in readings(cell).items():
-            values = table.melt(ignore_index=False, var_name="metric").reset_index()
-            parts.append(values.assign(algorithm=algorithm, activation=activation, reading=reading))
+            seeds = np.tile(table.index.to_numpy(), table.shape[1])
+            metrics = np.repeat(table.columns.to_numpy(), len(table))
+            where = (np.full(table.size, one, dtype=object) for one in (algorithm, activation, reading))
+            parts.append([*where, metrics, seeds, table.to_numpy().T.ravel()])
     columns = ["algorithm", "activation", "reading", "metric", "seed", "value"]
-    return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)
+    joined = map(np.concatenate, zip(*parts, strict=True))
+    return pd.DataFrame(dict(zip(columns, joined, strict=True)) if parts else None, columns=columns)
 
 
 def estimates(values: pd.DataFrame) -> pd.DataFrame:

@@ -237,7 +237,7 @@ def _fly_together(flyers: Sequence[tuple[int, AnyPolicy]], task: Task, n_layouts
     n = len(task.bank)
     start = flights.start(task, [seed for seed, _ in flyers])
     kept = torch.arange(len(start.x)) % n < n_layouts
-    going = int(kept.sum())
+    going = kept.reshape(-1, n).sum(1)  # shown flights of each flyer
     observation, clearance = task.observe(start)
     poses, choices = [_pose(torch.arange(len(kept)), start, _slots(task, observation), clearance, kept)], []
     collided, arrived = torch.zeros(2, len(kept), dtype=torch.bool)
@@ -251,9 +251,8 @@ def _fly_together(flyers: Sequence[tuple[int, AnyPolicy]], task: Task, n_layouts
         collided[step.flight] = outcome.terminated
         if isinstance(task, Goal):
             arrived[step.flight] = task.succeeded(step.state)
-        going -= int((step.ended & mine).sum())
-        if not going:
-            break
+        going -= torch.bincount(step.flight[step.ended & mine] // n, minlength=len(going))
+        step.ended.logical_or_((going == 0)[step.flight // n])  # nobody sees how the others of this flyer go on
     collided &= ~arrived
     seen, done = (dict(_by_row(parts)) for parts in (poses, choices))
     for place, (seed, policy) in enumerate(flyers):

@@ -111,24 +111,35 @@ def finished(episodes: pd.DataFrame) -> pd.DataFrame:
     return episodes if ended.all() else episodes[ended]
 
 
+def in_order(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The episodes that ended, those of each seed together and in order of time; a table that is so as it is."""
+    ended = np.flatnonzero(episodes["terminated"] | episodes["truncated"])
+    keys = [episodes[name].to_numpy()[ended] for name in ("world", "frame", "seed")]
+    is_later = np.ones(max(len(ended) - 1, 0), dtype=bool)
+    for change in map(np.diff, keys):
+        is_later = (change > 0) | ((change == 0) & is_later)
+    if len(ended) == len(episodes) and is_later.all():
+        return episodes
+    return episodes.iloc[ended[np.lexsort(keys)]]
+
+
 def last_episodes(episodes: pd.DataFrame, n: int = LAST) -> pd.DataFrame:
     """The last n episodes of each seed that ended."""
-    ended = finished(episodes).sort_values(["seed", "frame", "world"], kind="stable")
-    return ended.groupby("seed").tail(n)
+    return in_order(episodes).groupby("seed").tail(n)
 
 
 def counted(episodes: pd.DataFrame) -> pd.DataFrame:
     """What each metric counts, an episode a row: its column, or NaN where the table lacks it."""
-    return pd.DataFrame({name: episodes.get(one.column, np.nan) for name, one in METRICS.items()}, index=episodes.index)
+    columns = {name: episodes.get(one.column, np.nan) for name, one in METRICS.items()}
+    return pd.DataFrame(columns, index=episodes.index, copy=False)
 
 
 def per_episode(episodes: pd.DataFrame) -> pd.DataFrame:
     """Each episode's metrics: a column a metric."""
-    found = counted(episodes)
-    for name, metric in METRICS.items():
-        if metric.scale is not None:
-            found[name] *= metric.scale / episodes["steps"]
-    return found
+    scales = {name: one.scale / episodes["steps"] for name, one in METRICS.items() if one.scale is not None}
+    sums = counted(episodes)
+    columns = {name: sums[name] * scales[name] if name in scales else sums[name] for name in METRICS}
+    return pd.DataFrame(columns, copy=False)
 
 
 def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFrame:
@@ -138,9 +149,9 @@ def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFra
     of sums (decision 13). A metric is NaN if the table lacks its column.
     """
     ended = finished(episodes)
-    means = per_episode(ended).groupby(ended["seed"]).mean()
     if not ratio_of_means:
-        return means
-    sums, steps = counted(ended).groupby(ended["seed"]).sum(min_count=1), ended.groupby("seed")["steps"].sum()
+        return per_episode(ended).groupby(ended["seed"]).mean()
+    of_seeds = counted(ended).groupby(ended["seed"])
+    sums = of_seeds.sum(min_count=1)
     ratios = {name: metric.scale for name, metric in METRICS.items() if metric.scale is not None}
-    return means.assign(**{name: scale * sums[name] / steps for name, scale in ratios.items()})
+    return of_seeds.mean().assign(**{name: scale * sums[name] / sums["steps"] for name, scale in ratios.items()})

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from uavnav.runs.metrics import LAST, METRICS, MODES, counted, finished, per_episode
+from uavnav.runs.metrics import LAST, METRICS, MODES, counted, in_order, per_episode
 
 PER_FRAME = "per frame"
 """The primary reading: of all frames, those of flights open at the end too."""
@@ -63,16 +63,18 @@ def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.
 
     frames: that each seed had; unit, every: it logs every so many `frames` per seed or finished `episodes`.
     """
-    ended = finished(episodes).sort_values(["seed", "frame", "world"], kind="stable")
-    seeds, first = np.unique(ended["seed"], return_index=True)
-    values, ends = per_episode(ended).to_numpy(), ended["frame"].to_numpy()
+    ended = in_order(episodes)
+    seeds, ends = ended["seed"].unique(), ended["frame"].to_numpy()
+    first = np.searchsorted(ended["seed"], seeds)
+    values = [column.to_numpy(np.float64) for _, column in per_episode(ended).items()]
     means = np.full((len(seeds), len(METRICS)), np.nan)
     for place, (low, high) in enumerate(itertools.pairwise([*first, len(ended)])):
         own = ends[low:high]
         logged = own[every - 1 :: every] if unit == "episodes" else np.arange(every, frames + 1, every)
         behind = np.searchsorted(own, logged, side="right")
         if len(behind := behind[behind > 0]):
-            sums = np.vstack([np.zeros(len(METRICS)), values[low:high].cumsum(0)])
+            flights = np.stack([column[low:high] for column in values], 1)
+            sums = np.vstack([np.zeros(len(METRICS)), flights.cumsum(0)])
             since = np.maximum(behind - LAST, 0)
             means[place] = ((sums[behind] - sums[since]) / (behind - since)[:, None]).mean(0)
     return pd.DataFrame(means, pd.Index(seeds, name="seed"), list(METRICS))
@@ -91,7 +93,7 @@ def within(
     last frame. collision: how much that is.
     """
     edges, place = np.unique(np.asarray(windows, dtype=np.float64), return_inverse=True)
-    seeds, owner = np.unique(episodes["seed"], return_inverse=True)
+    owner, seeds = pd.factorize(episodes["seed"], sort=True)
     steps, end, total = (episodes[name].to_numpy(np.float64) for name in ("steps", "frame", column))
     at_end = collision * episodes["terminated"].to_numpy(np.float64)
     first = np.searchsorted(edges, end - steps * n_worlds, side="right")  # edges that a flight begins behind

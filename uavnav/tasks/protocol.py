@@ -5,7 +5,10 @@ Nothing here imports torch.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from uavnav.tasks.faults import Faults
 
 DEFAULT_K = 8
 """Obstacles per set (decision 1)."""
@@ -24,6 +27,13 @@ SPLITS = {"train": Split(10_000, 0), "validation": Split(1_000, 2), "test": Spli
 EPISODES = 200
 MAX_STEPS = 10_000
 """An evaluation flies so many sets of the split `test`, with this cap on steps."""
+
+
+def header(layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None) -> dict[Any, Any]:
+    """What the header of a file of rows says of how they were flown: the protocol."""
+    own = {"layouts": str(layouts), "episodes": episodes, "max_steps": max_steps}
+    return own if faults is None else own | {"faults": str(faults)}
+
 
 SCRIPTS = ("random", "straight", "reactive")
 """Policies that need no training; what they do is in `baselines`."""

@@ -19,6 +19,7 @@ from uavnav.report.curves import plot
 from uavnav.report.page import SECTIONS, contents, markdown
 from uavnav.runs.metrics import METRICS, Metric
 from uavnav.runs.readings import ALL, TOTALS
+from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
 
 pytestmark = pytest.mark.usefixtures("little_garbage")
@@ -118,6 +119,14 @@ def test_a_report_is_a_page_its_markdown_tables_and_figures_in_two_forms(whole):
     for picture in re.findall(r"]\((figures/[^)]*)\)", text):
         assert (out / picture).is_file()
     assert "](figures/curves-dqn-reward.png)" in text
+
+
+def test_a_place_that_cannot_be_written_is_answered_before_anything_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("uavnav.report.content.gather", lambda folders: pytest.fail("it was read"))
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(RunError, match="cannot be written"):
+            report([tmp_path], out)
 
 
 def test_the_tables_are_csv_that_say_what_the_content_says_and_latex(whole):

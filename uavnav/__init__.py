@@ -146,10 +146,8 @@ class _ShortName(SourceFileLoader):
         home = importlib.util.find_spec(HOMES[short]) if package == __name__ and short in HOMES else None
         if home is None:
             return None
-        command = os.path.join(
-            __path__[0], "commands", f"{short}.py"
-        )  # what -m runs, where a command has no other home
-        run = command if os.path.exists(command) else str(home.origin)
+        command = os.path.join(__path__[0], "commands", f"{short}.py")
+        run = command if os.path.exists(command) else str(home.origin)  # by `python -m`
         spec = ModuleSpec(name, cls(name, run), origin=home.origin)
         spec.submodule_search_locations = home.submodule_search_locations  # of a folder, whose `__main__` -m looks for
         return spec

@@ -1,4 +1,4 @@
-"""What the report's figures share: their look, the colours of activations, marks, names, and how they are saved.
+"""What figures share: their look, the colours of activations, marks, names, and how they are saved.
 
 A cell's label is its algorithm, a space and its activation, then perhaps settings in brackets: `PPO tanh (lr=0.1)`.
 Colours are told apart by colour-blind readers too. Letters: S seeds of a cell.

@@ -1,1 +1,1 @@
-"""The paper's world as pure functions over batches: constants, obstacles, motion, sensing, rewards."""
+"""The worlds as pure functions over batches: constants, obstacles, motion, sensing, rewards, scripted rules."""

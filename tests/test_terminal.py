@@ -33,9 +33,12 @@ def mapped(process, library):
 def test_ctrl_c_while_modules_are_imported_is_one_line_at_most(command, library, tmp_path):
     words = [sys.executable, *map(str, COMMANDS[command])]
     with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        mapped(process, library)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=120)
+        try:
+            mapped(process, library)
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=120)
+        finally:
+            process.kill()  # it would train for hours
     assert process.returncode != 0
     assert out == ""
     assert err in ("", "uavnav: stopped\n")

@@ -7,22 +7,20 @@ import contextlib
 import os
 import signal
 import sys
-import threading
 from types import FrameType, TracebackType
 
 
 def end_quietly(name: str) -> None:
     """From now on Ctrl-C says `name: stopped`, and a closed pipe says nothing; name: of the command."""
 
-    interrupted = threading.Event()
-
     def hear(number: int, frame: FrameType | None) -> None:
-        interrupted.set()
+        if _importing(frame):  # libraries may swallow an exception there, or make another of it
+            os.write(sys.stderr.fileno(), f"{name}: stopped\n".encode())
+            os._exit(128 + number)
         signal.default_int_handler(number, frame)
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        hidden = interrupted.is_set() and issubclass(kind, ImportError)  # NumPy makes one of it where it is imported
-        if hidden or issubclass(kind, KeyboardInterrupt):
+        if issubclass(kind, KeyboardInterrupt):
             print(f"{name}: stopped", file=sys.stderr)
         elif not issubclass(kind, BrokenPipeError):
             sys.__excepthook__(kind, error, trace)
@@ -31,6 +29,13 @@ def end_quietly(name: str) -> None:
         signal.signal(signal.SIGINT, hear)
     sys.excepthook = hook
     atexit.register(_flush)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether a module is being imported, somewhere up the stack."""
+    while frame is not None and frame.f_code.co_filename != "<frozen importlib._bootstrap>":
+        frame = frame.f_back
+    return frame is not None
 
 
 def _flush() -> None:

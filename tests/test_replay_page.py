@@ -32,7 +32,7 @@ def compared(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(replays.record, "__defaults__", (1, 1, 60))
         bank = replays._bank
-        patch.setattr(replays, "_bank", lambda task: ABOVE if hasattr(task.world, "goal_radius") else bank(task))
+        patch.setattr(replays, "_bank", lambda task, *sets: ABOVE if hasattr(task.world, "goal_radius") else bank(task))
         (folder / "compare.html").write_bytes(page(contenders))
     return folder / "compare.html"
 

@@ -269,7 +269,9 @@ def test_a_flight_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_so
     write_run(tmp_path / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
     write_run(tmp_path / "late", stack=2, faults={"late": 1}, n_seeds=1, n_inputs=60)
     above = torch.tensor([[[400.0, 520.0, 180.0]]])
-    monkeypatch.setattr(replays, "_bank", lambda task: above if isinstance(task, Goal) else layouts.load("test"))
+    monkeypatch.setattr(
+        replays, "_bank", lambda task, sets="test": above if isinstance(task, Goal) else layouts.load("test")
+    )
     goal, late = recorded(tmp_path, n_layouts=1)["cells"]
     (flight,) = goal["flights"]
     assert (flight["ended"], flight["steps"]) == ("goal", 20)

@@ -31,21 +31,14 @@ def report(folders: Sequence[str | Path] = ("results",), out: str | Path | None 
     from uavnav.report.page import contents
 
     if out is not None:
-        _check(Path(out))
+        try:
+            files.check_out(Path(out) / "report.html")  # before the work
+        except ValueError as error:
+            raise RunError(str(error)) from error
     content = gather([Path(folder) for folder in folders])
     out = Path(folders[0] if out is None else out)
     _write_all(out, contents(content, Path(folders[0])))
     return Written(out / "report.html", content.left_out)
-
-
-def _check(out: Path) -> None:
-    """Raise a RunError, before the work, for a folder that could not be written."""
-    if out.exists() and not out.is_dir():
-        raise RunError(f"{out}: cannot be written (it is a file); give another folder with --out")
-    try:
-        files.check_out(out / "report.html")
-    except ValueError as error:
-        raise RunError(str(error)) from error
 
 
 def _write_all(out: Path, contents: Mapping[str, bytes]) -> None:

@@ -14,7 +14,7 @@ def end_quietly(name: str) -> None:
     """From now on Ctrl-C says `name: stopped`, and a closed pipe says nothing; name: of the command."""
 
     def hear(number: int, frame: FrameType | None) -> None:
-        if _importing(frame):  # libraries may swallow an exception there, or make another of it
+        if _importing(frame):  # NumPy makes an ImportError of an interrupt there
             os.write(sys.stderr.fileno(), f"{name}: stopped\n".encode())
             os._exit(128 + number)
         signal.default_int_handler(number, frame)

@@ -16,7 +16,7 @@ from rich.live import Live
 from rich.table import Table
 
 from uavnav import commands, plugins, studies
-from uavnav.evaluate.__main__ import main as fly
+from uavnav.evaluate.__main__ import main as evaluate
 from uavnav.help.choices import ConfigError
 from uavnav.report import report
 from uavnav.runs import PROGRESS, read_settings
@@ -157,7 +157,7 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         return 1
     if own["report"]:
         if plan is not None and not (out / "baselines" / "reactive.parquet").exists():
-            fly(["reactive", "--out", str(out / "baselines"), "--quiet"])  # what a winner is held against
+            evaluate(["reactive", "--out", str(out / "baselines"), "--quiet"])  # what a winner is held against
         print(f"the report is in {report([out]).path}")
     return 0
 

@@ -4,12 +4,12 @@ import pytest
 import torch
 from scipy import stats
 from tensordict import TensorDict
-from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.data import ReplayBuffer
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.networks import mlp
 from uavnav.tasks.seeding import Streams, headings, places, stream
-from uavnav.training.sampler import AgentSampler
+from uavnav.training.sampler import AgentSampler, AgentStorage
 from uavnav.training.sampling import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical, values_of
 
 
@@ -151,7 +151,7 @@ def test_a_compiled_actor_chooses_as_the_eager_one(acts):
 def buffer(seeds, replace, batch_size):
     """Rows [10, agents] whose value says which row and which agent's they are."""
     replay = ReplayBuffer(
-        storage=LazyTensorStorage(10),
+        storage=AgentStorage(10),
         sampler=AgentSampler(seeds, "rows", replace),
         batch_size=batch_size,
     )
@@ -173,7 +173,7 @@ def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():
 def test_rows_come_with_their_successors_and_of_the_newest_2_none_is_drawn():
     """A ring of 10 rows, written in steps of 2 up to row 13: rows 4 to 11 are drawn alike, each before row + 2."""
     replay = ReplayBuffer(
-        storage=LazyTensorStorage(10), sampler=AgentSampler([0, 1], "rows", True, successors=[2]), batch_size=4000
+        storage=AgentStorage(10), sampler=AgentSampler([0, 1], "rows", True, successors=[2]), batch_size=4000
     )
     for step in range(7):
         replay.extend(TensorDict({"row": torch.tensor([[2 * step] * 2, [2 * step + 1] * 2])}, [2, 2]))

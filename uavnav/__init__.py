@@ -125,6 +125,7 @@ __all__ = [*_NAMES, *HOMES, *_MODULES]
 
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, when it is imported
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that spin starve each other on a busy machine
+os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # huge pages: rows from all over a replay buffer arrive sooner
 warnings.filterwarnings("ignore", message=".*inline_inbuilt_nn_modules is deprecated", category=FutureWarning)
 
 _WORLDS = {"Drone": "drone", "Moving": "moving", "Goal": "goal", "Space": "space", "SpaceMoving": "space-moving"}

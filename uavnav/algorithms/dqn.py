@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Literal
 import torch
 from tensordict import TensorDictBase
 from torch import nn
-from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.data import ReplayBuffer
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 
@@ -33,7 +33,7 @@ from uavnav.training.config import TrainConfig, at_least, within
 from uavnav.training.learner import Learner
 from uavnav.training.loop import Row, train
 from uavnav.training.optimisers import Adam
-from uavnav.training.sampler import AgentSampler
+from uavnav.training.sampler import AgentSampler, AgentStorage
 from uavnav.training.sampling import Actor, Values, values_of
 
 __all__ = ["DQN", "PRESETS", "DQNConfig", "train"]
@@ -236,7 +236,7 @@ def make_learner(loss: LossModule, config: ReplayConfig, compile: bool) -> Learn
 def make_buffer(sampler: AgentSampler, config: ReplayConfig) -> ReplayBuffer:
     """A ring of transitions with a draw of its own for each agent: all minibatches of a round at once."""
     return ReplayBuffer(
-        storage=LazyTensorStorage(min(config.buffer_size, config.frames), device=config.device),
+        storage=AgentStorage(min(config.buffer_size, config.frames), device=config.device),
         sampler=sampler,
         batch_size=config.batch_size * config.updates_per_step,
     )

@@ -20,7 +20,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torch.distributions import Categorical
-from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.data import ReplayBuffer
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
@@ -36,7 +36,7 @@ from uavnav.training.config import TrainConfig, at_least, within
 from uavnav.training.learner import Learner
 from uavnav.training.loop import Row, train
 from uavnav.training.optimisers import Adam
-from uavnav.training.sampler import AgentSampler
+from uavnav.training.sampler import AgentSampler, AgentStorage
 from uavnav.training.sampling import Actor
 
 __all__ = ["PPO", "PRESETS", "PPOConfig", "train"]
@@ -165,7 +165,7 @@ def make_learner(loss: ClipPPOLoss, config: PPOConfig, compile: bool) -> Learner
 
 def make_buffer(sampler: AgentSampler, config: PPOConfig) -> ReplayBuffer:
     """Holds one rollout, and gives it back in an order of its own for each agent: an epoch a draw."""
-    storage = LazyTensorStorage(config.frames_per_batch, device=config.device)
+    storage = AgentStorage(config.frames_per_batch, device=config.device)
     return ReplayBuffer(storage=storage, sampler=sampler, batch_size=config.frames_per_batch)
 
 

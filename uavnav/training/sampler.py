@@ -10,11 +10,29 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Storage
+from torchrl.data import LazyTensorStorage, Storage
 from torchrl.data.replay_buffers import Sampler
 
 from uavnav.tasks.seeding import Streams
+
+
+class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
+    """TorchRL's storage of rows [A, ...], read as an `AgentSampler` draws them: by (row, agent).
+
+    A large buffer's rows lie all over the memory. `index_select` waits for them a third as long as an index of two
+    tensors does, and copies the same numbers.
+    """
+
+    def get(self, index: slice | Tensor | tuple[Tensor, Tensor]) -> TensorDictBase:
+        if not isinstance(index, tuple):
+            return super().get(index)
+        rows, agents = index
+        drawn = (rows * self._storage.shape[1] + agents).flatten()
+        return self._storage._fast_apply(
+            lambda column: column.flatten(0, 1).index_select(0, drawn).unflatten(0, rows.shape), batch_size=rows.shape
+        )
 
 
 class AgentSampler(Sampler):  # type: ignore[misc]

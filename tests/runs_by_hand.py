@@ -70,10 +70,17 @@ def policy_bytes(network, algorithm, epsilon=0.05, **settings):
 
 
 def behaved(path):
-    """Give a run the steps of two sampled flights: seed 0 straight up, seed 1 turning on the spot."""
-    steps = [(0, 0, 9)] * 5 + [(1, 1, 50)] * 5
-    table = pd.DataFrame(steps, columns=list(BEHAVIOUR_COLUMNS)).astype(BEHAVIOUR_COLUMNS)
-    table.assign(mode="sampled").to_parquet(path / "behaviour.parquet")
+    """Give a run the steps of two sampled flights, seed 0 straight up, seed 1 turning on the spot, and more beside.
+
+    In the empty arena both fly straight at full speed. They expect 50.
+    """
+    straight = [(seed, layout, 9) for seed in (0, 1) for layout in range(4) for _ in range(5)]
+    for name, steps in (("behaviour", [(0, 0, 9)] * 5 + [(1, 1, 50)] * 5), ("arena", straight)):
+        table = pd.DataFrame(steps, columns=list(BEHAVIOUR_COLUMNS)).astype(BEHAVIOUR_COLUMNS)
+        table.assign(mode="sampled").to_parquet(path / f"{name}.parquet")
+    if "algorithm: dqn" in (path / "config.yaml").read_text():
+        values = pd.DataFrame({"seed": [0, 1], "q": 50.0, "realised": 40.0, "overestimation": 10.0})
+        values.to_parquet(path / "values.parquet")
 
 
 def trained(path, algorithm, action):

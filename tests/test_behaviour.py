@@ -10,26 +10,21 @@ import torch
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from runs_by_hand import policy_bytes
 
 from uavnav import flights
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, fly, on
-from uavnav.networks import mlp
-from uavnav.policies import PolicyError
 from uavnav.report import behaviour
 from uavnav.report.behaviour import (
     COLUMNS,
     EMPTY_ARENA,
     MEASURES,
-    crew,
-    empty_arena,
     heat,
     measures,
-    overestimation,
     read,
+    read_arena,
     retrace,
 )
-from uavnav.runs import POLICY, Run
+from uavnav.runs import Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
@@ -254,126 +249,33 @@ def test_heat_with_squares_that_do_not_divide_the_window():
     assert found[8, 11] == found[0, 0] == 0.5
 
 
-# -- policies --------------------------------------------------------------------------------------------------------
+# -- files -----------------------------------------------------------------------------------------------------------
 
 
-def write_run(path, seeds=(0,), algorithm="dqn", constant=None, **config):
-    """A finished run whose networks are random, each by its seed, or else say the same of every state.
-
-    constant: for each seed, the best action and what it is worth; all others are worth 0.
-    """
+def write_run(path, **config):
+    """A finished run of DQN's seed 0 that has not flown."""
     path.mkdir()
-    config = {"activation": "tanh", "seed": seeds[0], "n_seeds": len(seeds), "gamma": 0.99} | config
-    network = mlp([30, 8, 100], "tanh", [torch.Generator().manual_seed(seed) for seed in seeds], "default")
-    if constant:
-        with torch.no_grad():
-            for parameter in network.parameters():
-                parameter.zero_()
-            for agent, (action, value) in enumerate(constant):
-                network[-1].bias[agent, 0, action] = value
-    content = policy_bytes(network, algorithm, activation="tanh", seed=seeds[0], n_seeds=len(seeds), hidden=(8,))
-    (path / POLICY).write_bytes(content)
-    (path / "config.yaml").write_text(yaml.safe_dump({"algorithm": algorithm} | config))
+    config = {"algorithm": "dqn", "activation": "tanh", "seed": 0, "n_seeds": 1} | config
+    (path / "config.yaml").write_text(yaml.safe_dump(config))
     (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100}))
     pd.DataFrame(columns=[*EPISODE_COLUMNS]).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
-    pd.DataFrame({"seed": [seeds[0]], "frame": [100]}).to_parquet(path / "progress.parquet")
+    pd.DataFrame({"seed": [0], "frame": [100]}).to_parquet(path / "progress.parquet")
     return Run(path)
 
 
-def test_at_the_centre_of_the_empty_arena_the_walls_are_280_px_away(tmp_path):
-    run = write_run(tmp_path / "run", seeds=(4, 5), constant=[(STOP, 1.0)] * 2)
-    flown = empty_arena([crew(run, "greedy")], steps=10)[0]
-    assert {*flown.columns} == {*COLUMNS, "mode"}
-    assert flown.groupby(["seed", "layout"]).size().tolist() == [10] * 8
-    assert sorted(flown["heading"].unique()) == [0, 90, 180, 270]
-    found = measures(flown, EMPTY_ARENA, WORLD)
-    assert found["seed"].tolist() == [4, 5]
-    assert found["clearance"].tolist() == [280, 280]
-    assert found["border"].tolist() == [1, 1]
-    assert found["corridor"].tolist() == [0, 0]
-    assert heat(flown, WORLD)[15, 20] == 1
-
-
-def test_straight_flights_from_the_centre_end_at_the_four_walls(tmp_path):
-    flown = empty_arena([crew(write_run(tmp_path / "run", constant=[(FULL_SPEED, 1.0)]), "greedy")])[0]
-    assert flown.groupby("layout").size().tolist() == [39, 28, 39, 28]  # ceil(350 / 9), ceil(250 / 9)
-    assert flown.groupby("layout")["clearance"].min().tolist() == [29, 28, 29, 28]
-    assert heat(flown, WORLD).sum() == pytest.approx(1)
-
-
-@pytest.mark.parametrize(("algorithm", "mode"), [("ppo", "sampled"), ("dqn", "greedy"), ("dqn", "sampled")])
-def test_in_the_empty_arena_seeds_do_not_see_each_other(tmp_path, algorithm, mode):
-    other = write_run(tmp_path / "other", (4, 5, 6), "dqn")
-    two = write_run(tmp_path / "both", (4, 5), algorithm)
-    _, both = empty_arena([crew(other, "greedy"), crew(two, mode)], steps=40)
-    (alone,) = empty_arena([crew(write_run(tmp_path / "alone", (5,), algorithm), mode)], steps=40)
-    pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), alone)
-    assert both["mode"].unique() == [mode]
-
-
-def test_an_unknown_mode_and_a_missing_policy_are_named(tmp_path):
+def test_flights_in_the_empty_arena_are_read_with_poses_from_the_four_headings_and_none_where_there_is_none(tmp_path):
+    """A step of 9 px each way leaves 271 px to the wall above and below, and 291 beside."""
     run = write_run(tmp_path / "run")
-    with pytest.raises(ValueError, match="mode='best'; choose from greedy, sampled"):
-        crew(run, "best")
-    with pytest.raises(ValueError, match="max_steps=0"):
-        empty_arena([crew(run, "greedy")], steps=0)
-    (run.path / POLICY).unlink()
-    with pytest.raises(PolicyError, match=r"no policy\.safetensors there"):
-        crew(run, "greedy")
-
-
-def test_overestimation_of_a_drone_that_stands_still_for_ever(tmp_path):
-    """Each step earns -0.01, from each of 300 states for 459 steps or more: 0.99^459 < 1 % is cut off."""
-    run = write_run(tmp_path / "run", seeds=(2, 3), constant=[(STOP, 5.0), (STOP, 0.0)])
-    steps_left = 300 + 459 - np.arange(300)
-    realised = np.mean(-0.01 * (1 - 0.99**steps_left) / (1 - 0.99))
-    assert -1 < realised < -0.99
-    expected = [[2, 5, realised, 5 - realised], [3, 0, realised, -realised]]
-    found = overestimation(run, n_layouts=2)
-    assert list(found.columns) == ["seed", "q", "realised", "overestimation"]
-    assert np.allclose(found.to_numpy(), expected, atol=1e-6)
-
-
-@pytest.mark.parametrize("steps", [300, 5])
-def test_overestimation_of_a_drone_that_flies_straight_into_what_comes(tmp_path, steps):
-    """Nine pixels a step earn 0.09, and the last step -10: all states of the first steps count."""
-    lengths = fly({0: BASELINES["straight"]}, on(make_task(), "test", 6)).episodes["steps"]
-    returns = [
-        sum(0.09 * 0.9**i for i in range(left - 1)) - 10 * 0.9 ** (left - 1)
-        for length in lengths
-        for left in range(length, max(length - steps, 0), -1)
-    ]
-    run = write_run(tmp_path / "run", constant=[(FULL_SPEED, 2.0)], gamma=0.9)
-    (row,) = overestimation(run, steps=steps, n_layouts=6).to_dict("records")
-    assert row["realised"] == pytest.approx(np.mean(returns))
-    assert row["overestimation"] == pytest.approx(2 - np.mean(returns))
-
-
-def test_states_without_enough_future_count_only_before_a_collision(tmp_path, monkeypatch):
-    monkeypatch.setattr(behaviour, "MAX_STEPS", 60)  # of the 459 that a flight without a collision would need
-    run = write_run(tmp_path / "run", seeds=(0, 1), constant=[(STOP, 1.0), (FULL_SPEED, 1.0)])
-    found = overestimation(run, n_layouts=3)["overestimation"]
-    assert math.isnan(found[0])
-    assert found[1] > 1
-
-
-def test_overestimation_of_a_seed_does_not_depend_on_the_others(tmp_path):
-    both = overestimation(write_run(tmp_path / "both", (4, 5)), steps=20, n_layouts=3)
-    alone = overestimation(write_run(tmp_path / "alone", (5,)), steps=20, n_layouts=3)
-    pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), alone)
-    assert both["q"].nunique() == 2
-
-
-def test_what_has_no_overestimation_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="its algorithm is ppo; those with values of actions are dqn, c51"):
-        overestimation(write_run(tmp_path / "ppo", algorithm="ppo"))
-    with pytest.raises(RunError, match="its gamma=None is no discount"):
-        overestimation(write_run(tmp_path / "gamma", gamma=None))
-    with pytest.raises(ValueError, match="give 1 to 1000 layouts"):
-        overestimation(write_run(tmp_path / "dqn"), n_layouts=1001)
-
-
-# -- files -----------------------------------------------------------------------------------------------------------
+    assert read_arena(run) is None
+    flown = pd.concat([table(layout=layout, actions=[STOP, FULL_SPEED]) for layout in range(4)])
+    flown[[*BEHAVIOUR_COLUMNS, "mode"]].to_parquet(run.path / "arena.parquet")
+    found = read_arena(run)
+    assert found["heading"].tolist() == [0, 0, 90, 90, 180, 180, 270, 270]
+    assert found["clearance"].tolist() == [280, 280, 280, 271, 280, 280, 280, 271]
+    assert measures(found, EMPTY_ARENA, WORLD)["border"].tolist() == [1]
+    flown.assign(layout=4).to_parquet(run.path / "arena.parquet")
+    with pytest.raises(RunError, match=r"arena\.parquet: has layout=4; evaluate the run again"):
+        read_arena(run)
 
 
 def test_a_file_holds_actions_and_is_read_with_their_poses_and_none_where_there_is_none(tmp_path):

@@ -145,8 +145,7 @@ def test_the_tables_are_csv_that_say_what_the_content_says_and_latex(whole):
     around = min(math.hypot(x - 400, y - 300) - r for x, y, r in second)
     assert behaviour["clearance"].tolist() == pytest.approx([np.mean(ahead), around] * 2, rel=1e-5)
     assert behaviour["reversals"].tolist() == [0] * 4
-    assert behaviour.loc["PPO tanh", "empty_straight_speed"].tolist() == [9, 9]
-    assert behaviour.loc["DQN tanh", "empty_straight_speed"].tolist() == pytest.approx([9, 9], abs=0.3)  # explores
+    assert behaviour["empty_straight_speed"].tolist() == [9] * 4
     overestimated = pd.read_csv(folder / "overestimation.csv")
     assert overestimated["q"].tolist() == pytest.approx([50, 50])
     latex = (folder / "paper-ppo.tex").read_text()

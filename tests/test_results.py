@@ -27,8 +27,6 @@ from uavnav.runs.readings import PER_FRAME, per_frame
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "results"
-FLOWN = "empty_"
-"""Columns that come of flights at the time of the report: another machine rounds otherwise, and flights diverge."""
 
 
 def spread(values, digits):
@@ -210,25 +208,8 @@ def content():
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
         patch.setattr("uavnav.report.figures.draw", lambda *anything: [])
-        patch.setattr("uavnav.report.content.arena", flown_before)
-        patch.setattr("uavnav.report.content.behaviour.overestimation", valued_before)
         patch.setattr("uavnav.report.content.replays.record", lambda cells: {"cells": [], "left_out": []})
         return gather([Path("results")])
-
-
-def flown_before(crews):
-    """The measures in the empty arena that were kept; no steps."""
-    kept = pd.read_csv(RESULTS / "tables" / "behaviour.csv")
-    found = {}
-    for _, algorithm, activation in crews:
-        own = kept[(kept.algorithm == algorithm) & (kept.activation == activation)].set_index(["mode", "seed"])
-        found["main", algorithm, activation] = own.filter(like=FLOWN), pd.DataFrame()
-    return found
-
-
-def valued_before(run):
-    kept = pd.read_csv(RESULTS / "tables" / "overestimation.csv")
-    return kept[kept.cell == f"DQN {run.config['activation']}"].drop(columns="cell")
 
 
 def from_rows(text):

@@ -16,9 +16,11 @@ import torch
 from torch import Tensor
 
 from uavnav import flights, policies
+from uavnav.algorithms import ALGORITHMS
+from uavnav.evaluate import arena, values
 from uavnav.flights.repeats import Repeats
 from uavnav.policies import Policy
-from uavnav.runs import BEHAVIOUR, EVALUATION, Run
+from uavnav.runs import ARENA, BEHAVIOUR, EVALUATION, VALUES, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs.tables import lock, write_table
 from uavnav.tasks import layouts as banks
@@ -209,20 +211,36 @@ def evaluate_run(
         LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
     """
     flown, task = {}, None
+    crews = {
+        mode: {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
+        for mode in MODES
+    }
     with machine.use_threads(1):
-        for mode in MODES:
-            population = {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
+        for mode, population in crews.items():
             task = task or on(population[run.seeds[0]].task, layouts, episodes, max_steps, faults)
             what = f"{run.algorithm} {run.config['activation']}, {mode}"
             with display.flights(what, episodes * len(population), max_steps, quiet) as tell:
                 flown[mode] = fly(population, task, tell, measure_of(layouts))
+        own = type(task) is Task and not protocol_name(layouts, episodes, max_steps, faults)
+        beside = _beside(run, crews) if own else {}
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     with lock(run.path):
         for name, table in zip(files_of(layouts, episodes, max_steps, faults), (rows, behaviour), strict=True):
             table.attrs = header(layouts, episodes, max_steps, faults)
             write_table(run.path / name, table)
+        for name, table in beside.items():
+            write_table(run.path / name, table)
     return rows
+
+
+def _beside(run: Run, crews: Mapping[str, Mapping[int, Policy]]) -> dict[str, pd.DataFrame]:
+    """What else is kept of policies in the paper's world, by the name of its file; crews: by mode and seed."""
+    empty = [arena.fly(population).assign(mode=mode) for mode, population in crews.items()]
+    found = {ARENA: pd.concat(empty, ignore_index=True).astype(BEHAVIOUR_COLUMNS)}
+    if ALGORITHMS[run.algorithm].shown == "Q value":
+        found[VALUES] = values.overestimation(crews["greedy"], run.config["gamma"])
+    return found
 
 
 def files_of(layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None) -> tuple[str, str]:

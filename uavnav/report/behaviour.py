@@ -7,30 +7,27 @@ M = K + 4 bodies (they and the four walls), L layouts, F flights of all seeds to
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor
 
-from uavnav import flights, policies
-from uavnav.algorithms import ALGORITHMS
-from uavnav.evaluate import BEHAVIOUR_COLUMNS, MAX_STEPS
+from uavnav import flights
+from uavnav.evaluate import BEHAVIOUR_COLUMNS
+from uavnav.evaluate.arena import EMPTY_ARENA, HEADINGS
 from uavnav.report.frames import MEASURES
-from uavnav.runs import Run
+from uavnav.runs import ARENA, Run
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array
-from uavnav.tasks import layouts
 from uavnav.tasks.dynamics import decode, direction
 from uavnav.tasks.sensing import clearance
-from uavnav.tasks.simulator import make_task
-from uavnav.tasks.state import UP
+from uavnav.tasks.simulator import Task, make_task
 from uavnav.tasks.world import World
-from uavnav.training import machine
 
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
@@ -51,10 +48,6 @@ BEFORE_CRASH = 40
 PLACES = ("corridor", "clearance")
 """Measures of where a drone is, which are also taken without the steps before a crash, and by layout."""
 AGAIN = "evaluate the run again"
-HEADINGS = (0, 90, 180, 270)
-"""Start headings of the flights in the empty arena [degrees]."""
-EMPTY_ARENA = torch.empty(len(HEADINGS), 0, 3)
-"""The bank [4, 0, 3] that belongs to `empty_arena`: as many sets without an obstacle as it has flights a seed."""
 
 
 def read(run: Run) -> pd.DataFrame | None:
@@ -66,16 +59,38 @@ def read(run: Run) -> pd.DataFrame | None:
     path = run.behaviour_file()
     if not path.exists():
         return None
+    task = _task(run)
+    return retrace(_actions(run, path, task), task.bank, flights.headings(task, len(task.bank)), task.world)
+
+
+def read_arena(run: Run) -> pd.DataFrame | None:
+    """The steps of a run's flights in the empty arena, as `read` gives others: for `measures` with `EMPTY_ARENA`.
+
+    Raises:
+        RunError: as `read` does.
+    """
+    path = run.path / ARENA
+    if not path.exists():
+        return None
+    task = replace(_task(run), bank=EMPTY_ARENA)
+    return retrace(_actions(run, path, task), task.bank, torch.tensor(HEADINGS), task.world)
+
+
+def _task(run: Run) -> Task:
+    try:
+        return make_task("test", run.config.get("world"))
+    except (TypeError, ValueError) as error:
+        raise RunError(f"{run.path / 'config.yaml'}: {error}; not a run of this package") from error
+
+
+def _actions(run: Run, path: Path, task: Task) -> pd.DataFrame:
+    """What a run's file says of its flights, if they are a drone's on the task's sets; else a RunError."""
     table = read_table(path, BEHAVIOUR_COLUMNS | {"mode": "object"}, AGAIN)
     kind, sets = run.config.get("task", "drone"), table.attrs.get("layouts", "test")
     if (kind, sets) != ("drone", "test"):
         raise RunError(
             f"{path}: flights of task={kind} on layouts={sets}; only those of drones on test sets are measured"
         )
-    try:
-        task = make_task("test", run.config.get("world"))
-    except (TypeError, ValueError) as error:
-        raise RunError(f"{run.path / 'config.yaml'}: {error}; not a run of this package") from error
     for column, right in {
         "seed": table["seed"].isin(run.seeds),
         "mode": table["mode"].isin(MODES),
@@ -84,7 +99,7 @@ def read(run: Run) -> pd.DataFrame | None:
     }.items():
         if not right.all():
             raise RunError(f"{path}: has {column}={table[column][~right].iloc[0]!s}; {AGAIN}")
-    return retrace(table, task.bank, flights.headings(task, len(task.bank)), task.world)
+    return table
 
 
 def retrace(table: pd.DataFrame, bank: Tensor, heading: Tensor, world: World) -> pd.DataFrame:
@@ -243,114 +258,6 @@ def heat(table: pd.DataFrame, world: World, cell: int = 20) -> Array:
     counts = [np.histogram2d(seed["y"], seed["x"], edges)[0] for _, seed in table.groupby("seed")]
     none = np.zeros([len(axis) - 1 for axis in edges])
     return np.asarray(sum((one / one.sum() for one in counts), none) / max(len(counts), 1))
-
-
-class Crew(NamedTuple):
-    """All seeds of a run in one mode."""
-
-    seeds: list[int]
-    mode: str
-    policies: list[policies.Policy]
-
-
-def crew(run: Run, mode: str) -> Crew:
-    """Load every seed of a run.
-
-    Raises:
-        PolicyError: the run's policy cannot be read.
-        ValueError: there is no such mode.
-    """
-    if mode not in MODES:
-        raise ValueError(f"mode={mode!r}; choose from {', '.join(MODES)}")
-    loaded = [policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds]
-    return Crew(run.seeds, mode, loaded)
-
-
-def empty_arena(crews: Sequence[Crew], steps: int = 500) -> list[pd.DataFrame]:
-    """Fly where there is no obstacle, from the centre: a flight a seed for each start heading of `HEADINGS`.
-
-    It ends at a collision or after `steps` steps. A seed's flights depend on its policy and its own generator alone.
-
-    Returns:
-        For each crew a table of behaviour, whose `layout` is the flight: for `measures` with the bank `EMPTY_ARENA`.
-
-    Raises:
-        ValueError: steps is below 1.
-    """
-    flyers = [flyer for one in crews for flyer in zip(one.seeds, one.policies, strict=True)]
-    number = np.repeat(np.arange(len(crews)), [len(one.seeds) for one in crews])
-    seeds = np.array([seed for seed, _ in flyers])
-    parts: list[pd.DataFrame] = []
-    heading = torch.tensor(HEADINGS)
-    for places in flights.alike([policy for _, policy in flyers]):
-        together = [flyers[place] for place in places]
-        task = replace(together[0][1].task, bank=EMPTY_ARENA, max_steps=steps)
-        with machine.use_threads(1):
-            for step in flights.fly(together, task, heading):
-                flyer = np.array(places)[step.flight.numpy() // len(HEADINGS)]
-                flown = {"layout": step.flight.numpy() % len(HEADINGS), "action": step.action}
-                parts.append(pd.DataFrame({"crew": number[flyer], "seed": seeds[flyer], **flown}))
-    of_crews = pd.concat(parts).sort_values(["seed", "layout"], kind="stable").groupby("crew")
-    return [
-        retrace(own.assign(mode=one.mode).reset_index(drop=True), EMPTY_ARENA, heading, one.policies[0].world)
-        for (_, own), one in zip(of_crews, crews, strict=True)
-    ]
-
-
-def with_values() -> list[str]:
-    """The algorithms whose outputs are values of actions, which returns can be held against."""
-    return [name for name, algorithm in ALGORITHMS.items() if algorithm.shown == "Q value"]
-
-
-def overestimation(run: Run, steps: int = 300, n_layouts: int = 20, tail: float = 0.01) -> pd.DataFrame:
-    """How much more a run's seeds expect than they get: columns seed, q, realised, overestimation = q - realised.
-
-    q is the mean of max_a Q(s, a) over the states of greedy flights, one on each of the first test layouts, and
-    realised the mean of the discounted return from the same states on, under the discount of training. States are those
-    of the first `steps` steps of a flight, collision or not; the flight goes on until the rest of its return is worth
-    less than `tail` of what it would be now (gamma^n < tail, 459 steps at 0.99). Where that takes more than
-    `evaluate.MAX_STEPS` steps in all (gamma near 1), only states with so much future, or with a collision ahead, count:
-    NaN where there is none. All flights start upwards.
-
-    Raises:
-        LayoutError, PolicyError: the test bank or the run's policy cannot be read.
-        RunError: the run's gamma is missing or no discount.
-        ValueError: the run's algorithm has no values of actions, or there are not so many layouts or steps.
-    """
-    if run.algorithm not in with_values():
-        choices = ", ".join(with_values())
-        raise ValueError(f"{run.path}: its algorithm is {run.algorithm}; those with values of actions are {choices}")
-    gamma = run.config.get("gamma")
-    if not isinstance(gamma, (int, float)) or not 0 <= gamma <= 1:
-        raise RunError(f"{run.path / 'config.yaml'}: its gamma={gamma} is no discount; give a run's folder")
-    bank = layouts.load("test")
-    if not 1 <= n_layouts <= len(bank) or steps < 1:
-        raise ValueError(f"n_layouts={n_layouts}, steps={steps}; give 1 to {len(bank)} layouts and at least 1 step")
-    horizon = next((n for n in range(1, MAX_STEPS + 1) if gamma**n < tail), MAX_STEPS + 1)
-    heading = torch.full((n_layouts,), UP)
-    n_flights = len(run.seeds) * n_layouts
-    limit = min(steps + horizon, MAX_STEPS)
-    q, returned = (torch.zeros(limit, n_flights, dtype=torch.float64) for _ in range(2))
-    flown = torch.zeros(limit, n_flights, dtype=torch.bool)
-    collided = torch.zeros(n_flights, dtype=torch.bool)
-    flyers = crew(run, "greedy")
-    task = replace(flyers.policies[0].task, bank=bank[:n_layouts], max_steps=limit)
-    with machine.use_threads(1):
-        for one in flights.fly([*zip(run.seeds, flyers.policies, strict=True)], task, heading, values=True):
-            assert one.values is not None
-            step, outcome = one.number - 1, one.outcome
-            q[step, one.flight] = one.values.amax(-1).double()
-            returned[step, one.flight] = outcome.reward
-            flown[step, one.flight] = True
-            collided[one.flight] = outcome.terminated
-    for step in reversed(range(limit - 1)):
-        returned[step] += gamma * returned[step + 1]
-    known = collided | (torch.arange(limit)[:, None] + horizon <= limit)
-    counts = (flown & known)[:steps].reshape(-1, len(run.seeds), n_layouts)
-    sums = ((values[:steps].reshape(counts.shape) * counts).sum((0, 2)) for values in (q, returned))
-    expected, realised = (summed / counts.sum((0, 2)) for summed in sums)  # 0 / 0 is NaN
-    columns = {"q": expected, "realised": realised, "overestimation": expected - realised}
-    return pd.DataFrame({"seed": run.seeds, **columns})
 
 
 def _tensor(column: pd.Series[Any], dtype: torch.dtype) -> Tensor:

@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from uavnav import style
-from uavnav.policies import PolicyError
+from uavnav.evaluate.arena import EMPTY_ARENA
 from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys, worlds
 from uavnav.report.cells import Cell, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY
@@ -22,10 +22,9 @@ from uavnav.report.operating import characteristics
 from uavnav.report.studies import Rows, Studies
 from uavnav.report.verdicts import Finding, audit
 from uavnav.report.worlds import Worlds
-from uavnav.runs import paper
-from uavnav.runs.metrics import MODES
+from uavnav.runs import VALUES, paper
 from uavnav.runs.readings import READINGS, SAMPLED
-from uavnav.runs.tables import RunError
+from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
 from uavnav.training import machine
@@ -92,7 +91,6 @@ def gather(folders: Sequence[Path]) -> Content:
     left_out += studies.in_none(sorted_cells)
     of_paper = studies.paper_cells(sorted_cells.main)
     with machine.use_threads(1), ThreadPoolExecutor(1) as beside:  # what nothing else waits for flies meanwhile
-        valued = beside.submit(_overestimation, of_paper)
         replayed = beside.submit(replays.record, list(dict.fromkeys([*of_paper.values(), *studies.elsewhere(cells)])))
         flights, by_layout, watched, problems = watch(sorted_cells)
         evidence = {reading: Rows(sorted_cells, reading, flights, by_layout) for reading in READINGS}
@@ -102,7 +100,7 @@ def gather(folders: Sequence[Path]) -> Content:
         tuned, untuned = beyond.tuning(folders, baselines)
         survival, survived = frames.survival(sorted_cells.main, baselines)
         numbers = _tables(sorted_cells, audits, flights) | {"whys": whys.table(evidence[PRIMARY])}
-        overestimated, unvalued = valued.result()
+        overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
         numbers |= {"behaviour_by_layout": frames.flown(by_layout)}
         numbers |= {"overestimation": overestimated, "survival": survived, "predictions": predictions}
@@ -141,11 +139,11 @@ def _of_worlds(found: Worlds | None) -> list[Figure]:
 def watch(all_cells: Studies) -> tuple[Flights, Flights, Flights, list[str]]:
     """Measures of flights by mode and seed, by mode and layout, the flights, and a line for what could not be read.
 
-    Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`). Its drones also fly in
-    the empty arena: their measures there are `empty_...`, their `layout` is -1.
+    Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`), and in the empty arena:
+    the measures there are `empty_...`, the `layout` is -1.
     """
     parts: dict[Place, list[pd.DataFrame]] = defaultdict(list)
-    crews: dict[Place, list[behaviour.Crew]] = defaultdict(list)
+    empty: dict[Place, list[pd.DataFrame]] = defaultdict(list)
     problems = []
     for study in (*WATCHED, *all_cells.why):
         for key, cell in studies.paper_cells(all_cells.of(study)).items():
@@ -154,11 +152,10 @@ def watch(all_cells: Studies) -> tuple[Flights, Flights, Flights, list[str]]:
                     table = behaviour.read(run)
                     if table is None:
                         continue
-                    if study == "main":
-                        loaded = [behaviour.crew(run, mode) for mode in MODES]
-                        crews[study, *key] += loaded
                     parts[study, *key].append(table)
-                except (RunError, PolicyError) as error:
+                    if study == "main" and (table := behaviour.read_arena(run)) is not None:
+                        empty[study, *key].append(table)
+                except RunError as error:
                     problems.append(one_line(error))
     tables = {place: pd.concat(found, ignore_index=True) for place, found in parts.items()}
     world, bank = World(), layouts.load("test")
@@ -169,37 +166,25 @@ def watch(all_cells: Studies) -> tuple[Flights, Flights, Flights, list[str]]:
         if place[0] == "main":
             measured[place] = measured[place].join(behaviour.early(steps), on=["mode", "seed"])
             by_layout[place] = behaviour.by_layout(steps)
-    for place, (own, empty) in (arena(crews) if crews else {}).items():
+    for place, found in empty.items():
+        steps = pd.concat(found, ignore_index=True)
+        own = behaviour.measures(steps, EMPTY_ARENA, world).set_index(["mode", "seed"]).add_prefix("empty_")
         measured[place] = measured[place].join(own, on=["mode", "seed"])
-        tables[place] = pd.concat([tables[place], empty.assign(layout=-1)], ignore_index=True)
+        tables[place] = pd.concat([tables[place], steps.assign(layout=-1)], ignore_index=True)
     return measured, by_layout, tables, problems
 
 
-def arena(crews: Mapping[Place, Sequence[behaviour.Crew]]) -> dict[Place, tuple[pd.DataFrame, pd.DataFrame]]:
-    """What crews do in the empty arena: measures `empty_...` by mode and seed, and the steps.
-
-    Other processors round otherwise, and flights diverge. The measures have six digits, as the CSV of them that is
-    kept, so that every verdict can be worked out again from files.
-    """
-    flown, found = iter(behaviour.empty_arena([one for loaded in crews.values() for one in loaded])), {}
-    for place, loaded in crews.items():
-        steps = pd.concat([next(flown) for _ in loaded], ignore_index=True)
-        own = behaviour.measures(steps, behaviour.EMPTY_ARENA, World()).set_index(["mode", "seed"])
-        found[place] = own.map(lambda value: float(f"{value:.6g}")).add_prefix("empty_"), steps
-    return found
-
-
 def _overestimation(cells: studies.Cells) -> tuple[pd.DataFrame, list[str]]:
-    """What seeds expect and get (`behaviour.overestimation`), and a line for each run that could not be flown."""
-    columns = ["cell", "seed", "q", "realised", "overestimation"]
-    parts, problems = [pd.DataFrame(columns=columns)], []
+    """What seeds expect and get (`evaluate.values`), and a line for each table that could not be read."""
+    columns = {"seed": "int64"} | dict.fromkeys(frames.OVERESTIMATION, "float64")
+    parts, problems = [pd.DataFrame(columns=["cell", *columns])], []
     for key, run in ((key, run) for key, cell in cells.items() for run in cell.runs):
-        if key[0] in behaviour.with_values():
+        if (run.path / VALUES).exists():
             try:
-                parts.append(behaviour.overestimation(run).assign(cell=frames.name(*key))[columns])
-            except (PolicyError, RunError) as error:
+                parts.append(read_table(run.path / VALUES, columns, behaviour.AGAIN).assign(cell=frames.name(*key)))
+            except RunError as error:
                 problems.append(one_line(error))
-    return pd.concat(parts[1:] or parts, ignore_index=True), problems
+    return pd.concat(parts[1:] or parts, ignore_index=True)[["cell", *columns]], problems
 
 
 def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights: Flights) -> dict[str, pd.DataFrame]:

@@ -49,7 +49,7 @@ MEASURES = {
 }
 """How a policy flies: the columns of `behaviour.measures`."""
 OVERESTIMATION = {"q": "max Q [reward]", "realised": "realised [reward]", "overestimation": "overestimation [reward]"}
-"""What a seed expects and gets: columns of `behaviour.overestimation`."""
+"""What a seed expects and gets: columns of `evaluate.values.overestimation`."""
 AS_DECIDED = "default"
 """The switch that changes nothing."""
 

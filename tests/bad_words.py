@@ -103,6 +103,8 @@ CASES = [
     argument(
         "0 steps", lambda f: fly(f, max_steps=0), "max_steps=0", "at least 1", "evaluate", "random", "--max-steps=0"
     ),
+    argument("0 seeds of a script", None, "--seeds 0", "at least 1", "evaluate", "random", "--seeds=0"),
+    argument("seeds of a rule", None, "--seeds 2", "only random has several", "evaluate", "reactive", "--seeds=2"),
     argument("a reward", lambda f: fly(f, reward="eq15"), "reward='eq15'", "choose from eq14"),
     argument("a slot order", lambda f: uavnav.World(slots="first"), "slots='first'", "choose from nearest, listed"),
     argument("a box's depth", lambda f: SpaceWorld(depth=280), "depth=280", "give above 280 px"),

@@ -14,7 +14,7 @@ from uavnav.help.choices import ConfigError
 from uavnav.runs import read_settings, run_folders
 from uavnav.studies import search
 from uavnav.studies.run import evaluated, unflown
-from uavnav.studies.study import main, parse
+from uavnav.studies.study import main, parse, scripted
 from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
 
@@ -94,6 +94,21 @@ def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_ea
     assert tuned == {("ppo", "fast"), ("dqn", "fast")}
 
 
+def test_scripts_fly_each_world_of_the_study_of_worlds_once_as_its_cells_do_unless_their_rows_are_there(tmp_path):
+    cells = studies.cells(studies.read("worlds"), tmp_path)
+    words = scripted(cells, tmp_path)
+    rules, own = ["random", "straight", "reactive"], ["--seeds", "10", "--out", str(tmp_path)]
+    assert len(words) == 11
+    assert [*rules, "--max-steps", "1000", "--task", "goal", *own] in words
+    assert [*rules, "--max-steps", "2000", "--faults", "noise=5", *own] in words
+    for rule in rules[1:]:
+        put(tmp_path / f"{rule}-goal-test-200-1000.parquet", "")
+    assert ["random", "--max-steps", "1000", "--task", "goal", *own] in scripted(cells, tmp_path)
+    put(tmp_path / "random-goal-test-200-1000.parquet", "")
+    assert len(scripted(cells, tmp_path)) == 10
+    assert scripted([cell._replace(evaluation=None) for cell in cells], tmp_path) == []
+
+
 @pytest.mark.parametrize("name", studies.names())
 def test_the_study_files_of_the_package_hold_eight_cells_or_so_and_none_shares_a_folder(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -123,7 +138,7 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
         ("[", "cannot be read"),
         (
             "cells: [{algorithm: ppo}]\nwaht: x",
-            "there is no key 'waht'; choose from banks, cells, settings, tune, what (did",
+            "there is no key 'waht'; choose from banks, cells, scripts, settings, tune, what (did",
         ),
         ("cells: [{folder: x}]", "is no cell; it needs at least an `algorithm`"),
         (
@@ -137,6 +152,7 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
         ("cells: [{algorithm: ppo, evaluate: {across: [arcs]}}]", "across=['arcs']; give a list of some of density"),
         ("banks: many\ncells: [{algorithm: ppo}]", "banks=many; give a list of numbers of obstacles, such as [4, 12]"),
         ("settings: 3\ncells: [{algorithm: ppo}]", "settings=3; give keys and values"),
+        ("scripts: [random]\ncells: [{algorithm: ppo}]", "scripts=['random']; give a folder's name, such as baselines"),
     ],
 )
 def test_a_wrong_study_file_is_refused_in_one_line_that_names_it(text, said, tmp_path, capsys):

@@ -1,13 +1,22 @@
 """The report's section on worlds: what is measured of flights, what claims are given, and the sentences that follow."""
 
+import re
+import shlex
+
 import numpy as np
 import pandas as pd
 import pytest
+from runs_by_hand import rows, two, write_run
 
+from uavnav import evaluate
+from uavnav.evaluate import __main__ as command
+from uavnav.evaluate.scripts import SEEDS, Protocol, rows_of_scripts
 from uavnav.report import worlds
 from uavnav.report.cells import of_worlds
 from uavnav.report.discussion import ALL, CELLS, NONE, SCATTER, VARIATION
 from uavnav.report.worlds import Evidence, Worlds, measured, sentences, summary
+from uavnav.tasks.faults import Faults
+from uavnav.tasks.protocol import SCRIPTS
 
 
 def seeds(reward, **more):
@@ -121,3 +130,88 @@ def test_a_worlds_table_has_cells_and_scripts_and_the_figure_a_panel_a_world():
     drawn = worlds.draw(summary(found))
     assert [axes.get_title("left") for axes in drawn.figure.axes] == ["drone", "goal"]
     assert drawn.alt.startswith("Best reward per flight in each world: drone: 42.0 (95 % interval")
+
+
+# -- rows of scripts ---------------------------------------------------------------------------------------------------
+
+GOAL = Protocol(max_steps=1000, task="goal")
+
+
+def keep(folder, rule, protocol=GOAL, reward=3.0, **header):
+    """Two flights of a script, as a command would have kept them, but for the header."""
+    folder.mkdir(parents=True, exist_ok=True)
+    flown = rows(0, (10, 10, 1, 1, 5, 50, reward), (40, 30, 4, 0, 10, 100, reward))
+    flown.attrs = {"layouts": "test", "episodes": 200, "max_steps": 1000, "task": "goal"} | header
+    flown.to_parquet(folder / protocol.file(rule))
+    return flown
+
+
+def test_rows_of_another_cap_or_task_are_refused_in_one_line_and_the_others_are_read(tmp_path):
+    flown = keep(tmp_path, "straight")
+    keep(tmp_path, "random", max_steps=2000)
+    keep(tmp_path, "reactive", task="moving")
+    found, left_out = rows_of_scripts([tmp_path], GOAL)
+    assert found.keys() == {"straight"}
+    pd.testing.assert_frame_equal(found["straight"], flown)
+    start = (
+        f"{tmp_path}/random-goal-test-200-1000.parquet: its rows are of layouts=test, episodes=200, max_steps=2000, "
+    )
+    wanted = "not of layouts=test, episodes=200, max_steps=1000, task=goal; write them with uavnav evaluate random "
+    assert left_out[0] == f"{start}task=goal, {wanted}--max-steps 1000 --task goal --seeds {SEEDS} --out {tmp_path}"
+    assert "task=moving, not of" in left_out[1]
+    assert len(left_out) == 2
+
+
+def test_rows_of_scripts_are_taken_from_the_first_folder_that_has_them_and_a_damaged_file_is_named(tmp_path):
+    mine, theirs = tmp_path / "mine", tmp_path / "theirs"
+    keep(theirs, "straight", reward=1.0)
+    keep(mine, "straight", reward=2.0)
+    keep(theirs, "reactive", reward=4.0)
+    (mine / GOAL.file("random")).write_text("no rows")
+    found, (line,) = rows_of_scripts([mine, theirs], GOAL)
+    assert {rule: own["reward"].mean() for rule, own in found.items()} == {"straight": 2.0, "reactive": 4.0}
+    assert line.startswith(f"{mine / GOAL.file('random')}: missing or damaged; write them with uavnav evaluate random ")
+
+
+def test_the_command_that_the_line_of_missing_rows_names_writes_them(tmp_path):
+    protocol = Protocol("density-4/test", 3, 20, Faults(noise=5))
+    _, (line,) = rows_of_scripts([tmp_path / "rows"], protocol)
+    start, words = line.split("; write them with uavnav evaluate ")
+    assert start == f"{tmp_path}/rows: no rows of random, straight, reactive"
+    assert command.main([*shlex.split(words), "--quiet"]) == 0
+    found, left_out = rows_of_scripts([tmp_path / "rows"], protocol)
+    assert ([*found], left_out) == ([*SCRIPTS], [])
+    assert {rule: own["seed"].nunique() for rule, own in found.items()} == {
+        "random": SEEDS,
+        "straight": 1,
+        "reactive": 1,
+    }
+    assert found["random"].groupby("seed")["reward"].sum().nunique() > 1
+
+
+def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies(tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluate, "fly", None)
+    flights = [rows(seed, (9, 9, 1, 1, 5, 50, 1.0 + seed), (9, 9, 1, 1, 5, 50, 3.0)) for seed in (0, 1)]
+    flown = pd.concat(flights, ignore_index=True)
+    for task, cap, world in (("drone", 2000, {}), ("goal", 1000, {}), ("drone", 2000, {"sensor_arc": 90})):
+        path = tmp_path / "worlds" / "paper" / f"{task}{len(world)}"
+        reward = "goal" if task == "goal" else "eq14"
+        write_run(path, two(0, -6.0), two(1, -8.0), task=task, world=world, reward=reward)
+        flown.assign(mode="sampled").to_parquet(path / f"evaluation-test-200-{cap}.parquet")
+    keep(tmp_path / "worlds" / "baselines", "straight", reward=4.0)
+    found = worlds.gather([tmp_path])
+    assert [*found.scripted] == [("goal", "straight")]
+    assert found.scripted["goal", "straight"]["reward"].tolist() == [4.0]
+    home = tmp_path / "worlds" / "baselines"
+    assert found.left_out == [
+        f"{home}: no rows of random, straight, reactive; write them with uavnav evaluate random straight reactive"
+        f" --max-steps 2000 --seeds 10 --out {home}",
+        "drone, sensor_arc=90: no rows of scripts, which fly with the usual settings of a task alone",
+        f"{home}: no rows of random, reactive; write them with uavnav evaluate random reactive"
+        f" --max-steps 1000 --task goal --seeds 10 --out {home}",
+    ]
+    alone, _, beside = sentences(summary(found))[:3]
+    assert re.fullmatch(r"In drone, reward per flight: DQN tanh 2\.25 \[.*\]\.", alone)
+    assert re.fullmatch(r"In goal, .*\]; the best script, straight, has 4\.00\.", beside)
+    handles = worlds.draw(summary(found)).figure.legends[0].get_texts()
+    assert [one.get_text() for one in handles] == ["straight"]

@@ -20,6 +20,7 @@ from uavnav.help.choices import Parser, choose_from, did_you_mean
 from uavnav.tasks.protocol import (
     ACROSS_STEPS,
     DEFAULT_K,
+    DRAWS,
     EPISODES,
     GROUPS,
     LADDER_NAMES,
@@ -196,6 +197,8 @@ def _evaluate(parser: Parser) -> None:
     told = "fly each in every world that one of the runs was trained in instead, and draw the matrix"
     where.add_argument("--transfer", action="store_true", help=told)
     _activation(parser)
+    told = f"so many seeds of {DRAWS}, each on every set (default: 1)"
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help=told)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"
     )

@@ -24,8 +24,8 @@ from uavnav.runs.tables import RunError, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.faults import Faults, from_words
 from uavnav.tasks.ladders import measure_of
-from uavnav.tasks.protocol import ACROSS_STEPS, GROUPS, MAX_STEPS
-from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, GROUPS, MAX_STEPS
+from uavnav.tasks.simulator import EMPTY, make_task, name_of
 from uavnav.training import display, machine
 
 
@@ -52,6 +52,14 @@ def _rows_file(name: str, mode: str, protocol: str = "") -> str:
     """Where the rows of what is no run are kept; a report calls them so."""
     who = name if name in BASELINES else f"{Path(name).stem}-{mode}"
     return f"{who}{protocol}.parquet"
+
+
+def _check_seeds(arguments: Namespace) -> None:
+    given, elsewhere = f"--seeds {arguments.seeds}", arguments.across is not None or arguments.transfer
+    if arguments.seeds < 1:
+        raise ValueError(f"{given}; give at least 1")
+    if DRAWS not in arguments.runs or elsewhere:
+        raise ValueError(f"{given}: only {DRAWS} has several, on the sets of one bank; leave it out")
 
 
 def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPolicy]]) -> int:
@@ -86,6 +94,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
             raise ValueError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
         found = {name: _found(name, arguments.activation) for name in arguments.runs}
+        if arguments.seeds != 1:
+            _check_seeds(arguments)
         max_steps = MAX_STEPS if arguments.max_steps is None else arguments.max_steps
         bounds = arguments.layouts, arguments.episodes, max_steps
         faults = None if arguments.faults is None else _faults(arguments.faults)
@@ -106,14 +116,17 @@ def main(argv: Sequence[str] | None = None) -> int:
                 flown = {}
                 for mode, policy in run.items():
                     task = on(policy.task if isinstance(policy, Policy) else scripted, *bounds, faults)
-                    with machine.use_threads(1), display.flights(f"{name}, {mode}", *bounds[1:], quiet) as tell:
-                        flown[mode] = fly({0: suited(policy, task)}, task, tell, measure_of(arguments.layouts)).episodes
+                    seeds = range(arguments.seeds if name == DRAWS else 1)
+                    flights = arguments.episodes * len(seeds)
+                    with machine.use_threads(1), display.flights(f"{name}, {mode}", flights, max_steps, quiet) as tell:
+                        population = dict.fromkeys(seeds, suited(policy, task))
+                        flown[mode] = fly(population, task, tell, measure_of(arguments.layouts)).episodes
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
                 kept = []
                 for mode, part in flown.items() if arguments.out is not None else ():
                     path = arguments.out / _rows_file(name, mode, protocol)
                     path.parent.mkdir(parents=True, exist_ok=True)
-                    part.attrs = header(*bounds, faults)
+                    part.attrs = header(*bounds, faults, name_of(task))
                     write_table(path, part)
                     kept.append(path)
             records.append({"run": name, **summary.evaluation_record(rows)})

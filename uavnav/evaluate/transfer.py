@@ -53,15 +53,25 @@ def place(run: Run, episodes: int, max_steps: int) -> Place:
         LayoutError: there are no such sets.
         RunError: its settings name no world.
     """
-    own, layouts = run.config, banks.judged_on(run.config.get("layouts", "train"))
+    task, layouts = trained_in(run)
+    flown = task.on(layouts, min(max_steps, task.MAX_STEPS or max_steps))
+    return Place(named(task, layouts), flown.with_bank(flown.bank[:episodes]), measure_of(layouts))
+
+
+def trained_in(run: Run) -> tuple[Task, str]:
+    """The world and faults of a run's training, without obstacles, and the test sets that belong to its bank.
+
+    Raises:
+        RunError: its settings name no world.
+    """
+    own = run.config
     try:
         task = make_task(
             EMPTY, own.get("world"), own.get("reward"), None, own.get("task", "drone"), faults=own.get("faults")
         )
     except (TypeError, ValueError) as error:
         raise RunError(f"{run.path / 'config.yaml'}: names no world ({error}); give a run of this package") from error
-    flown = task.on(layouts, min(max_steps, task.MAX_STEPS or max_steps))
-    return Place(named(task, layouts), flown.with_bank(flown.bank[:episodes]), measure_of(layouts))
+    return task, banks.judged_on(own.get("layouts", "train"))
 
 
 def named(task: Task, layouts: str) -> str:

@@ -7,7 +7,7 @@ S seeds of a cell.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -18,8 +18,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from uavnav import stats, style
-from uavnav.evaluate import EPISODES, across, files_of, fly, rows_across
-from uavnav.evaluate.transfer import Place, place
+from uavnav.evaluate import EPISODES, across, files_of, rows_across
+from uavnav.evaluate.scripts import Protocol, protocol_in, rows_of_scripts
+from uavnav.evaluate.transfer import named, trained_in
 from uavnav.report import conclusions, tables
 from uavnav.report.cells import of_worlds, order, settings_of
 from uavnav.report.discussion import (
@@ -40,11 +41,8 @@ from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import FIRST_COLUMNS, OWN
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Interval
-from uavnav.tasks import layouts
-from uavnav.tasks.baselines import BASELINES, WORLD, suited
-from uavnav.tasks.ladders import LADDERS, reached
-from uavnav.tasks.layouts import LayoutError
-from uavnav.tasks.protocol import ACROSS_STEPS
+from uavnav.tasks.ladders import LADDERS
+from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, SCRIPTS
 
 MODE = "sampled"
 DEFAULT, TUNED = "paper", "fast"
@@ -54,7 +52,6 @@ MEASURES = {
     "collisions": across.MEASURES["collisions"],
     "survival": "restricted mean survival [steps]",
 }
-RANDOM_SEEDS = 10
 
 Key = tuple[str, str, str]
 """World (with the preset where it is not the default), algorithm and activation."""
@@ -71,37 +68,45 @@ class Worlds(NamedTuple):
 
 
 def gather(folders: Sequence[Path]) -> Worlds | None:
-    """Read the study in some folders of a report, and let the scripts fly its worlds; None where there is none.
+    """Read the study in some folders of a report, and the rows of scripts in its worlds; None where there is none.
 
     Raises:
         RunError: a folder cannot be read.
     """
-    paths = [path for folder in of_worlds(folders) for path in run_folders(folder)[0]]
+    homes = of_worlds(folders)
+    paths = [path for folder in homes for path in run_folders(folder)[0]]
     seeds: dict[Key, pd.DataFrame] = {}
-    places: dict[str, Place] = {}
+    places: dict[str, Protocol | None] = {}
     settings: dict[Key, dict[str, object]] = {}
     left_out = []
     for path in paths:
         try:
             run = Run(path)
-            where, table = read(run)
+            place_name, flown, table = read(run)
             if (preset := run.config["preset"]) not in (DEFAULT, TUNED):
                 raise RunError(f"{path}: preset={preset}; the study has {DEFAULT} and {TUNED}")
-            world = where.name + f", {TUNED}" * (preset == TUNED)
+            world = place_name + f", {TUNED}" * (preset == TUNED)
             key = (world, run.algorithm, run.config["activation"])
             if key in seeds and not seeds[key].index.intersection(table.index).empty:
                 raise RunError(f"{path}: its seeds are there already, in {world}")
             if settings.setdefault(key, settings_of(run)) != settings_of(run):
                 raise RunError(f"{path}: its settings differ from those of another run in {world}")
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
-            places.setdefault(where.name, where)
-        except (RunError, LayoutError, KeyError) as error:
+            places.setdefault(place_name, flown)
+        except (RunError, KeyError) as error:
             left_out.append(" ".join(str(error).split()))
     if not seeds:
         return None
     in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
     seeds = dict(sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0]))))
-    scripted = {(name, rule): table for name in in_order for rule, table in _scripts(places[name])}
+    scripted: dict[tuple[str, str], pd.DataFrame] = {}
+    for name in in_order:
+        if (flown := places[name]) is None:
+            left_out.append(f"{name}: no rows of scripts, which fly with the usual settings of a task alone")
+            continue
+        rows, unread = rows_of_scripts([home / "baselines" for home in homes], flown)
+        scripted |= {(name, rule): measured(own, flown.max_steps) for rule, own in rows.items()}
+        left_out += unread
     evidence = Evidence(seeds)
     findings = audit(evidence, nothing_printed, DISCUSSION)
     return Worlds(seeds, scripted, findings, characteristics(evidence, nothing_printed, DISCUSSION), left_out)
@@ -122,15 +127,15 @@ def _place(world: str) -> str:
     return world.removesuffix(f", {TUNED}")
 
 
-def read(run: Run) -> tuple[Place, pd.DataFrame]:
-    """Where a run was trained, and its table of seeds: of the study's flights, whatever else was flown.
+def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
+    """Where a run was trained, how scripts fly there, and its table of seeds: of the study's flights alone.
 
     Raises:
-        LayoutError, RunError: its world is not known, or it was not flown as in the study.
+        RunError: its world is not known, or it was not flown as in the study.
     """
-    where = place(run, EPISODES, ACROSS_STEPS)
-    cap = where.task.max_steps or ACROSS_STEPS
-    name, _ = files_of(layouts.judged_on(run.config.get("layouts", "train")), EPISODES, cap)
+    task, sets = trained_in(run)
+    cap = min(ACROSS_STEPS, task.MAX_STEPS or ACROSS_STEPS)
+    name, _ = files_of(sets, EPISODES, cap)
     if not (run.path / name).exists():
         raise RunError(f"{run.path}: has no {name}; give its study again")
     rows = read_table(run.path / name, FIRST_COLUMNS | {"mode": "object"}, "evaluate the run again")
@@ -148,7 +153,7 @@ def read(run: Run) -> tuple[Place, pd.DataFrame]:
     if "grad_norm" in run.progress:
         norms = run.progress.groupby("seed")["grad_norm"]
         table[VARIATION] = norms.std() / norms.mean()
-    return where, table
+    return named(task, sets), protocol_in(task, sets, EPISODES, cap), table
 
 
 def measured(flown: pd.DataFrame, cap: int) -> pd.DataFrame:
@@ -159,16 +164,6 @@ def measured(flown: pd.DataFrame, cap: int) -> pd.DataFrame:
         for seed, one in flown.groupby("seed")
     }
     return across.of_seeds(flown).drop(columns="survive").assign(survival=pd.Series(survival))
-
-
-def _scripts(where: Place) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The scripted policies in a world, on the sets of its cells: random flight with several seeds."""
-    cap = where.task.max_steps or ACROSS_STEPS
-    for name, rule in BASELINES.items():
-        seeds = range(RANDOM_SEEDS if name == "random" else 1)
-        task = reached(where.task, WORLD.sensor_radius)
-        flown = fly({seed: suited(rule, task) for seed in seeds}, task, measure=where.measure)
-        yield name, measured(flown.episodes, cap)
 
 
 @dataclass(eq=False)
@@ -260,9 +255,9 @@ def _rewards(found: pd.DataFrame, world: str) -> tuple[dict[str, Interval], dict
     """Rewards of a world's learned cells, the best first, and of its scripts."""
     mine = found[(found["world"] == world) & (found["metric"] == "reward")]
     both = {one["who"]: Interval(one["value"], one["low"], one["high"], one["n"]) for one in mine.to_dict("records")}
-    learned = {who: one for who, one in both.items() if who not in BASELINES}
+    learned = {who: one for who, one in both.items() if who not in SCRIPTS}
     best = sorted(learned.items(), key=lambda item: -item[1].value)
-    return dict(best), {who: one for who, one in both.items() if who in BASELINES}
+    return dict(best), {who: one for who, one in both.items() if who in SCRIPTS}
 
 
 def sentences(found: pd.DataFrame) -> list[str]:
@@ -275,18 +270,18 @@ def sentences(found: pd.DataFrame) -> list[str]:
     for world in worlds_of(found):
         learned, scripts = _rewards(found, world)
         (best, most), *others = learned.items()
-        rule, rules = max(scripts.items(), key=lambda item: item[1].value)
         told = [f"{best} {tables.with_interval(*most[:3])}"]
         told += [f"{who} {tables.with_interval(*one[:3])}" for who, one in others[:1]]
-        said.append(
-            f"In {world}, reward per flight: {', then '.join(told)}; the best script, {rule}, has"
-            f" {tables.number(rules.value)}."
-        )
+        said.append(f"In {world}, reward per flight: {', then '.join(told)}.")
+        if not scripts:
+            continue
+        rule, rules = max(scripts.items(), key=lambda item: item[1].value)
+        said[-1] = f"{said[-1][:-1]}; the best script, {rule}, has {tables.number(rules.value)}."
         if all(rules.value > _top(one) for one in learned.values()):
             beaten.append(world)
         elif most.low > _top(rules):
             passed.append(f"{world} ({best})")
-        chance = scripts.get("random")
+        chance = scripts.get(DRAWS)
         if chance is not None:
             higher = all(one.low > _top(chance) for one in learned.values())
             (above if higher else not_above).append(world)
@@ -318,7 +313,7 @@ def draw(found: pd.DataFrame) -> style.Drawn:
     panels = figure.subplots(len(worlds), 1, squeeze=False, gridspec_kw={"height_ratios": [2 + n for n in counts]})[
         :, 0
     ]
-    looks = dict(zip(BASELINES, (":", "-.", "--"), strict=True))
+    looks = dict(zip(SCRIPTS, (":", "-.", "--"), strict=True))
     for axes, world in zip(panels, worlds, strict=True):
         learned, scripts = _rewards(found, world)
         for row, (who, one) in enumerate(learned.items()):
@@ -330,7 +325,8 @@ def draw(found: pd.DataFrame) -> style.Drawn:
         style.name_rows(axes, [*learned])
         axes.set_title(world)
     panels[-1].set_xlabel("reward per flight, sampled")
-    style.legend(figure, panels[0].get_legend_handles_labels()[0], columns=3)
+    lines = {line.get_label(): line for axes in panels for line in axes.get_legend_handles_labels()[0]}
+    style.legend(figure, [*lines.values()], columns=3)
     told = "; ".join(f"{world}: {style.said(one)} of {who}" for world in worlds for who, one in _first(found, world))
     return style.Drawn(figure, f"Best reward per flight in each world: {told}.")
 

@@ -10,6 +10,7 @@
       dqn: {learning_starts: 1000}              # of one algorithm's cells
     cells:
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in {out}/rate-0.001/ppo/tanh and so on
+    scripts: baselines          # scripted policies fly in the world of each cell too, as it does; their rows go there
     tune: ...                   # settings that are searched for first: `search`
 
 `run` carries a study out, and `uavnav.studies.study` is its command.
@@ -33,7 +34,7 @@ from uavnav.tasks.protocol import LADDER_NAMES
 from uavnav.training.config import PARTS, TrainConfig
 
 HERE = Path(__file__).parent
-KEYS = ("what", "banks", "settings", "cells", "tune")
+KEYS = ("what", "banks", "settings", "cells", "scripts", "tune")
 OF_CELLS = ("folder", "algorithm", "evaluate")
 """Keys of a cell that are no settings of its algorithm."""
 PROTOCOL = {"episodes": EPISODES, "max_steps": MAX_STEPS}
@@ -66,6 +67,7 @@ class Study(NamedTuple):
     settings: Mapping[str, Any]
     cells: list[Mapping[str, Any]]
     tune: Mapping[str, Any] | None = None
+    scripts: str | None = None
 
 
 def names() -> list[str]:
@@ -110,7 +112,10 @@ def _study(name: str, said: Any) -> Study:
     tune = said.get("tune")
     if tune is not None and not isinstance(tune, dict):
         raise ConfigError(f"tune={tune}; give keys and values, as uavnav/studies/tuning.yaml does")
-    return Study(name, str(said.get("what", name)), banks, settings, said["cells"], tune)
+    scripts = said.get("scripts")
+    if scripts is not None and not isinstance(scripts, str):
+        raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
+    return Study(name, str(said.get("what", name)), banks, settings, said["cells"], tune, scripts)
 
 
 def only(study: Study, chosen: str | None) -> Study:

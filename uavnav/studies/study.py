@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from rich.table import Table
 
 from uavnav import commands, plugins, studies
 from uavnav.evaluate.__main__ import main as evaluate
+from uavnav.evaluate.scripts import Protocol, missing, protocol_in
 from uavnav.help.choices import ConfigError
 from uavnav.report import report
 from uavnav.runs import PROGRESS, read_settings
@@ -24,6 +26,7 @@ from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, engines, search, tuning
 from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
 from uavnav.tasks.layouts import LayoutError
+from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training.config import checked
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted
 
@@ -151,6 +154,9 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         if plan is not None and not untold:
             found += search.winners(plan)
         failed = [] if untold else train(found)
+        for words in scripted(found, out / study.scripts) if study.scripts and not (untold or failed) else ():
+            show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
+            evaluate([*words, "--quiet"])
     if untold or failed:
         what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} cells"
         print(f"uavnav study: {what} failed; the same command repeats them", file=sys.stderr)
@@ -160,6 +166,15 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
             evaluate(["reactive", "--out", str(out / "baselines"), "--quiet"])  # what a winner is held against
         print(f"the report is in {report([out]).path}")
     return 0
+
+
+def scripted(cells: Sequence[Cell], folder: Path) -> list[list[str]]:
+    """The flights of scripts that a folder lacks, in the worlds of cells: each the words of `uavnav evaluate`."""
+    wanted: dict[Protocol | None, None] = {}
+    for config, flown in ((cell.config, cell.evaluation) for cell in cells if cell.evaluation is not None):
+        task = make_task(EMPTY, config.world, config.reward, None, config.task, faults=config.faults)
+        wanted[protocol_in(task, **{studies.BANK: "test"} | flown)] = None
+    return [one.words(rules, folder) for one in wanted if one is not None and (rules := missing(folder, one))]
 
 
 def _plan(study: studies.Study, out: Path, own: dict[str, Any]) -> search.Plan | None:

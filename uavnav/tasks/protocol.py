@@ -29,14 +29,19 @@ MAX_STEPS = 10_000
 """An evaluation flies so many sets of the split `test`, with this cap on steps."""
 
 
-def header(layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None) -> dict[Any, Any]:
-    """What the header of a file of rows says of how they were flown: the protocol."""
-    own = {"layouts": str(layouts), "episodes": episodes, "max_steps": max_steps}
-    return own if faults is None else own | {"faults": str(faults)}
+def header(
+    layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None, task: str = "drone"
+) -> dict[Any, Any]:
+    """What the header of a file of rows says of how they were flown; of a task, if it is not the paper's."""
+    own: dict[Any, Any] = {"layouts": str(layouts), "episodes": episodes, "max_steps": max_steps}
+    own |= {} if faults is None else {"faults": str(faults)}
+    return own if task == "drone" else own | {"task": task}
 
 
 SCRIPTS = ("random", "straight", "reactive")
 """Policies that need no training; what they do is in `baselines`."""
+DRAWS = "random"
+"""The one of them that draws its actions, so that its seeds differ."""
 
 TASK_NAMES = ("drone", "moving", "goal", "space", "space-moving")
 """What `simulator.TASKS` holds, in its order."""

@@ -6,10 +6,18 @@ Candidates are (d, right, up, forward): distance [px], and the direction's compo
 import itertools
 import math
 
+import torch
 from oracle import BEHIND, bounce, cosine, sine
 
 BOX = 800, 600, 600
 START = 400, 300, 300
+
+
+def at(task, place, yaw, pitch, layout=0, steps=0):
+    """A state without a batch."""
+    state = task.place(torch.tensor(layout), torch.tensor(yaw))
+    x, y, z = (torch.tensor(float(one)) for one in place)
+    return state._replace(x=x, y=y, z=z, pitch=torch.tensor(pitch), steps=torch.tensor(steps))
 
 
 def frame(yaw, pitch):

@@ -1,39 +1,21 @@
 """The worlds in 3D: sensing, motion, collision and reward against slow loops and closed forms."""
 
-import dataclasses
-import functools
-import json
 import math
 import re
-from pathlib import Path
-from typing import NamedTuple
 
-import gymnasium
 import numpy as np
 import pytest
 import space_by_hand as by_hand
 import torch
-from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from safetensors import safe_open
 from scipy import stats
-from torchrl.envs.utils import check_env_specs
 
 import uavnav
-from uavnav import DroneEnv, evaluate, load_policy, render, verify
-from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.commands.layouts import main as write_banks
-from uavnav.envs import drawing
-from uavnav.flights.repeats import pose_of
-from uavnav.tasks import baselines, layouts, moving, space
-from uavnav.tasks.baselines import BASELINES, suited
-from uavnav.tasks.rewards import bounds_of_returns
-from uavnav.tasks.simulator import Space, make_task
+from uavnav.tasks import layouts, moving, space
+from uavnav.tasks.simulator import make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
-from uavnav.train import __main__ as train
-from uavnav.training import probes
-from uavnav.window import play
 
 SENSED = {"sense_velocity": True}
 SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]
@@ -42,13 +24,6 @@ SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]
 @pytest.fixture(scope="module")
 def banks():
     return {"space": layouts.load("test", SpaceWorld()), "space-moving": layouts.load("test", SpaceMovingWorld())}
-
-
-def at(task, place, yaw, pitch, layout=0, steps=0):
-    """A state without a batch."""
-    state = task.place(torch.tensor(layout), torch.tensor(yaw))
-    x, y, z = (torch.tensor(float(one)) for one in place)
-    return state._replace(x=x, y=y, z=z, pitch=torch.tensor(pitch), steps=torch.tensor(steps))
 
 
 def pose(state, row):
@@ -94,10 +69,10 @@ def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop(banks, name
 def test_a_sphere_ahead_above_and_to_the_right_fills_the_numbers_that_say_so():
     spheres = [[400.0, 400.0, 300.0, 40.0], [400.0, 300.0, 400.0, 30.0], [500.0, 300.0, 300.0, 50.0]]
     task = make_task(torch.tensor([spheres]), task="space")
-    slots = task.observe(at(task, (400, 300, 300), 90, 0))[0].reshape(10, 4)
+    slots = task.observe(by_hand.at(task, (400, 300, 300), 90, 0))[0].reshape(10, 4)
     expected = [[1, 0, 0, 20 / 90], [0, 0, 1, 30 / 90], [0, 1, 0, 40 / 90], [0, 0, 0, 1]]
     torch.testing.assert_close(slots[:4], torch.tensor(expected))
-    climbing = task.observe(at(task, (400, 300, 300), 90, 45))[0].reshape(10, 4)
+    climbing = task.observe(by_hand.at(task, (400, 300, 300), 90, 45))[0].reshape(10, 4)
     half = math.sqrt(0.5)
     torch.testing.assert_close(climbing[1:3, :3], torch.tensor([[0, -half, half], [0, half, half]]))
 
@@ -115,7 +90,7 @@ def test_a_sphere_ahead_above_and_to_the_right_fills_the_numbers_that_say_so():
 )
 def test_a_wall_is_its_nearest_point_and_beyond_it_at_distance_0_outwards(place, yaw, pitch, slot):
     task = make_task(torch.empty(1, 0, 4), task="space")
-    seen, clearance = task.observe(at(task, place, yaw, pitch))
+    seen, clearance = task.observe(by_hand.at(task, place, yaw, pitch))
     torch.testing.assert_close(seen[:4], torch.tensor([float(one) for one in slot]))
     assert torch.equal(seen[4:].reshape(9, 4), torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(9, 4))
     gaps = [min(p - 20, size - 20 - p) for p, size in zip(place, by_hand.BOX, strict=True)]
@@ -355,230 +330,3 @@ def test_each_wrong_part_is_refused_in_one_line(arguments, says):
     with pytest.raises(ValueError, match=re.escape(says)) as refused:
         make_task(**{"layouts": "test", "task": "space", **arguments})
     assert "\n" not in str(refused.value)
-
-
-# -- what learns in it -----------------------------------------------------------------------------------------------
-
-
-def test_a_return_lies_between_the_worst_collision_and_9_px_a_step():
-    assert SpaceWorld().distances == (0, 3, 6, 9)
-    assert bounds_of_returns("eq14", SpaceWorld(), 0.99) == pytest.approx((-10, 9))
-
-
-def test_a_pose_that_comes_again_has_the_same_place_yaw_and_pitch():
-    task = make_task("test", task="space")
-    assert pose_of(task.place(torch.tensor(0), torch.tensor(90))) == ["x", "y", "heading", "z", "pitch"]
-    assert pose_of(make_task("test").place(torch.tensor(0), torch.tensor(90))) == ["x", "y", "heading"]
-    assert probes.poses(task).shape == (512, 40)
-
-
-def test_a_flight_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_were_flown(tmp_path):
-    config = ppo.PPOConfig(task="space", total_frames=64, n_worlds=1, frames_per_batch=64, hidden=(8,), epochs=1)
-    run = ppo.train(config, out=tmp_path / "run", quiet=True)
-    greedy = load_policy(run.path, greedy=True)
-    task = evaluate.on(greedy.task, "test", 10, 2000)
-    assert evaluate._repeatable({0: greedy}, task)
-    counted = evaluate.fly({0: greedy}, task).episodes
-    flown = evaluate.fly({0: lambda observation, generator: greedy(observation)}, task).episodes
-    assert counted.equals(flown)
-
-
-@pytest.mark.parametrize(
-    ("module", "kind", "settings"),
-    [
-        (a2c, a2c.A2CConfig, {}),
-        (dqn, dqn.DQNConfig, {"learning_starts": 32, "batch_size": 8}),
-        (c51, c51.C51Config, {"learning_starts": 32, "batch_size": 8}),
-        (sac, sac.SACConfig, {"learning_starts": 32, "batch_size": 8}),
-    ],
-)
-def test_each_kind_of_algorithm_takes_the_size_of_the_observation_from_the_task(module, kind, settings, tmp_path):
-    given = {
-        "task": "space-moving",
-        "world": SENSED,
-        "total_frames": 128,
-        "n_worlds": 4,
-        "hidden": (8,),
-        "max_steps": 9,
-    }
-    run = module.train(kind(**given, **settings), out=tmp_path / "run", quiet=True)
-    assert load_policy(run.path)(torch.zeros(3, 70)).shape == (3,)
-
-
-def test_a_run_trains_stops_goes_on_is_evaluated_and_verified_in_a_deeper_box(tmp_path):
-    given = {"task": "space", "world": {"depth": 700}, "total_frames": 128}
-    config = ppo.PPOConfig(**given, n_worlds=2, frames_per_batch=64, hidden=(8,), epochs=1)
-    with pytest.raises(uavnav.RunError):
-        ppo.train(config, out=tmp_path / "run", quiet=True, until=64)
-    run = ppo.train(config, out=tmp_path / "run", quiet=True)
-    whole = ppo.train(config, out=tmp_path / "whole", quiet=True)
-    assert run.episodes.equals(whole.episodes)
-    with safe_open(run.path / "policy.safetensors", framework="pt") as file:
-        header = json.loads(file.metadata()["uavnav"])
-    assert (header["task"], header["world"]["depth"]) == ("space", 700)
-    assert type(load_policy(run.path).task) is Space
-    rows = evaluate.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
-    assert len(rows) == 6
-    assert verify.verify(run, quiet=True).same
-
-
-def test_after_training_in_3d_the_command_that_shows_it_is_render(tmp_path, monkeypatch):
-    monkeypatch.setattr("uavnav.train.__main__.find_spec", lambda name: True)
-    told = {task: train._next(FakeRun(tmp_path, {"task": task}), []) for task in ("drone", "space")}
-    assert told["drone"].startswith("watch it:    uavnav play ")
-    assert told["space"].startswith("watch it:    uavnav render ")
-
-
-class FakeRun(NamedTuple):
-    path: Path
-    config: dict
-
-
-def test_fields_are_the_boxs_and_those_of_moving_obstacles_where_they_move():
-    names = [{field.name for field in dataclasses.fields(kind)} for kind in (SpaceWorld, SpaceMovingWorld)]
-    assert names[1] - names[0] == {"speed_min", "speed_max", "sense_velocity"}
-    assert (SpaceMovingWorld().n_actions, SpaceMovingWorld(**SENSED).observation_size) == (100, 70)
-
-
-# -- the shells ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("name", "fields"), SWITCHES)
-def test_torchrl_finds_nothing_wrong_with_its_environment_and_resets_go_on(name, fields):
-    env = DroneEnv([2, 3], "test", task=name, world=fields, seeds=[0, 1], max_steps=20)
-    check_env_specs(env)
-    torch.manual_seed(0)
-    rows = env.rollout(50, break_when_any_done=False)
-    assert rows["next", "done"].any()
-    assert rows["observation"].shape == (2, 3, 50, 70 if fields else 40)
-
-
-@pytest.mark.parametrize(("name", "fields"), SWITCHES)
-def test_single_and_vector_environments_fly_the_same_steps_and_say_where_they_are(name, fields):
-    known = {"space": "uavnav/Space-v0", "space-moving": "uavnav/SpaceMoving-v0"}[name]
-    one = gymnasium.make(known, layouts="test", **fields)
-    many = gymnasium.make_vec(known, num_envs=2, layouts="test", **fields)
-    sets = one.unwrapped.bank.double().tolist()
-    seen, info = one.reset(options={"layout": 3})
-    both, infos = many.reset(options={"layout": [3, 3]})
-    place, yaw, pitch = by_hand.START, 90, 0
-    for t, action in enumerate(torch.randint(100, (30,), generator=torch.Generator().manual_seed(1)).tolist()):
-        np.testing.assert_array_equal(seen, both[1])
-        assert one.observation_space.contains(seen)
-        assert (info["x"], info["y"], info["z"]) == pytest.approx(place, abs=1e-3)
-        assert (info["yaw"], info["pitch"], info["layout"]) == (yaw, pitch, 3)
-        assert {key: infos[key][1] for key in info} == info
-        now = by_hand.drift(sets[3], t) if name == "space-moving" else [(one, (0, 0, 0)) for one in sets[3]]
-        assert info.get("steps", t) == t
-        np.testing.assert_allclose(one.unwrapped.obstacles, [sphere for sphere, _ in now], atol=1e-4)
-        np.testing.assert_allclose(many.unwrapped.velocities[1], [velocity for _, velocity in now], atol=1e-6)
-        place, yaw, pitch = by_hand.move(place, yaw, pitch, action)
-        seen, reward, terminated, _, info = one.step(action)
-        both, rewards, ended, _, infos = many.step(np.array([action, action]))
-        assert (reward, terminated) == (rewards[1], ended[1])
-        if terminated:
-            break
-    assert t > 5
-
-
-@pytest.mark.parametrize("known", ["uavnav/Space-v0", "uavnav/SpaceMoving-v0"])
-def test_the_checkers_of_gymnasium_and_stable_baselines3_pass(known):
-    check_env(gymnasium.make(known, layouts="test").unwrapped, skip_render_check=True)
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3.common.env_checker import check_env as check_by_sb3
-
-    from uavnav.envs.sb3 import DroneVecEnv
-
-    check_by_sb3(gymnasium.make(known, layouts="test").unwrapped)
-    many = DroneVecEnv(2, layouts="test", task="space-moving", sense_velocity=True)
-    assert many.reset().shape == (2, 70)
-    observation, reward, _, infos = many.step(np.array([3, 7]))
-    assert (observation.shape, reward.shape, infos[1]["pitch"]) == ((2, 70), (2,), 2)
-
-
-# -- scripted rules --------------------------------------------------------------------------------------------------
-
-
-def test_names_of_scripted_policies_stand_for_rules_of_the_box():
-    still, moving_, paper = make_task("test", task="space"), make_task("test", SENSED, task="space-moving"), make_task()
-    assert suited(BASELINES["random"], still) is BASELINES["random"]
-    assert suited(BASELINES["straight"], still)(torch.zeros(2, 40), None).tolist() == [3, 3]
-    assert suited(BASELINES["straight"], paper) is BASELINES["straight"]
-    assert suited(BASELINES["reactive"], still).func is baselines.reactive_in_the_box
-    rule = suited(BASELINES["reactive"], moving_)
-    assert (rule.func, rule.keywords) == (baselines.dodge_in_the_box, {"width": 7})
-
-
-def test_among_spheres_that_stand_still_the_reactive_rule_never_collides_and_flies_on():
-    task = evaluate.on(make_task("test", task="space"), "test", 30, 400)
-    rows = evaluate.fly({0: suited(BASELINES["reactive"], task)}, task).episodes
-    assert rows["truncated"].all()
-    assert rows["distance"].mean() > 1000
-    assert rows["reward"].tolist() == pytest.approx((0.01 * rows["distance"] - 0.01 * rows["turns"]).tolist())
-
-
-@pytest.mark.parametrize("fields", [{}, SENSED])
-def test_among_moving_spheres_the_rule_that_dodges_lasts_twice_as_long_as_the_one_for_a_still_box(fields):
-    task = evaluate.on(make_task("test", fields, task="space-moving"), "test", 30, 300)
-    width = len(task.world.slot_low)
-    still = functools.partial(baselines.reactive_in_the_box, width=width)
-    rules = suited(BASELINES["reactive"], task), still, BASELINES["random"]
-    dodges, stands, random = (evaluate.fly({0: rule}, task).episodes["steps"].mean() for rule in rules)
-    assert dodges > 1.7 * stands > 1.7 * random
-
-
-@pytest.mark.parametrize(
-    ("slot", "turns"), [((0, 0, 1, 0.3), True), ((0, 0.8, 0.6, 0.06), True), ((0, 0, 1, 0.9), False)]
-)
-def test_both_rules_turn_from_what_is_close_ahead_and_fly_on_where_it_is_far(slot, turns):
-    seen = torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(10)
-    seen[:4] = torch.tensor(slot)
-    yaw, pitch, _ = space.decode(baselines.dodge_in_the_box(seen), SpaceWorld())
-    assert bool(yaw or pitch) == turns
-    near = slot[3] * 90 - 9 * slot[2] <= 0
-    assert baselines.reactive_in_the_box(seen).item() == (40 if near else 3)
-
-
-# -- pictures --------------------------------------------------------------------------------------------------------
-
-
-def test_a_picture_shows_the_slice_through_the_drone_from_above_and_from_the_side():
-    task = make_task(torch.tensor([[[600.0, 300.0, 300.0, 50.0], [150.0, 450.0, 500.0, 60.0]]]), task="space")
-    picture = drawing.draw_state(at(task, (400, 200, 350), 0, 0), task)
-    assert picture.shape == (600, 800 + 8 + 800, 3)
-
-    def colour(x, up, view):
-        return tuple(int(part) for part in picture[599 - up, x + 808 * view])
-
-    assert colour(410, 190, 0) == colour(410, 340, 1) == drawing.DRONE
-    for view in (0, 1):
-        assert colour(5, 300, view) == colour(795, 300, view) == colour(300, 5, view) == drawing.BORDER
-    assert drawing.GROUND != colour(600, 300, 0) != drawing.OBSTACLE  # 50 px above it: no slice, a pale silhouette ...
-    assert drawing.GROUND != colour(600, 300, 1) != drawing.OBSTACLE  # ... and so 100 px beside it
-    assert colour(700, 100, 0) == drawing.GROUND
-    cut = drawing.draw_state(at(task, (400, 300, 330), 90, 0), task)
-    for view, up in ((0, 300 + 39), (1, 300 + 49)):  # sqrt(50^2 - 30^2) = 40 px, and 50 px
-        assert tuple(cut[599 - up, 600 + 808 * view]) == drawing.OBSTACLE
-    assert tuple(cut[599 - 342, 600]) != drawing.OBSTACLE
-
-
-def test_a_film_of_a_flight_in_3d_has_both_views_and_a_trail_in_each():
-    task = make_task(torch.empty(1, 0, 4), task="space")
-    climb = functools.partial(_always, action=4 + 3)
-    flown = render.fly(render.Pilot("climbs", climb, task), task.bank, 0, 12)
-    film = render.Film([flown], task.bank[0], 320)
-    assert film[0].shape[1] == 320
-    assert (film[0] != film[-1]).any()
-    left, right = np.hsplit(np.abs(film[0].astype(int) - film[-1]).sum(-1) > 0, [160])
-    assert left.any()
-    assert right.any()
-
-
-def test_the_window_says_in_one_line_that_render_shows_a_world_in_3d(capsys):
-    assert play.main(["reactive", "--task", "space"]) == 2
-    told = "reactive: the window shows no world in 3D; uavnav render draws it from above and from the side"
-    assert capsys.readouterr().err == f"uavnav play: {told}\n"
-
-
-def _always(observation, generator=None, action=0):
-    return torch.full((len(observation),), action)

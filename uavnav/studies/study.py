@@ -17,7 +17,6 @@ from rich.live import Live
 from rich.table import Table
 
 from uavnav import commands, plugins, studies
-from uavnav.evaluate.__main__ import main as evaluate
 from uavnav.evaluate.scripts import Protocol, missing, protocol_in
 from uavnav.help.choices import ConfigError
 from uavnav.report import report
@@ -137,6 +136,8 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         rows += [status(cell) | ({"state": state} if state else {}) for cell, state in _planned(study, out, own)]
         _print_status(rows, as_json)
         return 0
+    from uavnav.evaluate.__main__ import main as evaluate  # a status waits for no library of figures
+
     with contextlib.closing(engines.build(own["engine"], of_engine, KEYS)) as engine, Show(quiet) as show:
         plan = _plan(study, out.resolve(), own)
         found = _cells(study, out.resolve(), own, make=True)

@@ -127,3 +127,19 @@ def test_metrics_come_as_json(monkeypatch, capsys):
     assert main(["one", "other", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert {row["name"] for row in rows} == {"one", "other"}
+
+
+def test_a_page_makes_its_folder_and_where_there_can_be_none_that_is_said_before_anyone_is_read(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(compare, "contend", None)
+    (tmp_path / "file").write_text("mine")
+    for out, why in ((tmp_path / "file" / "page.html", "Not a directory"), (tmp_path, "it is a folder")):
+        assert main(["one", "other", "--out", str(out)]) == 2
+        assert capsys.readouterr().err == (
+            f"uavnav compare: {out}: cannot be written ({why}); give a path that can be written\n"
+        )
+    monkeypatch.setattr(compare, "contend", lambda names, _: [ABOVE, BELOW])
+    monkeypatch.setattr(compare, "page", lambda contenders: b"a page")
+    assert main(["one", "other", "--out", str(tmp_path / "new" / "folder" / "page.html")]) == 0
+    assert (tmp_path / "new" / "folder" / "page.html").read_bytes() == b"a page"

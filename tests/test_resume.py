@@ -1,5 +1,6 @@
 """Stopped at any moment and resumed, a run ends as if it had never stopped, bit for bit."""
 
+import dataclasses
 import json
 import os
 import shutil
@@ -12,6 +13,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+import yaml
 from safetensors.torch import load_file
 
 from uavnav.algorithms import dqn, ppo
@@ -212,6 +214,34 @@ def test_a_snapshot_of_another_version_is_refused_in_one_line(whole, tmp_path, m
             train(config, out=tmp_path / "run", quiet=True)
     assert "\n" not in str(refused.value)
     same(run.path, train(config, out=tmp_path / "run", quiet=True).path)
+
+
+def test_a_key_that_came_after_a_snapshot_has_its_default_there(whole, tmp_path, monkeypatch):
+    """As after an upgrade: neither the snapshot nor config.yaml names what the older version did not have."""
+    train, config, run = whole
+    folder, later = tmp_path / "run", ("stack", "faults", "layer_norm")
+    write = checkpoints.Checkpoints._write
+
+    def of_old(self, stem, tensors, header):
+        known = {key: value for key, value in header.get("identity", {}).items() if key not in later}
+        return write(self, stem, tensors, header | {"identity": known})
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoints.Checkpoints, "_write", of_old)
+        interrupted(whole, folder, 1000)
+    there = yaml.safe_load((folder / "config.yaml").read_text())
+    (folder / "config.yaml").write_text(yaml.safe_dump({key: there[key] for key in there if key not in later}))
+    with pytest.raises(RunError, match="holds a run with stack=1, not 2"):
+        train(dataclasses.replace(config, stack=2), out=folder, quiet=True)
+    same(run.path, train(config, out=folder, quiet=True).path)
+
+
+def test_a_snapshot_whose_parts_are_others_is_refused_in_one_line(whole, tmp_path, monkeypatch):
+    train, config, _ = whole
+    interrupted(whole, tmp_path / "run", 1000)
+    monkeypatch.setattr("uavnav.envs.env.DroneEnv.load_state_dict", lambda self, state: state["late"])
+    with pytest.raises(RunError, match="checkpoint: its env is of another version; overwrite=true starts the run anew"):
+        train(config, out=tmp_path / "run", quiet=True)
 
 
 def test_a_snapshot_of_another_configuration_is_refused_in_one_line(whole, two_states):

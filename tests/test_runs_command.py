@@ -7,7 +7,11 @@ import pytest
 import yaml
 
 from uavnav.__main__ import main
+from uavnav.algorithms.ppo import PPOConfig
 from uavnav.commands.runs import row, span
+from uavnav.runs import progress as told
+from uavnav.training import recorder
+from uavnav.training.recorder import Recorder
 
 CONFIG = {"algorithm": "ppo", "activation": "relu", "preset": "fast", "seed": 3, "n_seeds": 2, "total_frames": 400_000}
 NOW = 1_800_000_000.0
@@ -49,6 +53,17 @@ def test_a_run_that_wrote_its_progress_59_s_ago_runs_at_2000_frames_a_second_for
     found = row(write(tmp_path / "run", "running", PROGRESS), NOW)
     assert (found["status"], found["frames"], found["total"]) == ("running", 100_000, 400_000)
     assert (found["frames_per_second"], found["seconds_left"]) == (2000, 150)
+
+
+def test_a_rate_leaves_out_the_frames_of_before_a_resume_whenever_they_are_told(tmp_path, monkeypatch):
+    """Of several processes the first to speak say 0 for the others."""
+    clock = [0.0]
+    monkeypatch.setattr(recorder.time, "perf_counter", lambda: clock[0])
+    own = Recorder(tmp_path / "run", PPOConfig(total_frames=10_000_000))
+    with own:
+        for clock[0], frames in ((0.0, 0), (1.0, 0), (2.0, 5_000_000), (12.0, 5_010_000)):
+            own.tell(frames)
+        assert told(tmp_path / "run")["rate"] == 1000
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,10 @@ from spoiling import put
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import ConfigError
-from uavnav.runs import read_settings, run_folders
+from uavnav.runs import progress, read_settings, run_folders
 from uavnav.studies import search
 from uavnav.studies.run import evaluated, unflown
-from uavnav.studies.study import main, parse, scripted
+from uavnav.studies.study import main, parse, scripted, status
 from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
 
@@ -206,6 +206,28 @@ def test_the_status_says_what_is_finished_and_what_is_missing(capsys):
     assert [row["state"] for row in rows] == ["finished"] * 8
     assert main(["paper", "out=nowhere", "--status"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "8 missing"
+
+
+@pytest.mark.parametrize("out", ["file", "file/below"])
+@pytest.mark.parametrize("words", [["--status"], []])
+def test_a_file_is_no_folder_of_a_study(out, words, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    put(tmp_path / "file", "mine")
+    assert main(["paper", f"out={out}", *words]) == 2
+    assert capsys.readouterr() == ("", f"uavnav study: out={out}: is a file; give a folder\n")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+NOW = '"at": 9e99'
+
+
+@pytest.mark.parametrize("said", ["", "{", "[]", "3", f"{{{NOW}}}", f'{{"frames": "1", "total": 1, "rate": 1, {NOW}}}'])
+def test_progress_that_cannot_be_read_counts_as_not_there(said, tmp_path):
+    cell = studies.cells(studies.read("paper"), tmp_path)[0]
+    put(cell.out / "progress.json", f'{{"frames": 1, "total": 2, "rate": null, {NOW}}}')
+    assert status(cell)["state"] == "under way"
+    put(cell.out / "progress.json", said)
+    assert (progress(cell.out), status(cell)["state"]) == ({}, "stopped")
 
 
 def test_every_study_has_a_target_of_make_and_a_name_on_the_page():

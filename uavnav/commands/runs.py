@@ -17,12 +17,10 @@ import pyarrow.compute
 import pyarrow.parquet
 
 from uavnav import commands
-from uavnav.runs import EVALUATION, FINISHED, KINDS, PROGRESS, check_settings, read_settings, run_folders
+from uavnav.runs import EVALUATION, FINISHED, KINDS, SILENCE, check_settings, progress, read_settings, run_folders
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
 
-SILENCE = 60.0
-"""Seconds after which a run that has written no progress no longer runs."""
 MEANS = {f"reward_{mode}": mode for mode in reversed(MODES)}
 STATES = {FINISHED: "finished", "failed": "failed"}
 """By the status in meta.json; whatever else it says, a run that does not run was stopped."""
@@ -37,30 +35,26 @@ def row(path: Path, now: float) -> dict[str, Any]:
     config = read_settings(path / "config.yaml")
     check_settings(path / "config.yaml", config, KINDS | {"total_frames": int})
     meta = read_settings(path / "meta.json") if (path / "meta.json").exists() else {}
-    progress = _progress(path, now) if meta.get("status") == "running" else {}
+    running = _progress(path, now) if meta.get("status") == "running" else {}
     return {
         "run": str(path),
         **{key: config[key] for key in ("algorithm", "activation")},
         "task": str(config.get("task", "drone")),
         "preset": str(config.get("preset", "")),
         "seeds": [config["seed"], config["seed"] + config["n_seeds"] - 1],
-        "frames": progress.get("frames", meta.get("frames")),
+        "frames": running.get("frames", meta.get("frames")),
         "total": config["total_frames"],
-        "status": "running" if progress else STATES.get(str(meta.get("status")), "stopped"),
+        "status": "running" if running else STATES.get(str(meta.get("status")), "stopped"),
         **_rewards(path),
         "age": _age(str(meta.get("ended") or meta.get("started")), now),
-        **_pace(progress),
+        **_pace(running),
     }
 
 
 def _progress(path: Path, now: float) -> dict[str, Any]:
     """How far a running run is; empty where it has been silent for a minute."""
-    try:
-        there = json.loads((path / PROGRESS).read_text())
-        known = {key: there[key] + 0 for key in ("frames", "total", "at")} | {"rate": (there["rate"] or 0) + 0}
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
-    return known if now - known["at"] < SILENCE else {}
+    known = progress(path)
+    return known if known and now - known["at"] < SILENCE else {}
 
 
 def _age(written: str, now: float) -> int | None:
@@ -71,12 +65,12 @@ def _age(written: str, now: float) -> int | None:
         return None
 
 
-def _pace(progress: Mapping[str, Any]) -> dict[str, float]:
+def _pace(running: Mapping[str, Any]) -> dict[str, float]:
     """Frames per second of each seed and the seconds that are left, where they are known."""
-    rate = progress.get("rate")
+    rate = running.get("rate")
     if not rate:
         return {}
-    return {"frames_per_second": rate, "seconds_left": (progress["total"] - progress["frames"]) / rate}
+    return {"frames_per_second": rate, "seconds_left": (running["total"] - running["frames"]) / rate}
 
 
 def _rewards(path: Path) -> dict[str, float | None]:

@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -36,7 +36,7 @@ class Protocol(NamedTuple):
         """The name of a script's rows."""
         return f"{rule}{protocol_name(*self)}.parquet"
 
-    def words(self, rules: Iterable[str], folder: Path) -> list[str]:
+    def words(self, rules: Sequence[str], folder: Path) -> list[str]:
         """What `uavnav evaluate` is given to write the rows of some scripts into a folder."""
         usual = Protocol()._asdict()
         own = {name: value for name, value in self._asdict().items() if value != usual[name]}
@@ -70,10 +70,11 @@ def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[s
         folder = next(folder for folder in folders if rule not in missing(folder, protocol))
         path, again = folder / protocol.file(rule), _command([rule], folder, protocol)
         try:
-            found[rule] = read_table(path, FIRST_COLUMNS, again)
-            if (said := found[rule].attrs) != header(*protocol):
-                del found[rule]
-                raise RunError(f"{path}: its rows are of {_shown(said)}, not of {_shown(header(*protocol))}; {again}")
+            rows = read_table(path, FIRST_COLUMNS, again)
+            if rows.attrs != header(*protocol):
+                wanted = _shown(header(*protocol))
+                raise RunError(f"{path}: its rows are of {_shown(rows.attrs)}, not of {wanted}; {again}")
+            found[rule] = rows
         except RunError as error:
             left_out.append(str(error))
     return found, left_out
@@ -83,5 +84,5 @@ def _command(rules: Sequence[str], folder: Path, protocol: Protocol) -> str:
     return f"write them with uavnav evaluate {shlex.join(protocol.words(rules, folder))}"
 
 
-def _shown(said: object) -> str:
-    return ", ".join(f"{key}={value}" for key, value in said.items()) if isinstance(said, dict) and said else "nothing"
+def _shown(said: Mapping[Any, Any]) -> str:
+    return ", ".join(f"{key}={value}" for key, value in said.items()) or "no known flights"

@@ -241,6 +241,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             text(contenders, Console(highlight=False, soft_wrap=True, markup=False))
         if arguments.out is not None:
+            arguments.out.parent.mkdir(parents=True, exist_ok=True)
             write(arguments.out, page(contenders))
             print(f"wrote {arguments.out}", file=sys.stderr)
     except BrokenPipeError:  # nobody reads on: `terminal` ends it

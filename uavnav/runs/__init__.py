@@ -46,6 +46,8 @@ NO_RUNS = ("checkpoint", *LOG_FOLDERS)
 """Folders that hold no runs."""
 OF_REPORTS = ("baselines", "bench", "tables", "figures")
 """Folders that a report reads or writes itself."""
+SILENCE = 60.0
+"""Seconds after which a run that has written no progress no longer runs."""
 KINDS = {"algorithm": str, "activation": str, "seed": int, "n_seeds": int}
 """What every config.yaml holds."""
 
@@ -124,6 +126,15 @@ def check_settings(path: Path, there: Mapping[str, Any], kinds: Mapping[str, typ
     for key, kind in kinds.items():
         if type(there.get(key)) is not kind or (key == "n_seeds" and there[key] < 1):
             raise RunError(f"{path}: not a run's, its {key}={there.get(key)}; give a run's folder")
+
+
+def progress(folder: Path) -> dict[str, float]:
+    """What `progress.json` says: `frames`, `total`, `rate` (0: not known yet), `at`; empty where it cannot be read."""
+    try:
+        there = json.loads((folder / PROGRESS).read_text())
+        return {key: there[key] + 0 for key in ("frames", "total", "at")} | {"rate": (there["rate"] or 0) + 0}
+    except (OSError, ValueError, RecursionError, KeyError, TypeError):
+        return {}
 
 
 def modern(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from uavnav import plugins
 from uavnav.evaluate import rows_across
 from uavnav.files import write
 from uavnav.help.choices import ConfigError
-from uavnav.runs import FINISHED, POLICY, PROGRESS, STOP, Run, read_settings
+from uavnav.runs import FINISHED, POLICY, STOP, Run, progress, read_settings
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.studies import Cell, engines
 from uavnav.studies.engines import Engine
@@ -321,10 +321,10 @@ class Study:
         flying: dict[int, list[Share]] = {}
         for _, work, share in running:
             if share is not None:
-                said = _said(share.folder / PROGRESS)
-                share.rate = said.get("rate") or 0.0
-                if said.get("frames", 0) > share.frames:
-                    share.frames, share.attempts = said["frames"], 0
+                told = progress(share.folder)
+                share.rate = told.get("rate", 0.0)
+                if told.get("frames", 0) > share.frames:
+                    share.frames, share.attempts = int(told["frames"]), 0
                 flying.setdefault(id(work), []).append(share)
         for work in self.works:
             if id(work) in flying and not trained(work.cell):
@@ -365,7 +365,7 @@ def _shown(path: Path) -> str:
 def _said(path: Path) -> dict[str, Any]:
     """What a job has written, or nothing."""
     try:
-        found: dict[str, Any] = json.loads(path.read_text())
+        found = json.loads(path.read_text())
     except (OSError, ValueError):
         return {}
-    return found
+    return found if isinstance(found, dict) else {}

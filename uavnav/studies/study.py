@@ -17,11 +17,10 @@ from rich.live import Live
 from rich.table import Table
 
 from uavnav import commands, plugins, studies
-from uavnav.evaluate.__main__ import main as evaluate
 from uavnav.evaluate.scripts import Protocol, missing, protocol_in
 from uavnav.help.choices import ConfigError
 from uavnav.report import report
-from uavnav.runs import PROGRESS, read_settings
+from uavnav.runs import SILENCE, progress
 from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, engines, search, tuning
 from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
@@ -44,8 +43,6 @@ KEYS: dict[str, tuple[Any, Any, dict[str, float]]] = {
     "plugins": (None, str | None, {}),
 }
 """Settings of a study, beside those of its engine: default, type, limits."""
-ALIVE_SECONDS = 60.0
-"""After which a cell that has told nothing is no longer under way."""
 LINE_SECONDS = 30.0
 """Between two lines of progress where there is no terminal."""
 
@@ -79,11 +76,8 @@ def status(cell: Cell) -> dict[str, Any]:
     facts: dict[str, Any] = {"cell": str(cell.out), "seeds": cell.config.n_seeds, "frames": 0, "of": cell.config.frames}
     if trained(cell):
         return facts | {"frames": cell.config.frames, "state": "finished" if evaluated(cell) else "not evaluated"}
-    try:
-        told = read_settings(cell.out / PROGRESS)
-    except RunError:
-        told = {}
-    if time.time() - told.get("at", 0) < ALIVE_SECONDS:
+    told = progress(cell.out)
+    if time.time() - told.get("at", 0) < SILENCE:
         return facts | {"frames": told["frames"], "state": "under way"}
     return facts | {"frames": told.get("frames", 0), "state": "stopped" if cell.out.exists() else "missing"}
 
@@ -133,6 +127,8 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
     own, of_engine = parse(words)
     study = studies.only(studies.read(name), own["algorithms"])
     out = Path(own["out"] or Path("runs") / study.name)
+    if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
+        raise RunError(f"out={out}: is a file; give a folder")
     if own["trials"] is not None and study.tune is None:
         raise ConfigError(f"trials={own['trials']}: study {study.name} does not tune; leave it out")
     if only_status:
@@ -140,6 +136,8 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         rows += [status(cell) | ({"state": state} if state else {}) for cell, state in _planned(study, out, own)]
         _print_status(rows, as_json)
         return 0
+    from uavnav.evaluate.__main__ import main as evaluate  # a status waits for no library of figures
+
     with contextlib.closing(engines.build(own["engine"], of_engine, KEYS)) as engine, Show(quiet) as show:
         plan = _plan(study, out.resolve(), own)
         found = _cells(study, out.resolve(), own, make=True)

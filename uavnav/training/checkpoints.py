@@ -13,7 +13,7 @@ import hashlib
 import json
 import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -62,10 +62,11 @@ class Checkpoints:
     Args:
         folder: where they are; made when the first one is saved.
         identity: what a snapshot must share with the run that resumes from it (configuration, versions).
+        of_today: what the identity of a snapshot means now, where an older version saved it.
     """
 
-    def __init__(self, folder: Path, identity: Nested) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, identity: Nested, of_today: Callable[[Nested], Nested] = dict) -> None:
+        self.folder, self._of_today = folder, of_today
         self.identity = json.loads(json.dumps(identity))
         self._chunks: list[str] = []
         self._rows_saved = 0
@@ -129,7 +130,7 @@ class Checkpoints:
 
     def _read_state(self, path: Path) -> Snapshot:
         tensors, header = self._read(path)
-        theirs = header.get("identity", {})
+        theirs = json.loads(json.dumps(self._of_today(header.get("identity", {}))))
         for key in self.identity:
             if theirs.get(key) != self.identity[key]:
                 raise RunError(f"{path}: saved with {key}={theirs.get(key)}, not {self.identity[key]}")

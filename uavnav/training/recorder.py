@@ -104,11 +104,15 @@ class Recorder:
         identity = {**self._described, **{f"version of {name}": v for name, v in self.meta["versions"].items()}}
         identity["layouts"] = self.meta["bank"]["sha256"]  # whatever path leads to it
         identity |= {"format": SNAPSHOT_FORMAT, "plugins": self.meta.get("plugins", {})}
-        self._checkpoints = Checkpoints(self.path / "checkpoint", identity)
+        self._checkpoints = Checkpoints(self.path / "checkpoint", identity, self._of_today)
         try:
             self.finished = self._check_folder()
         except OSError as error:
             raise self._unwritable(error) from error
+
+    def _of_today(self, identity: Mapping[str, Any]) -> dict[str, Any]:
+        """What a snapshot of an older version says of its run, with the default of each key that came later."""
+        return {"algorithm": identity.get("algorithm"), **self.config.as_run(identity)}
 
     def _unwritable(self, error: OSError) -> RunError:
         return RunError(f"out={self.path}: cannot be written ({error}); give a folder that can be written")
@@ -223,7 +227,11 @@ class Recorder:
         snapshot = self._checkpoints.load(replay)
         if snapshot is not None:
             for name, part in parts.items():
-                part.load_state_dict(snapshot.state["parts"][name])
+                try:
+                    part.load_state_dict(snapshot.state["parts"][name])
+                except (KeyError, TypeError) as error:
+                    problem = f"{self._checkpoints.folder}: its {name} is of another version"
+                    raise RunError(f"{problem}; overwrite=true starts the run anew") from error
             for table, columns in _snapshot_columns(snapshot).items():
                 if columns:
                     self._tables[table].append(columns)
@@ -244,7 +252,7 @@ class Recorder:
             RunError: the folder is gone, as when another process has taken the run over.
         """
         now = time.perf_counter()
-        if self._first is None:
+        if self._first is None or not self._first[1]:  # the frames of before a resume come with a share's first word
             self._first = now, frames
         elif now - self._told < PROGRESS_SECONDS:
             return

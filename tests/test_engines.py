@@ -25,12 +25,12 @@ settings:
 cells:
   - {algorithm: ppo, frames_per_batch: 512, epochs: 1}
 """
-SECOND = "  - {algorithm: dqn, learning_starts: 1_000}\n"
+SECOND = "  - {algorithm: dqn, n_seeds: 4, learning_starts: 1_000, frames_per_update: 16}\n"
 GIVEN = ("seeds_per_share=4", "checkpoint_seconds=0.5", "report=false")
 
 SECONDS = 300
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("warm_module")]
 
 
 class Started:
@@ -59,10 +59,10 @@ class Started:
         found = []
         for entry in Path("/proc").glob("[0-9]*"):
             try:
-                words = (entry / "cmdline").read_bytes().decode().split("\0")
+                words = (entry / "cmdline").read_bytes().decode().rstrip("\0").split("\0")
             except OSError:
                 continue
-            if words[0] == sys.executable and "uavnav.train.share" in words and str(self.folder) in words[-2]:
+            if words[0] == sys.executable and "uavnav.train.share" in words and str(self.folder) in words[-1]:
                 found.append(int(entry.name))
         return found
 
@@ -84,7 +84,7 @@ def study(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def alone(tmp_path_factory):
+def alone(tmp_path_factory, warm_module):
     """What one machine gives: both cells, undisturbed."""
     started = Started(tmp_path_factory.mktemp("alone"), STUDY + SECOND)
     finished(started("checkpoint_seconds=60"))
@@ -167,11 +167,11 @@ def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path)
     from ray.cluster_utils import Cluster
 
     study = Started(tmp_path, STUDY + SECOND)
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     try:
-        second = cluster.add_node(num_cpus=2)
+        second = cluster.add_node(num_cpus=1)
         process = study("engine=ray", f"address={cluster.address}")
-        until(lambda: study.snapshots() and len(study.jobs()) == 4)  # two of them on each machine
+        until(lambda: study.snapshots() and len(study.jobs()) == 2)  # one on each machine
         cluster.remove_node(second, allow_graceful=False)
         assert "its job is gone; given again" in finished(process)
     finally:
@@ -206,12 +206,12 @@ for index in range(int(array[1]) + 1) if array else [0]:
     subprocess.Popen(["/bin/bash", str(asked / f"{{number}}.sh")], env=os.environ | facts | own, **nobody)
 print(f"Submitted batch job {{number}}")
 """
-SRUN = """#!/bin/bash
-while [[ "$1" == -* ]]; do
-  case "$1" in --output|--error) shift;; esac
-  shift
-done
-exec "$@"
+SRUN = """#!{python}
+import sys
+words = sys.argv[sys.argv.index({python!r}):]
+sys.path.append({tests!r})
+from warm import Popen
+sys.exit(Popen(words).wait())
 """
 
 
@@ -222,8 +222,9 @@ def test_slurm_is_asked_for_an_array_with_partition_time_and_memory(study, alone
     asked.mkdir()
     tools.mkdir()
     sbatch = SBATCH.format(python=sys.executable, folder=str(asked))
+    srun = SRUN.format(python=sys.executable, tests=str(Path(__file__).parent))
     nothing = "#!/bin/bash\necho 'JobID|State|NodeList'\n"
-    for name, text in {"sbatch": sbatch, "srun": SRUN, "sacct": nothing, "scancel": nothing}.items():
+    for name, text in {"sbatch": sbatch, "srun": srun, "sacct": nothing, "scancel": nothing}.items():
         (tools / name).write_text(text)
         (tools / name).chmod(0o755)
     path = {"PATH": f"{tools}:{os.environ['PATH']}"}

@@ -238,9 +238,9 @@ def test_every_command_that_a_page_shows_is_understood(page, command, tmp_path, 
 TINY = {
     "train ppo": ["total_frames=2048", "epochs=1", "compile=off", "evaluate=false"],
     "train a2c": ["total_frames=2048", "compile=off", "evaluate=false"],
-    "train c51": ["total_frames=2048", "learning_starts=1792", "compile=off", "evaluate=false"],
-    "train dqn": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
-    "train sac": ["total_frames=2048", "learning_starts=1536", "compile=off", "evaluate=false"],
+    "train c51": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
+    "train dqn": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
+    "train sac": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
     "evaluate": ["--episodes", "2", "--max-steps", "50"],
     "render": ["--steps", "20"],
 }

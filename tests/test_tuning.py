@@ -349,6 +349,7 @@ def test_trials_are_asked_of_a_study_that_tunes_and_algorithms_of_one_that_has_t
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 def test_a_real_study_killed_with_signal_9_ends_as_an_unbroken_one_bit_for_bit(tmp_path):
     text = SMALL.replace("trials: 14", "trials: 2").replace(
         "n_seeds: 3, total_frames: 4000", "n_seeds: 1, total_frames: 500"

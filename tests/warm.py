@@ -6,6 +6,7 @@ begins from nothing is tested without them, by test_terminal, test_recipes, test
 """
 
 import atexit
+import ctypes
 import importlib
 import json
 import os
@@ -26,6 +27,8 @@ PATH = sys.path[1:]
 MODULES = ("uavnav.train.share", "uavnav.evaluate", "uavnav.render", "uavnav.report", "uavnav.export", "hydra")
 SERVERS = []
 """That this process has started: one, and none in a fork."""
+ROOM = 2000
+"""Letters of the server's command line, in which a fork writes its own."""
 ALIVE_SECONDS = 1.0
 """Between two looks whether the process that started the server is still there."""
 
@@ -36,10 +39,15 @@ class Popen(subprocess.Popen):
     _server = None
 
     def _execute_child(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *how):
-        if not isinstance(args, (list, tuple)) or args[0] != sys.executable:
+        words = [os.fspath(word) for word in args] if isinstance(args, (list, tuple)) else []
+        logged = words[:2] == ["/bin/sh", "-c"] and words[4:5] == [sys.executable]  # as `engines.logged` writes it
+        log, words = (words[3], words[4:]) if logged else (None, words)
+        if words[1:3] == ["-u", "-m"]:
+            del words[1]
+        if words[:1] != [sys.executable] or words[1:2] == ["-u"]:
             return super()._execute_child(args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *how)
         pipes, (session, group) = how[3:9], how[-2:]
-        told = {"words": [os.fspath(word) for word in args[1:]], "cwd": os.path.abspath(cwd or ".")}
+        told = {"words": words[1:], "log": log, "cwd": os.path.abspath(cwd or ".")}
         told |= {"env": dict(os.environ if env is None else env), "session": session, "group": group == 0}
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._server.connect(address())
@@ -76,7 +84,7 @@ def address():
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
             listener.bind(f"\0{name}")
             listener.listen(100)
-            SERVERS.append(Popen.__base__([sys.executable, __file__], stdin=listener, process_group=0))
+            SERVERS.append(Popen.__base__([sys.executable, __file__, " " * ROOM], stdin=listener, process_group=0))
         os.environ[ADDRESS] = name
     return f"\0{os.environ[ADDRESS]}"
 
@@ -124,11 +132,16 @@ def watch(asked):
     os._exit(0)
 
 
-def run(words, cwd, env):
-    """Be `python WORDS`, from the first word of its program to the end."""
+def run(words, log, cwd, env):
+    """Be `python WORDS`, from the first word of its program to the end; log: a file for all that it says."""
     os.chdir(cwd)
+    if log is not None:
+        with open(log, "ab") as file:
+            os.dup2(file.fileno(), 1)
+            os.dup2(file.fileno(), 2)
     os.environ.clear()
     os.environ.update(env)
+    call_oneself(sys.executable, *words)
     sys.stdin, sys.stdout, sys.stderr = (open(number, "rww"[number]) for number in range(3))  # noqa: SIM115
     subprocess.Popen = Popen
     status = 0
@@ -146,6 +159,13 @@ def run(words, cwd, env):
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)  # to free all modules takes a second
+
+
+def call_oneself(*words):
+    """Have this process listed by its own command line; setproctitle's way."""
+    with open("/proc/self/stat") as facts:
+        start, end = (int(fact) for fact in facts.read().rpartition(")")[2].split()[45:47])
+    ctypes.memmove(start, b"\0".join(map(os.fsencode, words)).ljust(end - start, b"\0"), end - start)
 
 
 def execute(kind, *words):

@@ -49,8 +49,9 @@ return [...document.querySelectorAll("body *")].filter((element) => element.getC
 """
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def chrome():
+    """One for all pages; each test opens its own."""
     found = [shutil.which(name) for name in NAMES]
     if None in found:
         complaint = "no browser: apt-get install chromium chromium-driver"
@@ -127,15 +128,21 @@ def ask(browser, words):
     return browser.execute_script(f"return {words};")
 
 
-@pytest.fixture(scope="module")
-def opened(chrome, tmp_path_factory):
+@pytest.fixture(scope="session")
+def playground(tmp_path_factory):
     """The playground of the committed cells, in a folder of its own."""
-    from uavnav.browser import playground
+    from uavnav.browser.playground import collect, page
 
     path = tmp_path_factory.mktemp("playground") / "playground.html"
-    path.write_text(playground.page(playground.collect([RESULTS])[0]))
-    visit(chrome, path)
+    path.write_text(page(collect([RESULTS])[0]))
     return path
+
+
+@pytest.fixture(scope="module")
+def opened(chrome, playground):
+    """The same, where the browser is."""
+    visit(chrome, playground)
+    return playground
 
 
 def visit(browser, path, fragment="", width=WIDE, colours="light", motion="reduce"):

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from browsing import chrome, opened, playground  # noqa: F401 - a browser and a page in it, for all modules of tests
 from warm import Popen
 
 import uavnav  # noqa: F401 - before PyTorch, whose threads then wait without spinning

@@ -19,7 +19,6 @@ from browsing import (
     violations,
     wait,
 )
-from browsing import chrome as chrome
 from selenium.webdriver.common.keys import Keys
 from tied import MOST_WORDS, words
 

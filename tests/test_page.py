@@ -22,7 +22,6 @@ from browsing import (
     unfold,
     wait,
 )
-from browsing import chrome as chrome
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
@@ -57,12 +56,12 @@ def page(tmp_path_factory):
 @pytest.fixture
 def browser(chrome, page):
     """The page, freshly opened, wide and light."""
-    chrome.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
     forget(chrome)
     resize(chrome, WIDE)
     theme(chrome, "light")
     chrome.get(page.as_uri())
     yield chrome
+    chrome.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
     assert complaints(chrome) == []
 
 

@@ -7,8 +7,6 @@ import pandas as pd
 import pytest
 import torch
 from browsing import RESULTS, ask
-from browsing import chrome as chrome
-from browsing import opened as opened
 
 from uavnav import load_policy
 from uavnav.networks import ACTIVATIONS, KNOWN

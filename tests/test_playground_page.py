@@ -22,8 +22,6 @@ from browsing import (
     visit,
     wait,
 )
-from browsing import chrome as chrome
-from browsing import opened as opened
 from selenium import webdriver
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select

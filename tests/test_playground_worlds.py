@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 import torch
 from browsing import ask, complaints, find, forget, one, visit, wait
-from browsing import chrome as chrome
-from browsing import opened as opened
 from selenium.webdriver.support.ui import Select
 from test_playground import CLOSE, FLOWN, in_order, in_python, sets_of, unpacked
 from test_replays import write_run

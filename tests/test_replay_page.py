@@ -3,7 +3,6 @@
 import pytest
 import torch
 from browsing import WIDE, ask, complaints, forget, one, requested, visit, wait
-from browsing import chrome as chrome
 from selenium.webdriver.support.ui import Select
 from test_compare import made_up
 from test_replays import STRAIGHT, write_run

@@ -19,6 +19,9 @@ from uavnav.networks import mlp
 from uavnav.policies import load_policy
 from uavnav.runs import ARENA, VALUES
 from uavnav.runs.metrics import MODES
+from uavnav.runs.tables import write_table
+from uavnav.studies import Cell
+from uavnav.studies.run import _join_flights
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.simulator import make_task
 
@@ -145,3 +148,23 @@ def test_the_runs_own_protocol_leaves_them_and_another_does_not(train, config, t
         if mode == "greedy" and run.algorithm == "dqn":
             pd.testing.assert_frame_equal(pd.read_parquet(run.path / VALUES), overestimation(crew, 0.99))
     assert (run.path / VALUES).exists() == (run.algorithm == "dqn")
+
+
+def test_what_the_shares_of_a_cell_leave_is_joined_to_what_one_evaluation_of_all_seeds_leaves(tmp_path):
+    whole = {
+        ARENA: pd.DataFrame({"seed": [4, 4, 5, 4, 5], "action": range(5), "mode": ["greedy"] * 3 + ["sampled"] * 2}),
+        VALUES: pd.DataFrame({"seed": [4, 5], "q": [1.5, 2.5]}),
+    }
+    folders = [tmp_path / str(seed) for seed in (4, 5)]
+    for name, table in whole.items():
+        for seed, part in table.groupby("seed"):
+            (tmp_path / str(seed)).mkdir(exist_ok=True)
+            write_table(tmp_path / str(seed) / name, part)
+    (tmp_path / "cell").mkdir()
+    _join_flights(Cell(dqn.DQNConfig(), tmp_path / "cell", None), folders)
+    for name, table in whole.items():
+        pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "cell" / name), table)
+    (folders[1] / VALUES).unlink()
+    (tmp_path / "cell" / VALUES).unlink()
+    _join_flights(Cell(dqn.DQNConfig(), tmp_path / "cell", None), folders)
+    assert not (tmp_path / "cell" / VALUES).exists()  # of seed 4 alone

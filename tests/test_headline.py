@@ -152,10 +152,22 @@ def test_a_cell_that_rises_by_100_and_falls_by_75_loses_three_quarters_and_peaks
 
 
 def test_numbers_within_are_counted_for_all_cells_and_for_each_and_those_without_seeds_are_left_out():
-    rows = [("ppo", "tanh", True, 8), ("ppo", "tanh", False, 8), ("dqn", "relu", True, 8), ("dqn", "tanh", False, 0)]
-    table = pd.DataFrame(rows, columns=["algorithm", "activation", "within", "n"]).assign(reading="per frame")
-    found = headline.fits(table).set_index("cell")[["within", "numbers"]]
-    assert found.T.to_dict("list") == {"all cells": [2, 3], "DQN relu": [1, 1], "PPO tanh": [1, 2]}
+    """A number of 10 in an interval of 4 scores 4 / 10; one 3 beside an interval of 6 scores (6 + 40 x 3) / 10."""
+    rows = [
+        ("ppo", "tanh", 10.0, 8.0, 12.0, True, 8),
+        ("ppo", "tanh", -10.0, -7.0, -1.0, False, 8),
+        ("dqn", "relu", 10.0, 7.0, 13.0, True, 8),
+        ("dqn", "tanh", 10.0, np.nan, np.nan, False, 0),
+    ]
+    columns = ["algorithm", "activation", "paper", "low", "high", "within", "n"]
+    table = pd.DataFrame(rows, columns=columns).assign(reading="per frame")
+    found = headline.fits(table).set_index("cell")
+    assert found[["within", "numbers"]].T.to_dict("list") == {
+        "all cells": [2, 3],
+        "DQN relu": [1, 1],
+        "PPO tanh": [1, 2],
+    }
+    assert found["score"].round(9).to_dict() == {"all cells": 4.533333333, "DQN relu": 0.6, "PPO tanh": 6.5}
     assert headline.fits(table[:0]).empty
 
 

@@ -22,41 +22,23 @@ from uavnav.report.operating import EQUAL, TABLES, characteristics
 from uavnav.report.page import markdown
 from uavnav.report.studies import of_paper
 from uavnav.runs import Run, paper
-from uavnav.runs.metrics import last_episodes, per_seed
 from uavnav.runs.readings import PER_FRAME, per_frame
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "results"
 
 
-def spread(values, digits):
-    return f"{values.mean():,.{digits}f} ± {values.std():,.{digits}f}".replace("-", "−")
-
-
-def row(algorithm, activation):
-    """A cell's line of the table in docs/decisions.md."""
-    run, printed = Run(RESULTS / algorithm / activation), paper.TABLES[algorithm, activation]
-    everything, last = per_seed(run.episodes), per_seed(last_episodes(run.episodes))
-    entries = [f"{algorithm.upper()} {activation}"]
-    for name, digits in (("steps", 0), ("reward", 1)):
-        entries.append(f"{printed[name]:,.{digits}f}".replace("-", "−"))
-        entries += [spread(table[name], digits) for table in (everything, last)]
-    return f"| {' | '.join(entries)} |"
-
-
+@pytest.mark.parametrize(("folder", "seeds"), [("", range(20)), ("paper-one-world", range(100, 140))])
 @pytest.mark.parametrize(("algorithm", "activation"), paper.TABLES)
-def test_each_row_of_the_decisions_is_what_the_run_says(algorithm, activation):
-    assert row(algorithm, activation) in (ROOT / "docs" / "decisions.md").read_text().splitlines()
-
-
-@pytest.mark.parametrize(("algorithm", "activation"), paper.TABLES)
-def test_each_cell_has_20_seeds_of_a_million_frames_of_the_preset_and_was_evaluated_on_200_sets(algorithm, activation):
-    run = Run(RESULTS / algorithm / activation)
-    assert run.seeds == list(range(20))
+def test_each_cell_has_its_seeds_of_a_million_frames_of_a_preset_and_was_evaluated_on_200_sets(
+    algorithm, activation, folder, seeds
+):
+    run = Run(RESULTS / folder / algorithm / activation)
+    assert run.seeds == list(seeds)
     assert run.frames >= 1_000_000
     assert run.meta["beyond_preset"] == {}
     assert len(run.meta["git_commit"]) == 40  # and no + of changes that were not committed
-    assert run.evaluation().groupby(["mode", "seed"]).layout.nunique().tolist() == [200] * 40
+    assert run.evaluation().groupby(["mode", "seed"]).layout.nunique().tolist() == [200] * 2 * len(seeds)
 
 
 def test_training_the_study_took_70_minutes_as_the_readme_says():
@@ -144,11 +126,26 @@ def test_the_differences_that_the_decisions_quote_are_those_of_the_tables():
         assert f"{one['value']:.0f} [{one['low']:.0f}, {one['high']:.0f}]" in text
 
 
-@pytest.mark.parametrize(("reading", "within"), [("all training episodes", 2), ("log curve", 6)])
-def test_so_many_of_dqns_12_numbers_of_steps_distance_and_reward_lie_in_the_prediction_intervals(reading, within):
-    metrics = "metric in ('steps', 'distance', 'reward') and algorithm == 'dqn'"
-    table = pd.read_csv(RESULTS / "tables" / "predictions.csv").query(f"{metrics} and reading == '{reading}'")
-    assert (len(table), int(table["within"].sum())) == (12, within)
+def test_the_means_of_cells_and_the_counts_that_the_decisions_quote_are_those_of_the_tables():
+    text = " ".join((ROOT / "docs" / "decisions.md").read_text().replace("−", "-").split())
+    readings = ("log curve", "all training episodes", "last 100 training episodes")
+    values = pd.read_csv(RESULTS / "tables" / "seeds.csv").groupby(["algorithm", "activation", "reading", "metric"])[
+        "value"
+    ]
+    for algorithm, activation in paper.TABLES:
+        shown = [f"{algorithm.upper()} {activation}"]
+        for metric, places in (("steps", 0), ("reward", 1)):
+            shown.append(f"{paper.TABLES[algorithm, activation][metric]:,.{places}f}")
+            own = [values.get_group((algorithm, activation, reading, metric)) for reading in readings]
+            shown += [f"{one.mean():,.{places}f} ± {one.std():,.{places}f}" for one in own]
+        assert f"| {' | '.join(shown)} |" in text
+    fits = pd.read_csv(RESULTS / "tables" / "fits.csv").set_index(["reading", "cell"])["within"].unstack("cell")
+    of_log, everything = fits.loc["log curve"], fits["all cells"]
+    of_each = [int(of_log.filter(like=algorithm).sum()) for algorithm in ("DQN", "PPO")]
+    assert "{} of 48 numbers lie in it: {} of DQN's 24 and {} of PPO's".format(of_log["all cells"], *of_each) in text
+    assert f"more do, {everything[readings[2]]} of 48" in text
+    of_frames, of_all = everything["per frame"], everything[readings[1]]
+    assert f"Per frame, {of_frames} numbers lie in it, and over all training episodes {of_all}" in text
 
 
 @pytest.fixture(scope="module")

@@ -165,15 +165,22 @@ def peaks(cells: Cells) -> pd.DataFrame:
 
 
 def fits(predictions: pd.DataFrame) -> pd.DataFrame:
-    """How many of the paper's numbers lie in our prediction intervals: columns reading, cell, within, numbers.
+    """How well the paper's numbers fit our prediction intervals: columns reading, cell, within, numbers, score.
+
+    Of so many numbers, so many lie within. As wide intervals hold anything, the score of a 95 % interval (Gneiting and
+    Raftery 2007, eq. 43) is its width, and 2 / 0.05 times how far it misses the number; the mean over numbers, each
+    score in units of the paper's number. Less is better.
 
     predictions: as `frames.predictions` gives it; numbers without seeds are left out.
     """
     known = predictions[predictions["n"] > 1]
-    named = known.assign(cell=known["algorithm"].str.upper() + " " + known["activation"])
+    low, high, number = (known[name] for name in ("low", "high", "paper"))
+    missed = (low - number).clip(lower=0) + (number - high).clip(lower=0)
+    score = (high - low + 2 / 0.05 * missed) / number.abs()
+    named = known.assign(cell=known["algorithm"].str.upper() + " " + known["activation"], score=score)
     counted = [
-        (reading, cell, int(part["within"].sum()), len(part))
+        (reading, cell, int(part["within"].sum()), len(part), part["score"].mean())
         for reading, own in named.groupby("reading", sort=False)
         for cell, part in [(EVERY, own), *own.groupby("cell", sort=False)]
     ]
-    return pd.DataFrame(counted, columns=["reading", "cell", "within", "numbers"])
+    return pd.DataFrame(counted, columns=["reading", "cell", "within", "numbers", "score"])

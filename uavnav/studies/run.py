@@ -22,7 +22,7 @@ from uavnav import plugins
 from uavnav.evaluate import rows_across
 from uavnav.files import write
 from uavnav.help.choices import ConfigError
-from uavnav.runs import FINISHED, POLICY, STOP, Run, progress, read_settings
+from uavnav.runs import ARENA, FINISHED, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.studies import Cell, engines
 from uavnav.studies.engines import Engine
@@ -350,9 +350,12 @@ class Study:
 
 def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
     """Put what the shares have flown together, in the order of one evaluation of all seeds: mode by mode."""
-    for name in cell.flights:
+    beside = [name for name in (ARENA, VALUES) if all((folder / name).exists() for folder in folders)]
+    for name in (*cell.flights, *beside):
         parts = [pd.read_parquet(folder / name) for folder in folders]
-        table = pd.concat(parts, ignore_index=True).sort_values("mode", kind="stable", ignore_index=True)
+        table = pd.concat(parts, ignore_index=True)
+        if "mode" in table:
+            table = table.sort_values("mode", kind="stable", ignore_index=True)
         table.attrs = parts[0].attrs
         write_table(cell.out / name, table)
 

@@ -78,28 +78,28 @@ def flown(*rewards, rule=428.0):
 
 def test_ppo_is_ahead_by_half_of_the_papers_lead():
     first, *_ = said(verdicts=verdicts([LEAD / 2] * 4, [0.0] * 4))
-    assert first.startswith("PPO is ahead of DQN, as in the paper, by 50 % (49 to 51 %)")
+    assert first.startswith("PPO leads DQN, by 50 % (49 to 51 %) of its lead in the paper.")
 
 
 def test_dqn_ahead_is_ppo_behind():
     first, *_ = said(verdicts=verdicts([0.0] * 4, [LEAD] * 4))
-    assert first.startswith("Unlike in the paper, DQN is ahead of PPO, by 100 % (99 to 101 %)")
+    assert first.startswith("In the paper, PPO leads DQN; here it trails, by 100 % (99 to 101 %) of that lead.")
 
 
 def test_equal_cells_are_less_than_half_of_the_papers_lead_where_many_seeds_agree_and_not_told_apart_where_few_do():
     first, *_ = said(verdicts=verdicts([0.0061] * 4, [0.0] * 4, spread=0.02))
-    assert first == "PPO and DQN differ by less than half of what they do in the paper: 10 % (−9 to 29 %)."
+    assert first == ("In the paper, PPO leads DQN; here by less than half of that: 10 % (−9 to 29 %).")
     first, *_ = said(verdicts=verdicts([0.0061] * 4, [0.0] * 4, spread=0.06))
-    assert first == "PPO is not told apart from DQN: 10 % (−40 to 60 %) of the paper's gap."
+    assert first == ("In the paper, PPO leads DQN; here not told apart: 10 % (−40 to 60 %) of that lead.")
 
 
 def test_the_best_activation_of_each_algorithm_and_sigmoid_in_ppo_are_findings_of_their_own():
     ours = verdicts([0.02, 0.05, 0.02, 0.02], [-0.02, -0.01, -0.02, -0.02])
     _, tanh, sigmoid, others = said(verdicts=ours)
-    assert tanh.startswith("Unlike in the paper, PPO's best other activation is ahead of PPO with tanh, by 413 % (")
-    assert sigmoid.startswith("DQN with sigmoid is ahead of DQN's best other activation, as in the paper, by 118 % (")
+    assert tanh.startswith("In the paper, PPO with tanh leads PPO's best other activation; here it trails, by 413 % (")
+    assert sigmoid.startswith("DQN with sigmoid leads DQN's best other activation, by 118 % (")
     assert others.startswith(
-        "Unlike in the paper, PPO with sigmoid is ahead of the mean of PPO's other activations, by 442 % ("
+        "In the paper, the mean of PPO's other activations leads PPO with sigmoid; here it trails, by 442 % ("
     )
 
 
@@ -116,7 +116,7 @@ def test_the_first_finding_is_how_many_claims_replicate():
 # -- targets, times, readings, the rule, worlds ------------------------------------------------------------------------
 
 
-TARGETS = "with targets of one step, as in the paper, than of 5 steps"
+TARGETS = "when it learns from one step, as in the paper, than from 5 steps"
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,8 @@ TARGETS = "with targets of one step, as in the paper, than of 5 steps"
         ),
         (
             0.005,
-            "DQN is not seen to earn less with targets of one step than of 5: 5 (−5 to 15) of reward in 1,000 frames.",
+            "DQN is not seen to earn less when it learns from one step than from 5: 5 (−5 to 15) of reward in 1,000"
+            " frames.",
         ),
     ],
 )
@@ -153,7 +154,7 @@ def test_what_targets_of_one_step_cost(value, expected):
 def test_where_dqn_with_sigmoid_peaks_and_what_it_loses(lost, expected):
     rows = [["DQN tanh", "peak", 1.0, 0.0, 2.0, 8], ["DQN sigmoid", "peak", 450_100.0, 399_600.0, 500_400.0, 8]]
     rows.append(["DQN sigmoid", "lost", lost, lost - 0.1, lost + 0.1, 8])
-    assert said(peaks=rows) == ["DQN with sigmoid is at its best at frame 450,000 (400,000 to 500,000).", expected]
+    assert said(peaks=rows) == ["DQN with sigmoid earns most at frame 450,000 (400,000 to 500,000).", expected]
 
 
 def test_the_reading_of_the_least_score_is_named_and_the_cells_that_fit_least():
@@ -166,9 +167,9 @@ def test_the_reading_of_the_least_score_is_named_and_the_cells_that_fit_least():
         [LOG_CURVE, "PPO relu", 6, 6, 1.5],
     ]
     assert said(fits=rows) == [
-        "Read as means of Stable-Baselines3's log, the paper's numbers fit best: 43 of 48 lie where 95 % of single"
-        " seeds of ours would.",
-        "The fewest fit for DQN with tanh and PPO with leaky ReLU: 2 of 6 each.",
+        "The paper's numbers look most like means of Stable-Baselines3's log: 43 of 48 lie where 95 % of our single"
+        " seeds would.",
+        "Fewest do of DQN with tanh and PPO with leaky ReLU: 2 of 6 each.",
     ]
     assert said(fits=[[PRIMARY, "all cells", 48, 48, 1.0], [PRIMARY, "PPO relu", 6, 6, 1.0]])[1:] == []
 
@@ -177,8 +178,12 @@ def test_the_reading_of_the_least_score_is_named_and_the_cells_that_fit_least():
     ("reward", "opening", "number"),
     [
         (228.0, "A hand-written rule earns", "200 (150 to 250)"),
-        (628.0, "The best policy, PPO with sigmoid, earns", "200 (150 to 250)"),
-        (448.0, "A hand-written rule and the best policy, PPO with sigmoid, are not told apart", "20 (−30 to 70)"),
+        (628.0, "The best sampled policy, PPO with sigmoid, earns", "200 (150 to 250)"),
+        (
+            448.0,
+            "A hand-written rule and the best sampled policy, PPO with sigmoid, are not told apart",
+            "20 (−30 to 70)",
+        ),
     ],
 )
 def test_the_best_cell_beside_the_rule(reward, opening, number):
@@ -257,13 +262,13 @@ def test_scatter_open_flights_and_order_are_findings_beside_the_mean(sign, expec
 
 def test_the_study_is_said_with_its_seeds_frames_and_worlds():
     assert str(findings.study(numbers())) == (
-        "Each cell (algorithm and activation) has 8 seeds of 1,000,000 frames, each seed in one world, as"
-        " Stable-Baselines3 runs by default."
+        "Each cell (algorithm and activation) has 8 seeds of 1,000,000 frames, each seed in one world at a"
+        " time, the default of Stable-Baselines3."
     )
     sizes = numbers()["cells"].assign(worlds=[64] * 4 + [16] * 4, seeds=1, frames=[1_000_000] * 4 + [1_001_472] * 4)
     assert str(findings.study(numbers(cells=sizes))) == (
         "Each cell (algorithm and activation) has 1 seed of 1,000,000 to 1,001,472 frames, each seed in 16 to 64"
-        " parallel worlds (Stable-Baselines3 runs one)."
+        " parallel worlds (one is the default of Stable-Baselines3)."
     )
 
 

@@ -88,7 +88,7 @@ def test_a_flight_that_ends_says_how_and_when(chrome):
     words += "const one = startTogether(page, data); return one.load(0).then(() => { one.step = 1e9; one.draw();"
     words += "return one.drones.map(({ output, flight }) => [output.textContent, flight.ended, flight.steps]); })"
     for said, ended, n in chrome.execute_script(words):
-        assert said.endswith(f", {'collided' if ended == 'collision' else 'stopped'} at {n:,}")
+        assert said.endswith(f", {'collided' if ended == 'collision' else 'stopped'} at step {n:,}")
 
 
 def test_the_palette_of_a_site_recolours_the_drones(chrome):

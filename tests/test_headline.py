@@ -53,7 +53,7 @@ def test_what_stands_beside_the_first_flights_names_their_limit_and_that_the_rul
         for up, high in ((0.3, -178.0), (0.3, 5.0), (1.0, -178.0))
     )
     first = "The first 1,000 steps of at most 10,000. Obstacles are new to every policy."
-    assert findings.beside_flights(behind, shown) == f"{first} The rule wins by staying up."
+    assert findings.beside_flights(behind, shown) == f"{first} The rule wins by flying on."
     assert findings.beside_flights(level, shown) == findings.beside_flights(higher, shown) == first
     nobody = {"gaps": behind["gaps"][:0]}
     assert findings.beside_flights(nobody, {"drones": []}) == "Obstacles are new to every policy."

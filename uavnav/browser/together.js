@@ -91,7 +91,7 @@ class Together {
       drawArena(canvas, { world: this.data.world, circles: this.data.layouts[this.set], drones: [drone], colours });
       const reward = `reward ${fixed(read.reward(step), 1)}`;
       const at = step.toLocaleString("en");
-      const ended = step < flight.steps ? `step ${at}` : crashed ? `collided at ${at}` : `stopped at ${at}`;
+      const ended = step < flight.steps ? `step ${at}` : crashed ? `collided at step ${at}` : `stopped at step ${at}`;
       output.textContent = `${reward}, ${ended}`;
     }
   }

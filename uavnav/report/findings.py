@@ -29,7 +29,7 @@ AHEAD = {
     3: ("DQN with sigmoid", "DQN's best other activation"),
     8: ("the mean of PPO's other activations", "PPO with sigmoid"),
 }
-"""Who is ahead of whom in the paper, by the claim whose part says so (`Claim.said`)."""
+"""Who leads whom in the paper, by the claim whose part says so (`Claim.said`)."""
 SURGES = "DQN sigmoid"
 READ_AS = {
     PER_FRAME: "means per frame",
@@ -43,8 +43,8 @@ TALLIED = {
     REPLICATES: ("replicates", "replicate"),
     IN_PART: ("does in part", "do in part"),
     DOES_NOT: ("does not", "do not"),
-    OPEN: ("is undecided", "are undecided"),
-    CONTEXT: ("is not of learning", "are not of learning"),
+    OPEN: ("is open", "are open"),
+    CONTEXT: ("is of computing time", "are of computing time"),
 }
 """A claim's grade as the verb of one claim, and of several."""
 WHO = {RULE: f"a hand-written rule (`{RULE}`)"}
@@ -192,8 +192,8 @@ def study(numbers: Numbers) -> Sentence:
     cells = numbers["cells"].query("study == 'main'")
     seeds, long = frames.least_to_most(cells["seeds"], "seed"), frames.least_to_most(cells["frames"])
     worlds = frames.least_to_most(cells["worlds"])
-    usual = "one world, as Stable-Baselines3 runs by default"
-    known = usual if worlds == "1" else f"{worlds} parallel worlds (Stable-Baselines3 runs one)"
+    usual = "one world at a time, the default of Stable-Baselines3"
+    known = usual if worlds == "1" else f"{worlds} parallel worlds (one is the default of Stable-Baselines3)"
     cell = "Each cell (algorithm and activation) has "
     return Sentence(cell, f"{seeds} of {long} frames", f", each seed in {known}.", "cells", None)
 
@@ -213,12 +213,12 @@ def _ahead(numbers: Numbers) -> Iterator[Sentence]:
         first, second = AHEAD[claim.number]
         place, row = _part(numbers, claim)
         percent = _times(Interval(row.ratio, row.ratio_low, row.ratio_high, row.n), 100)
-        undecided = f"{_upper(first)} is not told apart from {second}: {{}} of the paper's gap."
-        less = "differ by less than half of what they do in the paper: {}."
+        leads = f"In the paper, {first} leads {second};"
+        less = "here by less than half of that: {}."
         yield from _told(
-            f"{_upper(first)} is ahead of {second}, as in the paper, by {{}} of the paper's gap.",
-            f"Unlike in the paper, {second} is ahead of {first}, by {{}} of the paper's gap.",
-            f"{_upper(first)} and {second} {less}" if row.verdict == ABSENT else undecided,
+            f"{_upper(first)} leads {second}, by {{}} of its lead in the paper.",
+            f"{leads} here it trails, by {{}} of that lead.",
+            f"{leads} {less if row.verdict == ABSENT else 'here not told apart: {} of that lead.'}",
             *(percent, "verdicts", place, " %"),
         )
 
@@ -231,11 +231,11 @@ def _one_step(numbers: Numbers) -> Iterator[Sentence]:
     for place, row in _rows(numbers["effects"], algorithm="dqn"):
         name, _, steps = row.switch.partition("=")
         if name == "n_steps":
-            targets = f"with targets of one step, as in the paper, than of {steps} steps"
+            targets = f"when it learns from one step, as in the paper, than from {steps} steps"
             yield from _told(
                 f"DQN earns {{}} less reward in 1,000 frames {targets}.",
                 f"DQN earns {{}} more reward in 1,000 frames {targets}.",
-                f"DQN is not seen to earn less with targets of one step than of {steps}:"
+                f"DQN is not seen to earn less when it learns from one step than from {steps}:"
                 " {} of reward in 1,000 frames.",
                 *(_times(_found(row), 1000), "effects", place),
             )
@@ -245,7 +245,7 @@ def _surge(numbers: Numbers) -> Iterator[Sentence]:
     for place, row in _rows(numbers["peaks"], cell=SURGES, measure="peak"):
         value, low, high = (round(one, -3) for one in _found(row)[:3])
         shown = between(Interval(value, low, high, row.n))
-        yield Sentence("DQN with sigmoid is at its best at frame ", shown, ".", "peaks", place)
+        yield Sentence("DQN with sigmoid earns most at frame ", shown, ".", "peaks", place)
     for place, row in _rows(numbers["peaks"], cell=SURGES, measure="lost"):
         yield from _told(
             "By the end, DQN with sigmoid has lost {} of what it had gained.",
@@ -262,8 +262,8 @@ def _fit(numbers: Numbers) -> Iterator[Sentence]:
     if every.empty:
         return
     best = every.loc[every["score"].idxmin()]
-    shown, within = f"{best['within']} of {best['numbers']}", " lie where 95 % of single seeds of ours would."
-    before = f"Read as {READ_AS[str(best['reading'])]}, the paper's numbers fit best: "
+    shown, within = f"{best['within']} of {best['numbers']}", " lie where 95 % of our single seeds would."
+    before = f"The paper's numbers look most like {READ_AS[str(best['reading'])]}: "
     yield Sentence(before, shown, within, "fits", int(every["score"].idxmin()))
     cells = training[(training["reading"] == best["reading"]) & (training["cell"] != EVERY)]
     least = cells[cells["within"] == cells["within"].min()]
@@ -271,16 +271,16 @@ def _fit(numbers: Numbers) -> Iterator[Sentence]:
     if first["within"] < first["numbers"]:
         names = " and ".join(map(_with, least["cell"])) if len(least) < 3 else f"{len(least)} cells"
         shown, each = f"{first['within']} of {first['numbers']}", " each" * (len(least) > 1)
-        yield Sentence(f"The fewest fit for {names}: ", shown, f"{each}.", "fits", int(least.index[0]))
+        yield Sentence(f"Fewest do of {names}: ", shown, f"{each}.", "fits", int(least.index[0]))
 
 
 def _rule(numbers: Numbers) -> Iterator[Sentence]:
     for place, row in _best(numbers["gaps"], MODES[1:]):
-        best = f"the best policy, {_with(row.who)}"
+        best = f"the best sampled policy, {_with(row.who)}"
         yield from _told(
             f"{_upper(best)}, earns {{}} more on a test flight than a hand-written rule.",
             f"A hand-written rule earns {{}} more on a test flight than {best}.",
-            f"A hand-written rule and {best}, are not told apart: {{}} of reward on a test flight.",
+            f"A hand-written rule and {best}, are not told apart: {{}} of reward a test flight.",
             *(Interval(row.gap, row.gap_low, row.gap_high, row.n), "gaps", place),
         )
 
@@ -331,7 +331,7 @@ def beside_flights(numbers: Numbers, shown: dict[str, Any]) -> str:
     where = "Obstacles are new to every policy"
     said = f"The first {max(cut):,} steps{limit}. {where}." if cut else f"{where}."
     stays = rule and best and best[1].gap_high < 0 and best[1].up < rule[1].up
-    return f"{said} The rule wins by staying up." if stays else said
+    return f"{said} The rule wins by flying on." if stays else said
 
 
 def flights(numbers: Numbers, root: str = "") -> tables.Rows:

@@ -1,5 +1,9 @@
 """Replays of other worlds in a real browser, on the page of `uavnav compare`."""
 
+import json
+from dataclasses import asdict
+from types import SimpleNamespace as State3D
+
 import pytest
 import torch
 from browsing import WIDE, ask, complaints, forget, one, requested, visit, wait
@@ -11,6 +15,7 @@ from uavnav.report import cells, replays
 from uavnav.report.compare import page
 from uavnav.tasks import layouts
 from uavnav.tasks.moving import MovingWorld, motion
+from uavnav.tasks.space import SpaceMovingWorld, to_body
 
 pytestmark = pytest.mark.slow
 
@@ -25,8 +30,10 @@ def compared(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compared")
     write_run(folder / "moving", task="moving", n_seeds=1, prefer=[(0, 0)])
     write_run(folder / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
+    write_run(folder / "box", task="space-moving", n_seeds=1, n_inputs=40)
     contenders = [
-        made_up(name, [1.0, 2.0])._replace(cell=cells.read(folder / name), name=name) for name in ("moving", "goal")
+        made_up(name, [1.0, 2.0])._replace(cell=cells.read(folder / name), name=name)
+        for name in ("moving", "goal", "box")
     ]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(replays.record, "__defaults__", (1, 1, 60))
@@ -45,6 +52,7 @@ def test_obstacles_stand_where_they_stood_at_each_step_and_a_reached_goal_is_tol
     assert [option.text for option in choice.options] == [
         "PPO (moving), sampled, moving obstacles",
         "PPO (goal), sampled, a goal",
+        "PPO (box), sampled, a box in 3D, moving spheres",
     ]
     data = "JSON.parse(document.getElementById('replay-data').textContent)"
     there = ask(chrome, f"around({data}, {data}.cells[0], {{ layout: 0 }}, 7).circles")
@@ -63,3 +71,29 @@ def test_obstacles_stand_where_they_stood_at_each_step_and_a_reached_goal_is_tol
     assert "goal at 20" in one(chrome, ".replay .replay-row").text
     assert complaints(chrome) == []
     assert {url for url in requested(chrome) if not url.startswith("data:")} <= {compared.as_uri(), "about:blank"}
+
+
+def test_a_box_is_seen_from_above_and_from_the_side_with_its_spheres_and_what_the_drone_senses_where_they_are(
+    chrome, compared
+):
+    visit(chrome, compared, width=WIDE)
+    Select(one(chrome, ".replay select")).select_by_index(2)
+    status = one(chrome, ".replay-status")
+    wait(chrome, lambda: status.text.startswith("step 0 of "))
+    world, data = SpaceMovingWorld(), "JSON.parse(document.getElementById('replay-data').textContent)"
+    there = ask(chrome, f"around({data}, {data}.cells[2], {{ layout: 0 }}, 7).spheres")
+    bank = layouts.load("test", world)[:1]
+    assert torch.tensor(there).sub(motion(bank, torch.tensor([7]), world)[0][0]).abs().max() <= 1e-4
+    drone = State3D(x=0.0, y=0.0, z=0.0, heading=torch.tensor(30), pitch=torch.tensor(-14))
+    axes = ask(chrome, "bodyAxes({ yaw: radians(30), pitch: radians(-14) })")
+    assert torch.tensor(axes).sub(torch.stack(to_body(torch.eye(3), drone))).abs().max() <= 1e-6
+    empty, ahead = [0, 0, 0, 1], [0, 0, 1, 0.5]  # halfway between the drone's edge and the sensor's reach
+    (point,) = ask(chrome, f"sensedInBox({json.dumps(asdict(world))}, [1, 2, 3], {axes}, [{ahead}, {empty}])")
+    assert point == pytest.approx([at + 75 * part for at, part in zip((1, 2, 3), axes[2], strict=True)])
+    canvas = one(chrome, ".replay-arena canvas")
+    assert canvas.get_dom_attribute("aria-label").endswith("seen from above and from the side")
+    assert canvas.size["width"] / canvas.size["height"] == pytest.approx(1608 / 600, rel=0.02)
+    before = ask(chrome, PICTURE)
+    one(chrome, ".replay [aria-label='one step forward']").click()
+    assert ask(chrome, PICTURE) != before
+    assert complaints(chrome) == []

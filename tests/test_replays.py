@@ -11,7 +11,6 @@ import torch
 import yaml
 from runs_by_hand import policy_bytes
 
-from uavnav import browser
 from uavnav.envs import scalar
 from uavnav.evaluate import EPISODES
 from uavnav.networks import mlp
@@ -21,7 +20,7 @@ from uavnav.report.cells import collect
 from uavnav.report.replays import paths, record, together
 from uavnav.runs import POLICY
 from uavnav.runs.metrics import EPISODE_COLUMNS
-from uavnav.tasks import layouts
+from uavnav.tasks import layouts, space
 from uavnav.tasks.sensing import sense
 from uavnav.tasks.simulator import Goal, make_task
 from uavnav.tasks.world import World
@@ -265,6 +264,27 @@ def test_obstacles_that_move_are_where_they_were_at_each_step_whether_or_not_vel
             assert clear.float().mean() > 0.95
 
 
+@pytest.mark.parametrize(("task", "n_inputs"), [("space", 40), ("space-moving", 40), ("space-moving", 70)])
+def test_in_3d_a_drone_is_sensed_and_clear_as_where_its_poses_say(tmp_path, task, n_inputs):
+    world = {"sense_velocity": True} if n_inputs == 70 else {}
+    write_run(tmp_path / "run", task=task, world=world, n_seeds=1, n_inputs=n_inputs)
+    (cell,) = recorded(tmp_path, n_layouts=2)["cells"]
+    place = cell["place"]
+    own = make_task("test", place["world"], task=task)
+    assert torch.equal(torch.tensor([one["circles"] for one in place["sets"]]), own.bank[:2])
+    assert place["actions"][:6] == [[0, 0, 0], [0, 0, 3], [0, 0, 6], [0, 0, 9], [0, 2, 0], [0, 2, 3]]
+    for flight in cell["flights"]:
+        found = {name: torch.tensor(part) for name, part in unpack(flight, place["fields"]).items()}
+        n = flight["steps"] + 1
+        state = own.place(torch.full((n,), flight["layout"]), found["heading"][:, 0].long())
+        where = {axis: found[axis][:, 0].float() for axis in "xyz"}
+        state = state._replace(**where, pitch=found["pitch"][:, 0].long(), steps=torch.arange(n))
+        slots, clearance = space.sense(state, own.obstacles(state), own.world)
+        assert (clearance - found["clearance"][:, 0]).abs().max() < 0.3
+        shown = torch.stack([found[name][:, 0] for name in ("right", "up", "forward", "proximity")], -1)
+        assert ((slots[:, 0] - shown).abs().amax(-1) < 0.02).float().mean() > 0.95  # of the nearest in view
+
+
 def test_a_flight_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_so(tmp_path, monkeypatch):
     write_run(tmp_path / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
     write_run(tmp_path / "late", stack=2, faults={"late": 1}, n_seeds=1, n_inputs=60)
@@ -301,7 +321,7 @@ def test_a_run_trained_on_a_rung_is_shown_on_the_rungs_own_test_sets(tmp_path):
 
 def test_a_world_that_the_player_does_not_draw_is_named_with_what_draws_it(tmp_path, monkeypatch):
     path = write_run(tmp_path / "run", task="moving", n_seeds=1)
-    monkeypatch.delitem(browser.TITLES, "moving")
+    monkeypatch.delitem(replays.TITLES, "moving")
     data = recorded(tmp_path, n_layouts=1)
     assert data["cells"] == []
     assert data["left_out"] == [f"{path}: a page has no replays of task=moving; uavnav render makes a film of it"]

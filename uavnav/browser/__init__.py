@@ -1,8 +1,8 @@
 """What runs in a browser: the worlds and their drawing, one home each, without a build step or a framework.
 
 `world.js` is the worlds, held to Python's by tests/test_playground.py, `sets.js` their obstacles; `drawing.js` draws
-them. `replay.js` plays recorded flights on a report, and the folder `playground` flies live. A page holds the scripts
-that it needs, one after the other.
+them, and `box.js` those in 3D. `replay.js` plays recorded flights on a report, and the folder `playground` flies live.
+A page holds the scripts that it needs, one after the other.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 WORLD = (HERE / "world.js", HERE / "sets.js", HERE / "drawing.js")
 """What every page with a drone needs, in the order in which a browser reads it."""
 
-PLAYER = (*WORLD, HERE / "replay.js")
+PLAYER = (*WORLD, HERE / "box.js", HERE / "replay.js")
 """What a page with recorded flights needs."""
 
 SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", "spacing", "height")}
@@ -27,7 +27,9 @@ GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "t
 RULES: dict[str, dict[str, Any]] = {"slalom": SLALOM, "goal": GOAL}
 """What sets of a world are made by, beside its constants."""
 TITLES = {"drone": "the paper's world", "slalom": "slalom", "moving": "moving obstacles", "goal": "a goal"}
-"""How pages call the worlds of `world.js`; others it does not know."""
+"""How pages call the worlds of `world.js`."""
+IN_3D = {"space": "a box in 3D", "space-moving": "a box in 3D, moving spheres"}
+"""The same of those that pages show in replays and do not fly."""
 
 
 def constants() -> dict[str, dict[str, Any]]:

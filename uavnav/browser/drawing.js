@@ -23,9 +23,16 @@ function short(number) {
   return String(Number(number.toPrecision(3))).replace("-", "\u2212");
 }
 
-function inWords([degrees, pixels]) {
+/** An action: [degrees, px], or of a box [yaw, pitch, px]. */
+function inWords(action) {
+  const [degrees, pixels, pitch] = [action[0], action.at(-1), pitchOf(action)];
   const turn = degrees === 0 ? "no turn" : `turn ${Math.abs(degrees)}° ${degrees > 0 ? "left" : "right"}`;
-  return `${turn}, ${pixels === 0 ? "stay" : `fly ${pixels} px`}`;
+  const tilt = pitch === 0 ? "" : `, nose ${Math.abs(pitch)}° ${pitch > 0 ? "up" : "down"}`;
+  return `${turn}${tilt}, ${pixels === 0 ? "stay" : `fly ${pixels} px`}`;
+}
+
+function pitchOf(action) {
+  return action.length > 2 ? action[1] : 0;
 }
 
 // ---------------------------------------------------------------------------------------------- drawing
@@ -95,8 +102,11 @@ function drawSensor(context, world, { x, y, angle }, colours) {
   context.globalAlpha = 1;
 }
 
-/** A drone: a disc in its colour with a line towards its heading; after a collision a faint disc and a cross. */
-function drawDrone(context, world, { x, y, angle }, crashed, thick, colours) {
+/**
+ * A drone: a disc in its colour with a line towards its heading, the shorter the less of it is in the plane; after a
+ * collision a faint disc and a cross.
+ */
+function drawDrone(context, world, { x, y, angle, reach = 1 }, crashed, thick, colours) {
   const radius = world.drone_radius;
   const at = (turn, share) => [x + share * radius * Math.cos(angle + turn), y + share * radius * Math.sin(angle + turn)];
   context.fillStyle = colours.accent;
@@ -107,7 +117,7 @@ function drawDrone(context, world, { x, y, angle }, crashed, thick, colours) {
     for (const turn of [Math.PI / 4, (3 * Math.PI) / 4]) line(context, [at(turn, 1), at(turn + Math.PI, 1)], 4 * thick, colours.accent);
     return;
   }
-  line(context, [[x, y], at(0, 1)], 4, colours.bg);
+  line(context, [[x, y], at(0, reach)], 4, colours.bg);
 }
 
 const SHADES = 8; // of a trail that fades
@@ -204,12 +214,16 @@ function colourOf(share) {
   return `rgb(${mix.join(" ")})`;
 }
 
-/** Where each action stands: left turns to the left, and the longer way the higher. */
+/** Where each action stands: left turns to the left, and the longer way the higher; of a box so in each pitch. */
 function gridOf(actions) {
-  const turns = [...new Set(actions.map(([degrees]) => degrees))].sort((a, b) => b - a);
-  const ways = [...new Set(actions.map(([, pixels]) => pixels))].sort((a, b) => b - a);
-  const cells = actions.map(([degrees, pixels]) => [turns.indexOf(degrees), ways.indexOf(pixels)]);
-  return { turns, ways, cells };
+  const all = (part) => [...new Set(actions.map(part))].sort((a, b) => b - a);
+  const [turns, ways, pitches] = [all((action) => action[0]), all((action) => action.at(-1)), all(pitchOf)];
+  const rowOf = (action) => ways.length * pitches.indexOf(pitchOf(action)) + ways.indexOf(action.at(-1));
+  const flat = pitches.length === 1;
+  const marks = flat ? ways.map(String) : pitches.map((pitch) => fixed(pitch, 0));
+  const title = flat ? "distance [px]" : `pitch [°], in each ${ways.join(", ")} px`;
+  const cells = actions.map((action) => [turns.indexOf(action[0]), rowOf(action)]);
+  return { turns, rows: ways.length * pitches.length, marks, title, cells };
 }
 
 function signed(degrees) {
@@ -217,13 +231,13 @@ function signed(degrees) {
 }
 
 function drawAxes(context, grid, { left, top, side }, colours) {
-  const [across, down] = [side / grid.turns.length, side / grid.ways.length];
+  const [across, down] = [side / grid.turns.length, side / grid.marks.length];
   context.fillStyle = colours.fg;
   context.textBaseline = "middle";
   context.textAlign = "center";
   grid.turns.forEach((turn, place) => context.fillText(signed(turn), left + (place + 0.5) * across, top + side + 11));
   context.textAlign = "right";
-  grid.ways.forEach((way, place) => context.fillText(String(way), left - 6, top + (place + 0.5) * down));
+  grid.marks.forEach((mark, place) => context.fillText(mark, left - 6, top + (place + 0.5) * down));
   context.textAlign = "left";
   context.fillText("← turn left", left, top + side + 29);
   context.textAlign = "right";
@@ -232,7 +246,7 @@ function drawAxes(context, grid, { left, top, side }, colours) {
   context.translate(9, top + side / 2);
   context.rotate(-Math.PI / 2);
   context.textAlign = "center";
-  context.fillText("distance [px]", 0, 0);
+  context.fillText(grid.title, 0, 0);
   context.restore();
 }
 
@@ -271,7 +285,7 @@ function outline(context, x, y, width, height) {
 function drawValues(canvas, { grid, colours, font, instead, shares, chosen, low, high }) {
   const { context, width } = fit(canvas);
   const place = { left: 36, top: 4, side: width - 40 };
-  const [across, down] = [place.side / grid.turns.length, place.side / grid.ways.length];
+  const [across, down] = [place.side / grid.turns.length, place.side / grid.rows];
   context.font = font;
   drawAxes(context, grid, place, colours);
   context.lineWidth = 1;

@@ -1,7 +1,7 @@
 /*
  * The player of recorded flights: startReplays(root, data) builds it inside an element.
  *
- * `data` is what uavnav/report/replays.py records; drawing.js draws it. Nothing moves before the reader asks for it.
+ * `data` is what uavnav/report/replays.py records; drawing.js draws it, and box.js what is in 3D. Nothing moves before the reader asks for it.
  */
 
 const STEPS_PER_SECOND = 30; // at speed 1
@@ -44,20 +44,29 @@ function named({ algorithm, label, mode, place }) {
 function around({ layouts }, { place }, { layout }, step) {
   if (!place) return { circles: layouts[layout] };
   const set = place.sets[layout];
+  if (place.world.depth) return { spheres: spheresAt(place.world, set.circles, step) };
   return { circles: new TASKS[place.task](place).obstacles(set, step), goal: set.goal };
 }
 
-/** A drone as drawArena takes it: where it is at a step, what it senses there, and the trail of so many steps. */
+/** A drone as drawArena or drawBox takes it: where it is at a step, what it senses, and the trail of so many steps. */
 function droneAt(world, read, step, trail = Infinity) {
-  const place = (at) => [read.x(at), read.y(at)];
-  const [x, y] = place(step);
-  const pose = { x, y, angle: (read.heading(step) * Math.PI) / 180 };
-  const slots = Array.from({ length: world.n_slots }, (_, slot) =>
-    ["right", "forward", "proximity"].map((name) => read[name](step, slot)),
-  );
+  const inBox = Boolean(world.depth);
+  const place = (at) => (inBox ? ["x", "y", "z"] : ["x", "y"]).map((axis) => read[axis](at));
+  const [here, angle] = [place(step), radians(read.heading(step))];
+  const names = inBox ? ["right", "up", "forward", "proximity"] : ["right", "forward", "proximity"];
+  const slots = Array.from({ length: world.n_slots }, (_, slot) => names.map((name) => read[name](step, slot)));
   const first = Math.max(0, step - trail);
   const flown = Array.from({ length: step - first + 1 }, (_, at) => place(first + at));
+  if (inBox) {
+    const axes = bodyAxes({ yaw: angle, pitch: radians(read.pitch(step)) });
+    return { place: here, axes, trail: flown, sensed: sensedInBox(world, here, axes, slots) };
+  }
+  const pose = { x: here[0], y: here[1], angle };
   return { pose, trail: flown, sensed: sensedPoints(world, pose, slots) };
+}
+
+function radians(degrees) {
+  return (degrees * Math.PI) / 180;
 }
 
 function crashedAt(flight, step) {
@@ -86,7 +95,7 @@ function button(parent, text, name) {
   return made;
 }
 
-function build(root, world) {
+function build(root) {
   const player = make(root, "div", { className: "replay", tabIndex: 0 });
   player.setAttribute("role", "group");
   player.setAttribute("aria-label", "Player of flights. Space plays and pauses, left and right arrows step.");
@@ -96,7 +105,6 @@ function build(root, world) {
   const layout = labelled(choice, "obstacles", "select");
   const stage = make(player, "div", { className: "replay-stage" });
   const arena = make(make(stage, "div", { className: "replay-arena" }), "canvas");
-  arena.style.aspectRatio = `${world.width} / ${world.height}`;
   arena.setAttribute("role", "img");
   const transport = make(stage, "div", { className: "replay-row replay-transport" });
   const back = button(transport, "◀", "one step back");
@@ -126,8 +134,7 @@ function fill(select, choices, wanted = select.value) {
 class Player {
   constructor(root, data) {
     this.data = data;
-    this.grid = gridOf(data.actions);
-    this.parts = build(root, data.world);
+    this.parts = build(root);
     this.flight = null; // the one that is shown
     this.read = null; // its fields, once it is unpacked
     this.step = 0;
@@ -187,6 +194,10 @@ class Player {
     const { cell, seed, layout, slider, status } = this.parts;
     this.pause();
     this.cell = this.data.cells[cell.value];
+    this.world = this.cell.place?.world ?? this.data.world;
+    this.actions = this.cell.place?.actions ?? this.data.actions;
+    this.grid = gridOf(this.actions);
+    this.parts.arena.style.aspectRatio = this.world.depth ? shapeOf(this.world) : this.world.width / this.world.height;
     const flight = this.cell.flights.find(
       (one) => one.seed === Number(seed.value) && one.layout === Number(layout.value),
     );
@@ -194,7 +205,7 @@ class Player {
     this.read = null;
     status.textContent = "unpacking the flight …";
     try {
-      const read = await unpack(flight, this.data.fields);
+      const read = await unpack(flight, this.cell.place?.fields ?? this.data.fields);
       if (this.flight !== flight) return; // another was chosen meanwhile
       this.read = read;
       slider.max = flight.steps;
@@ -264,22 +275,23 @@ class Player {
     const [{ flight, read, step, cell }, last] = [this, this.flight.steps];
     const where = `step ${step} of ${last}`;
     const facts = `reward so far ${fixed(read.reward(step), 2)}, clearance ${fixed(read.clearance(step), 1)} px`;
-    const did = step === last ? { goal: "goal reached" }[flight.ended] ?? flight.ended : `action: ${inWords(this.data.actions[read.action(step)])}`;
+    const did = step === last ? { goal: "goal reached" }[flight.ended] ?? flight.ended : `action: ${inWords(this.actions[read.action(step)])}`;
     status.textContent = `${where}: ${facts}, ${did}`;
     slider.setAttribute("aria-valuetext", where);
     caption.textContent = `${cell.values} of each action (the chosen one is framed)`;
-    arena.setAttribute("aria-label", `The arena at ${where}, seen from above`);
+    arena.setAttribute("aria-label", `The ${this.world.depth ? "box" : "arena"} at ${where}, seen from above${this.world.depth ? " and from the side" : ""}`);
     const range = step === last ? "none" : `from ${short(read.low(step))} to ${short(read.high(step))}`;
-    values.setAttribute("aria-label", `${cell.values} of the ${this.data.actions.length} actions: ${range}`);
+    values.setAttribute("aria-label", `${cell.values} of the ${this.actions.length} actions: ${range}`);
   }
 
   draw() {
     if (!this.read) return;
-    const { read, step, colours, font, grid, flight } = this;
-    const world = this.cell.place?.world ?? this.data.world;
+    const { read, step, colours, font, grid, flight, world } = this;
     const over = step === flight.steps;
     const drone = { ...droneAt(world, read, step), crashed: crashedAt(flight, step) };
-    drawArena(this.parts.arena, { world, ...around(this.data, this.cell, flight, step), drones: [drone], colours });
+    const scene = { world, ...around(this.data, this.cell, flight, step), colours };
+    if (world.depth) drawBox(this.parts.arena, { ...scene, drone, font });
+    else drawArena(this.parts.arena, { ...scene, drones: [drone] });
     const values = over
       ? { instead: "the flight is over" }
       : { shares: (action) => read.value(step, action), chosen: read.action(step), low: read.low(step), high: read.high(step) };

@@ -32,10 +32,13 @@ from uavnav.tasks.baselines import AnyPolicy, reactive
 from uavnav.tasks.dynamics import decode
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.simulator import Goal, Task, name_of
+from uavnav.tasks.space import SpaceWorld
+from uavnav.tasks.space import decode as decode_in_3d
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 from uavnav.training import machine
 
+TITLES = browser.TITLES | browser.IN_3D
 LEVELS = 64
 """So many different colours has an action's value."""
 
@@ -62,7 +65,13 @@ FIELDS = {
     "high": Field("float32", 1, chosen=True),  # and the greatest
     "value": Field("uint8", 1 / (LEVELS - 1), chosen=True),  # 0 is the least, 1 the greatest
 }
-COLUMNS = {"value": World().n_actions} | dict.fromkeys(("right", "forward", "proximity"), World().n_slots)
+IN_3D = FIELDS | {
+    "z": Field("uint16", 0.1),  # [px]
+    "pitch": Field("int8", 1),  # [degrees]
+    "up": Field("int8", 1 / 127),  # of the ten slots
+}
+"""Of a flight in 3D."""
+COLUMNS = {"value": World().n_actions} | dict.fromkeys(("right", "up", "forward", "proximity"), World().n_slots)
 """Of the fields that have more than one."""
 Columns = dict[str, Tensor]
 
@@ -114,11 +123,15 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
         "world": asdict(world),
         "layouts": bank[:n_layouts].double().numpy().round(2).tolist(),
         "actions": torch.stack([angle, distance], -1).tolist(),
-        "fields": [{"name": name, "columns": COLUMNS.get(name, 1), **one._asdict()} for name, one in FIELDS.items()],
+        "fields": _told(FIELDS),
         "cells": shown,
         "rule": [_pack(flight) for flight in rule],
         "left_out": list(dict.fromkeys(left_out)),
     }
+
+
+def _told(fields: Mapping[str, Field]) -> list[dict[str, Any]]:
+    return [{"name": name, "columns": COLUMNS.get(name, 1), **one._asdict()} for name, one in fields.items()]
 
 
 def together(recorded: dict[str, Any], cells: Mapping[str, str], rule: str) -> dict[str, Any]:
@@ -175,7 +188,7 @@ def _load(cell: Cell, n_seeds: int) -> tuple[dict[int, Policy], list[str]]:
             problems.append(one_line(error))
             continue
         task = name_of(policy.task)
-        if task in browser.TITLES:
+        if task in TITLES:
             population[seed] = policy
         else:
             problems.append(f"{path}: a page has no replays of task={task}; uavnav render makes a film of it")
@@ -194,14 +207,21 @@ def _place(task: Task, sets: str, n_layouts: int) -> dict[str, Any]:
     """
     name = name_of(task)
     faults, stack = task.faults != NO_FAULTS, task.stack > 1
-    found = {browser.TITLES[name]: name != "drone", sets.removesuffix("/test"): sets != "test"}
+    found = {TITLES[name]: name != "drone", sets.removesuffix("/test"): sets != "test"}
     found |= {str(task.faults): faults, f"stack={task.stack}": stack}
     words = [word for word, is_so in found.items() if is_so]
     if not words:
         return {}
     rows = _bank(task, sets)[:n_layouts].double().tolist()
     shown = [{"circles": one[:-1], "goal": one[-1][:2]} if isinstance(task, Goal) else {"circles": one} for one in rows]
-    constants = {"world": asdict(task.world), "max_steps": task.max_steps, "rules": browser.RULES.get(name, {})}
+    constants: dict[str, Any] = {
+        "world": asdict(task.world),
+        "max_steps": task.max_steps,
+        "rules": browser.RULES.get(name, {}),
+    }
+    if isinstance(task.world, SpaceWorld):
+        parts = decode_in_3d(torch.arange(task.world.n_actions), task.world)
+        constants |= {"fields": _told(IN_3D), "actions": torch.stack(parts, -1).tolist()}  # yaw, pitch [degrees], px
     return {"place": {"task": name, "title": ", ".join(words), "sets": shown, **constants}}
 
 
@@ -211,7 +231,7 @@ class Flight(NamedTuple):
     seed: int
     layout: int
     collided: bool  # else it was cut off
-    poses: Columns  # T + 1 rows: x, y [px], heading [degrees], clearance [px], reward so far, slots [T + 1, 10, 3]
+    poses: Columns  # T + 1 rows: x, y [px], heading [degrees], clearance [px], reward so far, slots [T + 1, 10, 3 or 4]
     choices: Columns  # T rows: action, and values [T, 100], the numbers behind it
     arrived: bool = False  # at its goal
 
@@ -266,15 +286,16 @@ def _fly_together(flyers: Sequence[tuple[int, AnyPolicy]], task: Task, n_layouts
 
 
 def _slots(task: Task, observation: Tensor) -> Tensor:
-    """The slots [F, 10, 3] of observations [F, n], without velocities; of a stack those of the newest."""
+    """The slots [F, 10, 3], in 3D [F, 10, 4], of observations [F, n], without velocities; of a stack the newest's."""
     world = task.world
     slots = observation[:, : world.n_slots * len(world.slot_low)].reshape(len(observation), world.n_slots, -1)
-    return slots[..., :3]
+    return slots[..., : 4 if isinstance(world, SpaceWorld) else 3]
 
 
 def _pose(row: Tensor, state: State, slots: Tensor, clearance: Tensor, kept: Tensor) -> Columns:
     """Those of a step's flights that are shown; row [F]: which they are, kept [F] bool."""
-    fields = {name: getattr(state, name) for name in ("x", "y", "heading", "reward")}
+    names = ("x", "y", "heading", "reward", "z", "pitch")
+    fields = {name: getattr(state, name) for name in names if name in state._fields}
     columns = {"row": row, "clearance": clearance, "slots": slots} | fields
     return {name: column[kept] for name, column in columns.items()}
 
@@ -292,10 +313,11 @@ def _pack(flight: Flight) -> dict[str, Any]:
     values = flight.choices["values"]
     low, high = values.aminmax(dim=-1, keepdim=True)
     relative = (values - low) / torch.where(high > low, high - low, 1)
-    right, forward, proximity = flight.poses["slots"].unbind(-1)
-    columns = flight.poses | {"right": right, "forward": forward, "proximity": proximity}
+    in_3d = "z" in flight.poses
+    names = ("right", "up", "forward", "proximity") if in_3d else ("right", "forward", "proximity")
+    columns = flight.poses | dict(zip(names, flight.poses["slots"].unbind(-1), strict=True))
     columns |= {"action": flight.choices["action"], "low": low, "high": high, "value": relative}
-    content = b"".join(_bytes(columns[name], field) for name, field in FIELDS.items())
+    content = b"".join(_bytes(columns[name], field) for name, field in (IN_3D if in_3d else FIELDS).items())
     return {
         "seed": flight.seed,
         "layout": flight.layout,

@@ -42,6 +42,8 @@ def run(tmp_path_factory):
 DOES = {
     "left": ("you", lambda was, now: fly(now, 1).state.heading == 95),
     "right": ("you", lambda was, now: fly(now, 1).state.heading == 86),
+    "t": ("you", lambda was, now: fly(now, 1).state.heading == 90 and now.choice == was.choice),  # nothing in 2D
+    "g": ("you", lambda was, now: fly(now, 1).state.heading == 90 and now.choice == was.choice),
     "up": ("you", lambda was, now: now.distance == was.distance + 1),
     "down": ("you", lambda was, now: now.distance == was.distance - 1),
     "0": ("policy", lambda was, now: now.pilot == 0 and place(now) == place(was) and now.distance == 9),

@@ -27,7 +27,9 @@ from uavnav.tasks.simulator import Space, make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
 from uavnav.train import __main__ as train
 from uavnav.training import probes
-from uavnav.window import play
+from uavnav.window import game as rules
+from uavnav.window import hud
+from uavnav.window import keys as window_keys
 
 SENSED = {"sense_velocity": True}
 SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]
@@ -250,10 +252,50 @@ def test_a_film_of_a_flight_in_3d_has_both_views_and_a_trail_in_each():
     assert right.any()
 
 
-def test_the_window_says_in_one_line_that_render_shows_a_world_in_3d(capsys):
-    assert play.main(["reactive", "--task", "space"]) == 2
-    told = "reactive: the window shows no world in 3D; uavnav render draws it from above and from the side"
-    assert capsys.readouterr().err == f"uavnav play: {told}\n"
+def in_the_window(*pilots):
+    """A game in an empty box, which nobody has flown yet."""
+    task = make_task(torch.empty(3, 0, 4), task="space")
+    you = render.Pilot("you", rules.nobody, task)
+    return rules.new([render.Pilot("scripted", one, task) for one in pilots], task.bank, "test", 0, you)
+
+
+@pytest.mark.parametrize(
+    ("keys", "shift", "turned", "pitched", "flown"),
+    [
+        (("up", "up"), False, 0, 0, 6),
+        (("up", "up", "up", "up", "down"), False, 0, 0, 6),
+        (("t", "up"), False, 0, 4, 3),
+        (("g", "left"), False, 4, -4, 0),
+        (("g", "right"), True, -2, -2, 0),
+    ],
+)
+def test_in_the_window_a_person_turns_pitches_and_flies_by_what_actions_in_3d_have(keys, shift, turned, pitched, flown):
+    game = in_the_window()
+    game = window_keys.press(game, "left shift") if shift else game
+    for name in keys:
+        game = window_keys.press(game, name)
+        game = window_keys.release(game, name) if name in ("up", "down") else game
+    after = rules.step(game)
+    assert (int(after.state.heading), int(after.state.pitch)) == (90 + turned, pitched)
+    assert int(after.state.distance) == flown
+    assert len(after.legs[-1].points[-1]) == 3
+
+
+@pytest.mark.parametrize("size", [hud.DESIGN, (640, 480)])
+def test_the_window_shows_a_box_from_above_and_from_the_side_in_the_space_of_an_arena(size):
+    game = in_the_window(lambda observation, generator=None: torch.tensor(4 + 3))
+    for _ in range(5):
+        game = rules.step(game)
+    places = hud.arrange(size, game.world)
+    assert places.width / places.height == pytest.approx(1608 / 600, rel=0.02)
+    pictures = [np.asarray(hud.draw(one, size)).astype(int) for one in (in_the_window(), game)]
+    shown = slice(places.top, places.top + places.height), slice(places.left, places.left + places.width)
+    changed = np.abs(pictures[0] - pictures[1])[shown].sum(-1) > 0
+    left, right = np.array_split(changed, 2, axis=1)
+    assert left.any()
+    assert right.any()
+    assert rules.draw(game).message == "Obstacles are drawn in worlds of two dimensions"
+    assert rules.seat(game, 0).distance == 9
 
 
 def _always(observation, generator=None, action=0):

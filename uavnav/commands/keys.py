@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-LEFT, RIGHT = "left", "right"
-TURNING = frozenset({LEFT, RIGHT})
+LEFT, RIGHT, RISE, SINK = "left", "right", "t", "g"
+TURNING, TILTING = frozenset({LEFT, RIGHT}), frozenset({RISE, SINK})
 ROWS, BANK = Path("results/baselines/human.parquet"), Path("own.safetensors")
 """Where flights by hand and drawn obstacles are saved if nothing else is said."""
 
@@ -26,6 +26,8 @@ ALIASES = {"a": LEFT, "d": RIGHT, "w": "up", "s": "down"}  # as those keys of th
 KEYS = (
     Key((LEFT,), "← A", "turn 5° left for as long as it is down; with shift 1°", "hold"),
     Key((RIGHT,), "→ D", "turn 4° right (the most that eq. 11 has); with shift 1°", "hold"),
+    Key((RISE,), "T", "in 3D: nose up for as long as it is down", "hold"),
+    Key((SINK,), "G", "in 3D: nose down", "hold"),
     Key(("up",), "↑ W", "one pixel a step faster, up to 9", "quicker", 1),
     Key(("down",), "↓ S", "one pixel a step slower, down to 0", "quicker", -1),
     Key(("0",), "0", "fly yourself, from where the drone is", "seat", 0),

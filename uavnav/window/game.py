@@ -18,23 +18,24 @@ from torch import Tensor
 
 from uavnav import flights
 from uavnav.algorithms import ALGORITHMS
-from uavnav.commands.keys import BANK, LEFT, RIGHT, ROWS, TURNING
+from uavnav.commands.keys import BANK, LEFT, RIGHT, RISE, ROWS, SINK, TILTING, TURNING
 from uavnav.envs.drawing import PILOTS, STEPS_PER_SECOND, Colour
 from uavnav.policies import Policy
 from uavnav.render import Pilot
 from uavnav.runs.metrics import EPISODE_COLUMNS, FIRST_COLUMNS
 from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.tasks import layouts as banks
+from uavnav.tasks import space
 from uavnav.tasks.dynamics import decode
 from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
+from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.state import COUNTS, UP, State
 from uavnav.tasks.world import World
 
 PACES = (1 / 10, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
 """How many times as fast as the simulation's own rate."""
 LONGEST_PAUSE = 0.1  # [s] of simulated time that a slow frame may catch up
-FINE_TURN = 1  # [degrees] with shift
 KEPT_TRAILS = 5  # of earlier flights on the same set
 
 SHIFTS = frozenset({"left shift", "right shift"})
@@ -52,14 +53,14 @@ class Leg(NamedTuple):
     """A part of a flight that one pilot flew."""
 
     pilot: int
-    points: tuple[tuple[float, float], ...]  # (x, y) [px]
+    points: tuple[tuple[float, ...], ...]  # (x, y), in 3D (x, y, z) [px]
 
 
 @dataclass(frozen=True, eq=False)
 class Game:
     """One set of obstacles, one drone, several pilots of whom one flies; pilot 0 is the person at the keys."""
 
-    bank: Tensor  # [n, k, 3] px
+    bank: Tensor  # [n, k, 3] px, or more columns, as its task has it
     split: str  # its name, or its path
     pilots: tuple[Pilot, ...]
     pilot: int
@@ -109,7 +110,26 @@ class Game:
 
     @property
     def turning(self) -> frozenset[str]:
-        return (self.held | self.tapped) & TURNING
+        """Keys that are down and turn it."""
+        return (self.held | self.tapped) & (TURNING | TILTING if in_3d(self.world) else TURNING)
+
+
+def in_3d(world: World) -> bool:
+    return isinstance(world, SpaceWorld)
+
+
+def parts(world: World) -> tuple[Tensor, Tensor, Tensor]:
+    """What each action asks for: the turn, the pitch [degrees] and the distance [px], [n] each; 2D has no pitch."""
+    actions = torch.arange(world.n_actions)
+    if isinstance(world, SpaceWorld):
+        return space.decode(actions, world)
+    turn, distance = decode(actions, world)
+    return turn, torch.zeros_like(turn), distance
+
+
+def at(state: State) -> tuple[float, ...]:
+    """The place of the drone [px]."""
+    return tuple(float(getattr(state, axis)) for axis in "xyz" if axis in state._fields)
 
 
 def colour(pilot: int) -> Colour:
@@ -156,7 +176,7 @@ def step(game: Game) -> Game:
     *earlier, last = game.legs
     if last.pilot != game.pilot:
         earlier, last = [*earlier, last], Leg(game.pilot, last.points[-1:])
-    points = (*last.points, (float(state.x), float(state.y)))
+    points = (*last.points, at(state))
     count = f"after {int(state.steps)} steps"
     collided = bool(outcome.clearance <= game.world.drone_radius)
     reached = f"Arrived {count}" if outcome.terminated else f"Cut off {count}" if outcome.truncated else ""
@@ -192,14 +212,20 @@ def look(game: Game) -> Game:
 
 
 def steer(game: Game) -> Game:
-    """A person's action by the keys that are down: the greatest turn to that side, or one degree, and the distance."""
+    """A person's action by the keys that are down: the greatest turn to that side, or the least, and the distance."""
     if game.pilot or game.ended:
         return game
-    angles, distances = decode(torch.arange(game.world.n_actions), game.world)
-    side = (LEFT in game.turning) - (RIGHT in game.turning)
-    greatest = int(angles.max()) if side > 0 else -int(angles.min())
-    angle = side * (FINE_TURN if game.held & SHIFTS else greatest)
-    return replace(game, choice=Choice(int(((angles == angle) & (distances == game.distance)).nonzero())))
+    turns, pitches, distances = parts(game.world)
+    turn = _by(turns, (LEFT in game.turning) - (RIGHT in game.turning), game)
+    pitch = _by(pitches, (RISE in game.turning) - (SINK in game.turning), game)
+    chosen = (turns == turn) & (pitches == pitch) & (distances == game.distance)
+    return replace(game, choice=Choice(int(chosen.nonzero())))
+
+
+def _by(angles: Tensor, side: int, game: Game) -> int:
+    """The greatest of some angles to a side, with shift the least; side: 1, -1 or 0."""
+    own = (side * angles)[side * angles > 0]
+    return side * int(own.min() if game.held & SHIFTS else own.max()) if side else 0
 
 
 def _landed(game: Game, collided: bool) -> Game:
@@ -225,7 +251,7 @@ def reset(game: Game) -> Game:
     heading = flights.headings(game.task, game.index + 1)[-1]
     state = game.task.start(torch.tensor(0), heading, _draws(game))
     _, clearance = game.task.observe(state)
-    start = Leg(game.pilot, ((float(state.x), float(state.y)),))
+    start = Leg(game.pilot, (at(state),))
     ghosts = (*game.ghosts, *flown)[-KEPT_TRAILS:]
     fresh = replace(game, state=state, clearance=float(clearance), earned=0.0, ended="", distance=0, due=0.0)
     return look(replace(fresh, legs=(start,), ghosts=ghosts, tapped=frozenset(), drawing=False, circle=None))
@@ -242,7 +268,7 @@ def seat(game: Game, pilot: int) -> Game:
     """Hand the drone over, wherever it is; the next pilot remembers nothing of the flight so far."""
     if pilot >= len(game.pilots):
         return replace(game, message=f"There is no pilot {pilot}: 0 to {len(game.pilots) - 1}")
-    swapped = replace(game, pilot=pilot, distance=game.choice.action % game.world.n_distances)
+    swapped = replace(game, pilot=pilot, distance=int(parts(game.world)[2][game.choice.action]))
     if not int(game.state.steps):
         swapped = replace(swapped, distance=0, legs=(game.legs[-1]._replace(pilot=pilot),))
     return look(replace(swapped, state=swapped.task.remember(swapped.state, _draws(swapped))))
@@ -258,8 +284,9 @@ def hold(game: Game) -> Game:
 
 
 def quicker(game: Game, by: int) -> Game:
-    """Set one's own distance a step, by pixels."""
-    return hold(replace(game, distance=min(max(game.distance + by, 0), game.world.n_distances - 1)))
+    """Set one's own distance a step, to the next that there is."""
+    ways = game.world.distances
+    return hold(replace(game, distance=ways[min(max(ways.index(game.distance) + by, 0), len(ways) - 1)]))
 
 
 def paced(game: Game, by: int) -> Game:
@@ -276,6 +303,8 @@ def single_step(game: Game) -> Game:
 
 def draw(game: Game) -> Game:
     """Begin to draw obstacles, or fly what was drawn."""
+    if in_3d(game.world):
+        return replace(game, message="Obstacles are drawn in worlds of two dimensions")
     return replace(reset(replace(game, legs=(), ghosts=())), drawing=not game.drawing)
 
 

@@ -16,9 +16,8 @@ from uavnav.commands.keys import HELP
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Ink, font, height_of
 from uavnav.runs.metrics import METRICS
-from uavnav.tasks.dynamics import decode
 from uavnav.tasks.world import World
-from uavnav.window.game import PACES, Game, colour
+from uavnav.window.game import PACES, Game, colour, in_3d, parts
 from uavnav.window.mouse import problem
 
 MARGIN, BLOCK, FOOTER = 12, 330, 30  # [units]; a block of the panel is as wide as that
@@ -53,7 +52,7 @@ def arrange(size: tuple[int, int], world: World) -> Places:
     panel = (block + margin, 0) if beside >= below else (0, block + margin)
     free_width = size[0] - 2 * margin - panel[0]
     free_height = size[1] - 2 * margin - panel[1] - round(FOOTER * unit)
-    width = max(40, min(free_width, int(free_height * world.width / world.height)))
+    width = max(40, min(free_width, int(free_height * 1000 / height_of(1000, world))))
     height = height_of(width, world)
     left, top = margin + max(0, free_width - width) // 2, margin + max(0, free_height - height) // 2
     if beside >= below:
@@ -147,7 +146,8 @@ def headline(game: Game) -> tuple[str, str]:
     if game.ended:
         return game.ended, "R: start again · N: next set"
     if game.waiting:
-        return "You fly", "↑ ↓: speed · ← →: turn · the first key starts the flight"
+        nose = " · T G: nose up, down" if in_3d(game.world) else ""
+        return "You fly", f"↑ ↓: speed · ← →: turn{nose} · the first key starts the flight"
     if game.paused:
         return "Paused", "Space: go on · the full stop: one step"
     return "", ""
@@ -204,32 +204,38 @@ def figures(game: Game) -> dict[str, str]:
 
 
 def _grid(block: _Block, game: Game) -> None:
-    """The 10 x 10 actions: turns from left to right as they turn, distances upwards; the next one outlined twice."""
+    """The 100 actions: turns from left to right as they turn, distances upwards, in 3D in each pitch; the next one
+    outlined twice."""
     world, choice = game.world, game.choice
-    angles, distances = decode(torch.arange(world.n_actions), world)
-    angle, distance = int(angles[choice.action]), int(distances[choice.action])
+    actions = list(zip(*(part.tolist() for part in parts(world)), strict=True))
+    angle, pitch, distance = actions[choice.action]
     turn = f"turn {angle:+d}°" if angle else "straight on"
+    turn += f", nose {pitch:+d}°" if pitch else ""
     block.write(0, 8, f"{'Last' if game.ended else 'Next'} action: {turn}, {distance} px", 14, bold=True)
-    left, top, width, height = 26.0, 24.0, 24.0, 21.0
-    columns = {one: number for number, one in enumerate(sorted(set(angles.tolist()), reverse=True))}
-    rows = {one: number for number, one in enumerate(sorted(set(distances.tolist()), reverse=True))}
+    columns = {one: number for number, one in enumerate(sorted({turn for turn, *_ in actions}, reverse=True))}
+    rows = {one: number for number, one in enumerate(sorted({tuple(rest) for _, *rest in actions}, reverse=True))}
+    left, top, width, height = 26.0, 24.0, 240 / len(columns), 210 / len(rows)
     shades = [UNKNOWN] * world.n_actions if choice.values is None else _shades(choice.values)
     if choice.values is None:
         shades[choice.action] = colour(game.pilot)
-    for one, far, fill in zip(angles.tolist(), distances.tolist(), shades, strict=True):
-        block.box(left + columns[one] * width, top + rows[far] * height, width - 2, height - 2, fill)
-    x, y = left + columns[angle] * width, top + rows[distance] * height
+    for (one, *rest), fill in zip(actions, shades, strict=True):
+        block.box(left + columns[one] * width, top + rows[tuple(rest)] * height, width - 2, height - 2, fill)
+    x, y = left + columns[angle] * width, top + rows[pitch, distance] * height
     block.box(x - 3, y - 3, width + 4, height + 4, None, INK, 3)
     block.box(x, y, width - 2, height - 2, None, WHITE, 2)
     for one, number in columns.items():
         words, here = f"{one:+d}" if one else "0", one == angle
         middle = left + (number + 0.5) * width
         block.write(middle, top + len(rows) * height + 11, words, 11, here, INK if here else BORDER, "mm")
-    for far, number in rows.items():
-        here = far == distance
-        block.write(left - 8, top + (number + 0.5) * height, str(far), 11, here, INK if here else BORDER, "rm")
+    ways, boxed = len(world.distances), in_3d(world)
+    for number, (tilt, far) in enumerate(rows):
+        if not boxed or not number % ways:  # of a pitch once
+            words, here = (f"{tilt:+d}" if tilt else "0", tilt == pitch) if boxed else (str(far), far == distance)
+            middle = top + (number + (ways if boxed else 1) / 2) * height
+            block.write(left - 8, middle, words, 11, here, INK if here else BORDER, "rm")
     bottom = top + len(rows) * height + 29
-    block.write(left, bottom, "← left   turn [°]   right →     ↑ distance [px]", 11, fill=BORDER)
+    upwards = f"↑ pitch [°], {', '.join(map(str, reversed(world.distances)))} px" if boxed else "↑ distance [px]"
+    block.write(left, bottom, f"← left   turn [°]   right →     {upwards}", 11, fill=BORDER)
     block.write(0, bottom + 21, f"nearest obstacle {game.clearance:.0f} px", 13)
     block.write(BLOCK, bottom + 21, f"a collision at {world.drone_radius:.0f}", 11, fill=BORDER, anchor="rm")
     if choice.values is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from uavnav.commands.keys import ALIASES, KEYS, TURNING
+from uavnav.commands.keys import ALIASES, KEYS, TILTING, TURNING
 from uavnav.window import game as rules
 from uavnav.window.game import Game
 
@@ -14,7 +14,7 @@ _BY_NAME = {name: key for key in KEYS for name in key.names}
 def press(game: Game, name: str) -> Game:
     """A key went down."""
     name = ALIASES.get(name, name)
-    game = replace(game, message="", held=game.held | {name}, tapped=game.tapped | ({name} & TURNING))
+    game = replace(game, message="", held=game.held | {name}, tapped=game.tapped | ({name} & (TURNING | TILTING)))
     if name not in _BY_NAME:
         return _act(game, "steer")
     key = _BY_NAME[name]

@@ -136,9 +136,6 @@ def main(argv: list[str] | None = None) -> int:
         rows_path = arguments.out or rows_file(arguments.runs)
         pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation, arguments.task)
         you = Pilot("you", rules.nobody, pilots[0].task if pilots else make_task(EMPTY, task=arguments.task))
-        if len(you.task.world.size) > 2:
-            who, instead = arguments.runs[0] if pilots else arguments.task, "uavnav render draws it"
-            raise ValueError(f"{who}: the window shows no world in 3D; {instead} from above and from the side")
         bank = load_layout(arguments.layouts, arguments.layout, [you])
         rules.read_rows(rows_path)
         open_window(hud.DESIGN)

@@ -31,14 +31,6 @@ from uavnav.tasks.protocol import ACROSS_STEPS, OF_FAULTS, SPLITS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
 
-MEASURES = {
-    "reward": "reward per flight",
-    "collisions": "collisions per 1,000 px",
-    "survive": "flights still up at the cap [%]",
-}
-"""What every ladder is judged by, in words with its unit; those of `metrics.OWN` that rows tell come on top."""
-COLLISIONS_PER = 1000.0  # px
-
 
 class Flyer(NamedTuple):
     """Who flies a ladder: its seeds by mode, and where its rows are kept."""
@@ -90,19 +82,6 @@ def climb(
     return pd.concat(parts, ignore_index=True)
 
 
-def of_seeds(flown: pd.DataFrame) -> pd.DataFrame:
-    """Each measure of some episodes: a row a seed, a column a measure; `MEASURES`, and those of `metrics.OWN`."""
-    hit = flown["terminated"] & (flown.get("succeeded", 0) == 0)  # a goal ends a flight too
-    sums = (
-        flown.assign(hit=hit)
-        .groupby("seed")
-        .agg(reward=("reward", "mean"), hits=("hit", "sum"), px=("distance", "sum"), up=("truncated", "mean"))
-    )
-    rate = COLLISIONS_PER * sums["hits"] / sums["px"].where(sums["px"] > 0)
-    values = pd.DataFrame({"reward": sums["reward"], "collisions": rate, "survive": 100 * sums["up"]})
-    return values.join(metrics.own(flown))
-
-
 def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung") -> pd.DataFrame:
     """Means and 95 % intervals over seeds, a row a name, mode, rung and measure; rows: of `climb`, by name.
 
@@ -111,7 +90,7 @@ def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung") -> pd.DataFrame:
     found = []
     for name, table in rows.items():
         for (mode, rung), flown in table.groupby(["mode", by], sort=False):
-            for measure, values in of_seeds(flown).items():
+            for measure, values in metrics.of_flights(flown).items():
                 one = stats.interval(values.dropna().to_numpy())
                 found.append([name, mode, rung, measure, one.n, one.value, one.low, one.high])
     columns = ["name", "mode", by, "measure", "n", "value", "low", "high"]
@@ -160,7 +139,7 @@ def shown(table: pd.DataFrame, name: str) -> Table:
 
 def in_words(measure: str) -> str:
     """A measure with its unit."""
-    return MEASURES[measure] if measure in MEASURES else metrics.OWN[measure].label
+    return metrics.FLIGHTS.get(measure) or metrics.OWN[measure].label
 
 
 def _number(value: float) -> str:

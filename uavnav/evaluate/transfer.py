@@ -21,10 +21,11 @@ from rich.table import Table
 
 from uavnav import style
 from uavnav.evaluate import fly, summary
-from uavnav.evaluate.across import MEASURES, Flyer, flyer, judged
+from uavnav.evaluate.across import Flyer, flyer, judged
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.runs import Run
+from uavnav.runs.metrics import FLIGHTS
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import WORLD, AnyPolicy, suited
@@ -191,10 +192,10 @@ def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
     worlds = [*dict.fromkeys(table[FLOWN])]
     for column in ("who", "trained in", "", "measure", *worlds):
         text.add_column(column, justify="right" if column in worlds else "left")
-    kept = table[table["measure"].isin(MEASURES)]
+    kept = table[table["measure"].isin(FLIGHTS)]
     for (who, mode, measure), own in kept.groupby(["name", "mode", "measure"], sort=False):
         numbers = [_in_brackets(" ", *triple) for triple in own[["value", "low", "high"]].to_numpy().tolist()]
-        text.add_row(str(who), trained.get(str(who), ""), str(mode), MEASURES[str(measure)], *numbers)
+        text.add_row(str(who), trained.get(str(who), ""), str(mode), FLIGHTS[str(measure)], *numbers)
     return text
 
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from uavnav import policies, stats, style
-from uavnav.evaluate import fly, rows_across, summary
+from uavnav.evaluate import check_bounds, fly, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.runs import Run, metrics
@@ -177,9 +177,7 @@ def across(
         RunError: a file cannot be written, or no ladder is left.
         ValueError: a count below 1, or more sets than a bank has.
     """
-    if not 1 <= episodes <= SPLITS["test"].n or max_steps < 1:
-        most = SPLITS["test"].n
-        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
+    check_bounds(episodes, max_steps, SPLITS["test"].n)
     flyers = [flyer(name, one) for name, one in found.items()]
     learned = (one for flown in flyers for one in next(iter(flown.by_mode.values())).values())
     trained = (replace(one.task, stack=1) for one in learned if isinstance(one, Policy))

@@ -20,7 +20,7 @@ from matplotlib.patches import Rectangle
 from rich.table import Table
 
 from uavnav import style
-from uavnav.evaluate import fly, summary
+from uavnav.evaluate import check_bounds, fly, summary
 from uavnav.evaluate.across import Flyer, flyer, judged
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
@@ -218,9 +218,7 @@ def transfer(
         LayoutError, PolicyError, RunError: a bank or a policy cannot be read, or a file not be written.
         ValueError: a count below 1, or more sets than a bank has.
     """
-    most = banks.SPLITS["test"].n
-    if not 1 <= episodes <= most or max_steps < 1:
-        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
+    check_bounds(episodes, max_steps, banks.SPLITS["test"].n)
     flyers, places, left_out = sort(found, episodes, max_steps)
     if left_out:
         size, actions = places[0].task.world.observation_size, places[0].task.world.n_actions

@@ -1,7 +1,6 @@
 """The pages of docs/ and the README: their text, their blocks of code and their tables."""
 
 import re
-from importlib import import_module
 from pathlib import Path
 
 from uavnav.algorithms import ALGORITHMS
@@ -11,7 +10,7 @@ DOCS = ROOT / "docs"
 ALL = {str(path.relative_to(ROOT)): path.read_text() for path in [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]}
 MINE = ("start", "world", "faults", *ALGORITHMS, "extending")
 PAGES = {name: ALL[f"docs/{name}.md"] for name in (*MINE, "troubleshooting")}
-CONFIGS = {name: type(import_module(one.module).PRESETS["paper"]) for name, one in ALGORITHMS.items()}
+CONFIGS = {name: one.config for name, one in ALGORITHMS.items()}
 """Of each algorithm: every one of the table has its page."""
 
 

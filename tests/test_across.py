@@ -11,6 +11,7 @@ from uavnav.__main__ import main
 from uavnav.algorithms import ppo
 from uavnav.evaluate import across
 from uavnav.runs import Run
+from uavnav.runs.metrics import FLIGHTS
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.ladders import LADDERS
@@ -53,11 +54,11 @@ def test_on_the_slalom_passages_per_1000_steps_and_per_flight_are_judged_and_dra
     rows = rows.assign(terminated=True, truncated=False, steps=[100, 300, 500], passages=[1, 3, 4])
     table = across.judged({"mine": rows})
     found = table.set_index("measure")
-    assert [*found.index] == [*across.MEASURES, "passages_per_1000_steps", "passages_per_flight"]
+    assert [*found.index] == [*FLIGHTS, "passages_per_1000_steps", "passages_per_flight"]
     assert found.loc["passages_per_1000_steps", "value"] == (1000 * 4 / 400 + 1000 * 4 / 500) / 2
     assert found.loc["passages_per_flight", "value"] == (2 + 4) / 2
     titles = [axes.get_title("left") for axes in across.draw(table, LADDERS["slalom"]).figure.axes]
-    assert titles == [*across.MEASURES.values(), "passages per 1,000 steps", "passages per flight"]
+    assert titles == [*FLIGHTS.values(), "passages per 1,000 steps", "passages per flight"]
 
 
 def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
@@ -134,7 +135,7 @@ def test_the_figure_says_its_rewards_in_words_and_leaves_the_greedy_flights_out(
             ["mine", mode, rung, measure, 2, float(rung), rung - 1.0, rung + 1.0]
             for mode in ("greedy", "sampled")
             for rung in ladder.rungs
-            for measure in across.MEASURES
+            for measure in FLIGHTS
         ],
         columns=["name", "mode", "rung", "measure", "n", "value", "low", "high"],
     )

@@ -1,7 +1,5 @@
 """What every algorithm of the table keeps, whatever it does inside: add one, and all of this asks it too."""
 
-import importlib
-
 import numpy as np
 import onnxruntime
 import pandas as pd
@@ -44,8 +42,7 @@ pytestmark = pytest.mark.parametrize("algorithm", list(ALGORITHMS), scope="modul
 
 
 def configured(algorithm, **more):
-    presets = importlib.import_module(ALGORITHMS[algorithm].module).PRESETS
-    return type(next(iter(presets.values())))(**SMALL | TINY.get(algorithm, {}) | more)
+    return ALGORITHMS[algorithm].config(**SMALL | TINY.get(algorithm, {}) | more)
 
 
 @pytest.fixture(scope="module")

@@ -17,10 +17,20 @@ def test_import_loads_no_torch_and_registers_the_gymnasium_environment():
     assert result.stdout.split() == ["False", "True"]
 
 
-@pytest.mark.parametrize("name", uavnav.__all__)
+@pytest.mark.parametrize("name", sorted({*uavnav.__all__, *uavnav.HOMES, *uavnav._MODULES}))
 def test_every_public_name_resolves(name):
     assert getattr(uavnav, name) is not None
-    assert name in dir(uavnav)
+
+
+def test_two_dozen_names_are_shown_at_the_top_and_a_type_checker_knows_each():
+    assert {*dir(uavnav)} == {*uavnav.__all__, "__version__"}
+    assert len(uavnav.__all__) <= 24
+    (known,) = [
+        node
+        for node in ast.parse(MODULES["uavnav"].read_text()).body
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+    ]
+    assert {alias.name for line in known.body for alias in line.names} == {*uavnav.__all__}
 
 
 def test_a_name_that_is_not_there_is_answered_with_those_that_are():

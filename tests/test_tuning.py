@@ -134,6 +134,16 @@ def test_a_share_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_o
     assert said == {"error": "policy.0.weight of seed 3", "diverged": diverged}
 
 
+@pytest.mark.parametrize("said", [None, "", "{", "[]", "3", "{}", '{"out": 3, "folder": ".", "evaluation": null}'])
+def test_a_damaged_job_of_a_share_is_answered_in_one_line(said, tmp_path):
+    job = tmp_path / "seeds.job"
+    if said is not None:
+        job.write_text(said)
+    with pytest.raises(SystemExit, match=r"seeds\.job: missing or damaged; give the study's command again, "):
+        share.unheard(job)
+    assert [*tmp_path.iterdir()] == [job] * (said is not None)
+
+
 def stopped(tmp_path, monkeypatch, after, leave=lambda journal: None):
     """A study that is killed after so many writes of its journal, which is then left as a function leaves it."""
     backend = optuna.storages.journal.JournalFileBackend

@@ -27,45 +27,17 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import did_you_mean
 
 if TYPE_CHECKING:
-    from uavnav import (
-        bench,
-        evaluate,
-        export,
-        flights,
-        networks,
-        plugins,
-        policies,
-        render,
-        report,
-        runs,
-        stats,
-        verify,
-    )
+    from uavnav import evaluate, networks, plugins, report, stats
     from uavnav.algorithms import a2c, c51, dqn, ppo, sac
-    from uavnav.envs import env, gym, sb3, scalar
     from uavnav.envs.env import DroneEnv
     from uavnav.evaluate import evaluate_policy
     from uavnav.help.choices import ConfigError
     from uavnav.policies import Policy, PolicyError, load_policy
-    from uavnav.runs import Run, metrics, paper, readings
+    from uavnav.runs import Run
     from uavnav.runs.tables import RunError
-    from uavnav.tasks import (
-        baselines,
-        dynamics,
-        faults,
-        goal,
-        layouts,
-        moving,
-        rewards,
-        sensing,
-        simulator,
-        space,
-        world,
-    )
+    from uavnav.tasks import layouts, rewards, sensing
     from uavnav.tasks.layouts import LayoutError
     from uavnav.tasks.world import World
-    from uavnav.training import config, loggers, sampler
-    from uavnav.window import play
 
 __version__ = "0.1.0"
 
@@ -121,7 +93,9 @@ _MODULES = (
     "verify",
 )
 
-__all__ = [*_NAMES, *HOMES, *_MODULES]
+_SHOWN = ("evaluate", "layouts", "networks", "plugins", "report", "rewards", "sensing", "stats")
+__all__ = [*_NAMES, *ALGORITHMS, *_SHOWN]
+"""What most programs need; every other module is found too, by its short name or in its folder."""
 
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, when it is imported
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that spin starve each other on a busy machine

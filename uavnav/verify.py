@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -90,8 +89,7 @@ def _config(run: Run) -> TrainConfig:
     if run.algorithm not in ALGORITHMS:
         hint = plugins.missing(run.meta.get("plugins", {})) or f"; {choose_from(run.algorithm, ALGORITHMS)}"
         raise RunError(f"{run.path / 'config.yaml'}: algorithm={run.algorithm}{hint}")
-    presets = importlib.import_module(ALGORITHMS[run.algorithm].module).PRESETS
-    kind: type[TrainConfig] = type(next(iter(presets.values())))
+    kind: type[TrainConfig] = ALGORITHMS[run.algorithm].config
     try:
         return kind.from_mapping(kind.as_run(run.config))
     except (ConfigError, KeyError, TypeError) as error:

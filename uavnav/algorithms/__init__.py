@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -17,6 +18,17 @@ class Algorithm(NamedTuple):
     head: str = "direct"  # how outputs become one number an action: a name of `training.sampling.HEADS`
     came_later: Mapping[str, Any] = {}  # settings that older runs do not name, as those were run
     logs: tuple[str | int, ...] = ()  # Stable-Baselines3 does: `frames` or `episodes`, then factors of how many apart
+
+    @property
+    def presets(self) -> Mapping[str, Any]:
+        """Its configurations by name; the first call imports its module, and so torch."""
+        found: Mapping[str, Any] = importlib.import_module(self.module).PRESETS
+        return found
+
+    @property
+    def config(self) -> Any:
+        """The class of its configurations."""
+        return type(next(iter(self.presets.values())))
 
     def rhythm(self, settings: Mapping[str, Any]) -> tuple[str, int] | None:
         """When Stable-Baselines3 logs a run of these settings: every so many `frames` per seed or finished `episodes`.

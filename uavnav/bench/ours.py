@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 def settings(algorithm: str, preset: str = "paper", **changed: Any) -> Any:
     """An algorithm's configuration: a preset, and what differs from it."""
-    presets = importlib.import_module(ALGORITHMS[algorithm].module).PRESETS
-    return type(presets[preset])(preset=preset, **changed)
+    return ALGORITHMS[algorithm].config(preset=preset, **changed)
 
 
 def has_buffer(algorithm: str) -> bool:
@@ -39,7 +38,7 @@ def has_buffer(algorithm: str) -> bool:
 
 def has_fast(algorithm: str) -> bool:
     """Whether it has a preset `fast` without a schedule: N frames make the same policy however many follow."""
-    presets = importlib.import_module(ALGORITHMS[algorithm].module).PRESETS
+    presets = ALGORITHMS[algorithm].presets
     return "fast" in presets and not hasattr(presets["fast"], "exploration_fraction")
 
 

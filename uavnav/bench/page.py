@@ -18,6 +18,7 @@ from uavnav.bench.results import clock, when
 from uavnav.bench.sections import SECTIONS
 from uavnav.commands.benches import BY_DEFAULT
 from uavnav.tasks.world import VERSION
+from uavnav.training.provenance import processor
 
 HEADER = """# Benchmarks
 
@@ -40,10 +41,7 @@ def machine() -> str:
         with suppress(importlib.metadata.PackageNotFoundError):
             versions.append(f"{name} {importlib.metadata.version(name)}")
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    cpu = Path("/proc/cpuinfo")
-    models = re.findall(r"^model name\s*: (.*)$", cpu.read_text(), re.MULTILINE) if cpu.is_file() else []
-    processor = models[0] if models else platform.machine()
-    return f"{processor}, {CORES} cores in use, {memory:.0f} GB, {platform.system()}; {', '.join(versions)}"
+    return f"{processor()}, {CORES} cores in use, {memory:.0f} GB, {platform.system()}; {', '.join(versions)}"
 
 
 def read_sections(path: Path) -> dict[str, str]:

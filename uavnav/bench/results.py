@@ -5,11 +5,8 @@ from __future__ import annotations
 import datetime
 import math
 import statistics
-import subprocess
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 Result = dict[str, Any]
@@ -84,17 +81,6 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> 
 
 def when() -> str:
     """The date and the commit of the code, with `+` where the code differs from the commit."""
-    command = [
-        "git",
-        "-C",
-        str(Path(__file__).parent),
-        "describe",
-        "--always",
-        "--exclude=*",
-        "--abbrev=10",
-        "--dirty=+",
-    ]
-    commit = ""
-    with suppress(OSError):  # no git
-        commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-    return f"{datetime.datetime.now(datetime.UTC).date()}, commit {commit or 'unknown'}"
+    from uavnav.training.provenance import git_commit  # loads torch, which not every job needs
+
+    return f"{datetime.datetime.now(datetime.UTC).date()}, commit {git_commit(10) or 'unknown'}"

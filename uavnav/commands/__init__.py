@@ -220,7 +220,7 @@ def _play(parser: Parser) -> None:
     parser.epilog = f"example: uavnav play runs/ppo/relu reactive --layout 20\n\nkeys:\n{table}"
     parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN}; keys 1 to 9 (default: you fly)")
     _flight(parser)
-    _max_steps(parser)
+    parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
     parser.add_argument("--person", type=int, default=0, help="who flies by hand: the rows' seed (default: 0)")
     rows = f"as runs/baselines/{ROWS.name}; without a run {ROWS}"
     parser.add_argument(
@@ -371,10 +371,6 @@ def _flight(parser: Parser) -> None:
     _task(parser)
     parser.add_argument("--layout", type=int, default=0, help="index of the obstacle set (default: 0)")
     _plugins(parser)
-
-
-def _max_steps(parser: Parser) -> None:
-    parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
 
 
 def _bank(parser: Parser) -> None:

@@ -101,12 +101,15 @@ def on(
     if not isinstance(episodes, int) or not isinstance(max_steps, int):
         raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give whole numbers")
     bank = banks.resolve(layouts, task.world)
-    if not 1 <= episodes <= len(bank) or max_steps < 1:
-        raise ValueError(
-            f"episodes={episodes}, max_steps={max_steps}; give 1 to {len(bank)} episodes of at least 1 step"
-        )
+    check_bounds(episodes, max_steps, len(bank))
     flown = replace(task, bank=bank[:episodes], max_steps=max_steps)
     return flown if faults is None else replace(flown, faults=faults)
+
+
+def check_bounds(episodes: int, max_steps: int, most: int) -> None:
+    """Raise a ValueError for more episodes than a bank's sets, which are `most`, or for a count below 1."""
+    if not 1 <= episodes <= most or max_steps < 1:
+        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
 
 
 def fly(

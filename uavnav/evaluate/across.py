@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from uavnav import policies, stats, style
-from uavnav.evaluate import fly, rows_across, summary
+from uavnav.evaluate import check_bounds, fly, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.runs import Run, metrics
@@ -30,14 +30,6 @@ from uavnav.tasks.ladders import LADDERS, Ladder, reached
 from uavnav.tasks.protocol import ACROSS_STEPS, OF_FAULTS, SPLITS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
-
-MEASURES = {
-    "reward": "reward per flight",
-    "collisions": "collisions per 1,000 px",
-    "survive": "flights still up at the cap [%]",
-}
-"""What every ladder is judged by, in words with its unit; those of `metrics.OWN` that rows tell come on top."""
-COLLISIONS_PER = 1000.0  # px
 
 
 class Flyer(NamedTuple):
@@ -90,19 +82,6 @@ def climb(
     return pd.concat(parts, ignore_index=True)
 
 
-def of_seeds(flown: pd.DataFrame) -> pd.DataFrame:
-    """Each measure of some episodes: a row a seed, a column a measure; `MEASURES`, and those of `metrics.OWN`."""
-    hit = flown["terminated"] & (flown.get("succeeded", 0) == 0)  # a goal ends a flight too
-    sums = (
-        flown.assign(hit=hit)
-        .groupby("seed")
-        .agg(reward=("reward", "mean"), hits=("hit", "sum"), px=("distance", "sum"), up=("truncated", "mean"))
-    )
-    rate = COLLISIONS_PER * sums["hits"] / sums["px"].where(sums["px"] > 0)
-    values = pd.DataFrame({"reward": sums["reward"], "collisions": rate, "survive": 100 * sums["up"]})
-    return values.join(metrics.own(flown))
-
-
 def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung") -> pd.DataFrame:
     """Means and 95 % intervals over seeds, a row a name, mode, rung and measure; rows: of `climb`, by name.
 
@@ -111,7 +90,7 @@ def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung") -> pd.DataFrame:
     found = []
     for name, table in rows.items():
         for (mode, rung), flown in table.groupby(["mode", by], sort=False):
-            for measure, values in of_seeds(flown).items():
+            for measure, values in metrics.of_flights(flown).items():
                 one = stats.interval(values.dropna().to_numpy())
                 found.append([name, mode, rung, measure, one.n, one.value, one.low, one.high])
     columns = ["name", "mode", by, "measure", "n", "value", "low", "high"]
@@ -160,7 +139,7 @@ def shown(table: pd.DataFrame, name: str) -> Table:
 
 def in_words(measure: str) -> str:
     """A measure with its unit."""
-    return MEASURES[measure] if measure in MEASURES else metrics.OWN[measure].label
+    return metrics.FLIGHTS.get(measure) or metrics.OWN[measure].label
 
 
 def _number(value: float) -> str:
@@ -198,9 +177,7 @@ def across(
         RunError: a file cannot be written, or no ladder is left.
         ValueError: a count below 1, or more sets than a bank has.
     """
-    if not 1 <= episodes <= SPLITS["test"].n or max_steps < 1:
-        most = SPLITS["test"].n
-        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
+    check_bounds(episodes, max_steps, SPLITS["test"].n)
     flyers = [flyer(name, one) for name, one in found.items()]
     learned = (one for flown in flyers for one in next(iter(flown.by_mode.values())).values())
     trained = (replace(one.task, stack=1) for one in learned if isinstance(one, Policy))

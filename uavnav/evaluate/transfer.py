@@ -20,11 +20,12 @@ from matplotlib.patches import Rectangle
 from rich.table import Table
 
 from uavnav import style
-from uavnav.evaluate import fly, summary
-from uavnav.evaluate.across import MEASURES, Flyer, flyer, judged
+from uavnav.evaluate import check_bounds, fly, summary
+from uavnav.evaluate.across import Flyer, flyer, judged
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.runs import Run
+from uavnav.runs.metrics import FLIGHTS
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import WORLD, AnyPolicy, suited
@@ -191,10 +192,10 @@ def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
     worlds = [*dict.fromkeys(table[FLOWN])]
     for column in ("who", "trained in", "", "measure", *worlds):
         text.add_column(column, justify="right" if column in worlds else "left")
-    kept = table[table["measure"].isin(MEASURES)]
+    kept = table[table["measure"].isin(FLIGHTS)]
     for (who, mode, measure), own in kept.groupby(["name", "mode", "measure"], sort=False):
         numbers = [_in_brackets(" ", *triple) for triple in own[["value", "low", "high"]].to_numpy().tolist()]
-        text.add_row(str(who), trained.get(str(who), ""), str(mode), MEASURES[str(measure)], *numbers)
+        text.add_row(str(who), trained.get(str(who), ""), str(mode), FLIGHTS[str(measure)], *numbers)
     return text
 
 
@@ -217,9 +218,7 @@ def transfer(
         LayoutError, PolicyError, RunError: a bank or a policy cannot be read, or a file not be written.
         ValueError: a count below 1, or more sets than a bank has.
     """
-    most = banks.SPLITS["test"].n
-    if not 1 <= episodes <= most or max_steps < 1:
-        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
+    check_bounds(episodes, max_steps, banks.SPLITS["test"].n)
     flyers, places, left_out = sort(found, episodes, max_steps)
     if left_out:
         size, actions = places[0].task.world.observation_size, places[0].task.world.n_actions

@@ -67,8 +67,7 @@ def _draws(task: Task, seeds: Sequence[int], purpose: str) -> Iterator[Tensor | 
     """Step by step, what the flights of flyers need for faults: [flyers x sets, n_draws], or None."""
     streams = Streams(seeds, purpose)
     while True:
-        drawn = streams.draw(task.draw, len(task.bank), device="cpu").flatten(0, 1) if task.n_draws else None
-        yield drawn
+        yield streams.draw(task.draw, len(task.bank), device="cpu").flatten(0, 1) if task.n_draws else None
 
 
 def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool = False) -> Iterator[Step]:

@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -18,9 +18,6 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from uavnav import stats, style
-from uavnav.evaluate import EPISODES, across, files_of, rows_across
-from uavnav.evaluate.scripts import Protocol, protocol_in, rows_of_scripts
-from uavnav.evaluate.transfer import named, trained_in
 from uavnav.report import conclusions, tables
 from uavnav.report.cells import of_worlds, order, settings_of
 from uavnav.report.discussion import (
@@ -38,18 +35,20 @@ from uavnav.report.discussion import (
 from uavnav.report.operating import characteristics
 from uavnav.report.verdicts import Finding, audit, grade, of_claim
 from uavnav.runs import Run, run_folders
-from uavnav.runs.metrics import FIRST_COLUMNS, OWN
+from uavnav.runs.metrics import FIRST_COLUMNS, FLIGHTS, OWN, collided, of_flights
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Interval
-from uavnav.tasks.ladders import LADDERS
-from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, SCRIPTS
+from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS
+
+if TYPE_CHECKING:
+    from uavnav.evaluate.scripts import Protocol
 
 MODE = "sampled"
 DEFAULT, TUNED = "paper", "fast"
 """The presets of the study; a world's name says the second."""
 MEASURES = {
     "reward": "reward per flight",
-    "collisions": across.MEASURES["collisions"],
+    "collisions": FLIGHTS["collisions"],
     "survival": "restricted mean survival [steps]",
 }
 
@@ -97,6 +96,8 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
             left_out.append(" ".join(str(error).split()))
     if not seeds:
         return None
+    from uavnav.evaluate.scripts import rows_of_scripts
+
     in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
     seeds = dict(sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0]))))
     scripted: dict[tuple[str, str], pd.DataFrame] = {}
@@ -133,6 +134,11 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     Raises:
         RunError: its world is not known, or it was not flown as in the study.
     """
+    from uavnav.evaluate import files_of, rows_across  # these know the tasks, and so load torch
+    from uavnav.evaluate.scripts import protocol_in
+    from uavnav.evaluate.transfer import named, trained_in
+    from uavnav.tasks.ladders import LADDERS
+
     task, sets = trained_in(run)
     cap = min(ACROSS_STEPS, task.MAX_STEPS or ACROSS_STEPS)
     name, _ = files_of(sets, EPISODES, cap)
@@ -158,12 +164,12 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
 
 def measured(flown: pd.DataFrame, cap: int) -> pd.DataFrame:
     """The measures of some flights, a row a seed. A flight that reaches its goal counts as cut off there."""
-    ended = flown["terminated"] & (flown.get("succeeded", 0) == 0)
+    ended = collided(flown)
     survival = {
         seed: stats.restricted_mean(one["steps"].to_numpy(), np.asarray(ended[one.index], dtype=np.float64), cap)
         for seed, one in flown.groupby("seed")
     }
-    return across.of_seeds(flown).drop(columns="survive").assign(survival=pd.Series(survival))
+    return of_flights(flown).drop(columns="survive").assign(survival=pd.Series(survival))
 
 
 @dataclass(eq=False)
@@ -337,6 +343,9 @@ def _first(found: pd.DataFrame, world: str) -> list[tuple[str, Interval]]:
 
 def ladder(found: Worlds, name: str) -> style.Drawn | None:
     """The cells that were trained in the paper's world across a ladder, means of their activations; None where none."""
+    from uavnav.evaluate import across
+    from uavnav.tasks.ladders import LADDERS
+
     rungs, parts = LADDERS[name].rungs, []
     for (world, algorithm), group in itertools.groupby(found.seeds.items(), key=lambda item: item[0][:2]):
         flown = [table for _, table in group if at("reward", name, rungs[0]) in table]

@@ -83,13 +83,37 @@ OWN: dict[str, Own] = {
     ),
     "passages_per_flight": Own("passages per flight", ("passages",), lambda rows: rows["passages"].mean()),
     "success": Own("success [%]", ("succeeded",), lambda rows: 100 * rows["succeeded"].mean()),
-    "collision": Own(
-        "collision [%]", ("succeeded",), lambda rows: 100 * (rows["terminated"] & (rows["succeeded"] == 0)).mean()
-    ),
+    "collision": Own("collision [%]", ("succeeded",), lambda rows: 100 * collided(rows).mean()),
     "time_out": Own("time-out [%]", ("succeeded",), lambda rows: 100 * rows["truncated"].mean()),
     "spl": Own("SPL", ("succeeded", "shortest"), lambda rows: spl(rows)),
 }
 """By name; a table shows those whose columns it has."""
+
+
+FLIGHTS = {
+    "reward": "reward per flight",
+    "collisions": "collisions per 1,000 px",
+    "survive": "flights still up at the cap [%]",
+}
+"""What flights in any world are judged by, in words with its unit; those of `OWN` that rows tell come on top."""
+COLLISIONS_PER = 1000.0  # px
+
+
+def collided(episodes: pd.DataFrame) -> pd.Series:
+    """Whether each episode ended at an obstacle; a goal ends a flight too."""
+    return episodes["terminated"] & (episodes.get("succeeded", 0) == 0)
+
+
+def of_flights(flown: pd.DataFrame) -> pd.DataFrame:
+    """Each measure of some episodes: a row a seed, a column a measure; those of `FLIGHTS` and of `OWN`."""
+    sums = (
+        flown.assign(hit=collided(flown))
+        .groupby("seed")
+        .agg(reward=("reward", "mean"), hits=("hit", "sum"), px=("distance", "sum"), up=("truncated", "mean"))
+    )
+    rate = COLLISIONS_PER * sums["hits"] / sums["px"].where(sums["px"] > 0)
+    values = pd.DataFrame({"reward": sums["reward"], "collisions": rate, "survive": 100 * sums["up"]})
+    return values.join(own(flown))
 
 
 def spl(episodes: pd.DataFrame) -> float:

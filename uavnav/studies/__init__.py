@@ -18,7 +18,6 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -186,9 +185,7 @@ def _cell(said: Mapping[str, Any], out: Path) -> Cell:
     settings = {key: value for key, value in said.items() if key not in OF_CELLS}
     if "layouts" in settings:
         settings["layouts"] = str(settings["layouts"]).format(out=out)
-    module = importlib.import_module(ALGORITHMS[said["algorithm"]].module)
-    kind: type[TrainConfig] = type(module.PRESETS["paper"])
-    config = kind.from_mapping(_nested(settings))
+    config: TrainConfig = ALGORITHMS[said["algorithm"]].config.from_mapping(_nested(settings))
     names = {key: "null" if value is None else value for key, value in said.items()}
     try:
         folder = str(said.get("folder", "")).format(**names)

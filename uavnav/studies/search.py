@@ -12,7 +12,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -61,7 +60,7 @@ class Plan(NamedTuple):
 
     def defaults(self, algorithm: str) -> Settings:
         """What the searched settings are in the preset `paper`."""
-        usual = importlib.import_module(ALGORITHMS[algorithm].module).PRESETS["paper"]
+        usual = ALGORITHMS[algorithm].presets["paper"]
         return {name: _short(name, getattr(usual, name, None)) for name in self.said["space"][algorithm]}
 
     def cell(self, algorithm: str, settings: Mapping[str, Any], folder: str, usual: Mapping[str, Any]) -> Cell:

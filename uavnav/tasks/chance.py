@@ -29,7 +29,7 @@ class Chance:
         """Start headings [seeds, rows] whole degrees."""
         if self._task.world.start_heading == "up":
             return torch.full((self._seeds, self._rows), UP, device=self._device)
-        return seeding.headings(self._streams["headings"], self._rows, self._device)
+        return self._streams["headings"].draw(torch.randint, 360, (self._rows,), device=self._device)
 
     def first(self) -> Tensor | None:
         """What `Task.start` needs [seeds, rows, n_draws]; None where it needs nothing."""

@@ -38,16 +38,6 @@ def add(state: State, sensed: Tensor, action: Tensor) -> State:
     return state._replace(seen=seen, executed=action)  # type: ignore[call-arg]
 
 
-def recall(state: State, late: int, stack: int) -> Tensor:
-    """The observations of `late` steps ago and before, the newest first: [*B, stack N]."""
-    return seen_of(state)[..., late : late + stack, :].flatten(-2)
-
-
-def forget(state: State, kind: type[State]) -> State:
-    """The fields of a bare state alone."""
-    return kind(*(getattr(state, name) for name in kind._fields))
-
-
 def seen_of(state: State) -> Tensor:
     """The observations that are kept [*B, M, N]."""
     found: Tensor = getattr(state, "seen")  # noqa: B009

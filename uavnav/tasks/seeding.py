@@ -47,8 +47,3 @@ def places(seeds: Sequence[int], rows: int, n_layouts: int, device: torch.device
     """
     shuffled = Streams(seeds, "places").draw(torch.randperm, n_layouts, device=device)
     return shuffled[:, torch.arange(rows, device=device) % n_layouts]
-
-
-def headings(streams: Streams, rows: int, device: torch.device | str) -> Tensor:
-    """Random start headings of each seed's rows: [seeds, rows] whole degrees."""
-    return streams.draw(torch.randint, 360, (rows,), device=device)

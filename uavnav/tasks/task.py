@@ -132,7 +132,7 @@ class Task:
 
         draws [*B, n_draws] disturb what is sensed, if they are given; or sensed [*B, n] says what it was.
         """
-        bare = memory.forget(state, self.STATE)
+        bare = self.STATE(*(getattr(state, name) for name in self.STATE._fields))
         if not self.remembers:
             return bare
         if sensed is None:
@@ -182,7 +182,7 @@ class Task:
 
     def recall(self, state: State) -> Tensor:
         """The stack of observations that a policy sees, late as `faults` says: [*B, observation_size]."""
-        return memory.recall(state, self.faults.late, self.stack)
+        return memory.seen_of(state)[..., self.faults.late : self.faults.late + self.stack, :].flatten(-2)
 
     def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
         """Turn, then fly: where the drone is after action [*B], angle [*B] degrees, distance [*B] px."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import json
 import re
 import shlex
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -59,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         plugins.load(given.plugins)
         if given.algorithm not in ALGORITHMS:
             raise unknown("algorithm", given.algorithm, ALGORITHMS)
-        kind = _kind(given.algorithm)
+        kind: type[TrainConfig] = ALGORITHMS[given.algorithm].config
         if given.help:
             print(help.render(kind, _world(given.settings) or World, Faults), end="")
             return 0
@@ -84,12 +83,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"uavnav train: {error}", file=sys.stderr)
         return 2
     return 0
-
-
-def _kind(algorithm: str) -> type[TrainConfig]:
-    """The class of an algorithm's configuration."""
-    presets: Mapping[str, TrainConfig] = importlib.import_module(ALGORITHMS[algorithm].module).PRESETS
-    return type(next(iter(presets.values())))
 
 
 def _world(settings: Sequence[str]) -> type[World] | None:

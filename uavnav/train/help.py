@@ -1,7 +1,5 @@
 """`python -m uavnav.train.help` (`make help`): write the help of each algorithm, from its configuration."""
 
-from importlib import import_module
-
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help import render, text_of
 from uavnav.tasks.faults import Faults
@@ -9,5 +7,4 @@ from uavnav.tasks.world import World
 
 if __name__ == "__main__":
     for name, algorithm in ALGORITHMS.items():
-        kind = type(next(iter(import_module(algorithm.module).PRESETS.values())))
-        text_of(name).write_text(render(kind, World, Faults), encoding="utf-8")
+        text_of(name).write_text(render(algorithm.config, World, Faults), encoding="utf-8")

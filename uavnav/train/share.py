@@ -116,18 +116,21 @@ def listened_to() -> None:
 
 def unheard(job: Path) -> None:
     """Train the share that a file describes, in the folder that was made for it, and write beside it how that ended."""
-    described = json.loads(job.read_text())
-    out = Path(described["out"])
+    try:
+        described = json.loads(job.read_text())
+        out, folder, evaluation = Path(described["out"]), described["folder"], described["evaluation"]
+    except (OSError, ValueError, RecursionError, TypeError, KeyError):
+        raise SystemExit(f"{job}: missing or damaged; give the study's command again, which writes it anew") from None
     with job.with_suffix(".log").open("ab", buffering=0) as log:
         for stream in (sys.stdout, sys.stderr):
             os.dup2(log.fileno(), stream.fileno())
     if not out.is_dir():
         raise SystemExit(f"{out}: is gone; another process has taken this run over")
-    os.chdir(described["folder"])
+    os.chdir(folder)
     last = {"stopped": 0, "wanted": True} if (out / STOP).exists() else _train(described)
-    if "finished" in last and described["evaluation"] is not None:
+    if "finished" in last and evaluation is not None:
         try:
-            evaluate_run(Run(out), **described["evaluation"], quiet=True)
+            evaluate_run(Run(out), **evaluation, quiet=True)
         except PolicyError as error:
             last = {"error": str(error), "diverged": isinstance(error, Diverged)}
     files.write(job.with_suffix(".ended"), json.dumps(last).encode())

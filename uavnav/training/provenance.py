@@ -20,22 +20,23 @@ def facts() -> dict[str, Any]:
     versions = {name: importlib.metadata.version(name) for name in packages}
     return {
         "versions": {"python": platform.python_version(), "world": VERSION} | versions,
-        "git_commit": _git_commit(),
-        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
+        "git_commit": git_commit(),
+        "machine": {"system": platform.platform(), "processor": processor(), "cores": os.cpu_count()},
         **({"plugins": dict(plugins.LOADED)} if plugins.LOADED else {}),
     }
 
 
-def _git_commit() -> str | None:
+def git_commit(digits: int = 40) -> str | None:
     """The commit of the code that runs, with `+` where the tree differs from it; None outside a checkout."""
     if shutil.which("git") is None:
         return None
-    describe = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
+    describe = ["git", "describe", "--always", f"--abbrev={digits}", "--exclude=*", "--dirty=+"]
     result = subprocess.run(describe, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
     return result.stdout.strip() or None
 
 
-def _processor() -> str:
+def processor() -> str:
+    """The name of the machine's processor, as far as the system tells it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -1,13 +1,13 @@
 """An exported policy says the same numbers to programs that know nothing of this package."""
 
 import dataclasses
+import functools
 import importlib.util
 import io
 import json
 import subprocess
 import sys
 import zipfile
-from functools import partial
 
 import onnx
 import onnxruntime
@@ -40,9 +40,20 @@ def run(request, tmp_path_factory):
     return dqn.train(dqn.DQNConfig(activation="relu", learning_starts=64, **SHORT), folder, quiet=True)
 
 
+@pytest.fixture(scope="module")
+def exported(run, tmp_path_factory):
+    """Of seed 5, by suffix: a file alone in a folder, written at the first call."""
+
+    @functools.cache
+    def written(suffix):
+        return export_policy(load_policy(run.path, seed=5), tmp_path_factory.mktemp("exported") / f"policy{suffix}")
+
+    return written
+
+
 def untrained(activation):
     """A network whose values differ by more than rounding."""
-    kind = partial(Activation, activation)
+    kind = functools.partial(Activation, activation)
     return nn.Sequential(nn.Linear(30, 64), kind(), nn.Linear(64, 64), kind(), nn.Linear(64, 100))
 
 
@@ -60,16 +71,15 @@ READ = {".onnx": by_onnxruntime, ".pt2": by_torch}
 
 
 @pytest.mark.parametrize("suffix", READ)
-def test_it_gives_the_values_and_the_greedy_actions_for_any_number_of_rows(run, tmp_path, suffix):
-    policy = load_policy(run.path, seed=5)
-    path = export_policy(policy, tmp_path / f"policy{suffix}")
+def test_it_gives_the_values_and_the_greedy_actions_for_any_number_of_rows(run, exported, suffix):
+    policy, path = load_policy(run.path, seed=5), exported(suffix)
     for rows in (1, 2, 500):
         observation = torch.rand(rows, 30, generator=torch.Generator().manual_seed(rows))
         values = READ[suffix](path, observation)
         assert values.shape == (rows, 100)
         assert (values - policy.values(observation)).abs().max() <= CLOSE
         assert torch.equal(values.argmax(-1), policy(observation))
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
 class Beside(nn.ModuleList):
@@ -90,8 +100,8 @@ def test_every_activation_goes_into_a_file(suffix, tmp_path):
     assert {name: one for name, one in zip(ACTIVATIONS, off.tolist(), strict=True) if not one <= CLOSE} == {}
 
 
-def test_onnx_is_three_products_two_activations_and_says_what_it_is(run, tmp_path):
-    model = onnx.load(export_policy(load_policy(run.path), tmp_path / "policy.onnx"))
+def test_onnx_is_three_products_two_activations_and_says_what_it_is(run, exported):
+    model = onnx.load(exported(".onnx"))
     onnx.checker.check_model(model)
     hidden = {"ppo": ["Gemm", "Tanh"], "dqn": ["Gemm", "Relu", "Gemm", "Relu"]}[run.algorithm]
     assert [node.op_type for node in model.graph.node] == [*hidden, "Gemm"]
@@ -131,8 +141,8 @@ def test_a_policy_trained_with_a_sensor_of_90_degrees_says_so_in_its_metadata(tm
         assert (found["task"], found["reward"], found["max_steps"]) == ("drone", "additive", 70)
 
 
-def test_an_archive_of_torch_says_what_it_is_and_pickles_no_weight(run, tmp_path):
-    path = export_policy(load_policy(run.path), tmp_path / "policy.pt2")
+def test_an_archive_of_torch_says_what_it_is_and_pickles_no_weight(run, exported):
+    path = exported(".pt2")
     said = {"uavnav.json": ""}
     torch.export.load(path, extra_files=said)
     assert json.loads(said["uavnav.json"]) == facts(run)
@@ -157,8 +167,9 @@ def test_values_are_those_after_the_head_whose_largest_is_the_greedy_action(tmp_
 
 
 @pytest.mark.parametrize("suffix", READ)
-def test_a_file_tells_nothing_of_the_machine_that_wrote_it(run, tmp_path, suffix):
-    content = export_policy(load_policy(run.path), tmp_path / f"policy{suffix}").read_bytes()
+def test_a_file_tells_nothing_of_the_machine_that_wrote_it(exported, suffix):
+    path = exported(suffix)
+    content = path.read_bytes()
     parts = [content]
     if suffix == ".pt2":
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -166,7 +177,7 @@ def test_a_file_tells_nothing_of_the_machine_that_wrote_it(run, tmp_path, suffix
     for part in parts:
         assert b"site-packages" not in part
         assert b".py" not in part
-        assert str(tmp_path).encode() not in part
+        assert str(path.parent).encode() not in part
 
 
 @pytest.mark.usefixtures("warm")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from runs_by_hand import behaved, found, rows, trained, two, write_run
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.report import _write_all, docs, report
+from uavnav.report import Written, _write_all, docs, report
 from uavnav.report.cells import BINS, collect, label
 from uavnav.report.claims import PRIMARY
 from uavnav.report.content import gather
@@ -70,7 +70,7 @@ def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_pap
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A folder with the runs, and the report on it."""
+    """A folder with the runs, what is said of them, without a warning, and the report that says it."""
     path = tmp_path_factory.mktemp("whole") / "results"
     flights = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(mode="sampled")
     for algorithm in ("dqn", "ppo"):
@@ -80,12 +80,16 @@ def whole(tmp_path_factory):
         behaved(run)
         trained(run, algorithm, action=9)
     write_run(path / "short", two(0, 5.0), meta={"frames": 500}, gamma=0.9)
-    return path, report([path], path.parent / "one")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gathered = gather([path])
+    _write_all(path.parent / "one", contents(gathered, path))
+    return path, gathered, Written(path.parent / "one" / "report.html", gathered.left_out)
 
 
 @pytest.mark.slow
 def test_two_reports_are_the_same_bytes(whole, monkeypatch):
-    path, first = whole
+    path, _, first = whole
     assert first.left_out == []
     second = report([path], path.parent / "two")
     files = [
@@ -101,7 +105,7 @@ def test_two_reports_are_the_same_bytes(whole, monkeypatch):
 
 
 def test_a_report_is_a_page_its_markdown_tables_and_figures_in_two_forms(whole):
-    _, written = whole
+    *_, written = whole
     assert written.path.name == "report.html"
     out = written.path.parent
     kinds = {"report.html", "report.md", "preview.png", "figures", "tables"}
@@ -130,9 +134,8 @@ def test_a_place_that_cannot_be_written_is_answered_before_anything_is_read(tmp_
 
 
 def test_the_tables_are_csv_that_say_what_the_content_says_and_latex(whole):
-    path, written = whole
+    _, gathered, written = whole
     folder = written.path.parent / "tables"
-    gathered = gather([path])
     assert {file.stem for file in folder.glob("*.csv")} == {*gathered.tables}
     metrics = pd.read_csv(folder / "metrics.csv")
     row = metrics.set_index(["algorithm", "reading", "metric"]).sort_index()
@@ -154,12 +157,11 @@ def test_the_tables_are_csv_that_say_what_the_content_says_and_latex(whole):
     assert "_" not in latex.replace(r"\_", "")
 
 
-def test_no_warning_escapes_a_report_on_few_and_equal_seeds(whole, tmp_path, monkeypatch):
+def test_no_warning_escapes_a_report_on_one_seed(tmp_path):  # nor one on few and equal seeds, see `whole`
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         write_run(tmp_path / "open", rows(0, (1000, 10, 0, 0, 0, 0, -1.0, False, False)))
         assert report([tmp_path]).path.is_file()
-        gather([whole[0]])
 
 
 def test_a_persons_flights_and_a_policy_from_elsewhere_are_rows_of_all_six_metrics_on_the_page_and_in_report_md(

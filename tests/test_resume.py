@@ -93,6 +93,22 @@ def interrupted(whole, folder, frames, number=signal.SIGINT):
     assert json.loads((folder / "meta.json").read_text())["status"] == "interrupted"
 
 
+@pytest.fixture(scope="module")
+def stopped(whole, tmp_path_factory):
+    """Puts into a folder a copy of the run that was stopped after so many frames; each is trained once."""
+    there = tmp_path_factory.mktemp("stopped")
+
+    def copy(folder, *stops):
+        made = there / "-".join(map(str, stops))
+        if not made.exists():
+            if len(stops) > 1:
+                copy(made, *stops[:-1])
+            interrupted(whole, made, stops[-1])
+        return shutil.copytree(made, folder)
+
+    return copy
+
+
 @pytest.mark.parametrize(("number", "frames"), [(signal.SIGINT, 16), (signal.SIGTERM, 1000), (signal.SIGINT, 1600)])
 def test_a_run_stopped_by_a_signal_and_resumed_ends_the_same(whole, tmp_path, number, frames):
     train, config, run = whole
@@ -115,10 +131,9 @@ class Killed(BaseException):
 
 
 @pytest.mark.parametrize("survives", ["nothing", "a chunk", "half a file"])
-def test_a_run_killed_while_it_saves_goes_on_from_the_snapshot_before(whole, tmp_path, monkeypatch, survives):
+def test_a_run_killed_while_it_saves_goes_on_from_the_snapshot_before(whole, stopped, tmp_path, monkeypatch, survives):
     train, config, run = whole
-    folder = tmp_path / "run"
-    interrupted(whole, folder, 700)
+    folder = stopped(tmp_path / "run", 1000)
     before = sorted(path.name for path in (folder / "checkpoint").iterdir())
     replace = os.replace
 
@@ -142,13 +157,12 @@ def test_a_run_killed_while_it_saves_goes_on_from_the_snapshot_before(whole, tmp
 
 
 @pytest.fixture
-def two_states(whole, tmp_path):
+def two_states(stopped, tmp_path):
     """A run stopped at 1000 and again at 1600 frames: two states in its checkpoint."""
-    interrupted(whole, tmp_path / "run", 1000)
-    interrupted(whole, tmp_path / "run", 1600)
-    states = sorted((tmp_path / "run" / "checkpoint").glob("state-*"))
+    folder = stopped(tmp_path / "run", 1000, 1600)
+    states = sorted((folder / "checkpoint").glob("state-*"))
     assert len(states) == 2
-    return tmp_path / "run", states
+    return folder, states
 
 
 def cut(path):
@@ -187,7 +201,8 @@ def test_with_every_snapshot_damaged_the_run_is_refused_in_one_line_and_nothing_
         train(config, out=folder, quiet=True)
     assert "\n" not in str(refused.value)
     assert {path.name: path.read_bytes() for path in (folder / "checkpoint").iterdir()} == before
-    same(run.path, train(config, out=folder, overwrite=True, quiet=True).path)
+    if damage is cut:  # what to do is the same for all
+        same(run.path, train(config, out=folder, overwrite=True, quiet=True).path)
 
 
 def test_a_missing_or_damaged_chunk_of_the_newest_snapshot_falls_back_to_the_older(whole, two_states):
@@ -203,9 +218,9 @@ def test_a_missing_or_damaged_chunk_of_the_newest_snapshot_falls_back_to_the_old
     same(run.path, resumed.path)
 
 
-def test_a_snapshot_of_another_version_is_refused_in_one_line(whole, tmp_path, monkeypatch):
+def test_a_snapshot_of_another_version_is_refused_in_one_line(whole, stopped, tmp_path, monkeypatch):
     train, config, run = whole
-    interrupted(whole, tmp_path / "run", 1000)
+    stopped(tmp_path / "run", 1000)
     facts = provenance.facts()
     facts["versions"]["torch"] = "9.9.9"
     with monkeypatch.context() as patch:
@@ -236,9 +251,9 @@ def test_a_key_that_came_after_a_snapshot_has_its_default_there(whole, tmp_path,
     same(run.path, train(config, out=folder, quiet=True).path)
 
 
-def test_a_snapshot_whose_parts_are_others_is_refused_in_one_line(whole, tmp_path, monkeypatch):
+def test_a_snapshot_whose_parts_are_others_is_refused_in_one_line(whole, stopped, tmp_path, monkeypatch):
     train, config, _ = whole
-    interrupted(whole, tmp_path / "run", 1000)
+    stopped(tmp_path / "run", 1000)
     monkeypatch.setattr("uavnav.envs.env.DroneEnv.load_state_dict", lambda self, state: state["late"])
     with pytest.raises(RunError, match="checkpoint: its env is of another version; overwrite=true starts the run anew"):
         train(config, out=tmp_path / "run", quiet=True)

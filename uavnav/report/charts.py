@@ -119,7 +119,7 @@ def rows_of(table: pd.DataFrame, panels: Mapping[str, str], width: float = style
     figure, drawn = _side_by_side(len(panels), 0.34 * len(rows) + 1.3, width)
     for axes, (metric, label) in zip(drawn, panels.items(), strict=True):
         for one in table[table["metric"] == metric].to_dict("records"):
-            place, colour = rows.index(one["row"]), style.COLOURS["tanh" if one["row"].startswith("PPO") else "relu"]
+            place, colour = rows.index(one["row"]), style.FIRST[not one["row"].startswith("PPO")]
             axes.plot([one["low"], one["high"]], [place, place], color=colour, linewidth=3, solid_capstyle="butt")
             axes.plot(one["value"], place, "o", color=colour, markersize=8)
             found = Interval(one["value"], one["low"], one["high"], one["n"])

@@ -10,7 +10,7 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluate import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import arena, behaviour, charts, curves, frames, studies, tables, whys
+from uavnav.report import arena, behaviour, charts, curves, findings, frames, studies, tables, whys
 from uavnav.report.cells import algorithms
 from uavnav.report.claims import PRIMARY
 from uavnav.report.frames import DIAGNOSTICS, name
@@ -61,7 +61,7 @@ def draw(
         drawn = charts.behaviours(sampled[["cell", "algorithm", "activation", "seed", *LOOKED_AT]], width)
         caption = "Each small dot is a seed, the bar its cell's 95 % interval; sampled flights on test sets."
         found.append(Figure("behaviour", "behaviour", drawn, caption))
-    found += [*_whys(numbers["whys"], width), *_why(cells, width)]
+    found += [*_whys(numbers, width), *_why(cells, width)]
     if len(numbers["sensitivity"]):
         caption = "The band is the interval as decided; an interval that lies across zero from it flips a conclusion."
         found.append(Figure("sensitivity", "sensitivity", charts.sensitivity(numbers["sensitivity"], width), caption))
@@ -191,15 +191,15 @@ def _statistics(
     ]
 
 
-def _whys(table: pd.DataFrame, width: float) -> list[Figure]:
+def _whys(numbers: Mapping[str, pd.DataFrame], width: float) -> list[Figure]:
     """A figure for each question that there are cells for."""
-    found = []
+    found, table = [], numbers["whys"]
     for question in whys.QUESTIONS:
         part = table[(table["question"] == question.name) & table["row"].isin([*question.rows])]
         if len(part):
             drawn = charts.rows_of(part, {metric: whys.in_words(metric) for metric in question.metrics}, width)
-            said = " ".join(whys.answers(table, question))
-            found.append(Figure(f"whys-{question.name}", "why", drawn, f"{question.text} {said}".strip()))
+            said = " ".join([question.text, *map(str, findings.why(numbers, question))])
+            found.append(Figure(f"whys-{question.name}", "why", drawn, said))
     return found
 
 

@@ -16,6 +16,7 @@ from uavnav.report import frames, tables
 from uavnav.report.claims import ALGORITHMS, CLAIMS, NAMES, PRIMARY, Claim
 from uavnav.report.headline import EVERY, MANY_WORLDS, RULE
 from uavnav.report.verdicts import ABSENT, CONTEXT, DOES_NOT, IN_PART, OPEN, REPLICATES, Grade
+from uavnav.report.whys import Question
 from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
 from uavnav.runs.readings import ALL, LAST_EPISODES, LOG_CURVE, PER_FRAME, TOTALS
@@ -50,6 +51,8 @@ TALLIED = {
 WHO = {RULE: f"a hand-written rule (`{RULE}`)"}
 
 
+UNITS = {"reward": 1000, "corridor": 100}
+"""Frames, or steps, of which sentences tell a measure."""
 WORLDS = {
     "scatter": (
         "WHO's seeds scatter by {} more late reward in 1,000 frames in one world than in many.",
@@ -107,6 +110,16 @@ def findings(numbers: Numbers) -> list[Sentence]:
 def more_worlds(numbers: Numbers) -> list[Sentence]:
     """What more worlds a seed change: the reward, the scatter of seeds, open flights, the order of activations."""
     return [*_many_worlds(numbers), *_worlds(numbers)]
+
+
+def why(numbers: Numbers, question: Question) -> list[Sentence]:
+    """What answers a question to the side studies: a sentence for each of its contrasts with words."""
+    found: list[Sentence] = []
+    for contrast in question.contrasts:
+        for place, row in _rows(numbers["whys"], row=contrast.name, metric=contrast.metric):
+            if contrast.said:
+                found += _told(*contrast.said, _times(_found(row), UNITS.get(contrast.metric, 1)), "whys", place)
+    return found
 
 
 def headline(numbers: Numbers) -> Sentence:

@@ -16,7 +16,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from uavnav import browser, evaluate
-from uavnav.report import arena, beyond, conclusions, findings, frames, studies, tables, worlds
+from uavnav.report import arena, beyond, conclusions, findings, frames, studies, tables, whys, worlds
 from uavnav.report.cells import BINS, algorithms, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
 from uavnav.report.content import Content
@@ -93,7 +93,7 @@ def _json(data: Any) -> Markup:
 
 _TEMPLATES.filters |= {"json": _json, "cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
 _TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "findings": findings, "frames": frames}
-_TEMPLATES.globals |= {"beyond": beyond, "studies": studies, "worlds": worlds}
+_TEMPLATES.globals |= {"beyond": beyond, "studies": studies, "whys": whys, "worlds": worlds}
 _TEMPLATES.globals |= {
     "tables": tables,
     "primary": PRIMARY,

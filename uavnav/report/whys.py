@@ -1,7 +1,7 @@
 """Why cells differ: questions to side studies that each change one setting, with a figure and a sentence for each.
 
-A question is data: rows to draw, and contrasts of which the first answers it. To add one, add it to `QUESTIONS` and its
-cells to the target `why` of the Makefile. Letters: S seeds of a cell.
+A question is data: rows to draw, and contrasts that answer it. To add one, add it to `QUESTIONS` and its cells to
+uavnav/studies/why.yaml. Letters: S seeds of a cell.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import pandas as pd
 from uavnav import stats
 from uavnav.report.claims import ALGORITHMS, PRIMARY, Evidence
 from uavnav.report.frames import MEASURES
-from uavnav.report.tables import with_interval
 from uavnav.runs.metrics import METRICS
 from uavnav.runs.readings import words
 
@@ -27,13 +26,14 @@ SHORT, LONG = "baseline", "many_worlds"
 
 
 class Contrast(NamedTuple):
-    """The mean of some cells minus that of others, in words: `what` against `other`."""
+    """The mean of some cells minus that of others: `name` in the table, `said` in words if it is above zero, below, or
+    neither; {} is for the number. Without words it is in the table alone."""
 
     metric: str
-    what: str
-    other: str
+    name: str
     first: tuple[Place, ...]
     second: tuple[Place, ...]
+    said: tuple[str, str, str] | None = None
 
 
 class Question(NamedTuple):
@@ -55,10 +55,11 @@ def _settings(setting: str, values: Iterable[str], usual: str, algorithms: Itera
     }
 
 
-def _ends(metric: str, setting: str, low: str, high: str, algorithm: str) -> Contrast:
-    """The lowest value of a setting against the highest."""
+def _ends(metric: str, setting: str, low: str, high: str, algorithm: str, more: str, neither: str) -> Contrast:
+    """The lowest value of a setting against the highest, in words where it is more (as where it is less) or neither."""
     first, second = ((f"{setting}={value}", algorithm, "tanh") for value in (low, high))
-    return Contrast(metric, f"{algorithm.upper()} with {setting}={low}", f"with {setting}={high}", (first,), (second,))
+    name = f"{algorithm.upper()} with {setting}={low} minus with {setting}={high}"
+    return Contrast(metric, name, (first,), (second,), (more, more.replace(" more", " less"), neither))
 
 
 def _activations() -> Question:
@@ -70,13 +71,22 @@ def _activations() -> Question:
         rows |= {f"{one.upper()} {activation}": (SHORT, one, activation) for activation in plain}
         for study, label in changed.items():
             rows |= {f"{one.upper()} {name}, {label}": (study, one, name) for name in ("tanh", "sigmoid", "relu")}
-        pairs = [("relu6", "relu", SHORT, ""), ("sigmoid_centred", "sigmoid", SHORT, ""), ("tanh", "relu", SHORT, "")]
+        pairs = [("tanh", "relu", SHORT, ""), ("relu6", "relu", SHORT, ""), ("sigmoid_centred", "sigmoid", SHORT, "")]
         pairs += [("tanh", "relu", study, f", both with {label}") for study, label in changed.items()]
-        contrasts += [
-            Contrast("reward", f"{one.upper()} with {a}", f"with {b}{how}", ((study, one, a),), ((study, one, b),))
-            for a, b, study, how in pairs
-        ]
+        for a, b, study, how in pairs:
+            name = f"{one.upper()} with {a} minus with {b}{how}"
+            said = _earns(a, b, how.replace(", both with", ", at")) if one == DQN else None
+            contrasts.append(Contrast("reward", name, ((study, one, a),), ((study, one, b),), said))
     return Question("activations", "Is it boundedness, centring or scale?", ("reward",), rows, tuple(contrasts))
+
+
+def _earns(a: str, b: str, how: str) -> tuple[str, str, str]:
+    """What DQN earns with an activation against another."""
+    called = {"relu": "ReLU", "relu6": "bounded ReLU", "sigmoid_centred": "centred sigmoid"}
+    first, second = (called.get(name, name) for name in (a, b))
+    more = f"DQN earns {{}} more reward in 1,000 frames with {first} than with {second}{how}."
+    neither = f"DQN with {first} and with {second}{how} are not told apart: {{}} of reward in 1,000 frames."
+    return more, more.replace(" more", " less"), neither
 
 
 def _rewards() -> Question:
@@ -90,14 +100,23 @@ def _rewards() -> Question:
     contrasts = tuple(
         Contrast(
             metric,
-            f"{one.upper()} under the first reward",
-            "under eq. (14)",
+            f"{one.upper()} under the first reward minus under eq. (14)",
             tuple(("reward=initial", one, activation) for activation in pair),
             tuple((LONG, one, activation) for activation in pair),
+            _turns(one.upper()) if metric == "turns" else None,
         )
         for metric, one in itertools.product(metrics, ALGORITHMS)
     )
     return Question("rewards", "What do the penalties cure?", metrics, rows, contrasts)
+
+
+def _turns(who: str) -> tuple[str, str, str]:
+    more = f"Of 100 steps, {who} turns in {{}} more under the first reward than under eq. (14)."
+    return (
+        more,
+        more.replace(" more", " fewer"),
+        f"{who}'s turns are not told apart under both rewards: {{}} of 100 steps.",
+    )
 
 
 CLIPS, EPOCHS = ("0.05", "0.1", "0.2", "0.4", "None"), ("1", "3", "10", "20")
@@ -113,21 +132,50 @@ QUESTIONS = (
         "Do gradual updates make PPO cautious?",
         ("clearance", "reward"),
         _settings("clip_epsilon", CLIPS, "0.2", [PPO]) | _settings("epochs", EPOCHS, "10", [PPO]),
-        (_ends("clearance", "clip_epsilon", "0.05", "None", PPO), _ends("clearance", "epochs", "1", "20", PPO)),
+        (
+            _ends(
+                *("clearance", "clip_epsilon", "0.05", "None", PPO),
+                "PPO keeps {} px more clearance with the narrowest clip range than with none.",
+                "PPO's clearance with the narrowest clip range and with none is not told apart: {} px.",
+            ),
+            _ends(
+                *("clearance", "epochs", "1", "20", PPO),
+                "PPO keeps {} px more clearance with one epoch a batch than with twenty.",
+                "PPO's clearance with one epoch a batch and with twenty is not told apart: {} px.",
+            ),
+        ),
     ),
     Question(
         "horizon",
         "Do immediate rewards make DQN take corridors?",
         ("corridor", "reward"),
         _settings("gamma", GAMMAS, "0.99", [DQN, PPO]),
-        tuple(_ends("corridor", "gamma", "0.9", "0.999", one) for one in (DQN, PPO)),
+        tuple(
+            _ends(
+                *("corridor", "gamma", "0.9", "0.999", one),
+                f"Of 100 steps, {one.upper()} makes {{}} more in corridors with the nearest horizon than the farthest.",
+                f"{one.upper()}'s time in corridors is not seen to change with its horizon: {{}} of 100 steps.",
+            )
+            for one in (DQN, PPO)
+        ),
     ),
     Question(
         "exploration",
         "Does exploration keep them apart?",
         ("reward", "clearance"),
         _settings("epsilon_end", EPSILONS, "0.05", [DQN]) | _settings("entropy_coeff", ENTROPIES, "0.0", [PPO]),
-        (_ends("reward", "epsilon_end", "0.0", "0.2", DQN), _ends("reward", "entropy_coeff", "0.001", "0.03", PPO)),
+        (
+            _ends(
+                *("reward", "epsilon_end", "0.0", "0.2", DQN),
+                "DQN earns {} more reward in 1,000 frames if no action is random in the end than if a fifth is.",
+                "DQN with no random action in the end or a fifth is not told apart: {} of reward in 1,000 frames.",
+            ),
+            _ends(
+                *("reward", "entropy_coeff", "0.001", "0.03", PPO),
+                "PPO earns {} more reward in 1,000 frames with the least entropy bonus than with the largest.",
+                "PPO with the least entropy bonus or the largest is not told apart: {} of reward in 1,000 frames.",
+            ),
+        ),
     ),
     _rewards(),
 )
@@ -145,7 +193,7 @@ def table(evidence: Evidence) -> pd.DataFrame:
         for contrast in one.contrasts:
             seeds = _seeds(evidence, contrast.metric)
             first, second = ([seeds(place) for place in places] for places in (contrast.first, contrast.second))
-            answers.append([one.name, _label(contrast), contrast.metric, *stats.difference(first, second)])
+            answers.append([one.name, contrast.name, contrast.metric, *stats.difference(first, second)])
         drawn = [
             [one.name, label, metric, *stats.difference([_seeds(evidence, metric)(place)], [])]
             for (label, place), metric in itertools.product(one.rows.items(), one.metrics)
@@ -159,23 +207,6 @@ def _seeds(evidence: Evidence, metric: str) -> Callable[[Place], stats.Array]:
     return lambda place: evidence(place[1], place[2], metric, study=place[0])
 
 
-def _label(contrast: Contrast) -> str:
-    return f"{contrast.what} minus {contrast.other}"
-
-
 def in_words(metric: str) -> str:
     """A metric or measure as people call it."""
     return words(metric, PRIMARY) if metric in METRICS else MEASURES[metric]
-
-
-def answers(found: pd.DataFrame, question: Question) -> list[str]:
-    """A sentence for each contrast that there are seeds for, the one that answers first; found: as `table` gives it."""
-    known = found[found["question"] == question.name].set_index(["row", "metric"])[["value", "low", "high"]].T
-    said = []
-    for contrast in question.contrasts:
-        if (key := (_label(contrast), contrast.metric)) in known:
-            value, low, high = map(float, known[key])
-            apart = "" if low * high > 0 else "not told apart: "
-            number = with_interval(value, low, high, 4 if contrast.metric in ("reward", "corridor", "reversals") else 2)
-            said.append(f"{contrast.what} against {contrast.other}, {in_words(contrast.metric)}: {apart}{number}.")
-    return said

@@ -75,7 +75,7 @@ def _activations() -> Question:
         pairs += [("tanh", "relu", study, f", both with {label}") for study, label in changed.items()]
         for a, b, study, how in pairs:
             name = f"{one.upper()} with {a} minus with {b}{how}"
-            said = _earns(a, b, how.replace(", both with", ", at")) if one == DQN else None
+            said = _earns(a, b, how) if one == DQN else None
             contrasts.append(Contrast("reward", name, ((study, one, a),), ((study, one, b),), said))
     return Question("activations", "Is it boundedness, centring or scale?", ("reward",), rows, tuple(contrasts))
 

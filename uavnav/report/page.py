@@ -230,7 +230,9 @@ def _table_name(algorithm: str) -> str:
 def markdown(content: Content) -> str:
     """report.md: the verdicts, the tables in every reading, how the runs were made."""
     sections = []
+    answered = {id(cell) for cells in content.studies.why.values() for cell in cells.values()}  # by a question each
     for algorithm in _algorithms(content):
-        part, usual = label([cell for cell in content.cells if cell.algorithm == algorithm])
+        mine = [cell for cell in content.cells if cell.algorithm == algorithm and id(cell) not in answered]
+        part, usual = label(mine)
         sections.append({"name": algorithm, "usual": usual, "table": tables.table(part, algorithm)})
     return render("report.md", content, sections=sections, bins=BINS, root="").strip() + "\n"

@@ -8,7 +8,10 @@ from torchrl.data import ReplayBuffer
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.networks import mlp
-from uavnav.tasks.seeding import Streams, headings, places, stream
+from uavnav.tasks.chance import Chance
+from uavnav.tasks.seeding import Streams, places, stream
+from uavnav.tasks.simulator import make_task
+from uavnav.tasks.world import World
 from uavnav.training.sampler import AgentSampler, AgentStorage
 from uavnav.training.sampling import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical, values_of
 
@@ -217,7 +220,7 @@ def test_a_place_depends_on_its_seed_and_index_alone():
 
 
 def test_headings_are_whole_degrees_of_a_full_turn():
-    drawn = headings(Streams([0], "headings"), 20_000, "cpu")
+    drawn = Chance(make_task(world=World(start_heading="random")), [0], 20_000).headings()
     assert drawn.min() == 0
     assert drawn.max() == 359
     assert drawn.dtype == torch.int64

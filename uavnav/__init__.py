@@ -94,7 +94,7 @@ _MODULES = (
 )
 
 _SHOWN = ("evaluate", "layouts", "networks", "plugins", "report", "rewards", "sensing", "stats")
-__all__ = [*_NAMES, *ALGORITHMS, *_SHOWN]
+__all__ = sorted({*_NAMES, *ALGORITHMS, *_SHOWN})
 """What most programs need; every other module is found too, by its short name or in its folder."""
 
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, when it is imported

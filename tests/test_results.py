@@ -205,8 +205,7 @@ def content():
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
         patch.setattr("uavnav.report.figures.draw", lambda *anything: [])
-        patch.setattr("uavnav.report.content.replays.record", lambda cells: {"cells": [], "left_out": []})
-        return gather([Path("results")])
+        return gather([Path("results")], lambda cells: {"cells": [], "left_out": []})
 
 
 def from_rows(text):

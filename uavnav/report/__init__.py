@@ -29,13 +29,14 @@ def report(folders: Sequence[str | Path] = ("results",), out: str | Path | None 
     """
     from uavnav.report.content import gather  # which flies, and so loads torch
     from uavnav.report.page import contents
+    from uavnav.report.replays import record_apart
 
     if out is not None:
         try:
             files.check_out(Path(out) / "report.html")  # before the work
         except ValueError as error:
             raise RunError(str(error)) from error
-    content = gather([Path(folder) for folder in folders])
+    content = gather([Path(folder) for folder in folders], record_apart)
     out = Path(folders[0] if out is None else out)
     _write_all(out, contents(content, Path(folders[0])))
     return Written(out / "report.html", content.left_out)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,8 +80,10 @@ class Content:
         return self.audits[PRIMARY]
 
 
-def gather(folders: Sequence[Path]) -> Content:
+def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, Any]] = replays.record) -> Content:
     """Read all runs in some folders, let their policies fly a little, and work out what the report says.
+
+    fly: what gives the replays of some cells.
 
     Raises:
         RunError: a folder is missing or holds no run, or no run can be used.
@@ -91,7 +93,7 @@ def gather(folders: Sequence[Path]) -> Content:
     left_out += studies.in_none(sorted_cells)
     of_paper = studies.paper_cells(sorted_cells.main)
     with machine.use_threads(1), ThreadPoolExecutor(1) as beside:  # what nothing else waits for flies meanwhile
-        replayed = beside.submit(replays.record, list(dict.fromkeys([*of_paper.values(), *studies.elsewhere(cells)])))
+        replayed = beside.submit(fly, list(dict.fromkeys([*of_paper.values(), *studies.elsewhere(cells)])))
         flights, by_layout, watched, problems = watch(sorted_cells)
         evidence = {reading: Rows(sorted_cells, reading, flights, by_layout) for reading in READINGS}
         printed = {reading: functools.partial(studies.of_paper, reading=reading) for reading in READINGS}

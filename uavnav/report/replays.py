@@ -11,9 +11,13 @@ Letters: R rows, one a flight, T steps of a flight, K obstacles of a set.
 from __future__ import annotations
 
 import base64
+import json
+import subprocess
+import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,11 +25,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from uavnav import browser, flights
+from uavnav import browser, flights, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import EPISODES
 from uavnav.policies import Policy, PolicyError, load_policy
-from uavnav.report.cells import Cell, one_line
+from uavnav.report.cells import EMPTY, Cell, one_line
+from uavnav.runs import Run
 from uavnav.stats import Array
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import AnyPolicy, reactive
@@ -128,6 +133,25 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
         "rule": [_pack(flight) for flight in rule],
         "left_out": list(dict.fromkeys(left_out)),
     }
+
+
+def record_apart(cells: Sequence[Cell]) -> dict[str, Any]:
+    """What `record` gives, by a process of its own, so that a report goes on meanwhile."""
+    asked = [[one.algorithm, one.activation, one.label, [str(run.path) for run in one.runs]] for one in cells]
+    told = json.dumps({"plugins": [*plugins.LOADED], "cells": asked})
+    done = subprocess.run([sys.executable, "-m", __name__], input=told, stdout=subprocess.PIPE, text=True, check=False)
+    return dict(json.loads(done.stdout)) if done.returncode == 0 else record(cells)
+
+
+def main() -> None:
+    """What `record_apart` starts: read from the standard input which cells fly, write to the standard output how."""
+    asked = json.load(sys.stdin)
+    plugins.load(asked["plugins"])
+    cells = [
+        Cell(algorithm, activation, {}, [Run(Path(path)) for path in paths], EMPTY, EMPTY, label)
+        for algorithm, activation, label, paths in asked["cells"]
+    ]
+    json.dump(record(cells), sys.stdout)
 
 
 def _told(fields: Mapping[str, Field]) -> list[dict[str, Any]]:
@@ -333,3 +357,7 @@ def _bytes(column: Tensor, field: Field) -> bytes:
     kind = np.dtype(field.type).newbyteorder("<")
     numbers = column.reshape(len(column), -1).T.double().numpy() / field.unit
     return (numbers if kind.kind == "f" else np.rint(numbers)).astype(kind).tobytes()
+
+
+if __name__ == "__main__":
+    main()

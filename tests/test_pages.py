@@ -254,5 +254,6 @@ def test_every_error_line_of_the_source_is_on_the_page():
 
 
 def test_whoever_chooses_an_algorithm_finds_each_in_the_table():
-    rows = table(ALL["docs/algorithms.md"], "| algorithm | policy | it learns | a buffer | when to use |")
+    (head,) = [line for line in ALL["docs/algorithms.md"].splitlines() if line.startswith("| algorithm | policy |")]
+    rows = table(ALL["docs/algorithms.md"], head)
     assert sorted(re.search(r"\((\w+)\.md\)", row[0])[1] for row in rows) == sorted(CONFIGS)

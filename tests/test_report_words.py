@@ -191,6 +191,28 @@ def test_between_marks_is_the_new_text_and_around_them_the_old(before, old, new,
         assert docs.between_marks(replaced, new) == replaced
 
 
+MEASURED = """
+| PPO | frames/s | 1 M frames | per seed | peak [GB] |
+|---|--:|--:|--:|--:|
+| uavnav, 1 seed | 20,000 | 0:00:50 | 0:00:50 | 0.61 |
+| uavnav, 10 seeds | 65,000 | 0:02:44 | 0:00:16 | 1.32 |
+| SB3, alone | 1,800 | 0:09:00 | 0:09:00 | 0.45 |
+
+| SAC | frames/s before learning | 1 M frames | peak [GB] |
+|---|--:|--:|--:|
+| uavnav, 10 seeds | 9,000 | 0:20:00 | 2.5 |
+"""
+
+
+def test_what_a_million_frames_of_ten_seeds_cost_is_taken_from_the_benchmarks(results):
+    assert docs.costs(MEASURED) == {"ppo": ("0:02:44", "1.32"), "sac": ("0:20:00", "2.5")}
+    assert docs.costs("") == {}
+    lines = docs.choice(gather([results], lambda cells: {"cells": [], "left_out": []}), MEASURED).splitlines()
+    (ppo,), (c51,) = ([line for line in lines if line.startswith(f"| [{name}]")] for name in ("PPO", "C51"))
+    assert " | 0:02:44 | 1.32 | – | – | " in ppo
+    assert " | – | – | – | – | " in c51
+
+
 @pytest.mark.parametrize("text", ["", "no marks", BEGIN, END, f"{END}\n{BEGIN}"])
 def test_a_text_without_marks_is_refused(text):
     with pytest.raises(RunError, match=f"README.md: has no lines {BEGIN} and {END}; put"):
@@ -204,9 +226,14 @@ def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_
     assert docs.main([]) == 2
     assert capsys.readouterr().err.startswith("uavnav.report.docs: README.md: has no lines")
     assert not Path("docs/results.md").exists()
-    Path("README.md").write_text(f"# Title\n{BEGIN}\nold\n{END}\nrest\n")
+    for marked in ("README.md", "docs/algorithms.md"):
+        Path(marked).write_text(f"# Title\n{BEGIN}\nold\n{END}\nrest\n")
+    Path("docs/benchmarks.md").write_text(MEASURED)
     assert docs.main(["results"]) == 0
     content = gather([Path("results")])
     assert Path("docs/results.md").read_text() == docs.results(content)
     assert Path("README.md").read_text() == f"# Title\n{BEGIN}\n{docs.summary(content)}\n{END}\nrest\n"
+    assert (
+        Path("docs/algorithms.md").read_text() == f"# Title\n{BEGIN}\n{docs.choice(content, MEASURED)}\n{END}\nrest\n"
+    )
     assert docs.main(["nowhere"]) == 2

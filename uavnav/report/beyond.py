@@ -135,6 +135,13 @@ def compared(found: Table) -> TextRows:
     return rows
 
 
+def reward(numbers: Mapping[str, Table], algorithm: str, which: str) -> str:
+    """Of an algorithm's test flights with some settings; numbers: as `tuning` gives them, or without."""
+    if "tuning" not in numbers:
+        return "–"
+    return _shown(numbers["tuning"].query("algorithm == @algorithm").set_index("settings"), which)
+
+
 def _shown(by: Table, which: str, columns: Sequence[str] = ("value", "low", "high"), digits: int = 1) -> str:
     if which not in by.index:
         return "–"

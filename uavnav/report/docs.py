@@ -1,4 +1,4 @@
-"""docs/results.md and the block of results in the README, from the same source as the report.
+"""docs/results.md, and the blocks of results in the README and docs/algorithms.md, from the report's own source.
 
 `python -m uavnav.report.docs [FOLDER]`
 """
@@ -16,6 +16,9 @@ from uavnav.report.page import render
 from uavnav.runs.tables import RunError
 
 BEGIN, END = "<!-- results -->", "<!-- end of results -->"
+TEN, TIME, MEMORY = "uavnav, 10 seeds", "1 M frames", "peak [GB]"
+"""A row and two columns of the tables in docs/benchmarks.md."""
+PAGES = "docs/results.md", "docs/algorithms.md", "docs/benchmarks.md"
 
 
 def results(content: Content) -> str:
@@ -28,7 +31,24 @@ def summary(content: Content) -> str:
     return render("summary.md", content, root="results/").strip()
 
 
-def between_marks(text: str, new: str) -> str:
+def choice(content: Content, benchmarks: str) -> str:
+    """The table in docs/algorithms.md; benchmarks: the text of docs/benchmarks.md, which says what each costs."""
+    return render("choice.md", content, costs=costs(benchmarks)).strip()
+
+
+def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
+    """The time and the memory of a million frames of ten seeds, by algorithm; none that was not measured."""
+    found, head = {}, []
+    for line in benchmarks.splitlines():
+        cells = [cell.strip() for cell in line.strip("| ").split("|")]
+        if TIME in cells:
+            head = cells
+        elif cells[0] == TEN and head:
+            found[head[0].lower()] = cells[head.index(TIME)], cells[head.index(MEMORY)]
+    return found
+
+
+def between_marks(text: str, new: str, where: str = "README.md") -> str:
     """A text with what lies between its marks replaced.
 
     Raises:
@@ -37,28 +57,32 @@ def between_marks(text: str, new: str) -> str:
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:
-        raise RunError(f"README.md: has no lines {BEGIN} and {END}; put them where the results go")
+        raise RunError(f"{where}: has no lines {BEGIN} and {END}; put them where the results go")
     return f"{before}{BEGIN}\n{new}\n{END}{after}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write docs/results.md and the README's block of results from the runs in a folder."""
+    """Write docs/results.md and the blocks of results in README.md and docs/algorithms.md from the runs in a folder."""
     parser = Parser(prog="python -m uavnav.report.docs", description=main.__doc__)
     parser.add_argument("folder", nargs="?", default="results", metavar="FOLDER", help="of runs (default: results)")
     arguments = parser.parse_args(argv)
     try:
         content = gather([Path(arguments.folder)])
-        readme, page = Path("README.md"), Path("docs/results.md")
-        replaced = between_marks(readme.read_text(), summary(content))
-        files.write(page, results(content).encode())
-        files.write(readme, replaced.encode())
+        readme, page, chosen, measured = map(Path, ("README.md", *PAGES))
+        block = choice(content, measured.read_text() if measured.exists() else "")
+        replaced = {
+            path: between_marks(path.read_text(), new, str(path))
+            for path, new in ((readme, summary(content)), (chosen, block))
+        }
+        for path, text in {page: results(content), **replaced}.items():
+            files.write(path, text.encode())
     except (RunError, OSError) as error:
         print(f"uavnav.report.docs: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("uavnav.report.docs: stopped; nothing was written", file=sys.stderr)
         return 130
-    print(f"wrote {page} and the block of results in {readme}")
+    print(f"wrote {page} and the blocks of results in {readme} and {chosen}")
     return 0
 
 

@@ -1,16 +1,18 @@
 """The report's section on more algorithms: made-up cells, numbers known by hand."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 from spoiling import put
 from test_studies import cell
 
-from uavnav.report import beyond
-from uavnav.report.beyond import DIFFERENCE
+from uavnav.report import beyond, findings
 from uavnav.report.cells import _beside_tuning
 from uavnav.report.studies import Rows, sort
 from uavnav.runs import run_folders
+from uavnav.runs.trials import DIFFERENCE
 
 TRIALS = pd.DataFrame(
     {
@@ -112,6 +114,31 @@ def test_the_two_settings_that_matter_most_are_named_with_their_shares():
     assert beyond.matters(importance[:0]) == ""
 
 
+def told(default, tuned, rule):
+    """The sentences of PPO and DQN with so much reward in a flight of each of ten seeds, give or take one."""
+    near = [
+        {name: tuple(value + one for one in (-1.0, 1.0) * 5) for name, value in by.items()} for by in (default, tuned)
+    ]
+    found = {"default": cells(**near[0]), "tuned": cells(**near[1])}
+    table = beyond._compared(found, {"reactive": flights(rule, mode="scripted")}, ["ppo", "dqn"])
+    numbers = {"tuning": table, "tuning_pairs": beyond._pairs(found, ["ppo", "dqn"])}
+    return [re.sub(r"\d+ \(.*?\)", lambda shown: shown[0].split()[0], str(one)) for one in findings.tuned(numbers)]
+
+
+def test_what_tuning_changes_is_told_of_the_pair_of_each_algorithm_and_of_the_rule():
+    assert told({"ppo": 200, "dqn": 100}, {"ppo": 200, "dqn": 400}, rule=500) == [
+        "With default settings, PPO earns 100.0 more a test flight than DQN.",
+        "Tuned with the same budget, PPO earns 200 less a test flight than DQN.",
+        "Tuned, PPO is not told apart from its defaults: 0.0 of reward a test flight.",
+        "Tuned, DQN earns 300 more a test flight than with its defaults.",
+        "None passes the hand-written rule; DQN comes nearest, 100.0 of reward a test flight behind.",
+    ]
+    assert told({"ppo": 1, "dqn": 1}, {"ppo": 1, "dqn": 300}, rule=200)[-1] == (
+        "DQN, tuned, passes the hand-written rule by 100.0 of reward a test flight."
+    )
+    assert findings.tuned({}) == []
+
+
 def test_a_folder_without_tuning_has_no_tables_and_a_damaged_one_a_line(tmp_path):
     assert beyond.tuning([tmp_path], {}) == ({}, [])
     (tmp_path / "tuning").mkdir()
@@ -187,8 +214,7 @@ def test_a_conclusion_about_activations_carries_over_turns_round_or_stays_open()
     assert value["tanh − relu", "ppo"] == pytest.approx(1.0)
     assert value["bounded − unbounded", "sac"] == pytest.approx(-0.5)
     first = beyond.carries(found).split(". ")[0]
-    assert first.startswith("tanh − relu is above zero under PPO: it holds under A2C, turns round under SAC, is not")
-    assert first.endswith("told from zero under C51")
+    assert first == "Under PPO, tanh is ahead of ReLU; this holds under A2C, turns round under SAC, is open under C51"
     assert "DQN" not in beyond.carries(found)  # which decides nothing
     assert beyond.conclusions(found)[0] == ["reward per frame", "DQN", "PPO", "A2C", "C51", "SAC"]
 

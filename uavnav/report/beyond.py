@@ -28,13 +28,12 @@ from uavnav.runs import paper
 from uavnav.runs.metrics import finished
 from uavnav.runs.readings import SAMPLED, words
 from uavnav.runs.tables import RunError
-from uavnav.runs.trials import COLUMNS, IMPORTANCE, OF_IMPORTANCE, TABLE, TUNED, best, folders, read, winner
+from uavnav.runs.trials import COLUMNS, DIFFERENCE, IMPORTANCE, OF_IMPORTANCE, TABLE, TUNED, best, folders, read, winner
 
 Table = pd.DataFrame
 TextRows = list[list[str]]
 DEFAULT = "default"
 """A folder of the study `tuning` and what it holds, as `TUNED`."""
-DIFFERENCE = "tuned − default"
 NAMED = {"tuning", "carried"}
 """Tables of a report that has this section."""
 COLOURS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -47,7 +46,17 @@ CONCLUSIONS = {
     "relu − leaky_relu": (("relu",), ("leaky_relu",)),
 }
 """What is said of activations, as differences of the mean reward per frame of some and of others."""
-WAYS = ("it holds under", "turns round under", "is not told from zero under")
+AHEAD = {
+    "tanh − relu": ("tanh is ahead of ReLU", "tanh trails ReLU"),
+    "bounded − unbounded": (
+        "bounded activations are ahead of unbounded ones",
+        "bounded activations trail unbounded ones",
+    ),
+    "tanh − sigmoid": ("tanh is ahead of sigmoid", "tanh trails sigmoid"),
+    "relu − leaky_relu": ("ReLU is ahead of leaky ReLU", "ReLU trails leaky ReLU"),
+}
+"""The same in words, above zero and below."""
+WAYS = ("holds under", "turns round under", "is open under")
 """What may become of such a difference under another algorithm."""
 
 
@@ -55,7 +64,8 @@ def tuning(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str
     """The tables of the first study that tuned in some folders, by name, and a line for what is of no use.
 
     tuning: columns algorithm, settings (default, tuned, their difference), value, low, high, n, and the gap to the
-    hand-written rule; tuning_trials: what was tried, with the `best` so far; tuning_importance: shares of settings.
+    hand-written rule; tuning_pairs: differences of two algorithms; tuning_trials: what was tried, with the `best` so
+    far; tuning_importance: shares of settings.
     """
     found = folders(of)
     if not found:
@@ -77,7 +87,8 @@ def tuning(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str
         cells[which] |= own
         left_out += lines
     compared = _compared(cells, baselines, algorithms)
-    return {"tuning": compared, "tuning_trials": trials, "tuning_importance": importance}, left_out
+    tables = {"tuning": compared, "tuning_pairs": _pairs(cells, algorithms)}
+    return tables | {"tuning_trials": trials, "tuning_importance": importance}, left_out
 
 
 def so_far(trials: Table) -> pd.Series[float]:
@@ -113,6 +124,15 @@ def _compared(cells: Mapping[str, Cells], baselines: Mapping[str, Table], algori
             rows.append([algorithm, DIFFERENCE, *stats.difference(seeds[TUNED], seeds[DEFAULT]), *[np.nan] * 3])
     columns = ["algorithm", "settings", "value", "low", "high", "n", "gap", "gap_low", "gap_high"]
     return pd.DataFrame(rows, columns=columns)
+
+
+def _pairs(cells: Mapping[str, Cells], algorithms: Sequence[str]) -> Table:
+    rows = []
+    for which, found in cells.items():
+        of = {key[0]: [one] for key, cell in found.items() if len(one := rewards(cell))}
+        for first, second in itertools.combinations([name for name in algorithms if name in of], 2):
+            rows.append([f"{first} − {second}", which, *stats.difference(of[first], of[second])])
+    return pd.DataFrame(rows, columns=["pair", "settings", "value", "low", "high", "n"])
 
 
 def rewards(cell: Cell) -> stats.Array:
@@ -218,8 +238,8 @@ def _listed(names: Sequence[str]) -> str:
     )
 
 
-def figures(numbers: Mapping[str, Table], baselines: Mapping[str, Table]) -> list[Figure]:
-    """What a study that tuned shows; none without one. numbers: as `tuning` gives them."""
+def figures(numbers: Mapping[str, Table], baselines: Mapping[str, Table], width: float = style.WIDTH) -> list[Figure]:
+    """What a study that tuned shows; none without one. numbers: as `tuning` gives them; width [inches]."""
     if "tuning" not in numbers:
         return []
     rule = finished(baselines[headline.RULE])["reward"].mean() if headline.RULE in baselines else np.nan
@@ -228,23 +248,23 @@ def figures(numbers: Mapping[str, Table], baselines: Mapping[str, Table]) -> lis
         Figure(
             "tuning-trials",
             "algorithms",
-            progress(trials),
+            progress(trials, width),
             "Best mean reward on validation sets so far, by trial; the first is the default. Dots are single trials.",
         )
     ]
     if len(found):
         caption = "Reward of a test flight, sampled: mean over seeds and 95 % interval. Dashed: the hand-written rule."
-        drawn.insert(0, Figure("tuning", "algorithms", pairs(found, float(rule)), caption))
+        drawn.insert(0, Figure("tuning", "algorithms", pairs(found, float(rule), width), caption))
     if len(importance):
         caption = "How much of the variation among an algorithm's trials a setting explains (fANOVA)."
-        drawn.append(Figure("tuning-importance", "algorithms", shares(importance), caption))
+        drawn.append(Figure("tuning-importance", "algorithms", shares(importance, width), caption))
     return drawn
 
 
 @matplotlib.rc_context(style.STYLE)
-def progress(trials: Table) -> style.Drawn:
+def progress(trials: Table, width: float = style.WIDTH) -> style.Drawn:
     """Best so far against trials, a line an algorithm, single trials as dots."""
-    figure, axes = style.panel("", 4.2)
+    figure, axes = style.panel("", 4.2, width)
     said = []
     for colour, (algorithm, part) in zip(
         itertools.cycle(COLOURS), trials.groupby("algorithm", sort=False), strict=False
@@ -259,16 +279,16 @@ def progress(trials: Table) -> style.Drawn:
     axes.set_xlabel("trial")
     axes.set_ylabel("mean reward, validation")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    figure.legend(loc="outside lower center", ncols=5)
+    figure.legend(loc="outside lower center", ncols=5 if width >= style.WIDTH else 3)
     return style.Drawn(figure, f"Best mean reward so far: {'; '.join(said)}.")
 
 
 @matplotlib.rc_context(style.STYLE)
-def pairs(found: Table, rule: float) -> style.Drawn:
+def pairs(found: Table, rule: float, width: float = style.WIDTH) -> style.Drawn:
     """Default and tuned, a row each; found: as `tuning` gives it."""
     shown = found[found["settings"] != DIFFERENCE]
     rows = [f"{one['algorithm'].upper()} {one['settings']}, n = {one['n']}" for one in shown.to_dict("records")]
-    figure, axes = style.panel("", 0.42 * len(rows) + 1.3)
+    figure, axes = style.panel("", 0.42 * len(rows) + 1.3, width)
     said = []
     for row, one in enumerate(shown.to_dict("records")):
         colour = style.CLEAR if one["settings"] == TUNED else style.PALE
@@ -285,13 +305,13 @@ def pairs(found: Table, rule: float) -> style.Drawn:
 
 
 @matplotlib.rc_context(style.STYLE)
-def shares(importance: Table) -> style.Drawn:
+def shares(importance: Table, width: float = style.WIDTH) -> style.Drawn:
     """A panel an algorithm, a bar a setting."""
     groups = list(importance.groupby("algorithm", sort=False))
-    columns = min(len(groups), 2)
+    columns = min(len(groups), 2 if width >= style.WIDTH else 1)
     lines = -(-len(groups) // columns)
     height = 0.34 * int(importance["algorithm"].value_counts().max()) + 0.9
-    figure = Canvas(figsize=(style.WIDTH, lines * height + 0.3), layout="constrained")
+    figure = Canvas(figsize=(width, lines * height + 0.3), layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
     said = []
     for axes, (algorithm, part) in zip(panels, groups, strict=False):
@@ -351,5 +371,5 @@ def carries(found: Table) -> str:
             own = _listed([algorithm.upper() for algorithm in decided if decided[algorithm] == way])
             of = [[other.upper() for other in others if sign[other] == one] for one in (way, -way, 0)]
             parts = [f"{what} {_listed(names)}" for what, names in zip(WAYS, of, strict=True) if names]
-            said.append(f"{label} is {'above' if way > 0 else 'below'} zero under {own}: {', '.join(parts)}.")
+            said.append(f"Under {own}, {AHEAD[str(label)][way < 0]}; this {', '.join(parts)}.")
     return " ".join(said) or "No difference of activations is told from zero under the paper's algorithms."

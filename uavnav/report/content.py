@@ -117,6 +117,7 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
         drawn = [*figures.draw(of_paper, numbers, watched, survival), *beyond.figures(numbers, baselines)]
         drawn += _of_worlds(of_worlds)
         narrow = figures.draw(of_paper, numbers, watched, survival, style.NARROW)
+        narrow += beyond.figures(numbers, baselines, style.NARROW)
         flown = replayed.result()
     return Content(
         cells,

@@ -20,6 +20,7 @@ from uavnav.report.whys import Question
 from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
 from uavnav.runs.readings import ALL, LAST_EPISODES, LOG_CURVE, PER_FRAME, TOTALS
+from uavnav.runs.trials import DIFFERENCE, TUNED
 from uavnav.stats import Interval
 
 Numbers = Mapping[str, pd.DataFrame]
@@ -112,6 +113,11 @@ def more_worlds(numbers: Numbers) -> list[Sentence]:
     return [*_many_worlds(numbers), *_worlds(numbers)]
 
 
+def tuned(numbers: Numbers) -> list[Sentence]:
+    """What the same budget of tuning changes: who leads whom, each algorithm's reward, the gap to the rule."""
+    return [*_pair(numbers), *_tuned(numbers), *_gap(numbers)] if "tuning" in numbers else []
+
+
 def why(numbers: Numbers, question: Question) -> list[Sentence]:
     """What answers a question to the side studies: a sentence for each of its contrasts with words."""
     found: list[Sentence] = []
@@ -145,6 +151,7 @@ def of_sections(numbers: Numbers) -> dict[str, Sentence]:
         "why": _one_step(numbers),
         "sensitivity": _flips(numbers),
         "baselines": _rule(numbers),
+        "algorithms": iter(tuned(numbers)[1:]),
         "speed": iter([of_claim(numbers, by_number[11])]),
         "methods": iter([study(numbers)]),
     }
@@ -306,6 +313,41 @@ def _many_worlds(numbers: Numbers) -> Iterator[Sentence]:
             f"{who} earns {{}} less reward in 1,000 frames in many worlds a seed than in one.",
             f"{who} in many worlds a seed is not told apart from {who} in one: {{}} of reward in 1,000 frames.",
             *(_times(_found(row), 1000), "effects", place),
+        )
+
+
+def _pair(numbers: Numbers) -> Iterator[Sentence]:
+    first, second = (name.upper() for name in ALGORITHMS)
+    for which, how in {"default": "With default settings", "tuned": "Tuned with the same budget"}.items():
+        for place, row in _rows(numbers["tuning_pairs"], pair=" − ".join(ALGORITHMS), settings=which):
+            yield from _told(
+                f"{how}, {first} earns {{}} more a test flight than {second}.",
+                f"{how}, {first} earns {{}} less a test flight than {second}.",
+                f"{how}, {first} and {second} are not told apart: {{}} of reward a test flight.",
+                *(_found(row), "tuning_pairs", place),
+            )
+
+
+def _tuned(numbers: Numbers) -> Iterator[Sentence]:
+    for place, row in _rows(numbers["tuning"], settings=DIFFERENCE):
+        who = row.algorithm.upper()
+        yield from _told(
+            f"Tuned, {who} earns {{}} more a test flight than with its defaults.",
+            f"Tuned, {who} earns {{}} less a test flight than with its defaults.",
+            f"Tuned, {who} is not told apart from its defaults: {{}} of reward a test flight.",
+            *(_found(row), "tuning", place),
+        )
+
+
+def _gap(numbers: Numbers) -> Iterator[Sentence]:
+    known = [(place, row) for place, row in _rows(numbers["tuning"], settings=TUNED) if not np.isnan(row.gap)]
+    for place, row in sorted(known, key=lambda found: -found[1].gap)[:1]:
+        who = row.algorithm.upper()
+        yield from _told(
+            f"{who}, tuned, passes the hand-written rule by {{}} of reward a test flight.",
+            f"None passes the hand-written rule; {who} comes nearest, {{}} of reward a test flight behind.",
+            f"It is open whether {who}, tuned, passes the hand-written rule: {{}} of reward a test flight.",
+            *(Interval(row.gap, row.gap_low, row.gap_high, row.n), "tuning", place),
         )
 
 

@@ -10,6 +10,8 @@ import pandas as pd
 
 TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
 """What a study that tunes writes into; in there its trials, which are no runs of their own; and winners, by trial."""
+DIFFERENCE = "tuned − default"
+"""Settings of a row that compares the winner with the default."""
 TABLE, IMPORTANCE = "trials.csv", "importance.csv"
 COLUMNS = ["algorithm", "trial", "state", "value", "settings"]
 OF_IMPORTANCE = ["algorithm", "setting", "importance"]

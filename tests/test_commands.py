@@ -43,7 +43,13 @@ def told(words, capsys):
 def test_the_table_holds_each_module_that_is_a_command_and_each_is_of_one_kind():
     there = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts) for path in PACKAGE.rglob("*.py")
              if "\ndef main(" in path.read_text()}  # fmt: skip
-    others = {"uavnav.__main__", "uavnav.report.docs", "uavnav.bench.jobs", "uavnav.train.share"}
+    others = {
+        "uavnav.__main__",
+        "uavnav.report.docs",
+        "uavnav.report.replays",
+        "uavnav.bench.jobs",
+        "uavnav.train.share",
+    }
     assert {module_of(name) for name in commands.COMMANDS} == there - others
     assert set(commands.PARSERS) == set(commands.COMMANDS) - {"train"}
     of_a_kind = [name for names, _ in commands.KINDS.values() for name in names]

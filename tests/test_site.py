@@ -99,7 +99,8 @@ def test_the_front_page_is_the_reports_first_screen_and_its_number_leads_to_the_
     assert re.search(r'href="?report/tables/gaps\.csv#L\d+', site["index.html"])
     assert site["report/report.html"] == report
     assert re.search(r'href="?report/report\.html"?>the report as one page', site["results.html"])
-    assert len(re.findall(r'src="?report/figures/', site["results.html"])) == 2
+    pictures = (ROOT / "docs" / "results.md").read_text().count("![")
+    assert len(re.findall(r'src="?report/figures/', site["results.html"])) == pictures > 1
 
 
 def test_every_page_tells_whom_it_is_sent_to_what_it_is(site):

@@ -15,7 +15,7 @@ import pandas as pd
 from uavnav import style
 from uavnav.evaluate.arena import EMPTY_ARENA
 from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys, worlds
-from uavnav.report.cells import Cell, collect, one_line, read_as
+from uavnav.report.cells import Cell, algorithms, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.figures import Figure
 from uavnav.report.operating import characteristics
@@ -73,6 +73,16 @@ class Content:
     def baseline_rows(self) -> list[list[str]]:
         """Scripts and people beside the study's cells, as a table."""
         return tables.baselines(self.baselines, studies.paper_cells(self.studies.main))
+
+    @functools.cached_property
+    def paper_tables(self) -> dict[str, list[list[str]]]:
+        """The main study as in the paper's tables, by algorithm: the paper's, and whatever else has runs."""
+        of_paper = studies.paper_cells(self.studies.main)
+        others = algorithms((cell.algorithm, cell.activation) for cell in self.cells)
+        return {
+            algorithm: tables.table([cell for (which, _), cell in of_paper.items() if which == algorithm], algorithm)
+            for algorithm in dict.fromkeys([*paper.TABLE_OF, *others])
+        }
 
     @property
     def findings(self) -> list[Finding]:

@@ -69,12 +69,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         content = gather([Path(arguments.folder)])
         readme, page, chosen, measured = map(Path, ("README.md", *PAGES))
+        texts = {page: results(content)}
+        texts[readme] = between_marks(readme.read_text(), summary(content))
         block = choice(content, measured.read_text() if measured.exists() else "")
-        replaced = {
-            path: between_marks(path.read_text(), new, str(path))
-            for path, new in ((readme, summary(content)), (chosen, block))
-        }
-        for path, text in {page: results(content), **replaced}.items():
+        texts[chosen] = between_marks(chosen.read_text(), block, str(chosen))
+        for path, text in texts.items():
             files.write(path, text.encode())
     except (RunError, OSError) as error:
         print(f"uavnav.report.docs: {error}", file=sys.stderr)

@@ -17,7 +17,7 @@ from markupsafe import Markup, escape
 
 from uavnav import browser, evaluate
 from uavnav.report import arena, beyond, conclusions, findings, frames, studies, tables, whys, worlds
-from uavnav.report.cells import BINS, algorithms, label
+from uavnav.report.cells import BINS, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
 from uavnav.report.content import Content
 from uavnav.report.figures import LOOKED_AT
@@ -118,8 +118,7 @@ def contents(content: Content, first: Path) -> dict[str, bytes]:
         pictures[figure.name].append(_embedded(drawing(figure.drawn.figure)))
     for stem, frame in content.tables.items():
         found[f"tables/{stem}.csv"] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n").encode()
-    for algorithm in _algorithms(content):
-        header, *rows = _table(content, algorithm)
+    for algorithm, (header, *rows) in content.paper_tables.items():
         shown = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
         found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *shown]).encode()
     if flights := first_flights(content):
@@ -141,18 +140,6 @@ def _embedded(svg: bytes) -> str:
     for pattern, instead in _UNDRAWN.items():
         short = re.sub(pattern, instead, short)
     return base64.b64encode(short[short.index(b"<svg") :]).decode()
-
-
-def _algorithms(content: Content) -> list[str]:
-    """The paper's, whether they have runs or not, and whatever else has some."""
-    others = algorithms((cell.algorithm, cell.activation) for cell in content.cells)
-    return list(dict.fromkeys([*paper.TABLE_OF, *others]))
-
-
-def _table(content: Content, algorithm: str) -> tables.Rows:
-    """An algorithm's main study as in the paper's table."""
-    of_paper = studies.paper_cells(content.studies.main)
-    return tables.table([cell for (which, _), cell in of_paper.items() if which == algorithm], algorithm)
 
 
 def render(template: str, content: Content, **more: Any) -> str:
@@ -201,7 +188,7 @@ def page(content: Content, pictures: Mapping[str, Sequence[str]], first: Path) -
         together=first_flights(content),
         version=importlib.metadata.version("uavnav"),
         sections=_sections(content),
-        paper_tables=[(_table_name(one), _table(content, one)) for one in _algorithms(content)],
+        paper_tables=[(_table_name(algorithm), rows) for algorithm, rows in content.paper_tables.items()],
         pictures=pictures,
         first=first,
     )
@@ -231,7 +218,7 @@ def markdown(content: Content) -> str:
     """report.md: the verdicts, the tables in every reading, how the runs were made."""
     sections = []
     answered = {id(cell) for cells in content.studies.why.values() for cell in cells.values()}  # by a question each
-    for algorithm in _algorithms(content):
+    for algorithm in content.paper_tables:
         mine = [cell for cell in content.cells if cell.algorithm == algorithm and id(cell) not in answered]
         part, usual = label(mine)
         sections.append({"name": algorithm, "usual": usual, "table": tables.table(part, algorithm)})

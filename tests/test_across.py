@@ -160,3 +160,17 @@ def test_what_is_no_ladder_or_no_count_is_one_line(words, line, capsys):
     said = capsys.readouterr().err
     assert (status, said.count("\n")) == (2, 1)
     assert line in said
+
+
+def test_alone_a_run_flies_as_in_training_with_no_script_beside_and_no_figure(run, capsys):
+    words = ["evaluate", str(run.path), "--across", "sticky", "--alone", "--episodes", "2", "--max-steps", "9"]
+    assert main([*words, "--json"]) == 0
+    assert {(one["name"], one["mode"]) for one in json.loads(capsys.readouterr().out)} == {(str(run.path), "sampled")}
+    assert [path.name for path in run.path.glob("across-sticky-2-9.*")] == ["across-sticky-2-9.parquet"]
+    alone = pd.read_parquet(run.path / "across-sticky-2-9.parquet")
+    words.remove("--alone")
+    assert main([*words, "--quiet"]) == 0
+    beside = pd.read_parquet(run.path / "across-sticky-2-9.parquet")
+    pd.testing.assert_frame_equal(alone, beside[beside["mode"] == "sampled"].reset_index(drop=True))
+    assert main(["evaluate", str(run.path), "--alone"]) == 2
+    assert capsys.readouterr().err.endswith("--alone: only --across flies others beside; leave it out\n")

@@ -62,11 +62,11 @@ def test_a_cell_is_flown_on_the_test_sets_of_its_rung_and_across_ladders_once_it
     assert cell.config.faults.noise == 5
     bounds = ["--episodes", "5", "--max-steps", "9"]
     own = ["--layouts", "density-4/test", *bounds]
-    assert unflown(cell) == [own, [*bounds, "--across", "density", "arc"]]
+    assert unflown(cell) == [own, [*bounds, "--alone", "--across", "density", "arc"]]
     for name in ("evaluation", "behaviour"):
         put(cell.out / f"{name}-density-4-test-5-9.parquet", "")
     put(cell.out / "across-density-5-9.parquet", "")
-    assert unflown(cell) == [[*bounds, "--across", "arc"]]
+    assert unflown(cell) == [[*bounds, "--alone", "--across", "arc"]]
     put(cell.out / "across-arc-5-9.parquet", "")
     assert evaluated(cell)
     assert unflown(cell._replace(evaluation=None)) == []

@@ -194,6 +194,8 @@ def _evaluate(parser: Parser) -> None:
     told = f"fly every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)
+    told = "with --across: no scripted policies beside, no greedy flights, no figure"
+    parser.add_argument("--alone", action="store_true", help=told)
     told = "fly each in every world that one of the runs was trained in instead, and draw the matrix"
     where.add_argument("--transfer", action="store_true", help=told)
     _activation(parser)

@@ -64,6 +64,8 @@ def _check_seeds(arguments: Namespace) -> None:
 
 def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPolicy]]) -> int:
     """The command with `--across` or `--transfer`; returns the exit status."""
+    if arguments.alone and arguments.across is None:
+        raise ValueError("--alone: only --across flies others beside; leave it out")
     if (given := arguments.faults) is not None:
         raise ValueError(f"--faults {given}: ladders and worlds of training have their own; leave it out")
     if arguments.layouts != "test":
@@ -79,7 +81,7 @@ def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPoli
     else:
         names = dict.fromkeys(one for word in arguments.across for one in GROUPS.get(word, (word,)))
         bounds = arguments.episodes, cap, arguments.out
-        records = across(found, [*names], *bounds, quiet, tell, arguments.task)
+        records = across(found, [*names], *bounds, quiet, tell, arguments.task, arguments.alone)
     if arguments.json:
         print(json.dumps(records, indent=2))
     return 0
@@ -104,7 +106,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             for name, run in found.items():
                 for mode in () if isinstance(run, Run) else run:
                     check_out(arguments.out / _rows_file(name, mode, protocol))
-        if arguments.across is not None or arguments.transfer:
+        if arguments.across is not None or arguments.transfer or arguments.alone:
             return _elsewhere(arguments, found)
         scripted = make_task(EMPTY, task=arguments.task)
         quiet, records = arguments.quiet or arguments.json, []

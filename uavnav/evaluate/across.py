@@ -162,12 +162,13 @@ def across(
     quiet: bool,
     tell: Callable[[str], object] = print,
     task: str = "drone",
+    alone: bool = False,
 ) -> list[dict[str, Any]]:
     """Fly all that is named, and the scripted baselines, across ladders; keep rows and a figure.
 
     Scripts fly what the first policy was trained in, and where there is none, the world of `task`. A ladder that the
     world of somebody does not have is left out, and `tell` is told so. The rows of a run lie in its folder, figures in
-    `out` or else in the first run's folder.
+    `out` or else in the first run's folder. `alone`, policies fly only as in training, without scripts and a figure.
 
     Returns:
         What the tables show, for JSON.
@@ -179,6 +180,9 @@ def across(
     """
     check_bounds(episodes, max_steps, SPLITS["test"].n)
     flyers = [flyer(name, one) for name, one in found.items()]
+    if alone:
+        acted = [{mode: crew for mode, crew in one.by_mode.items() if mode != "greedy"} for one in flyers]
+        flyers = [one._replace(by_mode=own) for one, own in zip(flyers, acted, strict=True)]
     learned = (one for flown in flyers for one in next(iter(flown.by_mode.values())).values())
     trained = (replace(one.task, stack=1) for one in learned if isinstance(one, Policy))
     theirs = next(trained, make_task(EMPTY, task=task))
@@ -192,7 +196,8 @@ def across(
             tell(f"left out: the ladder {name}, which the world of {', '.join(unfit)} does not have")
     if not climbed:
         raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {', '.join(OF_FAULTS)}")
-    flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
+    if not alone:
+        flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
     folder.mkdir(parents=True, exist_ok=True)
     records: list[dict[str, Any]] = []
     for name in climbed:
@@ -205,11 +210,13 @@ def across(
                 with lock(one.folder):
                     write_table(one.folder / kept, rows[one.name])
         table = judged(rows)
-        svg, png = style.save(draw(table, LADDERS[name]).figure)
-        write(folder / f"{stem}.svg", svg)
-        write(folder / f"{stem}.png", png)
         if not quiet:
             summary.show(shown(table, name))
+        if not alone:
+            svg, png = style.save(draw(table, LADDERS[name]).figure)
+            write(folder / f"{stem}.svg", svg)
+            write(folder / f"{stem}.png", png)
+        if not (quiet or alone):
             print(f"the figure is {folder / f'{stem}.png'}", flush=True)
         records += [{"ladder": name, **dict(one)} for one in table.to_dict("records")]  # type: ignore[arg-type]
     return records

@@ -92,7 +92,7 @@ def unflown(cell: Cell) -> list[list[str]]:
     bounds = {key: value for key, value in cell.evaluation.items() if key != "layouts"}
     missing = [] if all((cell.out / name).exists() for name in cell.flights) else [_words(cell.evaluation)]
     ladders = [name for name in cell.across if not (cell.out / rows_across(name, **bounds)).exists()]
-    return missing + [[*_words(bounds), "--across", *ladders]] * bool(ladders)
+    return missing + [[*_words(bounds), "--alone", "--across", *ladders]] * bool(ladders)
 
 
 def evaluated(cell: Cell) -> bool:

@@ -130,12 +130,15 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
 
     def _observe_starts(self) -> list[Tensor]:
-        """What is sensed first in an episode, by layout: [L, 30]; nothing where a part of that is random."""
-        if self.world.start_heading != "up" or self.task.faults.disturbs:
+        """What is sensed first in an episode, by layout: [L, 30]; where faults disturb that, what is `truly` there.
+
+        Nothing where start headings are random.
+        """
+        if self.world.start_heading != "up":
             return []
         layout = torch.arange(len(self.bank), device=self.device)
-        sensed, _ = self.task.sense(self.task.place(layout, 0 * layout + UP))
-        return [sensed]
+        start = self.task.place(layout, 0 * layout + UP)
+        return [*self.task.truly(start)] if self.task.faults.disturbs else [self.task.sense(start)[0]]
 
     def _start(self, layout: Tensor) -> State:
         """Where episodes of every row begin: layout [*B]. The streams do not depend on who resets."""
@@ -220,7 +223,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         done = outcome.terminated | outcome.truncated
         fresh = task.place((final.layout + 1) % bank.shape[0], heading)
         if task.remembers:
-            fresh = task.remember(fresh, first, others[0][fresh.layout] if self._first_observations else None)
+            there = others[: len(self._first_observations)]
+            fresh = task.remember(fresh, first, *(one[fresh.layout] for one in there))
         state = where(done, fresh, final)
         if task.remembers:
             observation = task.recall(state)

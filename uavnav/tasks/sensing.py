@@ -145,11 +145,10 @@ def first_in_view(
     in_view: Tensor,
     world: World,
     echoes: Echoes | None = None,
-    place: int = 2,
 ) -> Tensor:
     """The first ten candidates in view, nearest (or lowest index) first, ties by index; empty slots are padded.
 
-    numbers [F, N, ...] of each candidate, with its proximity at `place` (or where there are echoes its distance),
+    numbers [F, N, ...] of each candidate, after its direction the proximity (or where there are echoes the distance),
     distance, in_view [N, ...] -> slots [F, 10, ...]. In a graph the rank of a candidate is the number of candidates
     before it, and a slot the sum over all candidates, of which one has its rank: on so few, counting and adding fuse
     and vectorise where a sort and a scatter do not, and floats where flags and integers do not. Step by step nothing
@@ -172,15 +171,27 @@ def first_in_view(
         before = (key[:, None] < key) | ((key[:, None] == key) & (index[:, None] < index))
         rank = before.sum(0, dtype=distance.dtype)
         slots = torch.where(rank == slot[:, None], numbers[:, None], 0.0).sum(2)
-    filled = (key < math.inf).sum(0, dtype=distance.dtype)
+    filled = slot < (key < math.inf).sum(0, dtype=distance.dtype)
+    return _padded(slots, filled, world) if echoes is None else heard(slots, slots[_nth(world)], filled, world, echoes)
+
+
+def heard(slots: Tensor, distance: Tensor, filled: Tensor, world: World, echoes: Echoes) -> Tensor:
+    """Slots [F, S, ...] as their echoes come back: of true distances [S, ...] px, where filled [S, ...] bool."""
+    sensed, filled = echoes(distance, filled)
+    proximity = scaled(sensed, world).clamp(0, 1)[None]
+    return _padded(torch.cat([slots[: _nth(world)], proximity, slots[_nth(world) + 1 :]]), filled, world)
+
+
+def _padded(slots: Tensor, filled: Tensor, world: World) -> Tensor:
+    """Slots [F, S, ...] with padding where none is filled [S, ...] bool."""
     far = 1.0 if world.padding == "far" else 0.0
-    padding = torch.tensor([far * (n == place) for n in range(len(numbers))], device=distance.device)
-    if echoes is None:
-        is_filled = slot < filled
-    else:  # then the number at that place is still the distance [px]
-        sensed, is_filled = echoes(slots[place], slot < filled)
-        slots = torch.cat([slots[:place], scaled(sensed, world).clamp(0, 1)[None], slots[place + 1 :]])
-    return torch.where(is_filled, slots, padding.reshape(-1, *[1] * distance.ndim))
+    padding = torch.tensor([far * (n == _nth(world)) for n in range(len(slots))], device=slots.device)
+    return torch.where(filled, slots, padding.reshape(-1, *[1] * filled.ndim))
+
+
+def _nth(world: World) -> int:
+    """Where the proximity is among a slot's numbers: after the direction."""
+    return len(world.size)
 
 
 def _one_by_one(numbers: Tensor, key: Tensor, index: Tensor, n_slots: int) -> Tensor:

@@ -178,7 +178,7 @@ def sense(
         own = torch.stack(to_body(velocities.movedim((-1, -2), (0, 1)), state)).clamp(-1, 1)
         others = own.new_zeros(3, len(distance) - own.shape[1], *state.x.shape)
         numbers = torch.cat([numbers, torch.cat([own, others], 1)])
-    slots = first_in_view(numbers, distance, in_view, world, echoes, place=3)
+    slots = first_in_view(numbers, distance, in_view, world, echoes)
     return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
 
 

@@ -8,6 +8,7 @@ TensorDicts, specs or agents. Letters: B the batch shape (any, also none), L lay
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -21,7 +22,7 @@ from uavnav.tasks import memory
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.rewards import REWARDS, Step, Terms
-from uavnav.tasks.sensing import Echoes, at_reach, sense
+from uavnav.tasks.sensing import Echoes, at_reach, heard, sense
 from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
 
@@ -127,16 +128,21 @@ class Task:
         counts = {name: torch.zeros_like(layout) for name in COUNTS[:-1]}
         return State(x, y, heading, layout, **counts, reward=torch.zeros_like(layout, dtype=torch.float64))
 
-    def remember(self, state: State, draws: Tensor | None = None, sensed: Tensor | None = None) -> State:
+    def remember(
+        self, state: State, draws: Tensor | None = None, sensed: Tensor | None = None, distance: Tensor | None = None
+    ) -> State:
         """The same state as if the episode began there: where this task remembers, the one observation of now.
 
-        draws [*B, n_draws] disturb what is sensed, if they are given; or sensed [*B, n] says what it was.
+        draws [*B, n_draws] disturb what is sensed, if they are given; or sensed [*B, n] says what it was. With the
+        slots' distance [*B, S] px too, these two say what is `truly` there, and draws disturb that.
         """
         bare = self.STATE(*(getattr(state, name) for name in self.STATE._fields))
         if not self.remembers:
             return bare
         if sensed is None:
             sensed, _ = self.sense(bare, draws)
+        elif distance is not None:
+            sensed = self._disturbed(sensed, distance, draws)
         return memory.begin(bare, sensed, self.faults.late + self.stack)
 
     def obstacles(self, state: State) -> Tensor:
@@ -171,6 +177,26 @@ class Task:
         if draws is not None and self.faults.disturbs:
             found = functools.partial(self.faults.echoes, draws=draws)
         return found if self.trained_reach is None else at_reach(self.trained_reach, self.world, found)
+
+    def truly(self, state: State) -> tuple[Tensor, Tensor]:
+        """What there is to sense [*B, n], and each slot's distance [*B, S] px before `faults`, inf of an empty one."""
+        found: list[Tensor] = []
+
+        def listen(distance: Tensor, filled: Tensor) -> tuple[Tensor, Tensor]:
+            found.append(distance.where(filled, math.inf).movedim(0, -1).contiguous())
+            return distance, filled
+
+        self.look(state, self.obstacles(state), None, listen)
+        return self.sense(state)[0], found[0]
+
+    def _disturbed(self, sensed: Tensor, distance: Tensor, draws: Tensor | None) -> Tensor:
+        """What `sense` gives with some draws, of what is `truly` there."""
+        if (echoes := self.echoes(draws)) is None:
+            return sensed
+        n, distance = self.world.n_slots * len(self.world.slot_low), distance.movedim(-1, 0)
+        slots = sensed[..., :n].reshape(*sensed.shape[:-1], self.world.n_slots, -1).movedim((-1, -2), (0, 1))
+        slots = heard(slots, distance, distance < math.inf, self.world, echoes)
+        return torch.cat([slots.movedim((0, 1), (-1, -2)).flatten(-2), sensed[..., n:]], -1)
 
     def observe(self, state: State) -> tuple[Tensor, Tensor]:
         """What a policy sees, as one vector a row: observation [*B, observation_size], clearance [*B] px.

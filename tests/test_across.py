@@ -79,7 +79,7 @@ def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_
     fly(["density", "sticky"], tell=told.append)
     assert told == ["left out: the ladder density, which the world of mine does not have"]
     assert [path.name for path in tmp_path.glob("*.svg")] == ["across-sticky-1-2.svg"]
-    with pytest.raises(RunError, match="--across density: no ladder of these worlds; give some of noise, lost"):
+    with pytest.raises(RunError, match="--across density: no ladder of these worlds; give some of arc, reach, n"):
         fly(["density"], tell=told.append)
 
 

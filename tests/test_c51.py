@@ -10,6 +10,7 @@ from torchrl.modules import DistributionalQValueActor
 from torchrl.objectives import DistributionalDQNLoss
 
 from uavnav import load_policy
+from uavnav.__main__ import main
 from uavnav.algorithms.c51 import PRESETS, C51Config, project, train
 from uavnav.algorithms.dqn import DQNConfig, make_learner, make_network
 from uavnav.evaluate import evaluate_run
@@ -18,7 +19,7 @@ from uavnav.flights.squads import Squad, Squads
 from uavnav.help.choices import ConfigError
 from uavnav.policies import PolicyError
 from uavnav.runs import POLICY
-from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.rewards import BOUNDS, REWARDS
 from uavnav.training.loop import make_collector, make_env
 from uavnav.training.recorder import Interrupted
 from uavnav.verify import verify
@@ -199,6 +200,17 @@ def test_a_reward_without_bounds_needs_a_support_and_a_support_has_an_order(monk
         with pytest.raises(ConfigError, match=line):
             C51Config(**given_)
     assert C51Config(reward="mine", v_min=-1, v_max=1).head == "distribution -1.0 1.0 51"
+
+
+@pytest.mark.parametrize("bounded", [True, False])
+def test_it_trains_where_the_tasks_reward_has_bounds_and_where_its_support_is_given(bounded, tmp_path, monkeypatch):
+    if not bounded:
+        monkeypatch.delitem(BOUNDS, "goal")
+    given_ = {} if bounded else {"v_min": -20, "v_max": 20}
+    words = ["train", "c51", "task=goal", "total_frames=64", "n_worlds=4", "learning_starts=8", "buffer_size=64"]
+    words += [f"{name}={value}" for name, value in given_.items()]
+    assert main([*words, "hidden=[4]", "evaluate=false", f"out={tmp_path}", "--quiet"]) == 0
+    assert load_policy(tmp_path).task.reward == "goal"
 
 
 def test_the_presets_are_the_authors_numbers_dqns_fast_and_three_parts_of_rainbow():

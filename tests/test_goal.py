@@ -18,6 +18,7 @@ from safetensors import safe_open
 import uavnav
 from uavnav import evaluate, load_policy, verify
 from uavnav.algorithms import c51, dqn, ppo, sac
+from uavnav.help.choices import ConfigError
 from uavnav.runs import metrics
 from uavnav.tasks import goal, layouts
 from uavnav.tasks.baselines import BASELINES
@@ -240,10 +241,10 @@ def test_its_own_reward_and_a_cap_of_1000_steps_are_what_is_not_given(bank):
     assert (make_task(bank, task="goal").reward, make_task(bank, task="goal").max_steps) == ("goal", 1000)
     assert make_task(bank, task="goal", reward="eq14").reward == make_task(bank[:, :8]).reward == "eq14"
     assert make_task(bank, reward="eq14", max_steps=7, task="goal").max_steps == 7
-    with pytest.raises(ValueError, match="reward='goal': this task has no goal; choose task=goal"):
-        make_task("test", reward="goal").step(
-            make_task("test").start(torch.tensor(0), torch.tensor(90)), torch.tensor(0)
-        )
+    with pytest.raises(ValueError, match="reward=goal: this task has no goal; choose task=goal"):
+        make_task("test", reward="goal")
+    with pytest.raises(ConfigError, match="reward=goal: this task has no goal; choose task=goal"):
+        ppo.PPOConfig(task="moving", reward="goal")
     assert ppo.PPOConfig(task="goal").reward == "goal"
     assert ppo.PPOConfig(task="goal", reward="eq14").reward == "eq14"
     assert ppo.PPOConfig().reward == "eq14"

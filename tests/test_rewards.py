@@ -103,7 +103,7 @@ def test_bounds_are_the_least_and_the_most_of_all_100_actions_whatever_the_amoun
     flying, collided = total(terms_of(variant, world))
     bounds = BOUNDS[variant](world)
     assert bounds.flying == pytest.approx((flying.min().item(), flying.max().item()))
-    assert bounds.collided == pytest.approx((collided.min().item(), collided.max().item()))
+    assert bounds.last == pytest.approx((collided.min().item(), collided.max().item()))
 
 
 def test_a_return_of_eq14_lies_between_minus_10_and_9_at_a_discount_of_99_percent():
@@ -111,6 +111,21 @@ def test_a_return_of_eq14_lies_between_minus_10_and_9_at_a_discount_of_99_percen
     assert bounds_of_returns("additive", WORLD, 0.999) == pytest.approx((-20, 90))  # turning in place for ever
     assert bounds_of_returns("eq14", WORLD, 1.0) is None
     assert bounds_of_returns("not declared", WORLD, 0.99) is None
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0, 0.999), st.lists(st.integers(0, 99), min_size=1, max_size=60), st.integers(0, 199))
+def test_no_flight_to_a_goal_returns_more_or_less_than_its_bounds(gamma, actions, layout):
+    task = make_task("test", task="goal")
+    least, most = bounds_of_returns("goal", task.world, gamma)
+    state, earned = task.start(torch.tensor(layout), torch.tensor(90)), 0.0
+    for n, action in enumerate(actions):
+        state, outcome = task.step(state, torch.tensor(action))
+        earned += gamma**n * outcome.reward.item()
+        if outcome.terminated:
+            break
+    assert least - 1e-6 <= earned <= most + 1e-6
+    assert bounds_of_returns("goal", task.world, 0.99) == pytest.approx((-10, 10.09))
 
 
 @settings(max_examples=50, deadline=None)

@@ -3,8 +3,6 @@
 import dataclasses
 import functools
 import json
-from pathlib import Path
-from typing import NamedTuple
 
 import gymnasium
 import numpy as np
@@ -25,7 +23,6 @@ from uavnav.tasks.baselines import BASELINES, suited
 from uavnav.tasks.rewards import bounds_of_returns
 from uavnav.tasks.simulator import Space, make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
-from uavnav.train import __main__ as train
 from uavnav.training import probes
 from uavnav.window import game as rules
 from uavnav.window import hud
@@ -98,18 +95,6 @@ def test_a_run_trains_stops_goes_on_is_evaluated_and_verified_in_a_deeper_box(tm
     rows = evaluate.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
     assert len(rows) == 6
     assert verify.verify(run, quiet=True).same
-
-
-def test_after_training_in_3d_the_command_that_shows_it_is_render(tmp_path, monkeypatch):
-    monkeypatch.setattr("uavnav.train.__main__.find_spec", lambda name: True)
-    told = {task: train._next(FakeRun(tmp_path, {"task": task}), []) for task in ("drone", "space")}
-    assert told["drone"].startswith("watch it:    uavnav play ")
-    assert told["space"].startswith("watch it:    uavnav render ")
-
-
-class FakeRun(NamedTuple):
-    path: Path
-    config: dict
 
 
 def test_fields_are_the_boxs_and_those_of_moving_obstacles_where_they_move():

@@ -96,6 +96,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
             raise ValueError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
         found = {name: _found(name, arguments.activation) for name in arguments.runs}
+        if arguments.task != "drone" and not BASELINES.keys() & found.keys():
+            raise ValueError(f"--task {arguments.task}: what was trained flies in its own world; leave it out")
         if arguments.seeds != 1:
             _check_seeds(arguments)
         max_steps = MAX_STEPS if arguments.max_steps is None else arguments.max_steps

@@ -27,7 +27,7 @@ from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, WORLD, AnyPolicy, suited
 from uavnav.tasks.ladders import LADDERS, Ladder, reached
-from uavnav.tasks.protocol import ACROSS_STEPS, OF_FAULTS, SPLITS
+from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
 
@@ -195,7 +195,8 @@ def across(
         if unfit:
             tell(f"left out: the ladder {name}, which the world of {', '.join(unfit)} does not have")
     if not climbed:
-        raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {', '.join(OF_FAULTS)}")
+        fit = [name for name, ladder in LADDERS.items() if all(_has(one, theirs, ladder) for one in flyers)]
+        raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {', '.join(fit)}")
     if not alone:
         flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
     folder.mkdir(parents=True, exist_ok=True)

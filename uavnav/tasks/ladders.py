@@ -76,7 +76,7 @@ def fault(name: str) -> Callable[[Task, float, str], Task]:
 
 
 LADDERS = {
-    "density": Ladder("obstacles a set", tuple(range(0, 21, 2)), density, of=("drone",)),
+    "density": Ladder("obstacles a set", tuple(range(0, 21, 2)), density, of=("drone", "moving")),
     "slalom": Ladder("gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), gaps, slalom.passages, ("drone",)),
     "arc": Ladder("sensor's arc [degrees]", (60, 90, 120, 180), arc),
     "reach": Ladder("sensor's radius [px]", (60, 90, 120, 160), reach),

@@ -60,9 +60,8 @@ KINDS = {
 """By the task that they were made for, which is written into the header of all but the first."""
 
 
-RUNGS: dict[str, Callable[[int, int, int], Tensor]] = {"density": circles.generate, "slalom": slalom.generate}
-"""Banks of the paper's world by difficulty: n, rung, seed -> bank. `density-12/test` has 12 obstacles a set,
-`slalom-80/test` gaps of 80 px."""
+RUNGS = ("density", "slalom")
+"""By difficulty: `density-12/test` has 12 obstacles a set; `slalom-80/test`, of the paper's world, gaps of 80 px."""
 
 
 def kind_of(world: World) -> str:
@@ -151,8 +150,8 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     name = kind_of(world)
     if layouts in SPLITS and not _ships(world):
         return _drawn(str(layouts), world)
-    if name == "drone" and re.match("|".join(f"{ladder}-" for ladder in RUNGS), str(layouts)):
-        return _rung(str(layouts))
+    if re.match("|".join(f"{ladder}-" for ladder in RUNGS), str(layouts)):
+        return _rung(str(layouts), World() if name == "drone" else world)
     file = str(layouts) if name == "drone" else f"{name}-{layouts}"
     path = Path(__file__).parent / "banks" / f"{file}.safetensors" if layouts in SPLITS else Path(layouts)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
@@ -187,14 +186,20 @@ def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
 
 
 @functools.lru_cache(maxsize=8)
-def _rung(layouts: str) -> tuple[Tensor, dict[str, str]]:
+def _rung(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split of a rung, such as `density-12/test`, and its header."""
     ladder, rung, split = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL).groups()  # type: ignore[union-attr]
     if split not in SPLITS or not rung.isdecimal():
         near = did_you_mean(split, SPLITS)
         raise LayoutError(f"layouts={layouts!r}: no such bank; give a rung and a split, such as {ladder}-80/test{near}")
-    bank = RUNGS[ladder](SPLITS[split].n, int(rung), SPLITS[split].seed)
-    return bank, _header(bank, SPLITS[split].seed, layouts, World())
+    name, (n, seed) = kind_of(world), SPLITS[split]
+    if ladder == "density":
+        bank = KINDS[name].generate(n, int(rung), seed, world)
+    elif name == "drone":
+        bank = slalom.generate(n, int(rung), seed)
+    else:
+        raise LayoutError(f"layouts={layouts!r}: a slalom is of task=drone, not of task={name}; give density-8/{split}")
+    return bank, _header(bank, seed, layouts, world)
 
 
 def _open(path: Path) -> tuple[Tensor, dict[str, str]]:

@@ -36,7 +36,9 @@ class MovingWorld(World):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.speed_min <= self.speed_max < math.inf:
+        if not 0 <= self.speed_max < math.inf:
+            raise ValueError(f"speed_max={self.speed_max:g}; give a number of at least 0 px a step")
+        if not 0 <= self.speed_min <= self.speed_max:
             raise ValueError(f"speed_min={self.speed_min:g}; give 0 to speed_max={self.speed_max:g} px a step")
 
     @property

@@ -62,12 +62,9 @@ def initial(step: Step) -> Terms:
 def goal(step: Step) -> Terms:
     """A way to a goal: -10 on collision and nothing else; else 10 at the goal, 0.01 a pixel nearer to it, and -0.01 if
     distance = 0 or angle != 0.
-
-    Raises:
-        ValueError: the task has no goal.
     """
-    if step.to_goal is None or not isinstance(step.world, GoalWorld):
-        raise ValueError("reward='goal': this task has no goal; choose task=goal, or another reward")
+    assert step.to_goal is not None
+    assert isinstance(step.world, GoalWorld)
     before, after = (distance.double() for distance in step.to_goal)
     penalised = ~step.collided & ((step.distance == 0) | (step.angle != 0))
     return {
@@ -86,11 +83,17 @@ REWARDS: dict[str, Callable[[Step], Terms]] = {
 }
 
 
+def check_reward(name: str, world: World) -> None:
+    """Raise a ValueError where a reward asks for what a world does not have."""
+    if name == "goal" and not isinstance(world, GoalWorld):
+        raise ValueError("reward=goal: this task has no goal; choose task=goal, or another reward")
+
+
 class Bounds(NamedTuple):
     """The least and the most that a reward gives."""
 
-    flying: tuple[float, float]  # for a step without a collision
-    collided: tuple[float, float]  # for one with, which is an episode's last
+    flying: tuple[float, float]  # for a step after which the episode goes on
+    last: tuple[float, float]  # for one that ends it
 
 
 def _among(flying: list[float], world: World) -> Bounds:
@@ -102,12 +105,22 @@ def _progress(world: World, least: int) -> list[float]:
     return [world.reward_per_pixel * distance for distance in world.distances if distance >= least]
 
 
+def _to_goal(world: World) -> Bounds:
+    """A step brings the drone nearer to its goal, or further away, by no more than it flies."""
+    assert isinstance(world, GoalWorld)
+    most = max(_progress(world, 0))
+    flying = (min(-most, most, 0) + min(world.penalty, 0), max(-most, most) + max(world.penalty, 0))
+    ends = (world.collision_reward, *(world.goal_reward + edge for edge in flying))
+    return Bounds(flying, (min(ends), max(ends)))
+
+
 BOUNDS: dict[str, Callable[[World], Bounds]] = {
     "eq14": lambda world: _among([world.penalty, *_progress(world, 1)], world),
     "additive": lambda world: _among(
         [earned + world.penalty * n for n in (0, 1) for earned in (world.penalty, *_progress(world, 1))], world
     ),
     "initial": lambda world: _among(_progress(world, 0), world),
+    "goal": _to_goal,
 }
 """What the rewards of `REWARDS` that have bounds lie between; one without a line declares none."""
 
@@ -115,13 +128,13 @@ BOUNDS: dict[str, Callable[[World], Bounds]] = {
 def bounds_of_returns(reward: str, world: World, gamma: float) -> tuple[float, float] | None:
     """Between which two numbers all discounted returns of a reward lie; None if it declares no bounds, or gamma = 1.
 
-    A return is (1 - gamma^n) times a mean of the flying steps over 1 - gamma, and gamma^n times the collision.
+    A return is (1 - gamma^n) times a mean of the flying steps over 1 - gamma, and gamma^n times the last one.
     """
     if reward not in BOUNDS or gamma == 1:
         return None
-    flying, collided = BOUNDS[reward](world)
+    flying, last = BOUNDS[reward](world)
     least, most = (edge / (1 - gamma) for edge in flying)
-    return min(least, collided[0]), max(most, collided[1])
+    return min(least, last[0]), max(most, last[1])
 
 
 BY_ACTION = (eq14, additive, initial)

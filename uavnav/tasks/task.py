@@ -21,7 +21,7 @@ from uavnav.tasks import layouts as banks
 from uavnav.tasks import memory
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.faults import NO_FAULTS, Faults
-from uavnav.tasks.rewards import REWARDS, Step, Terms
+from uavnav.tasks.rewards import REWARDS, Step, Terms, check_reward
 from uavnav.tasks.sensing import Echoes, at_reach, heard, sense
 from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
@@ -75,6 +75,7 @@ class Task:
         if self.reward not in REWARDS:
             hint = did_you_mean(self.reward, REWARDS)
             raise ValueError(f"reward={self.reward!r}; choose from {', '.join(REWARDS)}{hint}")
+        check_reward(self.reward, self.world)
         if self.max_steps is not None and (not isinstance(self.max_steps, int) or self.max_steps < 1):
             raise ValueError(f"max_steps={self.max_steps}; choose None or a whole number from 1")
         if not isinstance(self.stack, int) or self.stack < 1:

@@ -33,7 +33,7 @@ from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import TASKS
 from uavnav.tasks.world import World
-from uavnav.training.config import TrainConfig, part_keys, plain
+from uavnav.training.config import TrainConfig, part_keys
 from uavnav.training.loggers import chosen
 from uavnav.training.loop import train
 from uavnav.training.recorder import Interrupted, Recorder, default_folder
@@ -120,7 +120,7 @@ def _composed(kind: type[TrainConfig], words: list[str]) -> DictConfig:
     world = _world(words)
     task = next(iter(commands.names_in(words, "task") if world else ()), TrainConfig.task)
     for name in kind.PRESETS:
-        node = plain(kind(preset=name, task=task)) | {"world": asdict(world()) if world else {}}
+        node = kind.usual(name, task) | {"world": asdict(world()) if world else {}}
         ConfigStore.instance().store(group="preset", name=name, node=node, package="_global_")
     with initialize_config_dir(str(help.COMMAND.parent), version_base="1.3"):
         return compose(help.COMMAND.stem, words)
@@ -195,8 +195,7 @@ def _next(finished: Run, names: Sequence[str]) -> str:
     """What to do with a run next, with the very commands; names: of the plugins that it needs."""
     run = finished.path
     with_plugins = ["--plugins", ",".join(names)] if names else []
-    flat = len(TASKS[finished.config["task"]].WORLD().size) == 2  # the window shows no world in 3D
-    watch = ["uavnav", "play" if flat and find_spec("pygame") else "render", str(run), *with_plugins]
+    watch = ["uavnav", "play" if find_spec("pygame") else "render", str(run), *with_plugins]
     root = str(run) if run.is_absolute() else run.parts[0]
     compare = ["uavnav", "report", root, "--out", "report", *with_plugins]
     return f"watch it:    {shlex.join(watch)}\ncompare it:  {shlex.join(compare)}"

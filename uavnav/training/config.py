@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import types
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, fields
@@ -14,7 +15,7 @@ from uavnav.help.choices import ConfigError, unknown, unknown_key
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import modern
 from uavnav.tasks.faults import Faults
-from uavnav.tasks.rewards import REWARDS
+from uavnav.tasks.rewards import REWARDS, check_reward
 from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.world import World
 
@@ -95,6 +96,10 @@ class TrainConfig:
             object.__setattr__(self, item.name, value)
         for name, kind in parts_of(self.task).items():
             object.__setattr__(self, name, _part(name, getattr(self, name), kind))
+        try:
+            check_reward(self.reward, self.world)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError(f"hidden={list(self.hidden)}; give at least one layer, each of at least 1 unit")
         try:
@@ -124,11 +129,15 @@ class TrainConfig:
             there[name] = asdict(kind()) | dict(there.get(name, {}))
         return default | there
 
+    @classmethod
+    def usual(cls, preset: str, task: str) -> dict[str, Any]:
+        """The settings of a preset in a task. They are built with a reward that asks nothing more of an algorithm."""
+        return plain(cls(preset=preset, task=task, reward=cls.reward)) | {"reward": TASKS[task].REWARD}
+
     def beyond_preset(self) -> dict[str, Any]:
         """The settings in which this configuration differs from its preset, apart from what every table names."""
         named = ("preset", "activation", "seed", "n_seeds", "total_frames", "n_worlds", "device", "compile")
-        usual = type(self)(preset=self.preset, task=self.task)
-        mine, theirs = (_flat(plain(config)) for config in (self, usual))
+        mine, theirs = _flat(plain(self)), _flat(self.usual(self.preset, self.task))
         theirs["task"] = TrainConfig.task
         return {name: value for name, value in mine.items() if name not in named and value != theirs[name]}
 
@@ -238,7 +247,7 @@ def checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any:
             raise ConfigError(f"{name}={value!s}; give a whole number")
         value = int(value)
     elif hint is float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) == float("inf"):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             raise ConfigError(f"{name}={value!s}; give a number")
         value = float(value)
     elif hint is bool:

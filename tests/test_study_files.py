@@ -6,10 +6,11 @@ import runpy
 from pathlib import Path
 
 import pytest
+import yaml
 from spoiling import put
 
 from uavnav import studies
-from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.help.choices import ConfigError
 from uavnav.runs import progress, read_settings, run_folders
 from uavnav.studies import search
@@ -152,6 +153,22 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
         ("cells: [{algorithm: ppo, evaluate: {across: [arcs]}}]", "across=['arcs']; give a list of some of density"),
         ("banks: many\ncells: [{algorithm: ppo}]", "banks=many; give a list of numbers of obstacles, such as [4, 12]"),
         ("settings: 3\ncells: [{algorithm: ppo}]", "settings=3; give keys and values"),
+        ("settings: {dqn: 3}\ncells: [{algorithm: ppo}]", "dqn=3; give keys and values"),
+        ("cells: [{algorithm: [ppo, [dqn]]}]", "algorithm=['ppo', ['dqn']]; give a name, or a list of some"),
+        ("cells: [{algorithm: []}]", "algorithm=[]; give a name, or a list of some"),
+        ("cells: [{algorithm: ppo, 3: 4}]", "settings={'algorithm': 'ppo', 3: 4}; give keys and values"),
+        ("cells: [{algorithm: ppo, lr: []}]", "lr=[]; give at least one value"),
+        ("cells: [{algorithm: ppo, hidden: []}]", "hidden=[]; give at least one"),
+        ("cells: [{algorithm: ppo, folder: '{lr.foo}', lr: 0.1}]", "folder={lr.foo}: cannot be filled in ("),
+        ("cells: [{algorithm: ppo, folder: ../x}]", "folder=../x: leads out of the study's own; give one within"),
+        ("cells: [{algorithm: ppo, layouts: '{foo}'}]", "layouts={foo}: names 'foo', which the cell does not set"),
+        ("cells: [{algorithm: ppo, evaluate: {across: [3, [4]]}}]", "across=[3, [4]]; give a list of some of density"),
+        ("cells: [{algorithm: ppo, evaluate: {episodes: abc}}]", "evaluate.episodes=abc; give a whole number"),
+        ("cells: [{algorithm: ppo, evaluate: {max_steps: 0}}]", "evaluate.max_steps=0; give a number of at least 1"),
+        (
+            "cells: [{algorithm: ppo, evaluate: {episodes: 1001}}]",
+            "evaluate.episodes=1001; give at most 1000, the bank",
+        ),
         ("scripts: [random]\ncells: [{algorithm: ppo}]", "scripts=['random']; give a folder's name, such as baselines"),
     ],
 )
@@ -172,6 +189,10 @@ def test_a_wrong_study_file_is_refused_in_one_line_that_names_it(text, said, tmp
         (["paper", "seeds=many"], "seeds=many; give a whole number"),
         (["paper", "seeds"], "'seeds' is no setting; settings are key=value: engine=local"),
         (["paper", "partition=long"], "there is no key 'partition'"),
+        (["paper", "--status", "partition=long"], "there is no key 'partition'"),
+        (["paper", "--status", "jobs=0"], "jobs=0; give a number of at least 1"),
+        (["paper", "--json"], "--json: only a --status is JSON; give both, or leave it out"),
+        (["paper", "out="], "out=: give a value, or leave it out"),
         (["paper", "engine=ray", "address=127.0.0.1:1"], "engine=ray: there is no Ray cluster at address=127.0.0.1:1"),
         (["paper", "engine=slurm"], "engine=slurm: there is no sbatch on this machine"),
     ],
@@ -251,3 +272,24 @@ def test_makespans_of_known_jobs_and_the_table_of_the_page():
 def test_a_cell_of_which_a_setting_is_wrong_is_refused():
     with pytest.raises(ConfigError, match="n_seeds=0"):
         studies.cells(studies.read("paper"), Path("out"), seeds=0)
+
+
+def test_a_finished_run_of_other_settings_does_not_count_as_a_cell(tmp_path, capsys):
+    config = {"hidden": [4], "total_frames": 64, "frames_per_batch": 64, "epochs": 1, "n_worlds": 2}
+    ppo.train(ppo.PPOConfig(**config), out=tmp_path / "out" / "ppo" / "tanh", quiet=True)
+    cell = {"algorithm": "ppo", "evaluate": False, **config, "hidden": [[4]]}
+    name = written(tmp_path, yaml.safe_dump({"cells": [cell | {"lr": 0.5}]}))
+    words = [name, f"out={tmp_path / 'out'}"]
+    assert main([*words, "--status"]) == 0
+    assert "holds a run with lr=0.0003, not 0.5; give another folder" in capsys.readouterr().out
+    assert main([*words, "report=false"]) == 2
+    assert "holds a run with lr=0.0003, not 0.5; give another folder" in capsys.readouterr().err
+    written(tmp_path, yaml.safe_dump({"cells": [cell]}))
+    assert main([*words, "report=false"]) == 0
+
+
+def test_numbers_may_be_written_as_1e6(tmp_path):
+    name = written(tmp_path, "settings: {total_frames: 1e4}\ncells: [{algorithm: ppo, lr: 1e-3}]")
+    (cell,) = studies.cells(studies.read(name), tmp_path)
+    assert (cell.config.total_frames, cell.config.lr) == (10_000, 0.001)
+    assert parse(["frames=1e7"])[0]["frames"] == 10_000_000

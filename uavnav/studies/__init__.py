@@ -19,6 +19,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,9 +29,10 @@ import yaml
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import EPISODES, MAX_STEPS, files_of
 from uavnav.help.choices import ConfigError, choose_from, unknown, unknown_key
+from uavnav.tasks import layouts
 from uavnav.tasks.layouts import judged_on
-from uavnav.tasks.protocol import LADDER_NAMES
-from uavnav.training.config import PARTS, TrainConfig
+from uavnav.tasks.protocol import LADDER_NAMES, SPLITS
+from uavnav.training.config import PARTS, TrainConfig, checked
 
 HERE = Path(__file__).parent
 KEYS = ("what", "banks", "settings", "cells", "scripts", "tune")
@@ -39,6 +41,19 @@ OF_CELLS = ("folder", "algorithm", "evaluate")
 PROTOCOL = {"episodes": EPISODES, "max_steps": MAX_STEPS}
 BANK = "layouts"
 """A key of `evaluate` for another bank than the test sets."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML with numbers such as 1e6, which are words for YAML 1.1."""
+
+
+_NUMBER = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, [*"-+0123456789"])
+
+
+def load(text: str) -> Any:
+    """What a YAML text says; numbers may be written as 1e6."""
+    return yaml.load(text, _Loader)  # a safe loader
 
 
 class Cell(NamedTuple):
@@ -84,7 +99,7 @@ def read(name: str) -> Study:
     if not path.is_file():
         raise ConfigError(f"{name}: there is no such study; {choose_from(name, names())}, or give a file of your own")
     try:
-        said = yaml.safe_load(path.read_text(encoding="utf-8"))
+        said = load(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"{path}: cannot be read ({' '.join(str(error).split())})") from error
     try:
@@ -105,9 +120,13 @@ def _study(name: str, said: Any) -> Study:
     for cell in said["cells"]:
         if not isinstance(cell, dict) or "algorithm" not in cell:
             raise ConfigError(f"{cell}: is no cell; it needs at least an `algorithm`")
+        if not algorithms(cell) or not all(isinstance(name, str) for name in algorithms(cell)):
+            raise ConfigError(f"algorithm={cell['algorithm']}; give a name, or a list of some")
     settings = said.get("settings", {})
-    if not isinstance(settings, dict):
-        raise ConfigError(f"settings={settings}; give keys and values")
+    for part in (settings, *said["cells"]):
+        _check_settings("settings", part)
+        for algorithm in ALGORITHMS:
+            _check_settings(algorithm, part.get(algorithm, {}))
     tune = said.get("tune")
     if tune is not None and not isinstance(tune, dict):
         raise ConfigError(f"tune={tune}; give keys and values, as uavnav/studies/tuning.yaml does")
@@ -132,6 +151,11 @@ def only(study: Study, chosen: str | None) -> Study:
             raise unknown("algorithms", name, there)
     kept = [dict(cell) | {"algorithm": [name for name in algorithms(cell) if name in wanted]} for cell in study.cells]
     return study._replace(cells=[cell for cell in kept if cell["algorithm"]])
+
+
+def _check_settings(name: str, said: Any) -> None:
+    if not isinstance(said, dict) or not all(isinstance(key, str) for key in said):
+        raise ConfigError(f"{name}={said}; give keys and values")
 
 
 def algorithms(cell: Mapping[str, Any]) -> list[str]:
@@ -174,9 +198,12 @@ def _of(algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
 def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """One cell for each combination of the values that are lists; `hidden` is one by itself, unless it holds some."""
     values = {
-        key: value if isinstance(value, list) and (key != "hidden" or isinstance(value[0], list)) else [value]
+        key: value if isinstance(value, list) and (key != "hidden" or isinstance([*value, 0][0], list)) else [value]
         for key, value in several.items()
     }
+    for key, value in values.items():
+        if not value:
+            raise ConfigError(f"{key}=[]; give at least one value")
     for chosen in itertools.product(*values.values()):
         yield dict(zip(values, chosen, strict=True))
 
@@ -184,17 +211,30 @@ def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 def _cell(said: Mapping[str, Any], out: Path) -> Cell:
     settings = {key: value for key, value in said.items() if key not in OF_CELLS}
     if "layouts" in settings:
-        settings["layouts"] = str(settings["layouts"]).format(out=out)
+        settings["layouts"] = _filled("layouts", settings["layouts"], {"out": out})
     config: TrainConfig = ALGORITHMS[said["algorithm"]].config.from_mapping(_nested(settings))
     names = {key: "null" if value is None else value for key, value in said.items()}
-    try:
-        folder = str(said.get("folder", "")).format(**names)
-    except (KeyError, IndexError, ValueError) as error:
-        raise ConfigError(f"folder={said['folder']}: names {error}, which the cell does not set") from error
+    folder = _filled("folder", said.get("folder", ""), names)
+    if not (out / folder).resolve().is_relative_to(out.resolve()):
+        raise ConfigError(f"folder={folder}: leads out of the study's own; give one within")
     evaluation, across = _protocol(said.get("evaluate", True))
+    if evaluation is not None:
+        sets = len(layouts.load(evaluation[BANK], config.world)) if BANK in evaluation else SPLITS["test"].n
+        if evaluation["episodes"] > sets:
+            raise ConfigError(f"evaluate.episodes={evaluation['episodes']}; give at most {sets}, the bank's sets")
     if evaluation is not None and (bank := judged_on(config.layouts)) != "test" and bank != config.layouts:
         evaluation = {BANK: bank} | evaluation
     return Cell(config, out / folder / config.algorithm / config.activation, evaluation, across)
+
+
+def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
+    """A pattern whose names in braces are filled in."""
+    try:
+        return str(pattern).format(**names)
+    except KeyError as error:
+        raise ConfigError(f"{key}={pattern}: names {error}, which the cell does not set") from error
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
+        raise ConfigError(f"{key}={pattern}: cannot be filled in ({error}); give names such as {{lr}}") from error
 
 
 def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -216,6 +256,9 @@ def _protocol(said: Any) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
     if not isinstance(said, dict) or not said.keys() <= {*PROTOCOL, BANK, "across"}:
         raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join((*PROTOCOL, BANK, 'across'))}")
     across = said.get("across", [])
-    if not isinstance(across, list) or not set(across) <= set(LADDER_NAMES):
+    if not isinstance(across, list) or not all(name in LADDER_NAMES for name in across):
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
-    return PROTOCOL | {key: value for key, value in said.items() if key != "across"}, tuple(across)
+    protocol = PROTOCOL | {key: value for key, value in said.items() if key != "across"}
+    for key in PROTOCOL:
+        protocol[key] = checked(f"evaluate.{key}", protocol[key], int, {"least": 1})
+    return protocol, tuple(across)

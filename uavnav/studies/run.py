@@ -147,10 +147,11 @@ class Study:
         self.per_share = seeds_per_share or engine.SEEDS_PER_SHARE
         self.policies = policies
         self.works = [Work(cell) for cell in cells if not (self._trained(cell) and evaluated(cell))]
+        for cell in cells:
+            Recorder(cell.out, cell.config)  # the folder of a finished one, too, may hold another run
         for work in self.works:
             if own := machine.own_parts(work.cell.config):
                 raise ConfigError(f"{work.cell.out}: {own} is known to this process alone; give it as a plugin")
-            Recorder(work.cell.out, work.cell.config)
         self._stop: int | None = None
         self._looked = 0.0
 

@@ -27,7 +27,7 @@ from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training.config import checked
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted, Recorder
 
 KEYS: dict[str, tuple[Any, Any, dict[str, float]]] = {
     "engine": ("local", str, {}),
@@ -58,8 +58,10 @@ def parse(words: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         key, equals, value = word.partition("=")
         if not equals:
             raise ConfigError(f"{word!r} is no setting; settings are key=value: engine=local")
+        if not value:
+            raise ConfigError(f"{word}: give a value, or leave it out")
         try:
-            given[key] = yaml.safe_load(value)
+            given[key] = studies.load(value)
         except yaml.YAMLError as error:
             raise ConfigError(f"{word}: its value cannot be read") from error
     own = {
@@ -74,6 +76,13 @@ def parse(words: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
 def status(cell: Cell) -> dict[str, Any]:
     """What there is of a cell: `state`, and the frames per seed of one that is under way."""
     facts: dict[str, Any] = {"cell": str(cell.out), "seeds": cell.config.n_seeds, "frames": 0, "of": cell.config.frames}
+    if (cell.out / "config.yaml").exists():
+        try:
+            Recorder(cell.out, cell.config)
+        except LayoutError:
+            pass  # a study makes its banks when it begins
+        except RunError as error:
+            return facts | {"state": f"in the way ({error})"}
     if trained(cell):
         return facts | {"frames": cell.config.frames, "state": "finished" if evaluated(cell) else "not evaluated"}
     told = progress(cell.out)
@@ -131,7 +140,10 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         raise RunError(f"out={out}: is a file; give a folder")
     if own["trials"] is not None and study.tune is None:
         raise ConfigError(f"trials={own['trials']}: study {study.name} does not tune; leave it out")
+    if as_json and not only_status:
+        raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
     if only_status:
+        engines.described(own["engine"], of_engine, KEYS)
         rows = [status(cell) for cell in _cells(study, out, own, make=False)]
         rows += [status(cell) | ({"state": state} if state else {}) for cell, state in _planned(study, out, own)]
         _print_status(rows, as_json)
@@ -213,7 +225,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Interrupted as stop:
         print(stop, file=sys.stderr)
         return 128 + stop.signum
-    except (ConfigError, LayoutError, RunError) as error:
+    except (ConfigError, LayoutError, RunError, OSError) as error:
         print(f"uavnav study: {error}", file=sys.stderr)
         return 2
 

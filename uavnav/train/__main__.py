@@ -196,7 +196,7 @@ def _next(finished: Run, names: Sequence[str]) -> str:
     run = finished.path
     with_plugins = ["--plugins", ",".join(names)] if names else []
     watch = ["uavnav", "play" if find_spec("pygame") else "render", str(run), *with_plugins]
-    root = str(run) if run.is_absolute() else run.parts[0]
+    root = str(run) if run.is_absolute() or run.parts[0] == ".." else run.parts[0]
     compare = ["uavnav", "report", root, "--out", "report", *with_plugins]
     return f"watch it:    {shlex.join(watch)}\ncompare it:  {shlex.join(compare)}"
 

@@ -95,7 +95,9 @@ def listened_to() -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no message
     for number in STOPS:
         signal.signal(number, _hear_nothing)  # a run hears the first signal, and then this is there again
-    described = json.loads(sys.stdin.readline())
+    if not (line := sys.stdin.readline()):
+        sys.exit("uavnav.train.share: nothing on the standard input; a run of several processes starts it by itself")
+    described = json.loads(line)
     over = threading.Event()
     watch = threading.Thread(target=_end_with_parent, args=[over], daemon=True)
     watch.start()

@@ -120,7 +120,7 @@ class Recorder:
     def _check_folder(self) -> bool:
         """Whether the very same run is already there and finished; without its policy it starts anew."""
         path = self.path
-        parent = next(parent for parent in path.parents if parent.exists())
+        parent = next(parent for parent in path.absolute().parents if parent.exists())
         if not parent.is_dir() or not os.access(parent, os.W_OK):
             raise RunError(f"out={path}: {parent} is not a folder that can be written; give one that is")
         if path.exists() and not path.is_dir():

@@ -51,6 +51,13 @@ def build(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) 
     Raises:
         ConfigError: there is no such engine or setting, what it needs is not installed, or there is no such cluster.
     """
+    kind, values = described(name, settings, others)
+    engine: Engine = kind(**values)
+    return engine
+
+
+def described(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) -> tuple[Any, dict[str, Any]]:
+    """The class of an engine and its settings, checked; arguments and errors are as of `build`, which needs more."""
     if name not in ENGINES:
         raise unknown("engine", name, ENGINES)
     kind = getattr(importlib.import_module(f"uavnav.studies.engines.{name}"), ENGINES[name])
@@ -59,8 +66,7 @@ def build(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) 
     for key in settings:
         if key not in names:
             raise unknown_key(key, [*names, *others])
-    engine: Engine = kind(**{key: checked(key, value, hints[key], names[key]) for key, value in settings.items()})
-    return engine
+    return kind, {key: checked(key, value, hints[key], names[key]) for key, value in settings.items()}
 
 
 class Probe:

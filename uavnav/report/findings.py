@@ -71,7 +71,7 @@ WORLDS = {
         "One world and many are not told apart in the share of WHO's frames in open flights: {}.",
     ),
     "order": (
-        "WHO's activations keep their order in one world and many: ranks correlate by {}.",
+        "WHO's activations keep nearly the same order in one world and many: ranks correlate by {}.",
         "WHO's activations turn their order round in many worlds: ranks anticorrelate by {}.",
         "It is open whether WHO's activations keep their order in one world and many: ranks correlate by {}.",
     ),
@@ -251,12 +251,11 @@ def _one_step(numbers: Numbers) -> Iterator[Sentence]:
     for place, row in _rows(numbers["effects"], algorithm="dqn"):
         name, _, steps = row.switch.partition("=")
         if name == "n_steps":
-            targets = f"when it learns from one step, as in the paper, than from {steps} steps"
+            where, targets = f"In a side study of {row.n:.0f} seeds, DQN", f"learning from one step than from {steps}"
             yield from _told(
-                f"DQN earns {{}} less reward in 1,000 frames {targets}.",
-                f"DQN earns {{}} more reward in 1,000 frames {targets}.",
-                f"DQN is not seen to earn less when it learns from one step than from {steps}:"
-                " {} of reward in 1,000 frames.",
+                f"{where} earns {{}} less reward in 1,000 frames {targets}.",
+                f"{where} earns {{}} more reward in 1,000 frames {targets}.",
+                f"DQN learning from one step or from {steps} is not told apart: {{}} of reward in 1,000 frames.",
                 *(_times(_found(row), 1000), "effects", place),
             )
 
@@ -291,7 +290,8 @@ def _fit(numbers: Numbers) -> Iterator[Sentence]:
     if first["within"] < first["numbers"]:
         names = " and ".join(map(_with, least["cell"])) if len(least) < 3 else f"{len(least)} cells"
         shown, each = f"{first['within']} of {first['numbers']}", " each" * (len(least) > 1)
-        yield Sentence(f"Fewest do of {names}: ", shown, f"{each}.", "fits", int(least.index[0]))
+        chosen = f"{each}; this reading was chosen after the runs."
+        yield Sentence(f"Fewest do of {names}: ", shown, chosen, "fits", int(least.index[0]))
 
 
 def _rule(numbers: Numbers) -> Iterator[Sentence]:

@@ -172,8 +172,8 @@ QUESTIONS = (
             ),
             _ends(
                 *("reward", "entropy_coeff", "0.001", "0.03", PPO),
-                "PPO earns {} more reward in 1,000 frames with the least entropy bonus than with the largest.",
-                "PPO with the least entropy bonus or the largest is not told apart: {} of reward in 1,000 frames.",
+                "PPO earns {} more reward in 1,000 frames with an entropy bonus of 0.001 than of 0.03.",
+                "PPO with an entropy bonus of 0.001 or 0.03 is not told apart: {} of reward in 1,000 frames.",
             ),
         ),
     ),

@@ -85,8 +85,24 @@ def test_flights_under_another_cap_are_refused():
 
 def test_committed_runs_are_compared_without_torch():
     code = "import sys; from uavnav.report.compare import main; main(sys.argv[1:]); sys.exit('torch' in sys.modules)"
-    words = [sys.executable, "-c", code, "results/tuned/ppo/tanh", "results/tuned/ppo/sigmoid"]
+    words = [sys.executable, "-c", code, "results/tuned/ppo/tanh", "results/tuned/ppo/sigmoid", "reactive"]
     assert subprocess.run(words, capture_output=True, check=False).returncode == 0
+
+
+def test_a_scripts_rows_beside_a_run_are_those_that_it_flies():
+    _, kept = contend(["results/ppo/tanh", "reactive"])
+    flown = compare._flown("reactive", header("test", 20, MAX_STEPS), None, "results/ppo/tanh").flights
+    mine = kept.flights[kept.flights["layout"] < 20].reset_index(drop=True)
+    pd.testing.assert_frame_equal(mine[flown.columns], flown)
+
+
+def test_columns_are_named_without_the_folders_that_runs_share():
+    assert compare._short(["results/a/ppo/tanh", "results/a/dqn/tanh", "reactive"]) == [
+        "ppo/tanh",
+        "dqn/tanh",
+        "reactive",
+    ]
+    assert compare._short(["runs/ppo/tanh", "reactive"]) == ["runs/ppo/tanh", "reactive"]
 
 
 def test_a_committed_run_is_read_and_not_flown():

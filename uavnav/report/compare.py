@@ -26,8 +26,8 @@ from uavnav.help.choices import did_you_mean_run
 from uavnav.report import cells, charts, curves, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
-from uavnav.runs.metrics import METRICS, per_seed
-from uavnav.runs.tables import RunError
+from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
+from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import EPISODES, MAX_STEPS, SCRIPTS, header
 
 if TYPE_CHECKING:
@@ -52,7 +52,8 @@ class Contender(NamedTuple):
 
 
 def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
-    """What is named: the rows of runs that were evaluated; all else is flown now, as the first of the runs was.
+    """What is named: rows of runs, and those of scripts that lie beside the first run (`baselines/`); all else is
+    flown now, as the first of the runs was.
 
     activation: of a zip's hidden layers.
 
@@ -62,7 +63,12 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
     runs = {name: _of_run(name) for name in names if name not in SCRIPTS and not _is_policy(name)}
     protocol = next((one.protocol for one in runs.values()), header("test", EPISODES, MAX_STEPS))
     first = next(iter(runs), None)
-    return [runs[name] if name in runs else _flown(name, protocol, activation, first) for name in names]
+    found = []
+    for name in names:
+        rows = _kept(name, protocol, first) if name in SCRIPTS and first is not None else None
+        kept = Contender(name, rows, protocol, None) if rows is not None else None
+        found.append(runs.get(name) or kept or _flown(name, protocol, activation, first))
+    return found
 
 
 def _scripted(run: str | None) -> Task:
@@ -74,6 +80,17 @@ def _scripted(run: str | None) -> Task:
     if settings.get("task", "drone") == "drone":
         return make_task(EMPTY)
     return make_task(EMPTY, settings["world"], settings["reward"], task=settings["task"])
+
+
+def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | None:
+    """A script's flights, where a folder above a run keeps them as `uavnav evaluate` wrote them; else None."""
+    usual = header("test", EPISODES, MAX_STEPS)
+    path = Path(run) / "config.yaml"
+    if protocol != usual or not path.exists() or read_settings(path).get("task", "drone") != "drone":
+        return None
+    files = (folder / "baselines" / f"{name}.parquet" for folder in path.absolute().parents)
+    found = next((file for file in files if file.exists()), None)
+    return read_table(found, FIRST_COLUMNS, "evaluate it again") if found is not None else None
 
 
 def _is_policy(name: str) -> bool:
@@ -167,10 +184,17 @@ def flown(contenders: Sequence[Contender]) -> str:
     return f"{episodes} sets of obstacles (bank {bank}), at most {cap:,} steps"
 
 
+def _short(names: Sequence[str]) -> list[str]:
+    """Names without the folders that all paths among them share, so that they differ within a narrow column."""
+    paths = [name for name in names if "/" in name]
+    shared = os.path.commonpath([os.path.dirname(path) for path in paths]) if len(paths) > 1 else ""
+    return [name.removeprefix(f"{shared}/") for name in names]
+
+
 def text(contenders: Sequence[Contender], console: Console) -> None:
     """Print the tables, and each run's learning curve as bars."""
     rows = tables.side_by_side(seeds_of(contenders))
-    table = Table(*rows[0], title=f"Means and 95 % intervals over seeds; {flown(contenders)}", box=None)
+    table = Table("", *_short(rows[0][1:]), title=f"Means and 95 % intervals over seeds; {flown(contenders)}", box=None)
     table.title_justify = "left"
     for row in rows[1:]:
         table.add_row(*row)

@@ -278,7 +278,7 @@ def _fit(numbers: Numbers) -> Iterator[Sentence]:
     fits = numbers["fits"]
     training = fits[fits["reading"].isin(list(READ_AS))]
     every = training[training["cell"] == EVERY]
-    if every.empty:
+    if every.empty or every["numbers"].max() < len(paper.COLUMNS) * len(paper.TABLES):
         return
     best = every.loc[every["score"].idxmin()]
     shown, within = f"{best['within']} of {best['numbers']}", " lie where 95 % of our single seeds would."

@@ -103,7 +103,7 @@ def test_bounds_are_the_least_and_the_most_of_all_100_actions_whatever_the_amoun
     flying, collided = total(terms_of(variant, world))
     bounds = BOUNDS[variant](world)
     assert bounds.flying == pytest.approx((flying.min().item(), flying.max().item()))
-    assert bounds.last == pytest.approx((collided.min().item(), collided.max().item()))
+    assert bounds.collided == pytest.approx((collided.min().item(), collided.max().item()))
 
 
 def test_a_return_of_eq14_lies_between_minus_10_and_9_at_a_discount_of_99_percent():

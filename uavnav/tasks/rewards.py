@@ -93,7 +93,7 @@ class Bounds(NamedTuple):
     """The least and the most that a reward gives."""
 
     flying: tuple[float, float]  # for a step after which the episode goes on
-    last: tuple[float, float]  # for one that ends it
+    collided: tuple[float, float]  # for one that ends it, by a collision or at a goal
 
 
 def _among(flying: list[float], world: World) -> Bounds:
@@ -132,9 +132,9 @@ def bounds_of_returns(reward: str, world: World, gamma: float) -> tuple[float, f
     """
     if reward not in BOUNDS or gamma == 1:
         return None
-    flying, last = BOUNDS[reward](world)
+    flying, collided = BOUNDS[reward](world)
     least, most = (edge / (1 - gamma) for edge in flying)
-    return min(least, last[0]), max(most, last[1])
+    return min(least, collided[0]), max(most, collided[1])
 
 
 BY_ACTION = (eq14, additive, initial)

@@ -21,7 +21,7 @@ from uavnav.verify import verify
 STUDY = """
 what: two cells of eight seeds
 settings:
-  {n_seeds: 8, total_frames: 6_000, hidden: [8], compile: "off", max_steps: 300, evaluate: {episodes: 3, max_steps: 50}}
+  {n_seeds: 8, total_frames: 20000, hidden: [8], compile: "off", max_steps: 300, evaluate: {episodes: 3, max_steps: 50}}
 cells:
   - {algorithm: ppo, frames_per_batch: 512, epochs: 1}
 """
@@ -144,14 +144,18 @@ def test_a_local_study_goes_on_whatever_is_killed(study, alone):
     process.wait()
     process = study()
     until(lambda: {*study.jobs()} - old)
+    signal_all(signal.SIGSTOP, {*study.jobs()} - old)  # else they may be done before the old ones have noticed
     signal_all(signal.SIGCONT, old)
     until(lambda: not old & {*study.jobs()})
     assert "error" in study.told()  # its folder is gone, as its next word or its next snapshot finds
     signal_all(signal.SIGKILL, [process.pid, *study.jobs()])  # the whole tree
     process.wait()
     process = study()
-    os.kill(until(study.jobs)[0], signal.SIGKILL)  # one job
-    until(lambda: len(study.jobs()) == 2)
+    first, second = until(lambda: len(study.jobs()) == 2 and study.jobs())
+    os.kill(second, signal.SIGSTOP)
+    os.kill(first, signal.SIGKILL)  # one job
+    until(lambda: len({*study.jobs()} - {first}) == 2)
+    os.kill(second, signal.SIGCONT)
     process.send_signal(signal.SIGINT)
     said, _ = process.communicate(timeout=SECONDS)
     assert "its job is gone; given again, from its last snapshot" in said

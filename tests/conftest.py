@@ -1,5 +1,6 @@
 import functools
 import gc
+import signal
 import subprocess
 import sys
 
@@ -11,6 +12,7 @@ import uavnav  # noqa: F401 - before PyTorch, whose threads then wait without sp
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, its children too
     config.addinivalue_line("markers", "slow: takes more than 30 s on one core")
     config.addinivalue_line("markers", "compiled: needs a compiler, and is skipped where there is none")
 

@@ -1,14 +1,18 @@
 """The live window: its picture at any size, and the command that opens it."""
 
+import shlex
+
 import numpy as np
 import pandas as pd
 import pytest
 from playing import STRAIGHT, WORLD, fly, new, opened, press, pygame, trained
 
 from uavnav import render
+from uavnav.algorithms import ppo
 from uavnav.envs import drawing
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.tasks import layouts
+from uavnav.train import __main__ as train
 from uavnav.window import game as rules
 from uavnav.window import hud, mouse, play
 
@@ -123,6 +127,16 @@ def test_the_command_opens_its_window_obeys_and_closes(run, window, tmp_path, ca
     assert play.main([str(run.path), "reactive", "--layout", "20", "--out", str(out)]) == 0
     assert capsys.readouterr() == ("", "")
     assert not out.parent.exists()
+
+
+def test_the_command_told_after_training_in_3d_opens_its_window(window, tmp_path, capsys):
+    config = ppo.PPOConfig(task="space", total_frames=64, n_worlds=1, frames_per_batch=64, hidden=(8,), epochs=1)
+    run = ppo.train(config, out=tmp_path / "my run", quiet=True)
+    program, command, *words = shlex.split(train._next(run, []).splitlines()[0].removeprefix("watch it: "))
+    assert (program, command) == ("uavnav", "play")
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    assert play.main(words) == 0
+    assert capsys.readouterr() == ("", "")
 
 
 def test_flights_that_the_x_lost_are_counted_in_the_last_line(window, monkeypatch, capsys):

@@ -195,12 +195,14 @@ def _of(algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in settings.items() if key not in ALGORITHMS} | own
 
 
+def _is_list(key: str, value: Any) -> bool:
+    """Whether a value stands for several cells; a list of units is one value."""
+    return isinstance(value, list) and not (key == "hidden" and not any(isinstance(one, list) for one in value))
+
+
 def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """One cell for each combination of the values that are lists; `hidden` is one by itself, unless it holds some."""
-    values = {
-        key: value if isinstance(value, list) and (key != "hidden" or isinstance([*value, 0][0], list)) else [value]
-        for key, value in several.items()
-    }
+    values = {key: value if _is_list(key, value) else [value] for key, value in several.items()}
     for key, value in values.items():
         if not value:
             raise ConfigError(f"{key}=[]; give at least one value")

@@ -1,4 +1,4 @@
-"""The world once more, slowly: shared/world.md in scalar float64 and plain Python. It imports nothing of uavnav.
+"""The world once more, slowly: docs/world.md in scalar float64 and plain Python. It imports nothing of uavnav.
 
 Candidates are (d, x, y): distance in px of the nearest point, its direction's components to the right and forward.
 """
@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 START = (400, 300)
 BEHIND = 1e-6
+OTHERWISE = {"slots": "listed", "padding": "zeros"}  # what is sensed, by both switches
 
 
 class Arena(NamedTuple):
@@ -88,12 +89,16 @@ def triple(candidate, arena=PAPER):
 
 
 def slots_of(found, slots="nearest", padding="far", arena=PAPER):
-    seen = [c for c in found if in_view(c, arena)]
+    filled = [triple(found[index], arena) for index in _sensed(found, slots, arena)]
+    return filled + [(0.0, 0.0, float(padding == "far"))] * (arena.slots - len(filled))
+
+
+def _sensed(found, slots, arena):
+    """Which candidates fill the slots, in order."""
+    seen = [index for index, candidate in enumerate(found) if in_view(candidate, arena)]
     if slots == "nearest":
-        seen.sort(key=lambda c: c[0])  # stable: ties keep their index order
-    filled = [triple(c, arena) for c in seen[: arena.slots]]
-    empty = (0.0, 0.0, 1.0) if padding == "far" else (0.0, 0.0, 0.0)
-    return filled + [empty] * (arena.slots - len(filled))
+        seen.sort(key=lambda index: found[index][0])  # stable: ties keep their index order
+    return seen[: arena.slots]
 
 
 def clearance_of(found):
@@ -209,14 +214,12 @@ def drift(rows, steps, arena=PAPER):
     return found
 
 
-def slots_with_velocities(found, velocities, heading, fastest, arena=PAPER):
-    """The nearest in view as in `slots_of`, each with its velocity; found: of `look`, the circles first."""
-    seen = [index for index, candidate in enumerate(found) if in_view(candidate, arena)]
-    seen = sorted(seen, key=lambda index: found[index][0])[: arena.slots]
+def slots_with_velocities(found, velocities, heading, fastest, slots="nearest", padding="far", arena=PAPER):
+    """What `slots_of` says, each with its velocity; found: of `look`, the circles first."""
     cos, sin = cosine(heading), sine(heading)
     filled = []
-    for index in seen:
+    for index in _sensed(found, slots, arena):
         vx, vy = velocities[index] if index < len(velocities) else (0.0, 0.0)
         own = ((vx * sin - vy * cos) / fastest, (vx * cos + vy * sin) / fastest) if fastest else (0.0, 0.0)
         filled.append((*triple(found[index], arena), *(min(max(part, -1.0), 1.0) for part in own)))
-    return filled + [(0.0, 0.0, 1.0, 0.0, 0.0)] * (arena.slots - len(filled))
+    return filled + [(0.0, 0.0, float(padding == "far"), 0.0, 0.0)] * (arena.slots - len(filled))

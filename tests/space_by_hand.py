@@ -55,11 +55,13 @@ def numbers(candidate):
     return right, up, min(max(forward, 0.0), 1.0), min(max((d - 30) / 90, 0.0), 1.0)
 
 
-def slots_of(found, velocities=None, yaw=90, pitch=0, fastest=2.0):
-    """The ten nearest in view; with velocities (vx, vy, vz) of the spheres, three numbers more each."""
-    seen = sorted((index for index, one in enumerate(found) if in_view(one)), key=lambda index: found[index][0])[:10]
-    filled, empty = [], (0.0, 0.0, 0.0, 1.0) + (0.0,) * (3 * (velocities is not None))
-    for index in seen:
+def slots_of(found, velocities=None, yaw=90, pitch=0, fastest=2.0, slots="nearest", padding="far"):
+    """Ten in view; with velocities (vx, vy, vz) of the spheres, three numbers more each."""
+    seen = [index for index, one in enumerate(found) if in_view(one)]
+    if slots == "nearest":
+        seen.sort(key=lambda index: found[index][0])
+    filled, empty = [], (0.0, 0.0, 0.0, float(padding == "far")) + (0.0,) * (3 * (velocities is not None))
+    for index in seen[:10]:
         own = ()
         if velocities is not None:
             velocity = velocities[index] if index < len(velocities) else (0.0, 0.0, 0.0)

@@ -272,9 +272,10 @@ def test_turning_in_place_for_400_steps_never_ends_without_a_cap():
     assert rows[-1]["episode", "reward"].item() == pytest.approx(-4, abs=1e-9)
 
 
-def test_random_start_headings_are_whole_degrees_from_0_to_359_and_reproducible():
-    world = uavnav.World(start_heading="random")
-    envs = [uavnav.DroneEnv([2, 500], world=world, seeds=seeds) for seeds in ([1, 2], [1, 2], [3, 4])]
+@pytest.mark.parametrize("task", ["drone", "moving", "goal", "space", "space-moving"])
+def test_random_start_headings_are_whole_degrees_from_0_to_359_and_reproducible(task):
+    how = {"layouts": "test", "task": task, "world": {"start_heading": "random"}}
+    envs = [uavnav.DroneEnv([2, 500], **how, seeds=seeds) for seeds in ([1, 2], [1, 2], [3, 4])]
     for _ in range(3):
         for env in envs:
             env.reset()

@@ -174,9 +174,10 @@ def test_whole_flights_of_40_rows_equal_a_loop_that_turns_moves_senses_and_judge
     assert not up
 
 
-def test_what_is_sensed_at_5000_poses_equals_the_papers_slots_and_a_slow_loop_to_the_goal(bank):
-    n, generator = 5000, torch.Generator().manual_seed(6)
-    task, paper = make_task(bank, task="goal"), make_task(bank[:, :8])
+@pytest.mark.parametrize(("drawn", "n"), [({}, 5000), (oracle.OTHERWISE, 500)])
+def test_what_is_sensed_at_5000_poses_equals_the_papers_slots_and_a_slow_loop_to_the_goal(bank, drawn, n):
+    generator = torch.Generator().manual_seed(6)
+    task, paper = make_task(bank, drawn, task="goal"), make_task(bank[:, :8], drawn)
     heading, layout = (torch.randint(most, (n,), generator=generator) for most in (360, 1000))
     x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
     state = task.start(layout, heading)._replace(x=x, y=y)

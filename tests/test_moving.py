@@ -106,10 +106,10 @@ def test_at_speed_0_200_flights_of_100_steps_equal_the_papers_world_bit_for_bit(
     assert not torch.equal(still.bank[..., :3], make_task("train").bank[:1000])
 
 
-@pytest.mark.parametrize(("sensed", "n"), [(False, 500), (True, 5000)])
-def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop(bank, sensed, n):
+@pytest.mark.parametrize(("sensed", "n", "drawn"), [(False, 500, {}), (True, 5000, {}), (True, 500, oracle.OTHERWISE)])
+def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop(bank, sensed, n, drawn):
     generator = torch.Generator().manual_seed(5)
-    task = make_task(bank, {"sense_velocity": sensed}, task="moving")
+    task = make_task(bank, {"sense_velocity": sensed} | drawn, task="moving")
     heading, layout = (torch.randint(most, (n,), generator=generator) for most in (360, 1000))
     x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
     state = task.start(layout, heading)._replace(x=x, y=y)
@@ -122,8 +122,8 @@ def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop(bank, sense
         assert clearance[row].item() == pytest.approx(oracle.clearance_of(found), abs=2e-4)
         if oracle.doubtful(found):
             continue
-        with_them = oracle.slots_with_velocities(found, velocities[row], heading[row].item(), 2.0)
-        slots = with_them if sensed else oracle.slots_of(found)
+        with_them = oracle.slots_with_velocities(found, velocities[row], heading[row].item(), 2.0, **drawn)
+        slots = with_them if sensed else oracle.slots_of(found, **drawn)
         np.testing.assert_allclose(observation[row].numpy(), np.ravel(slots), atol=2e-5)
         compared += 1
     assert compared > 0.9 * n

@@ -11,7 +11,8 @@ from torchrl.envs.utils import step_mdp
 
 import uavnav
 from uavnav.tasks import layouts
-from uavnav.tasks.simulator import make_task
+from uavnav.tasks.goal import GoalWorld
+from uavnav.tasks.simulator import make_task, name_of
 
 ROUNDING = 1e-3  # [px] of float32 positions and distances
 PENALTIES = {"eq14": (-0.01, 0.09), "additive": (-0.02, 0.09), "initial": (0.0, 0.09)}  # all that no collision earns
@@ -19,7 +20,7 @@ PENALTIES = {"eq14": (-0.01, 0.09), "additive": (-0.02, 0.09), "initial": (0.0, 
 
 @st.composite
 def banks(draw):
-    """[n, k, 3] px: up to 3 sets of 0 to 20 obstacles anywhere in the window, pushed out of the safe zone."""
+    """[n, k, 3] px: up to 3 sets of 0 to 20 circles anywhere in the window, pushed out of the safe zone."""
     n, k = draw(st.integers(1, 3)), draw(st.just(0) | st.integers(0, 20))
     number = lambda low, high: st.floats(low, high, width=32)  # noqa: E731
     rows = draw(st.lists(st.tuples(number(0, 800), number(0, 600), number(30, 100)), min_size=n * k, max_size=n * k))
@@ -37,10 +38,52 @@ def pushed(x, y, radius):
     return 400 + (radius + 50.01) * dx, 300 + (radius + 50.01) * dy, radius
 
 
+def moving(draw, bank):
+    """The same with velocities, each part at most 2 px a step."""
+    part = st.floats(-2, 2, width=32)
+    rows = draw(st.lists(st.tuples(part, part), min_size=bank[..., 0].numel(), max_size=bank[..., 0].numel()))
+    return torch.cat([bank, torch.tensor(rows, dtype=torch.float32).reshape(*bank.shape[:2], 2)], -1)
+
+
+def with_goals(draw, bank):
+    """As many sets of the goals' own bank, where a goal has room."""
+    goals = layouts.load("test", GoalWorld())
+    return goals[[draw(st.integers(0, len(goals) - 1)) for _ in bank]]
+
+
+BANKS = {"drone": lambda draw, bank: bank, "moving": moving, "goal": with_goals}
+
+
+def circles_of(env, layout, steps):
+    """Where the circles (x, y, radius) of a row are."""
+    rows, task = env.bank[layout].tolist(), name_of(env.task)
+    if task == "moving":
+        return [circle for circle, _ in oracle.drift(rows, steps)]
+    return rows[:-1] if task == "goal" else rows
+
+
+def reached(env, state):
+    """Whether each row is at its goal [B]; never where there is none."""
+    if name_of(env.task) != "goal":
+        return [False] * state.x.numel()
+    rows = rows_of(state.x, state.y, state.layout)
+    radius = env.task.world.goal_radius
+    return [math.dist((x, y), env.bank[layout, -1, :2].tolist()) <= radius for x, y, layout in rows]
+
+
+def collided(env, state, after):
+    """Whether each row ended at something that it touched, which counts also at a goal [B]."""
+    rows = rows_of(after["terminated"], state.x, state.y, state.layout, state.steps)
+    return [
+        ended and (not there or oracle.clearance(x, y, circles_of(env, layout, steps)) <= 30)
+        for (ended, x, y, layout, steps), there in zip(rows, reached(env, state), strict=True)
+    ]
+
+
 @st.composite
-def flights(draw):
+def flights(draw, task):
     """An environment, and actions [T, *B] for it: stretches of one action each, other rows begin elsewhere in them."""
-    bank = draw(banks())
+    bank = BANKS[task](draw, draw(banks()))
     shape = draw(st.sampled_from([[], [1], [3], [2, 2]]))
     action = st.just(9) | st.integers(0, 99)  # far enough straight ahead to meet every wall
     stretches = draw(st.lists(st.tuples(action, st.integers(1, 40)), min_size=1, max_size=4))
@@ -50,11 +93,14 @@ def flights(draw):
     how = {
         "layouts": bank,
         "reward": draw(st.sampled_from(sorted(PENALTIES))),
-        "world": uavnav.World(
-            start_heading=draw(st.sampled_from(["random", "up"])),
-            slots=draw(st.sampled_from(["nearest", "listed"])),
-            padding=draw(st.sampled_from(["far", "zeros"])),
-        ),
+        "task": task,
+        "world": {
+            "start_heading": draw(st.sampled_from(["random", "up"])),
+            "slots": draw(st.sampled_from(["nearest", "listed"])),
+            "padding": draw(st.sampled_from(["far", "zeros"])),
+            **({"sense_velocity": draw(st.booleans())} if task == "moving" else {}),
+            **({"goal_radius": draw(st.sampled_from([40.0, 190.0, 300.0]))} if task == "goal" else {}),
+        },
         "seeds": draw(st.integers(0, 2**31 - 1)),
     }
     cap = draw(st.sampled_from([None, "a collision", 1, 7, 30]))
@@ -85,36 +131,40 @@ def rows_of(*tensors):
     return zip(*(tensor.flatten().tolist() for tensor in tensors), strict=True)
 
 
-@settings(max_examples=70, deadline=None, derandomize=True)
-@given(flights())
-def test_in_every_step_of_every_flight(flight):
+@pytest.mark.parametrize(("task", "times"), [("drone", 70), ("moving", 25), ("goal", 25)])
+def test_in_every_step_of_every_flight(task, times):
     """What the functions below are named; to fly costs more than to look, so all look at the same flights."""
+    settings(max_examples=times, deadline=None, derandomize=True)(given(flights(task))(every_step))()
+
+
+def every_step(flight):
     env, actions = flight
     assert env.observation_spec["observation"].is_in(env.reset()["observation"])
     flown = [[] for _ in range(math.prod(env.batch_size))]
     for action, before, state, after in drive(env, actions):
-        observations_are_finite_and_within_their_spec_and_rewards_within_minus_10_and_0_09(env, after)
+        hit = collided(env, state, after)
+        observations_are_finite_and_within_their_spec_and_rewards_within_minus_10_and_0_09(env, after, hit)
         it_terminates_where_the_oracles_clearance_is_at_most_30_px_and_never_also_at_the_cap(env, state, after)
         no_step_leads_through_an_obstacle(env, action, before, state, after)
-        counts_and_rewards_are_what_the_actions_add_up_to_in_whole_numbers(env, action, after, flown)
+        counts_and_rewards_are_what_the_actions_add_up_to_in_whole_numbers(env, action, after, hit, flown)
 
 
-def observations_are_finite_and_within_their_spec_and_rewards_within_minus_10_and_0_09(env, after):
+def observations_are_finite_and_within_their_spec_and_rewards_within_minus_10_and_0_09(env, after, hit):
     low, high = PENALTIES[env.task.reward]
     assert after["observation"].isfinite().all()
     assert env.observation_spec["observation"].is_in(after["observation"])
-    for reward, terminated in rows_of(after["reward"].double(), after["terminated"]):
-        assert reward == -10 if terminated else low - 1e-8 <= reward <= high + 1e-8
+    for reward, touched in zip(after["reward"].double().flatten().tolist(), hit, strict=True):
+        assert reward == -10 if touched else low - 1e-8 <= reward <= high + 1e-8
 
 
 def it_terminates_where_the_oracles_clearance_is_at_most_30_px_and_never_also_at_the_cap(env, state, after):
     flags = rows_of(after["terminated"], after["truncated"], after["done"])
-    for (x, y, layout, steps), (terminated, truncated, done) in zip(
-        rows_of(state.x, state.y, state.layout, state.steps), flags, strict=True
+    for (x, y, layout, steps), (terminated, truncated, done), there in zip(
+        rows_of(state.x, state.y, state.layout, state.steps), flags, reached(env, state), strict=True
     ):
-        clearance = oracle.clearance(x, y, env.bank[layout].tolist())
+        clearance = oracle.clearance(x, y, circles_of(env, layout, steps))
         if abs(clearance - 30) > ROUNDING:
-            assert terminated == (clearance <= 30)
+            assert terminated == (clearance <= 30 or there)
         assert truncated == (steps == env.task.max_steps and not terminated)
         assert done == (terminated or truncated)
         assert terminated or (50 < x < 750 and 50 < y < 550)  # the border squares' 20 px and the drone's 30
@@ -125,15 +175,16 @@ def no_step_leads_through_an_obstacle(env, action, before, state, after):
     Q the point of some body that is nearest to P. Bodies are closed, so A and B are 30 px or more from Q, and for
     P = (1 - t) A + t B: |QP|^2 = (1 - t) |QA|^2 + t |QB|^2 - t (1 - t) s^2 >= 30^2 - (s / 2)^2. At 9 px a step no
     body comes nearer than 29.66 px. For a circle of radius R the same with its centre, R + 30 px from A and B, gives
-    sqrt((R + 30)^2 - (s / 2)^2) - R: 29.83 px at the least.
+    sqrt((R + 30)^2 - (s / 2)^2) - R: 29.83 px at the least. Circles that move are taken where they are at the step's
+    end, if the drone was free of them there.
     """
-    for x, y, to_x, to_y, layout, distance, terminated in rows_of(
-        before.x, before.y, state.x, state.y, state.layout, action % 10, after["terminated"]
+    for x, y, to_x, to_y, layout, steps, distance, terminated in rows_of(
+        before.x, before.y, state.x, state.y, state.layout, state.steps, action % 10, after["terminated"]
     ):
         assert math.hypot(to_x - x, to_y - y) == pytest.approx(distance, abs=ROUNDING)
-        if not distance or terminated:
+        circles = circles_of(env, layout, steps)
+        if not distance or terminated or min(oracle.distances(x, y, circles)) < 30:
             continue
-        circles = env.bank[layout].tolist()
         radii = [radius for _, _, radius in circles]
         bounds = [math.sqrt((r + 30) ** 2 - distance**2 / 4) - r for r in radii]
         assert min(bounds, default=30) >= 29.83
@@ -144,13 +195,12 @@ def no_step_leads_through_an_obstacle(env, action, before, state, after):
             assert all(d >= bound - ROUNDING for d, bound in zip(found, bounds, strict=False))
 
 
-def counts_and_rewards_are_what_the_actions_add_up_to_in_whole_numbers(env, action, after, flown):
+def counts_and_rewards_are_what_the_actions_add_up_to_in_whole_numbers(env, action, after, hit, flown):
     """flown: of each row what it did since its episode began, to which the step is added."""
     episode = after["episode"].flatten() if env.batch_size else after["episode"][None]
     done = after["done"].flatten().tolist()
-    terminated = after["terminated"].flatten().tolist()
     for row, taken in enumerate(action.flatten().tolist()):
-        flown[row].append((*oracle.decode(taken), terminated[row]))
+        flown[row].append((*oracle.decode(taken), hit[row]))
         counts = {name: episode[name][row].item() for name in episode.keys()}  # noqa: SIM118
         earned = counts.pop("reward")
         layout = counts.pop("layout")

@@ -9,6 +9,7 @@ import space_by_hand as by_hand
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle import OTHERWISE
 from scipy import stats
 
 import uavnav
@@ -43,10 +44,11 @@ def random_states(task, n, seed=5):
 # -- what is sensed --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("drawn", [{}, OTHERWISE])
 @pytest.mark.parametrize(("name", "fields"), SWITCHES)
-def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop(banks, name, fields):
-    n = 5000 if name == "space" or fields else 300
-    task = make_task(banks[name], fields, task=name)
+def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop(banks, name, fields, drawn):
+    n = 5000 if not drawn and (name == "space" or fields) else 300
+    task = make_task(banks[name], fields | drawn, task=name)
     state = random_states(task, n)
     observation, clearance = task.observe(state)
     spheres, velocities = task.obstacles(state).tolist(), task.velocities(state).tolist()
@@ -57,7 +59,7 @@ def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop(banks, name
         if by_hand.doubtful(found):
             continue
         _, yaw, pitch = pose(state, row)
-        slots = by_hand.slots_of(found, velocities[row] if fields else None, yaw, pitch)
+        slots = by_hand.slots_of(found, velocities[row] if fields else None, yaw, pitch, **drawn)
         np.testing.assert_allclose(observation[row].numpy(), np.ravel(slots), atol=3e-5)
         compared += 1
     assert compared > 0.9 * n

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import types
 import zipfile
 
 import pandas as pd
@@ -15,11 +16,12 @@ import torch
 import uavnav
 from uavnav import evaluate
 from uavnav.algorithms import dqn, ppo
-from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, files_of, fly, on
+from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, files_of, fly, on, summary
 from uavnav.evaluate.__main__ import main as fly_command
 from uavnav.report import behaviour
 from uavnav.runs import Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.paper import TABLES
 from uavnav.runs.tables import read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
@@ -401,6 +403,25 @@ def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained
     other = evaluate_policy(policy, episodes=6, max_steps=40, reward="initial")
     assert (other.reward >= own.reward).all()
     assert (other.reward > own.reward).any()  # no penalties
+
+
+@pytest.mark.parametrize(
+    ("trained_in", "flown_in", "beside"),
+    [
+        ({}, {}, True),
+        ({}, {"layouts": "validation"}, True),
+        ({"world": {"sensor_arc": 90}}, {}, True),
+        ({"task": "moving"}, {}, False),
+        ({"layouts": "slalom-100/train"}, {}, False),
+        ({}, {"layouts": "density-12/test"}, False),
+        ({"faults": {"noise": 5.0}}, {}, False),
+        ({}, {"faults": "noise=5"}, False),
+    ],
+)
+def test_the_papers_column_stands_beside_runs_and_flights_of_its_place_alone(trained_in, flown_in, beside):
+    run = types.SimpleNamespace(algorithm="ppo", config={"activation": "tanh", "layouts": "train"} | trained_in)
+    assert (summary.of_paper(run, flown_in) == TABLES["ppo", "tanh"]) == beside
+    assert bool(summary.of_paper(run, flown_in)) == beside
 
 
 def test_quiet_prints_nothing_and_json_an_entry_for_each_with_the_means_of_the_rows(run, capsys, tmp_path):

@@ -15,6 +15,7 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import Run, metrics, paper
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.runs.readings import ALL, LOG_CURVE, PER_FRAME, decimals, log_curve, per_frame
+from uavnav.tasks import layouts
 from uavnav.training.display import with_spread
 
 
@@ -100,10 +101,17 @@ def _metric_table(
     return table
 
 
-def of_paper(run: Run) -> dict[str, float]:
-    """The paper's row for a run of its world; nothing for one of another."""
-    there = run.config.get("task", "drone") == "drone"
-    return paper.TABLES.get((run.algorithm, run.config["activation"]), {}) if there else {}
+def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, float]:
+    """The paper's row for a run; nothing where its world, or that of its flights, is another than the paper's.
+
+    flown: how it was flown, as in the header of a file of rows.
+    """
+    flights, faults = flown or {}, run.config.get("faults") or {}
+    banks = run.config["layouts"], flights.get("layouts", "test")
+    elsewhere = run.config.get("task", "drone") != "drone" or any(map(layouts.is_rung, banks))
+    if elsewhere or any(faults.values()) or "faults" in flights:
+        return {}
+    return paper.TABLES.get((run.algorithm, run.config["activation"]), {})
 
 
 def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
@@ -120,7 +128,7 @@ def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
         f"{name} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
         "; ".join([f"{seeds}; cut off at the cap on steps: {censored}", *_own(rows)]),
         flown,
-        of_paper(who) if isinstance(who, Run) else {},
+        of_paper(who, rows.attrs) if isinstance(who, Run) else {},
         "episode",
     )
 

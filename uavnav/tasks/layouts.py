@@ -64,6 +64,11 @@ RUNGS = ("density", "slalom")
 """By difficulty: `density-12/test` has 12 obstacles a set; `slalom-80/test`, of the paper's world, gaps of 80 px."""
 
 
+def is_rung(layouts: str | Path) -> bool:
+    """Whether a bank's name is that of a rung, such as `density-12/test`."""
+    return str(layouts).startswith(tuple(f"{ladder}-" for ladder in RUNGS))
+
+
 def kind_of(world: World) -> str:
     """The name in `KINDS` of a world's banks: of its class, or of the nearest class that it derives from."""
     names = {kind.world: name for name, kind in KINDS.items()}
@@ -150,7 +155,7 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     name = kind_of(world)
     if layouts in SPLITS and not _ships(world):
         return _drawn(str(layouts), world)
-    if re.match("|".join(f"{ladder}-" for ladder in RUNGS), str(layouts)):
+    if is_rung(layouts):
         return _rung(str(layouts), World() if name == "drone" else world)
     file = str(layouts) if name == "drone" else f"{name}-{layouts}"
     path = Path(__file__).parent / "banks" / f"{file}.safetensors" if layouts in SPLITS else Path(layouts)

@@ -8,9 +8,9 @@ from tied import too_long
 
 from uavnav import studies, style
 from uavnav.report import figures, findings, whys
-from uavnav.report.studies import WHY
+from uavnav.report.studies import WHY, WHY_LONG
 
-ASKED = ("layer_norm", "init", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", "reward")
+ASKED = ("layer_norm", "init", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", "reward", "stack")
 
 
 def evidence(clearance, seeds=10):
@@ -68,7 +68,7 @@ def test_the_study_why_flies_each_cell_that_a_question_asks_for():
         flown |= {f"{name}={value}" for name, value in own.items() if value != default[name]}
     asked = {place[0] for one in whys.QUESTIONS for place in one.rows.values()} - {whys.SHORT, whys.LONG}
     assert flown == asked
-    assert {study.partition("=")[0] for study in asked} - {"reward", "init"} <= WHY
+    assert {study.partition("=")[0] for study in asked} - WHY_LONG - {"init"} <= WHY
 
 
 @pytest.mark.parametrize("question", whys.QUESTIONS, ids=lambda one: one.name)

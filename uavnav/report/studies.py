@@ -32,7 +32,9 @@ IN_ONE_WORLD = {"n_worlds", "preset", "frames"}
 TUNED = "fast"
 """The preset of the study `tuned`."""
 WHY = {"layer_norm", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", ("init", "unit")}
-"""Settings that `whys` asks about, or one value of a setting; so are rewards in runs as long as the paper's."""
+"""Settings that `whys` asks about, or one value of a setting."""
+WHY_LONG = {"reward", "stack"}
+"""The same in runs as long as the paper's."""
 AFTER = 100_000
 """Frames at the end of training, which tell what is left of a surge."""
 
@@ -115,7 +117,7 @@ def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | No
         return None
     (name,) = named
     value = show(own.get(name))
-    if name in WHY or (name, value) in WHY or (name == "reward" and _as_long(own)):
+    if name in WHY or (name, value) in WHY or (name in WHY_LONG and _as_long(own)):
         return studies.why.setdefault(f"{name}={value}", {})
     if (name, value) == ("reward", "initial"):
         return studies.initial

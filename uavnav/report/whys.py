@@ -110,6 +110,33 @@ def _rewards() -> Question:
     return Question("rewards", "What do the penalties cure?", metrics, rows, contrasts)
 
 
+def _memory() -> Question:
+    pair, remembers = ("tanh", "relu"), "stack=4"
+    labels = {LONG: "one", remembers: "the last four"}
+    rows = {
+        f"{one.upper()} {activation}, {label}": (study, one, activation)
+        for one, activation in itertools.product(ALGORITHMS, pair)
+        for study, label in labels.items()
+    }
+    contrasts = tuple(
+        Contrast(
+            "reward",
+            f"{one.upper()} with the last four observations minus with one",
+            tuple((remembers, one, activation) for activation in pair),
+            tuple((LONG, one, activation) for activation in pair),
+            _remembers(one.upper()),
+        )
+        for one in ALGORITHMS
+    )
+    return Question("memory", "Does remembering help?", ("reward",), rows, contrasts)
+
+
+def _remembers(who: str) -> tuple[str, str, str]:
+    more = f"{who} earns {{}} more reward in 1,000 frames if it sees its last four observations."
+    neither = f"{who} with its last four observations and with one is not told apart: {{}} of reward in 1,000 frames."
+    return more, more.replace(" more", " less"), neither
+
+
 def _turns(who: str) -> tuple[str, str, str]:
     more = f"Of 100 steps, {who} turns in {{}} more under the first reward than under eq. (14)."
     return (
@@ -178,6 +205,7 @@ QUESTIONS = (
         ),
     ),
     _rewards(),
+    _memory(),
 )
 
 

@@ -198,6 +198,7 @@ def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies
         reward = "goal" if task == "goal" else "eq14"
         write_run(path, two(0, -6.0), two(1, -8.0), task=task, world=world, reward=reward)
         flown.assign(mode="sampled").to_parquet(path / f"evaluation-test-200-{cap}.parquet")
+        (path / "episodes.parquet").unlink()  # training's, which a repository may leave out
     keep(tmp_path / "worlds" / "baselines", "straight", reward=4.0)
     found = worlds.gather([tmp_path])
     assert [*found.scripted] == [("goal", "straight")]

@@ -80,7 +80,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
     left_out = []
     for path in paths:
         try:
-            run = Run(path)
+            run = Run(path, rows=False)
             place_name, flown, table = read(run)
             if (preset := run.config["preset"]) not in (DEFAULT, TUNED):
                 raise RunError(f"{path}: preset={preset}; the study has {DEFAULT} and {TUNED}")

@@ -58,12 +58,13 @@ class Run:
     Args:
         path: the run's folder.
         fresh: true if this call trained the run, false if the run existed before.
+        rows: whether its training episodes are read; a study that is judged by its flights may leave them out.
 
     Raises:
         RunError: the folder is missing or is no run's, or the run is not finished or damaged.
     """
 
-    def __init__(self, path: str | Path, fresh: bool = False) -> None:
+    def __init__(self, path: str | Path, fresh: bool = False, rows: bool = True) -> None:
         self.path = Path(path)
         self.fresh = fresh
         if not os.path.isdir(path):  # Path.is_dir would raise for a name that is too long
@@ -76,7 +77,8 @@ class Run:
         check_settings(self.path / "meta.json", self.meta, {"frames": int})
         self.algorithm: str = self.config.pop("algorithm")
         self.config = modern(self.config)
-        self.episodes = self._table("episodes.parquet", FIRST_COLUMNS)
+        if rows:
+            self.episodes = self._table("episodes.parquet", FIRST_COLUMNS)
         self.progress = self._table("progress.parquet", {"seed": "int64", "frame": "int64"})
 
     @property

@@ -294,14 +294,14 @@ def sentences(found: pd.DataFrame) -> list[str]:
     if beaten:
         said.append(
             "A scripted rule still beats every learned cell, its reward above the interval of each, in"
-            f" {', '.join(beaten)}."
+            f" {'; '.join(beaten)}."
         )
     if passed:
-        said.append(f"A learned cell is above every script, with its whole interval, in {', '.join(passed)}.")
+        said.append(f"A learned cell is above every script, with its whole interval, in {'; '.join(passed)}.")
     if above:
-        said.append(f"Every learned cell is above random flight, intervals apart, in {', '.join(above)}.")
+        said.append(f"Every learned cell is above random flight, intervals apart, in {'; '.join(above)}.")
     if not_above:
-        said.append(f"Not every learned cell is above random flight with intervals apart in {', '.join(not_above)}.")
+        said.append(f"Not every learned cell is above random flight with intervals apart in {'; '.join(not_above)}.")
     return said
 
 

@@ -17,6 +17,7 @@ from tied import LINK, first_screen, too_long, untied
 from uavnav import stats
 from uavnav.report.claims import CLAIMS
 from uavnav.report.content import gather
+from uavnav.report.discussion import DISCUSSION
 from uavnav.report.docs import BEGIN, END, results, summary
 from uavnav.report.operating import EQUAL, TABLES, characteristics
 from uavnav.report.page import markdown
@@ -70,7 +71,7 @@ def test_each_number_of_the_conclusions_is_in_the_row_of_tables_that_its_line_li
     } == {}
 
 
-NUMBERS = [str(claim.number) for claim in CLAIMS]
+NUMBERS = [str(claim.number) for claim in (*CLAIMS, *DISCUSSION)]
 
 
 def test_a_number_that_is_off_by_one_in_its_last_place_is_found():

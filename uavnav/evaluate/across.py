@@ -98,11 +98,11 @@ def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung") -> pd.DataFrame:
 
 
 @matplotlib.rc_context(style.STYLE)
-def draw(table: pd.DataFrame, ladder: Ladder) -> style.Drawn:
+def draw(table: pd.DataFrame, ladder: Ladder, width: float = style.WIDTH) -> style.Drawn:
     """Each measure against difficulty, one line a policy as it acts in training, bands for intervals."""
     mine = table[table["mode"] != "greedy"]
     measures = [*dict.fromkeys(mine["measure"])]
-    figure = Figure(figsize=(style.WIDTH, 1 + 2.5 * len(measures)), layout="constrained")
+    figure = Figure(figsize=(width, 1 + 2.5 * len(measures)), layout="constrained")
     panels = figure.subplots(len(measures), 1, sharex=True)
     names = list(dict.fromkeys(mine["name"]))
     learned = [name for name in names if name not in BASELINES]

@@ -128,6 +128,7 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
         drawn += _of_worlds(of_worlds)
         narrow = figures.draw(of_paper, numbers, watched, survival, style.NARROW)
         narrow += beyond.figures(numbers, baselines, style.NARROW)
+        narrow += _of_worlds(of_worlds, style.NARROW)
         flown = replayed.result()
     return Content(
         cells,
@@ -144,8 +145,8 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
     )
 
 
-def _of_worlds(found: Worlds | None) -> list[Figure]:
-    drawn = worlds.figures(found) if found else []
+def _of_worlds(found: Worlds | None, width: float = style.WIDTH) -> list[Figure]:
+    drawn = worlds.figures(found, width) if found else []
     return [Figure(name, "worlds", figure, caption) for name, figure, caption in drawn]
 
 

@@ -311,11 +311,11 @@ def _top(one: Interval) -> float:
 
 
 @matplotlib.rc_context(style.STYLE)
-def draw(found: pd.DataFrame) -> style.Drawn:
+def draw(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Reward per flight of every cell, a panel a world; the lines are scripts."""
     worlds = worlds_of(found)
     counts = [len(_rewards(found, world)[0]) for world in worlds]
-    figure = Figure(figsize=(style.WIDTH, sum(0.9 + 0.3 * count for count in counts)), layout="constrained")
+    figure = Figure(figsize=(width, sum(0.9 + 0.3 * count for count in counts)), layout="constrained")
     panels = figure.subplots(len(worlds), 1, squeeze=False, gridspec_kw={"height_ratios": [2 + n for n in counts]})[
         :, 0
     ]
@@ -341,7 +341,7 @@ def _first(found: pd.DataFrame, world: str) -> list[tuple[str, Interval]]:
     return [*_rewards(found, world)[0].items()][:1]
 
 
-def ladder(found: Worlds, name: str) -> style.Drawn | None:
+def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:
     """The cells that were trained in the paper's world across a ladder, means of their activations; None where none."""
     from uavnav.evaluate import across
     from uavnav.tasks.ladders import LADDERS
@@ -359,14 +359,14 @@ def ladder(found: Worlds, name: str) -> style.Drawn | None:
     if not parts:
         return None
     columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
-    return across.draw(pd.DataFrame(parts, columns=columns), LADDERS[name])
+    return across.draw(pd.DataFrame(parts, columns=columns), LADDERS[name], width)
 
 
-def figures(found: Worlds) -> list[tuple[str, style.Drawn, str]]:
+def figures(found: Worlds, width: float = style.WIDTH) -> list[tuple[str, style.Drawn, str]]:
     """Names, figures and captions."""
-    drawn = [("worlds-rewards", draw(summary(found)), "Means and 95 % intervals over seeds; lines: scripts.")]
+    drawn = [("worlds-rewards", draw(summary(found), width), "Means and 95 % intervals over seeds; lines: scripts.")]
     for name in ("density", "slalom"):
-        if (one := ladder(found, name)) is not None:
+        if (one := ladder(found, name, width)) is not None:
             caption = (
                 f"The ladder {name}: policies trained in the paper's world, the mean of their activations; bands are"
                 " Welch's 95 % intervals over seeds."

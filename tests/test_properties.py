@@ -182,8 +182,10 @@ def no_step_leads_through_an_obstacle(env, action, before, state, after):
         before.x, before.y, state.x, state.y, state.layout, state.steps, action % 10, after["terminated"]
     ):
         assert math.hypot(to_x - x, to_y - y) == pytest.approx(distance, abs=ROUNDING)
+        if not distance or terminated:
+            continue
         circles = circles_of(env, layout, steps)
-        if not distance or terminated or min(oracle.distances(x, y, circles)) < 30:
+        if name_of(env.task) == "moving" and min(oracle.distances(x, y, circles)) < 30:
             continue
         radii = [radius for _, _, radius in circles]
         bounds = [math.sqrt((r + 30) ** 2 - distance**2 / 4) - r for r in radii]

@@ -23,6 +23,8 @@ Place = tuple[str, str, str]
 PPO, DQN = ALGORITHMS
 SHORT, LONG = "baseline", "many_worlds"
 """Studies that change nothing, of fewer and of as many frames as the paper's."""
+PAIR = ("tanh", "relu")
+"""Activations of the studies that are as long as the paper's."""
 
 
 class Contrast(NamedTuple):
@@ -89,46 +91,39 @@ def _earns(a: str, b: str, how: str) -> tuple[str, str, str]:
     return more, more.replace(" more", " less"), neither
 
 
-def _rewards() -> Question:
-    metrics, pair = ("full_stops", "turns", "reversals"), ("tanh", "relu")
-    studies = {"reward=initial": "first reward", "reward=additive": "added penalties", LONG: "eq. (14)"}
-    rows = {
+def _of_pair(labels: dict[str, str]) -> dict[str, Place]:
+    """A row for each algorithm, activation of the pair and study, as long as the paper's."""
+    return {
         f"{one.upper()} {activation}, {label}": (study, one, activation)
-        for one, activation in itertools.product(ALGORITHMS, pair)
-        for study, label in studies.items()
+        for one, activation in itertools.product(ALGORITHMS, PAIR)
+        for study, label in labels.items()
     }
+
+
+def _against_long(
+    study: str, algorithm: str, metric: str, how: str, said: tuple[str, str, str] | None = None
+) -> Contrast:
+    """A study against the one that changes nothing, means of the pair."""
+    first, second = (tuple((one, algorithm, activation) for activation in PAIR) for one in (study, LONG))
+    return Contrast(metric, f"{algorithm.upper()} {how}", first, second, said)
+
+
+def _rewards() -> Question:
+    metrics, initial = ("full_stops", "turns", "reversals"), "reward=initial"
+    labels = {initial: "first reward", "reward=additive": "added penalties", LONG: "eq. (14)"}
+    how = "under the first reward minus under eq. (14)"
     contrasts = tuple(
-        Contrast(
-            metric,
-            f"{one.upper()} under the first reward minus under eq. (14)",
-            tuple(("reward=initial", one, activation) for activation in pair),
-            tuple((LONG, one, activation) for activation in pair),
-            _turns(one.upper()) if metric == "turns" else None,
-        )
+        _against_long(initial, one, metric, how, _turns(one.upper()) if metric == "turns" else None)
         for metric, one in itertools.product(metrics, ALGORITHMS)
     )
-    return Question("rewards", "What do the penalties cure?", metrics, rows, contrasts)
+    return Question("rewards", "What do the penalties cure?", metrics, _of_pair(labels), contrasts)
 
 
 def _memory() -> Question:
-    pair, remembers = ("tanh", "relu"), "stack=4"
-    labels = {LONG: "one", remembers: "the last four"}
-    rows = {
-        f"{one.upper()} {activation}, {label}": (study, one, activation)
-        for one, activation in itertools.product(ALGORITHMS, pair)
-        for study, label in labels.items()
-    }
-    contrasts = tuple(
-        Contrast(
-            "reward",
-            f"{one.upper()} with the last four observations minus with one",
-            tuple((remembers, one, activation) for activation in pair),
-            tuple((LONG, one, activation) for activation in pair),
-            _remembers(one.upper()),
-        )
-        for one in ALGORITHMS
-    )
-    return Question("memory", "Does remembering help?", ("reward",), rows, contrasts)
+    labels = {LONG: "one", "stack=4": "the last four"}
+    how = "with the last four observations minus with one"
+    contrasts = tuple(_against_long("stack=4", one, "reward", how, _remembers(one.upper())) for one in ALGORITHMS)
+    return Question("memory", "Does remembering help?", ("reward",), _of_pair(labels), contrasts)
 
 
 def _remembers(who: str) -> tuple[str, str, str]:

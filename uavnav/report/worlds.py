@@ -33,7 +33,7 @@ from uavnav.report.discussion import (
     slopes,
 )
 from uavnav.report.operating import characteristics
-from uavnav.report.verdicts import Finding, audit, grade, of_claim
+from uavnav.report.verdicts import NO_RUNS, Finding, audit, grade, of_claim
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import FIRST_COLUMNS, FLIGHTS, OWN, collided, of_flights
 from uavnav.runs.tables import RunError, read_table
@@ -382,11 +382,15 @@ def numbers(found: Worlds) -> dict[str, pd.DataFrame]:
 
 
 def claims(found: Worlds) -> list[dict[str, object]]:
-    """Each claim with its grade, its bar and the rows of its parts."""
+    """Each claim with its grade, its bar, the rows of its parts and its first line in the table of verdicts.
+
+    It `waits` if the study has no runs for some of its parts, those beside the claim apart.
+    """
     graded = []
     for claim in DISCUSSION:
         mine = of_claim(found.findings, claim.number)
         came_to = grade(mine)
         own = {"number": claim.number, "sentence": claim.sentence, "grade": came_to, "bar": tables.bar(came_to)}
+        own |= {"line": found.findings.index(mine[0]) + 2, "waits": any(one.standing == NO_RUNS for one in mine)}
         graded.append(own | {"text": conclusions.sentence(claim, mine), "rows": tables.audit_rows(mine)})
     return graded

@@ -331,6 +331,7 @@ def test_a_report_records_cells_of_other_worlds_beside_the_papers(tmp_path):
     write_run(tmp_path / "here", n_seeds=1)
     write_run(tmp_path / "moving", task="moving", n_seeds=1)
     write_run(tmp_path / "noise", faults={"noise": 5.0}, n_seeds=1)
+    (write_run(tmp_path / "rows alone", task="goal", n_seeds=1) / POLICY).unlink()
     cells, _ = collect([tmp_path])
     found = {cell.runs[0].path.name for cell in studies.elsewhere(cells)}
     assert found == {"moving", "noise"}

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.typing import RcKeyType
+from PIL import Image
 
 from uavnav import stats
 from uavnav.stats import Array, Interval
@@ -70,10 +71,11 @@ class Drawn(NamedTuple):
 
 
 def save(figure: Figure) -> tuple[bytes, bytes]:
-    """SVG and PNG, the same bytes on every call."""
-    svg, png = drawing(figure), io.BytesIO()
+    """SVG and PNG, the same bytes on every call; the PNG of 256 colours, for a third of the bytes."""
+    svg, drawn, png = drawing(figure), io.BytesIO(), io.BytesIO()
     with matplotlib.rc_context(STYLE):
-        figure.savefig(png, format="png", metadata={"Software": None})
+        figure.savefig(drawn, format="png", metadata={"Software": None})
+    Image.open(drawn).convert("RGB").quantize(dither=Image.Dither.NONE).save(png, "PNG", optimize=True)
     return svg, png.getvalue()
 
 

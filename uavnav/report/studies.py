@@ -18,7 +18,7 @@ import pandas as pd
 
 from uavnav.report.cells import TASK, Cell, Key, order, read_as, show, windowed
 from uavnav.report.claims import PRIMARY, SURGE
-from uavnav.runs import Run, paper
+from uavnav.runs import POLICY, Run, paper
 from uavnav.runs.readings import ALL, PER_FRAME
 from uavnav.stats import Array
 from uavnav.tasks.faults import NO_FAULTS
@@ -145,9 +145,13 @@ def paper_cells(cells: Cells) -> Cells:
 
 
 def elsewhere(cells: Sequence[Cell]) -> list[Cell]:
-    """Those of another world than the paper's, with faults, or with a stack of observations."""
+    """Those of another world than the paper's, with faults, or with a stack of observations; and with their policies.
+
+    Of side studies only rows are kept.
+    """
     usual = {"task": TASK, "stack": 1} | {f"faults.{name}": value for name, value in asdict(NO_FAULTS).items()}
-    return [cell for cell in cells if any(cell.settings.get(key, value) != value for key, value in usual.items())]
+    there = [cell for cell in cells if any((run.path / POLICY).exists() for run in cell.runs)]
+    return [cell for cell in there if any(cell.settings.get(key, value) != value for key, value in usual.items())]
 
 
 def wide(studies: Studies) -> Cells:

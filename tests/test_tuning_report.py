@@ -219,5 +219,31 @@ def test_a_conclusion_about_activations_carries_over_turns_round_or_stays_open()
     assert beyond.conclusions(found)[0] == ["reward per frame", "DQN", "PPO", "A2C", "C51", "SAC"]
 
 
+def test_by_default_an_algorithm_that_was_not_tuned_has_the_reward_of_its_tanh_in_the_comparison_of_activations():
+    rows = [["SAC tanh", "greedy", 1.0, 0.0, 2.0], ["SAC tanh", "sampled", 5.0, 4.0, 6.0]]
+    algorithms = pd.DataFrame(rows, columns=["who", "mode", "reward", "low", "high"])
+    tuning = pd.DataFrame(
+        [["a2c", "default", 7.0, 6.0, 8.0], ["a2c", "tuned", 9.0, 8.0, 10.0]],
+        columns=["algorithm", "settings", "value", "low", "high"],
+    )
+    numbers = {"tuning": tuning, "algorithms": algorithms}
+    found = {
+        (one, which): beyond.reward(numbers, one, which) for one in ("a2c", "sac") for which in ("default", "tuned")
+    }
+    assert found == {
+        ("a2c", "default"): "7.0 [6.0, 8.0]",
+        ("a2c", "tuned"): "9.0 [8.0, 10.0]",
+        ("sac", "default"): "5.0 [4.0, 6.0]",
+        ("sac", "tuned"): "–",
+    }
+    assert beyond.reward({}, "sac", "default") == "–"
+
+
+def test_further_algorithms_are_those_beyond_the_papers():
+    found = beyond.others(made(("sac", "ppo", "a2c", "dqn"), ahead).studies)
+    assert [*dict.fromkeys(algorithm for algorithm, _ in found)] == ["a2c", "sac"]
+    assert len(found) == 8
+
+
 def test_the_papers_algorithms_alone_ask_nothing():
     assert beyond.carried(made(("ppo", "dqn"), ahead)).empty

@@ -22,7 +22,8 @@ from uavnav import stats, style
 from uavnav.report import headline
 from uavnav.report.cells import Cell, collect, episodes_of, one_line, order
 from uavnav.report.figures import Figure
-from uavnav.report.studies import Cells, Rows
+from uavnav.report.frames import name
+from uavnav.report.studies import Cells, Rows, Studies
 from uavnav.report.tables import number, with_interval
 from uavnav.runs import paper
 from uavnav.runs.metrics import finished
@@ -130,7 +131,7 @@ def _pairs(cells: Mapping[str, Cells], algorithms: Sequence[str]) -> Table:
     rows = []
     for which, found in cells.items():
         of = {key[0]: [one] for key, cell in found.items() if len(one := rewards(cell))}
-        for first, second in itertools.combinations([name for name in algorithms if name in of], 2):
+        for first, second in itertools.combinations([algorithm for algorithm in algorithms if algorithm in of], 2):
             rows.append([f"{first} − {second}", which, *stats.difference(of[first], of[second])])
     return pd.DataFrame(rows, columns=["pair", "settings", "value", "low", "high", "n"])
 
@@ -156,10 +157,14 @@ def compared(found: Table) -> TextRows:
 
 
 def reward(numbers: Mapping[str, Table], algorithm: str, which: str) -> str:
-    """Of an algorithm's test flights with some settings; numbers: as `tuning` gives them, or without."""
-    if "tuning" not in numbers:
+    """Of an algorithm's test flights with some settings; by default those of tanh, where it was not tuned."""
+    tuned = numbers["tuning"].query("algorithm == @algorithm") if "tuning" in numbers else pd.DataFrame()
+    if len(tuned):
+        return _shown(tuned.set_index("settings"), which)
+    if which != DEFAULT or "algorithms" not in numbers:
         return "–"
-    return _shown(numbers["tuning"].query("algorithm == @algorithm").set_index("settings"), which)
+    sampled = numbers["algorithms"].query("mode == 'sampled'").set_index("who")
+    return _shown(sampled, name(algorithm, "tanh"), ("reward", "low", "high"))
 
 
 def _shown(by: Table, which: str, columns: Sequence[str] = ("value", "low", "high"), digits: int = 1) -> str:
@@ -328,6 +333,12 @@ def shares(importance: Table, width: float = style.WIDTH) -> style.Drawn:
 
 
 # -- activations -------------------------------------------------------------------------------------------------------
+
+
+def others(studies: Studies) -> Cells:
+    """The cells in many worlds of algorithms beyond the paper's."""
+    there = studies.of("many_worlds")
+    return {key: there[key] for key in sorted(there, key=order) if key[0] not in paper.TABLE_OF}
 
 
 def carried(evidence: Rows) -> Table:

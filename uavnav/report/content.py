@@ -123,7 +123,9 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
             left_out += of_worlds.left_out
         numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
         carried = beyond.carried(evidence[PRIMARY])
-        numbers |= tuned | ({"carried": carried} if len(carried) else {})
+        if len(carried):
+            numbers |= {"carried": carried, "algorithms": headline.gaps(beyond.others(sorted_cells), baselines)}
+        numbers |= tuned
         drawn = [*figures.draw(of_paper, numbers, watched, survival), *beyond.figures(numbers, baselines)]
         drawn += _of_worlds(of_worlds)
         narrow = figures.draw(of_paper, numbers, watched, survival, style.NARROW)

@@ -12,7 +12,7 @@ train: .venv/.installed
 test: .venv/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy & $(BIN)/pytest -n 2 --dist worksteal -m "" && wait $$! # beside the tests' first minute
+	$(BIN)/mypy & $(BIN)/pytest -n 3 --dist worksteal -m "" && wait $$! # beside the tests' first minute
 
 .venv/.installed: pyproject.toml
 	$(PYTHON) -m venv .venv

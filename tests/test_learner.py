@@ -1,6 +1,8 @@
 """The learner by itself: optimisers, clipping, and what follows a step; test_algorithms compiles those of the table."""
 
 import copy
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -148,3 +150,24 @@ def test_a_saved_learner_keeps_its_targets_too():
         each.learn(rows(2, 3, 8))
     assert torch.equal(one.objective.loss.target, other.objective.loss.target)
     assert torch.equal(one.objective.loss.weight, other.objective.loss.weight)
+
+
+PAGES = """
+import resource, sys, torch
+from uavnav.training import machine
+machine.keep_memory_flat(int(sys.argv[1]))
+def written():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(50):
+        torch.ones(1_600_000)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+written()
+print(written())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="pages are counted as Linux counts them")
+@pytest.mark.parametrize(("weights", "again"), [(0, False), (6_400_000, True)])
+def test_a_block_as_large_as_a_layers_weights_is_used_again_and_without_such_weights_goes_back(weights, again):
+    found = subprocess.run([sys.executable, "-c", PAGES, str(weights)], capture_output=True, text=True, check=True)
+    assert (int(found.stdout) < 50) == again

@@ -25,7 +25,7 @@ from uavnav.help.choices import ConfigError
 from uavnav.tasks.rewards import bounds_of_returns
 from uavnav.training.config import at_least, within
 from uavnav.training.loop import train
-from uavnav.training.sampling import by_atom, dueling
+from uavnav.training.sampling import by_atom, dueling, values_of
 
 __all__ = ["PRESETS", "C51Config", "C51Loss", "train"]
 
@@ -119,21 +119,36 @@ class C51Loss(LossModule):  # type: ignore[misc]
 
     def forward(self, batch: TensorDictBase) -> TensorDict:
         """Transitions [A, B] -> `loss` [A, B]."""
-        predicted = _of_action(self._logits(batch, self.value_network_params), batch["action"]).log_softmax(-1)
+        predicted = self._of_taken(batch).log_softmax(-1)
         with torch.no_grad():
             following = batch["next"]
-            target = self._logits(following, self.target_value_network_params).softmax(-1)
-            judge = self._logits(following, self.value_network_params).softmax(-1) if self.config.double else target
-            best = (judge * self.atoms).sum(-1).argmax(-1)
+            outputs = self._outputs(following, self.target_value_network_params)
+            judge = self._outputs(following, self.value_network_params) if self.config.double else outputs
+            best = values_of(self.config.head, judge).argmax(-1)
             discount = self.config.discount ** batch.get("steps_to_next_obs", 1) * ~following["terminated"]
             places = following["reward"] + discount * self.atoms
-            target = project(_of_action(target, best), places, self.atoms)
+            target = project(_of_action(self._logits(outputs), best).softmax(-1), places, self.atoms)
         return TensorDict({"loss": -(target * predicted).sum(-1)})
 
-    def _logits(self, rows: TensorDictBase, parameters: TensorDictParams) -> Tensor:
-        """Of each action and atom: observations [A, B] -> [A, B, actions, n]."""
+    def _outputs(self, rows: TensorDictBase, parameters: TensorDictParams) -> Tensor:
+        """Of the network with these weights: observations [A, B] -> [A, B, outputs]."""
         with parameters.to_module(self.value_network, preserve_module_state=False):
-            outputs = self.value_network(rows.select("observation"))["outputs"]
+            outputs: Tensor = self.value_network.module(rows["observation"])
+        return outputs
+
+    def _of_taken(self, batch: TensorDictBase) -> Tensor:
+        """The logits of the actions taken, [A, B, n].
+
+        Of the last layer, only these actions' weights are used, so that an update costs one wide product, not three.
+        """
+        with self.value_network_params.to_module(self.value_network, preserve_module_state=False):
+            *_, last = network = self.value_network.module
+            features: Tensor = network[:-1](batch["observation"])
+            weight, bias = (_of_actions(self._logits(part), batch["action"]) for part in (last.weight, last.bias))
+        return (features[..., None] * weight.transpose(1, 2)).sum(-2) + bias[:, 0]
+
+    def _logits(self, outputs: Tensor) -> Tensor:
+        """Of each action and atom: [..., outputs] -> [..., actions, n]. It is linear, so it holds for weights too."""
         outputs = dueling(outputs, len(self.atoms)) if self.config.dueling else outputs
         return by_atom(outputs, len(self.atoms))
 
@@ -142,3 +157,9 @@ def _of_action(values: Tensor, action: Tensor) -> Tensor:
     """[..., actions, n], [...] -> [..., n]."""
     index = action[..., None, None].expand(*action.shape, 1, values.shape[-1])
     return values.gather(-2, index).squeeze(-2)
+
+
+def _of_actions(values: Tensor, actions: Tensor) -> Tensor:
+    """[A, inputs, actions, n], [A, B] -> [A, inputs, B, n]."""
+    index = actions[:, None, :, None].expand(-1, values.shape[1], -1, values.shape[-1])
+    return values.gather(-2, index)

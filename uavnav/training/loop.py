@@ -115,10 +115,10 @@ def _together(recorder: Recorder, n: int, quiet: bool, tell: Tell | None) -> Run
 def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> Run:
     """Train all seeds of a run in this process: environment, algorithm, collector, loop."""
     config = recorder.config
-    machine.keep_memory_flat()
     compile = recorder.repeat(machine.decide(config))
     env = make_env(config, compile)
     trainee: Trainee = config.make(compile)
+    machine.keep_memory_flat(max(one.nbytes for net in trainee.networks().values() for one in net.parameters()))
     parts: Mapping[str, Stateful] = {"env": env, "actions": trainee.actor, **trainee.parts}
     with recorder, Display(config, quiet, tell) as display, machine.little_garbage():
         recorder.note(compiled=compile)

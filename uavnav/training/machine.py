@@ -17,8 +17,12 @@ from uavnav.training.config import TrainConfig
 
 MAPPED_FROM = 2**20
 """Bytes from which glibc gives a block pages of its own."""
-M_MMAP_THRESHOLD = -3
-"""As malloc.h calls it."""
+MAPPED_AT_MOST = 2**25
+"""The largest such number that glibc takes."""
+KEPT = 2**28
+"""Bytes that glibc keeps at the end of its heap, where blocks of weights come and go."""
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""As malloc.h calls them."""
 PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
 FLIGHTS_PAY_FROM = 2_000
@@ -84,15 +88,19 @@ def threads(config: TrainConfig, processes: int) -> int:
     return 1 if config.n_seeds < 4 or processes > 1 else min(2, cores())
 
 
-def keep_memory_flat() -> None:
+def keep_memory_flat(weights: int = 0) -> None:
     """Let this process return large blocks to the system when they are freed.
 
     glibc raises the size from which it does so up to 32 MB by itself: rollouts then lie on a heap among small things
-    that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Other C libraries are left as they
-    are.
+    that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Blocks as large as a layer's
+    weights [bytes] stay, if these are larger still: each update has such blocks, and new pages would take half of its
+    time. Other C libraries are left as they are.
     """
     with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL("libc.so.6").mallopt(M_MMAP_THRESHOLD, MAPPED_FROM)
+        libc = ctypes.CDLL("libc.so.6")
+        if weights > MAPPED_FROM:
+            libc.mallopt(M_TRIM_THRESHOLD, KEPT)
+        libc.mallopt(M_MMAP_THRESHOLD, min(max(MAPPED_FROM, 2 * weights), MAPPED_AT_MOST))
 
 
 @contextlib.contextmanager

@@ -46,6 +46,14 @@ def test_dqns_whole_run_counts_50_000_frames_at_the_rate_before_learning_and_the
     assert found["whole"] == pytest.approx(15 + 10 + 1900)
 
 
+def test_20_s_of_compilation_between_4_marks_before_learning_count_as_start_up():
+    marks = [Mark(1000 * n, 15 + 0.1 * n + (20 if n > 2 else 0)) for n in range(4)]
+    marks += [Mark(3000 + 10 * n, marks[-1].at + 0.02 * n) for n in range(1, 41)]
+    found = whole_run(marks, 3000, 3000)
+    assert (found["rate_before"], found["rate"]) == pytest.approx((10_000, 500))
+    assert found["startup"] == pytest.approx(15 + 20)
+
+
 def test_the_clock_stops_after_2_steady_seconds_or_500_frames_but_never_before_3_steady_marks(monkeypatch):
     now = itertools.count(100.0)
     monkeypatch.setattr(watch.time, "time", lambda: next(now))

@@ -1,23 +1,29 @@
 """Figures of plain data whose numbers are known, read back from what is drawn."""
 
+import io
+import re
 import warnings
 from types import SimpleNamespace
+from urllib.parse import unquote
 from xml.etree import ElementTree
 
 import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
 from uavnav import stats, style
 from uavnav.report import arena, charts, curves, frames
 from uavnav.report.cells import BINS, EMPTY, Cell
+from uavnav.report.page import _embedded
 from uavnav.runs import paper
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks.world import World
 
 FRAMES = 1000
 WIDTH = FRAMES // BINS
+SVG = "{http://www.w3.org/2000/svg}"
 
 
 @pytest.fixture(autouse=True)
@@ -129,6 +135,42 @@ def test_a_figure_is_the_same_bytes_twice_and_8_inches_wide_and_changes_no_setti
     assert ElementTree.fromstring(svg).get("width") == "576pt"
     assert not any(word in svg + png for word in (b"Matplotlib", b"dc:date", b"Software"))
     assert dict(matplotlib.rcParams) == before
+
+
+def scattered():
+    figure, axes = style.panel("a: b; c <d> & 'e' M 1 2")
+    axes.scatter(range(9), range(9), c=range(9), marker="^", label="a scatter's marks: 9; all")
+    axes.legend()
+    return figure
+
+
+@pytest.mark.parametrize("name", [*EXAMPLES, "scatter"])
+def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_point(name):
+    svg = style.drawing(scattered() if name == "scatter" else EXAMPLES[name]().figure)
+    full, short = (ElementTree.fromstring(text) for text in (svg, unquote(_embedded(svg))))
+    words = [[text.strip() for one in tree.iter(f"{SVG}text") for text in one.itertext()] for tree in (full, short)]
+    words = [[word for word in of if word] for of in words]
+    assert words[0] == words[1]
+    for tag in ("path", "use", "text", "image", "clipPath"):
+        places = [[places_of(one) for one in tree.iter(f"{SVG}{tag}")] for tree in (full, short)]
+        assert [len(one) for one in places[0]] == [len(one) for one in places[1]]
+        np.testing.assert_allclose(np.concatenate(places[1] or [[]]), np.concatenate(places[0] or [[]]), atol=0.01)
+    asked = set(re.findall(r"(?:href='#|url\(#)(\w+)", ElementTree.tostring(short).decode().replace('"', "'")))
+    assert asked
+    assert asked <= {one.get("id") for one in short.iter()}
+
+
+def places_of(element):
+    found = " ".join(element.get(key, "") for key in ("d", "x", "y"))
+    return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?(?:e-?\d+)?", found)]
+
+
+def test_a_figure_with_a_map_keeps_its_colours_and_any_other_has_256_and_white_ground():
+    figure, axes = style.panel("a map")
+    axes.imshow(np.arange(900).reshape(30, 30))
+    kept, few = (Image.open(io.BytesIO(style.save(one)[1])).convert("RGB") for one in (figure, scattered()))
+    assert len(kept.getcolors(1 << 20)) > 256 >= len(few.getcolors(1 << 20))
+    assert few.getpixel((0, 0)) == (255, 255, 255)
 
 
 @pytest.mark.parametrize("name", NOTHING)

@@ -213,20 +213,23 @@ def test_a_conclusion_about_activations_carries_over_turns_round_or_stays_open()
     value = found.set_index(["conclusion", "algorithm"])["value"]
     assert value["tanh − relu", "ppo"] == pytest.approx(1.0)
     assert value["bounded − unbounded", "sac"] == pytest.approx(-0.5)
-    first = beyond.carries(found).split(". ")[0]
-    assert first == "Under PPO, tanh is ahead of ReLU; this holds under A2C, turns round under SAC, is open under C51"
+    answer, first, *_ = beyond.carries(found).split(". ")
+    assert answer == "No conclusion about activations holds under every algorithm"
+    assert (
+        first == "Under PPO, tanh is ahead of ReLU; this holds under A2C, turns round under SAC and is open under C51"
+    )
     assert "DQN" not in beyond.carries(found)  # which decides nothing
     assert beyond.conclusions(found)[0] == ["reward per frame", "DQN", "PPO", "A2C", "C51", "SAC"]
 
 
 def test_by_default_an_algorithm_that_was_not_tuned_has_the_reward_of_its_tanh_in_the_comparison_of_activations():
     rows = [["SAC tanh", "greedy", 1.0, 0.0, 2.0], ["SAC tanh", "sampled", 5.0, 4.0, 6.0]]
-    algorithms = pd.DataFrame(rows, columns=["who", "mode", "reward", "low", "high"])
+    further = pd.DataFrame(rows, columns=["who", "mode", "reward", "low", "high"])
     tuning = pd.DataFrame(
         [["a2c", "default", 7.0, 6.0, 8.0], ["a2c", "tuned", 9.0, 8.0, 10.0]],
         columns=["algorithm", "settings", "value", "low", "high"],
     )
-    numbers = {"tuning": tuning, "algorithms": algorithms}
+    numbers = {"tuning": tuning, "further": further}
     found = {
         (one, which): beyond.reward(numbers, one, which) for one in ("a2c", "sac") for which in ("default", "tuned")
     }
@@ -240,9 +243,26 @@ def test_by_default_an_algorithm_that_was_not_tuned_has_the_reward_of_its_tanh_i
 
 
 def test_further_algorithms_are_those_beyond_the_papers():
-    found = beyond.others(made(("sac", "ppo", "a2c", "dqn"), ahead).studies)
+    found = beyond.further(made(("sac", "ppo", "a2c", "dqn"), ahead).studies)
     assert [*dict.fromkeys(algorithm for algorithm, _ in found)] == ["a2c", "sac"]
     assert len(found) == 8
+
+
+def test_a_conclusion_that_holds_under_every_algorithm_is_not_denied():
+    found = beyond.carried(made(("ppo", "dqn", "a2c"), lambda algorithm, activation: float(activation == "tanh")))
+    assert beyond.carries(found).startswith("Under DQN and PPO, tanh is ahead of ReLU; this holds under A2C. ")
+
+
+def test_an_algorithm_no_cell_of_which_is_above_random_flight_is_named():
+    columns = ["who", "algorithm", "mode", "reward", "low"]
+    scripted = [["random", "", "scripted", -10.0, np.nan], ["reactive", "", "scripted", 400.0, np.nan]]
+    learned = [["SAC tanh", "sac", "sampled", -9.0, -10.0], ["SAC relu", "sac", "sampled", -15.0, -16.0]]
+    learned += [["SAC tanh", "sac", "greedy", 50.0, 40.0], ["A2C tanh", "a2c", "sampled", 9.0, 2.0]]
+    learned += [["A2C relu", "a2c", "sampled", -9.0, -12.0]]
+    said = beyond.no_better(pd.DataFrame(scripted + learned, columns=columns))
+    assert said.startswith("With default settings, no cell of SAC earns more in test flights than random flight")
+    assert "A2C" not in said
+    assert beyond.no_better(pd.DataFrame(learned, columns=columns)) == ""
 
 
 def test_the_papers_algorithms_alone_ask_nothing():

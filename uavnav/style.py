@@ -71,10 +71,12 @@ class Drawn(NamedTuple):
 
 
 def save(figure: Figure) -> tuple[bytes, bytes]:
-    """SVG and PNG, the same bytes on every call; the PNG of 256 colours, for a third of the bytes."""
+    """SVG and PNG, the same bytes on every call; a PNG without a map has 256 colours, for a third of the bytes."""
     svg, drawn, png = drawing(figure), io.BytesIO(), io.BytesIO()
     with matplotlib.rc_context(STYLE):
         figure.savefig(drawn, format="png", metadata={"Software": None})
+    if any(axes.images for axes in figure.axes):
+        return svg, drawn.getvalue()
     Image.open(drawn).convert("RGB").quantize(dither=Image.Dither.NONE).save(png, "PNG", optimize=True)
     return svg, png.getvalue()
 

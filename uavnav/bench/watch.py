@@ -6,9 +6,11 @@ Frames are per seed, times in seconds since the process was launched.
 from __future__ import annotations
 
 import functools
+import statistics
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from uavnav.bench.results import Result
@@ -104,6 +106,11 @@ class Clock:
         return whole_run(self.marks, starts, whole_starts) | shares
 
 
+def usual(marks: list[Mark]) -> float:
+    """Frames/s of the median interval between marks: of few marks, one may hold a compilation."""
+    return statistics.median((then.frames - now.frames) / (then.at - now.at) for now, then in pairwise(marks))
+
+
 def rate(marks: list[Mark]) -> float:
     """Frames/s over marks; the first quarter is left out, in which things are compiled and grow warm."""
     steady = marks[len(marks) // 4 :]
@@ -116,7 +123,7 @@ def whole_run(marks: list[Mark], starts: int, whole_starts: int) -> Result:
     starts: frames before learning in the run that was watched, 0 if it learns at once; whole_starts: in the whole run.
     """
     after = rate([mark for mark in marks if mark.frames > starts] or marks)
-    before = rate([mark for mark in marks if mark.frames <= starts]) if starts else after
+    before = usual([mark for mark in marks if mark.frames <= starts]) if starts else after
     last = marks[-1]
     startup = last.at - min(last.frames, starts) / before - max(last.frames - starts, 0) / after
     whole = startup + whole_starts / before + (WHOLE - whole_starts) / after

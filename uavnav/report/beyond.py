@@ -19,10 +19,9 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
 from uavnav import stats, style
-from uavnav.report import headline
+from uavnav.report import frames, headline
 from uavnav.report.cells import Cell, collect, episodes_of, one_line, order
 from uavnav.report.figures import Figure
-from uavnav.report.frames import name
 from uavnav.report.studies import Cells, Rows, Studies
 from uavnav.report.tables import number, with_interval
 from uavnav.runs import paper
@@ -30,6 +29,7 @@ from uavnav.runs.metrics import finished
 from uavnav.runs.readings import SAMPLED, words
 from uavnav.runs.tables import RunError
 from uavnav.runs.trials import COLUMNS, DIFFERENCE, IMPORTANCE, OF_IMPORTANCE, TABLE, TUNED, best, folders, read, winner
+from uavnav.tasks.protocol import DRAWS
 
 Table = pd.DataFrame
 TextRows = list[list[str]]
@@ -161,10 +161,10 @@ def reward(numbers: Mapping[str, Table], algorithm: str, which: str) -> str:
     tuned = numbers["tuning"].query("algorithm == @algorithm") if "tuning" in numbers else pd.DataFrame()
     if len(tuned):
         return _shown(tuned.set_index("settings"), which)
-    if which != DEFAULT or "algorithms" not in numbers:
+    if which != DEFAULT or "further" not in numbers:
         return "–"
-    sampled = numbers["algorithms"].query("mode == 'sampled'").set_index("who")
-    return _shown(sampled, name(algorithm, "tanh"), ("reward", "low", "high"))
+    sampled = numbers["further"].query("mode == 'sampled'").set_index("who")
+    return _shown(sampled, frames.name(algorithm, "tanh"), ("reward", "low", "high"))
 
 
 def _shown(by: Table, which: str, columns: Sequence[str] = ("value", "low", "high"), digits: int = 1) -> str:
@@ -335,10 +335,9 @@ def shares(importance: Table, width: float = style.WIDTH) -> style.Drawn:
 # -- activations -------------------------------------------------------------------------------------------------------
 
 
-def others(studies: Studies) -> Cells:
+def further(studies: Studies) -> Cells:
     """The cells in many worlds of algorithms beyond the paper's."""
-    there = studies.of("many_worlds")
-    return {key: there[key] for key in sorted(there, key=order) if key[0] not in paper.TABLE_OF}
+    return {key: cell for key, cell in studies.of("many_worlds").items() if key[0] not in paper.TABLE_OF}
 
 
 def carried(evidence: Rows) -> Table:
@@ -373,14 +372,31 @@ def conclusions(found: Table) -> TextRows:
 
 def carries(found: Table) -> str:
     """Which conclusion of the paper's algorithms holds, turns round or stays open under the others."""
-    said = []
+    said, everywhere = [], False
     for label, part in found.groupby("conclusion", sort=False):
         sign = {one["algorithm"]: (one["low"] > 0) - (one["high"] < 0) for one in part.to_dict("records")}
+        everywhere |= len({*sign.values()}) == 1 and 0 not in sign.values()
         decided = {algorithm: sign[algorithm] for algorithm in paper.TABLE_OF if sign.get(algorithm)}
         others = [algorithm for algorithm in sign if algorithm not in paper.TABLE_OF]
         for way in dict.fromkeys(decided.values()):
             own = _listed([algorithm.upper() for algorithm in decided if decided[algorithm] == way])
             of = [[other.upper() for other in others if sign[other] == one] for one in (way, -way, 0)]
             parts = [f"{what} {_listed(names)}" for what, names in zip(WAYS, of, strict=True) if names]
-            said.append(f"Under {own}, {AHEAD[str(label)][way < 0]}; this {', '.join(parts)}.")
-    return " ".join(said) or "No difference of activations is told from zero under the paper's algorithms."
+            said.append(f"Under {own}, {AHEAD[str(label)][way < 0]}; this {_listed(parts)}.")
+    if not said:
+        return "No difference of activations is told from zero under the paper's algorithms."
+    return " ".join(said if everywhere else ["No conclusion about activations holds under every algorithm.", *said])
+
+
+def no_better(flown: Table) -> str:
+    """Which algorithms no cell of which earns more than random flight; flown: as `headline.gaps` gives it."""
+    drawn = flown.loc[flown["who"] == DRAWS, "reward"]
+    sampled = flown[flown["mode"] == "sampled"]
+    if drawn.empty or sampled.empty:
+        return ""
+    above = (sampled["low"] > drawn.iloc[0]).groupby(sampled["algorithm"], sort=False).any()
+    return " ".join(
+        f"With default settings, no cell of {algorithm.upper()} earns more in test flights than random flight: its "
+        "differences say little."
+        for algorithm in above.index[~above]
+    )

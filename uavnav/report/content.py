@@ -124,7 +124,7 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
         numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
         carried = beyond.carried(evidence[PRIMARY])
         if len(carried):
-            numbers |= {"carried": carried, "algorithms": headline.gaps(beyond.others(sorted_cells), baselines)}
+            numbers |= {"carried": carried, "further": headline.gaps(beyond.further(sorted_cells), baselines)}
         numbers |= tuned
         drawn = [*figures.draw(of_paper, numbers, watched, survival), *beyond.figures(numbers, baselines)]
         drawn += _of_worlds(of_worlds)

@@ -64,10 +64,10 @@ _TEMPLATES = jinja2.Environment(
     autoescape=jinja2.select_autoescape(),
 )
 _INTERVAL = re.compile(r"([−\d][^\[]*|–) (\[[^\]]+, [^\]]+\])(.*)")
-_PLACES, _LONG = re.compile(rb' (?:d|x|y)="[^"]*"'), re.compile(rb"(\.\d\d)\d+|(?<=[MLCQ]) ")
+_PLACES, _NEEDLESS = re.compile(rb' (?:d|x|y)="[^"]*"'), re.compile(rb"(\.\d\d)\d+|(?<=[MLCQ]) ")
 _SHORTER = {
     rb"\s*\n\s*": b"",
-    rb' id="[\w.]+_\d+"': b"",
+    rb' id="(?!C[0-9a-f]+_)[\w.]+_\d+"': b"",  # marks of a scatter are asked for by such a name
     rb' transform="rotate\(-0 [^"]*"': b"",
     rb"font-family: 'DejaVu[^;\"]*(?:; )?": b"",
     rb'<style type="text/css">\*\{': b"<style>*{font-family: 'DejaVu Sans', Verdana, Arial, sans-serif; ",
@@ -138,7 +138,7 @@ def contents(content: Content, first: Path) -> dict[str, bytes]:
 
 def _embedded(svg: bytes) -> Markup:
     """A drawing as an address in a page holds it: places to a hundredth of a point, and nothing that is not drawn."""
-    short = _PLACES.sub(lambda found: _LONG.sub(rb"\1", found[0]), svg)
+    short = _PLACES.sub(lambda found: _NEEDLESS.sub(rb"\1", found[0]), svg)
     for pattern, instead in _SHORTER.items():
         short = re.sub(pattern, instead, short)
     return Markup(quote(short[short.index(b"<svg") :], safe="/:;=,'()!*+$@?"))

@@ -145,13 +145,10 @@ def paper_cells(cells: Cells) -> Cells:
 
 
 def elsewhere(cells: Sequence[Cell]) -> list[Cell]:
-    """Those of another world than the paper's, with faults, or with a stack of observations; and with their policies.
-
-    Of side studies only rows are kept.
-    """
+    """Those that have their policies, and another world than the paper's, faults, or a stack of observations."""
     usual = {"task": TASK, "stack": 1} | {f"faults.{name}": value for name, value in asdict(NO_FAULTS).items()}
-    there = [cell for cell in cells if any((run.path / POLICY).exists() for run in cell.runs)]
-    return [cell for cell in there if any(cell.settings.get(key, value) != value for key, value in usual.items())]
+    other = [cell for cell in cells if any(cell.settings.get(key, value) != value for key, value in usual.items())]
+    return [cell for cell in other if any((run.path / POLICY).exists() for run in cell.runs)]
 
 
 def wide(studies: Studies) -> Cells:

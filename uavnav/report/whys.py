@@ -127,7 +127,7 @@ def _memory() -> Question:
 
 
 def _remembers(who: str) -> tuple[str, str, str]:
-    more = f"{who} earns {{}} more reward in 1,000 frames if it sees its last four observations."
+    more = f"{who} earns {{}} more reward in 1,000 frames with its last four observations than with one."
     neither = f"{who} with its last four observations and with one is not told apart: {{}} of reward in 1,000 frames."
     return more, more.replace(" more", " less"), neither
 

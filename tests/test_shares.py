@@ -24,7 +24,7 @@ from uavnav.runs import POLICY
 from uavnav.runs.tables import RunError
 from uavnav.training import machine
 from uavnav.training.recorder import Interrupted
-from uavnav.training.shares import split
+from uavnav.training.shares import split, wall_seconds
 from uavnav.verify import verify
 
 pytestmark = pytest.mark.usefixtures("warm_module")
@@ -90,6 +90,16 @@ def test_its_rows_are_in_the_order_in_which_one_process_would_have_noted_them(sp
     pd.testing.assert_frame_equal(run.episodes[columns][:n], whole.episodes[columns][:n])
     assert run.progress["seed"].tolist() == whole.progress["seed"].tolist()
     assert run.progress["frame"].tolist() == whole.progress["frame"].tolist()
+
+
+def test_100_s_beside_80_s_of_which_20_were_alone_and_50_s_after_a_pause_of_an_hour_are_170_s():
+    def share(ended, took):
+        return {"ended": f"2026-11-24T{ended}+00:00", "wall_seconds": took}
+
+    together = [share("12:01:40", 100.0), share("12:02:00", 80.0)]
+    assert wall_seconds(together) == 120
+    assert wall_seconds([share("13:02:50", 50.0), *together]) == 170
+    assert wall_seconds([share("12:01:40", 100.0), share("12:01:30", 10.0)]) == 100
 
 
 def test_it_tells_how_far_all_seeds_are(spread_run):

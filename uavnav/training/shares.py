@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import queue
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -192,7 +194,17 @@ def join(recorder: Recorder, folders: Iterable[Path]) -> Run:
     runs = [Run(path) for path in folders]
     recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
     policy = weights.join([run.path / POLICY for run in runs])
-    return recorder.finish(policy, runs[0].frames, max(run.meta["wall_seconds"] for run in runs))
+    return recorder.finish(policy, runs[0].frames, wall_seconds([run.meta for run in runs]))
+
+
+def wall_seconds(shares: Iterable[Mapping[str, Any]]) -> float:
+    """What shares took together [s], by the facts of each: time in which several of them trained counts once."""
+    ends = [(datetime.fromisoformat(facts["ended"]).timestamp(), facts["wall_seconds"]) for facts in shares]
+    total, reached = 0.0, -math.inf
+    for began, ended in sorted((end - took, end) for end, took in ends):
+        total += max(0.0, ended - max(began, reached))
+        reached = max(reached, ended)
+    return total
 
 
 def _listen(process: subprocess.Popen[str], path: Path, said: queue.SimpleQueue[Any]) -> None:

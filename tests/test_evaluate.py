@@ -410,7 +410,11 @@ def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained
     [
         ({}, {}, True),
         ({}, {"layouts": "validation"}, True),
-        ({"world": {"sensor_arc": 90}}, {}, True),
+        ({"world": {"slots": "listed"}, "reward": "additive"}, {}, True),
+        ({"world": {"sensor_arc": 90}}, {}, False),
+        ({"reward": "mine"}, {}, False),
+        ({"stack": 2}, {}, False),
+        ({"layouts": "mine.safetensors"}, {}, False),
         ({"task": "moving"}, {}, False),
         ({"layouts": "slalom-100/train"}, {}, False),
         ({}, {"layouts": "density-12/test"}, False),

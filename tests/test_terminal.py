@@ -45,6 +45,13 @@ def test_ctrl_c_while_modules_are_imported_is_one_line_at_most(command, library,
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("command", ["-m uavnav", "-m uavnav.evaluate reactive --episodes 2 --max-steps 50"])
+def test_a_command_that_nobody_reads_ends_with_141_as_by_sigpipe(command, tmp_path):
+    line = f"{sys.executable} {command} | true; exit ${{PIPESTATUS[0]}}"
+    result = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (141, "")
+
+
 @pytest.mark.parametrize(
     ("command", "first"),
     [

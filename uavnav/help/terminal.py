@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import atexit
-import contextlib
 import os
 import signal
 import sys
 from types import FrameType, TracebackType
+
+UNREAD = 128 + 13
+"""The status of a command whose reader is gone, as of any program that SIGPIPE ends."""
 
 
 def end_quietly(name: str) -> None:
@@ -22,7 +24,9 @@ def end_quietly(name: str) -> None:
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         if issubclass(kind, KeyboardInterrupt):
             print(f"{name}: stopped", file=sys.stderr)
-        elif not issubclass(kind, BrokenPipeError):
+        elif issubclass(kind, BrokenPipeError):
+            os._exit(UNREAD)
+        else:
             sys.__excepthook__(kind, error, trace)
 
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -39,9 +43,8 @@ def _importing(frame: FrameType | None) -> bool:
 
 
 def _flush() -> None:
-    """Write what is left; Python would tell of a reader that is gone."""
+    """Write what is left, the last thing of all; Python would tell of a reader that is gone."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
-        with contextlib.suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os._exit(UNREAD)

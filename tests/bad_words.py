@@ -75,7 +75,7 @@ CASES = [
     config({"hidden": [64, 0]}, "at least 1 unit"),
     config({"hidden": [64, "x"]}, WHOLE, "hidden=x; "),
     config({"hidden": [8.5]}, WHOLE, "hidden=8.5; "),
-    config({"n_worlds": 7}, "give a divisor of frames_per_batch=2048"),
+    config({"n_worlds": 7}, "give a divisor of the 2048 frames of an iteration"),
     config({"n_worlds": 6}, "give a multiple or a divisor of frames_per_update=4", algorithm="dqn"),
     config({"minibatch_size": 100}, "give a divisor of frames_per_batch=2048"),
     config({"minibatch_size": 1}, "at least 2"),
@@ -91,7 +91,13 @@ CASES = [
     word("a key without a value", "'relu'", "", "ppo", "relu"),
     word("a sweep with one wrong", "activation=rleu; ", "did you mean relu?", "ppo", "-m", "activation=relu,rleu"),
     word(
-        "a sweep into one folder", "out=new: two runs of the sweep", "leave it out", "ppo", "-m", "seed=1,2", "out=new"
+        "a sweep in one folder",
+        "out=new: two runs of the sweep",
+        "name what differs",
+        "ppo",
+        "-m",
+        "seed=1,2",
+        "out=new",
     ),
     # arguments
     argument(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import torch
 import yaml
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
@@ -237,6 +238,66 @@ def test_a_plugin_that_cannot_be_imported_is_one_line_with_the_reason(code, reas
     assert str(refused.value).startswith(f"plugins=faulty: cannot be imported ({reason}")
     assert "\n" not in str(refused.value)
     assert "faulty" not in plugins.LOADED
+
+
+def test_a_plugin_that_gives_a_known_name_another_meaning_is_refused_and_the_name_keeps_its_own(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "takes_relu.py").write_text("from uavnav import networks\nnetworks.ACTIVATIONS['relu'] = abs\n")
+    own = uavnav.networks.ACTIVATIONS["relu"]
+    with pytest.raises(ConfigError, match=r"^plugins=takes_relu: activation=relu is there already; give yours another"):
+        plugins.load("takes_relu")
+    assert uavnav.networks.ACTIVATIONS["relu"] is own
+    assert "takes_relu" not in plugins.LOADED
+
+
+@pytest.mark.parametrize(
+    ("reward", "says"),
+    [
+        (lambda step: step.distance.double(), "reward=odd: gives Tensor; give named terms"),
+        (lambda step: {}, "reward=odd: gives dict; give named terms"),
+        (lambda step: {"a": step.observation}, r"reward=odd: its term a is of shape \[2, 30\]; give a tensor \[2\]"),
+        (lambda step: {"a": 1.0}, r"reward=odd: its term a is a float; give a tensor \[2\]"),
+        (lambda step: {"a": step.nothing}, "'Step' object has no attribute 'nothing'"),
+    ],
+)
+def test_a_reward_that_gives_no_terms_ends_in_one_line_before_anything_is_written(reward, says, tmp_path, monkeypatch):
+    monkeypatch.setitem(uavnav.rewards.REWARDS, "odd", reward)
+    with pytest.raises(ConfigError, match=f"^task=drone with reward=odd: {says}"):
+        ppo.train(ppo.PPOConfig(reward="odd", **SHORT), out=tmp_path / "run", quiet=True)
+    assert not (tmp_path / "run").exists()
+
+
+class Other(ppo.PPO):
+    """PPO that keeps its policy where nobody finds it, or one that is no MLP."""
+
+    where, what = "pi", staticmethod(lambda policy: policy)
+
+    def networks(self):
+        return {self.where: self.what(self.policy)}
+
+
+@pytest.mark.parametrize(
+    ("where", "what", "says"),
+    [
+        ("pi", lambda policy: policy, "; it gives pi$"),
+        ("policy", lambda policy: torch.nn.Sequential(policy), r" of hidden=\[8\]; its tensors are others$"),
+    ],
+)
+def test_a_policy_that_could_not_be_read_again_is_refused_before_training(where, what, says, tmp_path, monkeypatch):
+    monkeypatch.setattr(Other, "where", where)
+    monkeypatch.setattr(Other, "what", staticmethod(what))
+    monkeypatch.setattr(ppo.PPOConfig, "make", lambda config, compile: Other(config, compile))
+    line = "^algorithm=ppo: networks.. must give policy, made by uavnav.networks.mlp"
+    with pytest.raises(ConfigError, match=line + says):
+        ppo.train(ppo.PPOConfig(**SHORT), out=tmp_path / "run", quiet=True)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_plugin_that_has_changed_since_is_told_of(folder, run, monkeypatch):
+    monkeypatch.setattr(plugins, "LOADED", {"my_study": "0" * 64})
+    monkeypatch.setattr(plugins, "missing", lambda noted: "")
+    assert plugins.changed(run.meta["plugins"]) == ["my_study"]
+    assert plugins.changed({"another": "1" * 64}) == []
 
 
 def test_a_module_that_is_not_there_is_one_line_and_no_names_are_no_import(tmp_path, monkeypatch):

@@ -203,9 +203,11 @@ def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third
         assert image.info["duration"] == 100  # three steps at 30 a second
 
 
-def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run):
-    policy = uavnav.load_policy(run.path)
-    (row,) = uavnav.evaluate_policy(policy, episodes=1, max_steps=100).to_dict("records")
+@pytest.mark.parametrize("greedy", [True, False])
+def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run, greedy):
+    policy = uavnav.load_policy(run.path, greedy=greedy)
+    rows = uavnav.evaluate_policy(policy, max_steps=100)
+    (row,) = rows[rows["layout"] == 0].to_dict("records")
     flown: Flight = fly(Pilot("", policy, policy.task), uavnav.layouts.load("test"), 0, 100)
     last = flown.states[-1]
     assert {name: getattr(last, name).item() for name in COUNTS} == {name: row[name] for name in COUNTS}

@@ -185,8 +185,6 @@ def test_in_a_task_in_which_something_moves_it_is_flown(flown, monkeypatch):
     class Wind(Task):
         """Every 300th step the drone is blown 60 px upwards."""
 
-        STATIC = False
-
         def move(self, state, action):
             moved, angle, distance = super().move(state, action)
             gust = torch.where((state.steps + 1) % 300 == 0, 60.0, 0.0)

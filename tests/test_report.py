@@ -397,7 +397,11 @@ def test_the_report_says_which_evaluation_it_read_and_which_not(tmp_path):
     new = write_run(tmp_path / "new", two(1, -1.0), seed=1, evaluation=flown.assign(seed=1))
     flown.to_parquet(new / "evaluation-long.parquet")
     write_run(tmp_path / "none", two(2, -1.0), seed=2)
+    other = write_run(tmp_path / "other", two(3, -1.0), seed=3)
+    flown.assign(seed=3).to_parquet(other / "evaluation-test-2-40.parquet")
     text = said(tmp_path)
+    other = "evaluation-test-2-40.parquet, 2 sets of obstacles (bank test), at most 10,000 steps"
+    assert f"- evaluation: {other} ({tmp_path / 'other'})" in text
     read = "- evaluation: evaluation.parquet, 2 sets of obstacles"
     assert f"{read} (bank not known), at most 40 steps ({tmp_path / 'old'})" in text
     assert f"{read} (bank test), at most 10,000 steps; not read: evaluation-long.parquet ({new})" in text

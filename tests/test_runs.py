@@ -178,9 +178,12 @@ def test_overwrite_starts_anew(trained, tmp_path):
     train, config, run = trained
     other = type(config)(**vars(config) | {"seed": 9})
     train(other, out=tmp_path / "run", quiet=True)
+    for name in ("evaluation-test-5-20", "arena", "values", "across-density"):
+        (tmp_path / "run" / f"{name}.parquet").touch()
     again = train(config, out=tmp_path / "run", overwrite=True, quiet=True)
     assert again.fresh
     assert same(again.path, run.path)
+    assert {path.name for path in again.path.glob("*.parquet")} == {"episodes.parquet", "progress.parquet"}
 
 
 def test_a_folder_in_use_is_refused(tmp_path):

@@ -33,7 +33,7 @@ def load(names: str | Sequence[str] | None) -> None:
     """Import modules by name, one or several, each once, from the present folder or from where Python finds modules.
 
     Raises:
-        ConfigError: there is no such module, or it cannot be imported.
+        ConfigError: there is no such module, it cannot be imported, or it gives a name that is there another meaning.
     """
     wanted = [names] if isinstance(names, str) else list(names or ())
     if wanted and os.getcwd() not in sys.path and "" not in sys.path:
@@ -50,9 +50,19 @@ def load(names: str | Sequence[str] | None) -> None:
                 raise ConfigError(f"plugins={name}: {where}; give a module's name, without .py") from error
             problem = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ConfigError(f"plugins={name}: cannot be imported ({problem})") from error
+        for setting, (table, known), old in zip(TABLES, TABLES.values(), before, strict=True):
+            added = {key: value for key, value in table.items() if old.get(key) is not value}
+            table |= old
+            if taken := sorted(added.keys() & known.keys()):
+                raise ConfigError(f"plugins={name}: {setting}={taken[0]} is there already; give yours another name")
+            table |= added
+            known |= added
         LOADED[name] = hashlib.sha256(Path(module.__file__).read_bytes()).hexdigest() if module.__file__ else ""
-        for (table, known), old in zip(TABLES.values(), before, strict=True):
-            known |= {key: value for key, value in table.items() if old.get(key) is not value}
+
+
+def changed(noted: Mapping[str, str]) -> list[str]:
+    """Which of a run's plugins are loaded, and are not what they were when it was trained."""
+    return [name for name, sha in noted.items() if LOADED.get(name, sha) != sha]
 
 
 def missing(noted: Mapping[str, str] | Collection[str]) -> str:

@@ -7,6 +7,7 @@ import json
 import os
 import pickle
 import re
+import warnings
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import choose_from
 from uavnav.networks import ACTIVATIONS, mlp
-from uavnav.runs import POLICY
+from uavnav.runs import POLICY, read_settings
 from uavnav.tasks.rewards import REWARDS
 from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.tasks.world import VERSION, World
@@ -213,6 +214,9 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     except (KeyError, IndexError, RuntimeError, TypeError, ValueError, OverflowError) as error:
         raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
     _check_sizes(path, inputs, outputs, trained_in)
+    facts = path.with_name("meta.json")
+    for name in plugins.changed(read_settings(facts).get("plugins", {})) if noted and facts.is_file() else ():
+        warnings.warn(f"{path}: {name}.py is not what it was when this was trained", stacklevel=2)
     for key, tensor in policy.items():
         if not tensor.isfinite().all():
             raise Diverged(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")

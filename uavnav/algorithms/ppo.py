@@ -80,8 +80,6 @@ class PPOConfig(TrainConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.frames_per_batch % self.n_worlds:
-            raise ConfigError(f"n_worlds={self.n_worlds}; give a divisor of frames_per_batch={self.frames_per_batch}")
         if self.frames_per_batch % self.minibatch_size:
             raise ConfigError(
                 f"minibatch_size={self.minibatch_size}; give a divisor of frames_per_batch={self.frames_per_batch}"

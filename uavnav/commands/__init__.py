@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -80,6 +81,7 @@ RUN_COLUMNS = (
 def parse(name: str, words: Sequence[str] | None = None) -> argparse.Namespace:
     """The arguments of a command; where they are wrong, or ask for help, the process ends with one line or the help."""
     words = sys.argv[1:] if words is None else words
+    warnings.formatwarning = lambda message, *where, **more: f"uavnav {name}: {message}\n"
     parser = Parser(
         prog=f"uavnav {name}", description=COMMANDS[name], formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -126,11 +128,11 @@ def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
         parser.leave(_algorithms())
     if found.help and algorithm in ALGORITHMS and not found.plugins:
         parser.leave(texts.text_of(algorithm).read_text(encoding="utf-8"))
-    if algorithm not in ALGORITHMS and not (algorithm and found.plugins):
-        parser.refuse(f"algorithm={algorithm}; {choose_from(algorithm, ALGORITHMS)}")
     for word in strange:
         if word.startswith("-"):
             parser.refuse(_no_flag(word, algorithm, given, parser))
+    if algorithm not in ALGORITHMS and not (algorithm and found.plugins):
+        parser.refuse(f"algorithm={algorithm}; {choose_from(algorithm, ALGORITHMS)}")
     for word in given:
         if word.startswith("hydra/launcher="):
             other = "uavnav study ... engine=ray or engine=slurm spreads runs"
@@ -153,7 +155,7 @@ def _no_flag(word: str, algorithm: str, settings: Sequence[str], parser: Parser)
     key = flag.lstrip("-").replace("-", "_")
     path = texts.text_of(algorithm)
     keys = re.findall(r"^  (\w+)=", path.read_text(encoding="utf-8"), re.MULTILINE) if path.is_file() else []
-    example = f"{key}={value or next(iter(settings), '...')}" if key in keys else "activation=tanh"
+    example = f"{key}={value or next(iter(settings), '...')}" if key in (*keys, "plugins") else "activation=tanh"
     near = did_you_mean(flag, [name for action in parser._actions for name in action.option_strings])
     return f"there is no flag {flag}{near}; settings are key=value: {example}"
 

@@ -73,7 +73,7 @@ def _draws(task: Task, seeds: Sequence[int], purpose: str) -> Iterator[Tensor | 
 def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool = False) -> Iterator[Step]:
     """Fly until every flight has ended by a collision or at the task's cap; stop whenever you have seen enough.
 
-    Of single flights too: those whose `ended` you set go no further.
+    Set `ended` of a flight, and it goes no further.
 
     heading: [sets] of the start, where it is not the task's; values: keep the numbers behind the actions of `Policy`s.
 

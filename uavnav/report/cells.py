@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.runs import EVALUATION, Run, paper, run_folders, trials
+from uavnav.runs import Run, paper, run_folders, trials
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, in_order, last_episodes, per_seed
 from uavnav.runs.readings import (
     ALL,
@@ -161,8 +161,8 @@ def _protocol(run: Run, rows: pd.DataFrame) -> str:
     cut = rows.loc[rows["truncated"], "steps"]
     cap = rows.attrs.get("max_steps", cut.max() if len(cut) else "not known")
     bank = rows.attrs.get("layouts", "not known")
-    read = f"{EVALUATION}, {rows['layout'].nunique()} sets of obstacles (bank {bank}), at most {show(cap)} steps"
-    others = [path.name for path in sorted(run.path.glob("evaluation-*.parquet"))]
+    own, *others = (path.name for path in run.evaluations())
+    read = f"{own}, {rows['layout'].nunique()} sets of obstacles (bank {bank}), at most {show(cap)} steps"
     return read + (f"; not read: {', '.join(others)}" if others else "")
 
 

@@ -22,7 +22,7 @@ from rich.table import Table
 
 from uavnav import commands, stats, style
 from uavnav.files import check_out, write
-from uavnav.help.choices import did_you_mean_run
+from uavnav.help.choices import did_you_mean, did_you_mean_run
 from uavnav.report import cells, charts, curves, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
@@ -73,13 +73,18 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
 
 def _scripted(run: str | None) -> Task:
     """What scripted policies fly: the paper's task, or that of a run of another one."""
-    from uavnav.tasks.simulator import EMPTY, make_task
+    from uavnav import plugins
+    from uavnav.tasks.simulator import EMPTY, TASKS, make_task
 
     path = Path(run or "") / "config.yaml"
     settings = read_settings(path) if run is not None and path.exists() else {}
-    if settings.get("task", "drone") == "drone":
+    name = settings.get("task", "drone")
+    if name == "drone":
         return make_task(EMPTY)
-    return make_task(EMPTY, settings["world"], settings["reward"], task=settings["task"])
+    if name not in TASKS:
+        noted = read_settings(path.with_name("meta.json")).get("plugins", {})
+        raise RunError(f"{path}: task={name}{plugins.missing(noted) or did_you_mean(name, TASKS)}")
+    return make_task(EMPTY, settings["world"], settings["reward"], task=name)
 
 
 def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | None:

@@ -69,6 +69,9 @@ class Run:
         self.fresh = fresh
         if not os.path.isdir(path):  # Path.is_dir would raise for a name that is too long
             raise RunError(f"{path}: no such run folder; give a run's folder")
+        below = () if (self.path / "config.yaml").exists() else self.path.glob("*/config.yaml")
+        if (other := next(iter(below), None)) is not None:
+            raise RunError(f"{path}: holds runs and is none; give one of them, such as {other.parent}")
         self.config: dict[str, Any] = read_settings(self.path / "config.yaml")
         self.meta: dict[str, Any] = read_settings(self.path / "meta.json")
         if self.meta.get("status") != FINISHED:

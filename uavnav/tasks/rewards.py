@@ -6,9 +6,10 @@ A reward is a function of a `Step` and gives float64 tensors [*B] by name. To ad
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from uavnav.tasks.goal import GoalWorld
@@ -31,6 +32,21 @@ class Step(NamedTuple):
     observation: Tensor  # [*B, observation_size] that the step led to
     world: World  # with the reward's amounts
     to_goal: tuple[Tensor, Tensor] | None = None  # [*B] px from the drone to its goal, before and after; None without
+
+
+def total(reward: str, terms: Terms, rows: Tensor) -> Tensor:
+    """The reward of a step: the sum of its terms [*B] float64; rows [*B].
+
+    Raises:
+        ValueError: a reward gives something else than named terms of that kind.
+    """
+    if not isinstance(terms, Mapping) or not terms:
+        raise ValueError(f"reward={reward}: gives {type(terms).__name__}; give named terms, a dict of at least one")
+    for name, term in terms.items():
+        if not isinstance(term, Tensor) or term.shape != rows.shape:
+            is_not = f"of shape {[*term.shape]}" if isinstance(term, Tensor) else f"a {type(term).__name__}"
+            raise ValueError(f"reward={reward}: its term {name} is {is_not}; give a tensor {[*rows.shape]}")
+    return torch.stack([term.double() for term in terms.values()]).sum(0)
 
 
 def eq14(step: Step) -> Terms:

@@ -83,6 +83,7 @@ class Goal(Task):
     WORLD = goal.GoalWorld
     REWARD = "goal"
     MAX_STEPS = 1000
+    STATIC = True
     world: goal.GoalWorld
 
     def obstacles(self, state: State) -> Tensor:
@@ -136,6 +137,7 @@ class Space(Task):
     """A drone in a box with spheres, which turns by yaw and by pitch. A step turns if it asks for one. See `space`."""
 
     WORLD = space.SpaceWorld
+    STATIC = True
     STATE = space.SpaceState
     world: space.SpaceWorld
 

@@ -8,6 +8,7 @@ TensorDicts, specs or agents. Letters: B the batch shape (any, also none), L lay
 from __future__ import annotations
 
 import functools
+import inspect
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from uavnav.tasks import layouts as banks
 from uavnav.tasks import memory
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.faults import NO_FAULTS, Faults
-from uavnav.tasks.rewards import REWARDS, Step, Terms, check_reward
+from uavnav.tasks.rewards import REWARDS, Step, Terms, check_reward, total
 from uavnav.tasks.sensing import Echoes, at_reach, heard, sense
 from uavnav.tasks.state import COUNTS, State
 from uavnav.tasks.world import World
@@ -58,7 +59,10 @@ class Task:
     """The cap where none is given."""
 
     STATIC: ClassVar[bool] = True
-    """Nothing moves but the drone, and nothing is random: from the same place the same actions lead the same way."""
+    """Nothing moves but the drone, and nothing is random: from the same place the same actions lead the same way.
+
+    A subclass with functions of its own says so itself; else nothing is made of it.
+    """
 
     STATE: ClassVar[type[State]] = State
     """What a drone is at one moment, aside from what it remembers."""
@@ -70,6 +74,11 @@ class Task:
     stack: int = 1  # newest observations that a policy sees at once, the newest first
     faults: Faults = NO_FAULTS
     trained_reach: float | None = None  # [px] where a proximity is 1, of a policy trained with another sensor's radius
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "STATIC" not in cls.__dict__ and any(map(inspect.isroutine, cls.__dict__.values())):
+            cls.STATIC = False
 
     def __post_init__(self) -> None:
         if self.reward not in REWARDS:
@@ -245,10 +254,17 @@ class Task:
         )
         seen = Step(state, after, action, angle, distance, collided, clearance, observation, self.world)
         over, terms = self.judge(seen)
-        earned = torch.stack(list(terms.values())).sum(0)
+        earned = total(self.reward, terms, over)
         capped = torch.zeros_like(collided) if self.max_steps is None else after.steps >= self.max_steps
         outcome = Outcome(observation, clearance, earned, over, capped & ~over)
         return after._replace(reward=state.reward + earned), outcome
+
+    def try_out(self) -> None:
+        """Fly two rows for a step; raises whatever is wrong with a task's functions or with its reward."""
+        rows = torch.zeros(2, dtype=torch.int64)
+        draws = self.draw(2, torch.Generator())
+        state = self.start(rows, rows, draws)
+        self.step(state, torch.tensor([0, self.world.n_actions - 1]), draws)
 
     def judge(self, step: Step) -> tuple[Tensor, Terms]:
         """Whether each row's episode is over [*B] bool, the cap aside; and what the step earns, by name [*B]."""

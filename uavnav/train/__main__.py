@@ -7,7 +7,6 @@ import json
 import re
 import shlex
 import sys
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from importlib.util import find_spec
@@ -53,7 +52,6 @@ class Order(NamedTuple):
 def main(argv: Sequence[str] | None = None) -> int:
     """Train once, or once for each combination of a `-m` sweep, after every one of them was checked."""
     given = commands.parse("train", argv)
-    warnings.formatwarning = lambda message, *where, **more: f"uavnav train: {message}\n"
     try:
         plugins.load(given.plugins)
         if given.algorithm not in ALGORITHMS:
@@ -147,7 +145,8 @@ def _check(orders: Sequence[Order]) -> None:
     for config, out, here in orders:
         if out.resolve() in folders:
             raise RunError(
-                f"out={out}: two runs of the sweep would share it; leave it out, or use out='runs/${{activation}}'"
+                f"out={out}: two runs of the sweep would share it; name what differs, as"
+                " out='runs/${activation}-${seed}'"
             )
         folders.add(out.resolve())
         Recorder(out, config, here["overwrite"])

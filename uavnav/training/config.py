@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_
 
 import torch
 
+from uavnav.graph import telling_line
 from uavnav.help import key
 from uavnav.help.choices import ConfigError, unknown, unknown_key
 from uavnav.networks import ACTIVATIONS, Init
@@ -46,8 +47,10 @@ class TrainConfig:
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}}
     """What each preset sets, where it is not given, instead of the defaults."""
     MICROSECONDS: ClassVar[Mapping[tuple[str, bool], tuple[float, float]]] = {}
-    """Measured, by preset and compiled or not: of a frame of every seed of a process, a part that seeds share, and one
-    for each of them. The two cores of docs/benchmarks.md; a preset that is not there was not measured."""
+    """What a frame takes, by preset and compiled or not: a part that all seeds of a process share, and one a seed.
+
+    Measured on the two cores of docs/benchmarks.md; a preset that is not there was not measured.
+    """
 
     algorithm: ClassVar[str]
     """Its name in `uavnav.algorithms.ALGORITHMS`."""
@@ -100,6 +103,10 @@ class TrainConfig:
             check_reward(self.reward, self.world)
         except ValueError as error:
             raise ConfigError(str(error)) from error
+        if self.frames_per_iteration % self.n_worlds:
+            raise ConfigError(
+                f"n_worlds={self.n_worlds}; give a divisor of the {self.frames_per_iteration} frames of an iteration"
+            )
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError(f"hidden={list(self.hidden)}; give at least one layer, each of at least 1 unit")
         try:
@@ -160,7 +167,7 @@ class TrainConfig:
 
     @property
     def frames(self) -> int:
-        """That are really run, per seed."""
+        """Frames that are really run, per seed."""
         return self.iterations * self.frames_per_iteration
 
     @property
@@ -177,6 +184,14 @@ class TrainConfig:
     def observation_size(self) -> int:
         """Numbers that a policy sees."""
         return self.stack * self.world.observation_size
+
+    def try_task(self) -> None:
+        """Raise a ConfigError where a first step fails, as it may with a task or a reward of one's own."""
+        task = self.make_task()
+        try:
+            task.try_out()
+        except Exception as error:  # a caller's function may raise any kind
+            raise ConfigError(f"task={self.task} with reward={self.reward}: {telling_line(error)}") from error
 
     def make_task(self) -> Task:
         """The task with these settings; raises a LayoutError where its bank is not right."""

@@ -88,6 +88,7 @@ def train(
         loggers.log_finished(run, names)
         return run
     config.check_machine()
+    config.try_task()
     if processes is not None and (type(processes) is not int or not 1 <= processes <= config.n_seeds):
         raise ConfigError(f"processes={processes}; give a whole number from 1 to n_seeds={config.n_seeds}")
     n = recorder.processes(processes or machine.processes(config))
@@ -118,6 +119,7 @@ def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> 
     compile = recorder.repeat(machine.decide(config))
     env = make_env(config, compile)
     trainee: Trainee = config.make(compile)
+    weights.check(trainee.networks(), config)
     machine.keep_memory_flat(max(one.nbytes for net in trainee.networks().values() for one in net.parameters()))
     parts: Mapping[str, Stateful] = {"env": env, "actions": trainee.actor, **trainee.parts}
     with recorder, Display(config, quiet, tell) as display, machine.little_garbage():

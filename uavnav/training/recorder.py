@@ -24,7 +24,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavnav import files
-from uavnav.runs import BEHAVIOUR, EVALUATION, FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, Run, read_settings
+from uavnav.runs import FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, Run, read_settings
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.tables import LOCK, Columns, RunError, with_reward, write, write_table
 from uavnav.tasks import layouts
@@ -103,7 +103,9 @@ class Recorder:
         self._described = {"algorithm": config.algorithm, **plain(config)}
         identity = {**self._described, **{f"version of {name}": v for name, v in self.meta["versions"].items()}}
         identity["layouts"] = self.meta["bank"]["sha256"]  # whatever path leads to it
-        identity |= {"format": SNAPSHOT_FORMAT, "plugins": self.meta.get("plugins", {})}
+        noted = self.meta.get("plugins", {})
+        identity |= {"format": SNAPSHOT_FORMAT, "plugins": sorted(noted)}
+        identity |= {f"version of {name}.py": sha[:12] for name, sha in noted.items()}
         self._checkpoints = Checkpoints(self.path / "checkpoint", identity, self._of_today)
         try:
             self.finished = self._check_folder()
@@ -183,8 +185,7 @@ class Recorder:
     def _begin(self) -> None:
         if self._overwrite:
             self._checkpoints.remove()
-            flown = [path for name in (EVALUATION, BEHAVIOUR) for path in self.path.glob(f"{Path(name).stem}*.parquet")]
-            for path in (*(self.path / name for name in FILES), *flown):
+            for path in (*(self.path / name for name in FILES), *self.path.glob("*.parquet")):  # flights too
                 path.unlink(missing_ok=True)
         for name in LOG_FOLDERS:  # of an earlier part of the run; every log is whole
             shutil.rmtree(self.path / name, ignore_errors=True)

@@ -42,8 +42,8 @@ class AgentSampler(Sampler):  # type: ignore[misc]
         seeds: one for each agent.
         purpose: names its streams.
         replace: uniform draws as for replay, or a permutation of all rows as for an epoch of minibatches.
-        successors: with `replace`, every row is drawn with others so many rows later, in batches [1 + S, A, N]. Of the
-            newest rows, which have not all of them yet, none is drawn.
+        successors: with `replace`, every row is drawn with others so many rows later, in batches [1 + S, A, N]. The
+            newest rows are not drawn until all their successors are there.
     """
 
     def __init__(self, seeds: Sequence[int], purpose: str, replace: bool, successors: Sequence[int] = ()) -> None:

@@ -12,9 +12,24 @@ from safetensors.torch import save
 from torch import nn
 
 from uavnav import plugins
+from uavnav.help.choices import ConfigError
+from uavnav.networks import mlp
 from uavnav.tasks.world import VERSION
 from uavnav.training.config import TrainConfig
 from uavnav.training.sampling import Actor
+
+
+def check(networks: Mapping[str, nn.Module], config: TrainConfig) -> None:
+    """Raise a ConfigError where `uavnav.policies` could not build the network that acts again."""
+    needed = f"algorithm={config.algorithm}: networks() must give policy, made by uavnav.networks.mlp"
+    if "policy" not in networks:
+        raise ConfigError(f"{needed}; it gives {', '.join(networks)}")
+    own = {name: tensor.shape[1:] for name, tensor in networks["policy"].state_dict().items()}
+    last = own.get(f"{2 * len(config.hidden)}.weight", torch.Size([0, 0]))
+    sizes = [config.observation_size, *config.hidden, last[-1]]
+    again = mlp(sizes, config.activation, [torch.Generator()], "default", layer_norm=config.layer_norm)
+    if own != {name: tensor.shape[1:] for name, tensor in again.state_dict().items()}:
+        raise ConfigError(f"{needed} of hidden={list(config.hidden)}; its tensors are others")
 
 
 def serialize(networks: Mapping[str, nn.Module], config: TrainConfig, actor: Actor) -> bytes:

@@ -100,12 +100,12 @@ class Game:
 
     @property
     def task(self) -> Task:
-        """That of the one who flies, on the present obstacles."""
+        """The task of the one who flies, on the present obstacles."""
         return replace(self.pilots[self.pilot].task, bank=self.obstacles, max_steps=self.max_steps)
 
     @property
     def world(self) -> World:
-        """That of the one who flies."""
+        """The world of the one who flies."""
         return self.pilots[self.pilot].task.world
 
     @property

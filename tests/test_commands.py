@@ -16,6 +16,7 @@ import uavnav
 from uavnav import commands, help
 from uavnav.__main__ import main, module_of
 from uavnav.algorithms import ALGORITHMS
+from uavnav.help import terminal
 from uavnav.help.choices import Parser
 from uavnav.runs import LOG_FOLDERS
 from uavnav.tasks.faults import Faults
@@ -203,7 +204,7 @@ def test_the_page_has_each_exit_status_of_the_code():
     }
     assert "return 128 + stop.signum" in source  # SIGINT is 2, SIGTERM 15
     rows = table(PAGE.split("## Exit status")[1], "| status | meaning |")
-    assert {int(row[0]) for row in rows} == {*returned, 1, 128 + 2, 128 + 15}
+    assert {int(row[0]) for row in rows} == {*returned, 1, 128 + 2, terminal.UNREAD, 128 + 15}
 
 
 def test_the_help_of_a_study_has_its_keys_those_of_its_engines_and_its_files(capsys):

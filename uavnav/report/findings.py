@@ -291,7 +291,8 @@ def _fit(numbers: Numbers) -> Iterator[Sentence]:
         names = " and ".join(map(_with, least["cell"])) if len(least) < 3 else f"{len(least)} cells"
         shown, each = f"{first['within']} of {first['numbers']}", " each" * (len(least) > 1)
         chosen = f"{each}; this reading was chosen after the runs."
-        yield Sentence(f"The worst fit is {names}: ", shown, chosen, "fits", int(least.index[0]))
+        verb = "fit is" if len(least) == 1 else "fits are"
+        yield Sentence(f"The worst {verb} {names}: ", shown, chosen, "fits", int(least.index[0]))
 
 
 def _rule(numbers: Numbers) -> Iterator[Sentence]:

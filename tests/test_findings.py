@@ -168,7 +168,8 @@ def test_the_reading_of_the_least_score_is_named_and_the_cells_that_fit_least():
     assert said(fits=rows) == [
         "The paper's numbers look most like means of Stable-Baselines3's log: 43 of 48 lie where 95 % of our single"
         " seeds would.",
-        "The worst fits are DQN with tanh and PPO with leaky ReLU: 2 of 6 each; this reading was chosen after the runs.",
+        "The worst fits are DQN with tanh and PPO with leaky ReLU: 2 of 6 each; this reading was chosen after the"
+        " runs.",
     ]
     assert said(fits=[[PRIMARY, "all cells", 48, 48, 1.0], [PRIMARY, "PPO relu", 6, 6, 1.0]])[1:] == []
     assert said(fits=[[PRIMARY, "all cells", 5, 6, 1.0], [PRIMARY, "PPO relu", 5, 6, 1.0]]) == []  # of one cell

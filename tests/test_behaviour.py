@@ -342,7 +342,7 @@ def with_header(rows, **protocol):
         (lambda rows: rows.assign(mode="best"), "has mode=best"),
         (lambda rows: rows.assign(layout=1000), "has layout=1000"),
         (lambda rows: rows.assign(action=rows["action"] + 100), "has action=100"),
-        (lambda rows: with_header(rows, layouts="train"), "task=drone on layouts=train; only those of drones on test"),
+        (lambda rows: with_header(rows, layouts="train"), "flights on layouts=train; only those of drones on test"),
     ],
 )
 def test_a_foreign_table_is_refused_in_one_line(tmp_path, change, message):
@@ -358,8 +358,9 @@ def test_a_foreign_table_is_refused_in_one_line(tmp_path, change, message):
     [
         (
             {"task": "glider"},
-            r"behaviour\.parquet: flights of task=glider on layouts=test; only those of drones on test",
+            r"behaviour\.parquet: flights of task=glider; only those of drones on test",
         ),
+        ({"task": "moving", "world": {"speed_min": 1.0}}, r"flights of task=moving; only those of drones on test"),
         ({"world": {"width": 790}}, r"config\.yaml: .*; not a run of this package"),
         ({"world": {"wind": 1}}, r"config\.yaml: .*wind.*; not a run of this package"),
     ],

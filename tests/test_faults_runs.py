@@ -208,7 +208,7 @@ def test_probes_show_a_pose_as_if_an_episode_began_there_and_without_faults():
 def test_the_window_hands_a_drone_from_pilot_to_pilot_whatever_each_remembers():
     tasks = [make_task(EMPTY), make_task(EMPTY, stack=3, faults=ALL), make_task(EMPTY, faults={"late": 1})]
     pilots = [Pilot(str(nth), untrained(task), task, nth) for nth, task in enumerate(tasks)]
-    game = rules.new(pilots, layouts.load("test"), max_steps=30)
+    game = rules.new(pilots, layouts.load("test"), max_steps=30, you=Pilot("you", rules.nobody, tasks[1]))
     for pilot in (2, 3, 1, 2):
         before = game.state
         game = rules.seat(game, pilot)

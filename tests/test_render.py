@@ -1,5 +1,6 @@
 """Pictures: things are where they should be, in their colours, and flights become files."""
 
+import itertools
 import math
 import sys
 from fractions import Fraction
@@ -14,10 +15,11 @@ from uavnav import render
 from uavnav.algorithms import ppo
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
+from uavnav.flights import start
 from uavnav.render import Film, Flight, Pilot, fly
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.simulator import EMPTY, make_task
-from uavnav.tasks.state import COUNTS
+from uavnav.tasks.state import COUNTS, at
 from uavnav.tasks.world import World
 
 WORLD = World()
@@ -212,6 +214,27 @@ def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run, gree
     last = flown.states[-1]
     assert {name: getattr(last, name).item() for name in COUNTS} == {name: row[name] for name in COUNTS}
     assert flown.collided == row["terminated"]
+
+
+@pytest.mark.parametrize("width", [160, 320, 480])
+@pytest.mark.parametrize("name", ["ppo/tanh", "a-long-name-of-a-folder/leaky_relu"])
+def test_the_words_of_a_caption_do_not_meet(width, name, run, monkeypatch):
+    spans, original = [], ImageDraw.ImageDraw.text
+
+    def text(self, xy, words, *rest, anchor="la", **how):
+        left, _, right, _ = self.textbbox(xy, words, font=rest[1], anchor=anchor)
+        spans.append((left, right, words))
+        return original(self, xy, words, *rest, anchor=anchor, **how)
+
+    policy = uavnav.load_policy(run.path, greedy=False)
+    state = at(start(policy.task.on(uavnav.layouts.load("test")[:1], 10)), 0)
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
+    late = state._replace(steps=torch.tensor(9312), reward=torch.tensor(-101.23))
+    render._caption(width, Pilot(name, policy, policy.task), late, True, render.INK)
+    spans.sort()
+    assert "sampled" in [words for *_, words in spans]
+    assert all(right <= left for (_, right, _), (left, _, _) in itertools.pairwise(spans))
+    assert spans[-1][1] <= width
 
 
 @pytest.mark.parametrize(("words", "mode"), [([], "sampled"), (["--greedy"], "greedy")])

@@ -45,6 +45,14 @@ def test_ctrl_c_while_modules_are_imported_is_one_line_at_most(command, library,
     assert not list(tmp_path.iterdir())
 
 
+def test_a_training_run_that_nobody_reads_goes_on_and_is_finished(tmp_path):
+    run = "-m uavnav train ppo total_frames=4096 hidden=[8] evaluate=false out=run"
+    line = f"{sys.executable} {run} | true; exit ${{PIPESTATUS[0]}}"
+    result = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "Traceback" not in result.stderr
+    assert uavnav.Run(tmp_path / "run").meta["status"] == "finished"
+
+
 @pytest.mark.parametrize("command", ["-m uavnav", "-m uavnav.evaluate reactive --episodes 2 --max-steps 50"])
 def test_a_command_that_nobody_reads_ends_with_141_as_by_sigpipe(command, tmp_path):
     line = f"{sys.executable} {command} | true; exit ${{PIPESTATUS[0]}}"

@@ -194,11 +194,19 @@ def _caption(width: int, pilot: Pilot, state: State, collided: bool, colour: Col
     strip = Image.new("RGB", (width, 2 * size), GROUND)
     canvas = ImageDraw.Draw(strip)
     canvas.ellipse((size // 2, size // 2, size // 2 + size, size // 2 + size), fill=colour)
-    canvas.text((2 * size, size), pilot.name, INK, font(size, bold=True), anchor="lm")
+    steps, reward = int(state.steps), f"{float(state.reward):.2f}"
+    told = [f"step {steps}   reward {reward}", f"{steps}   {reward}"]
+    for counts in [f"collided at {told[0]}", *told] if collided else told:  # the first that leaves room for the name
+        room = width - 3 * size - canvas.textlength(f"{counts} {pilot.mode}", font(size))
+        if room > 3 * size:
+            break
+    name = pilot.name
+    while name and canvas.textlength(name, font(size, bold=True)) > room:
+        name = f"…{name.lstrip('…')[1:]}" if name != "…" else ""
+    canvas.text((2 * size, size), name, INK, font(size, bold=True), anchor="lm")
     if pilot.mode:
-        after = 2 * size + canvas.textlength(pilot.name, font(size, bold=True)) + size / 2
+        after = 2 * size + canvas.textlength(f"{name} ", font(size, bold=True))
         canvas.text((after, size), pilot.mode, INK, font(size), anchor="lm")
-    counts = f"{'collided at ' if collided else ''}step {int(state.steps)}   reward {float(state.reward):.2f}"
     canvas.text((width - size // 2, size), counts, SENSED if collided else INK, font(size), anchor="rm")
     return strip
 

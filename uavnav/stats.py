@@ -270,8 +270,8 @@ def prediction(seeds: Array, number: float) -> Prediction:
     """Whether a number may be one more seed; seeds [S].
 
     The interval is Student's, mean -+ t_0.975 s sqrt(1 + 1/S). The percentile is the share of seeds below the number,
-    of equal ones half, in %. At 0 and 100 the number is beyond the range of the seeds: that of 40 holds one more in
-    95 %. All is NaN, and the number not within, with fewer than two seeds or without a number.
+    of equal ones half, in %. At 0 and 100 the number is outside the seeds' range. The range of 40 seeds holds a
+    further seed in 95 % of cases. All is NaN, and the number not within, with fewer than two seeds or without a number.
     """
     n = len(seeds)
     if n < 2 or np.isnan(number):

@@ -7,6 +7,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from uavnav.help.choices import ConfigError
+
 
 class Algorithm(NamedTuple):
     """What others must know of an algorithm without importing it."""
@@ -21,8 +23,15 @@ class Algorithm(NamedTuple):
 
     @property
     def presets(self) -> Mapping[str, Any]:
-        """Its configurations by name; the first call imports its module, and so torch."""
-        found: Mapping[str, Any] = importlib.import_module(self.module).PRESETS
+        """Its configurations by name; the first call imports its module, and so torch.
+
+        Raises:
+            ConfigError: there is no such module, or it has none.
+        """
+        try:
+            found: Mapping[str, Any] = importlib.import_module(self.module).PRESETS
+        except (ModuleNotFoundError, AttributeError) as error:
+            raise ConfigError(f"{self.module}: is no algorithm's module with PRESETS ({error})") from error
         return found
 
     @property

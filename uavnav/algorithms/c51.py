@@ -83,7 +83,7 @@ class C51Config(ReplayConfig):
 
     @property
     def n_outputs(self) -> int:
-        """Of the network: a logit for each action and atom, and with `dueling` the state's own in front."""
+        """How many outputs the network has: a logit an action and atom, and with `dueling` the state's in front."""
         return super().n_outputs * self.n_atoms
 
 
@@ -139,7 +139,7 @@ class C51Loss(LossModule):  # type: ignore[misc]
     def _of_taken(self, batch: TensorDictBase) -> Tensor:
         """The logits of the actions taken, [A, B, n].
 
-        Of the last layer, only these actions' weights are used, so that an update costs one wide product, not three.
+        The last layer uses only the weights of these actions, so an update costs one wide product, not three.
         """
         with self.value_network_params.to_module(self.value_network, preserve_module_state=False):
             *_, last = network = self.value_network.module

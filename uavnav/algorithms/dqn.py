@@ -120,7 +120,7 @@ class ReplayConfig(TrainConfig):
 
     @property
     def discount(self) -> float:
-        """Of Q in a target: of each of its steps if their number varies, else of all of them."""
+        """Discount of Q in a target: gamma if the number of its steps varies, else gamma^n_steps."""
         return self.gamma if self.steps_vary else self.gamma**self.n_steps
 
     @property
@@ -130,7 +130,7 @@ class ReplayConfig(TrainConfig):
 
     @property
     def n_outputs(self) -> int:
-        """Of the network: one an action, and with `dueling` the state's value in front."""
+        """How many outputs the network has: one an action, and with `dueling` the state's value in front."""
         return self.world.n_actions + self.dueling
 
     @property

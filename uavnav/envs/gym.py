@@ -23,7 +23,7 @@ from uavnav.envs import scalar
 from uavnav.envs.drawing import draw_state
 from uavnav.tasks import seeding
 from uavnav.tasks.chance import Chance
-from uavnav.tasks.faults import Faults
+from uavnav.tasks.faults import NAMES, Faults
 from uavnav.tasks.simulator import Task, make_task
 from uavnav.tasks.state import State, at, where
 from uavnav.tasks.world import World
@@ -50,9 +50,13 @@ def _task(
     faults: Faults | Mapping[str, Any] | None,
     fields: Mapping[str, Any],
 ) -> Task:
-    """The task of an environment, on the CPU, from its keywords."""
+    """The task of an environment, on the CPU, from its keywords; fields: of its world, and of its faults."""
     if fields and isinstance(task, Task):
         raise ValueError(f"{next(iter(fields))}=...: a whole task has a world; give no fields beside it")
+    own = {name: value for name, value in fields.items() if name in NAMES}
+    if own:
+        faults = {**(asdict(faults) if isinstance(faults, Faults) else faults or {}), **own}
+        fields = {name: value for name, value in fields.items() if name not in own}
     given = {**(asdict(world) if isinstance(world, World) else world or {}), **fields} if fields else world
     whole = make_task(layouts, given, reward, max_steps, task, stack, faults)
     return whole.with_bank(whole.bank.cpu())

@@ -24,14 +24,14 @@ from uavnav.runs import ARENA, BEHAVIOUR, EVALUATION, VALUES, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES
 from uavnav.runs.tables import lock, write_table
 from uavnav.tasks import layouts as banks
-from uavnav.tasks.baselines import AnyPolicy
+from uavnav.tasks.baselines import AnyPolicy, suited
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.ladders import Measure, measure_of
 from uavnav.tasks.protocol import EPISODES as EPISODES
 from uavnav.tasks.protocol import MAX_STEPS as MAX_STEPS
 from uavnav.tasks.protocol import header as header
 from uavnav.tasks.rewards import BY_ACTION, REWARDS
-from uavnav.tasks.simulator import EMPTY, Task, make_task
+from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.tasks.state import COUNTS, State, at
 from uavnav.tasks.world import World
 from uavnav.training import display, machine
@@ -60,6 +60,7 @@ def evaluate_policy(
     reward: str | None = None,
     seed: int = 0,
     faults: Faults | None = None,
+    task: str | None = None,
 ) -> pd.DataFrame:
     """One episode on each of the first sets of a bank, each starting at the centre.
 
@@ -72,17 +73,25 @@ def evaluate_policy(
         reward: a name of `uavnav.rewards.REWARDS`; by default the policy's, or eq14.
         seed: of the generator that the policy is given, and of what faults draw; also written into the column `seed`.
         faults: of its sensor and actuator; by default those that the policy was trained with, if it has any.
+        task: a name of `uavnav.simulator.TASKS`; by default the policy's, or the one that has such a world.
 
     Returns:
         A row an episode, the columns of `metrics.EPISODE_COLUMNS` (`frame` is the step of its end, `world` its row).
 
     Raises:
         LayoutError: the bank cannot be read.
-        ValueError: an unknown reward, more episodes than the bank has sets, or a count below 1.
+        ValueError: an unknown reward or task, more episodes than the bank has sets, a count below 1, or a policy that
+            sees another number of numbers than there are in this world.
     """
-    own = policy.task if isinstance(policy, Policy) else make_task(EMPTY, world)
+    own = policy.task if isinstance(policy, Policy) else make_task(EMPTY)
+    if task is not None or (world is not None and type(world) is not type(own.world)):
+        name = task or next((name for name, kind in TASKS.items() if kind.WORLD is type(world)), "drone")
+        own = make_task(EMPTY, world, reward, task=name, stack=own.stack, faults=own.faults)
     own = replace(own, world=world or own.world, reward=reward or own.reward)
-    return fly({seed: policy}, on(own, layouts, episodes, max_steps, faults)).episodes
+    if isinstance(policy, Policy) and own.observation_size != policy.task.observation_size:
+        sees = f"the policy sees {policy.task.observation_size} numbers"
+        raise ValueError(f"{sees}, and this world has {own.observation_size}; give one that was trained there")
+    return fly({seed: suited(policy, own)}, on(own, layouts, episodes, max_steps, faults)).episodes
 
 
 def on(

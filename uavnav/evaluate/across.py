@@ -127,13 +127,17 @@ def draw(table: pd.DataFrame, ladder: Ladder, width: float = style.WIDTH) -> sty
 
 
 def shown(table: pd.DataFrame, name: str) -> Table:
-    """A ladder as a table: a row a policy and mode, a column a rung."""
-    rungs = list(dict.fromkeys(table["rung"]))
+    """A ladder as a table: a row a policy, mode and rung, a column a measure."""
+    measures = list(dict.fromkeys(table["measure"]))
     text = Table(title=f"{name}: {LADDERS[name].words}", title_justify="left", box=None)
-    for column in ("who", "", "measure", *(f"{rung:g}" for rung in rungs)):
-        text.add_column(column, justify="left" if column in ("who", "", "measure") else "right")
-    for (who, mode, measure), own in table.groupby(["name", "mode", "measure"], sort=False):
-        text.add_row(str(who), str(mode), in_words(str(measure)), *map(_number, own["value"]))
+    text.add_column("who", overflow="fold", min_width=18)
+    text.add_column("")
+    for column in ("rung", *map(in_words, measures)):
+        text.add_column(column, justify="right")
+    for (who, mode), mine in table.groupby(["name", "mode"], sort=False):
+        for at, (rung, own) in enumerate(mine.groupby("rung", sort=False)):
+            values = own.set_index("measure")["value"].reindex(measures)
+            text.add_row(*([str(who), str(mode)] if not at else ["", ""]), f"{rung:g}", *map(_number, values))
     return text
 
 

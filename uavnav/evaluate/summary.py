@@ -73,7 +73,7 @@ def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def _numbers(readings: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
-    """Of each reading, each metric's mean and standard deviation over seeds; null where there is none."""
+    """Mean and standard deviation over seeds of each metric in each reading; null where there is none."""
     found: dict[str, Any] = {}
     for reading, seeds in readings.items():
         known = {name: seeds[name].dropna().tolist() for name in METRICS}

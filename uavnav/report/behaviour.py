@@ -48,6 +48,7 @@ BEFORE_CRASH = 40
 PLACES = ("corridor", "clearance")
 """Measures of where a drone is, which are also taken without the steps before a crash, and by layout."""
 AGAIN = "evaluate the run again"
+ONLY = "only those of drones on test sets are measured"
 
 
 def read(run: Run) -> pd.DataFrame | None:
@@ -59,7 +60,7 @@ def read(run: Run) -> pd.DataFrame | None:
     path = run.behaviour_file()
     if not path.exists():
         return None
-    task = _task(run)
+    task = _task(run, path)
     return retrace(_actions(run, path, task), task.bank, flights.headings(task, len(task.bank)), task.world)
 
 
@@ -72,11 +73,13 @@ def read_arena(run: Run) -> pd.DataFrame | None:
     path = run.path / ARENA
     if not path.exists():
         return None
-    task = replace(_task(run), bank=EMPTY_ARENA)
+    task = replace(_task(run, path), bank=EMPTY_ARENA)
     return retrace(_actions(run, path, task), task.bank, torch.tensor(HEADINGS), task.world)
 
 
-def _task(run: Run) -> Task:
+def _task(run: Run, path: Path) -> Task:
+    if (kind := run.config.get("task", "drone")) != "drone":  # whose world has other fields
+        raise RunError(f"{path}: flights of task={kind}; {ONLY}")
     try:
         return make_task("test", run.config.get("world"))
     except (TypeError, ValueError) as error:
@@ -86,11 +89,8 @@ def _task(run: Run) -> Task:
 def _actions(run: Run, path: Path, task: Task) -> pd.DataFrame:
     """What a run's file says of its flights, if they are a drone's on the task's sets; else a RunError."""
     table = read_table(path, BEHAVIOUR_COLUMNS | {"mode": "object"}, AGAIN)
-    kind, sets = run.config.get("task", "drone"), table.attrs.get("layouts", "test")
-    if (kind, sets) != ("drone", "test"):
-        raise RunError(
-            f"{path}: flights of task={kind} on layouts={sets}; only those of drones on test sets are measured"
-        )
+    if (sets := table.attrs.get("layouts", "test")) != "test":
+        raise RunError(f"{path}: flights on layouts={sets}; {ONLY}")
     for column, right in {
         "seed": table["seed"].isin(run.seeds),
         "mode": table["mode"].isin(MODES),

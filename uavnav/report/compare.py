@@ -52,8 +52,8 @@ class Contender(NamedTuple):
 
 
 def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
-    """What is named: rows of runs, and those of scripts that lie beside the first run (`baselines/`); all else is
-    flown now, as the first of the runs was.
+    """Rows of runs, and of scripts that lie beside the first run (`baselines/`), are read. All else is flown now, as
+    the first of the runs was.
 
     activation: of a zip's hidden layers.
 
@@ -268,7 +268,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.json:
             print(json.dumps(metrics(contenders).to_dict("records"), indent=2))
         else:
-            text(contenders, Console(highlight=False, soft_wrap=True, markup=False))
+            console = Console(highlight=False, soft_wrap=True, markup=False)
+            with console.capture() as told:
+                text(contenders, console)
+            print(told.get(), end="")
         if arguments.out is not None:
             arguments.out.parent.mkdir(parents=True, exist_ok=True)
             write(arguments.out, page(contenders))

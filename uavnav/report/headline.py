@@ -167,8 +167,8 @@ def peaks(cells: Cells) -> pd.DataFrame:
 def fits(predictions: pd.DataFrame) -> pd.DataFrame:
     """How well the paper's numbers fit our prediction intervals: columns reading, cell, within, numbers, score.
 
-    Of so many numbers, so many lie within. As wide intervals hold anything, the score of a 95 % interval (Gneiting and
-    Raftery 2007, eq. 43) is its width, and 2 / 0.05 times how far it misses the number; the mean over numbers, each
+    Of so many numbers, so many lie within. A wide interval holds any number, so the score of a 95 % interval (Gneiting
+    and Raftery 2007, eq. 43) is its width plus 2 / 0.05 times how far it misses the number; the mean over numbers, each
     score in units of the paper's number. Less is better.
 
     predictions: as `frames.predictions` gives it; numbers without seeds are left out.

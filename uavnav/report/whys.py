@@ -207,8 +207,8 @@ QUESTIONS = (
 def table(evidence: Evidence) -> pd.DataFrame:
     """All that is drawn and said: columns question, row, metric, value, low, high, n.
 
-    A row's interval is of Student's t over its seeds, a contrast's is Welch's. What no seed tells is left out, and a
-    question that no contrast answers.
+    A row's interval is of Student's t over its seeds, a contrast's is Welch's. Rows without a seed are left
+    out, and so are questions without a contrast.
     """
     rows: list[list[object]] = []
     for one in QUESTIONS:

@@ -31,7 +31,7 @@ def winner(trial: int) -> str:
 
 
 def folders(of: Sequence[Path]) -> list[Path]:
-    """Where some folders hold a study that tuned: beside other studies, or in one of its own that is named so."""
+    """The folders of studies that tuned: `tuning` beside other studies, or `tuning/tuning`."""
     places = [place for folder in of for place in (folder / TUNING, folder / TUNING / TUNING)]
     return [place for place in places if (place / TABLE).is_file()]
 

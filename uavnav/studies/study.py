@@ -225,6 +225,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Interrupted as stop:
         print(stop, file=sys.stderr)
         return 128 + stop.signum
+    except BrokenPipeError:  # nobody reads on: `terminal` ends it
+        raise
     except (ConfigError, LayoutError, RunError, OSError) as error:
         print(f"uavnav study: {error}", file=sys.stderr)
         return 2

@@ -42,7 +42,7 @@ class Faults:
                 raise ValueError(f"{item.name}={value}; give a {kind} of {bounds}")
 
     def __str__(self) -> str:
-        """Those that there are, as `noise=5,late=2`; `none` where there are none."""
+        """The faults that are not zero, as `noise=5,late=2`, or `none`."""
         found = [f"{item.name}={getattr(self, item.name):g}" for item in fields(self) if getattr(self, item.name)]
         return ",".join(found) or "none"
 

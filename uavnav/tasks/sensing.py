@@ -113,9 +113,9 @@ def _offsets_to_circles(x: Tensor, y: Tensor, obstacles: Tensor) -> tuple[Tensor
 def _offsets_to_squares(x: Tensor, y: Tensor, world: World) -> tuple[Tensor, Tensor]:
     """Offsets to the nearest points of the border squares that can be in view or nearest: dx, dy [S, ...] px.
 
-    Of two opposite walls only the nearer can be in view, and of a wall only the squares within the sensor's radius of
-    the drone: 14 and 14 stand for all 136 (13 would do, but for a drone whose centre lies on a line between two squares
-    and in the wall itself). They come in index order: the bottom or top row from left to right with
+    Only the nearer of two opposite walls can be in view, and only its squares within the sensor's radius of the drone:
+    14 and 14 stand for all 136 (13 would do, but for a drone whose centre lies on a line between two squares and in the
+    wall itself). They come in index order: the bottom or top row from left to right with
     its corners, then the left or right column from bottom to top without them.
     """
     columns, rows, side = world.width // world.border, world.height // world.border, float(world.border)
@@ -195,7 +195,7 @@ def _nth(world: World) -> int:
 
 
 def _one_by_one(numbers: Tensor, key: Tensor, index: Tensor, n_slots: int) -> Tensor:
-    """Of candidates [F, N, ...] those with the least keys [N, ...], in order, ties by index: [F, n_slots, ...]."""
+    """The candidates [F, N, ...] with the least keys [N, ...], in order, ties by index: [F, n_slots, ...]."""
     slots = []
     for _ in range(n_slots):
         lowest = torch.where(key == key.amin(0), index, math.inf).amin(0)

@@ -56,7 +56,7 @@ class Moving(Task):
         return moving.motion(self.bank[state.layout], state.steps, self.world)[1]
 
     def info(self, state: State) -> dict[str, Tensor]:
-        """As of the paper's task, and the steps of the episode, on which the obstacles depend."""
+        """The paper's facts, and the episode's steps, which decide where the obstacles are."""
         return super().info(state) | {"steps": state.steps}
 
     def sense(self, state: State, draws: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -69,7 +69,7 @@ class Moving(Task):
         return slots.flatten(-2), clearance
 
     def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
-        """As in the paper's task; then it is the next step, by which the obstacles are where they are."""
+        """Move as in the paper's task. The count of steps rises, so the obstacles move too."""
         moved, angle, distance = super().move(state, action)
         return moved._replace(steps=state.steps + 1), angle, distance
 

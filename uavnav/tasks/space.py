@@ -193,7 +193,7 @@ def to_body(vectors: Tensor, state: State) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _walls(state: State, world: SpaceWorld) -> tuple[Tensor, Tensor]:
-    """Of the nearer wall along each axis the direction outwards [3, 3, *B] and the distance [3, *B] px."""
+    """Direction outwards [3, 3, *B] and distance [3, *B] px of the nearer wall along each axis."""
     places = torch.stack([state.x, state.y, z_of(state)])
     size = torch.tensor(world.size, dtype=places.dtype, device=places.device).reshape(-1, *[1] * state.x.ndim)
     near = places < size / 2

@@ -66,16 +66,28 @@ class World:
                 raise ValueError(f"{field.name}={value!r}; give a number")
             elif field.name in POSITIVE and not 0 < value < math.inf:
                 raise ValueError(f"{field.name}={value:g}; give a number above 0")
+            elif not choices and not math.isfinite(value):
+                raise ValueError(f"{field.name}={value:g}; give a finite number")
+            elif hints[field.name] is int and not isinstance(value, int):
+                raise ValueError(f"{field.name}={value:g}; give a whole number")
         if not self.sensor_arc <= 360:
             raise ValueError(f"sensor_arc={self.sensor_arc:g}; give at most 360 degrees")
         if self.width % self.border or self.height % self.border:
             raise ValueError(f"border={self.border} must divide width={self.width} and height={self.height}")
         if min(self.width, self.height) // self.border < self.sensed_squares_of_a_wall + 2:
-            raise ValueError("the sensor must never reach two opposite walls at once: enlarge the window")
+            reach = f"sensor_radius={self.sensor_radius:g}"
+            raise ValueError(f"{reach} reaches two opposite walls at once; give a smaller one, or a larger window")
         if not 1 <= self.n_slots <= 2 * self.sensed_squares_of_a_wall:
             raise ValueError(f"n_slots={self.n_slots}; give 1 to {2 * self.sensed_squares_of_a_wall}")
         if not 0 <= self.drone_radius < self.sensor_radius:
-            raise ValueError("drone_radius must lie between 0 and sensor_radius")
+            raise ValueError(
+                f"drone_radius={self.drone_radius:g}; give 0 to below sensor_radius={self.sensor_radius:g}"
+            )
+        if not 0 < self.obstacle_radius_min <= self.obstacle_radius_max:
+            most = f"obstacle_radius_max={self.obstacle_radius_max:g}"
+            raise ValueError(f"obstacle_radius_min={self.obstacle_radius_min:g}; give above 0, to {most}")
+        if self.safe_zone < 0:
+            raise ValueError(f"safe_zone={self.safe_zone:g}; give at least 0")
 
     @property
     def size(self) -> tuple[int, ...]:

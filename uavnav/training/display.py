@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import statistics
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
@@ -145,9 +147,17 @@ def _rounded(took: float) -> str:
     return f"{took / 60:.0f} min" if took < 90 * 60 else f"{took / 3600:.0f} h"
 
 
+class _Terminal(Console):
+    """One that falls silent where nobody reads on: the run goes on, where rich would end the process."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _console() -> Console:
     """The terminal; in a notebook without ipywidgets plain text, where rich would warn at every step of a bar."""
-    return Console(force_jupyter=None if find_spec("ipywidgets") else False)
+    return _Terminal(force_jupyter=None if find_spec("ipywidgets") else False)
 
 
 def with_spread(values: list[float], digits: int) -> str:

@@ -134,7 +134,7 @@ class Learner:
         return self.optimiser.rates(step).to(next(iter(self.parameters.values())).dtype)
 
     def _gradient(self, parameters: Tensors, batch: TensorDictBase) -> tuple[Tensors, Tensor]:
-        """By parameter, of those that the objective holds now; and the losses [losses, A]."""
+        """The gradient of each parameter that the objective holds now, and the losses [losses, A]."""
         with torch.enable_grad():
             total, losses = self.objective(batch)
             return torch.autograd.grad(total, parameters), losses

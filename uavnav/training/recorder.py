@@ -199,7 +199,7 @@ class Recorder:
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
-        if kind is not None:
+        if kind is not None and self.meta.get("status") != FINISHED:
             self.meta |= {"status": "interrupted" if issubclass(kind, (Interrupted, KeyboardInterrupt)) else "failed"}
             with contextlib.suppress(RunError):  # on a full disk the error under way says more
                 self._write_meta()
@@ -211,7 +211,7 @@ class Recorder:
         self._lock.release()
 
     def _note_stop(self, number: int, frame: object) -> None:
-        """The first signal waits for the end of the iteration, a second one does what it would have done."""
+        """The first signal waits for the iteration's end. A second signal gets its previous handler."""
         self.stop = number
         signal.signal(number, self._handlers[number])
 

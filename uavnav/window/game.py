@@ -145,7 +145,7 @@ def new(
     you: the person, by default in the paper's world; how: other fields of `Game`, such as `max_steps`.
     """
     you = you or Pilot("you", nobody, make_task(EMPTY))
-    state = you.task.start(torch.tensor(0), torch.tensor(UP))
+    state = you.task.start(torch.tensor(0), torch.tensor(UP), you.task.draw(1, torch.Generator())[0])
     return following(Game(bank, split, (you, *pilots), min(len(pilots), 1), state, Choice(0), **how), index)
 
 

@@ -21,6 +21,7 @@ from uavnav import ConfigError, PolicyError, Run, export, load_policy, plugins, 
 from uavnav.algorithms import ppo
 from uavnav.evaluate.__main__ import main as fly_command
 from uavnav.runs import POLICY
+from uavnav.train.__main__ import main as train_command
 from uavnav.window import play
 
 pytestmark = pytest.mark.usefixtures("warm_module")
@@ -118,6 +119,22 @@ def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monke
     with pytest.raises(ConfigError, match="processes=2: activation=cubed is known to this process alone"):
         ppo.train(config, out=tmp_path / "run", quiet=True, processes=2)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "line"), [("reinforce", "algorithm=reinforce; "), ("ppo activation=hs", "activation")]
+)
+def test_the_command_that_goes_on_with_a_run_says_which_plugin_it_needs(words, line, run, capsys, monkeypatch):
+    monkeypatch.setattr(plugins, "LOADED", {})
+    monkeypatch.setattr(sys, "argv", ["uavnav"])
+    try:
+        status = train_command([*words.split(), f"out={run.path}"])
+    except SystemExit as end:
+        status = end.code
+    err = capsys.readouterr().err
+    assert (status, err.count("\n")) == (2, 1)
+    assert err.startswith(f"uavnav train: {line}")
+    assert err.endswith("; it was made with plugins, give --plugins my_study (plugins= to uavnav train)\n")
 
 
 # -- commands --------------------------------------------------------------------------------------------------------

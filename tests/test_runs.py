@@ -18,7 +18,7 @@ from uavnav.runs import FILES, POLICY, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
-from uavnav.training.recorder import Interrupted, default_folder
+from uavnav.training.recorder import Interrupted
 
 ALGORITHMS = {
     "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),
@@ -248,5 +248,5 @@ def test_missing_parts_of_a_run_are_named(trained, tmp_path):
 
 
 def test_runs_go_to_a_folder_of_their_algorithm_preset_and_activation():
-    assert default_folder(ppo.PPOConfig(activation="relu")) == Path("runs/ppo/relu")
-    assert default_folder(dqn.PRESETS["paper-2.3"]) == Path("runs/dqn-paper-2.3/tanh")
+    assert ppo.PPOConfig(activation="relu").folder == Path("runs/ppo/relu")
+    assert dqn.PRESETS["paper-2.3"].folder == Path("runs/dqn-paper-2.3/tanh")

@@ -102,6 +102,9 @@ def overview() -> str:
     return "\n".join([*lines, "uavnav COMMAND --help says more of each; uavnav --version says which version this is."])
 
 
+USUAL = {"preset": "paper", "activation": "tanh"}
+"""What names the default folder of a run, where it is not given."""
+
 # -- train -----------------------------------------------------------------------------------------------------------
 
 
@@ -132,7 +135,7 @@ def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
         if word.startswith("-"):
             parser.refuse(_no_flag(word, algorithm, given, parser))
     if algorithm not in ALGORITHMS and not (algorithm and found.plugins):
-        parser.refuse(f"algorithm={algorithm}; {choose_from(algorithm, ALGORITHMS)}")
+        parser.refuse(f"algorithm={algorithm}; {choose_from(algorithm, ALGORITHMS)}{needs(algorithm, given)}")
     for word in given:
         if word.startswith("hydra/launcher="):
             other = "uavnav study ... engine=ray or engine=slurm spreads runs"
@@ -147,6 +150,24 @@ def names_in(settings: Sequence[str], key: str) -> list[str]:
     values = [word.partition("=")[2] for word in settings if word.startswith(f"{key}=")]
     names = [name.strip() for value in values for name in value.strip("[]").split(",")]
     return [name for name in names if name and name != "null"]
+
+
+def needs(algorithm: str, settings: Sequence[str]) -> str:
+    """The end of a message: which plugins the run of a command line was begun with and lacks now; often empty."""
+    from uavnav.runs import default_folder, read_settings
+    from uavnav.runs.tables import RunError
+
+    names = {key: next(iter(names_in(settings, key)), usual) for key, usual in USUAL.items()}
+    folder = next(iter(names_in(settings, "out")), "") or default_folder(algorithm, **names)
+    try:
+        noted = read_settings(Path(folder) / "meta.json").get("plugins")
+    except RunError:
+        return ""
+    if not noted:
+        return ""
+    from uavnav import plugins
+
+    return plugins.missing(noted)
 
 
 def _no_flag(word: str, algorithm: str, settings: Sequence[str], parser: Parser) -> str:

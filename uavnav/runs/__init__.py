@@ -114,6 +114,11 @@ class Run:
         return read_table(self.path / name, columns, again)
 
 
+def default_folder(algorithm: str, preset: str, activation: str) -> Path:
+    """runs/<algorithm>[-<preset>]/<activation>, below the current directory."""
+    return Path("runs") / (algorithm if preset == "paper" else f"{algorithm}-{preset}") / activation
+
+
 def read_settings(path: Path) -> dict[str, Any]:
     """What a run's config.yaml or meta.json holds; raises a RunError where it is missing, damaged, or no table."""
     parse, what = (json.loads, "a run's facts") if path.suffix == ".json" else (yaml.safe_load, "a run's configuration")

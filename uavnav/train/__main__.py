@@ -35,7 +35,7 @@ from uavnav.tasks.world import World
 from uavnav.training.config import TrainConfig, part_keys
 from uavnav.training.loggers import chosen
 from uavnav.training.loop import train
-from uavnav.training.recorder import Interrupted, Recorder, default_folder
+from uavnav.training.recorder import Interrupted, Recorder
 
 HERE = tuple(line.name for line in help.of_command())
 """The keys of the command itself; all others are fields of the algorithm's configuration."""
@@ -77,7 +77,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (HydraException, OmegaConfBaseException) as error:
         print(f"uavnav train: {_one_line(error, kind)}", file=sys.stderr)
         return 2
-    except (ConfigError, LayoutError, PolicyError, RunError) as error:
+    except ConfigError as error:
+        print(f"uavnav train: {error}{commands.needs(given.algorithm, given.settings)}", file=sys.stderr)
+        return 2
+    except (LayoutError, PolicyError, RunError) as error:
         print(f"uavnav train: {error}", file=sys.stderr)
         return 2
     return 0
@@ -136,7 +139,7 @@ def _order(kind: type[TrainConfig], settings: DictConfig) -> Order:
         raise ConfigError(f"checkpoint_seconds={seconds}; give a number of at least 0")
     chosen(here["logger"])
     config = kind.from_mapping(values)
-    return Order(config, default_folder(config) if here["out"] is None else Path(str(here["out"])), here)
+    return Order(config, config.folder if here["out"] is None else Path(str(here["out"])), here)
 
 
 def _check(orders: Sequence[Order]) -> None:

@@ -6,6 +6,7 @@ import math
 import types
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_hints
 
 import torch
@@ -14,7 +15,7 @@ from uavnav.graph import telling_line
 from uavnav.help import key
 from uavnav.help.choices import ConfigError, unknown, unknown_key
 from uavnav.networks import ACTIVATIONS, Init
-from uavnav.runs import modern
+from uavnav.runs import default_folder, modern
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
 from uavnav.tasks.simulator import TASKS, Task, make_task
@@ -179,6 +180,11 @@ class TrainConfig:
     def seeds(self) -> list[int]:
         """One seed an agent."""
         return list(range(self.seed, self.seed + self.n_seeds))
+
+    @property
+    def folder(self) -> Path:
+        """Where its run goes by default."""
+        return default_folder(self.algorithm, self.preset, self.activation)
 
     @property
     def observation_size(self) -> int:

@@ -23,7 +23,7 @@ from uavnav.training import loggers, machine, weights
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, plain
 from uavnav.training.display import Display, Tell
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, default_folder
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
 from uavnav.training.sampling import Actor
 from uavnav.training.shares import Shares, join
 
@@ -80,7 +80,7 @@ def train(
         Interrupted: by SIGINT, SIGTERM or `until`; saved, or the message says what is not.
     """
     names = loggers.chosen(logger)
-    folder = Path(out or default_folder(config))
+    folder = Path(out or config.folder)
     logs = loggers.Logs(names, folder, config.algorithm, plain(config))
     recorder = Recorder(folder, config, overwrite, checkpoint_seconds, until, logs if names else None)
     if recorder.finished:

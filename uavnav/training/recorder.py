@@ -61,12 +61,6 @@ class Interrupted(RunError):
         self.wanted = wanted  # by `until`
 
 
-def default_folder(config: TrainConfig) -> Path:
-    """runs/<algorithm>[-<preset>]/<activation>, below the current directory."""
-    suffix = "" if config.preset == "paper" else f"-{config.preset}"
-    return Path("runs") / f"{config.algorithm}{suffix}" / config.activation
-
-
 class Recorder:
     """Collects a run's rows while it trains, saves snapshots, and writes its folder. Nothing is written before `with`.
 

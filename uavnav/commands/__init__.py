@@ -102,10 +102,10 @@ def overview() -> str:
     return "\n".join([*lines, "uavnav COMMAND --help says more of each; uavnav --version says which version this is."])
 
 
+# -- train -----------------------------------------------------------------------------------------------------------
+
 USUAL = {"preset": "paper", "activation": "tanh"}
 """What names the default folder of a run, where it is not given."""
-
-# -- train -----------------------------------------------------------------------------------------------------------
 
 
 def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:

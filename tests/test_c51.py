@@ -246,7 +246,7 @@ def test_a_dueling_distribution_is_read_by_policies_squads_files_and_verify(run,
         assert -10 < expected.min() < expected.max() < 9
     squads = Squads([*enumerate(policies)], 100)
     actions, _ = squads.act(observation, [10, 10])
-    assert [type(one) for one in squads._dealt.values()] == [Squad]
+    assert [type(one) for one in squads._dealt] == [Squad]
     alone = [policy(part) for policy, part in zip(policies, observation.split(10), strict=True)]
     assert torch.equal(actions, torch.cat(alone))
     archive = torch.export.load(export_policy(policies[1], tmp_path / "policy.pt2")).module()

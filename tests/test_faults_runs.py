@@ -182,7 +182,7 @@ def test_behaviour_keeps_executed_actions_which_lead_where_the_drone_was():
 
 
 def test_greedy_flights_with_a_memory_are_flown_and_not_counted():
-    policy = {0: untrained(make_task(EMPTY))}
+    policy = untrained(make_task(EMPTY))
     assert evaluate._repeatable(policy, make_task(EMPTY))
     for how in ({"stack": 2}, {"faults": {"late": 1}}, {"faults": {"noise": 1.0}}):
         assert not evaluate._repeatable(policy, make_task(EMPTY, **how))

@@ -52,7 +52,7 @@ def test_a_flight_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_we
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     greedy = load_policy(run.path, greedy=True)
     task = evaluate.on(greedy.task, "test", 10, 2000)
-    assert evaluate._repeatable({0: greedy}, task)
+    assert evaluate._repeatable(greedy, task)
     counted = evaluate.fly({0: greedy}, task).episodes
     flown = evaluate.fly({0: lambda observation, generator: greedy(observation)}, task).episodes
     assert counted.equals(flown)

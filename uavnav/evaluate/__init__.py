@@ -133,31 +133,43 @@ def fly(
     gives of each step is added up over a flight: a column more for each. Flights that go round for ever are
     counted to the cap instead of flown (`uavnav.flights.repeats`).
     """
-    seeds = torch.tensor(list(population)).repeat_interleave(len(task.bank))
-    sums = Sums(measure or task.measure, flights.start(task, list(population)))
-    goes_round = not sums.columns and _repeatable(population, task)
-    repeats = Repeats(len(seeds), task.max_steps or 0, WATCHED_STEPS) if goes_round else None
+    return fly_crews({"": population}, task, tell, measure)[""]
+
+
+def fly_crews(
+    crews: Mapping[str, Mapping[int, AnyPolicy]],
+    task: Task,
+    tell: Callable[[int, int], object] = lambda step, up: None,
+    measure: Measure | None = None,
+) -> dict[str, Flights]:
+    """The same of several populations at once, such as `greedy` and `sampled`: what each leaves, by its name."""
+    flyers = [flyer for crew in crews.values() for flyer in crew.items()]
+    sets = len(task.bank)
+    seeds = torch.tensor([seed for seed, _ in flyers]).repeat_interleave(sets)
+    crew = torch.arange(len(crews)).repeat_interleave(torch.tensor([sets * len(one) for one in crews.values()]))
+    sums = Sums(measure or task.measure, flights.start(task, [seed for seed, _ in flyers]))
+    goes_round = torch.tensor([not sums.columns and _repeatable(policy, task) for _, policy in flyers])
+    repeats = Repeats(goes_round.repeat_interleave(sets), task.max_steps or 0, WATCHED_STEPS)
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
-    for step in flights.fly(list(population.items()), task):
+    for step in flights.fly(flyers, task):
         up = ~step.ended
         if step.number <= WATCHED_STEPS:
-            watched.append(_watch(step, seeds[step.flight]))
+            watched.append(_watch(step, seeds[step.flight], crew[step.flight]))
         if sums.columns:
             sums.add(step.flight, step.state)
         if not up.all():
-            over = step.place[~up]
-            own = sums.of(step.flight[~up])
-            ended.append(_end(seeds[step.flight[~up]], at(step.states, over), step.outcomes.terminated[over]) | own)
+            over, flight = step.place[~up], step.flight[~up]
+            row = _end(seeds[flight], at(step.states, over), step.outcomes.terminated[over])
+            ended.append(row | sums.of(flight) | {"crew": crew[flight]})
         tell(step.number, int(up.sum()))
-        if repeats is not None and (state_at_cap := repeats.see(step)) is not None:
-            cut_off = torch.zeros(len(state_at_cap.x), dtype=torch.bool)
-            ended.append(_end(seeds[step.flight[up]], state_at_cap, cut_off))
-            break
-    return Flights(
-        _table(ended, EPISODE_COLUMNS | sums.columns).sort_values(["seed", "layout"], ignore_index=True),
-        _table(watched, BEHAVIOUR_COLUMNS).sort_values(["seed", "layout"], kind="stable", ignore_index=True),
-    )
+        if (counted := repeats.see(step)) is not None:
+            flight, at_cap = counted
+            row = _end(seeds[flight], at_cap, torch.zeros(len(flight), dtype=torch.bool))
+            ended.append(row | {"crew": crew[flight]})
+    rows = _tables(ended, EPISODE_COLUMNS | sums.columns, len(crews))
+    steps = _tables(watched, BEHAVIOUR_COLUMNS, len(crews))
+    return {name: Flights(*own) for name, *own in zip(crews, rows, steps, strict=True)}
 
 
 class Sums:
@@ -181,9 +193,9 @@ class Sums:
         return {name: one[flight] for name, one in self._sums.items()}
 
 
-def _repeatable(population: Mapping[int, AnyPolicy], task: Task) -> bool:
+def _repeatable(policy: AnyPolicy, task: Task) -> bool:
     """Whether the same pose is always followed by the same steps and rewards."""
-    greedy = all(isinstance(policy, Policy) and policy.greedy for policy in population.values())
+    greedy = isinstance(policy, Policy) and policy.greedy
     return greedy and task.STATIC and not task.remembers and REWARDS[task.reward] in BY_ACTION
 
 
@@ -193,14 +205,17 @@ def _end(seed: Tensor, state: State, terminated: Tensor) -> dict[str, Tensor]:
     return {"seed": seed, "frame": state.steps, "world": state.layout, **counts, **flags}
 
 
-def _watch(step: flights.Step, seed: Tensor) -> dict[str, Tensor]:
+def _watch(step: flights.Step, seed: Tensor, crew: Tensor) -> dict[str, Tensor]:
     layout = step.states.layout[step.place]
     kept = layout < WATCHED_LAYOUTS
-    return {"seed": seed[kept], "layout": layout[kept], "action": step.action[kept]}
+    return {"seed": seed[kept], "layout": layout[kept], "action": step.action[kept], "crew": crew[kept]}
 
 
-def _table(parts: list[dict[str, Tensor]], columns: dict[str, str]) -> pd.DataFrame:
-    return pd.DataFrame({name: torch.cat([part[name] for part in parts]).numpy() for name in columns}).astype(columns)
+def _tables(parts: list[dict[str, Tensor]], columns: dict[str, str], n_crews: int) -> list[pd.DataFrame]:
+    """The rows of each crew by seed and set, each flight's in the order of its steps."""
+    whole = pd.DataFrame({name: torch.cat([part[name] for part in parts]).numpy() for name in (*columns, "crew")})
+    whole = whole.astype(columns).sort_values(["seed", "layout"], kind="stable")
+    return [whole[whole["crew"] == crew].drop(columns="crew").reset_index(drop=True) for crew in range(n_crews)]
 
 
 def evaluate_run(
@@ -222,17 +237,15 @@ def evaluate_run(
     Raises:
         LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
     """
-    flown, task = {}, None
     crews = {
         mode: {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
         for mode in MODES
     }
+    task = on(crews["greedy"][run.seeds[0]].task, layouts, episodes, max_steps, faults)
+    n, what = episodes * len(MODES) * len(run.seeds), f"{run.algorithm} {run.config['activation']}"
     with machine.use_threads(1):
-        for mode, population in crews.items():
-            task = task or on(population[run.seeds[0]].task, layouts, episodes, max_steps, faults)
-            what = f"{run.algorithm} {run.config['activation']}, {mode}"
-            with display.flights(what, episodes * len(population), max_steps, quiet) as tell:
-                flown[mode] = fly(population, task, tell, measure_of(layouts))
+        with display.flights(what, n, max_steps, quiet) as tell:
+            flown = fly_crews(crews, task, tell, measure_of(layouts))
         own = type(task) is Task and not protocol_name(layouts, episodes, max_steps, faults)
         beside = _beside(run, crews) if own else {}
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)

@@ -12,8 +12,8 @@ from pathlib import Path
 import pandas as pd
 
 from uavnav import commands, plugins, policies
-from uavnav.evaluate import evaluate_run, files_of, fly, header, on, protocol_name, summary
-from uavnav.evaluate.across import across
+from uavnav.evaluate import evaluate_run, files_of, header, on, protocol_name, summary
+from uavnav.evaluate.across import Flyer, across
 from uavnav.evaluate.transfer import transfer
 from uavnav.files import check_out
 from uavnav.help.choices import did_you_mean_run
@@ -21,12 +21,11 @@ from uavnav.policies import Policy
 from uavnav.runs import Run
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, write_table
-from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
+from uavnav.tasks.baselines import BASELINES, AnyPolicy
 from uavnav.tasks.faults import Faults, from_words
 from uavnav.tasks.ladders import measure_of
 from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, GROUPS, MAX_STEPS
 from uavnav.tasks.simulator import EMPTY, make_task, name_of
-from uavnav.training import display, machine
 
 
 def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
@@ -117,14 +116,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 rows = evaluate_run(run, arguments.episodes, max_steps, arguments.layouts, quiet, faults)
                 kept = [run.path / files_of(*bounds, faults)[0]]
             else:
-                flown = {}
-                for mode, policy in run.items():
-                    task = on(policy.task if isinstance(policy, Policy) else scripted, *bounds, faults)
-                    seeds = range(arguments.seeds if name == DRAWS else 1)
-                    flights = arguments.episodes * len(seeds)
-                    with machine.use_threads(1), display.flights(f"{name}, {mode}", flights, max_steps, quiet) as tell:
-                        population = dict.fromkeys(seeds, suited(policy, task))
-                        flown[mode] = fly(population, task, tell, measure_of(arguments.layouts)).episodes
+                seeds = range(arguments.seeds if name == DRAWS else 1)
+                who = Flyer(name, {mode: dict.fromkeys(seeds, policy) for mode, policy in run.items()})
+                own = who.first.task if isinstance(who.first, Policy) else scripted
+                task = on(own, *bounds, faults)
+                flown = who.fly(task, f"on {arguments.layouts}", quiet, measure_of(arguments.layouts))
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
                 kept = []
                 for mode, part in flown.items() if arguments.out is not None else ():
@@ -135,8 +131,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     kept.append(path)
             records.append({"run": name, **summary.evaluation_record(rows)})
             if not quiet:
-                who = run if isinstance(run, Run) else name if name in BASELINES else Path(name).stem
-                summary.show(summary.of_evaluation(rows, who))
+                shown = run if isinstance(run, Run) else name if name in BASELINES else Path(name).stem
+                summary.show(summary.of_evaluation(rows, shown))
                 print("".join(f"the rows are in {path}\n" for path in kept), end="", flush=True)
         if arguments.json:
             print(json.dumps(records, indent=2))

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from uavnav import policies, stats, style
-from uavnav.evaluate import check_bounds, fly, rows_across, summary
+from uavnav.evaluate import check_bounds, fly_crews, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.runs import Run, metrics
@@ -26,7 +26,7 @@ from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, WORLD, AnyPolicy, suited
-from uavnav.tasks.ladders import LADDERS, Ladder, reached
+from uavnav.tasks.ladders import LADDERS, Ladder, Measure, reached
 from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
@@ -38,6 +38,21 @@ class Flyer(NamedTuple):
     name: str
     by_mode: Mapping[str, Mapping[int, AnyPolicy]]
     folder: Path | None = None
+
+    @property
+    def first(self) -> AnyPolicy:
+        """One of its policies: all were trained in one task."""
+        return next(iter(next(iter(self.by_mode.values())).values()))
+
+    def fly(self, task: Task, where: str, quiet: bool, measure: Measure | None) -> dict[str, pd.DataFrame]:
+        """Its rows in a task, by mode; where: the task's name for a bar."""
+        crews = {
+            mode: {seed: suited(policy, task) for seed, policy in population.items()}
+            for mode, population in self.by_mode.items()
+        }
+        n = len(task.bank) * sum(map(len, crews.values()))
+        with machine.use_threads(1), display.flights(f"{self.name}, {where}", n, task.max_steps or 0, quiet) as tell:
+            return {mode: left.episodes for mode, left in fly_crews(crews, task, tell, measure).items()}
 
 
 def flyer(name: str, found: Run | Mapping[str, AnyPolicy]) -> Flyer:
@@ -66,18 +81,13 @@ def climb(
     Returns:
         A row an episode: the columns of `metrics.EPISODE_COLUMNS`, `mode` and `rung`.
     """
+    first = who.first
+    own = first.task if isinstance(first, Policy) else reached(scripted or make_task(EMPTY), WORLD.sensor_radius)
     parts = []
     for rung in ladder.rungs:
-        for mode, population in who.by_mode.items():
-            first = next(iter(population.values()))
-            own = first.task if isinstance(first, Policy) else scripted or make_task(EMPTY)
-            own = own if isinstance(first, Policy) else reached(own, WORLD.sensor_radius)
-            task = ladder.task(replace(own, max_steps=max_steps), rung, "test")
-            task = replace(task, bank=task.bank[:episodes])
-            flown = {seed: suited(policy, task) for seed, policy in population.items()}
-            what = f"{who.name}, {mode}, {ladder.words} {rung:g}"
-            with machine.use_threads(1), display.flights(what, episodes * len(flown), max_steps, quiet) as tell:
-                rows = fly(flown, task, tell, ladder.measure).episodes
+        task = ladder.task(replace(own, max_steps=max_steps), rung, "test")
+        task = replace(task, bank=task.bank[:episodes])
+        for mode, rows in who.fly(task, f"{ladder.words} {rung:g}", quiet, ladder.measure).items():
             parts.append(rows.assign(mode=mode, rung=float(rung)))
     return pd.concat(parts, ignore_index=True)
 
@@ -187,7 +197,7 @@ def across(
     if alone:
         acted = [{mode: crew for mode, crew in one.by_mode.items() if mode != "greedy"} for one in flyers]
         flyers = [one._replace(by_mode=own) for one, own in zip(flyers, acted, strict=True)]
-    learned = (one for flown in flyers for one in next(iter(flown.by_mode.values())).values())
+    learned = (one.first for one in flyers)
     trained = (replace(one.task, stack=1) for one in learned if isinstance(one, Policy))
     theirs = next(trained, make_task(EMPTY, task=task))
     folder = out or next((one.folder for one in flyers if one.folder is not None), Path())

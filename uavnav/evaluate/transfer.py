@@ -20,7 +20,7 @@ from matplotlib.patches import Rectangle
 from rich.table import Table
 
 from uavnav import style
-from uavnav.evaluate import check_bounds, fly, summary
+from uavnav.evaluate import check_bounds, summary
 from uavnav.evaluate.across import Flyer, flyer, judged
 from uavnav.files import check_out, write
 from uavnav.policies import Policy
@@ -28,10 +28,9 @@ from uavnav.runs import Run
 from uavnav.runs.metrics import FLIGHTS
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
-from uavnav.tasks.baselines import WORLD, AnyPolicy, suited
+from uavnav.tasks.baselines import WORLD, AnyPolicy
 from uavnav.tasks.ladders import Measure, measure_of, reached
 from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
-from uavnav.training import display, machine
 
 FLOWN = "flown_in"
 """The column that names the world of a flight."""
@@ -97,7 +96,7 @@ def sort(
         RunError: no run is given.
     """
     flyers = {name: flyer(name, one) for name, one in found.items()}
-    first = {name: next(iter(next(iter(one.by_mode.values())).values())) for name, one in flyers.items()}
+    first = {name: one.first for name, one in flyers.items()}
     sizes = {name: _sizes(one) for name, one in first.items() if isinstance(one, Policy)}
     places: dict[str, Place] = {}
     trained: list[tuple[Flyer, str]] = []
@@ -127,20 +126,12 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
 
     A policy keeps its own memory, and its proximities the reach of its training.
     """
-    parts = []
-    for mode, population in who.by_mode.items():
-        first = next(iter(population.values()))
-        task = reached(place.task, first.world.sensor_radius if isinstance(first, Policy) else WORLD.sensor_radius)
-        if isinstance(first, Policy):
-            task = replace(task, stack=first.task.stack)
-        flown = {seed: suited(policy, task) for seed, policy in population.items()}
-        flights, cap = len(task.bank) * len(flown), task.max_steps or 0
-        with (
-            machine.use_threads(1),
-            display.flights(f"{who.name}, {mode}, in {place.name}", flights, cap, quiet) as tell,
-        ):
-            rows = fly(flown, task, tell, place.measure).episodes
-        parts.append(rows.assign(mode=mode, **{FLOWN: place.name}))
+    first = who.first
+    task = reached(place.task, first.world.sensor_radius if isinstance(first, Policy) else WORLD.sensor_radius)
+    if isinstance(first, Policy):
+        task = replace(task, stack=first.task.stack)
+    rows = who.fly(task, f"in {place.name}", quiet, place.measure)
+    parts = [part.assign(mode=mode, **{FLOWN: place.name}) for mode, part in rows.items()]
     return pd.concat(parts, ignore_index=True)
 
 

@@ -24,6 +24,9 @@ from uavnav.tasks.simulator import Outcome, Task
 from uavnav.tasks.state import UP, State, at
 from uavnav.training import machine
 
+CHUNK = 256
+"""Flights that one call of a compiled step moves at most."""
+
 
 class Step(NamedTuple):
     """One step of the flights that were up before it."""
@@ -93,7 +96,7 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
             seen = observation if len(place) == len(observation) else observation[place]
             action, behind = squads.act(seen, sizes, values)
             if not compiled and number == compiles_at and machine.flights(task.max_steps):
-                state, place, compiled = _padded(state, len(place)), torch.arange(len(place)), True
+                state, compiled = _padded(state), True
             own = None if drawn is None else drawn[flight]
             state, outcome = _advance(task, state, place, action, own) if compiled else task.step(state, action, own)
             if task.remembers:
@@ -106,9 +109,10 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
             flight, place = flight[up], place[up]
             if not len(flight):
                 return
-            if not compiled:
+            if not compiled or _size(len(place)) < len(state.layout) > CHUNK:
                 state, observation = at(state, place), observation[place]
                 place = torch.arange(len(place))
+                state = _padded(state) if compiled else state
 
 
 def alike(policies: Sequence[Policy]) -> list[list[int]]:
@@ -123,7 +127,12 @@ def _advance(task: Task, state: State, place: Tensor, action: Tensor, draws: Ten
     everywhere = torch.zeros_like(state.layout)
     everywhere[place] = action
     drawn = [] if draws is None else [torch.zeros(len(everywhere), task.n_draws).index_copy(0, place, draws)]
-    found = _graph(task)(everywhere, task.bank, *state, *drawn)
+    step, chunks = (
+        _graph(task),
+        zip(*(torch.split(field, CHUNK) for field in (everywhere, *state, *drawn)), strict=True),
+    )
+    parts = [step(action, task.bank, *rest) for action, *rest in chunks]
+    found = parts[0] if len(parts) == 1 else [torch.cat(fields) for fields in zip(*parts, strict=True)]
     return task.state_class(*found[: len(state)]), Outcome(*found[len(state) :])
 
 
@@ -139,7 +148,12 @@ def _graph(task: Task) -> graph.Graph:
     return graph.Graph(step)
 
 
-def _padded(state: State, n: int) -> State:
-    """Repeat the last flight until there are 64, 128, 256, ... of them: few sizes mean few graphs."""
-    size = max(64, 1 << (n - 1).bit_length())
-    return at(state, torch.arange(size).clamp(max=n - 1))
+def _padded(state: State) -> State:
+    """Repeat the last of some flights until there are as many as graphs are compiled for."""
+    n = len(state.layout)
+    return at(state, torch.arange(_size(n)).clamp(max=n - 1))
+
+
+def _size(n: int) -> int:
+    """How many places n flights have in compiled steps: 64, 128, or a multiple of 256; few sizes mean few graphs."""
+    return max(64, 1 << (n - 1).bit_length()) if n <= CHUNK else -(-n // CHUNK) * CHUNK

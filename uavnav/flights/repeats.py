@@ -20,50 +20,64 @@ LONGEST = 512
 
 
 class Repeats:
-    """Watches n flights that are flown step by step.
+    """Watches flights that are flown step by step.
 
-    cap: their steps at most; earliest: the step from which they may be counted instead of flown.
+    repeatable: [n] of which of all flights the same pose is always followed by the same steps; cap: their steps at
+    most; earliest: the step from which they may be counted instead of flown.
     """
 
-    def __init__(self, n: int, cap: int, earliest: int = 1) -> None:
+    def __init__(self, repeatable: Tensor, cap: int, earliest: int = 1) -> None:
+        self._repeatable, n = repeatable, len(repeatable)
         self._cap, self._earliest = cap, earliest
         self._pose: Tensor | None = None  # [fields of a pose, n] what later poses are compared with
-        self._n = n
         self._since = 0  # the step of that
         self._rounds = torch.zeros(n, dtype=torch.int64)  # steps a round has; 0: none was found
-        self._states: list[State] = []  # of the last round, which is flown once more to be written down
+        self._circling = torch.zeros(n, dtype=torch.bool)  # those that fly a round once more, to be written down
+        self._states: list[State] = []  # of these
         self._rewards: list[Tensor] = []
 
-    def see(self, step: Step) -> State | None:
-        """Take note of a step; the state of all that still fly at their cap, once it is known: [F]."""
-        up = ~step.ended
-        flight, place = step.flight[up], step.place[up]
-        if len(self._states) and len(flight) == len(self._states[0].x):
-            self._states.append(at(step.states, place))
-            self._rewards.append(step.outcomes.reward[place])
-            rounds = self._rounds[flight]
-            if len(self._rewards) < rounds.max():
-                return None
-            found = counted(self._states, self._rewards, rounds, self._cap - step.number)
-            if found is not None:
-                return found
-            self._rounds.zero_()
-        self._states, self._rewards = [], []
-        pose = [getattr(step.states, name)[place].double() for name in pose_of(step.states)]
-        self._compare(step.number, flight, torch.stack(pose))
-        if len(flight) and step.number >= self._earliest and bool((self._rounds[flight] > 0).all()):
-            self._states = [at(step.states, place)]
-        return None
+    def see(self, step: Step) -> tuple[Tensor, State] | None:
+        """Take note of a step; which flights need not be flown on [C], and their state at the cap, if some are known.
 
-    def _compare(self, number: int, flight: Tensor, pose: Tensor) -> None:
+        These flights are marked as ended.
+        """
+        up = ~step.ended & self._repeatable[step.flight]
+        if not up.any():
+            return None
+        flight, place = step.flight[up], step.place[up]
+        self._compare(step, flight, place)
+        if not self._states:
+            if step.number >= self._earliest and bool((found := self._rounds[flight] > 0).any()):
+                self._circling[flight[found]] = True
+                self._states = [at(step.states, place[found])]
+            return None
+        own = self._circling[flight]
+        circling, places = flight[own], place[own]
+        self._states.append(at(step.states, places))
+        self._rewards.append(step.outcomes.reward[places])
+        rounds = self._rounds[circling]
+        if len(circling) == len(self._states[0].layout) and len(self._rewards) < rounds.max():
+            return None
+        at_cap = None
+        if len(circling) == len(self._states[0].layout):
+            at_cap = counted(self._states, self._rewards, rounds, self._cap - step.number)
+        if at_cap is not None:
+            step.ended[up.nonzero().flatten()[own]] = True
+        self._rounds[self._circling] = 0
+        self._circling.zero_()
+        self._states, self._rewards = [], []
+        return None if at_cap is None else (circling, at_cap)
+
+    def _compare(self, step: Step, flight: Tensor, place: Tensor) -> None:
         """Find flights [F] whose pose [n, F] is the one that was kept, and now and then keep the present one."""
+        pose = torch.stack([getattr(step.states, name)[place].double() for name in pose_of(step.states)])
         if self._pose is None:
-            self._pose = torch.full((len(pose), self._n), torch.nan, dtype=torch.float64)
-        back = (pose == self._pose[:, flight]).all(0)
-        self._rounds[flight[back]] = number - self._since
-        if number >= 2 * self._since or number - self._since >= LONGEST:
+            self._pose = torch.full((len(pose), len(self._rounds)), torch.nan, dtype=torch.float64)
+        back = flight[(pose == self._pose[:, flight]).all(0)]
+        self._rounds[back[self._rounds[back] == 0]] = step.number - self._since
+        if step.number >= 2 * self._since or step.number - self._since >= LONGEST:
             self._pose[:, flight] = pose
-            self._since = number
+            self._since = step.number
 
 
 def counted(states: Sequence[State], rewards: Sequence[Tensor], rounds: Tensor, steps: int) -> State | None:

@@ -1,8 +1,8 @@
 """Flyers that act side by side: policies that differ in their weights alone are evaluated as one product.
 
-No row joins a policy's own, because a product rounds by how many rows each network has, and not by how many networks:
-whoever acts in a squad does, bit for bit, what it does alone. Letters: F flights that are up, P policies of a squad, N
-flights of each.
+A product rounds by how many rows each network has, and not by how many networks. So each network's rows are filled up
+to a number that its own rows decide: whoever acts in a squad does, bit for bit, what it does alone. Letters: F flights
+that are up, P policies of a squad, N rows of each, filled up.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from uavnav.networks import made_of, stacked
 from uavnav.policies import Policy
@@ -25,18 +26,24 @@ Chosen = tuple[Tensor, Tensor | None]
 """Actions, and the numbers behind them where they were asked for."""
 
 
+LEAST_ROWS = 4
+"""From which a product rounds by its columns alone on the machines that were tried; fewer rows round in another way."""
+
+
 class Alone(NamedTuple):
     """One policy of whatever kind."""
 
     policy: AnyPolicy
     generator: torch.Generator
+    rows: Tensor  # [N] of all flights, its own
 
     def act(self, observation: Tensor, values: bool) -> Chosen:
-        """[N, obs] -> [N], [N, actions]."""
+        """[F, obs] -> [N], [N, actions]."""
+        seen = observation[self.rows]
         if not values:
-            return self.policy(observation, self.generator), None
+            return self.policy(seen, self.generator), None
         assert isinstance(self.policy, Policy)
-        behind = self.policy.values(observation)
+        behind = self.policy.values(seen)
         return self.policy.act(behind, self.generator), behind
 
 
@@ -44,15 +51,20 @@ class Squad(NamedTuple):
     """Several policies as one, whose network has the agents of all."""
 
     policy: Policy
-    generators: list[torch.Generator]
+    generators: Sequence[torch.Generator]
+    rows: Tensor  # [P, N] of all flights, each policy's own; the last one again where it has fewer
+    sizes: Sequence[int]  # [P] how many it has
 
     def act(self, observation: Tensor, values: bool) -> Chosen:
-        """[P N, obs] -> [P N], [P N, actions]."""
-        behind = self.policy.of_agents(observation.reshape(len(self.generators), -1, observation.shape[-1]))
+        """[F, obs] -> [P N], [P N, actions]."""
+        behind = self.policy.of_agents(observation[self.rows])
         if self.policy.greedy:
             return behind.argmax(-1).flatten(), behind.flatten(0, 1)
-        uniforms = [self.policy.draw(behind.shape[1:-1], generator) for generator in self.generators]
-        return self.policy.choose(behind, torch.stack(uniforms, 1)).flatten(), behind.flatten(0, 1)
+        drawn = [
+            F.pad(self.policy.draw((size,), generator), (0, self.rows.shape[1] - size))
+            for size, generator in zip(self.sizes, self.generators, strict=True)
+        ]
+        return self.policy.choose(behind, torch.stack(drawn, 1)).flatten(), behind.flatten(0, 1)
 
 
 class Squads:
@@ -61,12 +73,12 @@ class Squads:
     def __init__(self, flyers: Flyers, n_actions: int) -> None:
         self._policies = [policy for _, policy in flyers]
         self._generators = [torch.Generator().manual_seed(seed) for seed, _ in flyers]
-        self._kinds = [_kind(policy) or place for place, policy in enumerate(self._policies)]
+        self._kinds = [_kind(policy) for policy in self._policies]
         self._n_actions = n_actions
         self._sizes: list[int] = []
-        self._dealt: dict[tuple[int, ...], Alone | Squad] = {}  # by its flyers
-        self._rows: list[slice | Tensor] = []  # of each, flyer by flyer
-        self._back: Tensor | None = None  # where a row lies among those of all squads, if these change their order
+        self._stacked: dict[tuple[int, ...], Policy] = {}  # by its flyers
+        self._dealt: list[Alone | Squad] = []
+        self._back = torch.empty(0, dtype=torch.int64)  # [F] where a row lies among those of all squads
 
     def act(self, observation: Tensor, sizes: list[int], values: bool = False) -> Chosen:
         """An action for each row [F], each flyer's in turn; sizes: how many it has.
@@ -77,50 +89,71 @@ class Squads:
         if sizes != self._sizes:
             self._deal(sizes)
         actions, behind = [], []
-        for squad, rows in zip(self._dealt.values(), self._rows, strict=True):
-            own = observation[rows]
-            action, numbers = squad.act(own, values)
-            actions.append(_checked(action, len(own), self._n_actions))
+        for squad in self._dealt:
+            action, numbers = squad.act(observation, values)
+            actions.append(_checked(action, squad.rows.numel(), self._n_actions))
             behind += [numbers] if values and numbers is not None else []
-        found = torch.cat(actions), torch.cat(behind) if behind else None
-        if self._back is None:
-            return found
-        return found[0][self._back], None if found[1] is None else found[1][self._back]
+        return torch.cat(actions)[self._back], torch.cat(behind)[self._back] if behind else None
 
     def _deal(self, sizes: list[int]) -> None:
-        """Who acts with whom: flyers of one kind with as many flights."""
+        """Who acts with whom: flyers of one kind whose rows are filled up to as many."""
         groups: dict[object, list[int]] = {}
         for flyer, (kind, size) in enumerate(zip(self._kinds, sizes, strict=True)):
             if size:
-                groups.setdefault((kind, size), []).append(flyer)
-        ends = [*itertools.accumulate(sizes)]
-        members = [tuple(group) for group in groups.values()]
-        spans = [[range(ends[one] - sizes[one], ends[one]) for one in group] for group in members]
-        self._rows = [_rows(own) for own in spans]
-        alone = all(len(group) == 1 for group in members)
-        self._back = None if alone else torch.tensor([*itertools.chain(*itertools.chain(*spans))]).argsort()
-        self._dealt = {group: self._dealt.get(group) or self._squad(group) for group in members}
+                groups.setdefault((kind, _filled_up(size, kind)) if kind else flyer, []).append(flyer)
+        starts = [0, *itertools.accumulate(sizes)]
+        kept, self._stacked = self._stacked, {}
+        self._dealt, taken, first = [], [], 0
+        for group in groups.values():
+            own = [torch.arange(starts[flyer], starts[flyer + 1]) for flyer in group]
+            if (kind := self._kinds[group[0]]) is None:
+                self._dealt.append(Alone(self._policies[group[0]], self._generators[group[0]], own[0]))
+            else:
+                self._dealt.append(self._squad(group, own, kind, kept.get(tuple(group))))
+            width = self._dealt[-1].rows.shape[-1]
+            for place, rows in enumerate(own):
+                taken.append((rows, first + place * width + torch.arange(len(rows))))
+            first += len(group) * width
+        self._back = torch.empty(sum(sizes), dtype=torch.int64)
+        for rows, places in taken:
+            self._back[rows] = places
         self._sizes = sizes
 
-    def _squad(self, group: Sequence[int]) -> Alone | Squad:
-        generators = [self._generators[flyer] for flyer in group]
-        policies = [self._policies[flyer] for flyer in group]
-        if len(group) == 1:
-            return Alone(policies[0], generators[0])
-        alike = [policy for policy in policies if isinstance(policy, Policy)]
-        return Squad(replace(alike[0], network=stacked([policy.network for policy in alike])), generators)
+    def _squad(self, group: Sequence[int], own: Sequence[Tensor], kind: Kind, as_one: Policy | None) -> Squad:
+        """Flyers as one, who have these rows; as_one: what they were before, if they were."""
+        if as_one is None:
+            alike = [policy for flyer in group if isinstance(policy := self._policies[flyer], Policy)]
+            as_one = replace(alike[0], network=stacked([policy.network for policy in alike]))
+        self._stacked[tuple(group)] = as_one
+        most = _filled_up(len(own[0]), kind)
+        rows = torch.stack([torch.cat([rows, rows[-1:].expand(most - len(rows))]) for rows in own])
+        return Squad(as_one, [self._generators[flyer] for flyer in group], rows, [len(rows) for rows in own])
 
 
-def _rows(spans: Sequence[range]) -> slice | Tensor:
-    """What indexes the rows of some spans, one after the other."""
-    return slice(spans[0].start, spans[0].stop) if len(spans) == 1 else torch.tensor([*itertools.chain(*spans)])
+def _filled_up(n: int, kind: Kind) -> int:
+    """How many rows a network of n rows has in a product: 4, 8, 16, 32, ...
+
+    Rows of greedy flights must not depend on how many are counted instead of flown. Sampled ones keep the 1 to 3 rows
+    that they had in all versions.
+    """
+    return n if n < LEAST_ROWS and not kind.greedy else max(LEAST_ROWS, 1 << (n - 1).bit_length())
 
 
-def _kind(policy: AnyPolicy) -> tuple[object, ...] | None:
-    """What policies that can act as one have in common; None of one that acts alone."""
+class Kind(NamedTuple):
+    """What policies that can act as one have in common."""
+
+    layers: tuple[object, ...]
+    greedy: bool
+    acts: str
+    head: str
+    epsilon: float
+
+
+def _kind(policy: AnyPolicy) -> Kind | None:
+    """That of a policy; None of one that acts alone."""
     if not isinstance(policy, Policy) or (layers := made_of(policy.network)) is None:
         return None
-    return layers, policy.greedy, policy.acts, policy.head, policy.epsilon
+    return Kind(layers, policy.greedy, policy.acts, policy.head, policy.epsilon)
 
 
 def _checked(action: Tensor, n: int, n_actions: int) -> Tensor:

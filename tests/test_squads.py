@@ -5,7 +5,7 @@ import torch
 
 from uavnav import flights
 from uavnav.evaluate import on
-from uavnav.flights.squads import Alone, Squads
+from uavnav.flights.squads import Squads
 from uavnav.networks import made_of, mlp, stacked
 from uavnav.policies import Policy
 from uavnav.tasks.baselines import reactive
@@ -56,28 +56,31 @@ def test_flyers_of_one_kind_whose_rows_fill_up_to_as_many_are_one_product(monkey
     monkeypatch.setattr(Policy, "of_agents", counted)
     squads = Squads(CREW, 100)
     squads.act(torch.rand(36, 30), [3] * 12)
-    assert shapes == [(4, 3, 30), (3, 4, 30), (3, 3, 30), (1, 3, 30)]  # of 1 to 3 rows, only greedy ones fill up
+    assert shapes == [(7, 3, 30), (3, 16, 30), (1, 3, 30)]  # of 1 to 3 rows, only greedy ones fill up
     shapes.clear()
-    squads.act(torch.rand(41, 30), [3, 0, 5, 8, 0, 1, 0, 0, 1, 1, 9, 13])
-    assert shapes == [(1, 3, 30), (2, 8, 30), (1, 4, 30), (2, 1, 30), (1, 16, 30), (1, 16, 30)]
+    squads.act(torch.rand(45, 30), [3, 0, 5, 8, 0, 1, 0, 0, 1, 1, 9, 17])
+    assert shapes == [(1, 3, 30), (4, 16, 30), (2, 1, 30), (1, 32, 30)]
 
 
 @pytest.mark.parametrize(
-    "other",
-    [
-        policy(1, True),
-        policy(1, acts="epsilon-greedy"),
-        policy(1, epsilon=0.1),
-        policy(1, activation="relu"),
-        policy(1, layer_norm=True),
-        policy(1, sizes=(30, 32, 100)),
-        reactive,
-    ],
+    "other", [policy(1, activation="relu"), policy(1, layer_norm=True), policy(1, sizes=(30, 32, 100)), reactive]
 )
-def test_policies_that_differ_in_more_than_weights_act_apart(other):
+def test_policies_whose_networks_differ_in_more_than_weights_act_apart(other):
     squads = Squads([(0, policy()), (1, other)], 100)
     squads.act(torch.rand(4, 30), [2, 2])
-    assert [len(one.rows) for one in squads._dealt] == [1, 2 if isinstance(squads._dealt[1], Alone) else 1]
+    assert len(squads._dealt) == 2
+
+
+@pytest.mark.parametrize(
+    "other", [policy(1, True), policy(1, acts="epsilon-greedy", epsilon=0.5), policy(1, epsilon=0.1)]
+)
+def test_policies_of_one_kind_of_network_act_each_in_its_own_way(other):
+    seen = torch.rand(20, 30)
+    squads = Squads([(0, policy()), (1, other), (2, policy(2))], 100)
+    actions, _ = squads.act(seen, [5, 8, 7])
+    assert [len(crew.sizes) for (squad,) in [squads._dealt] for crew in squad.crews] == [2, 1]
+    for seed, one, own in ((0, policy(), slice(0, 5)), (1, other, slice(5, 13)), (2, policy(2), slice(13, 20))):
+        assert torch.equal(actions[own], one(seen[own], torch.Generator().manual_seed(seed)))
 
 
 def test_a_squad_that_stays_together_is_stacked_once():

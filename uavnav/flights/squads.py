@@ -26,8 +26,10 @@ Chosen = tuple[Tensor, Tensor | None]
 """Actions, and the numbers behind them where they were asked for."""
 
 
-LEAST_ROWS = 4
-"""From which a product rounds by its columns alone on the machines that were tried; fewer rows round in another way."""
+ROWS_AGREE_FROM = 4
+"""Rows from which a product rounds by its columns alone on the machines that were tried."""
+LEAST_ROWS = 16
+"""Of a network in a product; fewer take as long."""
 
 
 class Alone(NamedTuple):
@@ -47,24 +49,37 @@ class Alone(NamedTuple):
         return self.policy.act(behind, self.generator), behind
 
 
+class Crew(NamedTuple):
+    """Policies of a squad that act in the same way."""
+
+    policy: Policy  # one of them
+    generators: Sequence[torch.Generator]
+    sizes: Sequence[int]  # how many rows each has
+
+    def act(self, behind: Tensor) -> Tensor:
+        """[P, N, actions] -> [P, N]."""
+        if self.policy.greedy:
+            return behind.argmax(-1)
+        drawn = [
+            F.pad(self.policy.draw((size,), generator), (0, behind.shape[1] - size))
+            for size, generator in zip(self.sizes, self.generators, strict=True)
+        ]
+        return self.policy.choose(behind, torch.stack(drawn, 1))
+
+
 class Squad(NamedTuple):
     """Several policies as one, whose network has the agents of all."""
 
     policy: Policy
-    generators: Sequence[torch.Generator]
+    crews: Sequence[Crew]  # whose policies those are, in turn
     rows: Tensor  # [P, N] of all flights, each policy's own; the last one again where it has fewer
-    sizes: Sequence[int]  # [P] how many it has
 
     def act(self, observation: Tensor, values: bool) -> Chosen:
         """[F, obs] -> [P N], [P N, actions]."""
         behind = self.policy.of_agents(observation[self.rows])
-        if self.policy.greedy:
-            return behind.argmax(-1).flatten(), behind.flatten(0, 1)
-        drawn = [
-            F.pad(self.policy.draw((size,), generator), (0, self.rows.shape[1] - size))
-            for size, generator in zip(self.sizes, self.generators, strict=True)
-        ]
-        return self.policy.choose(behind, torch.stack(drawn, 1)).flatten(), behind.flatten(0, 1)
+        own = torch.split(behind, [len(crew.sizes) for crew in self.crews])
+        actions = torch.cat([crew.act(part) for crew, part in zip(self.crews, own, strict=True)])
+        return actions.flatten(), behind.flatten(0, 1)
 
 
 class Squads:
@@ -100,60 +115,66 @@ class Squads:
         groups: dict[object, list[int]] = {}
         for flyer, (kind, size) in enumerate(zip(self._kinds, sizes, strict=True)):
             if size:
-                groups.setdefault((kind, _filled_up(size, kind)) if kind else flyer, []).append(flyer)
+                groups.setdefault(flyer if kind is None else (kind, self._width(flyer, size)), []).append(flyer)
         starts = [0, *itertools.accumulate(sizes)]
         kept, self._stacked = self._stacked, {}
-        self._dealt, taken, first = [], [], 0
+        self._dealt, self._back, first = [], torch.empty(starts[-1], dtype=torch.int64), 0
         for group in groups.values():
+            group = [flyer for alike in self._crews(group) for flyer in alike]
             own = [torch.arange(starts[flyer], starts[flyer + 1]) for flyer in group]
-            if (kind := self._kinds[group[0]]) is None:
+            if self._kinds[group[0]] is None:
                 self._dealt.append(Alone(self._policies[group[0]], self._generators[group[0]], own[0]))
             else:
-                self._dealt.append(self._squad(group, own, kind, kept.get(tuple(group))))
+                self._dealt.append(self._squad(group, own, kept.get(tuple(group))))
             width = self._dealt[-1].rows.shape[-1]
             for place, rows in enumerate(own):
-                taken.append((rows, first + place * width + torch.arange(len(rows))))
+                self._back[rows] = first + place * width + torch.arange(len(rows))
             first += len(group) * width
-        self._back = torch.empty(sum(sizes), dtype=torch.int64)
-        for rows, places in taken:
-            self._back[rows] = places
         self._sizes = sizes
 
-    def _squad(self, group: Sequence[int], own: Sequence[Tensor], kind: Kind, as_one: Policy | None) -> Squad:
+    def _crews(self, group: Sequence[int]) -> list[list[int]]:
+        """Flyers by how they act."""
+        crews: dict[object, list[int]] = {}
+        for flyer in group:
+            policy = self._policies[flyer]
+            how = (policy.greedy, policy.acts, policy.epsilon) if isinstance(policy, Policy) else None
+            crews.setdefault(how, []).append(flyer)
+        return [*crews.values()]
+
+    def _squad(self, group: Sequence[int], own: Sequence[Tensor], as_one: Policy | None) -> Squad:
         """Flyers as one, who have these rows; as_one: what they were before, if they were."""
+        policies = {flyer: policy for flyer in group if isinstance(policy := self._policies[flyer], Policy)}
         if as_one is None:
-            alike = [policy for flyer in group if isinstance(policy := self._policies[flyer], Policy)]
-            as_one = replace(alike[0], network=stacked([policy.network for policy in alike]))
+            one = next(iter(policies.values()))
+            as_one = replace(one, network=stacked([policy.network for policy in policies.values()]))
         self._stacked[tuple(group)] = as_one
-        most = _filled_up(len(own[0]), kind)
-        rows = torch.stack([torch.cat([rows, rows[-1:].expand(most - len(rows))]) for rows in own])
-        return Squad(as_one, [self._generators[flyer] for flyer in group], rows, [len(rows) for rows in own])
+        width = self._width(group[0], len(own[0]))
+        n = {flyer: len(rows) for flyer, rows in zip(group, own, strict=True)}
+        crews = [
+            Crew(policies[alike[0]], [self._generators[one] for one in alike], [n[one] for one in alike])
+            for alike in self._crews(group)
+        ]
+        return Squad(
+            as_one, crews, torch.stack([torch.cat([rows, rows[-1:].expand(width - len(rows))]) for rows in own])
+        )
+
+    def _width(self, flyer: int, n: int) -> int:
+        """How many rows a flyer's network has in a product if it has n of its own: 16, 32, 64, ...
+
+        Rows of greedy flights must not depend on how many are counted instead of flown. Sampled ones keep the 1 to 3
+        rows that they had in all versions.
+        """
+        policy = self._policies[flyer]
+        if n < ROWS_AGREE_FROM and not (isinstance(policy, Policy) and policy.greedy):
+            return n
+        return max(LEAST_ROWS, 1 << (n - 1).bit_length())
 
 
-def _filled_up(n: int, kind: Kind) -> int:
-    """How many rows a network of n rows has in a product: 4, 8, 16, 32, ...
-
-    Rows of greedy flights must not depend on how many are counted instead of flown. Sampled ones keep the 1 to 3 rows
-    that they had in all versions.
-    """
-    return n if n < LEAST_ROWS and not kind.greedy else max(LEAST_ROWS, 1 << (n - 1).bit_length())
-
-
-class Kind(NamedTuple):
-    """What policies that can act as one have in common."""
-
-    layers: tuple[object, ...]
-    greedy: bool
-    acts: str
-    head: str
-    epsilon: float
-
-
-def _kind(policy: AnyPolicy) -> Kind | None:
-    """That of a policy; None of one that acts alone."""
+def _kind(policy: AnyPolicy) -> tuple[object, ...] | None:
+    """What policies that can be evaluated as one have in common; None of one that acts alone."""
     if not isinstance(policy, Policy) or (layers := made_of(policy.network)) is None:
         return None
-    return Kind(layers, policy.greedy, policy.acts, policy.head, policy.epsilon)
+    return layers, policy.head
 
 
 def _checked(action: Tensor, n: int, n_actions: int) -> Tensor:

@@ -285,24 +285,35 @@ def test_any_observation_is_within_bounds_nearest_first_with_the_empty_slots_las
 # -- in a graph ------------------------------------------------------------------------------------------------------
 
 
-class Counting(torch.Tensor):
+class Traced(torch.Tensor):
     """Stands for a tensor, as in a graph that is traced."""
 
 
-@pytest.mark.parametrize("n", [sensing.FEW, sensing.FEW + 20])
+@pytest.mark.parametrize(("n", "rows"), [(sensing.FEW, 500), (sensing.FEW + 20, 500), (sensing.FEW, 1500)])
 @pytest.mark.parametrize("slots", ["nearest", "listed"])
-def test_slots_by_sorting_are_those_by_counting_or_one_by_one_to_the_last_bit_ties_included(slots, n):
+def test_slots_by_sorting_are_those_by_counting_or_one_by_one_to_the_last_bit_ties_included(slots, n, rows):
     generator = torch.Generator().manual_seed(3)
-    triples = torch.randn(3, n, 500, generator=generator).round()  # with some -0.0
-    distance = torch.randint(60, (n, 500), generator=generator).double() * 10
-    in_view = torch.rand(n, 500, generator=generator) < torch.rand(500, generator=generator)
+    triples = torch.randn(3, n, rows, generator=generator).round()  # with some -0.0
+    distance = torch.randint(60, (n, rows), generator=generator).double() * 10
+    in_view = torch.rand(n, rows, generator=generator) < torch.rand(rows, generator=generator)
     assert {0, 10} <= {*in_view.sum(0).clamp(max=10).tolist()}
     world = uavnav.World(slots=slots)
-    sorted_ = sensing.first_in_view(triples, distance, in_view, world)
-    counted = sensing.first_in_view(triples, distance.as_subclass(Counting), in_view, world).as_subclass(torch.Tensor)
-    assert sorted_.shape == (3, 10, 500)
+    of_circles = torch.randn(2, 8, rows, generator=generator)
+    sorted_ = sensing.first_in_view(triples, distance, in_view, world, more=of_circles)
+    traced = distance.as_subclass(Traced)
+    in_a_graph = sensing.first_in_view(triples, traced, in_view, world, more=of_circles).as_subclass(torch.Tensor)
+    assert sorted_.shape == (5, 10, rows)
     assert (torch.signbit(triples) & (triples == 0)).any()
-    assert torch.equal(sorted_.view(torch.int32), counted.view(torch.int32))
+    assert torch.equal(sorted_.view(torch.int32), in_a_graph.view(torch.int32))
+
+
+def test_without_a_circle_the_border_is_sensed_as_beside_circles_out_of_reach():
+    x, y, heading, circles = random_poses(200, 4)
+    far = torch.tensor([[[10_000.0, 10_000.0, 30.0]]]).expand(len(x), 8, 3)
+    for alone, beside in zip(
+        sense(x, y, heading, circles[:, :0], WORLD), sense(x, y, heading, far, WORLD), strict=True
+    ):
+        assert torch.equal(alone, beside)
 
 
 def test_nothing_sorts_in_a_graph(monkeypatch):

@@ -17,8 +17,11 @@ from uavnav.tasks.world import World
 VIEW_TOLERANCE = 1e-6
 """A direction counts as in front of the drone down to this much behind it, so that rounding never hides a neighbour."""
 
-FEW = 36
-"""Candidates of the paper's world, 8 circles and 28 squares: so many are ranked by comparing each with each."""
+FEW, MANY_ROWS = 36, 1024
+"""So few candidates as in the paper's world, 8 circles and 28 squares, of fewer rows are ranked by counting."""
+
+FAR = 1e6
+"""Coordinates of a circle that is never sensed [px]."""
 
 Echoes = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """What faults make of the slots: true distance [S, ...] px, filled [S, ...] bool -> sensed distance, filled."""
@@ -52,12 +55,11 @@ def sense(
     in_view = (distance <= world.sensor_radius) & (forward >= world.view_cosine - VIEW_TOLERANCE)
     proximity = distance if echoes else scaled(distance, world)  # of what echoes disturb, it is worked out later
     triples = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), proximity if echoes else proximity.clamp(0, 1)])
+    of_circles = None
     if velocities is not None:
         east, north = velocities.movedim((-1, -2), (0, 1))
-        own = torch.stack(to_drone_frame(east, north, heading)).clamp(-1, 1)
-        squares = triples.new_zeros(2, len(distance) - own.shape[1], *distance.shape[1:])
-        triples = torch.cat([triples, torch.cat([own, squares], 1)])
-    slots = first_in_view(triples, distance, in_view, world, echoes)
+        of_circles = torch.stack(to_drone_frame(east, north, heading)).clamp(-1, 1)
+    slots = first_in_view(triples, distance, in_view, world, echoes, of_circles)
     return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
 
 
@@ -86,6 +88,10 @@ def clearance(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> Tensor:
 
 def _candidates(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> tuple[Tensor, Tensor, Tensor]:
     """Offsets to all that may be sensed, and the distance to its edge [px]: dx, dy, distance, each [N, ...]."""
+    if not obstacles.shape[
+        -2
+    ]:  # one far away: a graph would work squares out anew wherever they are not joined to some
+        obstacles = obstacles.new_tensor([[FAR, FAR, 0.0]]).expand(*x.shape, 1, 3)
     circle_x, circle_y, circle_distance = _offsets_to_circles(x, y, obstacles.movedim((-2, -1), (0, 1)))
     square_x, square_y = _offsets_to_squares(x, y, world)
     square_length = torch.sqrt(square_x * square_x + square_y * square_y)
@@ -145,32 +151,37 @@ def first_in_view(
     in_view: Tensor,
     world: World,
     echoes: Echoes | None = None,
+    more: Tensor | None = None,
 ) -> Tensor:
     """The first ten candidates in view, nearest (or lowest index) first, ties by index; empty slots are padded.
 
     numbers [F, N, ...] of each candidate, after its direction the proximity (or where there are echoes the distance),
-    distance, in_view [N, ...] -> slots [F, 10, ...]. In a graph the rank of a candidate is the number of candidates
-    before it, and a slot the sum over all candidates, of which one has its rank: on so few, counting and adding fuse
-    and vectorise where a sort and a scatter do not, and floats where flags and integers do not. Step by step nothing
-    fuses, and a sort is five times faster.
-
-    Comparisons grow with N squared. So in a graph more than `FEW` candidates are gone through ten times instead, each
-    time for the nearest that is left, which grows with N. All three ways give the same bits.
+    distance, in_view [N, ...], more [G, K, ...] numbers that only the first K candidates have, and the others' are zero
+    -> slots [F + G, 10, ...]. In a graph the candidates are gone through ten times, each time for the nearest that is
+    left: adding and comparing fuse and vectorise where a sort and a scatter do not, and floats where flags and integers
+    do not. `FEW` candidates of less than `MANY_ROWS` rows are ranked at once instead, each by the number of candidates
+    before it: that grows with N squared, but waits for nothing. Step by step nothing fuses, and a sort is five times
+    faster. All three ways give the same bits.
     """
     index, slot = (
         torch.arange(n, dtype=distance.dtype, device=distance.device).reshape(-1, *[1] * (distance.ndim - 1))
         for n in (len(distance), world.n_slots)
     )
     key = torch.where(in_view, distance if world.slots == "nearest" else index, math.inf)
+    parts = [numbers] if more is None else [numbers, more]
     if type(distance) is Tensor:  # and not what stands for one while a graph is traced
         order = key.sort(dim=0, stable=True).indices[: world.n_slots]
+        if more is not None:
+            others = more.new_zeros(len(more), len(key) - more.shape[1], *key.shape[1:])
+            numbers = torch.cat([numbers, torch.cat([more, others], 1)])
         slots = numbers.gather(1, order.expand(len(numbers), *order.shape)) + 0.0  # a sum has no -0.0
-    elif len(key) > FEW:
-        slots = _one_by_one(numbers, key, index, world.n_slots)
+    elif len(key) > FEW or key[0].numel() >= MANY_ROWS:
+        slots = _one_by_one(parts, key, index, world.n_slots)
     else:
         before = (key[:, None] < key) | ((key[:, None] == key) & (index[:, None] < index))
         rank = before.sum(0, dtype=distance.dtype)
-        slots = torch.where(rank == slot[:, None], numbers[:, None], 0.0).sum(2)
+        found = [torch.where(rank[: part.shape[1]] == slot[:, None], part[:, None], 0.0).sum(2) for part in parts]
+        slots = torch.cat(found)
     filled = slot < (key < math.inf).sum(0, dtype=distance.dtype)
     return _padded(slots, filled, world) if echoes is None else heard(slots, slots[_nth(world)], filled, world, echoes)
 
@@ -194,12 +205,15 @@ def _nth(world: World) -> int:
     return len(world.size)
 
 
-def _one_by_one(numbers: Tensor, key: Tensor, index: Tensor, n_slots: int) -> Tensor:
-    """The candidates [F, N, ...] with the least keys [N, ...], in order, ties by index: [F, n_slots, ...]."""
+def _one_by_one(parts: list[Tensor], key: Tensor, index: Tensor, n_slots: int) -> Tensor:
+    """The candidates with the least keys [N, ...], in order, ties by index: [F, n_slots, ...].
+
+    parts: some of the F numbers each, of the first candidates.
+    """
     slots = []
     for _ in range(n_slots):
         lowest = torch.where(key == key.amin(0), index, math.inf).amin(0)
         chosen = index == lowest
-        slots.append(torch.where(chosen, numbers, 0.0).sum(1))
+        slots.append(torch.cat([torch.where(chosen[: part.shape[1]], part, 0.0).sum(1) for part in parts]))
         key = torch.where(chosen, math.inf, key)
     return torch.stack(slots, 1)

@@ -174,11 +174,10 @@ def sense(
     in_view = (distance <= world.sensor_radius) & (forward >= world.view_cosine - VIEW_TOLERANCE)
     proximity = distance if echoes else scaled(distance, world).clamp(0, 1)
     numbers = torch.stack([right.clamp(-1, 1), up.clamp(-1, 1), forward.clamp(0, 1), proximity])
+    of_spheres = None
     if velocities is not None:
-        own = torch.stack(to_body(velocities.movedim((-1, -2), (0, 1)), state)).clamp(-1, 1)
-        others = own.new_zeros(3, len(distance) - own.shape[1], *state.x.shape)
-        numbers = torch.cat([numbers, torch.cat([own, others], 1)])
-    slots = first_in_view(numbers, distance, in_view, world, echoes)
+        of_spheres = torch.stack(to_body(velocities.movedim((-1, -2), (0, 1)), state)).clamp(-1, 1)
+    slots = first_in_view(numbers, distance, in_view, world, echoes, of_spheres)
     return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
 
 

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import types
 import zipfile
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -25,9 +24,8 @@ from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.paper import TABLES
 from uavnav.runs.tables import read_table
 from uavnav.tasks import layouts
-from uavnav.tasks.baselines import reactive, straight_ahead, uniform_random
+from uavnav.tasks.baselines import straight_ahead, uniform_random
 from uavnav.tasks.faults import Faults
-from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.simulator import EMPTY, make_task
 
 RUNS = {
@@ -442,16 +440,3 @@ def test_quiet_prints_nothing_and_json_an_entry_for_each_with_the_means_of_the_r
     assert found == {"mean": pytest.approx(rows["reward"].mean()), "sd": None}
     assert (trained["run"], trained["seeds"]) == (str(run.path), run.seeds)
     assert list(trained["metrics"]) == ["greedy", "sampled"]
-
-
-def test_a_policy_flies_in_another_world_of_the_same_observations_and_a_script_in_any():
-    policy = uavnav.load_policy(Path(uavnav.__file__).parents[1] / "results" / "ppo" / "tanh", seed=3)
-    fast = MovingWorld(speed_min=6.0, speed_max=6.0)
-    flown = {"episodes": 20, "max_steps": 300}
-    still, moving = (uavnav.evaluate_policy(policy, world=world, **flown) for world in (None, fast))
-    assert moving["steps"].mean() < 0.5 * still["steps"].mean()
-    assert uavnav.evaluate_policy(reactive, task="space", **flown)["steps"].eq(300).all()
-    with pytest.raises(ValueError, match="the policy sees 30 numbers, and this world has 40; give one"):
-        uavnav.evaluate_policy(policy, task="space", **flown)
-    with pytest.raises(ValueError, match="task='spcae'; choose from"):
-        uavnav.evaluate_policy(policy, task="spcae", **flown)

@@ -292,7 +292,9 @@ def test_a_run_trains_is_evaluated_with_four_metrics_more_and_verified(tmp_path,
         header = json.loads(file.metadata()["uavnav"])
     assert (header["task"], header["reward"], header["max_steps"]) == ("goal", "goal", 1000)
     assert type(load_policy(run.path).task) is Goal
-    rows = evaluate.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
+    rows = evaluate.evaluate_run(run, episodes=3, quiet=True)
+    assert (run.path / "evaluation-test-3-1000.parquet").exists()
+    assert rows["steps"].max() <= 1000
     assert set(metrics.own(rows).columns) == {"success", "collision", "time_out", "spl"}
     np.testing.assert_allclose(rows["shortest"], np.tile(bank[:3, 8, 2].numpy(), 2))
     assert verify.verify(run, quiet=True).same

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import uavnav
-from uavnav.algorithms import c51, dqn, ppo, sac
+from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.evaluate import evaluate_policy
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 
@@ -20,6 +20,7 @@ PPO_SETTINGS = {
     "lr": 1e-3,
     "compile": "off",
 }
+A2C_SETTINGS = {"n_seeds": 2, "n_worlds": 64, "total_frames": 80_000, "lr": 2e-3, "compile": "off"}
 DQN_SETTINGS = {
     "activation": "relu",
     "n_seeds": 2,
@@ -82,6 +83,11 @@ def test_two_seeds_of_ppo_beat_random_and_straight_ahead(tmp_path, best_baseline
     assert beats(run, best_baseline) == [True, True]
 
 
+def test_two_seeds_of_a2c_beat_random_and_straight_ahead(tmp_path, best_baseline):
+    run = a2c.train(a2c.A2CConfig(**A2C_SETTINGS), out=tmp_path / "run", quiet=True)
+    assert beats(run, best_baseline) == [True, True]
+
+
 @pytest.mark.slow
 def test_two_seeds_of_dqn_beat_random_and_straight_ahead(tmp_path, best_baseline):
     run = dqn.train(dqn.DQNConfig(**DQN_SETTINGS), out=tmp_path / "run", quiet=True)
@@ -106,6 +112,11 @@ def test_two_seeds_of_c51_beat_random_and_straight_ahead(tmp_path, best_baseline
 def test_without_a_learning_rate_ppo_fails(tmp_path, best_baseline):
     config = ppo.PPOConfig(**PPO_SETTINGS | {"lr": 0.0, "total_frames": 8_192})
     assert beats(ppo.train(config, out=tmp_path / "run", quiet=True), best_baseline) == [False, False]
+
+
+def test_without_a_learning_rate_a2c_fails(tmp_path, best_baseline):
+    config = a2c.A2CConfig(**A2C_SETTINGS | {"lr": 0.0, "total_frames": 8_320})
+    assert beats(a2c.train(config, out=tmp_path / "run", quiet=True), best_baseline) == [False, False]
 
 
 def test_without_a_learning_rate_dqn_fails(tmp_path, best_baseline):

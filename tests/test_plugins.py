@@ -18,7 +18,7 @@ from safetensors.torch import load_file, save_file
 
 import uavnav
 from uavnav import ConfigError, PolicyError, Run, export, load_policy, plugins, render, verify
-from uavnav.algorithms import ppo
+from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.evaluate.__main__ import main as fly_command
 from uavnav.runs import POLICY
 from uavnav.train.__main__ import main as train_command
@@ -255,6 +255,16 @@ def test_a_plugin_that_cannot_be_imported_is_one_line_with_the_reason(code, reas
     assert str(refused.value).startswith(f"plugins=faulty: cannot be imported ({reason}")
     assert "\n" not in str(refused.value)
     assert "faulty" not in plugins.LOADED
+
+
+def test_a_plugin_that_gives_the_name_of_an_algorithm_to_another_one_is_refused(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    code = "from uavnav.algorithms import ALGORITHMS\nALGORITHMS['ppo'] = ALGORITHMS['a2c']\n"
+    (tmp_path / "takes_ppo.py").write_text(code)
+    with pytest.raises(ConfigError, match=r"^plugins=takes_ppo: algorithm=ppo is there already; give yours another"):
+        plugins.load(["takes_ppo"])
+    assert ALGORITHMS["ppo"].module == "uavnav.algorithms.ppo"
+    assert "takes_ppo" not in plugins.LOADED
 
 
 def test_a_plugin_that_gives_a_known_name_another_meaning_is_refused_and_the_name_keeps_its_own(tmp_path, monkeypatch):

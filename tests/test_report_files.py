@@ -10,7 +10,6 @@ import pytest
 from matplotlib.figure import Figure
 from runs_by_hand import behaved, found, rows, trained, two, write_run
 
-from uavnav.algorithms import ALGORITHMS
 from uavnav.report import Written, _write_all, docs, report
 from uavnav.report.cells import BINS, collect, label
 from uavnav.report.claims import PRIMARY
@@ -188,7 +187,6 @@ def three(tmp_path_factory):
     """What reports say of two algorithms, and of the same runs beside those of a third one that the paper has not."""
     path = tmp_path_factory.mktemp("three")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ALGORITHMS, "a2c", ALGORITHMS["ppo"]._replace(module="uavnav.algorithms.a2c"))
         for algorithm in ("a2c", "dqn", "ppo"):
             flown = rows(0, (10, 10, 1, 1, 5, 50, -9.0)).assign(mode="sampled")
             run = write_run(path / algorithm, two(0, -6.0), two(1, -8.0), algorithm=algorithm, evaluation=flown)

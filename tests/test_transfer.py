@@ -1,13 +1,17 @@
 """The transfer matrix: who flies where, what is kept, and who is left out."""
 
 import json
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
+import uavnav
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
 from uavnav.evaluate import transfer
+from uavnav.tasks.baselines import reactive
+from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.simulator import EMPTY, make_task
 
 SMALL = {"total_frames": 64, "n_worlds": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
@@ -103,3 +107,16 @@ def test_what_cannot_be_flown_is_one_line(words, line, capsys):
     said = capsys.readouterr().err
     assert (status, said.count("\n")) == (2, 1)
     assert line in said
+
+
+def test_a_policy_flies_in_another_world_of_the_same_observations_and_a_script_in_any():
+    policy = uavnav.load_policy(Path(uavnav.__file__).parents[1] / "results" / "ppo" / "tanh", seed=3)
+    fast = MovingWorld(speed_min=6.0, speed_max=6.0)
+    flown = {"episodes": 20, "max_steps": 300}
+    still, moving = (uavnav.evaluate_policy(policy, world=world, **flown) for world in (None, fast))
+    assert moving["steps"].mean() < 0.5 * still["steps"].mean()
+    assert uavnav.evaluate_policy(reactive, task="space", **flown)["steps"].eq(300).all()
+    with pytest.raises(ValueError, match="the policy sees 30 numbers, and this world has 40; give one"):
+        uavnav.evaluate_policy(policy, task="space", **flown)
+    with pytest.raises(ValueError, match="task='spcae'; choose from"):
+        uavnav.evaluate_policy(policy, task="spcae", **flown)

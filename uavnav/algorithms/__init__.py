@@ -50,7 +50,20 @@ class Algorithm(NamedTuple):
         return (str(unit), math.prod(known)) if known and len(known) == len(factors) else None
 
 
-ALGORITHMS = {
+class Table(dict[str, Algorithm]):
+    """Records by name. Those of the package stay as they are, whoever adds another one.
+
+    Raises:
+        ConfigError: the package has another record of this name.
+    """
+
+    def __setitem__(self, name: str, record: Algorithm) -> None:
+        if BUILT_IN.get(name, record) != record:
+            raise ConfigError(f"algorithm={name} is there already; give yours another name")
+        super().__setitem__(name, record)
+
+
+BUILT_IN = {
     "ppo": Algorithm(
         "uavnav.algorithms.ppo", "categorical", "logits", "probability", logs=("frames", "frames_per_batch")
     ),
@@ -79,3 +92,5 @@ ALGORITHMS = {
     ),
     "sac": Algorithm("uavnav.algorithms.sac", "categorical", "logits", "probability", logs=("episodes", 4)),
 }
+
+ALGORITHMS = Table(BUILT_IN)

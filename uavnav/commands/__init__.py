@@ -208,7 +208,9 @@ def _evaluate(parser: Parser) -> None:
     parser.epilog = "example: uavnav evaluate runs/ppo/relu reactive --episodes 200"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
-    told = f"cap on steps (default: {MAX_STEPS:,}; across ladders and worlds {ACROSS_STEPS:,})"
+    told = (
+        f"cap on steps (default: {MAX_STEPS:,}, across ladders and worlds {ACROSS_STEPS:,}, or the task's own if less)"
+    )
     parser.add_argument("--max-steps", type=int, help=told)
     _bank(parser)
     _task(parser)

@@ -221,7 +221,7 @@ def _tables(parts: list[dict[str, Tensor]], columns: dict[str, str], n_crews: in
 def evaluate_run(
     run: Run,
     episodes: int = EPISODES,
-    max_steps: int = MAX_STEPS,
+    max_steps: int | None = None,
     layouts: str | Path = "test",
     quiet: bool = False,
     faults: Faults | None = None,
@@ -229,7 +229,8 @@ def evaluate_run(
     """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder (`files_of` says where).
 
     Training's generators play no part, and nothing else in the folder changes. On a terminal a bar shows how far it is,
-    unless it is `quiet`. Faults are those that the run was trained with, unless others are given.
+    unless it is `quiet`. Faults are those that the run was trained with, unless others are given. The cap on steps is
+    10,000 if none is given, or the task's own where that is lower.
 
     Returns:
         The columns of `metrics.EPISODE_COLUMNS` and `mode`; in `attrs`, and in the file's header, the protocol.
@@ -241,13 +242,15 @@ def evaluate_run(
         mode: {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
         for mode in MODES
     }
-    task = on(crews["greedy"][run.seeds[0]].task, layouts, episodes, max_steps, faults)
+    own = crews["greedy"][run.seeds[0]].task
+    max_steps = own.cap(MAX_STEPS) if max_steps is None else max_steps
+    task = on(own, layouts, episodes, max_steps, faults)
     n, what = episodes * len(MODES) * len(run.seeds), f"{run.algorithm} {run.config['activation']}"
     with machine.use_threads(1):
         with display.flights(what, n, max_steps, quiet) as tell:
             flown = fly_crews(crews, task, tell, measure_of(layouts))
-        own = type(task) is Task and not protocol_name(layouts, episodes, max_steps, faults)
-        beside = _beside(run, crews) if own else {}
+        usual = type(task) is Task and not protocol_name(layouts, episodes, max_steps, faults)
+        beside = _beside(run, crews) if usual else {}
     rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
     with lock(run.path):

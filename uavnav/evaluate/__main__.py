@@ -25,7 +25,7 @@ from uavnav.tasks.baselines import BASELINES, AnyPolicy
 from uavnav.tasks.faults import Faults, from_words
 from uavnav.tasks.ladders import measure_of
 from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, GROUPS, MAX_STEPS
-from uavnav.tasks.simulator import EMPTY, make_task, name_of
+from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task, name_of
 
 
 def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
@@ -45,6 +45,11 @@ def _faults(words: str) -> Faults:
         return from_words(words)
     except ValueError as error:
         raise ValueError(f"--faults {words}: {error}") from error
+
+
+def _cap(arguments: Namespace, task: Task | type[Task]) -> int:
+    given: int | None = arguments.max_steps
+    return task.cap(MAX_STEPS) if given is None else given
 
 
 def _rows_file(name: str, mode: str, protocol: str = "") -> str:
@@ -72,14 +77,14 @@ def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPoli
         raise ValueError(f"--layouts {arguments.layouts}: {told}; leave it out")
     if arguments.transfer and arguments.task != "drone":
         raise ValueError(f"--task {arguments.task}: --transfer flies in the worlds of the runs; leave it out")
-    cap = ACROSS_STEPS if arguments.max_steps is None else arguments.max_steps
     quiet = arguments.quiet or arguments.json
     tell = functools.partial(print, file=sys.stderr)
     if arguments.transfer:
+        cap = ACROSS_STEPS if arguments.max_steps is None else arguments.max_steps
         records = transfer(found, arguments.episodes, cap, arguments.out, quiet, tell)
     else:
         names = dict.fromkeys(one for word in arguments.across for one in GROUPS.get(word, (word,)))
-        bounds = arguments.episodes, cap, arguments.out
+        bounds = arguments.episodes, arguments.max_steps, arguments.out
         records = across(found, [*names], *bounds, quiet, tell, arguments.task, arguments.alone)
     if arguments.json:
         print(json.dumps(records, indent=2))
@@ -99,9 +104,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise ValueError(f"--task {arguments.task}: what was trained flies in its own world; leave it out")
         if arguments.seeds != 1:
             _check_seeds(arguments)
-        max_steps = MAX_STEPS if arguments.max_steps is None else arguments.max_steps
-        bounds = arguments.layouts, arguments.episodes, max_steps
         faults = None if arguments.faults is None else _faults(arguments.faults)
+        scripted = make_task(EMPTY, task=arguments.task)
+        bounds = arguments.layouts, arguments.episodes, _cap(arguments, scripted)
         protocol = protocol_name(*bounds, faults, arguments.task)
         if arguments.out is not None:
             for name, run in found.items():
@@ -109,12 +114,12 @@ def main(argv: Sequence[str] | None = None) -> int:
                     check_out(arguments.out / _rows_file(name, mode, protocol))
         if arguments.across is not None or arguments.transfer or arguments.alone:
             return _elsewhere(arguments, found)
-        scripted = make_task(EMPTY, task=arguments.task)
         quiet, records = arguments.quiet or arguments.json, []
         for name, run in found.items():
             if isinstance(run, Run):
-                rows = evaluate_run(run, arguments.episodes, max_steps, arguments.layouts, quiet, faults)
-                kept = [run.path / files_of(*bounds, faults)[0]]
+                cap = _cap(arguments, TASKS.get(run.config.get("task", "drone"), Task))
+                rows = evaluate_run(run, arguments.episodes, cap, arguments.layouts, quiet, faults)
+                kept = [run.path / files_of(arguments.layouts, arguments.episodes, cap, faults)[0]]
             else:
                 seeds = range(arguments.seeds if name == DRAWS else 1)
                 who = Flyer(name, {mode: dict.fromkeys(seeds, policy) for mode, policy in run.items()})

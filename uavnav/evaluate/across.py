@@ -171,7 +171,7 @@ def across(
     found: Mapping[str, Run | Mapping[str, AnyPolicy]],
     names: Sequence[str],
     episodes: int,
-    max_steps: int,
+    max_steps: int | None,
     out: Path | None,
     quiet: bool,
     tell: Callable[[str], object] = print,
@@ -180,7 +180,8 @@ def across(
 ) -> list[dict[str, Any]]:
     """Fly all that is named, and the scripted baselines, across ladders; keep rows and a figure.
 
-    Scripts fly what the first policy was trained in, and where there is none, the world of `task`. A ladder that the
+    The cap on steps is 2,000 if none is given, or the task's own where that is lower. Scripts fly what the first policy
+    was trained in, and where there is none, the world of `task`. A ladder that the
     world of somebody does not have is left out, and `tell` is told so. The rows of a run lie in its folder, figures in
     `out` or else in the first run's folder. `alone`, policies fly only as in training, without scripts and a figure.
 
@@ -192,7 +193,6 @@ def across(
         RunError: a file cannot be written, or no ladder is left.
         ValueError: a count below 1, or more sets than a bank has.
     """
-    check_bounds(episodes, max_steps, SPLITS["test"].n)
     flyers = [flyer(name, one) for name, one in found.items()]
     if alone:
         acted = [{mode: crew for mode, crew in one.by_mode.items() if mode != "greedy"} for one in flyers]
@@ -200,6 +200,8 @@ def across(
     learned = (one.first for one in flyers)
     trained = (replace(one.task, stack=1) for one in learned if isinstance(one, Policy))
     theirs = next(trained, make_task(EMPTY, task=task))
+    max_steps = theirs.cap(ACROSS_STEPS) if max_steps is None else max_steps
+    check_bounds(episodes, max_steps, SPLITS["test"].n)
     folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
     check_out(folder / "across.svg")
     climbed = []

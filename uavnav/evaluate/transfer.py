@@ -54,7 +54,7 @@ def place(run: Run, episodes: int, max_steps: int) -> Place:
         RunError: its settings name no world.
     """
     task, layouts = trained_in(run)
-    flown = task.on(layouts, min(max_steps, task.MAX_STEPS or max_steps))
+    flown = task.on(layouts, task.cap(max_steps))
     return Place(named(task, layouts), flown.with_bank(flown.bank[:episodes]), measure_of(layouts))
 
 

@@ -248,14 +248,15 @@ def _upper(words: str) -> str:
 
 
 def _one_step(numbers: Numbers) -> Iterator[Sentence]:
-    for place, row in _rows(numbers["effects"], algorithm="dqn"):
+    for place, row in _rows(numbers["effects"]):
         name, _, steps = row.switch.partition("=")
         if name == "n_steps":
-            where, targets = f"In a side study of {row.n:.0f} seeds, DQN", f"learning from one step than from {steps}"
+            who = row.algorithm.upper()
+            where, targets = f"In a side study of {row.n:.0f} seeds, {who}", f"learning from one step than from {steps}"
             yield from _told(
                 f"{where} earns {{}} less reward in 1,000 frames {targets}.",
                 f"{where} earns {{}} more reward in 1,000 frames {targets}.",
-                f"DQN learning from one step or from {steps} is not told apart: {{}} of reward in 1,000 frames.",
+                f"{who} learning from one step or from {steps} is not told apart: {{}} of reward in 1,000 frames.",
                 *(_times(_found(row), 1000), "effects", place),
             )
 

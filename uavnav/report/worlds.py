@@ -140,7 +140,7 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     from uavnav.tasks.ladders import LADDERS
 
     task, sets = trained_in(run)
-    cap = min(ACROSS_STEPS, task.MAX_STEPS or ACROSS_STEPS)
+    cap = task.cap(ACROSS_STEPS)
     name, _ = files_of(sets, EPISODES, cap)
     if not (run.path / name).exists():
         raise RunError(f"{run.path}: has no {name}; give its study again")

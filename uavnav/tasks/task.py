@@ -278,6 +278,11 @@ class Task:
         """What an evaluation counts of each step, beside `COUNTS`: names and numbers [*B], added up over a flight."""
         return {}
 
+    @classmethod
+    def cap(cls, most: int) -> int:
+        """The cap of an evaluation if none is given: so many steps, or the task's own cap where that is lower."""
+        return min(most, cls.MAX_STEPS or most)
+
     def with_bank(self, bank: Tensor) -> Self:
         """The same task on a bank that is known to be valid."""
         return replace(self, bank=bank)

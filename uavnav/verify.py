@@ -44,7 +44,7 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     """Repeat a run, or its first `frames` frames per seed, in a scratch folder and compare.
 
     Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights if the
-    run has some: a repository may keep its rows alone.
+    run has some: a repository may keep its rows alone, or the weights of its first seeds.
 
     Raises:
         ConfigError, LayoutError, RunError: the run cannot be repeated.
@@ -73,6 +73,7 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
         originals["episodes"] = finished(originals["episodes"])
     partings = [_parting(name, originals[name], tables[name]) for name in originals]
     if weights is not None and original is not None:
+        weights = {name: one[: len(original.get(name, one))] for name, one in weights.items()}
         partings.append(_weights_parting(original, weights))
     lines = [line for line in partings if line]
     if lines:

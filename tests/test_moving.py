@@ -326,7 +326,7 @@ def test_obstacles_that_move_are_never_counted_as_going_round(tmp_path):
     config = ppo.PPOConfig(task="moving", total_frames=64, n_worlds=1, frames_per_batch=64, hidden=(8,), epochs=1)
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     policy = load_policy(run.path)
-    assert not evaluate._repeatable({0: policy}, policy.task)
+    assert not evaluate._repeatable(policy, policy.task)
 
 
 def test_among_moving_obstacles_the_reactive_rule_dodges_and_flies_half_as_long_again(bank):

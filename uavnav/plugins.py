@@ -45,8 +45,6 @@ def load(names: str | Sequence[str] | None) -> None:
         try:
             module = importlib.import_module(name)
         except Exception as error:  # whatever a user's module raises
-            if isinstance(error, ConfigError):
-                raise ConfigError(f"plugins={name}: {error}") from error
             if isinstance(error, ModuleNotFoundError) and error.name == name:
                 where = f"is no module in {os.getcwd()} or on PYTHONPATH"
                 raise ConfigError(f"plugins={name}: {where}; give a module's name, without .py") from error

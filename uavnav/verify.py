@@ -81,6 +81,8 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
         return Verdict(False, [f"{run.path}: not the same", *lines])
     compared = f"{len(originals['episodes']):,} episodes, {len(originals['progress']):,} rows of progress"
     compared += f" and {len(weights)} tensors" if weights is not None and original is not None else ""
+    seeds = len(next(iter(weights.values()))) if weights is not None and original is not None else len(run.seeds)
+    compared += f" of the first {seeds} seeds" if seeds < len(run.seeds) else ""
     lines = [f"{run.path}: the same, bit for bit: {compared} at {reached:,} frames per seed"]
     lines += [f"  weights: not compared, no {POLICY} there; the run's command makes it"] if original is None else []
     return Verdict(True, lines)

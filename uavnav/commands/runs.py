@@ -17,7 +17,7 @@ import pyarrow.compute
 import pyarrow.parquet
 
 from uavnav import commands
-from uavnav.runs import EVALUATION, FINISHED, KINDS, SILENCE, check_settings, progress, read_settings, run_folders
+from uavnav.runs import FINISHED, KINDS, SILENCE, Run, check_settings, progress, read_settings, run_folders
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
 
@@ -76,9 +76,9 @@ def _pace(running: Mapping[str, Any]) -> dict[str, float]:
 def _rewards(path: Path) -> dict[str, float | None]:
     """The mean reward of a test flight in each mode."""
     try:
-        rows = pyarrow.parquet.read_table(path / EVALUATION, columns=["mode", "reward"], use_threads=False)
+        rows = pyarrow.parquet.read_table(Run(path).evaluations()[0], columns=["mode", "reward"], use_threads=False)
         flown = {column: rows.filter(pyarrow.compute.equal(rows["mode"], mode)) for column, mode in MEANS.items()}
-    except (OSError, KeyError, pyarrow.ArrowException):  # there is none, or it is damaged
+    except (RunError, OSError, LookupError, pyarrow.ArrowException):  # there is none, or it is damaged
         return dict.fromkeys(MEANS)
     return {column: pyarrow.compute.mean(part["reward"]).as_py() for column, part in flown.items()}
 

@@ -44,6 +44,10 @@ BEHAVIOUR_COLUMNS = {"seed": "int64", "layout": "int64", "action": "int16"}
 """The steps of a flight follow each other. Where they lead, `uavnav.report.behaviour.retrace` works out."""
 
 
+CREW = "_crew"
+"""While tables are made, the column of whose population a row is."""
+
+
 class Flights(NamedTuple):
     """What an evaluation leaves."""
 
@@ -55,7 +59,7 @@ def evaluate_policy(
     policy: AnyPolicy,
     layouts: str | Path | Tensor = "test",
     episodes: int = EPISODES,
-    max_steps: int = MAX_STEPS,
+    max_steps: int | None = None,
     world: World | None = None,
     reward: str | None = None,
     seed: int = 0,
@@ -68,7 +72,8 @@ def evaluate_policy(
         policy: what `uavnav.load_policy` returns, or any callable of that form.
         layouts: `train`, `validation`, `test`, a bank's path, or a tensor [n, k, 3].
         episodes: how many sets, from the first.
-        max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no collision.
+        max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no collision. By
+            default 10,000, or the task's own cap where that is lower.
         world: constants and switches; by default those that the policy was trained in, if it has any.
         reward: a name of `uavnav.rewards.REWARDS`; by default the policy's, or eq14.
         seed: of the generator that the policy is given, and of what faults draw; also written into the column `seed`.
@@ -91,7 +96,8 @@ def evaluate_policy(
     if isinstance(policy, Policy) and own.observation_size != policy.task.observation_size:
         sees = f"the policy sees {policy.task.observation_size} numbers"
         raise ValueError(f"{sees}, and this world has {own.observation_size}; give one that was trained there")
-    return fly({seed: suited(policy, own)}, on(own, layouts, episodes, max_steps, faults)).episodes
+    cap = own.cap(MAX_STEPS) if max_steps is None else max_steps
+    return fly({seed: suited(policy, own)}, on(own, layouts, episodes, cap, faults)).episodes
 
 
 def on(
@@ -142,7 +148,10 @@ def fly_crews(
     tell: Callable[[int, int], object] = lambda step, up: None,
     measure: Measure | None = None,
 ) -> dict[str, Flights]:
-    """The same of several populations at once, such as `greedy` and `sampled`: what each leaves, by its name."""
+    """Evaluate several populations in one batch, such as `greedy` and `sampled`: what each leaves, by its name.
+
+    Arguments are as of `fly`; `tell` counts the flights of all.
+    """
     flyers = [flyer for crew in crews.values() for flyer in crew.items()]
     sets = len(task.bank)
     seeds = torch.tensor([seed for seed, _ in flyers]).repeat_interleave(sets)
@@ -161,12 +170,12 @@ def fly_crews(
         if not up.all():
             over, flight = step.place[~up], step.flight[~up]
             row = _end(seeds[flight], at(step.states, over), step.outcomes.terminated[over])
-            ended.append(row | sums.of(flight) | {"crew": crew[flight]})
-        tell(step.number, int(up.sum()))
+            ended.append(row | sums.of(flight) | {CREW: crew[flight]})
         if (counted := repeats.see(step)) is not None:
             flight, at_cap = counted
             row = _end(seeds[flight], at_cap, torch.zeros(len(flight), dtype=torch.bool))
-            ended.append(row | {"crew": crew[flight]})
+            ended.append(row | {CREW: crew[flight]})
+        tell(step.number, int((~step.ended).sum()))
     rows = _tables(ended, EPISODE_COLUMNS | sums.columns, len(crews))
     steps = _tables(watched, BEHAVIOUR_COLUMNS, len(crews))
     return {name: Flights(*own) for name, *own in zip(crews, rows, steps, strict=True)}
@@ -208,14 +217,14 @@ def _end(seed: Tensor, state: State, terminated: Tensor) -> dict[str, Tensor]:
 def _watch(step: flights.Step, seed: Tensor, crew: Tensor) -> dict[str, Tensor]:
     layout = step.states.layout[step.place]
     kept = layout < WATCHED_LAYOUTS
-    return {"seed": seed[kept], "layout": layout[kept], "action": step.action[kept], "crew": crew[kept]}
+    return {"seed": seed[kept], "layout": layout[kept], "action": step.action[kept], CREW: crew[kept]}
 
 
 def _tables(parts: list[dict[str, Tensor]], columns: dict[str, str], n_crews: int) -> list[pd.DataFrame]:
     """The rows of each crew by seed and set, each flight's in the order of its steps."""
-    whole = pd.DataFrame({name: torch.cat([part[name] for part in parts]).numpy() for name in (*columns, "crew")})
+    whole = pd.DataFrame({name: torch.cat([part[name] for part in parts]).numpy() for name in (*columns, CREW)})
     whole = whole.astype(columns).sort_values(["seed", "layout"], kind="stable")
-    return [whole[whole["crew"] == crew].drop(columns="crew").reset_index(drop=True) for crew in range(n_crews)]
+    return [whole[whole[CREW] == crew].drop(columns=CREW).reset_index(drop=True) for crew in range(n_crews)]
 
 
 def evaluate_run(
@@ -269,6 +278,11 @@ def _beside(run: Run, crews: Mapping[str, Mapping[int, Policy]]) -> dict[str, pd
     if ALGORITHMS[run.algorithm].shown == "Q value":
         found[VALUES] = values.overestimation(crews["greedy"], run.config["gamma"])
     return found
+
+
+def usual_files(run: Run) -> tuple[str, str]:
+    """The same of the protocol that a run is evaluated by if nothing else is said."""
+    return files_of("test", EPISODES, TASKS.get(run.config.get("task", "drone"), Task).cap(MAX_STEPS))
 
 
 def files_of(layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None) -> tuple[str, str]:

@@ -162,8 +162,7 @@ def _number(value: float) -> str:
 
 def _has(one: Flyer, scripted: Task, ladder: Ladder) -> bool:
     """Whether the world that it flies in has a ladder."""
-    first = next(iter(next(iter(one.by_mode.values())).values()))
-    task = first.task if isinstance(first, Policy) else scripted
+    task = one.first.task if isinstance(one.first, Policy) else scripted
     return not ladder.of or banks.kind_of(task.world) in ladder.of
 
 
@@ -180,10 +179,10 @@ def across(
 ) -> list[dict[str, Any]]:
     """Fly all that is named, and the scripted baselines, across ladders; keep rows and a figure.
 
-    The cap on steps is 2,000 if none is given, or the task's own where that is lower. Scripts fly what the first policy
-    was trained in, and where there is none, the world of `task`. A ladder that the
-    world of somebody does not have is left out, and `tell` is told so. The rows of a run lie in its folder, figures in
-    `out` or else in the first run's folder. `alone`, policies fly only as in training, without scripts and a figure.
+    The cap on steps is 2,000 if none is given, or that of the first policy's task where it is lower. Scripts fly what
+    the first policy was trained in; without one, the world of `task`. A ladder that somebody's world does not have is
+    left out, and `tell` is told so. The rows of a run lie in its folder, figures in `out` or else in the first run's
+    folder. `alone`, policies fly only as in training, without scripts and a figure.
 
     Returns:
         What the tables show, for JSON.
@@ -197,8 +196,7 @@ def across(
     if alone:
         acted = [{mode: crew for mode, crew in one.by_mode.items() if mode != "greedy"} for one in flyers]
         flyers = [one._replace(by_mode=own) for one, own in zip(flyers, acted, strict=True)]
-    learned = (one.first for one in flyers)
-    trained = (replace(one.task, stack=1) for one in learned if isinstance(one, Policy))
+    trained = (replace(one.first.task, stack=1) for one in flyers if isinstance(one.first, Policy))
     theirs = next(trained, make_task(EMPTY, task=task))
     max_steps = theirs.cap(ACROSS_STEPS) if max_steps is None else max_steps
     check_bounds(episodes, max_steps, SPLITS["test"].n)

@@ -109,10 +109,10 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
             flight, place = flight[up], place[up]
             if not len(flight):
                 return
-            if not compiled or _size(len(place)) < len(state.layout) > CHUNK:
+            if not compiled or max(CHUNK, _size(len(place))) < len(state.layout):
                 state, observation = at(state, place), observation[place]
                 place = torch.arange(len(place))
-                state = _padded(state) if compiled else state
+                state = _padded(state, CHUNK) if compiled else state
 
 
 def alike(policies: Sequence[Policy]) -> list[list[int]]:
@@ -148,10 +148,10 @@ def _graph(task: Task) -> graph.Graph:
     return graph.Graph(step)
 
 
-def _padded(state: State) -> State:
+def _padded(state: State, least: int = 1) -> State:
     """Repeat the last of some flights until there are as many as graphs are compiled for."""
     n = len(state.layout)
-    return at(state, torch.arange(_size(n)).clamp(max=n - 1))
+    return at(state, torch.arange(max(least, _size(n))).clamp(max=n - 1))
 
 
 def _size(n: int) -> int:

@@ -1,7 +1,8 @@
 """Flights that go round for ever: found, and counted to their cap without being flown.
 
 A greedy policy in a static task always does the same at the same pose: place and heading, in 3D also pitch. So a flight
-that comes to an earlier pose, bit for bit, repeats the steps in between until its cap. Letter: F flights.
+that comes to an earlier pose, bit for bit, repeats the steps in between until its cap. Letters: F flights that are up,
+C of them that are counted.
 """
 
 from __future__ import annotations
@@ -56,11 +57,10 @@ class Repeats:
         self._states.append(at(step.states, places))
         self._rewards.append(step.outcomes.reward[places])
         rounds = self._rounds[circling]
-        if len(circling) == len(self._states[0].layout) and len(self._rewards) < rounds.max():
+        all_fly = len(circling) == len(self._states[0].layout)
+        if all_fly and len(self._rewards) < rounds.max():
             return None
-        at_cap = None
-        if len(circling) == len(self._states[0].layout):
-            at_cap = counted(self._states, self._rewards, rounds, self._cap - step.number)
+        at_cap = counted(self._states, self._rewards, rounds, self._cap - step.number) if all_fly else None
         if at_cap is not None:
             step.ended[up.nonzero().flatten()[own]] = True
         self._rounds[self._circling] = 0

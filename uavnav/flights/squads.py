@@ -1,8 +1,8 @@
 """Flyers that act side by side: policies that differ in their weights alone are evaluated as one product.
 
 A product rounds by how many rows each network has, and not by how many networks. So each network's rows are filled up
-to a number that its own rows decide: whoever acts in a squad does, bit for bit, what it does alone. Letters: F flights
-that are up, P policies of a squad, N rows of each, filled up.
+to a number that its own rows decide: whoever acts among others does, bit for bit, what it does here alone. Letters: F
+flights that are up, P policies of a squad, N rows of each, filled up.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ Chosen = tuple[Tensor, Tensor | None]
 
 
 ROWS_AGREE_FROM = 4
-"""Rows from which a product rounds by its columns alone on the machines that were tried."""
+"""From so many rows, a product rounds by its columns alone on the machines that were tried; fewer round otherwise."""
 LEAST_ROWS = 16
-"""Of a network in a product; fewer take as long."""
+"""A network has at least so many rows in a product; fewer take as long."""
 
 
 class Alone(NamedTuple):
@@ -108,7 +108,7 @@ class Squads:
             action, numbers = squad.act(observation, values)
             actions.append(_checked(action, squad.rows.numel(), self._n_actions))
             behind += [numbers] if values and numbers is not None else []
-        return torch.cat(actions)[self._back], torch.cat(behind)[self._back] if behind else None
+        return torch.cat(actions)[self._back].long(), torch.cat(behind)[self._back] if behind else None
 
     def _deal(self, sizes: list[int]) -> None:
         """Who acts with whom: flyers of one kind whose rows are filled up to as many."""

@@ -18,7 +18,8 @@ VIEW_TOLERANCE = 1e-6
 """A direction counts as in front of the drone down to this much behind it, so that rounding never hides a neighbour."""
 
 FEW, MANY_ROWS = 36, 1024
-"""So few candidates as in the paper's world, 8 circles and 28 squares, of fewer rows are ranked by counting."""
+"""Up to `FEW` candidates, as many as the paper's 8 circles and 28 squares, are ranked by counting in a graph, if it has
+fewer than `MANY_ROWS` rows."""
 
 FAR = 1e6
 """Coordinates of a circle that is never sensed [px]."""
@@ -88,9 +89,8 @@ def clearance(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> Tensor:
 
 def _candidates(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> tuple[Tensor, Tensor, Tensor]:
     """Offsets to all that may be sensed, and the distance to its edge [px]: dx, dy, distance, each [N, ...]."""
-    if not obstacles.shape[
-        -2
-    ]:  # one far away: a graph would work squares out anew wherever they are not joined to some
+    # without a circle, a graph would work the squares out again in every comparison
+    if not obstacles.shape[-2]:
         obstacles = obstacles.new_tensor([[FAR, FAR, 0.0]]).expand(*x.shape, 1, 3)
     circle_x, circle_y, circle_distance = _offsets_to_circles(x, y, obstacles.movedim((-2, -1), (0, 1)))
     square_x, square_y = _offsets_to_squares(x, y, world)
@@ -156,12 +156,12 @@ def first_in_view(
     """The first ten candidates in view, nearest (or lowest index) first, ties by index; empty slots are padded.
 
     numbers [F, N, ...] of each candidate, after its direction the proximity (or where there are echoes the distance),
-    distance, in_view [N, ...], more [G, K, ...] numbers that only the first K candidates have, and the others' are zero
+    distance, in_view [N, ...], more [G, K, ...] further numbers of the first K candidates, which are zero of the others
     -> slots [F + G, 10, ...]. In a graph the candidates are gone through ten times, each time for the nearest that is
     left: adding and comparing fuse and vectorise where a sort and a scatter do not, and floats where flags and integers
     do not. `FEW` candidates of less than `MANY_ROWS` rows are ranked at once instead, each by the number of candidates
-    before it: that grows with N squared, but waits for nothing. Step by step nothing fuses, and a sort is five times
-    faster. All three ways give the same bits.
+    before it: that grows with N squared, but its steps do not depend on each other. Step by step nothing fuses, and a
+    sort is five times faster. All three ways give the same bits.
     """
     index, slot = (
         torch.arange(n, dtype=distance.dtype, device=distance.device).reshape(-1, *[1] * (distance.ndim - 1))

@@ -23,10 +23,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from uavnav import commands, help, plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.evaluate import evaluate_run, summary
+from uavnav.evaluate import evaluate_run, summary, usual_files
 from uavnav.help.choices import ConfigError, unknown, unknown_key
 from uavnav.policies import PolicyError
-from uavnav.runs import EVALUATION, Run
+from uavnav.runs import Run
 from uavnav.runs.tables import RunError
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import LayoutError
@@ -184,7 +184,7 @@ def _train(order: Order, quiet: bool) -> Run:
         summary.report(finished)
     elif not quiet:
         print(f"{out}: this run is already finished; overwrite=true starts it anew")
-    if here["evaluate"] and not (finished.path / EVALUATION).exists():
+    if here["evaluate"] and not (finished.path / usual_files(finished)[0]).exists():
         if not quiet:
             print("evaluating on the test split; evaluate=false skips this", flush=True)
         rows = evaluate_run(finished, quiet=quiet)

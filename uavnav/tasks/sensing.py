@@ -181,7 +181,7 @@ def first_in_view(
         before = (key[:, None] < key) | ((key[:, None] == key) & (index[:, None] < index))
         rank = before.sum(0, dtype=distance.dtype)
         found = [torch.where(rank[: part.shape[1]] == slot[:, None], part[:, None], 0.0).sum(2) for part in parts]
-        slots = torch.cat(found)
+        slots = found[0] if more is None else torch.cat(found)
     filled = slot < (key < math.inf).sum(0, dtype=distance.dtype)
     return _padded(slots, filled, world) if echoes is None else heard(slots, slots[_nth(world)], filled, world, echoes)
 

@@ -164,6 +164,33 @@ def test_compiled_flights_give_the_rows_of_eager_ones(monkeypatch, compiled_step
     pd.testing.assert_frame_equal(compiled.behaviour, eager.behaviour, rtol=1e-5)
 
 
+def test_many_flights_are_stepped_in_chunks_of_256_and_only_as_many_as_still_fly(monkeypatch):
+    """The graph itself is left out, so that rows are the same to the last bit."""
+    population = {seed: untrained(greedy=False, seed=seed) for seed in range(4)}
+    task, calls = on(make_task(EMPTY), episodes=200, max_steps=120), []
+    eager = evaluate.fly(population, task)
+
+    def graph(function):
+        def counted(action, *rest):
+            calls.append(len(action))
+            return function(action, *rest)
+
+        return counted
+
+    monkeypatch.setattr(machine, "EAGER_STEPS", 1)
+    monkeypatch.setattr(machine, "flights", lambda max_steps: True)
+    monkeypatch.setattr(flights.graph, "Graph", graph)
+    flights._graph.cache_clear()
+    chunked = evaluate.fly(population, task)
+    flights._graph.cache_clear()
+    up = [int((eager.episodes.steps > step).sum()) for step in range(int(eager.episodes.steps.max()))]
+    assert {*calls} == {256}
+    assert len(calls) == sum(-(-flying // 256) for flying in up)
+    assert (up[0], up[-1] <= 256) == (800, True)
+    pd.testing.assert_frame_equal(chunked.episodes, eager.episodes, check_exact=True)
+    pd.testing.assert_frame_equal(chunked.behaviour, eager.behaviour, check_exact=True)
+
+
 @pytest.mark.slow
 @pytest.mark.compiled
 @pytest.mark.parametrize("greedy", [True, False])

@@ -1,5 +1,6 @@
 """Flights that go round for ever are counted to their cap, and their rows are those of flying it all, bit for bit."""
 
+import dataclasses
 import itertools
 from pathlib import Path
 
@@ -170,6 +171,19 @@ def test_who_goes_round_leaves_the_flight_of_those_that_never_do_and_a_script_is
     assert (len(up), up[499], up[700:]) == (1_300, 9, [3] * 599 + [0])
     assert (rows.steps == 1_300).all()
     assert_same(*both(population, task, monkeypatch))
+
+
+def test_two_modes_at_once_leave_what_each_leaves_alone():
+    task = on(make_task(EMPTY), "test", 20, 1_500)
+    crews = {
+        "greedy": {0: untrained(), 1: policy_of(Always(50))},
+        "sampled": {seed: dataclasses.replace(untrained(seed), greedy=False) for seed in (0, 1)},
+    }
+    together = evaluate.fly_crews(crews, task)
+    assert [*together] == ["greedy", "sampled"]
+    for mode, crew in crews.items():
+        assert_same(together[mode], evaluate.fly(crew, task))
+    assert together["greedy"].episodes.truncated.sum() == 21
 
 
 def test_with_a_reward_of_a_plugin_it_is_flown(flown, monkeypatch):

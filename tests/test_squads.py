@@ -93,6 +93,14 @@ def test_a_squad_that_stays_together_is_stacked_once():
     assert [*squads._stacked] == [(0, 1), (2,)]
 
 
+def test_actions_of_32_bits_come_back_as_64():
+    crew = [(0, lambda seen, generator: torch.arange(len(seen), dtype=torch.int32)), (1, reactive)]
+    actions, _ = Squads(crew, 100).act(torch.rand(5, 30), [3, 2])
+    assert (actions.dtype, actions[:3].tolist()) == (torch.int64, [0, 1, 2])
+    alone, _ = Squads(crew[:1], 100).act(torch.rand(3, 30), [3])
+    assert alone.dtype == torch.int64
+
+
 def test_values_come_back_in_the_order_of_the_rows():
     crew = [(0, policy(0)), (1, policy(1, activation="relu")), (2, policy(2))]
     seen = torch.rand(6, 30)

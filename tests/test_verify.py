@@ -62,10 +62,12 @@ def edit(path, change):
         table.to_parquet(path, index=False)
 
 
-def edit_weights(folder, change):
+def edit_weights(folder, change, seeds=None):
     with safe_open(folder / POLICY, framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         header = file.metadata()
+    if seeds is not None:
+        header |= {"uavnav": json.dumps(json.loads(header["uavnav"]) | {"seeds": seeds})}
     change(tensors)
     save_file(tensors, folder / POLICY, metadata=header)
 
@@ -154,6 +156,27 @@ def test_a_weight_of_another_shape_or_a_missing_one_is_told(run, verdict):
     assert verdict(run)[1][1:] == ["  weights: policy.0.bias is float32 [2, 1, 9] then, float32 [2, 1, 64] now"]
     edit_weights(run, lambda tensors: tensors.pop("policy.0.bias"))
     assert verdict(run)[1][1:] == ["  weights: other tensors"]
+
+
+def test_of_a_file_with_the_weights_of_one_seed_these_are_compared_and_no_shorter_file_passes(run, verdict):
+    def first(tensors):
+        tensors.update({name: tensor[:1].contiguous() for name, tensor in tensors.items()})
+
+    edit_weights(run, first)  # its header names two seeds
+    assert verdict(run)[1][1].startswith("  weights: policy.0.bias is float32 [1, 1, 64] then, float32 [2, 1, 64] now")
+    seeds = Run(run).seeds
+    edit_weights(run, lambda tensors: None, seeds=seeds[:1])
+    status, (line,) = verdict(run)
+    assert status == 0
+    assert line.endswith(" tensors of 1 of its 2 seeds at 1,024 frames per seed")
+    edit_weights(run, lambda tensors: None, seeds=seeds[1:])
+    assert verdict(run)[0] == 1
+
+
+@pytest.mark.parametrize("seeds", [[], [99]])
+def test_weights_of_seeds_that_the_run_has_not_are_not_the_same(run, verdict, seeds):
+    edit_weights(run, lambda tensors: None, seeds=seeds)
+    assert verdict(run) == (1, [f"{run}: not the same", f"  weights: of the seeds {seeds} then, {Run(run).seeds} now"])
 
 
 def test_a_run_without_its_policy_is_compared_by_its_rows_and_says_so(run, verdict):

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 
 from uavnav import commands, plugins
@@ -44,20 +45,20 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     """Repeat a run, or its first `frames` frames per seed, in a scratch folder and compare.
 
     Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights if the
-    run has some: a repository may keep its rows alone, or the weights of its first seeds.
+    run has some: a repository may keep its rows alone, or the weights of some seeds.
 
     Raises:
         ConfigError, LayoutError, RunError: the run cannot be repeated.
     """
     config = _config(run)
-    original = _weights(run.path) if (run.path / POLICY).exists() else None
+    original, kept = _weights(run.path) if (run.path / POLICY).exists() else (None, run.seeds)
     whole = frames is None or frames >= run.frames
     processes = int(run.meta.get("processes", 1))
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "again"
         if whole:
             again = train(config, out=folder, quiet=quiet, processes=processes)
-            reached, meta, weights = again.frames, again.meta, _weights(folder)
+            reached, meta, (weights, _) = again.frames, again.meta, _weights(folder)
             tables = {"episodes": again.episodes, "progress": again.progress}
         else:
             try:
@@ -73,16 +74,19 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
         originals["episodes"] = finished(originals["episodes"])
     partings = [_parting(name, originals[name], tables[name]) for name in originals]
     if weights is not None and original is not None:
-        weights = {name: one[: len(original.get(name, one))] for name, one in weights.items()}
-        partings.append(_weights_parting(original, weights))
+        if kept and {*kept} <= {*run.seeds}:
+            weights = {name: one[[run.seeds.index(seed) for seed in kept]] for name, one in weights.items()}
+            partings.append(_weights_parting(original, weights))
+        else:
+            partings.append(f"  weights: of the seeds {kept} then, {run.seeds} now")
     lines = [line for line in partings if line]
     if lines:
         lines += [f"  {fact}: {there} then, {here} now" for fact, there, here in _differing(run.meta, meta)]
         return Verdict(False, [f"{run.path}: not the same", *lines])
     compared = f"{len(originals['episodes']):,} episodes, {len(originals['progress']):,} rows of progress"
-    compared += f" and {len(weights)} tensors" if weights is not None and original is not None else ""
-    seeds = len(next(iter(weights.values()))) if weights is not None and original is not None else len(run.seeds)
-    compared += f" of the first {seeds} seeds" if seeds < len(run.seeds) else ""
+    if weights is not None and original is not None:
+        fewer = "" if kept == run.seeds else f" of {len(kept)} of its {len(run.seeds)} seeds"
+        compared += f" and {len(weights)} tensors{fewer}"
     lines = [f"{run.path}: the same, bit for bit: {compared} at {reached:,} frames per seed"]
     lines += [f"  weights: not compared, no {POLICY} there; the run's command makes it"] if original is None else []
     return Verdict(True, lines)
@@ -122,11 +126,13 @@ def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
     return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
 
 
-def _weights(folder: Path) -> dict[str, torch.Tensor]:
+def _weights(folder: Path) -> tuple[dict[str, torch.Tensor], list[int]]:
+    """The tensors of a policy file, and the seeds that it holds."""
     path = folder / POLICY
     try:
-        return load_file(path)
-    except (OSError, SafetensorError) as error:
+        with safe_open(path, framework="pt") as file:
+            return load_file(path), list(json.loads(file.metadata()["uavnav"])["seeds"])
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
         raise RunError(f"{path}: missing or damaged ({error}); run again with overwrite=true") from error
 
 

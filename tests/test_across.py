@@ -9,7 +9,7 @@ import pytest
 
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
-from uavnav.evaluate import across
+from uavnav.evaluate import across, summary
 from uavnav.runs import Run
 from uavnav.runs.metrics import FLIGHTS
 from uavnav.runs.tables import RunError
@@ -69,6 +69,16 @@ def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
     assert flown[0.0] == 28 * 9  # 250 px from the start to where the drone touches the border
     assert flown[20.0] < flown[8.0] < flown[0.0]
     assert len(rows) == 11 * 10
+
+
+@pytest.mark.parametrize("columns", [40, 80, 200])
+def test_no_number_of_a_table_is_cut_off_whatever_the_width_of_the_terminal(columns, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    measures = [*FLIGHTS, "passages_per_1000_steps", "passages_per_flight"]
+    rows = [("runs/ppo/of_a_long_name", "sampled", 160.0, measure, 123.4) for measure in measures]
+    table = pd.DataFrame(rows, columns=["name", "mode", "rung", "measure", "value"])
+    summary.show(across.shown(table, "slalom"))
+    assert capsys.readouterr().out.count(" 123.4") == len(measures)
 
 
 def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_refused(tmp_path):

@@ -295,6 +295,7 @@ def test_a_run_trains_is_evaluated_with_four_metrics_more_and_verified(tmp_path,
     rows = evaluate.evaluate_run(run, episodes=3, quiet=True)
     assert (run.path / "evaluation-test-3-1000.parquet").exists()
     assert rows["steps"].max() <= 1000
+    assert evaluate.usual_files(run)[0] == "evaluation-test-200-1000.parquet"  # if it is there, `train` adds none
     assert set(metrics.own(rows).columns) == {"success", "collision", "time_out", "spl"}
     np.testing.assert_allclose(rows["shortest"], np.tile(bank[:3, 8, 2].numpy(), 2))
     assert verify.verify(run, quiet=True).same

@@ -3,13 +3,16 @@
 import json
 import shutil
 
+import pandas as pd
 import pytest
 import yaml
 
 from uavnav.__main__ import main
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.commands.runs import row, span
+from uavnav.evaluate import EPISODES, files_of
 from uavnav.runs import progress as told
+from uavnav.tasks.simulator import TASKS
 from uavnav.training import recorder
 from uavnav.training.recorder import Recorder
 
@@ -87,6 +90,15 @@ def test_rewards_are_means_over_the_test_flights_in_each_mode(results):
     found = row(path, NOW)
     for mode in ("sampled", "greedy"):
         assert found[f"reward_{mode}"] == pytest.approx(rows.loc[rows["mode"] == mode, "reward"].mean(), abs=1e-12)
+
+
+def test_the_reward_of_a_run_with_a_goal_is_that_of_its_own_cap_and_no_other_protocol_is_shown(tmp_path):
+    run = write(tmp_path / "run", "finished", task="goal")
+    rows = pd.DataFrame({"mode": ["greedy", "sampled"], "reward": [1.0, 2.0]})
+    rows.to_parquet(run / files_of("test", EPISODES, 500)[0])
+    assert row(run, NOW)["reward_sampled"] is None
+    rows.to_parquet(run / files_of("test", EPISODES, TASKS["goal"].MAX_STEPS)[0])
+    assert (row(run, NOW)["reward_greedy"], row(run, NOW)["reward_sampled"]) == (1.0, 2.0)
 
 
 def test_the_list_is_a_line_a_run_sorted_as_asked_and_json_holds_the_same(tmp_path, capsys, monkeypatch):

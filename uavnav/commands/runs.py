@@ -17,9 +17,10 @@ import pyarrow.compute
 import pyarrow.parquet
 
 from uavnav import commands
-from uavnav.runs import FINISHED, KINDS, SILENCE, Run, check_settings, progress, read_settings, run_folders
+from uavnav.runs import EVALUATION, FINISHED, KINDS, SILENCE, check_settings, progress, read_settings, run_folders
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
+from uavnav.tasks.protocol import CAPS, EPISODES
 
 MEANS = {f"reward_{mode}": mode for mode in reversed(MODES)}
 STATES = {FINISHED: "finished", "failed": "failed"}
@@ -45,7 +46,7 @@ def row(path: Path, now: float) -> dict[str, Any]:
         "frames": running.get("frames", meta.get("frames")),
         "total": config["total_frames"],
         "status": "running" if running else STATES.get(str(meta.get("status")), "stopped"),
-        **_rewards(path),
+        **_rewards(path, str(config.get("task", "drone"))),
         "age": _age(str(meta.get("ended") or meta.get("started")), now),
         **_pace(running),
     }
@@ -73,12 +74,13 @@ def _pace(running: Mapping[str, Any]) -> dict[str, float]:
     return {"frames_per_second": rate, "seconds_left": (running["total"] - running["frames"]) / rate}
 
 
-def _rewards(path: Path) -> dict[str, float | None]:
-    """The mean reward of a test flight in each mode."""
+def _rewards(path: Path, task: str) -> dict[str, float | None]:
+    """The mean reward of a test flight in each mode, by the run's own protocol."""
+    own = f"evaluation-test-{EPISODES}-{CAPS[task]}.parquet" if task in CAPS else EVALUATION
     try:
-        rows = pyarrow.parquet.read_table(Run(path).evaluations()[0], columns=["mode", "reward"], use_threads=False)
+        rows = pyarrow.parquet.read_table(path / own, columns=["mode", "reward"], use_threads=False)
         flown = {column: rows.filter(pyarrow.compute.equal(rows["mode"], mode)) for column, mode in MEANS.items()}
-    except (RunError, OSError, LookupError, pyarrow.ArrowException):  # there is none, or it is damaged
+    except (OSError, KeyError, pyarrow.ArrowException):  # there is none, or it is damaged
         return dict.fromkeys(MEANS)
     return {column: pyarrow.compute.mean(part["reward"]).as_py() for column, part in flown.items()}
 

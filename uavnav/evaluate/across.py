@@ -140,7 +140,7 @@ def shown(table: pd.DataFrame, name: str) -> Table:
     """A ladder as a table: a row a policy, mode and rung, a column a measure."""
     measures = list(dict.fromkeys(table["measure"]))
     text = Table(title=f"{name}: {LADDERS[name].words}", title_justify="left", box=None)
-    text.add_column("who", overflow="fold", min_width=18)
+    text.add_column("who", overflow="fold", width=18)
     text.add_column("")
     for column in ("rung", *map(in_words, measures)):
         text.add_column(column, justify="right")

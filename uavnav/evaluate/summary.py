@@ -157,8 +157,13 @@ def report(run: Run) -> None:
 
 
 def show(table: Table) -> None:
-    """Print a table; where nobody reads, as any other line is: rich would end the process with a status of its own."""
+    """Print a table, wider than the terminal rather than cut off.
+
+    Where nobody reads, it is as any other line is: rich would end the process with a status of its own.
+    """
     console = Console()
+    whole = console.measure(table, options=console.options.update(width=1000))  # as if the terminal were so wide
+    console.width = max(console.width, whole.minimum)
     with console.capture() as text:
         console.print(table)
     print(text.get(), end="")

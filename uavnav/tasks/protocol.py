@@ -27,6 +27,8 @@ SPLITS = {"train": Split(10_000, 0), "validation": Split(1_000, 2), "test": Spli
 EPISODES = 200
 MAX_STEPS = 10_000
 """An evaluation flies so many sets of the split `test`, with this cap on steps."""
+CAPS = {"goal": 1_000}
+"""The caps of tasks that have their own, in training and in evaluation."""
 
 
 def header(

@@ -16,6 +16,7 @@ from torch import Tensor
 from uavnav.help.choices import did_you_mean, unknown_key
 from uavnav.tasks import goal, moving, space
 from uavnav.tasks.faults import Faults
+from uavnav.tasks.protocol import CAPS
 from uavnav.tasks.rewards import REWARDS, Step, Terms
 from uavnav.tasks.sensing import Echoes, clearance, to_drone_frame
 from uavnav.tasks.state import State
@@ -82,7 +83,7 @@ class Goal(Task):
 
     WORLD = goal.GoalWorld
     REWARD = "goal"
-    MAX_STEPS = 1000
+    MAX_STEPS = CAPS["goal"]
     STATIC = True
     world: goal.GoalWorld
 

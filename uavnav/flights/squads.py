@@ -8,7 +8,7 @@ flights that are up, P policies of a squad, N rows of each, filled up.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,7 +24,6 @@ Flyers = Sequence[tuple[int, AnyPolicy]]
 """Seeds and their policies."""
 Chosen = tuple[Tensor, Tensor | None]
 """Actions, and the numbers behind them where they were asked for."""
-
 
 ROWS_AGREE_FROM = 4
 """From so many rows, a product rounds by its columns alone on the machines that were tried; fewer round otherwise."""
@@ -111,70 +110,71 @@ class Squads:
         return torch.cat(actions)[self._back].long(), torch.cat(behind)[self._back] if behind else None
 
     def _deal(self, sizes: list[int]) -> None:
-        """Who acts with whom: flyers of one kind whose rows are filled up to as many."""
-        groups: dict[object, list[int]] = {}
+        """Who acts with whom: flyers whose networks are of one kind and have as many rows, filled up."""
+        groups: dict[tuple[object, int], dict[object, list[int]]] = {}  # of each, flyers by how they act
         for flyer, (kind, size) in enumerate(zip(self._kinds, sizes, strict=True)):
             if size:
-                groups.setdefault(flyer if kind is None else (kind, self._width(flyer, size)), []).append(flyer)
+                group = groups.setdefault((flyer, size) if kind is None else (kind.network, kind.width(size)), {})
+                group.setdefault(kind and kind.acts, []).append(flyer)
         starts = [0, *itertools.accumulate(sizes)]
         kept, self._stacked = self._stacked, {}
         self._dealt, self._back, first = [], torch.empty(starts[-1], dtype=torch.int64), 0
-        for group in groups.values():
-            group = [flyer for alike in self._crews(group) for flyer in alike]
-            own = [torch.arange(starts[flyer], starts[flyer + 1]) for flyer in group]
-            if self._kinds[group[0]] is None:
-                self._dealt.append(Alone(self._policies[group[0]], self._generators[group[0]], own[0]))
+        for (_, width), crews in groups.items():
+            flyers = tuple(flyer for crew in crews.values() for flyer in crew)
+            own = {flyer: torch.arange(starts[flyer], starts[flyer + 1]) for flyer in flyers}
+            if self._kinds[flyers[0]] is None:
+                self._dealt.append(Alone(self._policies[flyers[0]], self._generators[flyers[0]], own[flyers[0]]))
             else:
-                self._dealt.append(self._squad(group, own, kept.get(tuple(group))))
-            width = self._dealt[-1].rows.shape[-1]
-            for place, rows in enumerate(own):
+                self._stacked[flyers] = kept.get(flyers) or self._as_one(flyers)
+                self._dealt.append(
+                    Squad(
+                        self._stacked[flyers],
+                        [self._crew(crew, own) for crew in crews.values()],
+                        torch.stack([_filled_up(rows, width) for rows in own.values()]),
+                    )
+                )
+            for place, rows in enumerate(own.values()):
                 self._back[rows] = first + place * width + torch.arange(len(rows))
-            first += len(group) * width
+            first += len(flyers) * width
         self._sizes = sizes
 
-    def _crews(self, group: Sequence[int]) -> list[list[int]]:
-        """Flyers by how they act."""
-        crews: dict[object, list[int]] = {}
-        for flyer in group:
-            policy = self._policies[flyer]
-            how = (policy.greedy, policy.acts, policy.epsilon) if isinstance(policy, Policy) else None
-            crews.setdefault(how, []).append(flyer)
-        return [*crews.values()]
+    def _as_one(self, flyers: Sequence[int]) -> Policy:
+        """One policy whose network has the agents of theirs."""
+        theirs = [policy for flyer in flyers if isinstance(policy := self._policies[flyer], Policy)]
+        return replace(theirs[0], network=stacked([policy.network for policy in theirs]))
 
-    def _squad(self, group: Sequence[int], own: Sequence[Tensor], as_one: Policy | None) -> Squad:
-        """Flyers as one, who have these rows; as_one: what they were before, if they were."""
-        policies = {flyer: policy for flyer in group if isinstance(policy := self._policies[flyer], Policy)}
-        if as_one is None:
-            one = next(iter(policies.values()))
-            as_one = replace(one, network=stacked([policy.network for policy in policies.values()]))
-        self._stacked[tuple(group)] = as_one
-        width = self._width(group[0], len(own[0]))
-        n = {flyer: len(rows) for flyer, rows in zip(group, own, strict=True)}
-        crews = [
-            Crew(policies[alike[0]], [self._generators[one] for one in alike], [n[one] for one in alike])
-            for alike in self._crews(group)
-        ]
-        return Squad(
-            as_one, crews, torch.stack([torch.cat([rows, rows[-1:].expand(width - len(rows))]) for rows in own])
-        )
+    def _crew(self, flyers: Sequence[int], own: Mapping[int, Tensor]) -> Crew:
+        """Flyers that act alike; own: everybody's rows."""
+        policy = self._policies[flyers[0]]
+        assert isinstance(policy, Policy)
+        return Crew(policy, [self._generators[flyer] for flyer in flyers], [len(own[flyer]) for flyer in flyers])
 
-    def _width(self, flyer: int, n: int) -> int:
-        """How many rows a flyer's network has in a product if it has n of its own: 16, 32, 64, ...
+
+class Kind(NamedTuple):
+    """What decides with whom a policy acts."""
+
+    network: tuple[object, ...]  # layers and head: of those alike, many are one product
+    acts: tuple[object, ...]  # how it acts, whether greedily first
+
+    def width(self, n: int) -> int:
+        """How many rows its network has in a product if it has n of its own: 16, 32, 64, ...
 
         Rows of greedy flights must not depend on how many are counted instead of flown. Sampled ones keep the 1 to 3
         rows that they had in all versions.
         """
-        policy = self._policies[flyer]
-        if n < ROWS_AGREE_FROM and not (isinstance(policy, Policy) and policy.greedy):
-            return n
-        return max(LEAST_ROWS, 1 << (n - 1).bit_length())
+        return n if n < ROWS_AGREE_FROM and not self.acts[0] else max(LEAST_ROWS, 1 << (n - 1).bit_length())
 
 
-def _kind(policy: AnyPolicy) -> tuple[object, ...] | None:
-    """What policies that can be evaluated as one have in common; None of one that acts alone."""
+def _kind(policy: AnyPolicy) -> Kind | None:
+    """That of a policy; None of one that acts alone."""
     if not isinstance(policy, Policy) or (layers := made_of(policy.network)) is None:
         return None
-    return layers, policy.head
+    return Kind((layers, policy.head), (policy.greedy, policy.acts, policy.epsilon))
+
+
+def _filled_up(rows: Tensor, width: int) -> Tensor:
+    """Rows [n], the last one again until there are as many as `width`."""
+    return torch.cat([rows, rows[-1:].expand(width - len(rows))])
 
 
 def _checked(action: Tensor, n: int, n_actions: int) -> Tensor:

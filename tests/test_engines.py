@@ -116,7 +116,9 @@ def assert_same_bits(out, alone, cells=("ppo/tanh",)):
         there, here = Run(alone / cell), Run(out / cell)
         assert not parting("episodes", there.episodes, here.episodes)
         assert not parting("progress", there.progress, here.progress)
-        assert not weights_parting(weights(alone / cell), weights(out / cell))
+        (mine, seeds), (theirs, others) = weights(alone / cell), weights(out / cell)
+        assert seeds == others
+        assert not weights_parting(mine, theirs)
         for name in files_of("test", 3, 50):
             assert (alone / cell / name).read_bytes() == (out / cell / name).read_bytes()
         assert not (out / cell / "checkpoint").exists()

@@ -6,9 +6,11 @@ import math
 import oracle
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs, step_mdp
 
 import uavnav
+from uavnav.envs import env as torchrl_env
 from uavnav.tasks import layouts
 
 COUNTS = ("steps", "stops", "full_stops", "turns", "distance")
@@ -410,6 +412,14 @@ def test_50_compiled_steps_equal_the_eager_ones(bank):
     assert compiled.eager() is compiled
     compiled.set_seed(1)
     same_rows(uavnav.DroneEnv([2, 3], layouts=bank, max_steps=20, seeds=[1, 2]), slice(None), compiled, actions)
+
+
+def test_without_tensordicts_private_constructor_50_steps_are_the_same(bank, monkeypatch):
+    usual, other = (uavnav.DroneEnv([2, 3], layouts=bank, seeds=[1, 2]) for _ in range(2))
+    expected = [after for after, _, _ in drive(usual, actions_of(usual, 50))]
+    monkeypatch.setattr(torchrl_env, "unchecked", TensorDict)
+    found = [after for after, _, _ in drive(other, actions_of(other, 50))]
+    assert all((one == another).all() for one, another in zip(found, expected, strict=True))
 
 
 @pytest.mark.parametrize("start_heading", ["up", "random"])

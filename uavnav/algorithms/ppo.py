@@ -26,6 +26,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms.losses import TraceableClipPPOLoss
 from uavnav.help import key
 from uavnav.help.choices import ConfigError
 from uavnav.networks import Init, mlp
@@ -125,21 +126,9 @@ def clip_bound(config: PPOConfig) -> float:
     return math.inf if config.clip_epsilon is None else config.clip_epsilon
 
 
-class _Loss(ClipPPOLoss):  # type: ignore[misc]
-    """TorchRL's own asks whether the entropy is finite, which no graph can be made of, and always clips."""
-
-    @property
-    def _clip_bounds(self) -> tuple[Tensor, Tensor]:
-        return (-self.clip_epsilon.clamp(max=1)).log1p(), self.clip_epsilon.log1p()
-
-    def _get_entropy(self, dist: Categorical, adv_shape: torch.Size) -> Tensor:
-        entropy: Tensor = dist.entropy()[..., None]  # type: ignore[no-untyped-call]
-        return entropy
-
-
 def make_loss(policy: nn.Module, value: nn.Module, config: PPOConfig) -> ClipPPOLoss:
     """Equations (2) and (4) as TorchRL's ClipPPOLoss with SB3's settings, one loss a row."""
-    return _Loss(
+    return TraceableClipPPOLoss(
         *make_actor_critic(policy, value),
         clip_epsilon=clip_bound(config),
         critic_coeff=config.critic_coeff,

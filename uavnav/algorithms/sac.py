@@ -19,13 +19,14 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import DiscreteSACLoss
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.dqn import DQNConfig, draw, make_buffer, make_sampler, rows
+from uavnav.algorithms.losses import PopulationSACLoss
 from uavnav.algorithms.ppo import make_actor_critic
 from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
@@ -121,54 +122,15 @@ def make_networks(config: SACConfig) -> tuple[nn.Sequential, Twins]:
     return network("policy network", 0.01), Twins(network("first Q network", 1.0), network("second Q network", 1.0))
 
 
-class _Loss(DiscreteSACLoss):  # type: ignore[misc]
-    """TorchRL's own, with a temperature for each agent and the twins behind the axis of agents.
-
-    TorchRL's one temperature would tie the agents together; it draws the second Q network from the global random state,
-    and keeps Q's parameters for the policy's loss as they were at the first call, which a graph would freeze.
-    """
-
-    def __init__(self, policy: nn.Sequential, twins: Twins, config: SACConfig) -> None:
-        actor, _ = make_actor_critic(policy, twins)
-        super().__init__(
-            actor,
-            TensorDictModule(twins, in_keys=["observation"], out_keys=["action_value"]),
-            action_space="categorical",
-            num_qvalue_nets=None,  # they are two already
-            loss_function="l2",
-            target_entropy=config.target_entropy * math.log(config.world.n_actions),
-            reduction="none",
-            scalar_output_mode="exclude",
-        )
-        self._has_update_associated["qvalue_network"] = True  # the targets follow in the learner
-        device = next(policy.parameters()).device
-        self.log_alpha = nn.Parameter(torch.zeros(config.n_seeds, 1, device=device))
-
-    def _make_vmap(self) -> None:
-        """Q of both networks by parameters that are given, in place of vmap over their copies."""
-        module = self.qvalue_network
-
-        def values(batch: TensorDictBase, parameters: TensorDictBase) -> TensorDictBase:
-            with parameters.to_module(module, preserve_module_state=False):  # else wrapped anew, which a graph freezes
-                found = module.module(batch["observation"])
-            return TensorDict({"action_value": found}, found.shape[:-1])
-
-        self._vmap_qnetworkN0 = values
-
-    @property
-    def _alpha(self) -> Tensor:
-        """[A, 1, 1]."""
-        return self.log_alpha.detach().exp()[..., None]
-
-    @property
-    def _cached_detached_qvalue_params(self) -> TensorDictBase:
-        """Those of this step."""
-        return self.qvalue_network_params.detach()
-
-
 def make_loss(policy: nn.Sequential, twins: Twins, config: SACConfig) -> DiscreteSACLoss:
     """All three losses as TorchRL's DiscreteSACLoss, one a row [A, N]."""
-    loss = _Loss(policy, twins, config)
+    actor, _ = make_actor_critic(policy, twins)
+    loss = PopulationSACLoss(
+        actor,
+        TensorDictModule(twins, in_keys=["observation"], out_keys=["action_value"]),
+        config.n_seeds,
+        target_entropy=config.target_entropy * math.log(config.world.n_actions),
+    )
     loss.make_value_estimator(gamma=config.gamma)
     return loss
 

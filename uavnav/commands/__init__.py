@@ -177,7 +177,7 @@ def _no_flag(word: str, algorithm: str, settings: Sequence[str], parser: Parser)
     path = texts.text_of(algorithm)
     keys = re.findall(r"^  (\w+)=", path.read_text(encoding="utf-8"), re.MULTILINE) if path.is_file() else []
     example = f"{key}={value or next(iter(settings), '...')}" if key in (*keys, "plugins") else "activation=tanh"
-    near = did_you_mean(flag, [name for action in parser._actions for name in action.option_strings])
+    near = did_you_mean(flag, parser.flags())
     return f"there is no flag {flag}{near}; settings are key=value: {example}"
 
 

@@ -22,6 +22,9 @@ from uavnav.tasks.simulator import Outcome, Task, make_task
 from uavnav.tasks.state import COUNTS, UP, State, where
 from uavnav.tasks.world import World
 
+unchecked = getattr(TensorDict, "_new_unsafe", TensorDict)
+"""As TorchRL's own environments make theirs: checks would cost more than a small step."""
+
 LEAVES = ("observation", "reward", "done", "terminated", "truncated")
 N_LEAVES = len(LEAVES)
 
@@ -240,10 +243,9 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self._tensordict({"observation": self._observation, **flags}, self.state)
 
     def _tensordict(self, leaves: dict[str, Tensor], state: State) -> TensorDict:
-        """Made as TorchRL's own environments make theirs, without checks, which would cost more than a small step."""
         kind: dict[str, Any] = {"batch_size": self.batch_size, "device": self.device}
         counts = {name: getattr(state, name) for name in ("layout", *COUNTS)}
-        return TensorDict._new_unsafe({**leaves, "episode": TensorDict._new_unsafe(counts, **kind)}, **kind)
+        return unchecked({**leaves, "episode": unchecked(counts, **kind)}, **kind)
 
 
 def _leaves(outcome: Outcome) -> dict[str, Tensor]:

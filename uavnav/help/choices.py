@@ -6,6 +6,7 @@ import argparse
 import difflib
 import io
 import os
+import re
 import sys
 from collections.abc import Collection
 from pathlib import Path
@@ -61,6 +62,10 @@ class Parser(argparse.ArgumentParser):
         """End the process with a line that says what is wrong."""
         self.exit(2, f"{self.prog.removeprefix('python -m ')}: {message}\n")
 
+    def flags(self) -> list[str]:
+        """All that this command takes, as its usage lists them."""
+        return re.findall(r"(?<=[\[ ])--?[a-z][a-z-]*", self.format_usage())
+
     def leave(self, text: str) -> NoReturn:
         """End the process with a text that was asked for."""
         self._print_message(text, sys.stdout)
@@ -75,9 +80,8 @@ class Parser(argparse.ArgumentParser):
         """As argparse, and suggests an option where a word is none."""
         found, strange = self.parse_known_intermixed_args(args, namespace)
         if strange:
-            options = [option for action in self._actions for option in action.option_strings]
             word = strange[0].partition("=")[0]
-            self.error(f"there is no argument {word}{did_you_mean(word, options)}")
+            self.error(f"there is no argument {word}{did_you_mean(word, self.flags())}")
         return found
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -29,8 +29,9 @@ class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
         if not isinstance(index, tuple):
             return super().get(index)
         rows, agents = index
-        drawn = (rows * self._storage.shape[1] + agents).flatten()
-        return self._storage._fast_apply(
+        whole = super().get(slice(None))
+        drawn = (rows * whole.shape[1] + agents).flatten()
+        return whole.apply(
             lambda column: column.flatten(0, 1).index_select(0, drawn).unflatten(0, rows.shape), batch_size=rows.shape
         )
 

@@ -21,6 +21,7 @@ from uavnav import ConfigError, PolicyError, Run, export, load_policy, plugins, 
 from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.evaluate.__main__ import main as fly_command
 from uavnav.runs import POLICY
+from uavnav.train import share
 from uavnav.train.__main__ import main as train_command
 from uavnav.window import play
 
@@ -230,6 +231,15 @@ def test_files_of_a_run_that_name_a_plugin_have_it_never_imported(bomb, capsys):
         assert "give --plugins bomb" in capsys.readouterr().err
 
 
+def test_the_file_of_a_studys_job_has_nothing_imported_either(bomb, monkeypatch):
+    monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
+    told = {"algorithm": "bomb", "kind": ["bomb", "Config"], "plugins": ["bomb"], "config": {}, "evaluation": None}
+    job = bomb.with_name("seeds.job")
+    job.write_text(json.dumps(told | {"out": str(bomb), "folder": str(bomb.parent)}))
+    share.main([str(job)])
+    assert json.loads(job.with_suffix(".ended").read_text())["error"].startswith("algorithm=bomb; choose from a2c, c51")
+
+
 def test_a_plugin_that_adds_nothing_a_run_needs_is_not_asked_for(bomb):
     path = bomb / POLICY
     save_file(load_file(path), path, metadata={"uavnav": json.dumps(header_of(path) | {"algorithm": "ppo"})})
@@ -320,11 +330,31 @@ def test_a_policy_that_could_not_be_read_again_is_refused_before_training(where,
     assert not (tmp_path / "run").exists()
 
 
-def test_a_plugin_that_has_changed_since_is_told_of(folder, run, monkeypatch):
-    monkeypatch.setattr(plugins, "LOADED", {"my_study": "0" * 64})
-    monkeypatch.setattr(plugins, "missing", lambda noted: "")
-    assert plugins.changed(run.meta["plugins"]) == ["my_study"]
-    assert plugins.changed({"another": "1" * 64}) == []
+def test_a_plugin_that_has_changed_since_is_told_of_also_by_the_command_that_finds_its_run_finished(folder):
+    file = folder / "my_study.py"
+    code = file.read_text()
+    words = ["-m", "uavnav", "train", "reinforce", "+plugins=my_study", *WORDS, "evaluate=false"]
+    assert "this run is already finished" in python(folder, *words)
+    try:
+        file.write_text(f"{code}\n# another line\n")
+        again = subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True, check=True)
+    finally:
+        file.write_text(code)
+    assert "hardswish: my_study is not what it was when this was trained\n" in again.stderr
+    assert "this run is already finished" in again.stdout
+
+
+def test_a_plugin_that_is_a_folder_is_another_one_once_any_of_its_files_changes(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(plugins, "LOADED", {})
+    (tmp_path / "my_package").mkdir()
+    seen = set()
+    for code in ("", "one = 1\n", "one = 2\n"):
+        (tmp_path / "my_package" / "__init__.py").touch()
+        (tmp_path / "my_package" / "rewards.py").write_text(code)
+        plugins.load("my_package")
+        seen.add(plugins.LOADED.pop("my_package"))
+    assert len(seen) == 3
 
 
 def test_a_module_that_is_not_there_is_one_line_and_no_names_are_no_import(tmp_path, monkeypatch):

@@ -124,7 +124,7 @@ def test_a_share_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_o
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
-    monkeypatch.setattr(share, "_train", lambda described: {"finished": 64})
+    monkeypatch.setattr(share, "_train", lambda *given: {"finished": 64})
     monkeypatch.setattr(share, "Run", lambda out: out)
     monkeypatch.setattr(share, "evaluate_run", flown)
     job = tmp_path / "seeds.job"

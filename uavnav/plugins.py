@@ -10,8 +10,10 @@ import hashlib
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from uavnav import networks
@@ -19,7 +21,7 @@ from uavnav.help.choices import ConfigError
 from uavnav.tasks import rewards, simulator
 
 LOADED: dict[str, str] = {}
-"""The plugins of this process: name -> SHA-256 of its file."""
+"""The plugins of this process: name -> SHA-256 of its file, or of all files of a package."""
 
 TABLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "activation": (networks.ACTIVATIONS, networks.KNOWN),
@@ -57,12 +59,22 @@ def load(names: str | Sequence[str] | None) -> None:
                 raise ConfigError(f"plugins={name}: {setting}={taken[0]} is there already; give yours another name")
             table |= added
             known |= added
-        LOADED[name] = hashlib.sha256(Path(module.__file__).read_bytes()).hexdigest() if module.__file__ else ""
+        LOADED[name] = _sha256(module)
 
 
-def changed(noted: Mapping[str, str]) -> list[str]:
-    """Which of a run's plugins are loaded, and are not what they were when it was trained."""
-    return [name for name, sha in noted.items() if LOADED.get(name, sha) != sha]
+def _sha256(module: ModuleType) -> str:
+    """Of a module's file; of all Python files of a package, in the order of their paths; empty without any."""
+    folders = [Path(folder) for folder in getattr(module, "__path__", ())]
+    files = [file for folder in folders for file in sorted(folder.rglob("*.py"))] or [Path(module.__file__ or "")]
+    code = b"".join(file.read_bytes() for file in files if file.is_file())
+    return hashlib.sha256(code).hexdigest() if code else ""
+
+
+def warn_of_changed(path: Path, noted: Mapping[str, str]) -> None:
+    """Say which of a run's plugins are loaded, and are not what they were when it was trained."""
+    for name, sha in noted.items():
+        if LOADED.get(name, sha) != sha:
+            warnings.warn(f"{path}: {name} is not what it was when this was trained", stacklevel=3)
 
 
 def missing(noted: Mapping[str, str] | Collection[str]) -> str:

@@ -7,7 +7,6 @@ import json
 import os
 import pickle
 import re
-import warnings
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -215,8 +214,8 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
     _check_sizes(path, inputs, outputs, trained_in)
     facts = path.with_name("meta.json")
-    for name in plugins.changed(read_settings(facts).get("plugins", {})) if noted and facts.is_file() else ():
-        warnings.warn(f"{path}: {name}.py is not what it was when this was trained", stacklevel=2)
+    if noted and facts.is_file():
+        plugins.warn_of_changed(path, read_settings(facts).get("plugins", {}))
     for key, tensor in policy.items():
         if not tensor.isfinite().all():
             raise Diverged(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")

@@ -146,8 +146,8 @@ def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
 
 
 def names_in(settings: Sequence[str], key: str) -> list[str]:
-    """The names in `key=name` or `key=[one,other]` among the settings of a command line."""
-    values = [word.partition("=")[2] for word in settings if word.startswith(f"{key}=")]
+    """The names in `key=name` or `key=[one,other]` among the settings of a command line, which may begin with a +."""
+    values = [word.partition("=")[2] for word in settings if word.lstrip("+").startswith(f"{key}=")]
     names = [name.strip() for value in values for name in value.strip("[]").split(",")]
     return [name for name in names if name and name != "null"]
 

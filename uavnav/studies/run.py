@@ -250,7 +250,7 @@ class Study:
         job = share.folder.with_name(f"{share.folder.name}.job")
         described |= {"evaluation": work.cell.evaluation, "folder": str(Path.cwd())}
         write(job, json.dumps(described).encode())
-        words = ["-m", "uavnav.train.share", str(job)]
+        words = ["-m", "uavnav.train.share", *plugins.LOADED, str(job)]
         return engines.logged(words, job.with_suffix(".log"))
 
     def _evaluation(self, work: Work) -> list[str]:

@@ -180,6 +180,7 @@ def _train(order: Order, quiet: bool) -> Run:
     config, out, here = order
     how = {key: here[key] for key in ("overwrite", "checkpoint_seconds", "logger")}
     finished = train(config, out=out, quiet=quiet, **how)
+    plugins.warn_of_changed(finished.path, finished.meta.get("plugins", {}))
     if not quiet and finished.fresh:
         summary.report(finished)
     elif not quiet:

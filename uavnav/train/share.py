@@ -18,13 +18,14 @@ import sys
 import threading
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from uavnav import files, plugins
+from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import evaluate_run
-from uavnav.help.choices import ConfigError
+from uavnav.help.choices import ConfigError, unknown
 from uavnav.policies import Diverged, PolicyError
 from uavnav.runs import STOP, Run
 from uavnav.runs.tables import Columns, RunError, with_reward
@@ -61,17 +62,29 @@ def _hear_nothing(number: int, frame: object) -> None:
     """Let a signal pass, as `signal.SIG_IGN` does, which a compiler that is started would inherit."""
 
 
-def _recorder(described: dict[str, Any], log: Log | None = None) -> Recorder:
+def _told(described: dict[str, Any]) -> Any:
+    """The class of a configuration, from wherever the one that started this process had it."""
     plugins.load(described["plugins"])
     module, name = described["kind"]
-    config = getattr(importlib.import_module(module), name).from_mapping(described["config"])
-    return Recorder(Path(described["out"]), config, log=log, **described["how"])
+    return getattr(importlib.import_module(module), name)
 
 
-def _train(described: dict[str, Any], tell: Tell | None = None, log: Log | None = None) -> dict[str, Any]:
-    """Train a share, and say how that ended."""
+def _listed(described: dict[str, Any], names: Sequence[str]) -> Any:
+    """The same for a file, which cannot have anything imported: of the table, with these plugins in it."""
+    plugins.load(names)
+    name = described["algorithm"]
+    if name not in ALGORITHMS:
+        raise unknown("algorithm", name, ALGORITHMS)
+    return ALGORITHMS[name].config
+
+
+def _train(
+    described: dict[str, Any], kind: Callable[[], Any], tell: Tell | None = None, log: Log | None = None
+) -> dict[str, Any]:
+    """Train a share, and say how that ended; kind: gives the class of its configuration."""
     try:
-        recorder = _recorder(described, log)
+        config = kind().from_mapping(described["config"])
+        recorder = Recorder(Path(described["out"]), config, log=log, **described["how"])
         if recorder.finished:
             run = Run(recorder.path)
             if log is not None:
@@ -108,7 +121,7 @@ def listened_to() -> None:
     def log(rows: Columns) -> None:
         say(channel, rows={name: column.tolist() for name, column in rows.items()})
 
-    last = _train(described, tell, log if described["log"] else None)
+    last = _train(described, lambda: _told(described), tell, log if described["log"] else None)
     for number in STOPS:
         signal.signal(number, signal.SIG_IGN)  # there is nothing left to save
     say(channel, **last)
@@ -116,8 +129,11 @@ def listened_to() -> None:
     watch.join()  # a thread that woke while the interpreter ends would end the process loudly
 
 
-def unheard(job: Path) -> None:
-    """Train the share that a file describes, in the folder that was made for it, and write beside it how that ended."""
+def unheard(job: Path, names: Sequence[str] = ()) -> None:
+    """Train the share that a file describes, in the folder that was made for it, and write beside it how that ended.
+
+    names: of the plugins that the study was given.
+    """
     try:
         described = json.loads(job.read_text())
         out, folder, evaluation = Path(described["out"]), described["folder"], described["evaluation"]
@@ -129,7 +145,8 @@ def unheard(job: Path) -> None:
     if not out.is_dir():
         raise SystemExit(f"{out}: is gone; another process has taken this run over")
     os.chdir(folder)
-    last = {"stopped": 0, "wanted": True} if (out / STOP).exists() else _train(described)
+    stopped = (out / STOP).exists()
+    last = {"stopped": 0, "wanted": True} if stopped else _train(described, lambda: _listed(described, names))
     if "finished" in last and evaluation is not None:
         try:
             evaluate_run(Run(out), **evaluation, quiet=True)
@@ -139,11 +156,11 @@ def unheard(job: Path) -> None:
 
 
 def main(argv: Sequence[str]) -> None:
-    """Train the share that is described in a file, or on the standard input."""
+    """Train the share that is described in a file, the last word after those of plugins, or on the standard input."""
     warnings.formatwarning = lambda message, *where, **more: f"{message}\n"
     warnings.filterwarnings("ignore", machine.EAGER)  # the one that started this process has said it
     if argv:
-        unheard(Path(argv[0]))
+        unheard(Path(argv[-1]), argv[:-1])
     else:
         listened_to()
 

@@ -91,6 +91,7 @@ def described(
     return {
         "out": str(path),
         "plugins": list(plugins.LOADED),
+        "algorithm": config.algorithm,
         "kind": [type(config).__module__, type(config).__name__],
         "config": plain(config),
         "threads": threads,

@@ -160,9 +160,15 @@ def test_five_updates_as_a_graph_are_those_of_a_slow_loop_also_where_torch_compi
     torch.testing.assert_close(found, torch.stack(losses).mean(0))
 
 
+def refuses(*given, **how):
+    raise RuntimeError("another contract")
+
+
 @pytest.mark.compiled
-def test_a_pytorch_whose_parts_take_other_arguments_is_left_to_torch_compile(monkeypatch):
-    monkeypatch.setattr(graph, "standalone_compile", lambda traced, given: None)
+@pytest.mark.parametrize("part", ["standalone_compile", "make_fx"])
+@pytest.mark.parametrize("changed", [lambda function, given: None, refuses], ids=["other arguments", "refuses"])
+def test_a_pytorch_whose_parts_have_changed_is_left_to_torch_compile(part, changed, monkeypatch):
+    monkeypatch.setattr(graph, part, changed)
     (found,) = Graph(lambda x: (2 * x,))(torch.ones(3))
     assert found.tolist() == [2, 2, 2]
 

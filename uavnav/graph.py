@@ -1,7 +1,8 @@
 """Functions of tensors as compiled graphs. Only this file uses private parts of PyTorch.
 
 `torch.compile` checks at every call whether the function's Python has changed. For a small step, this check takes as
-long as the arithmetic, so a `Graph` is traced once instead. If PyTorch lacks a private part, `torch.compile` is used.
+long as the arithmetic, so a `Graph` is traced once instead. Where PyTorch's private parts are missing or have changed,
+`torch.compile` is used.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ try:
     from torch._higher_order_ops.while_loop import while_loop_op
     from torch._inductor import standalone_compile
     from torch.fx.experimental.proxy_tensor import make_fx
-except ImportError:  # torch.compile is used instead
+except ImportError:
     make_fx = standalone_compile = while_loop_op = None  # type: ignore[assignment]
 
 Tensors = Sequence[Tensor]
@@ -64,15 +65,14 @@ class Graph:
     def _compile(self, tensors: Tensors) -> Function:
         with torch._inductor.config.patch(SETTINGS):
             try:
-                traced = self._traced(tensors)
-            except _MissingError:
-                return _left_to_torch(self.function)
+                return self._traced(tensors)
             except Exception as error:  # a caller's activation or reward may raise any kind
+                if not _parts_work():
+                    return _left_to_torch(self.function)
                 raise ConfigError(
                     f"no graph can be made ({telling_line(error)}); activations and rewards are torch operations alone,"
                     " without NumPy and branches on values: or give compile=off"
                 ) from error
-            return traced
 
     def _traced(self, tensors: Tensors) -> Function:
         return _compiled(self.function, tensors, self.options)
@@ -111,8 +111,6 @@ class Loop(Graph):
         return (torch.stack(total).mean(0),)
 
     def _traced(self, tensors: Tensors) -> Function:
-        if make_fx is None or while_loop_op is None:
-            raise _MissingError
         rates, *others = tensors
         state, constants, batches = self._split(others)
         first = rates[0], *state, *constants, *(batch[:, 0] for batch in batches)
@@ -145,8 +143,14 @@ class Loop(Graph):
         return _compiled(loop, tensors, self.options)
 
 
-class _MissingError(Exception):
-    """This PyTorch lacks a private part that tracing needs, or has changed it."""
+def _parts_work() -> bool:
+    """Whether PyTorch's private parts still do what they did, tried with a tiny loop."""
+    tiny = Loop(lambda rate, state, batch: (batch.sum()[None, None], state + rate * batch.mean(1)), 1, 0)
+    try:
+        tiny._traced((torch.ones(2), torch.ones(1), torch.ones(1, 2, 1)))
+    except Exception:  # of whatever kind
+        return False
+    return True
 
 
 def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> Function:
@@ -155,23 +159,14 @@ def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> 
         torch.empty_strided(tensor.shape, tensor.stride(), dtype=tensor.dtype, device=tensor.device)
         for tensor in tensors
     ]
-    if make_fx is None or standalone_compile is None:
-        raise _MissingError
-    try:
-        tracer = make_fx(function, tracing_mode="fake", _allow_non_fake_inputs=True)
-    except TypeError as error:
-        raise _MissingError from error
-    traced = tracer(*given)
-    try:
-        graph: Function = standalone_compile(
-            traced,
-            given,
-            dynamic_shapes="from_example_inputs",
-            options={"config_patches": options},
-            donate_graph_module=True,
-        )
-    except (TypeError, AttributeError, ImportError) as error:
-        raise _MissingError from error
+    traced = make_fx(function, tracing_mode="fake", _allow_non_fake_inputs=True)(*given)
+    graph: Function = standalone_compile(
+        traced,
+        given,
+        dynamic_shapes="from_example_inputs",
+        options={"config_patches": options},
+        donate_graph_module=True,
+    )
     return graph
 
 

@@ -138,6 +138,26 @@ def test_a_run_keeps_a_row_an_episode_and_a_figure_a_ladder_and_stays_the_run_it
     assert Run(run.path).evaluations() == []
 
 
+@pytest.mark.parametrize(("given", "caps"), [(None, (2000, 1000)), (1500, (1500, 1500))])
+def test_each_run_flies_by_the_cap_of_its_own_task_unless_one_is_given(given, caps, run, tmp_path, monkeypatch):
+    config = ppo.PPOConfig(task="goal", total_frames=64, n_worlds=2, frames_per_batch=64, hidden=(8,), epochs=1)
+    goal = ppo.train(config, out=tmp_path / "goal", quiet=True)
+    flown, told, climb = {}, [], across.climb
+
+    def short(who, ladder, episodes, max_steps, *others):
+        flown[who.name] = max_steps
+        return climb(who, ladder, episodes, 2, *others)
+
+    monkeypatch.setattr(across, "climb", short)
+    across.across({"plain": run, "goal": goal}, ["sticky"], 1, given, tmp_path, quiet=True, tell=told.append)
+    assert (flown["plain"], flown["goal"], flown["reactive"]) == (*caps, caps[0])
+    assert pd.read_parquet(goal.path / f"across-sticky-1-{caps[1]}.parquet").attrs["max_steps"] == caps[1]
+    assert (tmp_path / f"across-sticky-1-{caps[0]}.png").exists()
+    scripts = "random 2,000, straight 2,000, reactive 2,000"
+    differ = f"caps on steps differ (plain 2,000, goal 1,000, {scripts}); --max-steps gives all the same"
+    assert told == ([] if given else [differ])
+
+
 def test_the_figure_says_its_rewards_in_words_and_leaves_the_greedy_flights_out():
     ladder = LADDERS["arc"]
     table = pd.DataFrame(

@@ -73,6 +73,11 @@ def test_in_its_own_world_a_policy_flies_as_an_evaluation_of_its_run(runs, capsy
         assert own["reward"].tolist() == kept["reward"].tolist()
 
 
+@pytest.mark.parametrize(("given", "caps"), [(None, (2000, 1000)), (1500, (1500, 1500)), (30, (30, 30))])
+def test_a_cap_that_is_given_holds_in_every_world_and_else_that_of_each_task(given, caps, runs):
+    assert tuple(transfer.place(runs[name], 1, given).task.max_steps for name in ("paper", "goal")) == caps
+
+
 def test_the_figure_frames_the_world_of_training_and_says_every_number():
     rows = [
         ["a", "sampled", world, "reward", 2, value, value - 1, value + 1]

@@ -24,7 +24,7 @@ from uavnav.runs.tables import RunError, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
 from uavnav.tasks.faults import Faults, from_words
 from uavnav.tasks.ladders import measure_of
-from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, GROUPS, MAX_STEPS
+from uavnav.tasks.protocol import DRAWS, GROUPS, MAX_STEPS
 from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task, name_of
 
 
@@ -80,8 +80,7 @@ def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPoli
     quiet = arguments.quiet or arguments.json
     tell = functools.partial(print, file=sys.stderr)
     if arguments.transfer:
-        cap = ACROSS_STEPS if arguments.max_steps is None else arguments.max_steps
-        records = transfer(found, arguments.episodes, cap, arguments.out, quiet, tell)
+        records = transfer(found, arguments.episodes, arguments.max_steps, arguments.out, quiet, tell)
     else:
         names = dict.fromkeys(one for word in arguments.across for one in GROUPS.get(word, (word,)))
         bounds = arguments.episodes, arguments.max_steps, arguments.out

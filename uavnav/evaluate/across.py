@@ -160,10 +160,14 @@ def _number(value: float) -> str:
     return style.number(round(value, 9)) if np.isfinite(value) else "–"
 
 
+def _task_of(one: Flyer, scripted: Task) -> Task:
+    """What it was trained in, or what scripts fly."""
+    return one.first.task if isinstance(one.first, Policy) else scripted
+
+
 def _has(one: Flyer, scripted: Task, ladder: Ladder) -> bool:
     """Whether the world that it flies in has a ladder."""
-    task = one.first.task if isinstance(one.first, Policy) else scripted
-    return not ladder.of or banks.kind_of(task.world) in ladder.of
+    return not ladder.of or banks.kind_of(_task_of(one, scripted).world) in ladder.of
 
 
 def across(
@@ -179,10 +183,11 @@ def across(
 ) -> list[dict[str, Any]]:
     """Fly all that is named, and the scripted baselines, across ladders; keep rows and a figure.
 
-    The cap on steps is 2,000 if none is given, or that of the first policy's task where it is lower. Scripts fly what
-    the first policy was trained in; without one, the world of `task`. A ladder that somebody's world does not have is
-    left out, and `tell` is told so. The rows of a run lie in its folder, figures in `out` or else in the first run's
-    folder. `alone`, policies fly only as in training, without scripts and a figure.
+    The cap on steps is 2,000 if none is given, or that of somebody's own task where it is lower; `tell` is told of caps
+    that differ, and a figure is named after the highest. Scripts fly what the first policy was trained in; without one,
+    the world of `task`. A ladder that somebody's world does not have is left out, and `tell` is told so. The rows of a
+    run lie in its folder, figures in `out` or else in the first run's folder. `alone`, policies fly only as in
+    training, without scripts and a figure.
 
     Returns:
         What the tables show, for JSON.
@@ -198,8 +203,7 @@ def across(
         flyers = [one._replace(by_mode=own) for one, own in zip(flyers, acted, strict=True)]
     trained = (replace(one.first.task, stack=1) for one in flyers if isinstance(one.first, Policy))
     theirs = next(trained, make_task(EMPTY, task=task))
-    max_steps = theirs.cap(ACROSS_STEPS) if max_steps is None else max_steps
-    check_bounds(episodes, max_steps, SPLITS["test"].n)
+    check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, SPLITS["test"].n)
     folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
     check_out(folder / "across.svg")
     climbed = []
@@ -213,17 +217,21 @@ def across(
         raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {', '.join(fit)}")
     if not alone:
         flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
+    caps = {one.name: max_steps or _task_of(one, theirs).cap(ACROSS_STEPS) for one in flyers}
+    if len(set(caps.values())) > 1:
+        told = ", ".join(f"{name} {cap:,}" for name, cap in caps.items())
+        tell(f"caps on steps differ ({told}); --max-steps gives all the same")
     folder.mkdir(parents=True, exist_ok=True)
     records: list[dict[str, Any]] = []
     for name in climbed:
-        rows, kept = {}, rows_across(name, episodes, max_steps)
-        stem = Path(kept).stem
+        rows, stem = {}, Path(rows_across(name, episodes, max(caps.values()))).stem
         for one in flyers:
-            rows[one.name] = climb(one, LADDERS[name], episodes, max_steps, quiet, theirs)
+            cap = caps[one.name]
+            rows[one.name] = climb(one, LADDERS[name], episodes, cap, quiet, theirs)
             if one.folder is not None:
-                rows[one.name].attrs = {"ladder": name, "episodes": episodes, "max_steps": max_steps}
+                rows[one.name].attrs = {"ladder": name, "episodes": episodes, "max_steps": cap}
                 with lock(one.folder):
-                    write_table(one.folder / kept, rows[one.name])
+                    write_table(one.folder / rows_across(name, episodes, cap), rows[one.name])
         table = judged(rows)
         if not quiet:
             summary.show(shown(table, name))

@@ -30,6 +30,7 @@ from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import WORLD, AnyPolicy
 from uavnav.tasks.ladders import Measure, measure_of, reached
+from uavnav.tasks.protocol import ACROSS_STEPS
 from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
 
 FLOWN = "flown_in"
@@ -44,17 +45,17 @@ class Place(NamedTuple):
     measure: Measure | None
 
 
-def place(run: Run, episodes: int, max_steps: int) -> Place:
+def place(run: Run, episodes: int, max_steps: int | None) -> Place:
     """Where a run was trained: its world and faults, on the first test sets that belong to its bank.
 
-    A task's own cap holds where it is lower.
+    The cap on steps is 2,000 if none is given, or the task's own where that is lower.
 
     Raises:
         LayoutError: there are no such sets.
         RunError: its settings name no world.
     """
     task, layouts = trained_in(run)
-    flown = task.on(layouts, task.cap(max_steps))
+    flown = task.on(layouts, max_steps or task.cap(ACROSS_STEPS))
     return Place(named(task, layouts), flown.with_bank(flown.bank[:episodes]), measure_of(layouts))
 
 
@@ -86,7 +87,7 @@ def named(task: Task, layouts: str) -> str:
 
 
 def sort(
-    found: Mapping[str, Run | Mapping[str, AnyPolicy]], episodes: int, max_steps: int
+    found: Mapping[str, Run | Mapping[str, AnyPolicy]], episodes: int, max_steps: int | None
 ) -> tuple[list[tuple[Flyer, str]], list[Place], list[str]]:
     """Who flies, each with the world that it was trained in; the worlds; and who is left out.
 
@@ -193,13 +194,14 @@ def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
 def transfer(
     found: Mapping[str, Run | Mapping[str, AnyPolicy]],
     episodes: int,
-    max_steps: int,
+    max_steps: int | None,
     out: Path | None,
     quiet: bool,
     say: Any = print,
 ) -> list[dict[str, Any]]:
     """Fly all that is named in every world of their training; rows and a figure lie in `out` or the first run's folder.
 
+    max_steps: as of `place`; files are named after the highest cap.
     say: is told, in one line, who is left out because it sees or does something else.
 
     Returns:
@@ -209,14 +211,15 @@ def transfer(
         LayoutError, PolicyError, RunError: a bank or a policy cannot be read, or a file not be written.
         ValueError: a count below 1, or more sets than a bank has.
     """
-    check_bounds(episodes, max_steps, banks.SPLITS["test"].n)
+    check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, banks.SPLITS["test"].n)
     flyers, places, left_out = sort(found, episodes, max_steps)
     if left_out:
         size, actions = places[0].task.world.observation_size, places[0].task.world.n_actions
         say(f"left out, for they have not {size} numbers to see and these {actions} actions: {', '.join(left_out)}")
     folder = out or next(who.folder for who, _ in flyers if who.folder is not None)
     names = hashlib.sha256("\n".join(map(str, found)).encode()).hexdigest()[:6]  # others may have a matrix there
-    stem = f"transfer-{episodes}-{max_steps}-{names}"
+    cap = max(one.task.max_steps or 0 for one in places)
+    stem = f"transfer-{episodes}-{cap}-{names}"
     check_out(folder / f"{stem}.parquet")
     rows = {who.name: pd.concat([visit(who, one, quiet) for one in places], ignore_index=True) for who, _ in flyers}
     trained = {who.name: where for who, where in flyers}
@@ -224,7 +227,7 @@ def transfer(
     kept = pd.concat(
         [one.assign(policy=name, trained_in=trained[name]) for name, one in rows.items()], ignore_index=True
     )
-    kept.attrs = {"episodes": episodes, "max_steps": max_steps}
+    kept.attrs = {"episodes": episodes, "max_steps": cap}
     svg, png = style.save(draw(table, trained).figure)
     folder.mkdir(parents=True, exist_ok=True)
     with lock(folder):

@@ -74,6 +74,22 @@ def test_a_cell_is_flown_on_the_test_sets_of_its_rung_and_across_ladders_once_it
 
 
 @pytest.mark.parametrize(
+    ("said", "flown"),
+    [
+        ("true", {"episodes": 200, "max_steps": 1000}),
+        ("{episodes: 5}", {"episodes": 5, "max_steps": 1000}),
+        ("{max_steps: 3000}", {"episodes": 200, "max_steps": 3000}),
+    ],
+)
+def test_a_cell_with_a_goal_is_flown_for_1000_steps_unless_its_study_says_another_cap(said, flown, tmp_path):
+    text = f"cells: [{{algorithm: ppo, task: goal, evaluate: {said}}}]"
+    (cell,) = studies.cells(studies.read(written(tmp_path, text)), tmp_path)
+    assert cell.evaluation == flown
+    (words,) = scripted([cell], tmp_path)
+    assert words[words.index("--max-steps") + 1] == str(flown["max_steps"])
+
+
+@pytest.mark.parametrize(
     ("layouts", "test"),
     [("train", "test"), ("slalom-80/train", "slalom-80/test"), ("runs/banks/4/train.safetensors", "test")],
 )

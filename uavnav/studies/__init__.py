@@ -5,8 +5,8 @@
     settings:                   # of every cell, unless it says otherwise
       activation: [tanh, relu]  # a list stands for a cell each, in all combinations
       n_seeds: 20               # any setting of an algorithm
-      evaluate: {episodes: 10, max_steps: 500}  # by default 200 test sets of 10,000 steps; false: not at all;
-                                # with `across: [density]` the rungs of ladders too
+      evaluate: {episodes: 10, max_steps: 500}  # by default 200 test sets of 10,000 steps, or of the task's own cap
+                                # where that is lower; false: not at all; with `across: [density]` ladders too
       dqn: {learning_starts: 1000}              # of one algorithm's cells
     cells:
       - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in {out}/rate-0.001/ppo/tanh and so on
@@ -32,13 +32,15 @@ from uavnav.help.choices import ConfigError, choose_from, unknown, unknown_key
 from uavnav.tasks import layouts
 from uavnav.tasks.layouts import judged_on
 from uavnav.tasks.protocol import LADDER_NAMES, SPLITS
+from uavnav.tasks.simulator import TASKS
 from uavnav.training.config import PARTS, TrainConfig, checked
 
 HERE = Path(__file__).parent
 KEYS = ("what", "banks", "settings", "cells", "scripts", "tune")
 OF_CELLS = ("folder", "algorithm", "evaluate")
 """Keys of a cell that are no settings of its algorithm."""
-PROTOCOL = {"episodes": EPISODES, "max_steps": MAX_STEPS}
+PROTOCOL = ("episodes", "max_steps")
+"""Keys of `evaluate` that every cell is flown by."""
 BANK = "layouts"
 """A key of `evaluate` for another bank than the test sets."""
 
@@ -219,7 +221,7 @@ def _cell(said: Mapping[str, Any], out: Path) -> Cell:
     folder = _filled("folder", said.get("folder", ""), names)
     if not (out / folder).resolve().is_relative_to(out.resolve()):
         raise ConfigError(f"folder={folder}: leads out of the study's own; give one within")
-    evaluation, across = _protocol(said.get("evaluate", True))
+    evaluation, across = _protocol(said.get("evaluate", True), TASKS[config.task].cap(MAX_STEPS))
     if evaluation is not None:
         sets = len(layouts.load(evaluation[BANK], config.world)) if BANK in evaluation else SPLITS["test"].n
         if evaluation["episodes"] > sets:
@@ -251,16 +253,17 @@ def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _protocol(said: Any) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
-    """How cells are flown, and across which ladders."""
+def _protocol(said: Any, cap: int) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """How a cell is flown, and across which ladders; cap: on steps, if none is said."""
+    usual = dict(zip(PROTOCOL, (EPISODES, cap), strict=True))
     if isinstance(said, bool):
-        return (dict(PROTOCOL) if said else None), ()
+        return (usual if said else None), ()
     if not isinstance(said, dict) or not said.keys() <= {*PROTOCOL, BANK, "across"}:
         raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join((*PROTOCOL, BANK, 'across'))}")
     across = said.get("across", [])
     if not isinstance(across, list) or not all(name in LADDER_NAMES for name in across):
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
-    protocol = PROTOCOL | {key: value for key, value in said.items() if key != "across"}
+    protocol = usual | {key: value for key, value in said.items() if key != "across"}
     for key in PROTOCOL:
         protocol[key] = checked(f"evaluate.{key}", protocol[key], int, {"least": 1})
     return protocol, tuple(across)

@@ -19,14 +19,15 @@ from uavnav.algorithms import dqn, ppo
 from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, files_of, fly, on, summary
 from uavnav.evaluate.__main__ import main as fly_command
 from uavnav.report import behaviour
-from uavnav.runs import Run
+from uavnav.runs import Run, own_evaluation
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.paper import TABLES
 from uavnav.runs.tables import read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 from uavnav.tasks.faults import Faults
-from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.protocol import TASK_NAMES
+from uavnav.tasks.simulator import EMPTY, TASKS, make_task
 
 RUNS = {
     "ppo": (ppo.train, ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off")),
@@ -366,6 +367,11 @@ def test_another_number_of_episodes_cap_or_bank_goes_to_its_own_file_and_replace
         written = {name: there[name] for name in there if name.startswith(("evaluation", "behaviour"))}
     assert len(written) == 2 * len(protocols)
     assert Run(run.path).evaluation().attrs == {"layouts": "test", "episodes": 4, "max_steps": 9}
+
+
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_the_evaluation_that_is_read_first_is_the_one_that_a_run_has_by_default(task):
+    assert own_evaluation(task) == files_of("test", 200, TASKS[task].cap(10_000))[0]
 
 
 def test_an_evaluation_of_another_protocol_is_read_where_there_is_no_evaluation_parquet(small, tmp_path):

@@ -296,6 +296,11 @@ def test_a_run_trains_is_evaluated_with_four_metrics_more_and_verified(tmp_path,
     assert (run.path / "evaluation-test-3-1000.parquet").exists()
     assert rows["steps"].max() <= 1000
     assert evaluate.usual_files(run)[0] == "evaluation-test-200-1000.parquet"  # if it is there, `train` adds none
+    for name, cap in (("evaluation.parquet", 10_000), ("evaluation-test-200-1000.parquet", 1000)):  # of both versions
+        rows.attrs["max_steps"] = cap
+        rows.to_parquet(run.path / name)
+        assert run.evaluation().attrs["max_steps"] == cap
+    assert run.behaviour_file().name == "behaviour-test-200-1000.parquet"
     assert set(metrics.own(rows).columns) == {"success", "collision", "time_out", "spl"}
     np.testing.assert_allclose(rows["shortest"], np.tile(bank[:3, 8, 2].numpy(), 2))
     assert verify.verify(run, quiet=True).same

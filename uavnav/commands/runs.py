@@ -17,10 +17,18 @@ import pyarrow.compute
 import pyarrow.parquet
 
 from uavnav import commands
-from uavnav.runs import EVALUATION, FINISHED, KINDS, SILENCE, check_settings, progress, read_settings, run_folders
+from uavnav.runs import (
+    FINISHED,
+    KINDS,
+    SILENCE,
+    check_settings,
+    own_evaluation,
+    progress,
+    read_settings,
+    run_folders,
+)
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
-from uavnav.tasks.protocol import CAPS, EPISODES
 
 MEANS = {f"reward_{mode}": mode for mode in reversed(MODES)}
 STATES = {FINISHED: "finished", "failed": "failed"}
@@ -76,9 +84,8 @@ def _pace(running: Mapping[str, Any]) -> dict[str, float]:
 
 def _rewards(path: Path, task: str) -> dict[str, float | None]:
     """The mean reward of a test flight in each mode, by the run's own protocol."""
-    own = f"evaluation-test-{EPISODES}-{CAPS[task]}.parquet" if task in CAPS else EVALUATION
     try:
-        rows = pyarrow.parquet.read_table(path / own, columns=["mode", "reward"], use_threads=False)
+        rows = pyarrow.parquet.read_table(path / own_evaluation(task), columns=["mode", "reward"], use_threads=False)
         flown = {column: rows.filter(pyarrow.compute.equal(rows["mode"], mode)) for column, mode in MEANS.items()}
     except (OSError, KeyError, pyarrow.ArrowException):  # there is none, or it is damaged
         return dict.fromkeys(MEANS)

@@ -5,7 +5,7 @@
     episodes.parquet    one row per training episode, the columns of `metrics.EPISODE_COLUMNS`
     progress.parquet    one row per iteration and seed: losses and diagnostics
     policy.safetensors  the networks of all seeds; where it was left out, the command of the run trains it again
-    evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled)
+    evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled); see `own_evaluation`
     behaviour.parquet   the actions of some test flights, one row per step (see `uavnav.report.behaviour`)
     arena.parquet       the same of flights in the empty arena (see `uavnav.evaluate.arena`)
     values.parquet      what each seed expects and gets, where outputs are values (see `uavnav.evaluate.values`)
@@ -31,6 +31,7 @@ import yaml
 from uavnav.runs.metrics import FIRST_COLUMNS
 from uavnav.runs.tables import RunError, read_table
 from uavnav.runs.trials import TRIALS, TUNING
+from uavnav.tasks.protocol import CAPS, EPISODES
 
 FINISHED = "finished"
 EVALUATION = "evaluation.parquet"
@@ -96,8 +97,10 @@ class Run:
 
     def evaluations(self) -> list[Path]:
         """The files of its evaluations, the run's own before those of other protocols."""
-        others = sorted(self.path.glob(f"{Path(EVALUATION).stem}-*.parquet"))
-        return [path for path in (self.path / EVALUATION, *others) if path.exists()]
+        own = own_evaluation(self.config.get("task", "drone"))
+        others = sorted(path.name for path in self.path.glob(f"{Path(EVALUATION).stem}-*.parquet"))
+        paths = (self.path / name for name in dict.fromkeys([own, EVALUATION, *others]))
+        return [path for path in paths if path.exists()]
 
     def evaluation(self) -> pd.DataFrame | None:
         """The rows of the first of `evaluations`, with their mode; None where it was not evaluated."""
@@ -112,6 +115,11 @@ class Run:
     def _table(self, name: str, columns: Mapping[str, str]) -> pd.DataFrame:
         again = "evaluate the run again" if name.startswith(Path(EVALUATION).stem) else "run again with overwrite=true"
         return read_table(self.path / name, columns, again)
+
+
+def own_evaluation(task: str) -> str:
+    """The file of the evaluation that a run of a task has if nothing else is said, of a task of the package."""
+    return EVALUATION.replace(".", f"-test-{EPISODES}-{CAPS[task]}.") if task in CAPS else EVALUATION
 
 
 def default_folder(algorithm: str, preset: str, activation: str) -> Path:

@@ -15,7 +15,7 @@ from uavnav.runs.metrics import FLIGHTS
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.ladders import LADDERS
-from uavnav.tasks.protocol import GROUPS, LADDER_NAMES
+from uavnav.tasks.protocol import GROUPS, LADDER_NAMES, SPLITS
 from uavnav.tasks.simulator import EMPTY, make_task
 
 
@@ -71,6 +71,16 @@ def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
     assert len(rows) == 11 * 10
 
 
+def test_with_a_goal_the_rule_flies_all_11_densities_and_reaches_5_of_5_goals_where_nothing_is_in_its_way(monkeypatch):
+    monkeypatch.setitem(SPLITS, "test", SPLITS["test"]._replace(n=5))
+    task = make_task(EMPTY, {"goal_radius": 41.0}, task="goal")  # whose banks no other test draws
+    rows = across.climb(across.flyer("reactive", {"scripted": BASELINES["reactive"]}), LADDERS["density"], 5, 300,
+                        scripted=task)  # fmt: skip
+    reached = rows.groupby("rung")["succeeded"].sum()
+    assert [*reached.index] == [*LADDERS["density"].rungs]
+    assert reached[0.0] == 5
+
+
 @pytest.mark.parametrize("columns", [40, 80, 200])
 def test_no_number_of_a_table_is_cut_off_whatever_the_width_of_the_terminal(columns, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(columns))
@@ -87,9 +97,10 @@ def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_
     told = []
     fly = functools.partial(across.across, {"mine": run}, episodes=1, max_steps=2, out=tmp_path, quiet=True)
     fly(["density", "sticky"], tell=told.append)
-    assert told == ["left out: the ladder density, which the world of mine does not have"]
+    fit = "arc, reach, speed, noise, lost, late, sticky fit"
+    assert told == [f"left out: the ladder density, which the world of mine does not have; {fit}"]
     assert [path.name for path in tmp_path.glob("*.svg")] == ["across-sticky-1-2.svg"]
-    with pytest.raises(RunError, match="--across density: no ladder of these worlds; give some of arc, reach, n"):
+    with pytest.raises(RunError, match="--across density: no ladder of these worlds; give some of arc, reach, s"):
         fly(["density"], tell=told.append)
 
 

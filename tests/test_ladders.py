@@ -16,7 +16,7 @@ from uavnav.tasks import circles, layouts, slalom
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.faults import NAMES, NO_FAULTS, from_words
 from uavnav.tasks.ladders import LADDERS
-from uavnav.tasks.simulator import EMPTY, Moving, make_task
+from uavnav.tasks.simulator import EMPTY, Moving, SpaceMoving, make_task
 
 # -- banks -----------------------------------------------------------------------------------------------------------
 
@@ -153,6 +153,25 @@ def test_on_each_rung_a_policys_world_differs_in_the_ladders_field_alone(name):
             assert type(task) is Moving
             fastest = task.velocities(state).norm(dim=-1).max().item()
             assert rung * 0.8 <= fastest <= rung + 1e-6 or rung == 0
+
+
+@pytest.mark.parametrize("name", ["space", "space-moving"])
+def test_spheres_of_the_ladder_of_speeds_fly_up_to_6_px_a_step_and_at_0_stand_as_those_of_space(name):
+    own, rows = make_task(EMPTY, {"padding": "zeros"}, max_steps=50, task=name), torch.arange(200)
+    for rung in LADDERS["speed"].rungs:
+        task = LADDERS["speed"].task(own, rung, "test")
+        assert (type(task), task.max_steps, task.world.padding) == (SpaceMoving, 50, "zeros")
+        fastest = task.velocities(task.place(rows, torch.full((200,), 90))).norm(dim=-1).max().item()
+        assert rung * 0.99 <= fastest <= rung + 1e-5
+    still = make_task("test", {"padding": "zeros"}, task="space")
+    slow = LADDERS["speed"].task(own, 0, "test")
+    both = [one.start(rows, torch.full((200,), 90)) for one in (still, slow)]
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(10):
+        action = torch.randint(100, (200,), generator=generator)
+        stepped = [one.step(state, action) for one, state in zip((still, slow), both, strict=True)]
+        both = [state for state, _ in stepped]
+        assert torch.equal(*(outcome.observation for _, outcome in stepped))
 
 
 @pytest.mark.parametrize("fault", ["none", "noise=5,lost=0.2"])

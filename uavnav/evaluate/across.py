@@ -206,15 +206,14 @@ def across(
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, SPLITS["test"].n)
     folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
     check_out(folder / "across.svg")
-    climbed = []
-    for name in names:
-        unfit = [one.name for one in flyers if not _has(one, theirs, LADDERS[name])]
-        climbed += [] if unfit else [name]
-        if unfit:
-            tell(f"left out: the ladder {name}, which the world of {', '.join(unfit)} does not have")
+    unfit = {name: [one.name for one in flyers if not _has(one, theirs, ladder)] for name, ladder in LADDERS.items()}
+    fit = ", ".join(name for name in LADDERS if not unfit[name])
+    climbed = [name for name in names if not unfit[name]]
     if not climbed:
-        fit = [name for name, ladder in LADDERS.items() if all(_has(one, theirs, ladder) for one in flyers)]
-        raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {', '.join(fit)}")
+        raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {fit}")
+    for name in names:
+        if name not in climbed:
+            tell(f"left out: the ladder {name}, which the world of {', '.join(unfit[name])} does not have; {fit} fit")
     if not alone:
         flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
     caps = {one.name: max_steps or _task_of(one, theirs).cap(ACROSS_STEPS) for one in flyers}

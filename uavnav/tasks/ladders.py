@@ -13,8 +13,7 @@ import torch
 from torch import Tensor
 
 from uavnav.tasks import faults, layouts, slalom
-from uavnav.tasks.moving import MovingWorld
-from uavnav.tasks.simulator import Moving, Task
+from uavnav.tasks.simulator import Moving, Space, SpaceMoving, Task
 from uavnav.tasks.state import State
 
 Measure = Callable[[State, State], dict[str, Tensor]]
@@ -59,11 +58,13 @@ def reached(task: Task, own: float) -> Task:
 
 def speed(task: Task, rung: float, split: str = "test") -> Task:
     """The policy's world with obstacles of up to so many px a step: the bank of 2 px a step, its velocities scaled."""
-    bank = layouts.load(split, MovingWorld())
-    bank = torch.cat([bank[..., :3], bank[..., 3:] * (rung / MovingWorld().speed_max)], -1)
-    world = task.world if isinstance(task.world, MovingWorld) else MovingWorld(**asdict(task.world))
+    kind = SpaceMoving if isinstance(task, Space) else Moving
+    usual = kind.WORLD()
+    bank, still = layouts.load(split, usual), len(usual.size) + 1  # numbers of a place and a radius
+    bank = torch.cat([bank[..., :still], bank[..., still:] * (rung / usual.speed_max)], -1)
+    world = task.world if isinstance(task.world, kind.WORLD) else kind.WORLD(**asdict(task.world))
     kept = task.reward, task.max_steps, task.stack, task.faults, task.trained_reach
-    return Moving(world, layouts.resolve(bank, world), *kept)
+    return kind(world, layouts.resolve(bank, world), *kept)
 
 
 def fault(name: str) -> Callable[[Task, float, str], Task]:
@@ -76,11 +77,16 @@ def fault(name: str) -> Callable[[Task, float, str], Task]:
 
 
 LADDERS = {
-    "density": Ladder("obstacles a set", tuple(range(0, 21, 2)), density, of=("drone", "moving")),
+    "density": Ladder("obstacles a set", tuple(range(0, 21, 2)), density, of=("drone", "moving", "goal")),
     "slalom": Ladder("gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), gaps, slalom.passages, ("drone",)),
     "arc": Ladder("sensor's arc [degrees]", (60, 90, 120, 180), arc),
     "reach": Ladder("sensor's radius [px]", (60, 90, 120, 160), reach),
-    "speed": Ladder("greatest speed of an obstacle [px a step]", (0, 1, 2, 3, 4, 6), speed, of=("drone", "moving")),
+    "speed": Ladder(
+        "greatest speed of an obstacle [px a step]",
+        (0, 1, 2, 3, 4, 6),
+        speed,
+        of=("drone", "moving", "space", "space-moving"),
+    ),
     "noise": Ladder("noise σ of the sensed distance [px]", faults.RUNGS["noise"], fault("noise")),
     "lost": Ladder("probability of an echo to be lost", faults.RUNGS["lost"], fault("lost")),
     "late": Ladder("delay of observations [steps]", faults.RUNGS["late"], fault("late")),

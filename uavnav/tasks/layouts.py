@@ -190,7 +190,7 @@ def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
     return bank, _header(bank, SPLITS[split].seed, split, world)
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=16)  # whoever flies a ladder finds its 11 banks, which cost 110 s where sets have goals
 def _rung(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split of a rung, such as `density-12/test`, and its header."""
     ladder, rung, split = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL).groups()  # type: ignore[union-attr]

@@ -13,6 +13,7 @@ from uavnav.evaluate import EPISODES, MAX_STEPS, header
 from uavnav.report import compare
 from uavnav.report.compare import (
     Contender,
+    apart,
     check,
     contend,
     improvement,
@@ -30,11 +31,12 @@ from uavnav.runs.metrics import EPISODE_COLUMNS
 PROTOCOL = header("test", EPISODES, MAX_STEPS)
 
 
-def made_up(name, rewards, steps=10, protocol=PROTOCOL):
+def made_up(name, rewards, steps=10, protocol=PROTOCOL, **place):
     """Two flights a seed, each of the reward of its seed."""
     rows = [(seed, steps, 0, place, steps, 1, 0, 2, 50, reward, True, False)
             for seed, reward in enumerate(rewards) for place in range(2)]  # fmt: skip
-    return Contender(name, pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS), protocol, None)
+    table = pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+    return Contender(name, table, protocol, {"task": "drone"} | place, None)
 
 
 ABOVE, BELOW = made_up("above", [3.0, 4.0, 5.0]), made_up("below", [1.0, 2.0, 3.0])
@@ -81,6 +83,33 @@ def test_flights_under_another_cap_are_refused():
     other = made_up("short", [1.0], protocol=header("test", EPISODES, 500))
     with pytest.raises(compare.RunError, match=r"above on 200 .* 10,000 steps and short on 200 .* 500 steps"):
         check([ABOVE, other])
+
+
+def test_runs_of_two_worlds_are_said_in_one_line_not_to_be_of_one_measure(tmp_path, monkeypatch, capsys):
+    fast, slow = (
+        made_up("fast", [1.0], task="moving", speed_max=6.0),
+        made_up("slow", [1.0], task="moving", speed_max=2.0),
+    )
+    assert apart([ABOVE, BELOW]) == apart([fast, fast]) == ""
+    end = "flew in different worlds, so their rewards are not of one measure"
+    assert apart([fast, slow]) == f"fast (speed_max=6.0) and slow (speed_max=2.0) {end}"
+    monkeypatch.setattr(compare, "contend", lambda names, _: [ABOVE, BELOW, fast])
+    assert main(["one", "other", "--json", "--out", str(tmp_path / "page.html")]) == 0
+    out, err = capsys.readouterr()
+    line = f"above (task=drone) and fast (task=moving) {end}"
+    assert json.loads(out)
+    assert err.splitlines()[0] == line
+    assert f"<p>{line}.</p>" in (tmp_path / "page.html").read_text()
+
+
+def test_scripts_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_papers():
+    drone, moving = "results/worlds/paper/drone/ppo/tanh", "results/worlds/paper/moving/ppo/tanh"
+    protocol = header("test", 2, 9)
+    flown = [compare._flown("straight", protocol, None, run).place for run in (drone, moving)]
+    run, kept = contend(["results/ppo/tanh", "reactive"])
+    assert [one["task"] for one in flown] == ["drone", "moving"]
+    assert apart([run, kept]) == ""
+    assert "sensor_arc" not in run.place
 
 
 def test_committed_runs_are_compared_without_torch():

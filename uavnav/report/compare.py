@@ -10,6 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,6 +30,7 @@ from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import EPISODES, MAX_STEPS, SCRIPTS, header
+from uavnav.tasks.world import World
 
 if TYPE_CHECKING:
     from uavnav.tasks.baselines import AnyPolicy
@@ -38,6 +40,8 @@ MODE = "sampled"
 """As a policy acts at the end of training."""
 MARKS = (100, 1_000, 10_000)
 """Steps after which the flights that are still up are counted."""
+SENSES = ("sensor_radius", "sensor_arc", "n_slots", "slots", "padding", "sense_velocity")
+"""Fields of a world that are the drone's own: neither sets of obstacles nor rewards depend on them."""
 BARS = "▁▂▃▄▅▆▇█"
 TEMPLATE = Path(__file__).parent / "templates"
 
@@ -48,6 +52,7 @@ class Contender(NamedTuple):
     name: str
     flights: pd.DataFrame  # one row a test episode
     protocol: Mapping[str, Any]  # how they were flown
+    place: Mapping[str, Any]  # and where: `task`, `reward` and fields of the world
     cell: Cell | None  # a run's training; None for what was not trained here
 
 
@@ -66,7 +71,8 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
     found = []
     for name in names:
         rows = _kept(name, protocol, first) if name in SCRIPTS and first is not None else None
-        kept = Contender(name, rows, protocol, None) if rows is not None else None
+        usual = _place("drone", "eq14", asdict(World()))
+        kept = Contender(name, rows, protocol, usual, None) if rows is not None else None
         found.append(runs.get(name) or kept or _flown(name, protocol, activation, first))
     return found
 
@@ -98,6 +104,10 @@ def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | No
     return read_table(found, FIRST_COLUMNS, "evaluate it again") if found is not None else None
 
 
+def _place(task: str, reward: str, world: Mapping[str, Any]) -> dict[str, Any]:
+    return {"task": task, "reward": reward} | {name: world[name] for name in world if name not in SENSES}
+
+
 def _is_policy(name: str) -> bool:
     return Path(name).suffix in (".zip", Path(POLICY).suffix) and not os.path.isdir(name)
 
@@ -113,7 +123,10 @@ def _of_run(name: str) -> Contender:
 
         rows = evaluate_run(run)
     protocol = {key: rows.attrs.get(key, value) for key, value in header("test", EPISODES, MAX_STEPS).items()}
-    return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), protocol, cells.read(Path(name)))
+    cell = cells.read(Path(name))
+    world = {key.removeprefix("world."): value for key, value in cell.settings.items() if key.startswith("world.")}
+    place = _place(cell.settings["task"], cell.settings["reward"], world)
+    return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), protocol, place, cell)
 
 
 def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
@@ -121,6 +134,7 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: 
     from uavnav.evaluate import fly, on
     from uavnav.policies import Policy
     from uavnav.tasks.baselines import BASELINES, suited
+    from uavnav.tasks.task import name_of
     from uavnav.training import display, machine
 
     population: dict[int, AnyPolicy]
@@ -135,7 +149,8 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: 
     n = len(task.bank) * len(population)
     with machine.use_threads(1), display.flights(name, n, protocol["max_steps"]) as tell:
         population = {seed: suited(policy, task) for seed, policy in population.items()}
-        return Contender(name, fly(population, task, tell).episodes, protocol, None)
+        place = _place(name_of(task), task.reward, asdict(task.world))
+        return Contender(name, fly(population, task, tell).episodes, protocol, place, None)
 
 
 def check(contenders: Sequence[Contender]) -> None:
@@ -145,6 +160,17 @@ def check(contenders: Sequence[Contender]) -> None:
         if other.protocol != first.protocol:
             both = " and ".join(f"{one.name} on {flown([one])}" for one in (first, other))
             raise RunError(f"not flown alike: {both}; evaluate both with the same --episodes and --max-steps")
+
+
+def apart(contenders: Sequence[Contender]) -> str:
+    """Which two flew in different worlds, and in what these differ, in one line; empty where all flew in one."""
+    first = contenders[0]
+    for other in contenders[1:]:
+        differ = [key for key in first.place if key in other.place and first.place[key] != other.place[key]]
+        if differ:
+            both = (f"{one.name} ({', '.join(f'{key}={one.place[key]}' for key in differ)})" for one in (first, other))
+            return f"{' and '.join(both)} flew in different worlds, so their rewards are not of one measure"
+    return ""
 
 
 def seeds_of(contenders: Sequence[Contender]) -> dict[str, pd.DataFrame]:
@@ -245,7 +271,7 @@ def page(contenders: Sequence[Contender]) -> bytes:
         "replays": Markup(json.dumps(recorded, separators=(",", ":")).replace("<", "\\u003c")),
         "left_out": recorded["left_out"],
     }
-    given = {"names": names, "rows": rows, "pictures": pictures, "flown": how}
+    given = {"names": names, "rows": rows, "pictures": pictures, "flown": how, "apart": apart(contenders)}
     return template.render(**given, **(shown if recorded["cells"] else {"left_out": recorded["left_out"]})).encode()
 
 
@@ -265,6 +291,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise ValueError(f"{names[0]}: there is nothing to compare it with; give at least two, such as reactive")
         contenders = contend(names, arguments.activation)
         check(contenders)
+        if line := apart(contenders):
+            print(line, file=sys.stderr)
         if arguments.json:
             print(json.dumps(metrics(contenders).to_dict("records"), indent=2))
         else:

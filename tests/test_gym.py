@@ -382,6 +382,22 @@ def test_sb3s_rows_equal_the_vectors_and_name_the_end_of_each_of_their_episodes(
     assert min(ends.values()) > 3
 
 
+def test_sb3_is_given_of_3_rows_the_obstacles_velocities_and_spaces_of_the_row_that_it_asks_for():
+    pytest.importorskip("stable_baselines3")
+    from uavnav.envs.sb3 import DroneVecEnv
+
+    env = DroneVecEnv(3, seed=6, layouts="test", task="moving")
+    env.reset()
+    for name, shape in (("obstacles", (8, 3)), ("velocities", (8, 2))):
+        rows = env.get_attr(name)
+        assert [row.shape for row in rows] == [shape] * 3
+        np.testing.assert_array_equal(env.get_attr(name, [1])[0], rows[1])
+        np.testing.assert_array_equal(env.get_attr(name, 2)[0], rows[2])
+        assert not (rows[1] == rows[2]).any()
+    assert env.get_attr("observation_space", [0]) == [env.observation_space]
+    assert [task.world.speed_max for task in env.get_attr("task")] == [2.0] * 3
+
+
 def test_sb3_takes_the_single_environment_too_for_64_steps():
     stable_baselines3 = pytest.importorskip("stable_baselines3")
     model = stable_baselines3.DQN("MlpPolicy", make(), learning_starts=10, buffer_size=100, seed=0, device="cpu")

@@ -19,6 +19,10 @@ except ImportError as error:
     raise ImportError("uavnav.sb3 needs Stable-Baselines3: pip install 'uavnav[sb3]'") from error
 
 
+AROUND = ("obstacles", "velocities")
+"""Attributes of a `DroneVectorEnv` with an axis of its rows in front."""
+
+
 class DroneVecEnv(VecEnv):  # type: ignore[misc]
     """A VecEnv around `uavnav.gym.DroneVectorEnv`; `kwargs` are that class's keyword arguments."""
 
@@ -65,7 +69,9 @@ class DroneVecEnv(VecEnv):  # type: ignore[misc]
         self._env.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [getattr(self._env, attr_name) for _ in self._get_indices(indices)]
+        """A value for each index: of what is around the drones and of spaces its own row's, of all else the same."""
+        value = getattr(self._env, f"single_{attr_name}", getattr(self._env, attr_name))
+        return [value[row] if attr_name in AROUND else value for row in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         setattr(self._env, attr_name, value)

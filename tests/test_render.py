@@ -18,6 +18,7 @@ from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_st
 from uavnav.flights import start
 from uavnav.render import Film, Flight, Pilot, fly
 from uavnav.tasks.baselines import BASELINES, straight_ahead
+from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.tasks.state import COUNTS, at
 from uavnav.tasks.world import World
@@ -216,6 +217,18 @@ def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run, gree
     assert flown.collided == row["terminated"]
 
 
+def test_with_faults_the_rule_flies_the_60_steps_that_an_evaluation_with_them_has(tmp_path, capsys):
+    words = ["reactive", "--layout", "3", "--steps", "60", "--faults", "noise=20,sticky=0.5"]
+    assert render.main([*words, "--out", str(tmp_path / "a.png")]) == 0
+    faults = Faults(noise=20, sticky=0.5)
+    row, plain = (
+        uavnav.evaluate_policy(BASELINES["reactive"], max_steps=60, faults=one).iloc[3] for one in (faults, None)
+    )
+    told = f"reactive: {row['steps']} steps, {row['distance']} px, reward {row['reward']:.2f}"
+    assert capsys.readouterr().out.startswith(told)
+    assert row["distance"] != plain["distance"]
+
+
 @pytest.mark.parametrize("width", [160, 320, 480])
 @pytest.mark.parametrize("name", ["ppo/tanh", "a-long-name-of-a-folder/leaky_relu"])
 def test_the_words_of_a_caption_do_not_meet(width, name, run, monkeypatch):
@@ -275,6 +288,7 @@ def test_the_caption_and_the_printed_line_say_greedy_or_sampled_and_sampled_is_t
         (["RUN", "--width", "100"], "--width 100: give 160 to 3840"),
         (["RUN", "--seed", "9"], "seed=9 is not there"),
         (["RUN", "--layouts", "nowhere"], "no such bank"),
+        (["RUN", "--faults", "noise=-1"], "--faults noise=-1: noise=-1.0; give a number of at least 0"),
         (
             ["RUN", "--out", "/nowhere/flight.png"],
             "/nowhere/flight.png: cannot be written (there is no folder /nowhere)",

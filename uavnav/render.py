@@ -12,6 +12,7 @@ import math
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple, overload
@@ -28,6 +29,7 @@ from uavnav.files import check_out
 from uavnav.help.choices import did_you_mean, did_you_mean_run
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
+from uavnav.tasks.faults import from_option
 from uavnav.tasks.protocol import EPISODES
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import State, at
@@ -314,9 +316,12 @@ def main(argv: list[str] | None = None) -> int:
             raise ValueError(f"--width {arguments.width}: give {WIDTHS.start} to {WIDTHS.stop - 1}")
         rate = Fraction(arguments.speed).limit_denominator(100) * STEPS_PER_SECOND / arguments.every
         plugins.load(arguments.plugins)
+        faults = from_option(arguments.faults)
         check_picture(arguments.out, rate)
         check_out(arguments.out)
         pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation, arguments.task)
+        if faults is not None:
+            pilots = [one._replace(task=replace(one.task, faults=faults)) for one in pilots]
         bank = load_layout(arguments.layouts, arguments.layout, pilots)
         with machine.use_threads(1):
             flown = [fly(pilot, bank, arguments.layout, arguments.steps) for pilot in pilots]

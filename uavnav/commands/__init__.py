@@ -214,8 +214,7 @@ def _evaluate(parser: Parser) -> None:
     parser.add_argument("--max-steps", type=int, help=told)
     _bank(parser)
     _task(parser)
-    told = "fly with these faults, or with none, instead of those of training, such as noise=5,late=2"
-    parser.add_argument("--faults", metavar="FAULT=NUMBER,...", help=told)
+    _faults(parser)
     told = f"fly every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)
@@ -277,6 +276,7 @@ def _render(parser: Parser) -> None:
         "--out", type=Path, default=Path("flight.gif"), help="an .mp4, .gif or .png file (default: flight.gif)"
     )
     _flight(parser)
+    _faults(parser)
     parser.add_argument("--steps", type=int, default=500, help="steps at most (default: 500)")
     parser.add_argument("--every", type=int, default=1, help="steps from one picture to the next (default: 1)")
     parser.add_argument("--speed", type=float, default=1.0, help="times as fast as in the window (default: 1)")
@@ -407,6 +407,11 @@ def _bank(parser: Parser) -> None:
 def _task(parser: Parser) -> None:
     told = f"whose world scripted policies fly in: {TASKS} (default: that of the run, or drone)"
     parser.add_argument("--task", default="drone", help=told)
+
+
+def _faults(parser: Parser) -> None:
+    told = "fly with these faults, or with none, instead of those of training, such as noise=5,late=2"
+    parser.add_argument("--faults", metavar="FAULT=NUMBER,...", help=told)
 
 
 def _activation(parser: Parser) -> None:

@@ -22,7 +22,7 @@ from uavnav.runs import Run
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy
-from uavnav.tasks.faults import Faults, from_words
+from uavnav.tasks.faults import from_option
 from uavnav.tasks.ladders import measure_of
 from uavnav.tasks.protocol import DRAWS, GROUPS, MAX_STEPS
 from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task, name_of
@@ -38,13 +38,6 @@ def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
         return Run(name)
     except RunError as error:
         raise RunError(f"{error}{did_you_mean_run(name, BASELINES)}") from error
-
-
-def _faults(words: str) -> Faults:
-    try:
-        return from_words(words)
-    except ValueError as error:
-        raise ValueError(f"--faults {words}: {error}") from error
 
 
 def _cap(arguments: Namespace, task: Task | type[Task]) -> int:
@@ -103,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise ValueError(f"--task {arguments.task}: what was trained flies in its own world; leave it out")
         if arguments.seeds != 1:
             _check_seeds(arguments)
-        faults = None if arguments.faults is None else _faults(arguments.faults)
+        faults = from_option(arguments.faults)
         scripted = make_task(EMPTY, task=arguments.task)
         bounds = arguments.layouts, arguments.episodes, _cap(arguments, scripted)
         protocol = protocol_name(*bounds, faults, arguments.task)

@@ -114,3 +114,15 @@ def from_words(words: str) -> Faults:
         except ValueError:
             raise ValueError(f"{word.strip()}; give a number, as noise=5 or late=2") from None
     return Faults(**values)  # type: ignore[arg-type]
+
+
+def from_option(words: str | None) -> Faults | None:
+    """What a command's `--faults` asks for; None where it is not given.
+
+    Raises:
+        ValueError: as of `from_words`, and it names the option.
+    """
+    try:
+        return None if words is None else from_words(words)
+    except ValueError as error:
+        raise ValueError(f"--faults {words}: {error}") from error

@@ -97,7 +97,7 @@ def made_up():
         ("drone", "ppo", "tanh"): seeds([40, 41, 42, 43, 44]),
         ("drone", "dqn", "tanh"): seeds([-9, -8, -7, -6, -5]),
         ("goal", "ppo", "tanh"): seeds([4, 4.1, 4.2, 4.3, 4.4]),
-        ("goal, fast", "ppo", "tanh"): seeds([5, 5.1, 5.2, 5.3, 5.4]),
+        ("goal, fast", "ppo", "tanh"): seeds([5, 5.1, 5.2, 5.3, 5.4], greedy=7.0),
     }
     scripted = {
         (world, name): seeds(reward)
@@ -126,7 +126,8 @@ def test_a_worlds_table_has_cells_and_scripts_and_the_figure_a_panel_a_world():
     assert [row[0] for row in rows[1:]] == ["PPO tanh", "PPO tanh fast", "random", "straight", "reactive"]
     assert rows[0] == ["who", *worlds.MEASURES.values(), "seeds"]
     assert rows[1][1].startswith("4.20 [4.")
-    assert rows[-1][1:] == ["10.00", "1.00", "9.00", "1"]
+    assert [row[2] for row in rows[1:]] == ["–", "7.00 [7.00, 7.00]", "–", "–", "–"]
+    assert rows[-1][1:] == ["10.00", "–", "1.00", "9.00", "1"]
     drawn = worlds.draw(summary(found))
     assert [axes.get_title("left") for axes in drawn.figure.axes] == ["drone", "goal"]
     assert drawn.alt.startswith("Best reward per flight in each world: drone: 42.0 (95 % interval")
@@ -197,12 +198,14 @@ def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies
         path = tmp_path / "worlds" / "paper" / f"{task}{len(world)}"
         reward = "goal" if task == "goal" else "eq14"
         write_run(path, two(0, -6.0), two(1, -8.0), task=task, world=world, reward=reward)
-        flown.assign(mode="sampled").to_parquet(path / f"evaluation-test-200-{cap}.parquet")
+        modes = [flown.assign(mode="greedy", reward=5.0), flown.assign(mode="sampled")]
+        pd.concat(modes).to_parquet(path / f"evaluation-test-200-{cap}.parquet")
         (path / "episodes.parquet").unlink()  # training's, which a repository may leave out
     keep(tmp_path / "worlds" / "baselines", "straight", reward=4.0)
     found = worlds.gather([tmp_path])
     assert [*found.scripted] == [("goal", "straight")]
     assert found.scripted["goal", "straight"]["reward"].tolist() == [4.0]
+    assert found.seeds["goal", "dqn", "tanh"][["reward", "greedy"]].to_numpy().tolist() == [[2.0, 5.0], [2.5, 5.0]]
     home = tmp_path / "worlds" / "baselines"
     assert found.left_out == [
         f"{home}: no rows of random, straight, reactive; write them with uavnav evaluate random straight reactive"

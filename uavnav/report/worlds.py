@@ -48,6 +48,7 @@ DEFAULT, TUNED = "paper", "fast"
 """The presets of the study; a world's name says the second."""
 MEASURES = {
     "reward": "reward per flight",
+    "greedy": "reward per flight, greedy",
     "collisions": FLIGHTS["collisions"],
     "survival": "restricted mean survival [steps]",
 }
@@ -146,6 +147,8 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
         raise RunError(f"{run.path}: has no {name}; give its study again")
     rows = read_table(run.path / name, FIRST_COLUMNS | {"mode": "object"}, "evaluate the run again")
     table = measured(rows[rows["mode"] == MODE], cap)
+    if len(greedy := rows[rows["mode"] == "greedy"]):
+        table["greedy"] = greedy.groupby("seed")["reward"].mean()
     for name, ladder in LADDERS.items():
         path = run.path / rows_across(name, EPISODES, cap)
         if path.exists():
@@ -246,8 +249,8 @@ def table(found: pd.DataFrame, world: str) -> tables.Rows:
     header = ["who", *(MEASURES.get(metric) or OWN[metric].label for metric in metrics), "seeds"]
     shown = [header]
     for who, part in mine.groupby("who", sort=False):
-        by_metric = part.set_index("metric")[["value", "low", "high"]].T
-        numbers = [tables.with_interval(*by_metric[metric].tolist()) for metric in metrics]
+        by_metric = part.set_index("metric")[["value", "low", "high"]].reindex(metrics)  # a script is never greedy
+        numbers = [tables.with_interval(*triple) for triple in by_metric.to_numpy().tolist()]
         shown.append([str(who), *numbers, str(part["n"].max())])
     return shown
 

@@ -298,7 +298,7 @@ def learned(algorithm, n_worlds):
     worlds = DummyVecEnv([lambda: Monitor(make_env("numpy"))] * n_worlds)
     model = getattr(sb3, algorithm.upper())("MlpPolicy", worlds, seed=1, device="cpu", **own)
     model.set_logger(Logger(None, [Held()]))
-    model.learn(20_000, Watch())
+    model.learn(10_000, Watch())
     return held, episodes(*rows), model.num_timesteps
 
 

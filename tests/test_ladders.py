@@ -37,10 +37,15 @@ def test_each_of_11_densities_has_so_many_obstacles_and_no_set_of_training_in_th
         assert k == 0 or not torch.isin(test, validation).all(-1).any()
 
 
-@pytest.mark.parametrize(("task", "shape"), [("moving", (4, 5)), ("goal", (5, 3)), ("space", (4, 4))])
-def test_every_world_has_banks_of_so_many_obstacles_and_the_paper_s_alone_a_slalom(task, shape):
+@pytest.mark.parametrize(
+    ("task", "n", "shape"), [("moving", 1000, (4, 5)), ("goal", 100, (5, 3)), ("space", 1000, (4, 4))]
+)
+def test_every_world_has_banks_of_so_many_obstacles_and_the_paper_s_alone_a_slalom(task, n, shape, monkeypatch):
+    """Of the goal's the first hundred: for each set a shortest way is searched."""
+    monkeypatch.setitem(layouts.SPLITS, "test", layouts.SPLITS["test"]._replace(n=n))
+    monkeypatch.setattr(layouts, "_rung", layouts._rung.__wrapped__)  # such a bank is not kept for other tests
     made = make_task("density-4/test", task=task)
-    assert made.bank.shape == (1000, *shape)
+    assert made.bank.shape == (n, *shape)
     assert made.obstacles(made.place(torch.tensor([0]), torch.tensor([90]))).shape[1] == 4
     with pytest.raises(layouts.LayoutError, match=f"a slalom is of task=drone, not of task={task}; give density-8"):
         make_task("slalom-80/test", task=task)

@@ -41,7 +41,7 @@ SMALL = {"total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory):
+def page(tmp_path_factory, warm_module):
     """The page of two small cells, their runs evaluated on six sets of obstacles."""
     folder = tmp_path_factory.mktemp("page")
     for algorithm, train, config in (

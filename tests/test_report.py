@@ -160,6 +160,7 @@ def test_a_run_without_a_policy_is_named_once_and_its_rows_count(results):
     assert gather([results]).left_out == content.left_out
 
 
+@pytest.mark.usefixtures("warm")
 def test_broken_unfinished_and_foreign_folders_are_named_on_stderr_and_in_the_report(results, capsys):
     (write_run(results / "broken", two(0, 1.0), lr=1.0) / "episodes.parquet").write_bytes(b"PAR1")
     (write_run(results / "half", two(0, 1.0), lr=2.0) / "meta.json").write_text('{"status": "running"}')
@@ -203,6 +204,7 @@ def test_a_run_that_is_in_no_study_is_named(results):
     assert line in gather([results]).left_out
 
 
+@pytest.mark.usefixtures("warm")
 def test_control_c_is_one_line_and_status_130_and_nothing_is_written(results, tmp_path, monkeypatch, capsys):
     before = sorted(tmp_path.rglob("*"))
     monkeypatch.setattr("uavnav.report.page.markdown", interrupted)
@@ -240,6 +242,7 @@ def test_a_folder_without_runs_is_one_line_and_status_2_and_nothing_is_written(t
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.usefixtures("warm")
 def test_an_out_that_cannot_be_written_is_a_run_error_and_leaves_nothing(results, tmp_path):
     (tmp_path / "out").write_text("x")
     (tmp_path / "taken" / "report.md").mkdir(parents=True)
@@ -289,6 +292,7 @@ def test_an_algorithm_and_an_activation_that_the_paper_has_not_get_rows_too(resu
     assert found(text, "mish", "the paper") == []
 
 
+@pytest.mark.usefixtures("warm")
 def test_a_run_without_a_finished_episode_is_missing_in_every_reading_but_per_frame(tmp_path):
     write_run(tmp_path / "run", rows(0, (1000, 10, 0, 0, 0, 0, -1.0, False, False)))
     text = report([tmp_path]).path.with_suffix(".md").read_text()

@@ -21,7 +21,7 @@ from uavnav.runs.readings import ALL, TOTALS
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
 
-pytestmark = pytest.mark.usefixtures("little_garbage")
+pytestmark = pytest.mark.usefixtures("little_garbage", "warm_module")
 
 
 def test_a_panel_holds_a_line_an_activation_with_n_and_the_papers_mean_dashed_in_its_colour(tmp_path):

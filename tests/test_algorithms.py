@@ -268,6 +268,7 @@ def test_a_flight_of_it_is_a_gif_of_more_than_one_picture(algorithm, run, tmp_pa
         assert (film.format, film.n_frames > 1) == ("GIF", True)
 
 
+@pytest.mark.usefixtures("warm")
 def test_a_report_of_it_has_its_cell(algorithm, run, tmp_path, request):
     if (algorithm, "tanh") in TABLES:  # its figures are drawn in test_page.py, from runs as small
         request.getfixturevalue("undrawn")

@@ -242,7 +242,7 @@ TINY = {
     "train c51": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
     "train dqn": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
     "train sac": ["total_frames=2048", "learning_starts=1984", "compile=off", "evaluate=false"],
-    "evaluate": ["--episodes", "2", "--max-steps", "50"],
+    "evaluate": ["--episodes", "2", "--max-steps", "20"],
     "render": ["--steps", "20"],
 }
 """What is added to a line, so that it takes a second or two."""
@@ -286,6 +286,7 @@ def untrained_zip(path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("page", sorted({page for page, _ in COMMANDS}))
 def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_path, capfd):
     for name in ("pygame", "av", "onnxscript", "tensorboard"):

@@ -44,6 +44,7 @@ WORDS = [
         "layouts='tset': no such bank; choose from train, validation, test or a file's path (did you mean test?)",
     ),
     ("evaluate reactiv", "reactiv: no such run folder; give a run's folder (did you mean reactive?)"),
+    ("evaluate random --acros density", "there is no argument --acros (did you mean --across?)"),
     ("evaluate random --epsiodes 3", "there is no argument --epsiodes (did you mean --episodes?)"),
     (
         "render reactiv",
@@ -56,7 +57,7 @@ WORDS = [
     ("render random --sampled", "there is no argument --sampled"),
     ("play random --sampled", "there is no argument --sampled"),
     ("bench --only trainig", "argument --only: trainig: choose from compile, "),
-    ("verify --frame=3x run", "argument --frames: invalid int value: '3x'"),
+    ("verify --frames=3x run", "argument --frames: invalid int value: '3x'"),
 ]
 
 

@@ -83,7 +83,10 @@ def parse(name: str, words: Sequence[str] | None = None) -> argparse.Namespace:
     words = sys.argv[1:] if words is None else words
     warnings.formatwarning = lambda message, *where, **more: f"uavnav {name}: {message}\n"
     parser = Parser(
-        prog=f"uavnav {name}", description=COMMANDS[name], formatter_class=argparse.RawDescriptionHelpFormatter
+        prog=f"uavnav {name}",
+        description=COMMANDS[name],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,  # a slip is no other word for an option
     )
     if name == "train":
         return _train(parser, words)

@@ -63,8 +63,8 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog.removeprefix('python -m ')}: {message}\n")
 
     def flags(self) -> list[str]:
-        """All that this command takes, as its usage lists them."""
-        return re.findall(r"(?<=[\[ ])--?[a-z][a-z-]*", self.format_usage())
+        """All that this command takes, as its help lists them."""
+        return re.findall(r"^  (?:-\w[^-]*)?(--[a-z-]+)", self.format_help(), re.MULTILINE)
 
     def leave(self, text: str) -> NoReturn:
         """End the process with a text that was asked for."""

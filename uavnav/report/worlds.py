@@ -7,7 +7,7 @@ S seeds of a cell.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -270,12 +270,12 @@ def _rewards(found: pd.DataFrame, world: str) -> tuple[dict[str, Interval], dict
 
 
 def sentences(found: pd.DataFrame) -> list[str]:
-    """Who is ahead in each world; where a script beats every cell, and whether all are above random flight."""
+    """Who is ahead in each world; where a script beats every cell, and which cells are above random flight where."""
     said: list[str] = []
     beaten: list[str] = []
     passed: list[str] = []
-    above: list[str] = []
-    not_above: list[str] = []
+    chances: dict[str, bool] = {}  # worlds with random flight, and whether a cell is above it
+    lower: dict[str, list[str]] = {}  # cells that are not, and where
     for world in worlds_of(found):
         learned, scripts = _rewards(found, world)
         (best, most), *others = learned.items()
@@ -292,8 +292,10 @@ def sentences(found: pd.DataFrame) -> list[str]:
             passed.append(f"{world} ({best})")
         chance = scripts.get(DRAWS)
         if chance is not None:
-            higher = all(one.low > _top(chance) for one in learned.values())
-            (above if higher else not_above).append(world)
+            under = [who for who, one in learned.items() if one.low <= _top(chance)]
+            chances[world] = len(under) < len(learned)
+            for who in under:
+                lower.setdefault(who, []).append(world)
     if beaten:
         said.append(
             "A scripted rule still beats every learned cell, its reward above the interval of each, in"
@@ -301,11 +303,17 @@ def sentences(found: pd.DataFrame) -> list[str]:
         )
     if passed:
         said.append(f"A learned cell is above every script, with its whole interval, in {'; '.join(passed)}.")
-    if above:
-        said.append(f"Every learned cell is above random flight, intervals apart, in {'; '.join(above)}.")
-    if not_above:
-        said.append(f"Not every learned cell is above random flight with intervals apart in {'; '.join(not_above)}.")
+    if chances:
+        above = _listed([world for world, is_above in chances.items() if is_above], chances)
+        said.append(f"{'Some' if lower else 'Every'} learned cell is above random flight, intervals apart, in {above}.")
+    if lower:
+        told = [f"{who} ({_listed(where, chances)})" for who, where in lower.items()]
+        said.append(f"Not above random flight, or intervals overlap: {', '.join(told)}.")
     return said
+
+
+def _listed(worlds: Sequence[str], among: Collection[str]) -> str:
+    return "every world" if len(worlds) == len(among) else "; ".join(worlds) or "no world"
 
 
 def _top(one: Interval) -> float:

@@ -217,14 +217,14 @@ def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run, gree
     assert flown.collided == row["terminated"]
 
 
-def test_with_faults_the_rule_flies_the_60_steps_that_an_evaluation_with_them_has(tmp_path, capsys):
+def test_with_faults_the_rule_flies_the_60_steps_that_an_evaluation_with_them_has_and_they_are_told(tmp_path, capsys):
     words = ["reactive", "--layout", "3", "--steps", "60", "--faults", "noise=20,sticky=0.5"]
     assert render.main([*words, "--out", str(tmp_path / "a.png")]) == 0
     faults = Faults(noise=20, sticky=0.5)
     row, plain = (
         uavnav.evaluate_policy(BASELINES["reactive"], max_steps=60, faults=one).iloc[3] for one in (faults, None)
     )
-    told = f"reactive: {row['steps']} steps, {row['distance']} px, reward {row['reward']:.2f}"
+    told = f"noise=20,sticky=0.5 reactive: {row['steps']} steps, {row['distance']} px, reward {row['reward']:.2f}"
     assert capsys.readouterr().out.startswith(told)
     assert row["distance"] != plain["distance"]
 

@@ -29,7 +29,7 @@ from uavnav.files import check_out
 from uavnav.help.choices import did_you_mean, did_you_mean_run
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
-from uavnav.tasks.faults import from_option
+from uavnav.tasks.faults import NO_FAULTS, from_option
 from uavnav.tasks.protocol import EPISODES
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import State, at
@@ -321,7 +321,8 @@ def main(argv: list[str] | None = None) -> int:
         check_out(arguments.out)
         pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation, arguments.task)
         if faults is not None:
-            pilots = [one._replace(task=replace(one.task, faults=faults)) for one in pilots]
+            told = f"{faults}" if faults != NO_FAULTS else "no faults"
+            pilots = [one._replace(name=f"{told} {one.name}", task=replace(one.task, faults=faults)) for one in pilots]
         bank = load_layout(arguments.layouts, arguments.layout, pilots)
         with machine.use_threads(1):
             flown = [fly(pilot, bank, arguments.layout, arguments.steps) for pilot in pilots]

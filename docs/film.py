@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from uavnav.envs.drawing import GROUND, INK, PILOTS, STEPS_PER_SECOND, Picture
-from uavnav.render import Film, Flight, fly, load_layout, load_pilots, save
+from uavnav.views.render import Film, Flight, fly, load_layout, load_pilots, save
 
 LAYOUT, STEPS, EVERY, SPEED, WIDTH = 56, 600, 6, 4, 280
 DPI, HEIGHT = 100, 170

@@ -16,11 +16,11 @@ from typing import Any
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
-from uavnav import browser
-from uavnav.browser import playground
 from uavnav.help.choices import ConfigError
 from uavnav.runs import POLICY
 from uavnav.runs.tables import RunError
+from uavnav.views import browser
+from uavnav.views.browser import playground
 
 log = logging.getLogger("mkdocs.hooks.uavnav")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from uavnav.render import load_layout, load_pilots
-from uavnav.window import game, hud
+from uavnav.views.render import load_layout, load_pilots
+from uavnav.views.window import game, hud
 
 LAYOUT = 56
 STEPS = 180, 100

@@ -131,7 +131,7 @@ def ask(browser, words):
 @pytest.fixture(scope="session")
 def playground(tmp_path_factory):
     """The playground of the committed cells, in a folder of its own."""
-    from uavnav.browser.playground import collect, page
+    from uavnav.views.browser.playground import collect, page
 
     path = tmp_path_factory.mktemp("playground") / "playground.html"
     path.write_text(page(collect([RESULTS])[0]))

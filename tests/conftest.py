@@ -60,7 +60,8 @@ warm_module = pytest.fixture(scope="module")(warmed)
 @pytest.fixture
 def undrawn(monkeypatch):
     """Reports without figures, and with replays of 50 steps instead of 1,000: both take most of their time."""
-    monkeypatch.setattr("uavnav.report.figures.draw", lambda *anything: [])
+    for figures in ("figures.draw", "beyond.figures", "content._of_worlds"):
+        monkeypatch.setattr(f"uavnav.report.{figures}", lambda *anything: [])
     monkeypatch.setattr("uavnav.report.replays.record.__defaults__", (3, 3, 50))
 
 

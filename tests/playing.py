@@ -5,13 +5,13 @@ import contextlib
 import pytest
 
 from uavnav.algorithms import ppo
-from uavnav.render import Pilot
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.simulator import make_task
 from uavnav.tasks.world import World
-from uavnav.window import game as rules
-from uavnav.window import hud, keys, play
+from uavnav.views.render import Pilot
+from uavnav.views.window import game as rules
+from uavnav.views.window import hud, keys, play
 
 WORLD = World()
 pygame = pytest.importorskip("pygame")

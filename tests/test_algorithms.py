@@ -10,19 +10,19 @@ import torch
 from PIL import Image
 from safetensors.torch import load_file
 
-from uavnav import export, render
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import evaluate_run
-from uavnav.policies import load_policy
+from uavnav.policies import export, load_policy
 from uavnav.report import report
 from uavnav.runs import POLICY
 from uavnav.runs.metrics import MODES
 from uavnav.runs.paper import TABLES
 from uavnav.tasks.rewards import BOUNDS, REWARDS, Bounds
+from uavnav.train.verify import verify
 from uavnav.training.loop import make_collector, make_env, train
 from uavnav.training.recorder import Interrupted, Recorder
 from uavnav.training.sampling import ACTS, values_of
-from uavnav.verify import verify
+from uavnav.views import render
 
 SMALL = {"n_seeds": 2, "n_worlds": 8, "total_frames": 640, "hidden": (16,), "lr": 1e-2, "compile": "off"}
 """Of every run here."""

@@ -12,9 +12,11 @@ import torch
 from torch import nn
 
 import uavnav
-from uavnav import PolicyError, evaluate_policy, export, load_policy, policies, render
+from uavnav import PolicyError, evaluate_policy, load_policy, policies
 from uavnav.envs.sb3 import DroneVecEnv
-from uavnav.window import play
+from uavnav.policies import export
+from uavnav.views import render
+from uavnav.views.window import play
 
 SHORT = {"ppo": {"n_steps": 16, "batch_size": 64}, "dqn": {"learning_starts": 64, "buffer_size": 1000}}
 MODELS = {

@@ -13,10 +13,10 @@ import pytest
 
 from uavnav.evaluate import evaluate_run, files_of
 from uavnav.runs import Run
-from uavnav.verify import _parting as parting
-from uavnav.verify import _weights as weights
-from uavnav.verify import _weights_parting as weights_parting
-from uavnav.verify import verify
+from uavnav.train.verify import _parting as parting
+from uavnav.train.verify import _weights as weights
+from uavnav.train.verify import _weights_parting as weights_parting
+from uavnav.train.verify import verify
 
 STUDY = """
 what: two cells of eight seeds

@@ -15,11 +15,11 @@ import pytest
 import torch
 from torch import nn
 
-from uavnav import PolicyError, RunError, export, load_policy
+from uavnav import PolicyError, RunError, load_policy
 from uavnav.algorithms import dqn, ppo
-from uavnav.export import export_policy
 from uavnav.networks import ACTIVATIONS, Activation, mlp
-from uavnav.policies import Policy
+from uavnav.policies import Policy, export
+from uavnav.policies.export import export_policy
 from uavnav.tasks import layouts
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import EMPTY, make_task
@@ -182,7 +182,16 @@ def test_a_file_tells_nothing_of_the_machine_that_wrote_it(exported, suffix):
 
 @pytest.mark.usefixtures("warm")
 def test_the_command_writes_the_named_seed(run, tmp_path):
-    command = [sys.executable, "-m", "uavnav.export", run.path, "--seed", "5", "--out", tmp_path / "policy.onnx"]
+    command = [
+        sys.executable,
+        "-m",
+        "uavnav.policies.export",
+        run.path,
+        "--seed",
+        "5",
+        "--out",
+        tmp_path / "policy.onnx",
+    ]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")
     assert result.stdout == f"{tmp_path / 'policy.onnx'}: observation [N, 30] -> values [N, 100]\n"

@@ -10,14 +10,13 @@ import yaml
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from uavnav import ConfigError, Run, evaluate, flights, load_policy, render
+from uavnav import ConfigError, Run, evaluate, flights, load_policy
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.evaluate import evaluate_policy, evaluate_run, files_of, header, on
 from uavnav.evaluate.__main__ import main as fly_command
-from uavnav.export import export_policy
 from uavnav.networks import mlp
 from uavnav.policies import Policy
-from uavnav.render import Pilot
+from uavnav.policies.export import export_policy
 from uavnav.report import behaviour, cells, replays
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
@@ -26,7 +25,9 @@ from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training import machine, probes
 from uavnav.training.config import plain
 from uavnav.training.recorder import Interrupted
-from uavnav.window import game as rules
+from uavnav.views import render
+from uavnav.views.render import Pilot
+from uavnav.views.window import game as rules
 
 ALL = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
 HOW = {"stack": 2, "faults": ALL, "hidden": (8,), "n_seeds": 2, "n_worlds": 4, "compile": "off", "max_steps": 40}

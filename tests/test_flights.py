@@ -6,18 +6,19 @@ import pandas as pd
 import pytest
 import torch
 
-from uavnav import evaluate, flights, render
+from uavnav import evaluate, flights
 from uavnav.evaluate import evaluate_policy, on
 from uavnav.networks import mlp
 from uavnav.policies import Policy
-from uavnav.render import Pilot
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.tasks.state import COUNTS
 from uavnav.tasks.world import World
 from uavnav.training import machine
-from uavnav.window import game as rules
+from uavnav.views import render
+from uavnav.views.render import Pilot
+from uavnav.views.window import game as rules
 
 ACTS = {"ppo": "categorical", "dqn": "epsilon-greedy"}
 WORLDS = {

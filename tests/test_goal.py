@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from safetensors import safe_open
 
 import uavnav
-from uavnav import evaluate, load_policy, verify
+from uavnav import evaluate, load_policy
 from uavnav.algorithms import c51, dqn, ppo, sac
 from uavnav.help.choices import ConfigError
 from uavnav.runs import metrics
@@ -25,6 +25,7 @@ from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.simulator import Goal, make_task
 from uavnav.train import __main__ as train
+from uavnav.train import verify
 
 
 @pytest.fixture(scope="module")

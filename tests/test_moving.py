@@ -15,7 +15,7 @@ from safetensors import safe_open
 from scipy import stats
 
 import uavnav
-from uavnav import DroneEnv, evaluate, load_policy, verify
+from uavnav import DroneEnv, evaluate, load_policy
 from uavnav.algorithms import ppo
 from uavnav.commands.layouts import main as write_banks
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
@@ -24,6 +24,7 @@ from uavnav.tasks import circles, layouts, moving
 from uavnav.tasks.baselines import BASELINES, dodge, suited
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.simulator import Moving, make_task
+from uavnav.train import verify
 
 SENSED = {"sense_velocity": True}
 

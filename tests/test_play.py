@@ -14,14 +14,14 @@ import torch
 from playing import EMPTY, REACTIVE, STRAIGHT, click, drag, fly, new, opened, place, press, pygame, trained
 
 import uavnav
-from uavnav import render
 from uavnav.commands.keys import ALIASES, KEYS, MOUSE, ROWS
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead
-from uavnav.window import game as rules
-from uavnav.window import hud, keys, play
-from uavnav.window.game import PACES
+from uavnav.views import render
+from uavnav.views.window import game as rules
+from uavnav.views.window import hud, keys, play
+from uavnav.views.window.game import PACES
 
 NAMES = [name for key in KEYS for name in key.names]
 

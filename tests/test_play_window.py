@@ -7,14 +7,14 @@ import pandas as pd
 import pytest
 from playing import STRAIGHT, WORLD, fly, new, opened, press, pygame, trained
 
-from uavnav import render
 from uavnav.algorithms import ppo
 from uavnav.envs import drawing
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.tasks import layouts
 from uavnav.train import __main__ as train
-from uavnav.window import game as rules
-from uavnav.window import hud, mouse, play
+from uavnav.views import render
+from uavnav.views.window import game as rules
+from uavnav.views.window import hud, mouse, play
 
 SIZES = [hud.DESIGN, (760, 900), (1920, 1080), (640, 480), play.SMALLEST]
 

@@ -10,7 +10,7 @@ from test_replays import write_run
 
 from uavnav import load_policy
 from uavnav.__main__ import main
-from uavnav.browser.playground import MOST, collect
+from uavnav.views.browser.playground import MOST, collect
 
 
 def told(words, capsys):

@@ -26,10 +26,10 @@ from selenium import webdriver
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
-from uavnav.browser.playground import SETTINGS
 from uavnav.runs import paper
 from uavnav.runs.metrics import METRICS, per_episode
 from uavnav.tasks.state import COUNTS
+from uavnav.views.browser.playground import SETTINGS
 
 pytestmark = pytest.mark.slow
 

@@ -8,10 +8,10 @@ from selenium.webdriver.support.ui import Select
 from test_playground import CLOSE, FLOWN, in_order, in_python, sets_of, unpacked
 from test_replays import write_run
 
-from uavnav.browser.playground import SETTINGS, WORLDS, collect, page
 from uavnav.tasks import goal, slalom
 from uavnav.tasks.baselines import dodge, towards_goal
 from uavnav.tasks.simulator import make_task
+from uavnav.views.browser.playground import SETTINGS, WORLDS, collect, page
 
 pytestmark = pytest.mark.slow
 

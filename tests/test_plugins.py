@@ -17,13 +17,15 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 import uavnav
-from uavnav import ConfigError, PolicyError, Run, export, load_policy, plugins, render, verify
+from uavnav import ConfigError, PolicyError, Run, load_policy, plugins
 from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.evaluate.__main__ import main as fly_command
+from uavnav.policies import export
 from uavnav.runs import POLICY
-from uavnav.train import share
+from uavnav.train import share, verify
 from uavnav.train.__main__ import main as train_command
-from uavnav.window import play
+from uavnav.views import render
+from uavnav.views.window import play
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 

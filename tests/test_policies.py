@@ -9,12 +9,12 @@ import torch
 from safetensors.torch import load_file, save_file
 
 import uavnav
-from uavnav import render
 from uavnav.algorithms import dqn, ppo
 from uavnav.policies import PolicyError
 from uavnav.runs import POLICY
 from uavnav.tasks import layouts
 from uavnav.training.weights import serialize
+from uavnav.views import render
 
 
 @pytest.fixture(scope="module", params=["ppo", "dqn"])

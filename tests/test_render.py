@@ -11,17 +11,17 @@ import torch
 from PIL import Image, ImageDraw
 
 import uavnav
-from uavnav import render
 from uavnav.algorithms import ppo
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
 from uavnav.flights import start
-from uavnav.render import Film, Flight, Pilot, fly
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.tasks.state import COUNTS, at
 from uavnav.tasks.world import World
+from uavnav.views import render
+from uavnav.views.render import Film, Flight, Pilot, fly
 
 WORLD = World()
 

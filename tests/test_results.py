@@ -204,7 +204,8 @@ def test_the_first_rules_verdicts_are_kept_as_they_were():
 def content():
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
-        patch.setattr("uavnav.report.figures.draw", lambda *anything: [])
+        for figures in ("figures.draw", "beyond.figures", "content._of_worlds"):
+            patch.setattr(f"uavnav.report.{figures}", lambda *anything: [])
         return gather([Path("results")], lambda cells: {"cells": [], "left_out": []})
 
 

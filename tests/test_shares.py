@@ -22,10 +22,10 @@ from uavnav.help.choices import ConfigError
 from uavnav.policies import load_policy
 from uavnav.runs import POLICY
 from uavnav.runs.tables import RunError
+from uavnav.train.verify import verify
 from uavnav.training import machine
 from uavnav.training.recorder import Interrupted
 from uavnav.training.shares import split, wall_seconds
-from uavnav.verify import verify
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 

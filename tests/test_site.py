@@ -27,7 +27,7 @@ from uavnav.runs import metrics
 from uavnav.tasks import rewards, simulator
 from uavnav.tasks.faults import NAMES
 from uavnav.training import machine
-from uavnav.window import play
+from uavnav.views.window import play
 
 NAVIGATION = (ROOT / "mkdocs.yml").read_text()
 
@@ -257,7 +257,8 @@ def carry_out(tmp_path, monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.delenv("WANDB_MODE", raising=False)
     monkeypatch.setattr(machine, "cores", lambda: 1)  # no further processes
-    monkeypatch.setattr("uavnav.report.figures.draw", lambda *anything: [])  # drawn in test_figures.py
+    for figures in ("figures.draw", "beyond.figures", "content._of_worlds"):  # drawn in test_figures.py
+        monkeypatch.setattr(f"uavnav.report.{figures}", lambda *anything: [])
     show = play.show
     monkeypatch.setattr(play, "show", lambda game: (show(game), close_the_window()))
 

@@ -14,7 +14,7 @@ from safetensors import safe_open
 from torchrl.envs.utils import check_env_specs
 
 import uavnav
-from uavnav import DroneEnv, evaluate, load_policy, render, verify
+from uavnav import DroneEnv, evaluate, load_policy
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.envs import drawing
 from uavnav.flights.repeats import pose_of
@@ -23,10 +23,12 @@ from uavnav.tasks.baselines import BASELINES, suited
 from uavnav.tasks.rewards import bounds_of_returns
 from uavnav.tasks.simulator import Space, make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
+from uavnav.train import verify
 from uavnav.training import probes
-from uavnav.window import game as rules
-from uavnav.window import hud
-from uavnav.window import keys as window_keys
+from uavnav.views import render
+from uavnav.views.window import game as rules
+from uavnav.views.window import hud
+from uavnav.views.window import keys as window_keys
 
 SENSED = {"sense_velocity": True}
 SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]

@@ -10,9 +10,9 @@ import pytest
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-from uavnav import verify
 from uavnav.algorithms import dqn, ppo
 from uavnav.runs import POLICY, Run
+from uavnav.train import verify
 from uavnav.training.recorder import Recorder
 
 ALGORITHMS = {

@@ -24,7 +24,14 @@ from contextlib import suppress
 ADDRESS = "UAVNAV_WARM"
 """The variable with the server's name, an abstract socket of Linux."""
 PATH = sys.path[1:]
-MODULES = ("uavnav.train.share", "uavnav.evaluate", "uavnav.render", "uavnav.report", "uavnav.export", "hydra")
+MODULES = (
+    "uavnav.train.share",
+    "uavnav.evaluate",
+    "uavnav.views.render",
+    "uavnav.report",
+    "uavnav.policies.export",
+    "hydra",
+)
 SERVERS = []
 """That this process has started: one, and none in a fork."""
 ROOM = 2000

@@ -54,8 +54,8 @@ _NAMES = {
     "World": "tasks.world",
 }
 _ROOMS = {
-    "browser": ("playground",),
     "envs": ("env", "gym", "sb3", "scalar"),
+    "policies": ("export",),
     "report": ("compare",),
     "runs": ("metrics", "paper", "readings"),
     "studies": ("study",),
@@ -72,8 +72,11 @@ _ROOMS = {
         "space",
         "world",
     ),
+    "train": ("verify",),
     "training": ("config", "loggers", "sampler"),
-    "window": ("play",),
+    "views": ("render",),
+    "views.browser": ("playground",),
+    "views.window": ("play",),
 }
 """Modules that are also known without their folder: `uavnav.layouts` is `uavnav.tasks.layouts`."""
 HOMES = {name: f"uavnav.{room}.{name}" for room, names in _ROOMS.items() for name in names}
@@ -81,16 +84,13 @@ HOMES |= {name: algorithm.module for name, algorithm in ALGORITHMS.items()}
 _MODULES = (
     "bench",
     "evaluate",
-    "export",
     "flights",
     "networks",
     "plugins",
     "policies",
-    "render",
     "report",
     "runs",
     "stats",
-    "verify",
 )
 
 _SHOWN = ("evaluate", "layouts", "networks", "plugins", "report", "rewards", "sensing", "stats")

@@ -1,4 +1,4 @@
-"""The one table of keys of the live window: the help shows it, and `uavnav.window.keys` acts by it."""
+"""The one table of keys of the live window: the help shows it, and `uavnav.views.window.keys` acts by it."""
 
 from __future__ import annotations
 

@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from rich.table import Table
 
-from uavnav import style
 from uavnav.evaluate import check_bounds, summary
 from uavnav.evaluate.across import Flyer, flyer, judged
 from uavnav.files import check_out, write
@@ -32,6 +31,7 @@ from uavnav.tasks.baselines import WORLD, AnyPolicy
 from uavnav.tasks.ladders import Measure, measure_of, reached
 from uavnav.tasks.protocol import ACROSS_STEPS
 from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
+from uavnav.views import style
 
 FLOWN = "flown_in"
 """The column that names the world of a flight."""

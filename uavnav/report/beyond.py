@@ -18,7 +18,7 @@ import pandas as pd
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from uavnav import stats, style
+from uavnav import stats
 from uavnav.report import frames, headline
 from uavnav.report.cells import Cell, collect, episodes_of, one_line, order
 from uavnav.report.figures import Figure
@@ -30,6 +30,7 @@ from uavnav.runs.readings import SAMPLED, words
 from uavnav.runs.tables import RunError
 from uavnav.runs.trials import COLUMNS, DIFFERENCE, IMPORTANCE, OF_IMPORTANCE, TABLE, TUNED, best, folders, read, winner
 from uavnav.tasks.protocol import DRAWS
+from uavnav.views import style
 
 Table = pd.DataFrame
 TextRows = list[list[str]]

@@ -21,7 +21,7 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
-from uavnav import commands, stats, style
+from uavnav import commands, stats
 from uavnav.files import check_out, write
 from uavnav.help.choices import did_you_mean, did_you_mean_run
 from uavnav.report import cells, charts, curves, tables
@@ -31,6 +31,7 @@ from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import EPISODES, MAX_STEPS, SCRIPTS, header
 from uavnav.tasks.world import World
+from uavnav.views import style
 
 if TYPE_CHECKING:
     from uavnav.tasks.baselines import AnyPolicy
@@ -250,8 +251,8 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
 
 def page(contenders: Sequence[Contender]) -> bytes:
     """The same as one file of HTML, with figures, and flights of one seed of each run."""
-    from uavnav import browser
     from uavnav.report import replays
+    from uavnav.views import browser
 
     trained = {one.name: one.cell for one in contenders if one.cell is not None}
     drawn = [

@@ -15,7 +15,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup, escape
 
-from uavnav import browser, evaluate
+from uavnav import evaluate
 from uavnav.report import arena, beyond, conclusions, findings, frames, studies, tables, whys, worlds
 from uavnav.report.cells import BINS, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
@@ -26,8 +26,9 @@ from uavnav.report.verdicts import GRADES, SEEDS, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.metrics import LAST
 from uavnav.runs.readings import LOG_CURVE, SAMPLED
-from uavnav.style import RULE, drawing, save
 from uavnav.tasks.world import World
+from uavnav.views import browser
+from uavnav.views.style import RULE, drawing, save
 
 SECTIONS = {
     "verdicts": "Verdicts",

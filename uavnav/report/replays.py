@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from uavnav import browser, flights, plugins
+from uavnav import flights, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import EPISODES
 from uavnav.policies import Policy, PolicyError, load_policy
@@ -42,6 +42,7 @@ from uavnav.tasks.space import decode as decode_in_3d
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 from uavnav.training import machine
+from uavnav.views import browser
 
 TITLES = browser.TITLES | browser.IN_3D
 LEVELS = 64

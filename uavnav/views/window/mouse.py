@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from uavnav.tasks import layouts as banks
-from uavnav.window.game import Game
+from uavnav.views.window.game import Game
 
 
 def grab(game: Game, x: float, y: float) -> Game:

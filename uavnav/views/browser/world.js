@@ -4,7 +4,7 @@
  * The worlds of uavnav/tasks, for one drone, in plain numbers: how it starts, what it senses, how an action moves it, what
  * a step earns and ends. Nothing here draws, and nothing keeps a state.
  *
- * A page gives the constants of a task as uavnav/browser/__init__.py has them. A circle is [x, y, radius] px; one that
+ * A page gives the constants of a task as uavnav/views/browser/__init__.py has them. A circle is [x, y, radius] px; one that
  * moves has [vx, vy] px a step more. A set is { circles, goal }, the goal [x, y] px or none. A state holds x, y [px],
  * heading [whole degrees] and the counts of an episode. Math.fround is where Python has float32.
  */

@@ -17,8 +17,8 @@ from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Ink, font, height_of
 from uavnav.runs.metrics import METRICS
 from uavnav.tasks.world import World
-from uavnav.window.game import PACES, Game, colour, in_3d, parts
-from uavnav.window.mouse import problem
+from uavnav.views.window.game import PACES, Game, colour, in_3d, parts
+from uavnav.views.window.mouse import problem
 
 MARGIN, BLOCK, FOOTER = 12, 330, 30  # [units]; a block of the panel is as wide as that
 ARENA_UNITS = 800, 600

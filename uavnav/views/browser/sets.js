@@ -1,6 +1,6 @@
 /*
  * Sets of obstacles, drawn as uavnav/tasks/{circles,slalom,moving,goal}.py draw them, from other random numbers. Each is a
- * function of its seed. `rules` are uavnav/browser/__init__.py's.
+ * function of its seed. `rules` are uavnav/views/browser/__init__.py's.
  */
 
 /** Uniform numbers in [0, 1), the same for the same seed (mulberry32). */

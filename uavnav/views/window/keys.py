@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from uavnav.commands.keys import ALIASES, KEYS, TILTING, TURNING
-from uavnav.window import game as rules
-from uavnav.window.game import Game
+from uavnav.views.window import game as rules
+from uavnav.views.window.game import Game
 
 _BY_NAME = {name: key for key in KEYS for name in key.names}
 

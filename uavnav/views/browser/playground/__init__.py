@@ -1,7 +1,7 @@
 """`uavnav playground`: the world and trained policies as one page, to be opened from disk: nothing here trains.
 
-The page holds the worlds (`uavnav.browser`), the weights of some seeds of each run as they are, in float32, and scripts
-without a framework. It loads nothing. What a link to it says is checked by `link.js`.
+The page holds the worlds (`uavnav.views.browser`), the weights of some seeds of each run as they are, in float32, and
+scripts without a framework. It loads nothing. What a link to it says is checked by `link.js`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jinja2
 from markupsafe import Markup
 
-from uavnav import browser, networks, policies
+from uavnav import networks, policies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import ConfigError
 from uavnav.policies import Policy, PolicyError
@@ -30,11 +30,12 @@ from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.simulator import name_of
 from uavnav.tasks.world import World
+from uavnav.views import browser
 
 HERE = Path(__file__).parent
 PARTS = ("policies", "rules", "link", "race", "stage", "panel", "worlds", "keys", "playground")
 SCRIPTS = tuple(HERE / f"{name}.js" for name in PARTS)
-"""After those of `uavnav.browser`, in the order in which a browser reads them."""
+"""After those of `uavnav.views.browser`, in the order in which a browser reads them."""
 SEEDS = 3
 """Of each run, the lowest, if there is room."""
 MOST = 36

@@ -21,7 +21,6 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.commands.keys import BANK, LEFT, RIGHT, RISE, ROWS, SINK, TILTING, TURNING
 from uavnav.envs.drawing import PILOTS, STEPS_PER_SECOND, Colour
 from uavnav.policies import Policy
-from uavnav.render import Pilot
 from uavnav.runs.metrics import EPISODE_COLUMNS, FIRST_COLUMNS
 from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.tasks import layouts as banks
@@ -32,6 +31,7 @@ from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.state import COUNTS, UP, State
 from uavnav.tasks.world import World
+from uavnav.views.render import Pilot
 
 PACES = (1 / 10, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
 """How many times as fast as the simulation's own rate."""

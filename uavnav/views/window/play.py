@@ -18,15 +18,15 @@ from uavnav.commands.keys import BANK, ROWS
 from uavnav.envs.drawing import STEPS_PER_SECOND
 from uavnav.files import check_out
 from uavnav.policies import as_option, is_zip
-from uavnav.render import Pilot, load_layout, load_pilots
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training.machine import use_threads
-from uavnav.window import game as rules
-from uavnav.window import hud, mouse
-from uavnav.window.game import Game
-from uavnav.window.keys import press, release, release_all
+from uavnav.views.render import Pilot, load_layout, load_pilots
+from uavnav.views.window import game as rules
+from uavnav.views.window import hud, mouse
+from uavnav.views.window.game import Game
+from uavnav.views.window.keys import press, release, release_all
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 try:

@@ -6,10 +6,10 @@ import sys
 from collections.abc import Sequence
 
 from uavnav import commands, files, plugins
-from uavnav.browser.playground import collect, page
 from uavnav.help.choices import ConfigError
 from uavnav.policies import as_option
 from uavnav.runs.tables import RunError, write
+from uavnav.views.browser.playground import collect, page
 
 
 def main(argv: Sequence[str] | None = None) -> int:

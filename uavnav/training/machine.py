@@ -68,11 +68,7 @@ def processes(config: TrainConfig) -> int:
 
 def own_parts(config: TrainConfig) -> str:
     """What the caller has added or changed without a plugin, so that no other process knows it; often nothing."""
-    own = []
-    for setting, (table, known) in plugins.TABLES.items():
-        name = getattr(config, setting)
-        if table[name] is not known.get(name):
-            own.append(f"{setting}={name}")
+    own = plugins.own_lines({setting: getattr(config, setting) for setting in plugins.TABLES})
     if type(config).__module__ == "__main__":
         own.append(f"algorithm={config.algorithm}")
     return ", ".join(own)

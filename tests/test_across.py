@@ -16,7 +16,8 @@ from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.protocol import GROUPS, LADDER_NAMES, SPLITS
-from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.simulator import EMPTY, Task, make_task
+from uavnav.tasks.world import World
 
 
 def test_the_command_knows_the_ladders_without_torch_by_their_names():
@@ -81,6 +82,15 @@ def test_with_a_goal_the_rule_flies_all_11_densities_and_reaches_5_of_5_goals_wh
     assert reached[0.0] == 5
 
 
+def test_the_ladder_speed_is_not_for_a_plugins_task_whose_own_functions_it_would_lose():
+    class Slow(Task):
+        pass
+
+    own = Slow(World(), EMPTY)
+    assert [LADDERS[name].fits(own) for name in ("density", "speed", "noise")] == [True, False, True]
+    assert LADDERS["speed"].fits(make_task(EMPTY))
+
+
 @pytest.mark.parametrize("columns", [40, 80, 200])
 def test_no_number_of_a_table_is_cut_off_whatever_the_width_of_the_terminal(columns, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(columns))
@@ -118,7 +128,9 @@ def test_without_a_run_scripts_fly_the_world_that_is_named(tmp_path, capsys):
     assert main([*words, "--max-steps", "5", "--json", "--out", str(tmp_path / "new" / "folder")]) == 0
     printed, err = capsys.readouterr()
     assert err.startswith("left out: the ladder density, which the world of straight")
-    assert {one["ladder"] for one in json.loads(printed)} == {"sticky"}
+    told = json.loads(printed)
+    assert {one["ladder"] for one in told} == {"sticky"}
+    assert {(one["low"], one["high"]) for one in told} == {(None, None)}  # of one seed, and NaN is no JSON
     assert (tmp_path / "new" / "folder" / "across-sticky-2-5.png").exists()
     assert main([*words, "--layouts", "train"]) == 2
     assert "--layouts train: --across and --transfer fly on test sets of their own" in capsys.readouterr().err

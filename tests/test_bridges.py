@@ -13,6 +13,7 @@ from torch import nn
 
 import uavnav
 from uavnav import PolicyError, evaluate_policy, load_policy, policies
+from uavnav.__main__ import main
 from uavnav.envs.sb3 import DroneVecEnv
 from uavnav.policies import export
 from uavnav.views import render
@@ -247,6 +248,15 @@ def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
         load_policy(path, seed=3, activation="tanh")
     with pytest.raises(PolicyError, match=r"activation=tanh; a run knows its own: give it for a \.zip alone"):
         load_policy(tmp_path, activation="tanh")
+
+
+def test_beside_a_script_in_another_world_a_zips_rows_are_of_its_own(saved, tmp_path, capsys):
+    *_, path, activation = saved
+    words = ["--task", "goal", "--activation", activation, "--layouts", "validation", "--episodes", "2", "--out"]
+    assert main(["evaluate", "reactive", str(path), *words, str(tmp_path), "--max-steps", "5"]) == 0
+    files = ["model-greedy-validation-2-5", "model-sampled-validation-2-5", "reactive-goal-validation-2-5"]
+    assert sorted(one.stem for one in tmp_path.glob("*.parquet")) == files
+    assert "reactive on 2 validation sets" in capsys.readouterr().out
 
 
 def test_a_zip_is_drawn_with_its_activation_beside_a_script(tmp_path, capsys):

@@ -359,6 +359,34 @@ def test_sb3s_ppo_learns_256_steps_on_4_rows_and_goes_on_from_there():
     assert model.learn(256).num_timesteps == 256
 
 
+def test_where_an_episode_ends_sb3_is_told_of_that_one_and_of_the_next_in_its_reset_infos():
+    pytest.importorskip("stable_baselines3")
+    from uavnav.envs.sb3 import DroneVecEnv
+
+    env = DroneVecEnv(2, seed=0, task="goal", layouts="test", max_steps=3)
+    env.reset()
+    first = [info["layout"] for info in env.reset_infos]
+    forward = np.full(2, 3)
+    for _ in range(3):
+        *_, infos = env.step(forward)
+    assert [info["layout"] for info in infos] == first
+    assert [info["y"] for info in infos] == [309.0, 309.0]  # three steps of 3 px
+    assert [info["succeeded"] for info in infos] == [False, False]
+    assert [info["layout"] for info in env.reset_infos] == [layout + 1 for layout in first]
+    assert [info["y"] for info in env.reset_infos] == [300.0, 300.0]
+
+
+@pytest.mark.parametrize("settings", [{"stack": 2}, {"faults": {"late": 1}}])
+def test_whoever_changes_an_observation_in_place_does_not_change_what_the_drone_remembers(settings):
+    env, again = (DroneGymEnv("test", **settings) for _ in range(2))
+    for one in (env, again):
+        one.reset(seed=0)
+    for action in (9, 3, 41):
+        changed, kept = env.step(action)[0], again.step(action)[0]
+        np.testing.assert_array_equal(changed, kept)
+        changed *= 0
+
+
 def test_sb3s_rows_equal_the_vectors_and_name_the_end_of_each_of_their_episodes():
     pytest.importorskip("stable_baselines3")
     from uavnav.envs.sb3 import DroneVecEnv
@@ -374,7 +402,7 @@ def test_sb3s_rows_equal_the_vectors_and_name_the_end_of_each_of_their_episodes(
         np.testing.assert_array_equal(done, terminated | truncated)
         for row in range(4):
             assert ("terminal_observation" in infos[row]) == done[row]
-            assert infos[row]["layout"] == info["layout"][row]
+            assert infos[row]["layout"] == (info["final_info"] if done[row] else info)["layout"][row]
             if done[row]:
                 assert infos[row]["TimeLimit.truncated"] == truncated[row]
                 np.testing.assert_array_equal(infos[row]["terminal_observation"], info["final_obs"][row])

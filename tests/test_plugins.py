@@ -22,6 +22,7 @@ from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.evaluate.__main__ import main as fly_command
 from uavnav.policies import export
 from uavnav.runs import POLICY
+from uavnav.tasks import simulator
 from uavnav.train import share, verify
 from uavnav.train.__main__ import main as train_command
 from uavnav.views import render
@@ -125,10 +126,16 @@ def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monke
 
 
 @pytest.mark.parametrize(
-    ("words", "line"), [("reinforce", "algorithm=reinforce; "), ("ppo activation=hs", "activation")]
+    ("words", "line"),
+    [
+        ("reinforce", "algorithm=reinforce; "),
+        ("ppo activation=hs", "activation"),
+        ("ppo", "out={}: holds a run with task=narrow; give another folder"),
+    ],
 )
 def test_the_command_that_goes_on_with_a_run_says_which_plugin_it_needs(words, line, run, capsys, monkeypatch):
     monkeypatch.setattr(plugins, "LOADED", {})
+    monkeypatch.delitem(simulator.TASKS, "narrow", raising=False)
     monkeypatch.setattr(sys, "argv", ["uavnav"])
     try:
         status = train_command([*words.split(), f"out={run.path}"])
@@ -136,7 +143,7 @@ def test_the_command_that_goes_on_with_a_run_says_which_plugin_it_needs(words, l
         status = end.code
     err = capsys.readouterr().err
     assert (status, err.count("\n")) == (2, 1)
-    assert err.startswith(f"uavnav train: {line}")
+    assert err.startswith(f"uavnav train: {line.format(run.path)}")
     assert err.endswith("; it was made with plugins, give --plugins my_study (plugins= to uavnav train)\n")
 
 

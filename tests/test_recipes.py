@@ -273,3 +273,19 @@ def test_as_a_process_a_short_run_leaves_its_folder_and_no_warning(tmp_path):
     assert (status, err) == (0, "")
     assert "the run is in mine" in out
     assert "arn" not in out.replace("learn", "")
+
+
+def test_in_the_folder_that_one_stands_in_a_run_ends_with_what_to_do_next(recipe):
+    status, out, err = recipe("a2c", "out=.", *SHORT["a2c"])
+    assert (status, err) == (0, "")
+    assert "uavnav report . --out report" in out
+
+
+def test_of_a_sweep_the_cells_beside_one_that_diverges_are_trained(recipe, tmp_path):
+    sizes = ["total_frames=128", "frames_per_batch=64", "minibatch_size=64", "epochs=2", "compile=off"]
+    for _ in range(2):
+        status, _, err = recipe("ppo", "-m", "--quiet", "lr=1e38,1e-3", "max_grad_norm=null", "out=runs/${lr}", *sizes)
+        assert status == 2
+        assert err.count("\n") == 1
+        assert "is not finite, it diverged" in err
+    assert (Run(tmp_path / "runs" / "0.001").path / "evaluation.parquet").exists()

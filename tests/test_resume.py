@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pandas as pd
@@ -15,9 +16,11 @@ import pytest
 import torch
 import yaml
 from safetensors.torch import load_file
+from tensordict import TensorDict
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from uavnav.algorithms import dqn, ppo
-from uavnav.runs import FILES
+from uavnav.runs import FILES, STOP
 from uavnav.runs.tables import RunError
 from uavnav.training import checkpoints, provenance
 from uavnav.training.recorder import Interrupted, Recorder
@@ -376,6 +379,38 @@ def test_a_start_that_another_process_overtook_leaves_the_finished_run_as_it_is(
     with pytest.raises(RunError, match="was finished by another process meanwhile"), late:
         pass
     same(run.path, finished.path)
+
+
+def test_a_stop_that_another_process_asked_for_counts_once(whole, tmp_path, monkeypatch):
+    train, config, run = whole
+    monkeypatch.setattr("uavnav.training.recorder.PROGRESS_SECONDS", 0)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / STOP).touch()
+    with pytest.raises(Interrupted) as stop:
+        train(config, out=folder, quiet=True)
+    assert stop.value.signum == signal.SIGTERM
+    same(run.path, train(config, out=folder, quiet=True).path)
+
+
+def test_chunks_that_hold_no_row_of_the_ring_any_more_are_deleted(tmp_path):
+    """A ring of 100 rows, saved after 100, 200, ... 1,000: the last two states need two chunks of a hundred rows."""
+    replay = TensorDictReplayBuffer(storage=LazyTensorStorage(100), batch_size=1)
+    saved = checkpoints.Checkpoints(tmp_path / "checkpoint", {})
+    for frames in range(100, 1001, 100):
+        rows = torch.arange(frames - 100, frames)
+        replay.extend(TensorDict({"action": rows}, batch_size=100))
+        saved.save(frames, {"n": torch.tensor(frames)}, {"frames": frames}, replay)
+    kept = sorted(int(path.name.split("-")[1]) for path in (tmp_path / "checkpoint").glob("replay-*"))
+    assert kept == [800, 900]
+    for damaged in (False, True):
+        if damaged:
+            flip(sorted((tmp_path / "checkpoint").glob("state-*"))[-1])
+        again = TensorDictReplayBuffer(storage=LazyTensorStorage(100), batch_size=1)
+        with warnings.catch_warnings(action="ignore"):
+            frames = checkpoints.Checkpoints(tmp_path / "checkpoint", {}).load(again).facts["frames"]
+        assert frames == 1000 - 100 * damaged
+        assert again[:]["action"].tolist() == [*range(frames - 100, frames)]
 
 
 def test_a_ring_written_in_many_small_chunks_and_overwritten_between_snapshots_is_refilled_as_it_was(

@@ -38,6 +38,7 @@ def runs(tmp_path_factory):
         ({"task": "moving", "world": {"speed_max": 3.0}}, "test", "moving, speed_max=3.0"),
         ({}, "slalom-80/test", "slalom-80"),
         ({"faults": {"noise": 5.0}}, "density-12/test", "density-12, noise=5"),
+        ({"reward": "initial"}, "test", "drone, reward=initial"),
     ],
 )
 def test_a_world_is_named_by_what_is_not_as_usual(own, layouts, name):

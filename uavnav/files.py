@@ -9,7 +9,7 @@ from pathlib import Path
 
 def write(path: Path, content: bytes) -> None:
     """Write aside, then rename: the file is whole or not there; raises OSError."""
-    aside = path.with_name(f".{path.name}.aside")
+    aside = path.with_name(f".{path.name}.{os.getpid()}.aside")
     try:
         aside.write_bytes(content)
         os.replace(aside, path)

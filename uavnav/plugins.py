@@ -62,16 +62,6 @@ def load(names: str | Sequence[str] | None) -> None:
         LOADED[name] = _sha256(module)
 
 
-def own_lines(named: Mapping[str, str]) -> list[str]:
-    """Which names, by the setting, the caller has added or changed without a plugin: no other process knows these."""
-    own = {setting: named[setting] for setting in TABLES if setting in named}
-    return [f"{setting}={name}" for setting, name in own.items() if _is_own(*TABLES[setting], name)]
-
-
-def _is_own(table: Mapping[str, Any], known: Mapping[str, Any], name: str) -> bool:
-    return table[name] is not known.get(name)
-
-
 def _sha256(module: ModuleType) -> str:
     """Of a module's file; of all Python files of a package, in the order of their paths; empty without any."""
     folders = [Path(folder) for folder in getattr(module, "__path__", ())]

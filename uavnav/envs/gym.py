@@ -268,7 +268,11 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             for row in np.flatnonzero(ended):
                 final_observations[row] = observation[row].numpy()
             final = self._info(state, clearance)
-            masked = {key: np.where(ended, value, 0) for key, value in final.items() if not key.startswith("_")}
+            masked = {
+                key: np.where(ended, value, np.zeros_like(value))
+                for key, value in final.items()
+                if not key.startswith("_")
+            }
             masks = {f"_{key}": ended.copy() for key in masked}
             info = {"final_obs": final_observations, "final_info": masked | masks}
             info |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}

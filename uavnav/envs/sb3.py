@@ -53,13 +53,15 @@ class DroneVecEnv(VecEnv):  # type: ignore[misc]
         infos = self._rows(info)
         done = terminated | truncated
         for row in np.flatnonzero(done):
+            self.reset_infos[row] = infos[row]
+            infos[row] = self._rows(info["final_info"], [row])[0]
             infos[row]["terminal_observation"] = info["final_obs"][row]
             infos[row]["TimeLimit.truncated"] = bool(truncated[row])
         return observation, reward.astype(np.float32), done, infos
 
-    def _rows(self, info: dict[str, Any]) -> list[dict[str, Any]]:
+    def _rows(self, info: dict[str, Any], rows: Any = ...) -> list[dict[str, Any]]:
         names = [name for name in info if not name.startswith("_") and not name.startswith("final")]
-        columns = [info[name].tolist() for name in names]
+        columns = [info[name][rows].tolist() for name in names]
         return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
     def get_images(self) -> Sequence[np.ndarray[Any, Any] | None]:

@@ -7,12 +7,8 @@ whatever else flies (scripted baselines, zips of Stable-Baselines3), whose rows 
 from __future__ import annotations
 
 import contextlib
-import json
-import subprocess
-import sys
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +16,7 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from uavnav import flights, plugins, policies
+from uavnav import flights, policies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import arena, values
 from uavnav.flights.repeats import Repeats
@@ -252,96 +248,52 @@ def evaluate_run(
     Raises:
         LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
     """
-    crews = _crews(run.path, run.seeds)
+    crews = {
+        mode: {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
+        for mode in MODES
+    }
     own = crews["greedy"][run.seeds[0]].task
     max_steps = own.cap(MAX_STEPS) if max_steps is None else max_steps
     task = on(own, layouts, episodes, max_steps, faults)
-    measure, what = measure_of(layouts), f"{run.algorithm} {run.config['activation']}"
-    n = episodes * len(MODES)
-    here, there = _halves(run, n * max_steps)
-    with machine.use_threads(1), _apart(run, there, layouts, episodes, max_steps, faults) as apart:
-        with display.flights(what, n * len(here), max_steps, quiet) as tell:
-            parts = [fly_crews(_of(crews, here), task, tell, measure)]
-        usual = type(task) is Task and not protocol_name(layouts, episodes, max_steps, faults)
-        beside = _beside(run, crews) if usual else {}
-        if there:
-            parts.append(apart() or fly_crews(_of(crews, there), task, measure=measure))
-    rows, behaviour = (
-        pd.concat([part[mode][which].assign(mode=mode) for mode in MODES for part in parts], ignore_index=True)
-        for which in range(len(Flights._fields))
-    )
+    rows_file, behaviour_file = files_of(layouts, episodes, max_steps, faults)
+    usual = type(task) is Task and rows_file == EVALUATION
+    what, n = f"{run.algorithm} {run.config['activation']}", episodes * len(MODES)
+
+    def fly_seeds(
+        seeds: Sequence[int], tell: Callable[[int, int], object] = lambda step, up: None
+    ) -> dict[str, pd.DataFrame]:
+        own = {mode: {seed: crew[seed] for seed in seeds} for mode, crew in crews.items()}
+        flown = fly_crews(own, task, tell, measure_of(layouts))
+        rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()])
+        behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flown.items()])
+        return {rows_file: rows, behaviour_file: behaviour, **(_beside(run, own) if usual else {})}
+
+    here, there = _halves(run.seeds, n * max_steps)
+    fork = machine.forked(lambda: fly_seeds(there)) if there else contextlib.nullcontext(dict)
+    with machine.use_threads(1), fork as others, display.flights(what, n * len(here), max_steps, quiet) as tell:
+        parts = [fly_seeds(here, tell), *[others()] * bool(there)]
+    tables = {name: _in_order([part[name] for part in parts]) for name in parts[0]}
     with lock(run.path):
-        for name, table in zip(files_of(layouts, episodes, max_steps, faults), (rows, behaviour), strict=True):
-            table.attrs = header(layouts, episodes, max_steps, faults)
+        for name, table in tables.items():
+            if name in (rows_file, behaviour_file):
+                table.attrs = header(layouts, episodes, max_steps, faults)
             write_table(run.path / name, table)
-        for name, table in beside.items():
-            write_table(run.path / name, table)
-    return rows
+    return tables[rows_file]
 
 
-def _crews(path: Path, seeds: Sequence[int]) -> dict[str, dict[int, Policy]]:
-    """Some policies of a run, by mode and seed."""
-    return {mode: {seed: policies.load_policy(path, seed, greedy=mode == "greedy") for seed in seeds} for mode in MODES}
+def _in_order(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Rows by mode, seed and set, the steps of a flight as they are."""
+    by = [name for name in ("mode", "seed", "layout") if name in parts[0]]
+    return pd.concat(parts).sort_values(by, kind="stable", ignore_index=True)
 
 
-def _of(crews: Mapping[str, Mapping[int, Policy]], seeds: Sequence[int]) -> dict[str, dict[int, Policy]]:
-    return {mode: {seed: crew[seed] for seed in seeds} for mode, crew in crews.items()}
+def _halves(seeds: list[int], steps: int) -> tuple[list[int], list[int]]:
+    """The seeds that fly here, and those that a fork of this process flies meanwhile: none where that would not pay.
 
-
-def _halves(run: Run, steps: int) -> tuple[list[int], list[int]]:
-    """The seeds that fly here, and those that another process flies meanwhile: none where that cannot be or pay.
-
-    steps: of a seed's flights, if none ended.
+    Whoever flies among others has the same rows. steps: of a seed's flights, if none ended.
     """
-    seeds = run.seeds
-    pays = machine.cores() > 1 and len(seeds) * steps >= machine.MANY
-    n = -(-len(seeds) // 2) if pays and not plugins.own_lines(run.config) else len(seeds)
-    return seeds[:n], seeds[n:]
-
-
-@contextlib.contextmanager
-def _apart(
-    run: Run, seeds: Sequence[int], layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None
-) -> Iterator[Callable[[], dict[str, Flights] | None]]:
-    """Fly some seeds in a process of its own. What this gives waits for it: its flights by mode, or None if it failed.
-
-    Whoever flies among others has the same rows.
-    """
-    if not seeds:
-        yield lambda: None
-        return
-    told = {"run": str(run.path), "seeds": [*seeds], "layouts": str(layouts), "episodes": episodes}
-    told |= {"max_steps": max_steps, "faults": faults and asdict(faults), "plugins": [*plugins.LOADED]}
-    with tempfile.TemporaryDirectory() as folder:
-        code = f"import sys; sys.path[:] = {sys.path!r}; from uavnav.evaluate import _told; _told(sys.argv[1:])"
-        process = subprocess.Popen([sys.executable, "-c", code, folder, json.dumps(told)], stderr=subprocess.DEVNULL)
-
-        def wait() -> dict[str, Flights] | None:
-            if process.wait():
-                return None
-            tables = {mode: [Path(folder) / f"{mode}-{name}.parquet" for name in Flights._fields] for mode in MODES}
-            return {mode: Flights(*map(pd.read_parquet, paths)) for mode, paths in tables.items()}
-
-        try:
-            yield wait
-        finally:
-            process.kill()
-            process.wait()
-
-
-def _told(words: Sequence[str]) -> None:
-    """What `_apart` starts: a folder for the tables, and what to fly."""
-    folder, told = Path(words[0]), json.loads(words[1])
-    plugins.load(told["plugins"])
-    crews = _crews(Path(told["run"]), told["seeds"])
-    faults = told["faults"] and Faults(**told["faults"])
-    own = crews["greedy"][told["seeds"][0]].task
-    task = on(own, told["layouts"], told["episodes"], told["max_steps"], faults)
-    with machine.use_threads(1):
-        flown = fly_crews(crews, task, measure=measure_of(told["layouts"]))
-    for mode, tables in flown.items():
-        for name, table in tables._asdict().items():
-            table.to_parquet(folder / f"{mode}-{name}.parquet")
+    pays = machine.forks() and len(seeds) * steps >= machine.MANY
+    return (seeds[::2], seeds[1::2]) if pays else (seeds, [])
 
 
 def _beside(run: Run, crews: Mapping[str, Mapping[int, Policy]]) -> dict[str, pd.DataFrame]:

@@ -45,6 +45,12 @@ def _cap(arguments: Namespace, task: Task | type[Task]) -> int:
     return task.cap(MAX_STEPS) if given is None else given
 
 
+def _world(flyers: Mapping[str, AnyPolicy], task: str) -> Task:
+    """Where that flies which is no run: a policy in its own world, a script in that of a task."""
+    first = next(iter(flyers.values()))
+    return first.task if isinstance(first, Policy) else make_task(EMPTY, task=task)
+
+
 def _rows_file(name: str, mode: str, protocol: str = "") -> str:
     """Where the rows of what is no run are kept; a report calls them so."""
     who = name if name in BASELINES else f"{Path(name).stem}-{mode}"
@@ -97,13 +103,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.seeds != 1:
             _check_seeds(arguments)
         faults = from_option(arguments.faults)
-        scripted = make_task(EMPTY, task=arguments.task)
-        bounds = arguments.layouts, arguments.episodes, _cap(arguments, scripted)
-        protocol = protocol_name(*bounds, faults, arguments.task)
+        others = {name: one for name, one in found.items() if not isinstance(one, Run)}
+        worlds = {name: _world(one, arguments.task) for name, one in others.items()}
+        protocols = {
+            name: (arguments.layouts, arguments.episodes, _cap(arguments, task), faults, name_of(task))
+            for name, task in worlds.items()
+        }
         if arguments.out is not None:
-            for name, run in found.items():
-                for mode in () if isinstance(run, Run) else run:
-                    check_out(arguments.out / _rows_file(name, mode, protocol))
+            for name, protocol in protocols.items():
+                for mode in others[name]:
+                    check_out(arguments.out / _rows_file(name, mode, protocol_name(*protocol)))
         if arguments.across is not None or arguments.transfer or arguments.alone:
             return _elsewhere(arguments, found)
         quiet, records = arguments.quiet or arguments.json, []
@@ -115,15 +124,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             else:
                 seeds = range(arguments.seeds if name == DRAWS else 1)
                 who = Flyer(name, {mode: dict.fromkeys(seeds, policy) for mode, policy in run.items()})
-                own = who.first.task if isinstance(who.first, Policy) else scripted
-                task = on(own, *bounds, faults)
+                protocol, kept = protocols[name], []
+                task = on(worlds[name], *protocol[:-1])
                 flown = who.fly(task, f"on {arguments.layouts}", quiet, measure_of(arguments.layouts))
                 rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
-                kept = []
+                rows.attrs = header(*protocol)
                 for mode, part in flown.items() if arguments.out is not None else ():
-                    path = arguments.out / _rows_file(name, mode, protocol)
+                    path = arguments.out / _rows_file(name, mode, protocol_name(*protocol))
                     path.parent.mkdir(parents=True, exist_ok=True)
-                    part.attrs = header(*bounds, faults, name_of(task))
+                    part.attrs = rows.attrs
                     write_table(path, part)
                     kept.append(path)
             records.append({"run": name, **summary.evaluation_record(rows)})

@@ -23,8 +23,7 @@ from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.runs import Run, metrics
 from uavnav.runs.metrics import MODES
-from uavnav.runs.tables import RunError, lock, write_table
-from uavnav.tasks import layouts as banks
+from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks.baselines import BASELINES, WORLD, AnyPolicy, suited
 from uavnav.tasks.ladders import LADDERS, Ladder, Measure, reached
 from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
@@ -166,11 +165,6 @@ def _task_of(one: Flyer, scripted: Task) -> Task:
     return one.first.task if isinstance(one.first, Policy) else scripted
 
 
-def _has(one: Flyer, scripted: Task, ladder: Ladder) -> bool:
-    """Whether the world that it flies in has a ladder."""
-    return not ladder.of or banks.kind_of(_task_of(one, scripted).world) in ladder.of
-
-
 def across(
     found: Mapping[str, Run | Mapping[str, AnyPolicy]],
     names: Sequence[str],
@@ -207,7 +201,9 @@ def across(
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, SPLITS["test"].n)
     folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
     check_out(folder / "across.svg")
-    unfit = {name: [one.name for one in flyers if not _has(one, theirs, ladder)] for name, ladder in LADDERS.items()}
+    unfit = {
+        name: [one.name for one in flyers if not ladder.fits(_task_of(one, theirs))] for name, ladder in LADDERS.items()
+    }
     fit = ", ".join(name for name in LADDERS if not unfit[name])
     climbed = [name for name in names if not unfit[name]]
     if not climbed:
@@ -219,10 +215,10 @@ def across(
         flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
     caps = {one.name: max_steps or _task_of(one, theirs).cap(ACROSS_STEPS) for one in flyers}
     if len(set(caps.values())) > 1:
-        told = ", ".join(f"{name} {cap:,}" for name, cap in caps.items())
-        tell(f"caps on steps differ ({told}); --max-steps gives all the same")
+        each = ", ".join(f"{name} {cap:,}" for name, cap in caps.items())
+        tell(f"caps on steps differ ({each}); --max-steps gives all the same")
     folder.mkdir(parents=True, exist_ok=True)
-    records: list[dict[str, Any]] = []
+    told: list[dict[str, Any]] = []
     for name in climbed:
         rows, stem = {}, Path(rows_across(name, episodes, max(caps.values()))).stem
         for one in flyers:
@@ -241,5 +237,5 @@ def across(
             write(folder / f"{stem}.png", png)
         if not (quiet or alone):
             print(f"the figure is {folder / f'{stem}.png'}", flush=True)
-        records += [{"ladder": name, **dict(one)} for one in table.to_dict("records")]  # type: ignore[arg-type]
-    return records
+        told += [{"ladder": name, **one} for one in records(table)]
+    return told

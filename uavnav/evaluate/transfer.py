@@ -25,7 +25,7 @@ from uavnav.files import check_out, write
 from uavnav.policies import Policy
 from uavnav.runs import Run
 from uavnav.runs.metrics import FLIGHTS
-from uavnav.runs.tables import RunError, lock, write_table
+from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import WORLD, AnyPolicy
 from uavnav.tasks.ladders import Measure, measure_of, reached
@@ -82,8 +82,9 @@ def named(task: Task, layouts: str) -> str:
     usual = asdict(type(task).WORLD())
     own = [f"{key}={value}" for key, value in asdict(task.world).items() if value != usual[key]]
     faults = [str(task.faults)] * (str(task.faults) != "none")
+    reward = [f"reward={task.reward}"] * (task.reward != task.REWARD)
     first = name if bank in banks.SPLITS else bank if name == "drone" else f"{name} {bank}"
-    return ", ".join([first, *own, *faults])
+    return ", ".join([first, *own, *reward, *faults])
 
 
 def sort(
@@ -237,4 +238,4 @@ def transfer(
     if not quiet:
         summary.show(shown(table, trained))
         print(f"the rows are in {folder / f'{stem}.parquet'}\nthe figure is {folder / f'{stem}.png'}", flush=True)
-    return [{"trained_in": trained[one["name"]], **dict(one)} for one in table.to_dict("records")]  # type: ignore[arg-type]
+    return [{"trained_in": trained[one["name"]], **one} for one in records(table)]

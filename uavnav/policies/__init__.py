@@ -23,6 +23,7 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import choose_from
 from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.runs import POLICY, read_settings
+from uavnav.runs.tables import RunError
 from uavnav.tasks.rewards import REWARDS
 from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.tasks.world import VERSION, World
@@ -215,7 +216,10 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     _check_sizes(path, inputs, outputs, trained_in)
     facts = path.with_name("meta.json")
     if noted and facts.is_file():
-        plugins.warn_of_changed(path, read_settings(facts).get("plugins", {}))
+        try:
+            plugins.warn_of_changed(path, read_settings(facts).get("plugins", {}))
+        except RunError as error:
+            raise PolicyError(str(error)) from error
     for key, tensor in policy.items():
         if not tensor.isfinite().all():
             raise Diverged(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")

@@ -28,7 +28,7 @@ from uavnav.report import cells, charts, curves, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
-from uavnav.runs.tables import RunError, read_table
+from uavnav.runs.tables import RunError, read_table, records
 from uavnav.tasks.protocol import EPISODES, MAX_STEPS, SCRIPTS, header
 from uavnav.tasks.world import World
 from uavnav.views import style
@@ -295,7 +295,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if line := apart(contenders):
             print(line, file=sys.stderr)
         if arguments.json:
-            print(json.dumps(metrics(contenders).to_dict("records"), indent=2))
+            print(json.dumps(records(metrics(contenders)), indent=2))
         else:
             console = Console(highlight=False, soft_wrap=True, markup=False)
             with console.capture() as told:

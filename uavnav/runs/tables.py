@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,11 @@ def lock(path: Path) -> Iterator[None]:
     finally:
         Path(held.lock_file).unlink(missing_ok=True)
         held.release()
+
+
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """A table's rows as JSON can hold them: null where a number is missing."""
+    return list(json.loads(table.to_json(orient="records", double_precision=15)))
 
 
 def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFrame:

@@ -217,8 +217,8 @@ class Task:
         return self.recall(state) if self.remembers else sensed, clearance
 
     def recall(self, state: State) -> Tensor:
-        """The stack of observations that a policy sees, late as `faults` says: [*B, observation_size]."""
-        return memory.seen_of(state)[..., self.faults.late : self.faults.late + self.stack, :].flatten(-2)
+        """The stack of observations that a policy sees, late as `faults` says: [*B, observation_size], a copy."""
+        return memory.seen_of(state)[..., self.faults.late : self.faults.late + self.stack, :].flatten(-2).clone()
 
     def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
         """Turn, then fly: where the drone is after action [*B], angle [*B] degrees, distance [*B] px."""

@@ -25,7 +25,7 @@ from uavnav import commands, help, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import evaluate_run, summary, usual_files
 from uavnav.help.choices import ConfigError, unknown, unknown_key
-from uavnav.policies import PolicyError
+from uavnav.policies import Diverged, PolicyError
 from uavnav.runs import Run
 from uavnav.runs.tables import RunError
 from uavnav.tasks.faults import Faults
@@ -66,10 +66,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 0
         orders = [_order(kind, one) for one in settings]
         _check(orders)
-        finished = [_train(order, given.quiet or given.json) for order in orders]
+        finished = []
+        for order in orders:
+            try:
+                finished.append(_train(order, given.quiet or given.json))
+            except Diverged as error:  # the others of a sweep are trained all the same
+                print(f"uavnav train: {error}", file=sys.stderr)
         if given.json:
             print(json.dumps([summary.record(run) for run in finished], indent=2))
-        elif not given.quiet and finished[-1].fresh:
+        elif not given.quiet and finished and finished[-1].fresh:
             print(_next(finished[-1], given.plugins))
     except Interrupted as stop:
         print(stop, file=sys.stderr)
@@ -83,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (LayoutError, PolicyError, RunError) as error:
         print(f"uavnav train: {error}", file=sys.stderr)
         return 2
-    return 0
+    return 0 if len(finished) == len(orders) else 2
 
 
 def _world(settings: Sequence[str]) -> type[World] | None:
@@ -199,7 +204,7 @@ def _next(finished: Run, names: Sequence[str]) -> str:
     run = finished.path
     with_plugins = ["--plugins", ",".join(names)] if names else []
     watch = ["uavnav", "play" if find_spec("pygame") else "render", str(run), *with_plugins]
-    root = str(run) if run.is_absolute() or run.parts[0] == ".." else run.parts[0]
+    root = str(run) if run.is_absolute() or run.parts[:1] in ((), ("..",)) else run.parts[0]
     compare = ["uavnav", "report", root, "--out", "report", *with_plugins]
     return f"watch it:    {shlex.join(watch)}\ncompare it:  {shlex.join(compare)}"
 

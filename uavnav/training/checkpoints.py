@@ -9,11 +9,12 @@ what is new. A file's name ends in the first half of its SHA-256, so that a cut 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import shutil
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -69,6 +70,7 @@ class Checkpoints:
         self.folder, self._of_today = folder, of_today
         self.identity = json.loads(json.dumps(identity))
         self._chunks: list[str] = []
+        self._kept: list[list[str]] = []  # the chunks of each state that is kept, the newest first
         self._rows_saved = 0
 
     def save(self, frames: int, state: Nested, facts: Nested, replay: ReplayBuffer | None = None) -> None:
@@ -80,6 +82,8 @@ class Checkpoints:
         self._write(f"state-{frames:012d}", TensorDict(state), header)
         for old in self._states()[KEPT:]:
             old.unlink()
+        self._kept = [self._chunks, *self._kept][:KEPT]
+        self._drop_strays()
 
     def _save_new_rows(self, replay: ReplayBuffer, rows: int) -> None:
         capacity = replay.storage.max_size
@@ -90,6 +94,8 @@ class Checkpoints:
             positions = [row % capacity for row in range(begin, end)]
             self._chunks = [*self._chunks, self._write(f"replay-{begin:012d}", replay[positions], {})]
             self._rows_saved = end
+        ends = [int(name.split("-")[1]) for name in self._chunks[1:]] + [rows]
+        self._chunks = [name for name, end in zip(self._chunks, ends, strict=True) if end > rows - capacity]
 
     def _write(self, stem: str, nested: TensorDict, header: Nested) -> str:
         tensors = {name: value.contiguous() for name, value in nested.flatten_keys("/").items()}
@@ -121,6 +127,7 @@ class Checkpoints:
             for damaged in states[: states.index(path)]:  # they would count among the two that are kept
                 damaged.rename(damaged.with_name(f"damaged-{damaged.name}"))
             self._chunks = snapshot.chunks
+            self._kept = [snapshot.chunks, *self._chunks_of(states[states.index(path) + 1 :])]
             self._rows_saved = snapshot.facts.get("frames", 0)
             self._drop_strays()
             return snapshot
@@ -135,6 +142,12 @@ class Checkpoints:
             if theirs.get(key) != self.identity[key]:
                 raise RunError(f"{path}: saved with {key}={theirs.get(key)}, not {self.identity[key]}")
         return Snapshot(TensorDict(tensors).unflatten_keys("/").to_dict(), header["facts"], header["chunks"])
+
+    def _chunks_of(self, states: list[Path]) -> Iterator[list[str]]:
+        """Of those that can be read."""
+        for path in states:
+            with contextlib.suppress(RunError):
+                yield self._read_state(path).chunks
 
     def _read(self, path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         try:
@@ -155,9 +168,10 @@ class Checkpoints:
         return sorted(self.folder.glob("state-*.safetensors"), reverse=True)
 
     def _drop_strays(self) -> None:
-        """Remove what a killed process left: files half-written, and chunks that no kept state knows."""
+        """Remove files half-written, which a killed process left, and chunks that no kept state knows."""
+        known = set().union(*self._kept)
         for path in [*self.folder.glob(".*"), *self.folder.glob("replay-*.safetensors")]:
-            if path.name not in self._chunks:
+            if path.name not in known:
                 path.unlink()
 
     def remove(self) -> None:

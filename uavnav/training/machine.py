@@ -5,15 +5,22 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import multiprocessing
 import os
+import signal
+import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
+from typing import TypeVar
 
 import torch
 
 from uavnav import graph, plugins
 from uavnav.help.choices import ConfigError
 from uavnav.training.config import TrainConfig
+
+Result = TypeVar("Result")
 
 MAPPED_FROM = 2**20
 """Bytes from which glibc gives a block pages of its own."""
@@ -68,7 +75,11 @@ def processes(config: TrainConfig) -> int:
 
 def own_parts(config: TrainConfig) -> str:
     """What the caller has added or changed without a plugin, so that no other process knows it; often nothing."""
-    own = plugins.own_lines({setting: getattr(config, setting) for setting in plugins.TABLES})
+    own = []
+    for setting, (table, known) in plugins.TABLES.items():
+        name = getattr(config, setting)
+        if table[name] is not known.get(name):
+            own.append(f"{setting}={name}")
     if type(config).__module__ == "__main__":
         own.append(f"algorithm={config.algorithm}")
     return ", ".join(own)
@@ -82,6 +93,44 @@ def cores() -> int:
 def threads(config: TrainConfig, processes: int) -> int:
     """One where processes share the seeds; two are slower than one for fewer than 4 agents, and faster from there."""
     return 1 if config.n_seeds < 4 or processes > 1 else min(2, cores())
+
+
+def forks() -> bool:
+    """Whether a fork of this process can compute beside it: on Linux, as PyTorch's DataLoader does it there."""
+    return sys.platform == "linux" and cores() > 1 and not multiprocessing.current_process().daemon
+
+
+@contextlib.contextmanager
+def forked(work: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
+    """Let a fork of this process do some work that uses one thread; what this gives waits for its result.
+
+    The work is done here where the fork failed, and raises here what it raises.
+    """
+    fork = multiprocessing.get_context("fork")
+    heard, said = fork.Pipe(duplex=False)
+    process = fork.Process(target=_do, args=(work, said), daemon=True)
+    process.start()
+    said.close()
+
+    def result() -> Result:
+        try:
+            found: Result = heard.recv()
+            return found
+        except EOFError:
+            return work()
+
+    try:
+        yield result
+    finally:
+        process.kill()
+        process.join()
+
+
+def _do(work: Callable[[], Result], said: Connection) -> None:
+    """What a fork does; whoever started it hears the signals of the terminal, and ends it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(Exception):
+        said.send(work())
 
 
 def keep_memory_flat(weights: int = 0) -> None:

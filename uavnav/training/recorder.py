@@ -23,11 +23,12 @@ from filelock import FileLock, Timeout
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from uavnav import files
+from uavnav import files, plugins
 from uavnav.runs import FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, Run, read_settings
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.tables import LOCK, Columns, RunError, with_reward, write, write_table
 from uavnav.tasks import layouts
+from uavnav.tasks.simulator import TASKS
 from uavnav.tasks.state import COUNTS, State
 from uavnav.training import provenance
 from uavnav.training.checkpoints import Checkpoints, Snapshot, Stateful
@@ -130,11 +131,14 @@ class Recorder:
         there = read_settings(path / "config.yaml")
         if not isinstance(there.get("algorithm"), str) or not {"activation", "seed", "n_seeds"} <= there.keys():
             raise RunError(f"out={path}: its config.yaml is not a run's; give a new or empty folder")
-        if there["algorithm"] == self.config.algorithm:
-            there = {"algorithm": there["algorithm"], **self.config.as_run(there)}
         if self._overwrite:
             return False
         meta = read_settings(path / "meta.json") if (path / "meta.json").is_file() else {}
+        if there.get("task", self.config.task) not in TASKS:
+            needed = plugins.missing(meta.get("plugins", {}))
+            raise RunError(f"out={path}: holds a run with task={there['task']}; give another folder{needed}")
+        if there["algorithm"] == self.config.algorithm:
+            there = {"algorithm": there["algorithm"], **self.config.as_run(there)}
         same_bank = meta.get("bank", self.meta["bank"]) == self.meta["bank"]
         for key in sorted({*there, *self._described}, key=str):
             if there.get(key) != self._described.get(key) and not (key == "layouts" and meta and same_bank):
@@ -198,6 +202,8 @@ class Recorder:
             with contextlib.suppress(RunError):  # on a full disk the error under way says more
                 self._write_meta()
         (self.path / PROGRESS).unlink(missing_ok=True)
+        if self.stop is not None:
+            (self.path / STOP).unlink(missing_ok=True)  # it was obeyed, and counts once
         self._release()
 
     def _release(self) -> None:

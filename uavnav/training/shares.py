@@ -110,6 +110,8 @@ class Shares:
     def __init__(self, recorder: Recorder, n: int) -> None:
         self.recorder, self.log = recorder, recorder.log
         self.shares = split(recorder.config, recorder.path, n)
+        for path in self.shares:
+            (path / STOP).unlink(missing_ok=True)  # of a study that was stopped
 
     def progress(self) -> Generator[tuple[int, list[float]]]:
         """Train all shares, and yield where the whole run is: what `Tell` is told.

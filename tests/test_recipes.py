@@ -240,6 +240,7 @@ WRONG = {
     "hydra.run.dir=x": "there is no key 'hydra.run.dir'; choose from activation",
     "activation=tanh,relu": "activation: give one value, or -m to train with each in turn",
     "-m activation=tanh,rleu": "activation=rleu; choose from ",
+    "activation=rleu --cfg job": "activation=rleu; choose from ",
     "-m activation=tanh,relu out=one": "out=one: two runs of the sweep would share it",
     "activation=tanh,relu -m out=one": "out=one: two runs of the sweep would share it",
     "-m hydra/launcher=ray": "hydra/launcher=ray: .*; uavnav study ... engine=ray or engine=slurm spreads runs",

@@ -61,10 +61,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(help.render(kind, _world(given.settings) or World, Faults), end="")
             return 0
         settings = [_composed(kind, words) for words in _cells(kind, given.settings, given.multirun)]
+        orders = [_order(kind, one) for one in settings]
         if given.cfg:
             print("\n---\n".join(OmegaConf.to_yaml(one).strip() for one in settings))
             return 0
-        orders = [_order(kind, one) for one in settings]
         _check(orders)
         finished = []
         for order in orders:

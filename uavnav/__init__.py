@@ -74,7 +74,7 @@ _ROOMS = {
     ),
     "train": ("verify",),
     "training": ("config", "loggers", "sampler"),
-    "views": ("render",),
+    "views": ("render", "style"),
     "views.browser": ("playground",),
     "views.window": ("play",),
 }

@@ -1,5 +1,7 @@
 """An evaluation that would take long is flown by two processes, half of the seeds each."""
 
+import os
+
 import pytest
 
 from uavnav import ppo
@@ -44,6 +46,11 @@ def test_a_half_whose_process_fails_is_flown_here(flown, monkeypatch):
     alone = flown(0)
     monkeypatch.setattr(machine, "_do", lambda work, said: None)
     assert flown(1) == alone
+
+
+def test_the_work_of_a_fork_is_done_by_another_process():
+    with machine.forked(os.getpid) as found:
+        assert found() not in (os.getpid(), None)
 
 
 def test_what_goes_wrong_in_a_fork_is_raised_here(capfd):

@@ -253,6 +253,9 @@ def test_a_plugin_that_adds_nothing_a_run_needs_is_not_asked_for(bomb):
     path = bomb / POLICY
     save_file(load_file(path), path, metadata={"uavnav": json.dumps(header_of(path) | {"algorithm": "ppo"})})
     assert load_policy(bomb).algorithm == "ppo"
+    (bomb / "meta.json").write_text('{"plugins"')
+    with pytest.raises(PolicyError, match=r"meta\.json: "):
+        load_policy(bomb)
 
 
 # -- loading ---------------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """A run's folder: complete, repeatable bit for bit, whole or not there, and never two writers."""
 
 import json
+import multiprocessing
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from filelock import FileLock
 from safetensors.torch import load_file
 
 import uavnav
+from uavnav import files
 from uavnav.algorithms import a2c, dqn, ppo
 from uavnav.runs import FILES, POLICY, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
@@ -46,6 +48,23 @@ def same(a, b):
     (episodes_a, progress_a, weights_a), (episodes_b, progress_b, weights_b) = contents(a), contents(b)
     weights = all(torch.equal(weights_a[key], weights_b[key]) for key in weights_a)
     return episodes_a.equals(episodes_b) and progress_a.equals(progress_b) and weights
+
+
+def test_two_processes_write_one_file_at_once_and_each_time_it_is_whole(tmp_path):
+    contents = [bytes([n]) * 100_000 for n in range(2)]
+    fork = multiprocessing.get_context("fork")
+    writers = [fork.Process(target=write_often, args=(tmp_path / "rows", content)) for content in contents]
+    for writer in writers:
+        writer.start()
+    while any(writer.is_alive() for writer in writers):
+        assert not (tmp_path / "rows").exists() or (tmp_path / "rows").read_bytes() in contents
+    assert [writer.exitcode for writer in writers] == [0, 0]
+    assert [path.name for path in tmp_path.iterdir()] == ["rows"]
+
+
+def write_often(path, content):
+    for _ in range(500):
+        files.write(path, content)
 
 
 def test_the_folder_holds_five_files_and_nothing_else(trained):

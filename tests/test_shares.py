@@ -116,6 +116,7 @@ def test_a_spread_run_that_is_stopped_and_resumed_is_the_run_that_was_not(spread
         train(config, tmp_path / "run", quiet=True, processes=2, until=512)
     assert stop.value.wanted
     assert sorted(path.name for path in (tmp_path / "run" / "checkpoint").iterdir()) == ["seeds-0-1", "seeds-2-2"]
+    (tmp_path / "run" / "checkpoint" / "seeds-0-1" / "stop").touch()  # as a study that was stopped leaves it
     assert_same(train(config, tmp_path / "run", quiet=True), spread_run[0])
 
 

@@ -257,7 +257,7 @@ def evaluate_run(
     task = on(own, layouts, episodes, max_steps, faults)
     rows_file, behaviour_file = files_of(layouts, episodes, max_steps, faults)
     usual = type(task) is Task and rows_file == EVALUATION
-    what, n = f"{run.algorithm} {run.config['activation']}", episodes * len(MODES)
+    n = episodes * len(MODES)
 
     def fly_seeds(
         seeds: Sequence[int], tell: Callable[[int, int], object] = lambda step, up: None
@@ -269,9 +269,12 @@ def evaluate_run(
         return {rows_file: rows, behaviour_file: behaviour, **(_beside(run, own) if usual else {})}
 
     here, there = _halves(run.seeds, n * max_steps)
+    what = f"{run.algorithm} {run.config['activation']}" + ", half of the seeds" * bool(there)
     fork = machine.forked(lambda: fly_seeds(there)) if there else contextlib.nullcontext(dict)
     with machine.use_threads(1), fork as others, display.flights(what, n * len(here), max_steps, quiet) as tell:
-        parts = [fly_seeds(here, tell), *[others()] * bool(there)]
+        parts = [fly_seeds(here, tell)]
+        if there:
+            parts.append(others())
     tables = {name: _in_order([part[name] for part in parts]) for name in parts[0]}
     with lock(run.path):
         for name, table in tables.items():

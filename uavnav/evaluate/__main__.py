@@ -46,7 +46,7 @@ def _cap(arguments: Namespace, task: Task | type[Task]) -> int:
 
 
 def _world(flyers: Mapping[str, AnyPolicy], task: str) -> Task:
-    """Where that flies which is no run: a policy in its own world, a script in that of a task."""
+    """The world of what is no run: a policy's own, a script's is that of the task."""
     first = next(iter(flyers.values()))
     return first.task if isinstance(first, Policy) else make_task(EMPTY, task=task)
 

@@ -28,15 +28,13 @@ class Ladder(NamedTuple):
     task: Callable[[Task, float, str], Task]  # of a policy, rung, split -> what it flies there
     measure: Measure | None = None
     of: tuple[str, ...] = ()  # kinds of banks whose worlds have it (`layouts.kind_of`); by default all
-    itself: bool = True  # a policy's own task is flown, and not another in its place
+    any_task: bool = True  # also one of a plugin; else its functions would be lost, as another class is flown
 
     def fits(self, task: Task) -> bool:
         """Whether a policy that was trained in a task can be flown on it."""
-        return (not self.of or layouts.kind_of(task.world) in self.of) and (self.itself or type(task) in KNOWN)
-
-
-KNOWN = (Task, Moving, Space, SpaceMoving)
-"""Tasks of which `speed` knows the same with moving obstacles; one of a plugin would lose its functions."""
+        return (not self.of or layouts.kind_of(task.world) in self.of) and (
+            self.any_task or type(task) in (Task, Moving, Space, SpaceMoving)
+        )
 
 
 def density(task: Task, rung: float, split: str = "test") -> Task:
@@ -95,7 +93,7 @@ LADDERS = {
         (0, 1, 2, 3, 4, 6),
         speed,
         of=("drone", "moving", "space", "space-moving"),
-        itself=False,
+        any_task=False,
     ),
     "noise": Ladder("noise σ of the sensed distance [px]", faults.RUNGS["noise"], fault("noise")),
     "lost": Ladder("probability of an echo to be lost", faults.RUNGS["lost"], fault("lost")),

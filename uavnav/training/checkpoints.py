@@ -94,8 +94,8 @@ class Checkpoints:
             positions = [row % capacity for row in range(begin, end)]
             self._chunks = [*self._chunks, self._write(f"replay-{begin:012d}", replay[positions], {})]
             self._rows_saved = end
-        ends = [int(name.split("-")[1]) for name in self._chunks[1:]] + [rows]
-        self._chunks = [name for name, end in zip(self._chunks, ends, strict=True) if end > rows - capacity]
+        ends = [*(_first_row(name) for name in self._chunks[1:]), rows]
+        self._chunks = [name for name, end in zip(self._chunks, ends, strict=False) if end > rows - capacity]
 
     def _write(self, stem: str, nested: TensorDict, header: Nested) -> str:
         tensors = {name: value.contiguous() for name, value in nested.flatten_keys("/").items()}
@@ -123,7 +123,7 @@ class Checkpoints:
                 continue
             if replay is not None:
                 for name in snapshot.chunks:
-                    _refill(replay, int(name.split("-")[1]), self._read(self.folder / name)[0])
+                    _refill(replay, _first_row(name), self._read(self.folder / name)[0])
             for damaged in states[: states.index(path)]:  # they would count among the two that are kept
                 damaged.rename(damaged.with_name(f"damaged-{damaged.name}"))
             self._chunks = snapshot.chunks
@@ -182,6 +182,11 @@ class Checkpoints:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
+
+
+def _first_row(chunk: str) -> int:
+    """Of the chunk with this name, counted from the first row that was ever written."""
+    return int(chunk.split("-")[1])
 
 
 def _refill(replay: ReplayBuffer, first: int, chunk: Mapping[str, Tensor]) -> None:

@@ -116,7 +116,7 @@ def forked(work: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
         try:
             found: Result = heard.recv()
             return found
-        except EOFError:
+        except (EOFError, OSError):  # it ended before it had said all
             return work()
 
     try:

@@ -74,7 +74,7 @@ _ROOMS = {
     ),
     "train": ("verify",),
     "training": ("config", "loggers", "sampler"),
-    "views": ("render", "style"),
+    "views": ("render",),
     "views.browser": ("playground",),
     "views.window": ("play",),
 }

@@ -53,7 +53,20 @@ def test_a_training_run_that_nobody_reads_goes_on_and_is_finished(tmp_path):
     assert uavnav.Run(tmp_path / "run").meta["status"] == "finished"
 
 
-@pytest.mark.parametrize("command", ["-m uavnav", "-m uavnav.evaluate reactive --episodes 2 --max-steps 50"])
+UNREAD = f"""'
+import runpy
+runpy.run_path("{ROOT}/uavnav/help/terminal.py")["end_quietly"]("mine")
+import multiprocessing
+lock = multiprocessing.get_context("spawn").Lock()
+while True:
+    print("a line", flush=True)
+'"""
+"""A command that is in the middle of its work, with a semaphore that another process of Python looks after."""
+
+
+@pytest.mark.parametrize(
+    "command", ["-m uavnav", "-m uavnav.evaluate reactive --episodes 2 --max-steps 50", f"-c {UNREAD}"]
+)
 def test_a_command_that_nobody_reads_ends_with_141_as_by_sigpipe_and_leaves_no_word(command, tmp_path):
     line = f"{sys.executable} {command} | true; exit ${{PIPESTATUS[0]}}"
     result = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=False)

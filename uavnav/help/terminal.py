@@ -14,6 +14,7 @@ UNREAD = 128 + 13
 
 def end_quietly(name: str) -> None:
     """From now on Ctrl-C says `name: stopped`, and a closed pipe says nothing; name: of the command."""
+    unread: list[BaseException] = []
 
     def hear(number: int, frame: FrameType | None) -> None:
         if _importing(frame):  # NumPy makes an ImportError of an interrupt there
@@ -25,14 +26,14 @@ def end_quietly(name: str) -> None:
         if issubclass(kind, KeyboardInterrupt):
             print(f"{name}: stopped", file=sys.stderr)
         elif issubclass(kind, BrokenPipeError):
-            os._exit(UNREAD)
+            unread.append(error)
         else:
             sys.__excepthook__(kind, error, trace)
 
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, hear)
     sys.excepthook = hook
-    atexit.register(_flush)
+    atexit.register(_flush, unread)
 
 
 def _importing(frame: FrameType | None) -> bool:
@@ -42,9 +43,11 @@ def _importing(frame: FrameType | None) -> bool:
     return frame is not None
 
 
-def _flush() -> None:
+def _flush(unread: list[BaseException]) -> None:
     """Write what is left, the last thing of all; Python would tell of a reader that is gone."""
     try:
         sys.stdout.flush()
-    except BrokenPipeError:
+    except BrokenPipeError as error:
+        unread.append(error)
+    if unread:
         os._exit(UNREAD)

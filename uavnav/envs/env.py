@@ -195,10 +195,12 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         draws = (self._rows(self._chance.later()), self._rows(self._chance.first()))
         given = (tensordict.get("action"), self._draw_headings(), self.bank, *self._first_observations)
         found = self._advance(*self.state, *given, *(one for one in draws if one is not None))
-        kind, after = self.task.state_class, N_LEAVES + len(self.state)
-        leaves, final, following = found[:N_LEAVES], found[N_LEAVES:after], found[after:]
-        self._observation, self.state, self._begins_here = following[0], kind(*following[1:]), False
-        tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), kind(*final)))
+        bare = self.task.STATE
+        after = N_LEAVES + len(bare._fields)
+        leaves, final, following = found[:N_LEAVES], bare(*found[N_LEAVES:after]), found[after:]
+        self._observation, self.state = following[0], self.task.state_class(*following[1:])
+        self._begins_here = False
+        tensordict.set("next", self._tensordict(dict(zip(LEAVES, leaves, strict=True)), final))
         return tensordict, self.root()
 
     def compile(self) -> DroneEnv:
@@ -215,8 +217,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self
 
     def _advance_rows(self, *tensors: Tensor) -> Sequence[Tensor]:
-        """State, action, start headings, bank, then first observations or draws -> the step's leaves, its state, where
-        to go on.
+        """State, action, start headings, bank, then first observations or draws -> the step's leaves, its state without
+        what it remembers, where to go on.
         """
         kind = self.task.state_class
         state, (action, heading, bank, *others) = kind(*tensors[: len(kind._fields)]), tensors[len(kind._fields) :]
@@ -224,7 +226,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         task = self.task.with_bank(bank)
         final, outcome = task.step(state, action, later)
         done = outcome.terminated | outcome.truncated
-        fresh = task.place((final.layout + 1) % bank.shape[0], heading)
+        following = final.layout + 1  # compared below: a remainder would divide for each number that is looked up
+        fresh = task.place(torch.where(following < bank.shape[0], following, 0), heading)
         if task.remembers:
             there = others[: len(self._first_observations)]
             fresh = task.remember(fresh, first, *(one[fresh.layout] for one in there))
@@ -235,7 +238,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
             observation = torch.where(done[..., None], others[0][fresh.layout], outcome.observation)
         else:
             observation, _ = task.observe(state)
-        return *_leaves(outcome).values(), *final, observation, *state
+        return *_leaves(outcome).values(), *final[: len(task.STATE._fields)], observation, *state
 
     def root(self) -> TensorDict:
         """What the next step starts from: the observation, flags and counts of now."""

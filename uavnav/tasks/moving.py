@@ -90,9 +90,11 @@ def motion(bank: Tensor, steps: Tensor, world: World) -> tuple[Tensor, Tensor]:
     is that of the next moment: at an edge it points inwards.
     """
     axes = len(world.size)
-    start, radius, velocity = bank[..., :axes].double(), bank[..., axes : axes + 1], bank[..., axes + 1 :]
-    size = torch.tensor(world.size, dtype=torch.float64, device=bank.device)
-    way = start + velocity.double() * steps[..., None, None]
+    numbers = bank.movedim((-1, -2), (0, 1))  # the batch is innermost, as in `sensing.sense`
+    start, radius, velocity = numbers[:axes].double(), numbers[axes : axes + 1], numbers[axes + 1 :]
+    size = torch.tensor(world.size, dtype=torch.float64, device=bank.device).reshape(-1, *[1] * (bank.ndim - 1))
+    way = start + velocity.double() * steps
     rest = way - 2 * size * torch.round(way / (2 * size))  # [-size, size]: the wave is its magnitude
     there = torch.where(velocity > 0, (rest >= 0) & (rest < size), (rest > 0) | (rest <= -size))
-    return torch.cat([rest.abs().float(), radius], -1), torch.where(there, velocity, -velocity)
+    places, speeds = torch.cat([rest.abs().float(), radius]), torch.where(there, velocity, -velocity)
+    return places.movedim((0, 1), (-1, -2)), speeds.movedim((0, 1), (-1, -2))

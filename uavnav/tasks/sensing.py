@@ -189,8 +189,9 @@ def first_in_view(
 def heard(slots: Tensor, distance: Tensor, filled: Tensor, world: World, echoes: Echoes) -> Tensor:
     """Slots [F, S, ...] as their echoes come back: of true distances [S, ...] px, where filled [S, ...] bool."""
     sensed, filled = echoes(distance, filled)
-    proximity = scaled(sensed, world).clamp(0, 1)[None]
-    return _padded(torch.cat([slots[: _nth(world)], proximity, slots[_nth(world) + 1 :]]), filled, world)
+    proximity = scaled(sensed, world).clamp(0, 1)
+    which = torch.arange(len(slots), device=slots.device).reshape(-1, *[1] * filled.ndim)
+    return _padded(torch.where(which == _nth(world), proximity, slots), filled, world)
 
 
 def _padded(slots: Tensor, filled: Tensor, world: World) -> Tensor:

@@ -76,7 +76,7 @@ def worlds(quick: bool) -> list[Measurement]:
     """Every world, one process of one thread."""
     how: Result = {"batches": [WORLD_BATCH], "compiled": True, "seconds": 0.5 if quick else 2.0}
     return [
-        Measurement(f"worlds/{name}", "worlds.batched", [how | {"settings": settings}], rounds=1 if quick else 3)
+        Measurement(f"worlds/{name}", "worlds.batched", [how | {"settings": settings}], rounds=1 if quick else 5)
         for name, settings in WORLDS.items()
     ]
 

@@ -289,6 +289,22 @@ def test_a_plugin_that_gives_the_name_of_an_algorithm_to_another_one_is_refused(
     assert "takes_ppo" not in plugins.LOADED
 
 
+def test_a_plugin_that_gives_the_algorithm_of_another_plugin_to_another_module_is_refused(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("mine_first", "mine_again"):
+        code = f"from uavnav.algorithms import ALGORITHMS as A\nA['mine'] = A['ppo']._replace(module='{name}')\n"
+        (tmp_path / f"{name}.py").write_text(code)
+    try:
+        plugins.load("mine_first")
+        with pytest.raises(ConfigError, match=r"^plugins=mine_again: .*algorithm=mine is there already; give yours"):
+            plugins.load("mine_again")
+        assert ALGORITHMS["mine"].module == "mine_first"
+        assert {"mine_first"} == {"mine_first", "mine_again"} & plugins.LOADED.keys()
+    finally:
+        ALGORITHMS.pop("mine", None)
+        plugins.LOADED.pop("mine_first", None)
+
+
 def test_a_plugin_that_gives_a_known_name_another_meaning_is_refused_and_the_name_keeps_its_own(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "takes_relu.py").write_text("from uavnav import networks\nnetworks.ACTIVATIONS['relu'] = abs\n")

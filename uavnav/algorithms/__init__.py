@@ -51,14 +51,14 @@ class Algorithm(NamedTuple):
 
 
 class Table(dict[str, Algorithm]):
-    """Records by name. Those of the package stay as they are, whoever adds another one.
+    """Records by name. Those of the package stay as they are, and no module takes another one's name.
 
     Raises:
-        ConfigError: the package has another record of this name.
+        ConfigError: the package, or another module, has a record of this name.
     """
 
     def __setitem__(self, name: str, record: Algorithm) -> None:
-        if BUILT_IN.get(name, record) != record:
+        if BUILT_IN.get(name, record) != record or self.get(name, record).module != record.module:
             raise ConfigError(f"algorithm={name} is there already; give yours another name")
         super().__setitem__(name, record)
 

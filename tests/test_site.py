@@ -319,7 +319,7 @@ def test_the_snippets_of_a_page_run_one_after_the_other(name, tmp_path, monkeypa
     monkeypatch.setattr(sys, "path", [*sys.path])
     for added_to in (networks.ACTIVATIONS, rewards.REWARDS, metrics.METRICS, simulator.TASKS, ALGORITHMS):
         for added in ADDED:
-            monkeypatch.setitem(added_to, added, None)  # taken back at the end, whatever the snippets do
+            monkeypatch.setitem(added_to, added, ALGORITHMS["ppo"])  # taken back at the end, whatever snippets do
             del added_to[added]
     names: dict = {}
     for snippet in snippets:

@@ -145,8 +145,8 @@ def test_a_local_study_goes_on_whatever_is_killed(study, alone):
     process.kill()
     process.wait()
     process = study()
-    until(lambda: {*study.jobs()} - old)
-    signal_all(signal.SIGSTOP, {*study.jobs()} - old)  # else they may be done before the old ones have noticed
+    new = until(lambda: len(new := {*study.jobs()} - old) == 2 and new)
+    signal_all(signal.SIGSTOP, new)  # else they may be done before the old ones have noticed
     signal_all(signal.SIGCONT, old)
     until(lambda: not old & {*study.jobs()})
     assert "error" in study.told()  # its folder is gone, as its next word or its next snapshot finds

@@ -124,9 +124,17 @@ def by_a_slow_loop(loss, batches, steps):
             one.target += 0.2 * (one.weight.detach() - one.target)
 
 
-@pytest.mark.parametrize("compile", [False, pytest.param(True, marks=[pytest.mark.slow, pytest.mark.compiled])])
-def test_targets_that_move_softly_after_each_of_20_steps_are_those_of_a_slow_loop(compile):
+COMPILED = [pytest.mark.slow, pytest.mark.compiled]
+
+
+@pytest.mark.parametrize(
+    ("compile", "large"),
+    [(False, 2**20), pytest.param(True, 2**20, marks=COMPILED), pytest.param(True, 1, marks=COMPILED)],
+    ids=["eager", "compiled", "compiled, in turn"],
+)
+def test_targets_that_move_softly_after_each_of_20_steps_are_those_of_a_slow_loop(compile, large, monkeypatch):
     """In four calls, so that later ones begin with other targets than the graph was traced with."""
+    monkeypatch.setattr("uavnav.training.learner.LARGE", large)
     batches, loss = rows(2, 20, 8), Following(2)
     alone = [Following(1), Following(1)]
     for agent, one in enumerate(alone):

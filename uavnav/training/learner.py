@@ -2,7 +2,7 @@
 
 Agents share no parameter, so the gradient of the sum of their losses is, agent by agent, the gradient of each one's
 own loss; optimisers are elementwise; only the norm must be taken per agent. Letters: A agents, the leading axis of
-every parameter; M minibatches of N rows.
+every parameter and target; M minibatches of N rows.
 """
 
 from __future__ import annotations
@@ -18,6 +18,12 @@ from torchrl.objectives import LossModule
 
 from uavnav.graph import Loop
 from uavnav.training.optimisers import Optimiser, Tensors
+
+LARGE = 2**20
+"""Bytes of an agent's weights, moments and targets, from which agents learn in turn on a CPU.
+
+An agent's minibatches then find these in the caches, which a step of all agents would empty.
+"""
 
 After = Callable[[Mapping[str, Tensor], Mapping[str, Tensor]], Mapping[str, Tensor]]
 """What follows a step: (parameters, buffers) of the loss by name -> the buffers that it changes, such as targets."""
@@ -68,6 +74,10 @@ class Learner:
         self.buffers = dict(self.objective.named_buffers())
         self.moments = [torch.zeros_like(value) for _ in range(optimiser.moments) for value in self.parameters.values()]
         self.steps = torch.zeros((), dtype=torch.float64, device=next(iter(self.parameters.values())).device)
+        n_agents = len(next(iter(self.parameters.values())))
+        held = sum(value.nbytes for value in (*self.parameters.values(), *self.moments, *self.buffers.values()))
+        together = 1 if self.steps.device.type == "cpu" and held >= LARGE * n_agents else n_agents
+        self.turns = [slice(first, first + together) for first in range(0, n_agents, together)]
         self._updates: dict[Any, Loop] = {}  # by the keys of minibatches
 
     def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
@@ -79,8 +89,9 @@ class Learner:
             keys, leaves = zip(*batches.items(include_nested=True, leaves_only=True), strict=True)
             if keys not in self._updates:
                 self._updates[keys] = self._compile(keys)
-            given = (self._rates(batches.shape[1]), *self._state, *self._constants.values(), *leaves)
-            (found,) = self._updates[keys](*given)
+            rates, update = self._rates(batches.shape[1]), self._updates[keys]
+            turns = [update(rates, *self._held(agents), *(leaf[agents] for leaf in leaves))[0] for agents in self.turns]
+            found = torch.cat(turns, -1)
             self.steps += batches.shape[1]
         return dict(zip(self.names, found, strict=True))
 
@@ -132,6 +143,12 @@ class Learner:
         """What the optimiser needs of the next n steps: [n, rates]."""
         step = self.steps + torch.arange(1, n + 1, device=self.steps.device)
         return self.optimiser.rates(step).to(next(iter(self.parameters.values())).dtype)
+
+    def _held(self, agents: slice) -> list[Tensor]:
+        """The state and the constants of these agents. What has no parameter's shape, a coefficient, is everyone's."""
+        shapes = {value.shape for value in self.parameters.values()}
+        held = [*self._state, *self._constants.values()]
+        return [value[agents] if value.shape in shapes else value for value in held]
 
     def _gradient(self, parameters: Tensors, batch: TensorDictBase) -> tuple[Tensors, Tensor]:
         """The gradient of each parameter that the objective holds now, and the losses [losses, A]."""

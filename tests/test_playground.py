@@ -19,6 +19,7 @@ from uavnav.tasks.sensing import sense
 from uavnav.tasks.simulator import make_task
 from uavnav.tasks.state import COUNTS
 from uavnav.tasks.world import World
+from uavnav.training.sampling import HEADS, values_of
 
 pytestmark = pytest.mark.slow
 
@@ -275,6 +276,19 @@ def test_every_activation_of_the_package_is_pytorchs_within_a_millionth(chrome, 
     assert (
         torch.tensor(ask(chrome, f"[...normalised(Float32Array.from({x.tolist()}))]")).sub(normal).abs().max() <= 1e-5
     )
+
+
+@pytest.mark.parametrize("head", ["direct", "dueling", "distribution -10 9 51", "dueling-distribution -10 4.5 21"])
+def test_outputs_are_read_as_one_number_an_action_as_in_python(head, chrome, opened):
+    """With logits from -20 to 20, so that some atoms have nearly all of the probability."""
+    name, *numbers = head.split()
+    count = (100 + ("dueling" in name)) * int((numbers or [1])[-1])
+    outputs = 40 * torch.rand(count, generator=torch.Generator().manual_seed(0)) - 20
+    read = f"[...HEADS['{name}']({', '.join(['Float32Array.from(arguments[0])', *numbers])})]"
+    mine = torch.tensor(chrome.execute_script(f"return {read}", outputs.double().tolist()))
+    assert mine.shape == (100,)
+    assert ask(chrome, "Object.keys(HEADS)") == [*HEADS]
+    assert (mine - values_of(head, outputs)).abs().max() <= 2e-5
 
 
 def test_sets_of_obstacles_leave_the_start_free_and_are_spread_as_pythons(chrome, opened):

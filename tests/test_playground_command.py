@@ -37,6 +37,7 @@ def test_a_page_holds_the_three_lowest_seeds_of_each_run_with_their_weights_as_t
     network = load_policy(tmp_path / "runs" / "dqn" / "tanh", 5).network
     assert torch.equal(torch.tensor(weights), torch.cat([one.detach().flatten() for one in network.parameters()]))
     assert (found[2]["sizes"], found[2]["epsilon"], found[2]["acts"]) == ([30, 8, 100], 0.2, "epsilon-greedy")
+    assert {one["head"] for one in found} == {"direct"}
 
 
 def test_runs_of_one_algorithm_and_activation_are_told_apart_by_their_folders(tmp_path):

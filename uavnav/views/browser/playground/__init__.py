@@ -132,7 +132,6 @@ def _load(path: Path, n_seeds: int) -> Iterator[Policy]:
         for what, value, choices in (
             ("task", name_of(policy.task), ("drone", "moving", "goal")),
             ("activation", _activation(policy), networks.KNOWN),
-            ("head", policy.head, ("direct",)),
             ("way to act", policy.acts, ("categorical", "epsilon-greedy")),
             ("values", shown, ("probability", "Q value")),
             ("stack", str(policy.task.stack), ("1",)),
@@ -183,6 +182,7 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
         "acts": policy.acts,
         "epsilon": policy.epsilon,
         "shown": ALGORITHMS[policy.algorithm].shown,
+        "head": policy.head,
         "layer_norm": any(getattr(layer, "layer_norm", False) for layer in policy.network.children()),
         "sizes": [layers[0].weight.shape[1], *(layer.weight.shape[2] for layer in layers)],
         "weights": base64.b64encode(numbers).decode(),

@@ -59,8 +59,34 @@ function linear(inputs, weight, bias) {
   return Float32Array.from(sums);
 }
 
+/** A state's values and each action's advantages, `atoms` numbers each, as those of actions: v + a - mean a. */
+function dueling(outputs, atoms = 1) {
+  const actions = outputs.length / atoms - 1;
+  const advantages = outputs.subarray(atoms);
+  const means = new Float64Array(atoms);
+  advantages.forEach((advantage, place) => { means[place % atoms] += advantage / actions; });
+  return advantages.map((advantage, place) => outputs[place % atoms] + advantage - means[place % atoms]);
+}
+
+/** Expected returns, from the logits of `atoms` evenly spaced returns for each action. */
+function expected(logits, least, most, atoms) {
+  const spacing = (most - least) / (atoms - 1);
+  return Float32Array.from({ length: logits.length / atoms }, (_, action) => {
+    const shares = softmax(logits.subarray(action * atoms, (action + 1) * atoms));
+    return shares.reduce((sum, share, atom) => sum + share * (least + atom * spacing), 0);
+  });
+}
+
+/** How a network's outputs are read as one number an action: what a policy's file names, with its numbers. */
+const HEADS = {
+  direct: (outputs) => outputs,
+  dueling: (outputs) => dueling(outputs),
+  distribution: expected,
+  "dueling-distribution": (outputs, least, most, atoms) => expected(dueling(outputs, atoms), least, most, atoms),
+};
+
 /** A trained network: observation -> { hidden: the activations of each hidden layer, values: one number an action }. */
-function network({ sizes, activation, layer_norm, weights }) {
+function network({ sizes, activation, layer_norm, head, weights }) {
   const numbers = floats(weights);
   const layers = [];
   let at = 0;
@@ -69,6 +95,8 @@ function network({ sizes, activation, layer_norm, weights }) {
     layers.push([take(sizes[layer] * sizes[layer + 1]), take(sizes[layer + 1])]);
   }
   const last = layers.pop();
+  const [name, ...given] = head.split(" ");
+  const valuesOf = (outputs) => HEADS[name](outputs, ...given.map(Number));
   return (observation) => {
     const hidden = [];
     let inputs = observation;
@@ -77,7 +105,7 @@ function network({ sizes, activation, layer_norm, weights }) {
       inputs = (layer_norm ? normalised(sums) : sums).map(ACTIVATIONS[activation]);
       hidden.push(inputs);
     }
-    return { hidden, values: linear(inputs, ...last) };
+    return { hidden, values: valuesOf(linear(inputs, ...last)) };
   };
 }
 

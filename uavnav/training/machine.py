@@ -138,14 +138,15 @@ def keep_memory_flat(weights: int = 0) -> None:
 
     glibc raises the size from which it does so up to 32 MB by itself: rollouts then lie on a heap among small things
     that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Blocks as large as a layer's
-    weights [bytes] stay, if these are larger still: each update has such blocks, and new pages would take half of its
-    time. Other C libraries are left as they are.
+    weights [bytes], and as its outputs for a batch of a few hundred, stay if the weights are larger still: each update
+    has such blocks, and new pages would take half of its time. Other C libraries are left as they are.
     """
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")
-        if weights > MAPPED_FROM:
+        large = weights > MAPPED_FROM
+        if large:
             libc.mallopt(M_TRIM_THRESHOLD, KEPT)
-        libc.mallopt(M_MMAP_THRESHOLD, min(max(MAPPED_FROM, 2 * weights), MAPPED_AT_MOST))
+        libc.mallopt(M_MMAP_THRESHOLD, min(8 * weights, MAPPED_AT_MOST) if large else MAPPED_FROM)
 
 
 @contextlib.contextmanager

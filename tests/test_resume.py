@@ -297,6 +297,9 @@ RECIPES = Path(__file__).parent.parent / "recipes"
 COMMANDS = {
     "ppo": ["total_frames=12288", "frames_per_batch=512", "epochs=4", "n_seeds=2", "compile=off"],
     "dqn": ["total_frames=10240", "learning_starts=512", "frames_per_update=8", "n_seeds=2", "compile=off"],
+    "a2c": ["total_frames=40960", "n_seeds=2", "compile=off"],
+    "c51": ["total_frames=5120", "learning_starts=512", "n_atoms=11", "n_seeds=2", "compile=off"],
+    "sac": ["total_frames=5120", "learning_starts=512", "frames_per_update=8", "n_seeds=2", "compile=off"],
 }
 
 

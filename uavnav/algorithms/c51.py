@@ -10,6 +10,7 @@ Letters: A agents, one a seed; B the rest of a batch.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -52,9 +53,12 @@ class C51Config(ReplayConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        least, most = self.support
-        if least >= most:
-            raise ConfigError(f"v_min={least:g}, v_max={most:g}; give a v_min below v_max")
+        least, most = torch.tensor(self.support).tolist()  # as the network has them, in single precision
+        if not -math.inf < least < most < math.inf:
+            low, high = self.support
+            raise ConfigError(
+                f"v_min={low:g}, v_max={high:g}; give a v_min below v_max, both finite in single precision"
+            )
 
     def make_loss(self, network: nn.Module) -> C51Loss:
         return C51Loss(network, self)

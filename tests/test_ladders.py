@@ -100,8 +100,8 @@ def test_a_place_without_a_circle_is_never_sensed_and_never_hit():
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("density-12", "layouts='density-12': no such bank; give a rung and a split, such as density-80/test"),
-        ("density-12/tset", "such as density-80/test (did you mean test?)"),
+        ("density-12", "layouts='density-12': no such bank; give a rung and a split, such as density-12/test"),
+        ("density-12/tset", "such as density-12/test (did you mean test?)"),
         ("slalom-wide/test", "layouts='slalom-wide/test': no such bank; give a rung and a split"),
         ("slalom-500/test", "gap=500; give 1 to 480 px"),
         ("slalom-0/test", "gap=0; give 1 to 480 px"),

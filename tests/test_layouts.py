@@ -9,7 +9,8 @@ from scipy import stats
 
 import uavnav
 from uavnav.commands.layouts import main as write_banks
-from uavnav.tasks import layouts
+from uavnav.tasks import circles, goal, layouts
+from uavnav.tasks.moving import MovingWorld
 
 SHAPES = {"train": (10_000, 8, 3), "validation": (1_000, 8, 3), "test": (1_000, 8, 3)}
 SEEDS = {"train": 0, "validation": 2, "test": 1}
@@ -241,3 +242,10 @@ def test_a_negative_number_of_sets_or_obstacles_is_refused():
         layouts.generate(-1)
     with pytest.raises(uavnav.LayoutError, match="k=-1"):
         layouts.generate(1, -1)
+
+
+def test_a_world_without_room_for_an_obstacle_or_for_a_way_to_a_goal_is_refused():
+    with pytest.raises(uavnav.LayoutError, match="safe_zone=480: an obstacle with a radius of"):
+        circles.generate(10, 8, 0, MovingWorld(safe_zone=480.0))
+    with pytest.raises(uavnav.LayoutError, match="goal_radius=1e-09: no goal could be reached in 100 sets"):
+        goal.generate(1, 8, 0, goal.GoalWorld(goal_radius=1e-9))

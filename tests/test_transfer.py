@@ -5,11 +5,15 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import torch
+from test_replays import write_run
 
 import uavnav
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
 from uavnav.evaluate import transfer
+from uavnav.evaluate.across import flyer
+from uavnav.runs import Run
 from uavnav.tasks.baselines import reactive
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.simulator import EMPTY, make_task
@@ -113,6 +117,24 @@ def test_what_cannot_be_flown_is_one_line(words, line, capsys):
     said = capsys.readouterr().err
     assert (status, said.count("\n")) == (2, 1)
     assert line in said
+
+
+def test_sensed_velocities_stay_shares_of_the_greatest_speed_in_training(tmp_path, monkeypatch):
+    """Trained among obstacles of up to 4 px a step, a policy senses those of 2 as halves."""
+    flown = []
+    monkeypatch.setattr(
+        transfer.Flyer, "fly", lambda _, task, *rest: flown.append(task) or {"sampled": pd.DataFrame({"steps": [1]})}
+    )
+    sensing = {"speed_max": 4.0, "sense_velocity": True}
+    who = flyer("run", Run(write_run(tmp_path / "run", n_seeds=1, n_inputs=50, task="moving", world=sensing)))
+    slow = make_task("test", {"speed_min": 2.0, "speed_max": 2.0, "sense_velocity": True}, task="moving")
+    transfer.visit(who, transfer.Place("slow", slow, None))
+    [task] = flown
+    assert torch.equal(task.bank, slow.bank)
+    for mine, share in ((task, 0.5), (slow, 1.0)):
+        seen, _ = mine.observe(mine.start(torch.arange(200), torch.full((200,), 90)))
+        speeds = seen.reshape(200, 10, 5)[..., 3:].norm(dim=-1)
+        assert speeds[speeds > 0].median() == pytest.approx(share, abs=1e-4)
 
 
 def test_a_policy_flies_in_another_world_of_the_same_observations_and_a_script_in_any():

@@ -55,6 +55,19 @@ def test_collisions_are_per_1000_px_and_a_flight_that_reaches_its_goal_is_cut_of
     assert table["spl"].tolist() == [0.25, 0.0]
 
 
+def test_where_success_is_measured_no_restricted_mean_of_survival_is_shown():
+    found = Worlds(
+        {("goal", "ppo", "tanh"): seeds([1, 2], success=50.0), ("drone", "ppo", "tanh"): seeds([1, 2])},
+        {},
+        [],
+        None,
+        [],
+    )
+    shown = summary(found).groupby("world")["metric"].agg(set)
+    assert "survival" in shown["drone"]
+    assert "survival" not in shown["goal"]
+
+
 def test_scatter_is_the_distance_to_the_cells_median_in_units_of_its_worlds_mean_distance():
     found = Evidence({("drone", "ppo", "tanh"): seeds([1, 2, 3]), ("drone", "ppo", "relu"): seeds([0, 5, 10])})
     usual = (1 + 0 + 1 + 5 + 0 + 5) / 6
@@ -97,11 +110,12 @@ def made_up():
         ("drone", "ppo", "tanh"): seeds([40, 41, 42, 43, 44]),
         ("drone", "dqn", "tanh"): seeds([-9, -8, -7, -6, -5]),
         ("goal", "ppo", "tanh"): seeds([4, 4.1, 4.2, 4.3, 4.4]),
+        ("moving", "ppo", "tanh"): seeds([4, 6, 8, 10, 12]),
         ("goal, fast", "ppo", "tanh"): seeds([5, 5.1, 5.2, 5.3, 5.4], greedy=7.0),
     }
     scripted = {
         (world, name): seeds(reward)
-        for world, rule in (("drone", 20), ("goal", 10))
+        for world, rule in (("drone", 20), ("goal", 10), ("moving", 9))
         for name, reward in (("random", [-8, -7, -6]), ("straight", [-8]), ("reactive", [rule]))
     }
     return Worlds(learned, scripted, [], pd.DataFrame(), [])
@@ -112,9 +126,10 @@ def test_the_sentences_say_who_is_ahead_where_a_rule_beats_all_and_where_random_
     assert said[0].startswith("In drone, reward per flight: PPO tanh 42.00 [")
     assert said[0].endswith("the best script, reactive, has 20.00.")
     assert said[1].startswith("In goal, reward per flight: PPO tanh fast 5.20 [")
-    assert said[2:] == [
+    assert said[3:] == [
         "A scripted rule still beats every learned cell, its reward above the interval of each, in goal.",
         "A learned cell is above every script, with its whole interval, in drone (PPO tanh).",
+        "Neither holds in moving: the intervals of the best overlap.",
         "Some learned cell is above random flight, intervals apart, in every world.",
         "Not above random flight, or intervals overlap: DQN tanh (drone).",
     ]
@@ -129,7 +144,7 @@ def test_a_worlds_table_has_cells_and_scripts_and_the_figure_a_panel_a_world():
     assert [row[2] for row in rows[1:]] == ["–", "7.00 [7.00, 7.00]", "–", "–", "–"]
     assert rows[-1][1:] == ["10.00", "–", "1.00", "9.00", "1"]
     drawn = worlds.draw(summary(found))
-    assert [axes.get_title("left") for axes in drawn.figure.axes] == ["drone", "goal"]
+    assert [axes.get_title("left") for axes in drawn.figure.axes] == ["drone", "goal", "moving"]
     assert drawn.alt.startswith("Best reward per flight in each world: drone: 42.0 (95 % interval")
 
 

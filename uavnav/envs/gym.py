@@ -169,7 +169,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         return *self._flight.step(index, self._chance.later()), self._info()
 
     def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
-        """The picture [600, 800, 3] of the current state, with `render_mode="rgb_array"`."""
+        """The picture of the current state, with `render_mode="rgb_array"`: [600, 800, 3], in 3D [600, 1608, 3]."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() shows nothing without render_mode="rgb_array"')
             return None
@@ -289,7 +289,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
         )
 
     def render(self) -> tuple[np.ndarray[Any, np.dtype[np.uint8]], ...] | None:
-        """One picture [600, 800, 3] per row, with `render_mode="rgb_array"`."""
+        """One picture a row, with `render_mode="rgb_array"`: [600, 800, 3], in 3D [600, 1608, 3]."""
         if self.render_mode is None or self._state is None:
             return None
         return tuple(draw_state(at(self._state, row), self.task) for row in range(self.num_envs))

@@ -34,6 +34,7 @@ from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
 from uavnav.views import style
 
 FLOWN = "flown_in"
+SPEEDS = ("speed_min", "speed_max")
 """The column that names the world of a flight."""
 
 
@@ -126,12 +127,15 @@ def _sizes(policy: Policy) -> tuple[int, int, int]:
 def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
     """Fly a policy's seeds in a world, greedy and sampled: a row an episode, with `mode` and `flown_in`.
 
-    A policy keeps its own memory, and its proximities the reach of its training.
+    A policy keeps its own memory; its proximities stay shares of the reach of its training, and sensed velocities of
+    that world's greatest speed.
     """
     first = who.first
     task = reached(place.task, first.world.sensor_radius if isinstance(first, Policy) else WORLD.sensor_radius)
     if isinstance(first, Policy):
-        task = replace(task, stack=first.task.stack)
+        known = {name: getattr(first.world, name) for name in SPEEDS if hasattr(first.world, name)}
+        known = known if isinstance(task.world, type(first.world)) else {}
+        task = replace(task, stack=first.task.stack, world=replace(task.world, **known))
     rows = who.fly(task, f"in {place.name}", quiet, place.measure)
     parts = [part.assign(mode=mode, **{FLOWN: place.name}) for mode, part in rows.items()]
     return pd.concat(parts, ignore_index=True)

@@ -98,7 +98,7 @@ def slopes(rungs: Sequence[float]) -> Array:
 
 def _slalom() -> tuple[Part, ...]:
     worlds = {"drone": "the paper's banks", "slalom-100": "the slalom"}
-    return tuple(
+    parts = tuple(
         _above(
             f"{label}: DQN above PPO at gaps of {gap} px, trained on {words}",
             at(metric, "slalom", gap),
@@ -110,6 +110,7 @@ def _slalom() -> tuple[Part, ...]:
         for metric, label in PASSAGES.items()
         for gap in NARROW
     )
+    return (*parts, *map(_tuned, parts))
 
 
 def _order(world: str, *names: str) -> tuple[Part, ...]:
@@ -160,7 +161,7 @@ DISCUSSION = (
     Claim(
         15,
         "With moving obstacles in 3D SAC is above DQN, and DQN above PPO.",
-        _order("space-moving", "sac", "dqn", "ppo"),
+        (*_order("space-moving", "sac", "dqn", "ppo"), *map(_tuned, _order("space-moving", "dqn", "ppo"))),
         Said(0),
         ("metric", "study"),
     ),

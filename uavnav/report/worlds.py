@@ -233,6 +233,8 @@ def summary(found: Worlds) -> pd.DataFrame:
     everything += [(world, rule, table) for (world, rule), table in found.scripted.items()]
     for world, name, table in everything:
         for metric in (one for one in (*MEASURES, *OWN) if one in table):
+            if metric == "survival" and "success" in table:  # most flights end at the goal: few tell how long one lives
+                continue
             one = stats.interval(table[metric].dropna().to_numpy())
             values.append([_place(world), name, metric, *one[:3], one.n])
     return pd.DataFrame(values, columns=["world", "who", "metric", "value", "low", "high", "n"])
@@ -276,6 +278,7 @@ def sentences(found: pd.DataFrame) -> list[str]:
     beaten: list[str] = []
     passed: list[str] = []
     chances: dict[str, bool] = {}  # worlds with random flight, and whether a cell is above it
+    neither: list[str] = []
     lower: dict[str, list[str]] = {}  # cells that are not, and where
     for world in worlds_of(found):
         learned, scripts = _rewards(found, world)
@@ -291,6 +294,8 @@ def sentences(found: pd.DataFrame) -> list[str]:
             beaten.append(world)
         elif most.low > _top(rules):
             passed.append(f"{world} ({best})")
+        else:
+            neither.append(world)
         chance = scripts.get(DRAWS)
         if chance is not None:
             under = [who for who, one in learned.items() if one.low <= _top(chance)]
@@ -304,6 +309,8 @@ def sentences(found: pd.DataFrame) -> list[str]:
         )
     if passed:
         said.append(f"A learned cell is above every script, with its whole interval, in {'; '.join(passed)}.")
+    if neither:
+        said.append(f"Neither holds in {'; '.join(neither)}: the intervals of the best overlap.")
     if chances:
         above = _listed([world for world, is_above in chances.items() if is_above], chances)
         said.append(f"{'Some' if lower else 'Every'} learned cell is above random flight, intervals apart, in {above}.")

@@ -19,6 +19,10 @@ class LayoutError(ValueError):
     """A bank cannot be found, read or trusted; the message says what is wrong and what would be right."""
 
 
+DRAWS = 1_000
+"""Places that an obstacle may try; the paper's world refuses one in eleven."""
+
+
 def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
     """Draw n sets of k obstacles: radius uniform in [30, 100], centre uniform in the window, drawn again until the
     edge is at least 50 px from the start (sec. 4.1). Obstacles may overlap each other and the border.
@@ -28,7 +32,7 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
         on every machine.
 
     Raises:
-        LayoutError: n, k or seed is negative.
+        LayoutError: n, k or seed is negative, or an obstacle finds no place.
     """
     world = world or World()
     if min(n, k, seed) < 0:
@@ -39,10 +43,15 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
     bank = np.empty((n, k, len(size) + 1), dtype=np.float32)
     bank[..., -1] = smallest + (largest - smallest) * rng.random((n, k), dtype=np.float32)
     misplaced = np.ones((n, k), dtype=bool)
-    while misplaced.any():
+    for _ in range(DRAWS):
         bank[misplaced, :-1] = rng.random((int(misplaced.sum()), len(size)), dtype=np.float32) * size
         misplaced = edge_to_start(bank, world) < world.safe_zone
-    return torch.from_numpy(bank)
+        if not misplaced.any():
+            return torch.from_numpy(bank)
+    raise LayoutError(
+        f"safe_zone={world.safe_zone:g}: an obstacle with a radius of {bank[misplaced, -1].max():g} px found no place"
+        f" in {DRAWS:,} draws; give a smaller safe_zone or obstacle_radius_max"
+    )
 
 
 def validate(bank: Tensor, world: World | None = None, more: int = 0) -> None:

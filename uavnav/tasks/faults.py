@@ -112,7 +112,7 @@ def from_words(words: str) -> Faults:
         try:
             values[name] = int(given) if name == "late" else float(given)
         except ValueError:
-            raise ValueError(f"{word.strip()}; give a number, as noise=5 or late=2") from None
+            raise ValueError(f"{word.strip()}; give a number, as noise=5, or whole steps, as late=2") from None
     return Faults(**values)  # type: ignore[arg-type]
 
 

@@ -58,6 +58,10 @@ class GoalWorld(World):
         return (*super().observation_low, -1.0, -1.0, 0.0)
 
 
+SETS = 100
+"""Sets of circles that a goal may try."""
+
+
 def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
     """The circles that the same arguments give `circles.generate`, each set with a goal.
 
@@ -68,7 +72,7 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
         Tensor [n, k + 1, 3] float32: (x, y, radius) of the circles, then (x, y, shortest) of the goal, in px.
 
     Raises:
-        LayoutError: n, k or seed is negative.
+        LayoutError: n, k or seed is negative, or no goal can be reached.
     """
     world = world if isinstance(world, GoalWorld) else GoalWorld()
     sets = circles.generate(n, k, seed, world).numpy()
@@ -76,8 +80,14 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
     for index, drawn in enumerate(sets):
         rng = np.random.Generator(np.random.PCG64([seed, GOALS, index]))
         standing = drawn
-        while (goal := _draw_goal(standing, rng, world)) is None:
+        for _ in range(SETS):
+            if (goal := _draw_goal(standing, rng, world)) is not None:
+                break
             standing = circles.generate(1, k, int(rng.integers(2**31)), world)[0].numpy()
+        else:
+            raise LayoutError(
+                f"goal_radius={world.goal_radius:g}: no goal could be reached in {SETS} sets; give more px"
+            )
         found[index, :k], found[index, k] = standing, goal
     return torch.from_numpy(found)
 

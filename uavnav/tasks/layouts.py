@@ -195,8 +195,10 @@ def _rung(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split of a rung, such as `density-12/test`, and its header."""
     ladder, rung, split = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL).groups()  # type: ignore[union-attr]
     if split not in SPLITS or not rung.isdecimal():
-        near = did_you_mean(split, SPLITS)
-        raise LayoutError(f"layouts={layouts!r}: no such bank; give a rung and a split, such as {ladder}-80/test{near}")
+        near, example = did_you_mean(split, SPLITS), rung if rung.isdecimal() else {"density": 12}.get(ladder, 100)
+        raise LayoutError(
+            f"layouts={layouts!r}: no such bank; give a rung and a split, such as {ladder}-{example}/test{near}"
+        )
     name, (n, seed) = kind_of(world), SPLITS[split]
     if ladder == "density":
         bank = KINDS[name].generate(n, int(rung), seed, world)

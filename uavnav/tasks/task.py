@@ -34,7 +34,7 @@ class Outcome(NamedTuple):
     observation: Tensor  # [*B, observation_size] float32 that a policy sees, at the collision where there was one
     clearance: Tensor  # [*B] px
     reward: Tensor  # [*B] float64
-    terminated: Tensor  # [*B] bool: a collision
+    terminated: Tensor  # [*B] bool: a collision, or at a goal
     truncated: Tensor  # [*B] bool: the cap on steps, and no collision
 
 

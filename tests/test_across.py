@@ -123,6 +123,15 @@ def test_a_script_reads_distances_right_where_a_sensor_reaches_less_far(name):
     assert not rows["terminated"].any()
 
 
+def test_scripts_are_left_out_where_a_run_chooses_among_other_turns(tmp_path):
+    small = {"total_frames": 64, "n_worlds": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
+    run = ppo.train(ppo.PPOConfig(**small, world={"n_turns": 4}), tmp_path / "run", quiet=True)
+    said = []
+    found = across.across({"mine": run}, ["sticky"], 2, 20, None, True, said.append)
+    assert said == ["left out: the scripts, which choose among 10 turns and 10 distances"]
+    assert {one["name"] for one in found} == {"mine"}
+
+
 def test_without_a_run_scripts_fly_the_world_that_is_named(tmp_path, capsys):
     words = ["evaluate", "straight", "--task", "space", "--across", "sticky", "density", "--episodes", "2"]
     assert main([*words, "--max-steps", "5", "--json", "--out", str(tmp_path / "new" / "folder")]) == 0

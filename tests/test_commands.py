@@ -158,6 +158,12 @@ def test_the_help_of_an_algorithm_is_what_its_configuration_says(name, capsys):
     assert told(f"train {name} --help", capsys) == told(f"train activation=relu -h {name}", capsys) == kept
 
 
+def test_the_help_of_an_algorithm_in_a_task_has_the_keys_of_its_world(capsys):
+    with_task = told("train ppo task=moving --help", capsys)
+    assert re.search(r"world\.speed_max=2\.0 +\[px a step\] of the fastest obstacle", with_task)
+    assert "speed_max" not in told("train ppo --help", capsys)
+
+
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_each_key_has_one_line_of_meaning_with_its_default_and_its_choices(name):
     lines = help.text_of(name).read_text(encoding="utf-8").splitlines()

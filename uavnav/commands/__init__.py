@@ -115,7 +115,7 @@ def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """An algorithm, settings and flags, in any order.
 
     The result has `algorithm`, `settings` (each key=value), `plugins`, `multirun`, `cfg`, `quiet`, `json` and `help`:
-    that is true where plugins add to the choices, which only their modules know.
+    that is true where plugins add to the choices, or a task has a world of its own, which only their modules know.
     """
     parser.add_argument("words", nargs="*")
     parser.add_argument("--multirun", "-m", action="store_true")
@@ -132,7 +132,7 @@ def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     found.plugins = names_in(given, "plugins")
     if (found.help and not algorithm) or not words:
         parser.leave(_algorithms())
-    if found.help and algorithm in ALGORITHMS and not found.plugins:
+    if found.help and algorithm in ALGORITHMS and not found.plugins and not names_in(given, "task"):
         parser.leave(texts.text_of(algorithm).read_text(encoding="utf-8"))
     for word in strange:
         if word.startswith("-"):

@@ -68,7 +68,9 @@ class TrainConfig:
     max_grad_norm: float | None = at_least(0.5, 0, "to which each agent's gradient is scaled down")
     init: Init = key("default", "of the weights; default is PyTorch's, unit suits gains to activations")
     layer_norm: bool = key(False, "LayerNorm before each activation, without parameters of its own")
-    layouts: str = key("train", "bank of obstacles: train, validation, test, or a file's path")
+    layouts: str = key(
+        "train", "bank of obstacles: train, validation, test, a rung such as density-12/train, or a file's path"
+    )
     max_steps: int | None = at_least(None, 1, "cap on an episode, which truncates it", "steps")
     reward: str = one_of("eq14", REWARDS, "what a step earns")
     task: str = one_of("drone", TASKS, "what is flown")

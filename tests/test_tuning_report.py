@@ -77,20 +77,6 @@ def test_the_sentence_names_the_best_and_the_gap_to_the_rule(gap, said):
     assert beyond.conclusion(found).endswith(said)
 
 
-def test_a_preset_best_is_held_against_the_rule_beside_those_that_were_tuned_and_is_no_winner_of_the_tuning():
-    best = {"default": cells(ppo=(1.0, 3.0)), "tuned": cells(ppo=(11.0, 13.0)), "best": cells(ppo=(24.9, 25.1))}
-    found = beyond._compared(best, {"reactive": flights(20.0, mode="scripted")}, ["ppo"])
-    assert found.set_index("settings")["value"].to_dict() == {"default": 2, "tuned": 12, "best": 25, DIFFERENCE: 10}
-    heads, row = beyond.compared(found)
-    assert dict(zip(heads, row, strict=True))["preset best"].startswith("25.0 [")
-    said = beyond.conclusion(found)
-    assert "Tuned with the same budget: PPO 12.0" in said
-    assert said.endswith("PPO with the preset best passes the hand-written rule: 5.0 [3.7, 6.3] a flight.")
-    numbers = {"tuning": found, "tuning_pairs": beyond._pairs({}, [])}
-    assert "PPO, with the preset best, passes the hand-written rule by 5.0" in str(findings.tuned(numbers)[-1])
-    assert "preset best" not in beyond.compared(compared())[0]
-
-
 def test_without_the_rules_flights_the_sentence_says_so():
     found = compared().assign(gap=np.nan)
     assert beyond.conclusion(found).endswith("No flights of the hand-written rule lie beside them.")
@@ -145,7 +131,7 @@ def test_what_tuning_changes_is_told_of_the_pair_of_each_algorithm_and_of_the_ru
         "Tuned with the same budget, PPO earns 200 less a test flight than DQN.",
         "Tuned, PPO is not told apart from its defaults: 0.0 of reward a test flight.",
         "Tuned, DQN earns 300 more a test flight than with its defaults.",
-        "None passes the hand-written rule; DQN, tuned, comes nearest, 100.0 of reward a test flight behind.",
+        "None passes the hand-written rule; DQN comes nearest, 100.0 of reward a test flight behind.",
     ]
     assert told({"ppo": 1, "dqn": 1}, {"ppo": 1, "dqn": 300}, rule=200)[-1] == (
         "DQN, tuned, passes the hand-written rule by 100.0 of reward a test flight."

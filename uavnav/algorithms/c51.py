@@ -40,7 +40,6 @@ class C51Config(ReplayConfig):
         "paper": {},
         "one-world": {"n_worlds": 1},
         "fast": DQNConfig.PRESETS["fast"],
-        "best": DQNConfig.PRESETS["fast"] | {"activation": "relu"},  # what it reaches: docs/c51.md
         "rainbow-lite": {"double": True, "dueling": True, "n_steps": 5},
     }
 

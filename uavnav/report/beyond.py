@@ -28,19 +28,7 @@ from uavnav.runs import paper
 from uavnav.runs.metrics import finished
 from uavnav.runs.readings import SAMPLED, words
 from uavnav.runs.tables import RunError
-from uavnav.runs.trials import (
-    BEST,
-    COLUMNS,
-    DIFFERENCE,
-    IMPORTANCE,
-    OF_IMPORTANCE,
-    TABLE,
-    TUNED,
-    best,
-    folders,
-    read,
-    winner,
-)
+from uavnav.runs.trials import COLUMNS, DIFFERENCE, IMPORTANCE, OF_IMPORTANCE, TABLE, TUNED, best, folders, read, winner
 from uavnav.tasks.protocol import DRAWS
 from uavnav.views import style
 
@@ -77,9 +65,9 @@ WAYS = ("holds under", "turns round under", "is open under")
 def tuning(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str, Table], list[str]]:
     """The tables of the first study that tuned in some folders, by name, and a line for what is of no use.
 
-    tuning: columns algorithm, settings (default, tuned, their difference, the preset best), value, low, high, n, and
-    the gap to the hand-written rule; tuning_pairs: differences of two algorithms; tuning_trials: what was tried, with
-    the `best` so far; tuning_importance: shares of settings.
+    tuning: columns algorithm, settings (default, tuned, their difference), value, low, high, n, and the gap to the
+    hand-written rule; tuning_pairs: differences of two algorithms; tuning_trials: what was tried, with the `best` so
+    far; tuning_importance: shares of settings.
     """
     found = folders(of)
     if not found:
@@ -93,15 +81,15 @@ def tuning(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str
         won = {name: row["trial"] for name in algorithms if (row := best(trials, name))}
     except (KeyError, ValueError) as error:
         return {}, [one_line(f"{folder}: its tables cannot be read ({error}); carry the study out again"), *left_out]
-    cells: dict[str, Cells] = {DEFAULT: {}, TUNED: {}, BEST: {}}
-    places = [(which, folder / which) for which in (DEFAULT, BEST)]
+    cells: dict[str, Cells] = {DEFAULT: {}, TUNED: {}}
+    places = [(DEFAULT, folder / DEFAULT)]
     places += [(TUNED, folder / winner(trial) / name) for name, trial in won.items()]
     for which, place in places:
         own, lines = _cells(place)
         cells[which] |= own
         left_out += lines
     compared = _compared(cells, baselines, algorithms)
-    tables = {"tuning": compared, "tuning_pairs": _pairs({name: cells[name] for name in (DEFAULT, TUNED)}, algorithms)}
+    tables = {"tuning": compared, "tuning_pairs": _pairs(cells, algorithms)}
     return tables | {"tuning_trials": trials, "tuning_importance": importance}, left_out
 
 
@@ -134,7 +122,7 @@ def _compared(cells: Mapping[str, Cells], baselines: Mapping[str, Table], algori
             own = gap[["gap", "gap_low", "gap_high"]].to_numpy()[0] if len(gap) else [np.nan] * 3
             if seeds[which]:
                 rows.append([algorithm, which, *stats.difference(seeds[which], []), *own])
-        if seeds[DEFAULT] and seeds[TUNED]:
+        if all(seeds.values()):
             rows.append([algorithm, DIFFERENCE, *stats.difference(seeds[TUNED], seeds[DEFAULT]), *[np.nan] * 3])
     columns = ["algorithm", "settings", "value", "low", "high", "n", "gap", "gap_low", "gap_high"]
     return pd.DataFrame(rows, columns=columns)
@@ -159,15 +147,13 @@ def rewards(cell: Cell) -> stats.Array:
 
 
 def compared(found: Table) -> TextRows:
-    """Default against tuned, a row an algorithm; and the preset `best`, where one has it."""
-    passing = BEST in set(found["settings"])
+    """Default against tuned, a row an algorithm."""
     rows = [["algorithm", "seeds", DEFAULT, TUNED, DIFFERENCE, "tuned, gap to the rule"]]
-    rows[0] += ["preset best", "its gap to the rule"] * passing
     for algorithm, part in found.groupby("algorithm", sort=False):
         by = part.set_index("settings")
         shown = [_shown(by, which) for which in (DEFAULT, TUNED, DIFFERENCE)]
-        gap, best_gap = (_shown(by, which, ("gap", "gap_low", "gap_high")) for which in (TUNED, BEST))
-        rows.append([str(algorithm).upper(), str(by["n"].max()), *shown, gap, *[_shown(by, BEST), best_gap] * passing])
+        gap = _shown(by, TUNED, ("gap", "gap_low", "gap_high"))
+        rows.append([str(algorithm).upper(), str(by["n"].max()), *shown, gap])
     return rows
 
 
@@ -224,11 +210,11 @@ def conclusion(found: Table) -> str:
         f"Tuning raises the reward of {_listed(better)}"
         + (f", and lowers that of {_listed(worse)}." * bool(worse) or ".")
     )
-    best = found[found["settings"].isin([TUNED, BEST])].sort_values("gap", ascending=False).iloc[0]
+    best = tuned.sort_values("gap", ascending=False).iloc[0]
     if np.isnan(best["gap"]):
         return " ".join([*said, "No flights of the hand-written rule lie beside them."])
     gap = with_interval(best["gap"], best["gap_low"], best["gap_high"], 1)
-    who = str(best["algorithm"]).upper() + " with the preset best" * (best["settings"] == BEST)
+    who = str(best["algorithm"]).upper()
     if best["gap_low"] > 0:
         said.append(f"{who} passes the hand-written rule: {gap} a flight.")
     elif best["gap_high"] < 0:
@@ -311,7 +297,7 @@ def pairs(found: Table, rule: float, width: float = style.WIDTH) -> style.Drawn:
     figure, axes = style.panel("", 0.42 * len(rows) + 1.3, width)
     said = []
     for row, one in enumerate(shown.to_dict("records")):
-        colour = style.PALE if one["settings"] == DEFAULT else style.CLEAR
+        colour = style.CLEAR if one["settings"] == TUNED else style.PALE
         axes.plot([one["low"], one["high"]], [row, row], color=colour, linewidth=3, solid_capstyle="butt")
         axes.plot(one["value"], row, "o", color=colour, markersize=9)
         interval = style.said(stats.Interval(one["value"], one["low"], one["high"], one["n"]))

@@ -8,9 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-TUNING, TRIALS, TUNED, BEST = "tuning", "trials", "tuned", "best"
-"""What a study that tunes writes into; in there its trials, which are no runs of their own, winners by trial, and cells
-of the preset `best`."""
+TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
+"""What a study that tunes writes into; in there its trials, which are no runs of their own; and winners, by trial."""
 DIFFERENCE = "tuned − default"
 """Settings of a row that compares the winner with the default."""
 TABLE, IMPORTANCE = "trials.csv", "importance.csv"

@@ -129,7 +129,7 @@ def test_the_sentences_say_who_is_ahead_where_a_rule_beats_all_and_where_random_
     assert said[3:] == [
         "A scripted rule still beats every learned cell, its reward above the interval of each, in goal.",
         "A learned cell is above every script, with its whole interval, in drone (PPO tanh).",
-        "Neither holds in moving: the intervals of the best overlap.",
+        "Neither a script nor a learned cell is clearly ahead in moving.",
         "Some learned cell is above random flight, intervals apart, in every world.",
         "Not above random flight, or intervals overlap: DQN tanh (drone).",
     ]

@@ -212,11 +212,10 @@ def across(
         if name not in climbed:
             tell(f"left out: the ladder {name}, which the world of {', '.join(unfit[name])} does not have; {fit} fit")
     usual, own = type(theirs.world)(), theirs.world
-    if alone:
-        pass
-    elif (own.n_turns, own.n_distances) != (usual.n_turns, usual.n_distances):
+    scripts_fit = (own.n_turns, own.n_distances) == (usual.n_turns, usual.n_distances)
+    if not alone and not scripts_fit:
         tell(f"left out: the scripts, which choose among {usual.n_turns} turns and {usual.n_distances} distances")
-    else:
+    elif not alone:
         flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
     caps = {one.name: max_steps or _task_of(one, theirs).cap(ACROSS_STEPS) for one in flyers}
     if len(set(caps.values())) > 1:

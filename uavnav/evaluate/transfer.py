@@ -133,9 +133,9 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
     first = who.first
     task = reached(place.task, first.world.sensor_radius if isinstance(first, Policy) else WORLD.sensor_radius)
     if isinstance(first, Policy):
-        known = {name: getattr(first.world, name) for name in SPEEDS if hasattr(first.world, name)}
-        known = known if isinstance(task.world, type(first.world)) else {}
-        task = replace(task, stack=first.task.stack, world=replace(task.world, **known))
+        both = [name for name in SPEEDS if hasattr(first.world, name) and hasattr(task.world, name)]
+        world = replace(task.world, **{name: getattr(first.world, name) for name in both})
+        task = replace(task, stack=first.task.stack, world=world)
     rows = who.fly(task, f"in {place.name}", quiet, place.measure)
     parts = [part.assign(mode=mode, **{FLOWN: place.name}) for mode, part in rows.items()]
     return pd.concat(parts, ignore_index=True)

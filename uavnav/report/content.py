@@ -122,7 +122,8 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
             numbers |= worlds.numbers(of_worlds)
             left_out += of_worlds.left_out
         numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
-        numbers |= {"fast": headline.gaps(sorted_cells.tuned, baselines)}
+        if sorted_cells.tuned:
+            numbers |= {"fast": headline.gaps(sorted_cells.tuned, baselines)}
         carried = beyond.carried(evidence[PRIMARY])
         if len(carried):
             numbers |= {"carried": carried, "further": headline.gaps(beyond.further(sorted_cells), baselines)}

@@ -310,7 +310,7 @@ def sentences(found: pd.DataFrame) -> list[str]:
     if passed:
         said.append(f"A learned cell is above every script, with its whole interval, in {'; '.join(passed)}.")
     if neither:
-        said.append(f"Neither holds in {'; '.join(neither)}: the intervals of the best overlap.")
+        said.append(f"Neither a script nor a learned cell is clearly ahead in {'; '.join(neither)}.")
     if chances:
         above = _listed([world for world, is_above in chances.items() if is_above], chances)
         said.append(f"{'Some' if lower else 'Every'} learned cell is above random flight, intervals apart, in {above}.")

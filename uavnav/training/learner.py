@@ -47,7 +47,8 @@ class Learner:
     """Steps on the parameters of a TorchRL loss module, in place, any number of minibatches a call.
 
     Args:
-        loss: built with `reduction="none"` on networks whose parameters lead with the agent axis.
+        loss: built with `reduction="none"` on networks whose parameters lead with the agent axis. Its buffers of a
+            parameter's shape, such as targets, do so too; others are everyone's.
         losses: names of what it returns; an agent's loss is the sum of their means over the agent's rows.
         optimiser: of `uavnav.training.optimisers`.
         max_grad_norm: each agent's gradient is scaled down to this norm; None leaves it as it is.
@@ -145,7 +146,7 @@ class Learner:
         return self.optimiser.rates(step).to(next(iter(self.parameters.values())).dtype)
 
     def _held(self, agents: slice) -> list[Tensor]:
-        """The state and the constants of these agents. What has no parameter's shape, a coefficient, is everyone's."""
+        """The state and the constants of these agents."""
         shapes = {value.shape for value in self.parameters.values()}
         held = [*self._state, *self._constants.values()]
         return [value[agents] if value.shape in shapes else value for value in held]

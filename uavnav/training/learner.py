@@ -77,8 +77,7 @@ class Learner:
         self.steps = torch.zeros((), dtype=torch.float64, device=next(iter(self.parameters.values())).device)
         n_agents = len(next(iter(self.parameters.values())))
         held = sum(value.nbytes for value in (*self.parameters.values(), *self.moments, *self.buffers.values()))
-        together = 1 if self.steps.device.type == "cpu" and held >= LARGE * n_agents else n_agents
-        self.turns = [slice(first, first + together) for first in range(0, n_agents, together)]
+        self.in_turn = self.steps.device.type == "cpu" and held >= LARGE * n_agents
         self._updates: dict[Any, Loop] = {}  # by the keys of minibatches
 
     def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
@@ -91,8 +90,7 @@ class Learner:
             if keys not in self._updates:
                 self._updates[keys] = self._compile(keys)
             rates, update = self._rates(batches.shape[1]), self._updates[keys]
-            turns = [update(rates, *self._held(agents), *(leaf[agents] for leaf in leaves))[0] for agents in self.turns]
-            found = torch.cat(turns, -1)
+            found = torch.cat([update(rates, *given)[0] for given in self._given(leaves)], -1)
             self.steps += batches.shape[1]
         return dict(zip(self.names, found, strict=True))
 
@@ -145,11 +143,19 @@ class Learner:
         step = self.steps + torch.arange(1, n + 1, device=self.steps.device)
         return self.optimiser.rates(step).to(next(iter(self.parameters.values())).dtype)
 
-    def _held(self, agents: slice) -> list[Tensor]:
-        """The state and the constants of these agents."""
-        shapes = {value.shape for value in self.parameters.values()}
+    def _given(self, leaves: Sequence[Tensor]) -> list[list[Tensor]]:
+        """State, constants and the leaves of minibatches: of all agents at once, or of each in turn."""
         held = [*self._state, *self._constants.values()]
-        return [value[agents] if value.shape in shapes else value for value in held]
+        if not self.in_turn:
+            return [[*held, *leaves]]
+        shapes = {value.shape for value in self.parameters.values()}
+        return [
+            [
+                *(value[agent : agent + 1] if value.shape in shapes else value for value in held),
+                *(leaf[agent : agent + 1] for leaf in leaves),
+            ]
+            for agent in range(len(leaves[0]))
+        ]
 
     def _gradient(self, parameters: Tensors, batch: TensorDictBase) -> tuple[Tensors, Tensor]:
         """The gradient of each parameter that the objective holds now, and the losses [losses, A]."""

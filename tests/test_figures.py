@@ -141,6 +141,7 @@ def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_p
         places = [[places_of(one) for one in tree.iter(f"{SVG}{tag}")] for tree in (full, short)]
         assert [len(one) for one in places[0]] == [len(one) for one in places[1]]
         np.testing.assert_allclose(np.concatenate(places[1] or [[]]), np.concatenate(places[0] or [[]]), atol=0.01)
+    assert styles_of_marks(full) == styles_of_marks(short)
     asked = set(re.findall(r"(?:href='#|url\(#)(\w+)", ElementTree.tostring(short).decode().replace('"', "'")))
     assert asked
     assert asked <= {one.get("id") for one in short.iter()}
@@ -149,6 +150,13 @@ def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_p
 def places_of(element):
     found = " ".join(element.get(key, "") for key in ("d", "x", "y"))
     return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?(?:e-?\d+)?", found)]
+
+
+def styles_of_marks(element, above=""):
+    """How each mark is drawn, by its own style or that of its group."""
+    mine = element.get("style", above).replace(" ", "")
+    own = [mine] if element.tag == f"{SVG}use" else []
+    return own + [style for child in element for style in styles_of_marks(child, mine)]
 
 
 def test_a_figure_with_a_map_keeps_its_colours_and_any_other_has_256_and_white_ground():

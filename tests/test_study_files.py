@@ -64,8 +64,7 @@ def test_a_cell_is_flown_on_the_test_sets_of_its_rung_and_across_ladders_once_it
     bounds = ["--episodes", "5", "--max-steps", "9"]
     own = ["--layouts", "density-4/test", *bounds]
     assert unflown(cell) == [own, [*bounds, "--alone", "--across", "density", "arc"]]
-    for name in ("evaluation", "behaviour"):
-        put(cell.out / f"{name}-density-4-test-5-9.parquet", "")
+    put(cell.out / "evaluation-density-4-test-5-9.parquet", "")
     put(cell.out / "across-density-5-9.parquet", "")
     assert unflown(cell) == [[*bounds, "--alone", "--across", "arc"]]
     put(cell.out / "across-arc-5-9.parquet", "")
@@ -111,18 +110,19 @@ def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_ea
     assert tuned == {("ppo", "fast"), ("dqn", "fast")}
 
 
-def test_scripts_fly_each_world_of_the_study_of_worlds_once_as_its_cells_do_unless_their_rows_are_there(tmp_path):
+def test_scripts_fly_each_world_and_rung_of_the_study_of_worlds_once_as_its_cells_do_unless_rows_are_there(tmp_path):
     cells = studies.cells(studies.read("worlds"), tmp_path)
     words = scripted(cells, tmp_path)
     rules, own = ["random", "straight", "reactive"], ["--seeds", "10", "--out", str(tmp_path)]
-    assert len(words) == 11
+    assert len(words) == 11 + 7 + 7  # the ladders have 11 and 8 rungs; four and one of them are worlds of the study
+    assert [*rules, "--layouts", "slalom-70/test", "--max-steps", "2000", *own] in words
     assert [*rules, "--max-steps", "1000", "--task", "goal", *own] in words
     assert [*rules, "--max-steps", "2000", "--faults", "noise=5", *own] in words
     for rule in rules[1:]:
         put(tmp_path / f"{rule}-goal-test-200-1000.parquet", "")
     assert ["random", "--max-steps", "1000", "--task", "goal", *own] in scripted(cells, tmp_path)
     put(tmp_path / "random-goal-test-200-1000.parquet", "")
-    assert len(scripted(cells, tmp_path)) == 10
+    assert len(scripted(cells, tmp_path)) == 24
     assert scripted([cell._replace(evaluation=None) for cell in cells], tmp_path) == []
 
 

@@ -13,9 +13,10 @@ from uavnav.evaluate import __main__ as command
 from uavnav.evaluate.scripts import SEEDS, Protocol, rows_of_scripts
 from uavnav.report import worlds
 from uavnav.report.cells import of_worlds
-from uavnav.report.discussion import ALL, CELLS, NONE, SCATTER, VARIATION
+from uavnav.report.discussion import ALL, CELLS, NONE, SCATTER, VARIATION, at
 from uavnav.report.worlds import Evidence, Worlds, measured, sentences, summary
 from uavnav.tasks.faults import Faults
+from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.protocol import SCRIPTS
 
 
@@ -62,6 +63,8 @@ def test_where_success_is_measured_no_restricted_mean_of_survival_is_shown():
         [],
         None,
         [],
+        {},
+        pd.DataFrame(),
     )
     shown = summary(found).groupby("world")["metric"].agg(set)
     assert "survival" in shown["drone"]
@@ -118,7 +121,7 @@ def made_up():
         for world, rule in (("drone", 20), ("goal", 10), ("moving", 9))
         for name, reward in (("random", [-8, -7, -6]), ("straight", [-8]), ("reactive", [rule]))
     }
-    return Worlds(learned, scripted, [], pd.DataFrame(), [])
+    return Worlds(learned, scripted, [], pd.DataFrame(), [], {}, pd.DataFrame())
 
 
 def test_the_sentences_say_who_is_ahead_where_a_rule_beats_all_and_where_random_flight_is_not_passed():
@@ -151,6 +154,19 @@ def test_a_worlds_table_has_cells_and_scripts_and_the_figure_a_panel_a_world():
 # -- rows of scripts ---------------------------------------------------------------------------------------------------
 
 GOAL = Protocol(max_steps=1000, task="goal")
+
+
+def test_a_ladder_is_drawn_for_cells_of_the_papers_world_and_for_scripts_rung_by_rung():
+    rungs = LADDERS["density"].rungs
+    flown = {at("reward", "density", rung): 100.0 - rung for rung in rungs}
+    learned = {("drone", "ppo", "tanh"): seeds([40, 41], **flown), ("moving", "dqn", "tanh"): seeds([40, 41], **flown)}
+    scripted = {("density", rung): {"reactive": seeds([50.0 + rung])} for rung in rungs[1:]}  # one rung was not flown
+    drawn = worlds.ladder(Worlds(learned, {}, [], pd.DataFrame(), [], scripted, pd.DataFrame()), "density")
+    lines = {line.get_label(): line for line in drawn.figure.axes[0].lines}
+    assert [*lines] == ["PPO", "reactive"]
+    assert lines["PPO"].get_xydata().tolist() == [[rung, 100.0 - rung] for rung in rungs]
+    assert lines["reactive"].get_xydata().tolist() == [[rung, 50.0 + rung] for rung in rungs[1:]]
+    assert worlds.ladder(Worlds(learned, {}, [], pd.DataFrame(), [], {}, pd.DataFrame()), "slalom") is None
 
 
 def keep(folder, rule, protocol=GOAL, reward=3.0, **header):

@@ -266,7 +266,8 @@ def evaluate_run(
         flown = fly_crews(own, task, tell, measure_of(layouts))
         rows = pd.concat([part.episodes.assign(mode=mode) for mode, part in flown.items()])
         behaviour = pd.concat([part.behaviour.assign(mode=mode) for mode, part in flown.items()])
-        return {rows_file: rows, behaviour_file: behaviour, **(_beside(run, own) if usual else {})}
+        beside = _beside(run, own) if usual else {}
+        return {**beside, behaviour_file: behaviour, rows_file: rows}  # rows last: who finds them has the others too
 
     here, there = _halves(run.seeds, n * max_steps)
     what = f"{run.algorithm} {run.config['activation']}" + ", half of the seeds" * bool(there)

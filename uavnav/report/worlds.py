@@ -66,6 +66,8 @@ class Worlds(NamedTuple):
     findings: list[Finding]
     operating: pd.DataFrame
     left_out: list[str]
+    rungs: dict[tuple[str, float], dict[str, pd.DataFrame]]  # ladder and rung -> the same of the scripts there
+    runs: pd.DataFrame  # how each run was made, a row a run
 
 
 def gather(folders: Sequence[Path]) -> Worlds | None:
@@ -79,7 +81,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
     seeds: dict[Key, pd.DataFrame] = {}
     places: dict[str, Protocol | None] = {}
     settings: dict[Key, dict[str, object]] = {}
-    left_out = []
+    left_out, made = [], []
     for path in paths:
         try:
             run = Run(path, rows=False)
@@ -94,25 +96,45 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
                 raise RunError(f"{path}: its settings differ from those of another run in {world}")
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
             places.setdefault(place_name, flown)
+            made.append(_made(world, run))
         except (RunError, KeyError) as error:
             left_out.append(" ".join(str(error).split()))
     if not seeds:
         return None
     from uavnav.evaluate.scripts import rows_of_scripts
+    from uavnav.tasks import ladders
 
     in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
     seeds = dict(sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0]))))
+
+    def of_scripts(flown: Protocol) -> dict[str, pd.DataFrame]:
+        rows, unread = rows_of_scripts([home / "baselines" for home in homes], flown)
+        left_out.extend(unread)
+        return {rule: measured(own, flown.max_steps) for rule, own in rows.items()}
+
     scripted: dict[tuple[str, str], pd.DataFrame] = {}
     for name in in_order:
         if (flown := places[name]) is None:
             left_out.append(f"{name}: no rows of scripts, which fly with the usual settings of a task alone")
             continue
-        rows, unread = rows_of_scripts([home / "baselines" for home in homes], flown)
-        scripted |= {(name, rule): measured(own, flown.max_steps) for rule, own in rows.items()}
-        left_out += unread
+        scripted |= {(name, rule): own for rule, own in of_scripts(flown).items()}
+    climbed = [(name, rung) for name in ladders.OF_BANKS for rung in ladders.LADDERS[name].rungs]
+    rungs: dict[tuple[str, float], dict[str, pd.DataFrame]] = {}
+    if (flown := places.get("drone")) is not None:
+        there = {metric for (world, _, _), table in seeds.items() if _place(world) == "drone" for metric in table}
+        for name, rung in (one for one in climbed if at("reward", *one) in there):
+            rungs[name, rung] = of_scripts(flown._replace(layouts=ladders.sets_of(name, rung)))
     evidence = Evidence(seeds)
     findings = audit(evidence, nothing_printed, DISCUSSION)
-    return Worlds(seeds, scripted, findings, characteristics(evidence, nothing_printed, DISCUSSION), left_out)
+    operating = characteristics(evidence, nothing_printed, DISCUSSION)
+    return Worlds(seeds, scripted, findings, operating, left_out, rungs, pd.DataFrame(made))
+
+
+def _made(world: str, run: Run) -> dict[str, object]:
+    """How a run was made: what tells it apart from the others, and what its `meta.json` says of it."""
+    who = {"world": world, "algorithm": run.algorithm, "activation": run.config["activation"], "seeds": len(run.seeds)}
+    facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
+    return {"run": str(run.path), **who, **facts, **(run.meta.get("machine") or {})}
 
 
 def _rank(key: Key) -> tuple[object, ...]:
@@ -352,16 +374,14 @@ def draw(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     panels[-1].set_xlabel("reward per flight, sampled")
     lines = {line.get_label(): line for axes in panels for line in axes.get_legend_handles_labels()[0]}
     style.legend(figure, [*lines.values()], columns=3)
-    told = "; ".join(f"{world}: {style.said(one)} of {who}" for world in worlds for who, one in _first(found, world))
+    best = {world: next(iter(_rewards(found, world)[0].items())) for world in worlds}
+    told = "; ".join(f"{world}: {style.said(one)} of {who}" for world, (who, one) in best.items())
     return style.Drawn(figure, f"Best reward per flight in each world: {told}.")
 
 
-def _first(found: pd.DataFrame, world: str) -> list[tuple[str, Interval]]:
-    return [*_rewards(found, world)[0].items()][:1]
-
-
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:
-    """The cells that were trained in the paper's world across a ladder, means of their activations; None where none."""
+    """The cells that were trained in the paper's world across a ladder, means of their activations, and the scripts;
+    None where no cell was."""
     from uavnav.evaluate import across
     from uavnav.tasks.ladders import LADDERS
 
@@ -377,6 +397,11 @@ def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn 
                 parts.append([who, MODE, float(rung), metric, one.n, *one[:3]])
     if not parts:
         return None
+    for rule, rung in itertools.product(SCRIPTS, rungs):
+        own = found.rungs.get((name, rung), {}).get(rule, pd.DataFrame())
+        for metric in (one for one in ("reward", "collisions", *OWN) if one in own):
+            one = stats.interval(own[metric].dropna().to_numpy())
+            parts.append([rule, "scripted", float(rung), metric, one.n, *one[:3]])
     columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
     return across.draw(pd.DataFrame(parts, columns=columns), LADDERS[name], width)
 
@@ -388,7 +413,7 @@ def figures(found: Worlds, width: float = style.WIDTH) -> list[tuple[str, style.
         if (one := ladder(found, name, width)) is not None:
             caption = (
                 f"The ladder {name}: policies trained in the paper's world, the mean of their activations; bands are"
-                " Welch's 95 % intervals over seeds."
+                " Welch's 95 % intervals over seeds. Black lines: scripts, bands where their draws differ."
             )
             drawn.append((f"worlds-{name}", one, caption))
     return drawn
@@ -397,7 +422,8 @@ def figures(found: Worlds, width: float = style.WIDTH) -> list[tuple[str, style.
 def numbers(found: Worlds) -> dict[str, pd.DataFrame]:
     """The tables of a report, by the name of their CSV."""
     verdicts = pd.DataFrame([one._asdict() for one in found.findings])
-    return {"places": summary(found), "places_verdicts": verdicts, "places_operating": found.operating}
+    tables_ = {"places": summary(found), "places_verdicts": verdicts, "places_operating": found.operating}
+    return tables_ | {"places_runs": found.runs}
 
 
 def claims(found: Worlds) -> list[dict[str, object]]:

@@ -90,7 +90,7 @@ def unflown(cell: Cell) -> list[list[str]]:
     if cell.evaluation is None:
         return []
     bounds = {key: value for key, value in cell.evaluation.items() if key != "layouts"}
-    missing = [] if all((cell.out / name).exists() for name in cell.flights) else [_words(cell.evaluation)]
+    missing = [] if (cell.out / cell.flights[0]).exists() else [_words(cell.evaluation)]
     ladders = [name for name in cell.across if not (cell.out / rows_across(name, **bounds)).exists()]
     return missing + [[*_words(bounds), "--alone", "--across", *ladders]] * bool(ladders)
 
@@ -352,7 +352,7 @@ class Study:
 def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
     """Put what the shares have flown together, in the order of one evaluation of all seeds: mode by mode."""
     beside = [name for name in (ARENA, VALUES) if all((folder / name).exists() for folder in folders)]
-    for name in (*cell.flights, *beside):
+    for name in (*beside, *reversed(cell.flights)):  # rows last: who finds them has the others too
         parts = [pd.read_parquet(folder / name) for folder in folders]
         table = pd.concat(parts, ignore_index=True)
         if "mode" in table:

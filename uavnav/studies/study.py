@@ -24,6 +24,7 @@ from uavnav.runs import SILENCE, progress
 from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, engines, search, tuning
 from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
+from uavnav.tasks import ladders
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training.config import checked
@@ -179,11 +180,18 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
 
 
 def scripted(cells: Sequence[Cell], folder: Path) -> list[list[str]]:
-    """The flights of scripts that a folder lacks, in the worlds of cells: each the words of `uavnav evaluate`."""
+    """The flights of scripts that a folder lacks, in the worlds of cells and on the rungs that are banks of their own:
+    each the words of `uavnav evaluate`."""
     wanted: dict[Protocol | None, None] = {}
-    for config, flown in ((cell.config, cell.evaluation) for cell in cells if cell.evaluation is not None):
-        task = make_task(EMPTY, config.world, config.reward, None, config.task, faults=config.faults)
-        wanted[protocol_in(task, **{studies.BANK: "test"} | flown)] = None
+    for cell in cells:
+        if cell.evaluation is None:
+            continue
+        own, flown = cell.config, {studies.BANK: "test"} | cell.evaluation
+        climbed = [name for name in ladders.OF_BANKS if name in cell.across]
+        rungs = [ladders.sets_of(name, rung) for name in climbed for rung in ladders.LADDERS[name].rungs]
+        task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=own.faults)
+        for sets in (flown[studies.BANK], *rungs):
+            wanted[protocol_in(task, **flown | {studies.BANK: sets})] = None
     return [one.words(rules, folder) for one in wanted if one is not None and (rules := missing(folder, one))]
 
 

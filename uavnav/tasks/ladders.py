@@ -37,14 +37,23 @@ class Ladder(NamedTuple):
         )
 
 
+OF_BANKS = ("density", "slalom")
+"""The ladders whose rungs are banks."""
+
+
+def sets_of(ladder: str, rung: float, split: str = "test") -> str:
+    """The name of a rung's sets, on a ladder of banks."""
+    return f"{ladder}-{rung:g}/{split}"
+
+
 def density(task: Task, rung: float, split: str = "test") -> Task:
     """The policy's world with so many obstacles a set."""
-    return task.on(f"density-{rung:g}/{split}", task.max_steps)
+    return task.on(sets_of("density", rung, split), task.max_steps)
 
 
 def gaps(task: Task, rung: float, split: str = "test") -> Task:
     """The policy's world with four columns of circles, each with a gap of so many px."""
-    return task.on(f"slalom-{rung:g}/{split}", task.max_steps)
+    return task.on(sets_of("slalom", rung, split), task.max_steps)
 
 
 def arc(task: Task, rung: float, split: str = "test") -> Task:

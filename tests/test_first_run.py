@@ -12,8 +12,10 @@ import pytest
 
 import uavnav
 from uavnav.__main__ import main
+from uavnav.algorithms.c51 import C51Config
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PPOConfig
+from uavnav.algorithms.sac import SACConfig
 from uavnav.training import display
 
 PACKAGE = Path(uavnav.__file__).parent
@@ -149,6 +151,23 @@ def test_a_run_says_what_it_does_how_and_about_how_long():
         "compiled (takes 3 s, or 15 to 30 s the first time), 2 processes of 1 thread: about 3 min on the two cores of"
         " docs/benchmarks.md"
     )
+
+
+@pytest.mark.parametrize(
+    ("config", "before"),
+    [
+        (DQNConfig(), "50,000"),
+        (SACConfig(), "20,000"),
+        (DQNConfig(learning_starts=0, n_steps=5), "320"),
+        (C51Config(preset="one-world"), "50,000"),
+    ],
+)
+def test_a_run_that_ends_before_its_first_update_says_so(config, before, tmp_path):
+    facts = {"compiled": True, "threads": 1}
+    frames = int(before.replace(",", ""))
+    what, _ = display.opening(config, frames, tmp_path, facts)
+    assert f", too few to learn (updates begin after {before}), into" in what
+    assert "too few" not in display.opening(config, frames + config.n_worlds, tmp_path, facts)[0]
 
 
 @pytest.mark.usefixtures("warm")

@@ -15,9 +15,11 @@ import torch
 from safetensors.torch import load_file
 
 from uavnav import networks
+from uavnav.algorithms.c51 import C51Config
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.dqn import train as train_dqn
 from uavnav.algorithms.ppo import PPOConfig, train
+from uavnav.algorithms.sac import SACConfig
 from uavnav.help.choices import ConfigError
 from uavnav.policies import load_policy
 from uavnav.runs import POLICY
@@ -131,6 +133,7 @@ def test_verify_repeats_it_in_as_many_processes(spread_run):
 
 COMMAND = """
 from uavnav.algorithms.ppo import PPOConfig, train
+from uavnav.algorithms.sac import SACConfig
 config = PPOConfig(n_seeds=3, total_frames=400_000, frames_per_batch=256, epochs=2, compile="off")
 train(config, {out!r}, quiet=True, processes=2, checkpoint_seconds={seconds})
 """
@@ -247,6 +250,19 @@ def test_dqn_spreads_as_well_and_its_memory_is_counted_for_all_seeds(tmp_path):
     with pytest.raises(ConfigError, match="n_seeds=1000: the buffer would take"):
         train_dqn(DQNConfig(n_seeds=1000, compile="off"), tmp_path / "large", quiet=True, processes=2)
     assert not (tmp_path / "large").exists()
+
+
+@pytest.mark.parametrize(
+    ("config", "outputs"),
+    [
+        (PPOConfig(hidden=[200_000, 200_000]), "100"),
+        (SACConfig(hidden=[200_000, 200_000]), "100"),
+        (C51Config(n_atoms=10**8), "10,000,000,000"),
+    ],
+)
+def test_networks_larger_than_the_machines_memory_are_refused_before_they_are_made(config, outputs):
+    with pytest.raises(ConfigError, match=rf"n_seeds=1: networks of {outputs} outputs would take [\d,.]+ GiB"):
+        config.check_machine()
 
 
 def test_only_runs_that_are_compiled_are_spread_by_themselves(monkeypatch):

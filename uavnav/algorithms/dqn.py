@@ -10,7 +10,6 @@ Letters: A agents, one a seed, that learn side by side and independently of each
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -84,16 +83,13 @@ class ReplayConfig(TrainConfig):
         raise NotImplementedError(f"{type(self).__name__} has no loss")
 
     def check_machine(self) -> None:
-        """Raise a ConfigError where the buffers of all seeds would not fit into the machine's memory."""
+        """Raise a ConfigError where networks or buffers of all seeds would not fit into the machine's memory."""
+        super().check_machine()
         capacity = min(self.buffer_size, self.frames)
         observations = 2 if self.keeps_next_observations else 1
-        needed = self.n_seeds * capacity * (observations * 4 * self.observation_size + FRAME_BYTES) / 2**30
-        available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-        if self.device == "cpu" and needed > available:
-            raise ConfigError(
-                f"buffer_size={self.buffer_size}, n_seeds={self.n_seeds}: the buffer would take {needed:.1f} GiB of the"
-                f" machine's {available:.1f}; give a smaller buffer_size or fewer seeds"
-            )
+        needed = self.n_seeds * capacity * (observations * 4 * self.observation_size + FRAME_BYTES)
+        named = f"buffer_size={self.buffer_size}, n_seeds={self.n_seeds}: the buffer"
+        self.check_memory(named, needed, "a smaller buffer_size or fewer seeds")
 
     @property
     def final_epsilon(self) -> float:
@@ -130,12 +126,16 @@ class ReplayConfig(TrainConfig):
 
     @property
     def n_outputs(self) -> int:
-        """How many outputs the network has: one an action, and with `dueling` the state's value in front."""
-        return self.world.n_actions + self.dueling
+        """The same, and with `dueling` the state's value in front."""
+        return super().n_outputs + self.dueling
 
     @property
     def frames_per_iteration(self) -> int:
         return self.n_worlds * self.steps_between_updates
+
+    @property
+    def frames_before_learning(self) -> int:
+        return max(self.learning_starts, self.n_steps * self.n_worlds)  # a row has its successors
 
     @property
     def steps_between_updates(self) -> int:
@@ -304,7 +304,7 @@ class DQN:
         self.replay.extend(rows(batch, config))
         if frames // config.frames_between_targets > before // config.frames_between_targets:
             self.copy_to_target.step()
-        if frames > max(config.learning_starts, config.n_steps * config.n_worlds):  # a row has its successors
+        if frames > config.frames_before_learning:
             losses = self.learner.learn(draw(self.replay, config))
         if frames % config.frames_between_rows and frames < config.frames:
             return None

@@ -82,7 +82,7 @@ class SACConfig(TrainConfig):
         return SAC(self, compile)
 
     def check_machine(self) -> None:
-        """Raise a ConfigError where the buffers of all seeds would not fit into the machine's memory."""
+        """Raise a ConfigError where networks or buffers of all seeds would not fit into the machine's memory."""
         self.replay.check_machine()
 
     @property
@@ -94,6 +94,10 @@ class SACConfig(TrainConfig):
     @property
     def frames_per_iteration(self) -> int:
         return self.n_worlds * max(self.frames_per_update // self.n_worlds, 1)
+
+    @property
+    def frames_before_learning(self) -> int:
+        return max(self.learning_starts, self.n_worlds)  # a row has its successor
 
 
 PRESETS = {name: SACConfig(preset=name) for name in SACConfig.PRESETS}
@@ -175,7 +179,7 @@ class SAC:
         """Steps [A, W, T] into the buffer, then a round of updates; now and then a row, [A]."""
         config, losses = self.config, {}
         self.replay.extend(rows(batch, self.settings))
-        if frames > max(config.learning_starts, config.n_worlds):  # a row has its successor
+        if frames > config.frames_before_learning:
             losses = self.learner.learn(draw(self.replay, self.settings))
         if frames % self.settings.frames_between_rows and frames < config.frames:
             return None

@@ -66,7 +66,7 @@ def parameters(algorithm: str, width: int) -> int:
     """Weights and biases of a seed: a network over all actions, and one where there is a critic, or SAC's two."""
     world, config = World(), ours.settings(algorithm)
     critics = [1] if hasattr(config, "critic_coeff") else [world.n_actions] * 2 * hasattr(config, "target_entropy")
-    outputs = [getattr(config, "n_outputs", world.n_actions), *critics]  # C51 has atoms
+    outputs = [config.n_outputs, *critics]  # C51 has atoms
     hidden = (world.observation_size + 1) * width + (width + 1) * width
     return sum(hidden + (width + 1) * last for last in outputs)
 

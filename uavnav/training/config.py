@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import os
 import types
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, fields
@@ -156,7 +158,23 @@ class TrainConfig:
         raise NotImplementedError(f"{type(self).__name__} has no algorithm to make")
 
     def check_machine(self) -> None:
-        """Raise a ConfigError where this machine cannot train with these settings."""
+        """Raise a ConfigError where what all seeds learn would not fit into the machine's memory."""
+        sizes = [self.observation_size, *self.hidden, self.n_outputs]
+        weights = self.n_seeds * sum((inputs + 1) * outputs for inputs, outputs in itertools.pairwise(sizes))
+        named = f"hidden={list(self.hidden)}, n_seeds={self.n_seeds}: networks of {self.n_outputs:,} outputs"
+        self.check_memory(named, 3 * 4 * weights, "smaller networks or fewer seeds")  # Adam has two numbers a weight
+
+    def check_memory(self, what: str, needed: int, instead: str) -> None:
+        """Raise a ConfigError where something would take more bytes than the machine has; instead: what to give."""
+        available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if self.device == "cpu" and needed > available:
+            taken, there = needed / 2**30, available / 2**30
+            raise ConfigError(f"{what} would take {taken:,.1f} GiB of the machine's {there:.1f}; give {instead}")
+
+    @property
+    def n_outputs(self) -> int:
+        """How many outputs the policy's network has: one an action."""
+        return self.world.n_actions
 
     @property
     def frames_per_iteration(self) -> int:
@@ -172,6 +190,11 @@ class TrainConfig:
     def frames(self) -> int:
         """Frames that are really run, per seed."""
         return self.iterations * self.frames_per_iteration
+
+    @property
+    def frames_before_learning(self) -> int:
+        """Per seed, until the first update."""
+        return 0
 
     @property
     def final_epsilon(self) -> float:

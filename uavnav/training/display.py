@@ -75,7 +75,7 @@ class Display:
         rate = f"{task.speed / 1000:,.1f}k" if task.speed else "-"
         done = f"{frames // 1000:,}k/{self._config.frames // 1000:,}k"
         self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=with_spread(rewards, 1))
-        if self._unknown and frames >= getattr(self._config, "learning_starts", 0):
+        if self._unknown and frames >= self._config.frames_before_learning:
             self._tell_how_long(frames)
         if self._tell is not None:
             self._tell(frames, rewards)
@@ -122,6 +122,8 @@ def opening(config: TrainConfig, frames: int, path: Path, facts: Mapping[str, An
     worlds = f"{config.n_worlds} parallel world{'' if config.n_worlds == 1 else 's'}"
     who = f"{config.algorithm} {config.activation}, preset {config.preset}"
     what = f"{who}: {seeds}, {frames:,} frames{each} in {worlds}"
+    if frames <= (before := config.frames_before_learning):
+        what += f", too few to learn (updates begin after {before:,})"
     n, threads = facts.get("processes", 1), facts["threads"]
     spread = f"{n} process{'' if n == 1 else 'es'} of {threads} thread{'' if threads == 1 else 's'}"
     how = "compiled (takes 3 s, or 15 to 30 s the first time)" if facts["compiled"] else "not compiled"

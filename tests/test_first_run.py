@@ -154,20 +154,20 @@ def test_a_run_says_what_it_does_how_and_about_how_long():
 
 
 @pytest.mark.parametrize(
-    ("config", "before"),
+    ("kind", "given", "before"),
     [
-        (DQNConfig(), "50,000"),
-        (SACConfig(), "20,000"),
-        (DQNConfig(learning_starts=0, n_steps=5), "320"),
-        (C51Config(preset="one-world"), "50,000"),
+        (DQNConfig, {}, 50_000),
+        (SACConfig, {}, 20_000),
+        (DQNConfig, {"learning_starts": 0, "n_steps": 5}, 320),
+        (C51Config, {"preset": "one-world"}, 50_000),
     ],
 )
-def test_a_run_that_ends_before_its_first_update_says_so(config, before, tmp_path):
-    facts = {"compiled": True, "threads": 1}
-    frames = int(before.replace(",", ""))
-    what, _ = display.opening(config, frames, tmp_path, facts)
-    assert f", too few to learn (updates begin after {before}), into" in what
-    assert "too few" not in display.opening(config, frames + config.n_worlds, tmp_path, facts)[0]
+def test_a_run_that_ends_before_its_first_update_says_so(kind, given, before, tmp_path):
+    facts, beyond = {"compiled": True, "threads": 1}, before + kind(**given).n_worlds
+    for total, words in ((before - 65, f", too few to learn (updates begin after {before:,}), into"), (beyond, "")):
+        what, _ = display.opening(kind(**given, total_frames=total), 10, tmp_path, facts)
+        assert words in what
+        assert ("too few" in what) == bool(words)
 
 
 @pytest.mark.usefixtures("warm")

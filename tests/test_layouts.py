@@ -10,7 +10,9 @@ from scipy import stats
 import uavnav
 from uavnav.commands.layouts import main as write_banks
 from uavnav.tasks import circles, goal, layouts
+from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.moving import MovingWorld
+from uavnav.tasks.space import SpaceWorld
 
 SHAPES = {"train": (10_000, 8, 3), "validation": (1_000, 8, 3), "test": (1_000, 8, 3)}
 SEEDS = {"train": 0, "validation": 2, "test": 1}
@@ -221,6 +223,28 @@ def test_each_of_22_damaged_files_is_refused_in_one_line_that_says_what_is_wrong
     assert str(path) in message
     assert reason in message
     assert "\n" not in message
+
+
+DRAWN_BY = [
+    (uavnav.World(obstacle_radius_max=50.0), {"obstacle_radius_max": "50.0"}),
+    (uavnav.World(width=1600, safe_zone=80.0), {"width": "1600", "safe_zone": "80.0"}),
+    (MovingWorld(obstacle_radius_min=50), {"obstacle_radius_min": "50"}),
+    (GoalWorld(height=900), {"height": "900"}),
+    (SpaceWorld(depth=400), {"depth": "400"}),
+    (MovingWorld(speed_max=3.0), {}),
+]
+
+
+@pytest.mark.parametrize(("world", "told"), DRAWN_BY)
+def test_a_header_has_the_fields_of_every_world_that_its_sets_were_drawn_by_and_that_are_not_as_usual(
+    world, told, tmp_path
+):
+    kind, path = layouts.KINDS[layouts.kind_of(world)], tmp_path / "bank.safetensors"
+    bank = kind.generate(3, 4, 7, world)
+    layouts.save(bank, path, seed=7, split="train", world=world)
+    found, header = layouts.check(path)
+    assert torch.equal(found, bank)
+    assert {name: header[name] for name in layouts.SHAPES if name in header} == told
 
 
 @pytest.mark.parametrize("header", [{"generator_seed": "seven"}, {"generator_seed": ""}])

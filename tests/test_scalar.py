@@ -1,5 +1,7 @@
 """One drone in plain numbers: the same oracle, the same places bit for bit, the same rewards."""
 
+import itertools
+
 import numpy as np
 import oracle
 import pytest
@@ -8,6 +10,8 @@ import torch
 
 import uavnav
 from uavnav.envs import scalar
+from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
+from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.rewards import BY_ACTION, KNOWN
 from uavnav.tasks.simulator import make_task
 
@@ -51,32 +55,43 @@ def test_200_poses_in_each_of_7_other_worlds_equal_a_loop_over_all_their_squares
     assert compared > 180
 
 
-@pytest.mark.parametrize("variant", [name for name, reward in KNOWN.items() if reward in BY_ACTION])
+VARIANTS = [("drone", name) for name, reward in KNOWN.items() if reward in BY_ACTION]
+VARIANTS += [("moving", "eq14"), ("moving", "additive"), ("goal", "goal"), ("goal", "eq14")]
+
+
+@pytest.mark.parametrize(("name", "variant"), VARIANTS)
 @pytest.mark.parametrize("max_steps", [None, 40])
-def test_1000_steps_are_at_the_batchs_places_bit_for_bit_with_its_rewards_and_ends(variant, max_steps):
-    task = make_task("test", reward=variant, max_steps=max_steps)
-    flight = scalar.fly(task)
-    assert type(flight) is scalar.Flight
-    flight.start(5, 90)
-    state = task.start(torch.tensor(5), torch.tensor(90))
-    ends = 0
-    for action in np.random.default_rng(3).integers(100, size=1000).tolist():
-        observation, reward, terminated, truncated = flight.step(action)
-        state, outcome = task.step(state, torch.tensor(action))
-        assert (flight.x, flight.y, flight.heading) == (state.x.item(), state.y.item(), state.heading.item())
-        assert (reward, terminated, truncated) == (
-            outcome.reward.item(),
-            outcome.terminated.item(),
-            outcome.truncated.item(),
-        )
+def test_1000_steps_are_at_the_batchs_places_bit_for_bit_with_its_rewards_and_ends(name, variant, max_steps):
+    task = make_task("test", reward=variant, max_steps=max_steps, task=name)
+    flight, batch = scalar.fly(task), scalar.BatchOfOne(task)
+    assert type(flight) in (scalar.Flight, scalar.AmongMoving, scalar.ToGoal)
+    starts = itertools.count(5)
+    observation, expected = (one.start(5, 90) for one in (flight, batch))
+    for action in np.random.default_rng(3).choice([5, 49, *range(100)], size=1000).tolist():
+        circles = task.obstacles(batch.state).tolist()
+        if not oracle.doubtful(oracle.look(flight.x, flight.y, flight.heading, circles)):
+            np.testing.assert_allclose(observation, expected, rtol=0, atol=1e-5)
         assert observation.dtype == np.float32
-        if not oracle.doubtful(oracle.look(flight.x, flight.y, flight.heading, task.bank[flight.layout].tolist())):
-            np.testing.assert_allclose(observation, outcome.observation.numpy(), rtol=0, atol=1e-5)
-        if terminated or truncated:
-            ends += 1
-            flight.start(5 + ends, 90)
-            state = task.start(torch.tensor(5 + ends), torch.tensor(90))
-    assert ends >= 10
+        assert flight.info() == batch.info()
+        (observation, *judged), (expected, *as_judged) = (one.step(action) for one in (flight, batch))
+        assert judged == as_judged
+        if judged[1] or judged[2]:
+            layout = next(starts)
+            observation, expected = (one.start(layout, 90) for one in (flight, batch))
+    assert next(starts) >= 15
+
+
+@pytest.mark.parametrize("fields", [{"task": "space"}, {"task": "moving", "world": {"sense_velocity": True}}])
+def test_what_has_no_plain_numbers_flies_as_a_batch_of_one(fields):
+    assert type(scalar.fly(make_task("test", **fields))) is scalar.BatchOfOne
+
+
+def test_a_policy_of_another_reach_sees_the_same_in_gymnasium_as_in_a_batch():
+    task = LADDERS["reach"].task(make_task("test"), 60, "test")
+    single, batch = DroneGymEnv(task=task), DroneVectorEnv(1, task=task)
+    seen = [(env.reset(seed=4), env.step(env.action_space.sample() * 0 + 49)) for env in (single, batch)]
+    for one, other in zip(*seen, strict=True):
+        np.testing.assert_allclose(one[0], other[0][0], atol=1e-6)
 
 
 def test_an_empty_arena_seen_from_its_centre_is_ten_empty_slots_and_280_px_to_the_nearest_wall():

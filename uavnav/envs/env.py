@@ -144,12 +144,13 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return [*self.task.truly(start)] if self.task.faults.disturbs else [self.task.sense(start)[0]]
 
     def _start(self, layout: Tensor) -> State:
-        """Where episodes of every row begin: layout [*B]. The streams do not depend on who resets."""
-        return self.task.start(layout, self._draw_headings(), self._rows(self._chance.first()))
+        """Where episodes of every row begin: layout [*B]."""
+        return self.task.start(layout, *self._draw_starts())
 
-    def _draw_headings(self) -> Tensor:
-        """Start headings [*B] for every row, drawn whether needed or not."""
-        return self._chance.headings().reshape(self.batch_size)
+    def _draw_starts(self) -> tuple[Tensor, Tensor | None]:
+        """Headings [*B] and draws [*B, n] of starts, for every row. The streams do not depend on who resets."""
+        headings, first = self._chance.start()
+        return headings.reshape(self.batch_size), self._rows(first)
 
     def _rows(self, draws: Tensor | None) -> Tensor | None:
         """Draws [seeds, rows, n] in the batch's shape [*B, n]."""
@@ -185,16 +186,16 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         action = tensordict["action"]
         if bool(((action < 0) | (action >= self.world.n_actions)).any()):
             raise ValueError(f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}")
-        self.state, outcome = self.task.step(self.state, action, self._rows(self._chance.later()))
+        self.state, outcome = self.task.step(self.state, action, self._rows(self._chance.step()))
         self._observation, self._begins_here = outcome.observation, False
         return self._tensordict(_leaves(outcome), self.state)
 
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
         """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
-        draws = (self._rows(self._chance.later()), self._rows(self._chance.first()))
-        given = (tensordict.get("action"), self._draw_headings(), self.bank, *self._first_observations)
-        found = self._advance(*self.state, *given, *(one for one in draws if one is not None))
+        later, (headings, first) = self._rows(self._chance.step()), self._draw_starts()
+        given = (tensordict.get("action"), headings, self.bank, *self._first_observations)
+        found = self._advance(*self.state, *given, *(one for one in (later, first) if one is not None))
         bare = self.task.STATE
         after = N_LEAVES + len(bare._fields)
         leaves, final, following = found[:N_LEAVES], bare(*found[N_LEAVES:after]), found[after:]

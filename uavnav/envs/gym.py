@@ -154,8 +154,8 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         else:
             following = (self._layout + 1) % len(self.bank)
         self._layout = following if chosen is None else chosen
-        heading = int(self._chance.headings())
-        return self._flight.start(self._layout, heading, self._chance.first()), self._info()
+        heading, draws = self._chance.start()
+        return self._flight.start(self._layout, int(heading), draws), self._info()
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, Info]:
         if self._layout is None:
@@ -166,7 +166,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
             index = -1
         if not 0 <= index < self.world.n_actions:
             raise ValueError(f"action={action}; give a whole number from 0 to {self.world.n_actions - 1}")
-        return *self._flight.step(index, self._chance.later()), self._info()
+        return *self._flight.step(index, self._chance.step()), self._info()
 
     def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
         """The picture of the current state, with `render_mode="rgb_array"`: [600, 800, 3], in 3D [600, 1608, 3]."""
@@ -258,7 +258,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             whole = f"give a whole number from 0 to {n_actions - 1} for each of the {self.num_envs} rows"
             raise ValueError(f"action={actions}; {whole}")
         action = torch.as_tensor(given, dtype=torch.int64).reshape(self.num_envs)
-        state, outcome = self.task.step(self._state, action, _flat(self._chance.later()))
+        state, outcome = self.task.step(self._state, action, _flat(self._chance.step()))
         observation, clearance = outcome.observation, outcome.clearance
         done = outcome.terminated | outcome.truncated
         info = {}
@@ -303,7 +303,8 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
 
     def _start(self, layout: Tensor) -> State:
         """Where episodes of every row begin."""
-        return self.task.start(layout, self._chance.headings().flatten(), _flat(self._chance.first()))
+        headings, draws = self._chance.start()
+        return self.task.start(layout, headings.flatten(), _flat(draws))
 
     def _now(self) -> State:
         if self._state is None:

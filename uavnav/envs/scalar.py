@@ -7,6 +7,7 @@ bit for bit, and observations up to rounding. Turns, distances, rewards, sines a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from operator import itemgetter
 
 import numpy as np
@@ -14,24 +15,27 @@ import torch
 from torch import Tensor
 
 from uavnav.tasks.dynamics import COSINE, SINE, decode
-from uavnav.tasks.rewards import BY_ACTION, REWARDS, Step
+from uavnav.tasks.goal import SCALE, GoalWorld
+from uavnav.tasks.rewards import BY_ACTION, REWARDS, Step, goal
 from uavnav.tasks.sensing import VIEW_TOLERANCE
-from uavnav.tasks.simulator import Task
+from uavnav.tasks.simulator import Goal, Moving, Task
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
 
 COSINES, SINES = COSINE.tolist(), SINE.tolist()
 Observation = np.ndarray[tuple[int], np.dtype[np.float32]]
-Circle = tuple[float, float, float]
-"""x, y, radius [px]."""
+Circles = Sequence[Sequence[float]]
+"""Of each: x, y, radius [px]."""
 
 
 def fly(task: Task) -> Flight | BatchOfOne:
-    """A drone in plain numbers in the paper's task without memory and faults, for a reward of the table; else as a
-    batch of one.
+    """A drone in plain numbers in a 2D world of the package, without memory, faults and sensed velocities, for a reward
+    of the table; else as a batch of one.
     """
-    known = type(task) is Task and REWARDS[task.reward] in BY_ACTION and not task.remembers
-    return Flight(task) if known else BatchOfOne(task)
+    kind = {Task: Flight, Moving: AmongMoving, Goal: ToGoal}.get(type(task))
+    earns = REWARDS[task.reward] in BY_ACTION or (kind is ToGoal and REWARDS[task.reward] is goal)
+    usual = not task.remembers and task.trained_reach is None and not getattr(task.world, "sense_velocity", False)
+    return kind(task) if kind is not None and earns and usual else BatchOfOne(task)
 
 
 class Flight:
@@ -39,34 +43,35 @@ class Flight:
 
     def __init__(self, task: Task) -> None:
         self.task, self.world, self.max_steps = task, task.world, task.max_steps
-        self._bank: list[list[Circle]] = task.bank.tolist()
+        self._bank: list[Circles] = task.bank.tolist()
         action = torch.arange(self.world.n_actions)
         angle, distance = decode(action, self.world)
         self._angles, self._distances = angle.tolist(), distance.tolist()
         nowhere = task.place(torch.zeros_like(action), torch.zeros_like(action))
         collided = torch.tensor([[False], [True]])
-        step = Step(nowhere, nowhere, action, angle, distance, collided, angle, angle, self.world)
+        far = torch.full_like(angle, 1000 * self.world.width)  # from a goal, neither nearer nor further
+        step = Step(nowhere, nowhere, action, angle, distance, collided, angle, angle, self.world, (far, far))
         terms = REWARDS[task.reward](step).values()
         shape = 2, self.world.n_actions
         self._rewards = torch.stack([term.expand(shape) for term in terms]).sum(0).tolist()
 
     def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
-        """Put the drone at the start; layout: index in the bank; heading: whole degrees -> observation [30] float32."""
+        """Put the drone at the start; layout: index in the bank; heading: whole degrees -> observation float32."""
         self.layout, self.heading, self.steps = layout, heading, 0
         self.x, self.y = self.world.start
         return self._observe()
 
     def step(self, action: int, draws: Tensor | None = None) -> tuple[Observation, float, bool, bool]:
-        """Turn, move, sense, then judge: action -> observation [30] float32, reward, terminated, truncated."""
+        """Turn, move, sense, then judge: action -> observation float32, reward, terminated, truncated."""
         distance = self._distances[action]
         self.heading = (self.heading + self._angles[action]) % 360
         self.x = _float32(self.x + _float32(distance * COSINES[self.heading]))
         self.y = _float32(self.y + _float32(distance * SINES[self.heading]))
         self.steps += 1
         observation = self._observe()
-        collided = self.clearance <= self.world.drone_radius
+        reward, over = self._judge(action, self.clearance <= self.world.drone_radius)
         capped = self.max_steps is not None and self.steps >= self.max_steps
-        return observation, self._rewards[collided][action], collided, capped and not collided
+        return observation, reward, over, capped and not over
 
     @property
     def state(self) -> State:
@@ -78,9 +83,68 @@ class Flight:
         """What `Task.info` says, in plain numbers."""
         return {"layout": self.layout, "x": self.x, "y": self.y, "heading": self.heading}
 
+    def _circles(self) -> Circles:
+        """The obstacles as they are now."""
+        return self._bank[self.layout]
+
     def _observe(self) -> Observation:
-        slots, self.clearance = sense(self.x, self.y, self.heading, self._bank[self.layout], self.world)
-        return np.array(slots, dtype=np.float32)
+        slots, self.clearance = sense(self.x, self.y, self.heading, self._circles(), self.world)
+        return np.array(slots + self._ahead(), dtype=np.float32)
+
+    def _ahead(self) -> list[float]:
+        """What is sensed beside the slots."""
+        return []
+
+    def _judge(self, action: int, collided: bool) -> tuple[float, bool]:
+        """What the step earned, and whether the episode is over."""
+        return self._rewards[collided][action], collided
+
+
+class AmongMoving(Flight):
+    """The same among circles that move as `moving.motion` says."""
+
+    def _circles(self) -> Circles:
+        width, height = self.world.width, self.world.height
+        return [
+            (_reflected(x + vx * self.steps, width), _reflected(y + vy * self.steps, height), radius)
+            for x, y, radius, vx, vy in self._bank[self.layout]
+        ]
+
+    def info(self) -> dict[str, float]:
+        return super().info() | {"steps": self.steps}
+
+
+class ToGoal(Flight):
+    """The same with a goal, as `simulator.Goal` has it."""
+
+    world: GoalWorld
+
+    def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
+        self.goal_x, self.goal_y, _ = self._bank[layout][-1]
+        self.to_goal = 0.0
+        return super().start(layout, heading, draws)
+
+    def info(self) -> dict[str, float]:
+        succeeded = self.to_goal <= self.world.goal_radius and self.clearance > self.world.drone_radius
+        return super().info() | {"goal_x": self.goal_x, "goal_y": self.goal_y, "succeeded": succeeded}
+
+    def _circles(self) -> Circles:
+        return self._bank[self.layout][:-1]
+
+    def _ahead(self) -> list[float]:
+        dx, dy = _float32(self.goal_x - self.x), _float32(self.goal_y - self.y)
+        square = torch.tensor(_float32(dx * dx) + _float32(dy * dy))
+        self._before, self.to_goal = self.to_goal, torch.sqrt(square).item()  # torch's root is not that of `math`
+        scale = 1 / self.to_goal if self.to_goal else 0.0
+        cosine, sine = COSINES[self.heading], SINES[self.heading]
+        right, forward = (dx * sine - dy * cosine) * scale, (dx * cosine + dy * sine) * scale
+        return [max(-1.0, min(right, 1.0)), max(-1.0, min(forward, 1.0)), min(self.to_goal / SCALE, 1.0)]
+
+    def _judge(self, action: int, collided: bool) -> tuple[float, bool]:
+        reward, there = self._rewards[collided][action], self.to_goal <= self.world.goal_radius
+        if self.task.reward == "goal" and not collided:  # what `rewards.goal` adds to what follows from the action
+            reward += self.world.goal_reward * there + self.world.reward_per_pixel * (self._before - self.to_goal)
+        return reward, collided or there
 
 
 class BatchOfOne:
@@ -116,11 +180,16 @@ def _flat(draws: Tensor | None) -> Tensor | None:
     return None if draws is None else draws.flatten()
 
 
+def _reflected(way: float, size: float) -> float:
+    """A place between two edges that reflect: the triangle wave of `moving.motion`."""
+    return way if 0 <= way <= size else abs(way - 2 * size * round(way / (2 * size)))
+
+
 def _float32(value: float) -> float:
     return float(np.float32(value))
 
 
-def sense(x: float, y: float, heading: int, circles: list[Circle], world: World) -> tuple[list[float], float]:
+def sense(x: float, y: float, heading: int, circles: Circles, world: World) -> tuple[list[float], float]:
     """The slots, flattened, and the clearance [px]: `sensing.sense` for one row. Eqs (9), (10) and (13)."""
     cosine, sine, reach, side = COSINES[heading], SINES[heading], world.sensor_radius, world.border
     least = world.view_cosine - VIEW_TOLERANCE
@@ -143,7 +212,7 @@ def sense(x: float, y: float, heading: int, circles: list[Circle], world: World)
     if world.slots == "nearest":
         candidates.sort(key=itemgetter(0))  # a stable sort: ties keep the order of their index
     slots: list[float] = []
-    size, radius, span = world.observation_size, world.drone_radius, reach - world.drone_radius
+    size, radius, span = 3 * world.n_slots, world.drone_radius, reach - world.drone_radius
     for distance, dx, dy, length in candidates:
         scale = 1 / length if length else 0.0  # a centre that coincides has no direction: u = (0, 0)
         forward = (dx * cosine + dy * sine) * scale

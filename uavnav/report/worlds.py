@@ -102,7 +102,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
     if not seeds:
         return None
     from uavnav.evaluate.scripts import rows_of_scripts
-    from uavnav.tasks import ladders
+    from uavnav.tasks import ladders, layouts
 
     in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
     seeds = dict(sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0]))))
@@ -118,7 +118,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
             left_out.append(f"{name}: no rows of scripts, which fly with the usual settings of a task alone")
             continue
         scripted |= {(name, rule): own for rule, own in of_scripts(flown).items()}
-    climbed = [(name, rung) for name in ladders.OF_BANKS for rung in ladders.LADDERS[name].rungs]
+    climbed = [(name, rung) for name in layouts.RUNGS for rung in ladders.LADDERS[name].rungs]
     rungs: dict[tuple[str, float], dict[str, pd.DataFrame]] = {}
     if (flown := places.get("drone")) is not None:
         there = {metric for (world, _, _), table in seeds.items() if _place(world) == "drone" for metric in table}
@@ -413,7 +413,7 @@ def figures(found: Worlds, width: float = style.WIDTH) -> list[tuple[str, style.
         if (one := ladder(found, name, width)) is not None:
             caption = (
                 f"The ladder {name}: policies trained in the paper's world, the mean of their activations; bands are"
-                " Welch's 95 % intervals over seeds. Black lines: scripts, bands where their draws differ."
+                " Welch's 95 % intervals over seeds. Black lines are the scripts; random has a band, of its ten seeds."
             )
             drawn.append((f"worlds-{name}", one, caption))
     return drawn

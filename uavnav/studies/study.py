@@ -24,7 +24,7 @@ from uavnav.runs import SILENCE, progress
 from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, engines, search, tuning
 from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
-from uavnav.tasks import ladders
+from uavnav.tasks import ladders, layouts
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training.config import checked
@@ -187,7 +187,7 @@ def scripted(cells: Sequence[Cell], folder: Path) -> list[list[str]]:
         if cell.evaluation is None:
             continue
         own, flown = cell.config, {studies.BANK: "test"} | cell.evaluation
-        climbed = [name for name in ladders.OF_BANKS if name in cell.across]
+        climbed = [name for name in layouts.RUNGS if name in cell.across]
         rungs = [ladders.sets_of(name, rung) for name in climbed for rung in ladders.LADDERS[name].rungs]
         task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=own.faults)
         for sets in (flown[studies.BANK], *rungs):

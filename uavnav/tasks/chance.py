@@ -17,13 +17,17 @@ FIRST, LATER = "first_faults", "faults"
 
 
 class Chance:
-    """The streams of each seed, for so many rows a seed: what one seed gets does not depend on the others."""
+    """The streams of each seed, for so many rows a seed: what a row gets does not depend on what others do.
+
+    A step draws for every row what an episode would begin with, whether one ended or not.
+    """
 
     def __init__(self, task: Task, seeds: Sequence[int], rows: int, device: torch.device | str = "cpu") -> None:
         self._task, self._rows, self._device = task, rows, device
         self._seeds = len(seeds)
         purposes = ["headings", *((FIRST, LATER) if task.n_draws else ())]
         self._streams = {purpose: seeding.Streams(seeds, purpose) for purpose in purposes}
+        self._starts: tuple[Tensor, Tensor | None] | None = None  # drawn with the last step
 
     def headings(self) -> Tensor:
         """Start headings [seeds, rows] whole degrees."""
@@ -31,12 +35,15 @@ class Chance:
             return torch.full((self._seeds, self._rows), UP, device=self._device)
         return self._streams["headings"].draw(torch.randint, 360, (self._rows,), device=self._device)
 
-    def first(self) -> Tensor | None:
-        """What `Task.start` needs [seeds, rows, n_draws]; None where it needs nothing."""
-        return self._drawn(FIRST)
+    def start(self) -> tuple[Tensor, Tensor | None]:
+        """What `Task.start` needs: headings [seeds, rows], draws [seeds, rows, n_draws]; None where it needs none."""
+        found, self._starts = self._starts, None
+        return found or (self.headings(), self._drawn(FIRST))
 
-    def later(self) -> Tensor | None:
+    def step(self) -> Tensor | None:
         """What `Task.step` needs [seeds, rows, n_draws]; None where it needs nothing."""
+        if self._task.n_draws or self._task.world.start_heading != "up":
+            self._starts = self.headings(), self._drawn(FIRST)
         return self._drawn(LATER)
 
     def _drawn(self, purpose: str) -> Tensor | None:
@@ -45,10 +52,14 @@ class Chance:
         return self._streams[purpose].draw(self._task.draw, self._rows, device=self._device)
 
     def state_dict(self) -> dict[str, Any]:
-        """Where each stream is."""
-        return {purpose: streams.state_dict() for purpose, streams in self._streams.items()}
+        """Where each stream is, and what is drawn and not yet taken."""
+        headings, first = self._starts or (None, None)
+        starts = {name: one for name, one in (("start headings", headings), ("start draws", first)) if one is not None}
+        return {purpose: streams.state_dict() for purpose, streams in self._streams.items()} | starts
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Go on from where `state_dict` was taken, of a task alike."""
         for purpose, streams in self._streams.items():
             streams.load_state_dict(state_dict[purpose])
+        headings = state_dict.get("start headings")
+        self._starts = None if headings is None else (headings, state_dict.get("start draws"))

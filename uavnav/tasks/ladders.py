@@ -37,10 +37,6 @@ class Ladder(NamedTuple):
         )
 
 
-OF_BANKS = ("density", "slalom")
-"""The ladders whose rungs are banks."""
-
-
 def sets_of(ladder: str, rung: float, split: str = "test") -> str:
     """The name of a rung's sets, on a ladder of banks."""
     return f"{ladder}-{rung:g}/{split}"

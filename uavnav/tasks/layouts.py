@@ -12,7 +12,8 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,6 +60,12 @@ KINDS = {
 }
 """By the task that they were made for, which is written into the header of all but the first."""
 
+
+SHAPES = (
+    *("width", "height", "depth", "border", "drone_radius"),
+    *("obstacle_radius_min", "obstacle_radius_max", "safe_zone"),
+)
+"""Fields that every world's sets are drawn by; a header has those that are not as usual."""
 
 RUNGS = ("density", "slalom")
 """By difficulty: `density-12/test` has 12 obstacles a set; `slalom-80/test`, of the paper's world, gaps of 80 px."""
@@ -113,7 +120,9 @@ def _header(bank: Tensor, seed: int, split: str, world: World) -> dict[str, str]
     }
     name = kind_of(world)
     own = {"task": name} if name != "drone" else {}
-    return header | own | {field: repr(getattr(world, field)) for field in KINDS[name].reads}
+    usual = asdict(KINDS[name].world())
+    shape = [field for field in SHAPES if field in usual and getattr(world, field) != usual[field]]
+    return header | own | {field: repr(getattr(world, field)) for field in (*KINDS[name].reads, *shape)}
 
 
 def load(layouts: str | Path, world: World | None = None) -> Tensor:
@@ -168,7 +177,7 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
             f"{path}: a bank of task={header.get('task', 'drone')}, not of task={name}; give one of those"
         )
     try:
-        KINDS[name].validate(bank, KINDS[name].world())
+        KINDS[name].validate(bank, _drawn_by(header, path))
     except LayoutError as error:
         raise LayoutError(f"{path}: {error}; generate it anew") from error
     n, k = len(bank), bank.shape[1] - KINDS[name].beside
@@ -247,12 +256,16 @@ def _world_of(path: str | Path) -> World:
     """The world that a file's header names, with the fields that its sets were drawn by."""
     if not os.path.isfile(path):
         return World()
-    header = _open(Path(path))[1]
+    return _drawn_by(_open(Path(path))[1], path)
+
+
+def _drawn_by(header: Mapping[str, str], path: str | Path) -> World:
+    """The world that a header names."""
     kind = KINDS.get(header.get("task", "drone"), KINDS["drone"])
     try:
-        drawn_by: dict[str, Any] = {name: float(header[name]) for name in kind.reads}
-        return kind.world(**drawn_by)
-    except (KeyError, ValueError) as error:
+        own: dict[str, Any] = {name: float(header[name]) for name in kind.reads}
+        return kind.world(**own, **{name: json.loads(header[name]) for name in SHAPES if name in header})
+    except (KeyError, TypeError, ValueError) as error:
         raise LayoutError(f"{path}: its header does not say how it was drawn ({error}); generate it anew") from error
 
 

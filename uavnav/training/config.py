@@ -162,14 +162,14 @@ class TrainConfig:
         sizes = [self.observation_size, *self.hidden, self.n_outputs]
         weights = self.n_seeds * sum((inputs + 1) * outputs for inputs, outputs in itertools.pairwise(sizes))
         named = f"hidden={list(self.hidden)}, n_seeds={self.n_seeds}: networks of {self.n_outputs:,} outputs"
-        self.check_memory(named, 3 * 4 * weights, "smaller networks or fewer seeds")  # Adam has two numbers a weight
+        self.check_memory(named, 3 * 4 * weights, "smaller networks or fewer seeds")  # the policy's, and Adam's moments
 
     def check_memory(self, what: str, needed: int, instead: str) -> None:
         """Raise a ConfigError where something would take more bytes than the machine has; instead: what to give."""
         available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         if self.device == "cpu" and needed > available:
-            taken, there = needed / 2**30, available / 2**30
-            raise ConfigError(f"{what} would take {taken:,.1f} GiB of the machine's {there:.1f}; give {instead}")
+            taken = f"at least {needed / 2**30:,.1f} GiB of the machine's {available / 2**30:.1f}"
+            raise ConfigError(f"{what} would take {taken}; give {instead}")
 
     @property
     def n_outputs(self) -> int:

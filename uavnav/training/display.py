@@ -122,7 +122,7 @@ def opening(config: TrainConfig, frames: int, path: Path, facts: Mapping[str, An
     worlds = f"{config.n_worlds} parallel world{'' if config.n_worlds == 1 else 's'}"
     who = f"{config.algorithm} {config.activation}, preset {config.preset}"
     what = f"{who}: {seeds}, {frames:,} frames{each} in {worlds}"
-    if frames <= (before := config.frames_before_learning):
+    if config.frames <= (before := config.frames_before_learning):
         what += f", too few to learn (updates begin after {before:,})"
     n, threads = facts.get("processes", 1), facts["threads"]
     spread = f"{n} process{'' if n == 1 else 'es'} of {threads} thread{'' if threads == 1 else 's'}"

@@ -175,8 +175,8 @@ def write_training(results: Results) -> list[str]:
     return [
         *lines,
         "",
-        "Peak memory is that of one run while it was watched, all its processes together; DQN's buffers were not yet"
-        " full. SBX does not clip DQN's gradient, and may use all cores. SB3 has one thread a process.",
+        "Peak memory is that of one run while it was watched, all its processes together; buffers of replay were not"
+        " yet full. SBX does not clip DQN's gradient, and may use all cores. SB3 has one thread a process.",
     ]
 
 
@@ -274,7 +274,8 @@ def write_worlds(results: Results) -> list[str]:
         rows.append([name.split("/")[1], number(rate), number(shares[0]), number(peak), number(shares[1])])
     return [
         f"Steps/s of `DroneEnv`, compiled, {plan.WORLD_BATCH:,} rows in one process of one thread with random actions,"
-        " and the peak memory of the process with its compiler. Each also as a share of the paper's world, `drone`.",
+        " and the peak memory of the process with its compiler. Each also as a share of the paper's world, `drone`: the"
+        " median of the rounds' shares.",
         "",
         *table(["world", "steps/s", "times drone", "peak [GB]", "times drone"], rows),
     ]

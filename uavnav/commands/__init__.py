@@ -405,7 +405,11 @@ def _flight(parser: Parser) -> None:
 
 
 def _bank(parser: Parser) -> None:
-    parser.add_argument("--layouts", default="test", help=f"{', '.join(SPLITS)} or a bank's path (default: test)")
+    parser.add_argument(
+        "--layouts",
+        default="test",
+        help=f"{', '.join(SPLITS)}, a rung's such as density-12/test, or a path (default: test)",
+    )
 
 
 def _task(parser: Parser) -> None:

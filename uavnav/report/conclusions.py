@@ -66,7 +66,8 @@ def sentence(claim: Claim, findings: Sequence[Finding]) -> str:
     """What the parts of a claim come to."""
     counting = [one.verdict for one in findings if one.standing == COUNTS]
     kinds = [f"{counting.count(kind)} {kind}" for kind in VERDICTS if kind in counting]
-    said = [f"Of {len(counting)} parts that count: {', '.join(kinds)}."] if counting else ["No part counts."]
+    parts = "1 part that counts" if len(counting) == 1 else f"{len(counting)} parts that count"
+    said = [f"Of {parts}: {', '.join(kinds)}."] if counting else ["No part counts."]
     for standing, why in ((AGAINST_ITSELF, "The paper contradicts itself in"), (TOO_SMALL, "Too small to see:")):
         if texts := [one.text for one in findings if one.standing == standing]:
             said.append(f"{why} {'; '.join(texts)}.")

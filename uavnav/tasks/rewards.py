@@ -149,7 +149,7 @@ def bounds_of_returns(reward: str, world: World, gamma: float) -> tuple[float, f
     if reward not in BOUNDS or gamma == 1:
         return None
     flying, collided = BOUNDS[reward](world)
-    least, most = (edge / (1 - gamma) for edge in flying)
+    least, most = (float(f"{edge / (1 - gamma):.12g}") for edge in flying)  # 9, and not 8.999999999999991
     return min(least, collided[0]), max(most, collided[1])
 
 

@@ -192,7 +192,7 @@ def make_task(
     """A task from its parts.
 
     Args:
-        layouts: `train`, `validation`, `test`, a bank's path, or a tensor [L, K, 3].
+        layouts: `train`, `validation`, `test`, a rung's such as `density-12/test`, a path, or a tensor [L, K, 3].
         world: constants and switches; by default, or where a mapping leaves them out, the task's own.
         reward, max_steps: as of `Task`; by default the task's own, `REWARD` and `MAX_STEPS`.
         task: a name of `TASKS`; or a whole task, which then says all that is above and below.

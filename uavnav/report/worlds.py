@@ -295,7 +295,8 @@ def _rewards(found: pd.DataFrame, world: str) -> tuple[dict[str, Interval], dict
 
 
 def sentences(found: pd.DataFrame) -> list[str]:
-    """Who is ahead in each world; where a script beats every cell, and which cells are above random flight where."""
+    """Who is ahead in each world; where a script beats every cell, which cells are above random flight where, and which
+    have no runs somewhere."""
     said: list[str] = []
     beaten: list[str] = []
     passed: list[str] = []
@@ -339,6 +340,9 @@ def sentences(found: pd.DataFrame) -> list[str]:
     if lower:
         told = [f"{who} ({_listed(where, chances)})" for who, where in lower.items()]
         said.append(f"Not above random flight, or intervals overlap: {', '.join(told)}.")
+    everywhere, flown = worlds_of(found), found[~found["who"].isin(SCRIPTS)].groupby("who", sort=False)["world"]
+    if told := [f"{who} ({'; '.join(own)})" for who, own in flown.unique().items() if len(own) < len(everywhere)]:
+        said.append(f"These have runs in some worlds alone: {', '.join(told)}.")
     return said
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 START = (400, 300)
 BEHIND = 1e-6
-OTHERWISE = {"slots": "listed", "padding": "zeros"}  # what is sensed, by both switches
+SWITCHES = [{}, {"slots": "listed"}, {"padding": "zeros"}, {"slots": "listed", "padding": "zeros"}]  # of what is sensed
 
 
 class Arena(NamedTuple):
@@ -22,6 +22,7 @@ class Arena(NamedTuple):
     drone: float = 30
     slots: int = 10
     arc: float = 180
+    trained: float | None = None  # where a proximity is 1, if that is not the sensor's reach
 
     def squares(self):
         """Lower left corners of the border's squares in index order."""
@@ -61,8 +62,8 @@ def look(x, y, heading, circles, arena=PAPER):
         ux, uy = (dx / distance, dy / distance) if distance > 0 else (0.0, 0.0)
         found.append((distance - radius, ux * sin - uy * cos, ux * cos + uy * sin))
     for left, bottom in SQUARES if arena is PAPER else arena.squares():
-        dx = min(max(x, left), left + arena.side) - x
-        dy = min(max(y, bottom), bottom + arena.side) - y
+        dx = left - x if x < left else min(left + arena.side - x, 0.0)
+        dy = bottom - y if y < bottom else min(bottom + arena.side - y, 0.0)
         d = math.sqrt(dx * dx + dy * dy)
         ux, uy = (dx / d, dy / d) if d > 0 else (0.0, 0.0)
         found.append((d, ux * sin - uy * cos, ux * cos + uy * sin))
@@ -78,24 +79,38 @@ def clearance(x, y, circles):
     return min(distances(x, y, circles))
 
 
-def in_view(candidate, arena=PAPER):
-    return candidate[0] <= arena.sensor and candidate[2] >= arena.edge - BEHIND
+def in_view(found, arena=PAPER):
+    """Which candidates are."""
+    edge = arena.edge - BEHIND
+    return [index for index, (d, _, y) in enumerate(found) if d <= arena.sensor and y >= edge]
 
 
 def triple(candidate, arena=PAPER):
     d, x, y = candidate
-    proximity = (d - arena.drone) / (arena.sensor - arena.drone)
+    proximity = (d - arena.drone) / ((arena.trained or arena.sensor) - arena.drone)
     return min(max(x, -1.0), 1.0), min(max(y, 0.0), 1.0), min(max(proximity, 0.0), 1.0)
 
 
-def slots_of(found, slots="nearest", padding="far", arena=PAPER):
-    filled = [triple(found[index], arena) for index in _sensed(found, slots, arena)]
-    return filled + [(0.0, 0.0, float(padding == "far"))] * (arena.slots - len(filled))
+def slots_of(found, slots="nearest", padding="far", arena=PAPER, velocities=None, heading=90, fastest=2.0, hear=None):
+    """The slots of what `look` found; with velocities (vx, vy) of the circles, each with two numbers more.
+
+    hear: of a slot's place and its true distance, the distance that comes back, or None of a lost echo.
+    """
+    cos, sin = cosine(heading), sine(heading)
+    moves, filled = velocities is not None, []
+    empty = (0.0, 0.0, float(padding == "far")) + (0.0, 0.0) * moves
+    for nth, index in enumerate(_sensed(found, slots, arena)):
+        distance = hear(nth, found[index][0]) if hear else found[index][0]
+        vx, vy = velocities[index] if moves and index < len(velocities) and fastest else (0.0, 0.0)
+        own = (vx * sin - vy * cos, vx * cos + vy * sin) if moves else ()
+        shares = (min(max(part / (fastest or 1), -1.0), 1.0) for part in own)
+        filled.append(empty if distance is None else (*triple((distance, *found[index][1:]), arena), *shares))
+    return filled + [empty] * (arena.slots - len(filled))
 
 
 def _sensed(found, slots, arena):
     """Which candidates fill the slots, in order."""
-    seen = [index for index, candidate in enumerate(found) if in_view(candidate, arena)]
+    seen = in_view(found, arena)
     if slots == "nearest":
         seen.sort(key=lambda index: found[index][0])  # stable: ties keep their index order
     return seen[: arena.slots]
@@ -105,20 +120,16 @@ def clearance_of(found):
     return min(c[0] for c in found)
 
 
-def sense(x, y, heading, circles, slots="nearest", padding="far"):
-    found = look(x, y, heading, circles)
-    return slots_of(found, slots, padding), clearance_of(found)
-
-
 def doubtful(found, arena=PAPER):
     """Whether float32 may rightly decide otherwise: within 1e-3 px of a threshold or a tie but not exactly on it."""
     if 0 < abs(clearance_of(found) - arena.drone) < 1e-3:
         return True
+    edge = arena.edge
     for d, _, y in found:
-        near = d < arena.sensor + 1e-3 and y > arena.edge - 1e-5
-        if near and (0 < abs(d - arena.sensor) < 1e-3 or 0 < abs(y - arena.edge) < 1e-5):
+        near = d < arena.sensor + 1e-3 and y > edge - 1e-5
+        if near and (0 < abs(d - arena.sensor) < 1e-3 or 0 < abs(y - edge) < 1e-5):
             return True
-    ranked = sorted((c for c in found if in_view(c, arena)), key=lambda c: c[0])[: arena.slots + 1]
+    ranked = sorted((found[index] for index in in_view(found, arena)), key=lambda c: c[0])[: arena.slots + 1]
     for a, b in itertools.pairwise(ranked):
         if 0 < b[0] - a[0] < 1e-3 and any(
             abs(p - q) > 1e-5 for p, q in zip(triple(a, arena), triple(b, arena), strict=True)
@@ -150,51 +161,6 @@ def reward(turn, distance, collided, variant="eq14"):
     raise ValueError(variant)
 
 
-class Flight:
-    """One drone through the sets of a bank: the whole of an episode, and what follows it."""
-
-    def __init__(self, bank, layout=0, heading=90, variant="eq14", max_steps=None):
-        self.bank, self.variant, self.max_steps = bank, variant, max_steps
-        self.begin(layout, heading)
-
-    def begin(self, layout, heading=90):
-        self.layout = layout % len(self.bank)
-        (self.x, self.y), self.heading = START, heading
-        self.steps = self.stops = self.full_stops = self.turns = self.distance = 0
-        self.total = 0.0
-        self.terminated = self.truncated = False
-        self.sense()
-
-    def sense(self):
-        self.found = look(self.x, self.y, self.heading, self.bank[self.layout])
-        self.slots, self.clearance = slots_of(self.found), clearance_of(self.found)
-        return self.slots
-
-    def at(self, x, y):
-        """Take over a place that float32 rounded, so that its error does not build up over an episode."""
-        assert math.hypot(x - self.x, y - self.y) < 1e-4, (x, y, self.x, self.y)
-        self.x, self.y = x, y
-        return self.sense()
-
-    def step(self, action):
-        turn, distance = decode(action)
-        self.x, self.y, self.heading = move(self.x, self.y, self.heading, turn, distance)
-        self.sense()
-        self.terminated = self.clearance <= PAPER.drone
-        self.reward = reward(turn, distance, self.terminated, self.variant)
-        self.steps += 1
-        self.stops += distance == 0
-        self.full_stops += distance == 0 and turn == 0
-        self.turns += turn != 0
-        self.distance += distance
-        self.total += self.reward
-        self.truncated = self.steps == self.max_steps and not self.terminated
-        return self.slots, self.reward, self.terminated, self.truncated
-
-    def next_episode(self):
-        self.begin(self.layout + 1)
-
-
 def bounce(place, velocity, size, steps):
     """A coordinate that moves step by step in [0, size], and its velocity in the next moment."""
     for _ in range(steps):
@@ -214,12 +180,120 @@ def drift(rows, steps, arena=PAPER):
     return found
 
 
-def slots_with_velocities(found, velocities, heading, fastest, slots="nearest", padding="far", arena=PAPER):
-    """What `slots_of` says, each with its velocity; found: of `look`, the circles first."""
-    cos, sin = cosine(heading), sine(heading)
-    filled = []
-    for index in _sensed(found, slots, arena):
-        vx, vy = velocities[index] if index < len(velocities) else (0.0, 0.0)
-        own = ((vx * sin - vy * cos) / fastest, (vx * cos + vy * sin) / fastest) if fastest else (0.0, 0.0)
-        filled.append((*triple(found[index], arena), *(min(max(part, -1.0), 1.0) for part in own)))
-    return filled + [(0.0, 0.0, float(padding == "far"), 0.0, 0.0)] * (arena.slots - len(filled))
+class Flight:
+    """One drone through the sets of a bank: the whole of an episode, and what follows it.
+
+    fastest: the speed [px a step] of which sensed velocities are shares; None where they are not sensed.
+    """
+
+    velocities = None
+
+    def __init__(self, bank, layout=0, heading=90, variant="eq14", max_steps=None, fastest=None, **switches):
+        self.bank, self.variant, self.max_steps = bank, variant, max_steps
+        self.fastest, self.switches = fastest, switches
+        self.begin(layout, heading)
+
+    def begin(self, layout, heading=90):
+        self.layout = layout % len(self.bank)
+        (self.x, self.y), self.heading = START, heading
+        self.steps = self.stops = self.full_stops = self.turns = self.distance = 0
+        self.total = 0.0
+        self.terminated = self.truncated = False
+        self.sense()
+
+    def obstacles(self):
+        return self.bank[self.layout]
+
+    def look(self):
+        return look(self.x, self.y, self.heading, self.obstacles())
+
+    def sensed(self, hear=None):
+        """The slots; hear: as of `slots_of`."""
+        own = {"velocities": self.velocities, "heading": self.heading, "fastest": self.fastest}
+        return slots_of(self.found, **self.switches, **own, hear=hear)
+
+    @property
+    def slots(self):
+        return self.sensed()
+
+    def sense(self):
+        self.found = self.look()
+        self.clearance = clearance_of(self.found)
+
+    def doubtful(self):
+        return doubtful(self.found)
+
+    def at(self, x, y):
+        """Take over a place that float32 rounded, so that its error does not build up over an episode."""
+        assert math.hypot(x - self.x, y - self.y) < 1e-4, (x, y, self.x, self.y)
+        self.x, self.y = x, y
+        self.sense()
+
+    def fly(self, action):
+        """Turn, then move: degrees and px."""
+        turn, distance = decode(action)
+        self.x, self.y, self.heading = move(self.x, self.y, self.heading, turn, distance)
+        return turn, distance
+
+    def judge(self, turn, distance):
+        """Whether the episode is over, and what the step earned."""
+        hit = self.clearance <= PAPER.drone
+        return hit, reward(turn, distance, hit, self.variant)
+
+    def step(self, action):
+        turn, distance = self.fly(action)
+        self.steps += 1
+        self.stops += distance == 0
+        self.full_stops += distance == 0 and turn == 0
+        self.turns += turn != 0
+        self.distance += distance
+        self.sense()
+        self.terminated, self.reward = self.judge(turn, distance)
+        self.total += self.reward
+        self.truncated = self.steps == self.max_steps and not self.terminated
+
+    def next_episode(self):
+        self.begin(self.layout + 1)
+
+
+class AmongMoving(Flight):
+    """The same where obstacles move."""
+
+    drift = staticmethod(drift)
+
+    def obstacles(self):
+        now = self.drift(self.bank[self.layout], self.steps)
+        if self.fastest is not None:
+            self.velocities = [velocity for _, velocity in now]
+        return [obstacle for obstacle, _ in now]
+
+
+class ToGoal(Flight):
+    """The same with a goal within 40 px, which is the last row of a set."""
+
+    def obstacles(self):
+        return self.bank[self.layout][:-1]
+
+    def to_goal(self):
+        gx, gy, _ = self.bank[self.layout][-1]
+        return gx - self.x, gy - self.y, math.hypot(gx - self.x, gy - self.y)
+
+    def sensed(self, hear=None):
+        (dx, dy, away), cos, sin = self.to_goal(), cosine(self.heading), sine(self.heading)
+        return [
+            *super().sensed(hear),
+            ((dx * sin - dy * cos) / away, (dx * cos + dy * sin) / away, min(away / 1000, 1)),
+        ]
+
+    def doubtful(self):
+        return super().doubtful() or abs(self.to_goal()[-1] - 40) < 1e-3
+
+    def fly(self, action):
+        self.before = self.to_goal()[-1]
+        return super().fly(action)
+
+    def judge(self, turn, distance):
+        hit, away = self.clearance <= PAPER.drone, self.to_goal()[-1]
+        if self.variant != "goal" or hit:
+            return hit or away <= 40, reward(turn, distance, hit, "eq14" if hit else self.variant)
+        return away <= 40, 10.0 * (away <= 40) + 0.01 * (self.before - away) - 0.01 * (turn != 0 or distance == 0)

@@ -6,6 +6,7 @@ Candidates are (d, right, up, forward): distance [px], and the direction's compo
 import itertools
 import math
 
+import oracle
 import torch
 from oracle import BEHIND, bounce, cosine, sine
 
@@ -28,7 +29,8 @@ def frame(yaw, pitch):
 
 def inside(vector, axes):
     """A vector's components along some axes."""
-    return tuple(sum(a * b for a, b in zip(vector, axis, strict=True)) for axis in axes)
+    x, y, z = vector
+    return tuple(x * along + y * across + z * up for along, across, up in axes)
 
 
 def look(place, yaw, pitch, spheres):
@@ -55,18 +57,18 @@ def numbers(candidate):
     return right, up, min(max(forward, 0.0), 1.0), min(max((d - 30) / 90, 0.0), 1.0)
 
 
-def slots_of(found, velocities=None, yaw=90, pitch=0, fastest=2.0, slots="nearest", padding="far"):
-    """Ten in view; with velocities (vx, vy, vz) of the spheres, three numbers more each."""
+def slots_of(found, velocities=None, yaw=90, pitch=0, fastest=2.0, slots="nearest", padding="far", hear=None):
+    """Ten in view; with velocities (vx, vy, vz) of the spheres, three numbers more each; hear: as of the oracle."""
     seen = [index for index, one in enumerate(found) if in_view(one)]
     if slots == "nearest":
         seen.sort(key=lambda index: found[index][0])
     filled, empty = [], (0.0, 0.0, 0.0, float(padding == "far")) + (0.0,) * (3 * (velocities is not None))
-    for index in seen[:10]:
-        own = ()
+    for nth, index in enumerate(seen[:10]):
+        distance, own = hear(nth, found[index][0]) if hear else found[index][0], ()
         if velocities is not None:
             velocity = velocities[index] if index < len(velocities) else (0.0, 0.0, 0.0)
             own = tuple(max(-1.0, min(1.0, part / fastest)) for part in inside(velocity, frame(yaw, pitch)))
-        filled.append((*numbers(found[index]), *own))
+        filled.append(empty if distance is None else (*numbers((distance, *found[index][1:])), *own))
     return filled + [empty] * (10 - len(filled))
 
 
@@ -100,13 +102,6 @@ def move(place, yaw, pitch, action):
     return tuple(p + distance * part for p, part in zip(place, forward, strict=True)), yaw, pitch
 
 
-def reward(action, hit):
-    yaw, pitch, distance = decode(action)
-    if hit:
-        return -10.0
-    return -0.01 if distance == 0 or yaw or pitch else 0.01 * distance
-
-
 def drift(rows, steps):
     """Spheres (x, y, z, radius, vx, vy, vz) after so many steps: (x, y, z, radius) and (vx, vy, vz) of each."""
     found = []
@@ -114,3 +109,33 @@ def drift(rows, steps):
         ways = [bounce(p, v, size, steps) for p, v, size in zip(row[:3], row[4:], BOX, strict=True)]
         found.append(((*(p for p, _ in ways), row[3]), tuple(v for _, v in ways)))
     return found
+
+
+class InTheBox(oracle.Flight):
+    """One drone through the sets of a bank of spheres."""
+
+    def begin(self, layout, heading=90):
+        self.z, self.pitch = START[2], 0
+        super().begin(layout, heading)
+
+    def look(self):
+        return look((self.x, self.y, self.z), self.heading, self.pitch, self.obstacles())
+
+    def sensed(self, hear=None):
+        own = self.velocities, self.heading, self.pitch, self.fastest
+        return slots_of(self.found, *own, **self.switches, hear=hear)
+
+    def doubtful(self):
+        return doubtful(self.found)
+
+    def fly(self, action):
+        place = self.x, self.y, self.z
+        (self.x, self.y, self.z), self.heading, self.pitch = move(place, self.heading, self.pitch, action)
+        yaw, pitch, distance = decode(action)
+        return abs(yaw) + abs(pitch), distance
+
+
+class AmongSpheres(oracle.AmongMoving, InTheBox):
+    """The same where spheres move."""
+
+    drift = staticmethod(drift)

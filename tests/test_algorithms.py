@@ -9,6 +9,7 @@ import pytest
 import torch
 from PIL import Image
 from safetensors.torch import load_file
+from test_replays import as_flown, flown, recorded
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import evaluate_run
@@ -259,6 +260,17 @@ def test_an_exported_policy_gives_the_same_values(algorithm, run, tmp_path):
 def test_verify_repeats_it_bit_for_bit(algorithm, run):
     verdict = verify(run, quiet=True)
     assert verdict.same, verdict.lines
+
+
+def test_a_page_replays_its_flights_as_they_are_flown_one_by_one(algorithm, run, monkeypatch):
+    for module in ("uavnav.report.replays", "test_replays"):
+        monkeypatch.setattr(f"{module}.EPISODES", 30)  # of 200 sets, which take most of the time
+    data = recorded(run.path.parent, n_seeds=1, n_layouts=2)
+    (cell,) = data["cells"]
+    assert cell["values"] == ALGORITHMS[algorithm].shown
+    expected = flown(run.path, 0, 2)
+    for flight in cell["flights"]:
+        as_flown(flight, data["fields"], *expected[flight["layout"]])
 
 
 def test_a_flight_of_it_is_a_gif_of_more_than_one_picture(algorithm, run, tmp_path):

@@ -153,13 +153,22 @@ def test_an_archive_of_torch_says_what_it_is_and_pickles_no_weight(run, exported
     assert not any(entry["use_pickle"] for entry in entries)
 
 
+SENSED = {"sense_velocity": True}
+
+
 @pytest.mark.parametrize("suffix", READ)
-def test_values_are_those_after_the_head_whose_largest_is_the_greedy_action(tmp_path, suffix, monkeypatch):
-    """As of a distribution of values: 100 actions with 3 numbers each."""
+@pytest.mark.parametrize(
+    ("task", "size", "world"),
+    [("drone", 30, {}), ("goal", 33, {}), ("space", 40, {}), ("moving", 50, SENSED), ("space-moving", 70, SENSED)],
+)
+def test_values_are_those_after_the_head_whose_largest_is_the_greedy_action(
+    tmp_path, suffix, task, size, world, monkeypatch
+):
+    """As of a distribution of values: 100 actions with 3 numbers each. In each world as many numbers go in."""
     monkeypatch.setitem(HEADS, "mean-of-3", lambda outputs: outputs.unflatten(-1, (100, 3)).mean(-1))
-    network = mlp([30, 16, 300], "relu", [torch.Generator().manual_seed(3)], "default")
-    policy = Policy(network, "dqn", True, make_task(EMPTY), "epsilon-greedy", "mean-of-3")
-    observation = torch.rand(50, 30)
+    network = mlp([size, 16, 300], "relu", [torch.Generator().manual_seed(3)], "default")
+    policy = Policy(network, "dqn", True, make_task(EMPTY, world, task=task), "epsilon-greedy", "mean-of-3")
+    observation = torch.rand(50, size)
     values = READ[suffix](export_policy(policy, tmp_path / f"policy{suffix}"), observation)
     assert values.shape == (50, 100)
     assert (values - policy.values(observation)).abs().max() <= CLOSE

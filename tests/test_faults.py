@@ -6,6 +6,7 @@ import math
 import oracle
 import pytest
 import torch
+from test_whole_flights import slow_flights, take_over
 
 from uavnav import DroneEnv
 from uavnav.envs import scalar
@@ -23,7 +24,7 @@ SWITCHES = {
     "late": {"faults": {"late": 4}, "max_steps": 40},
     "sticky": {"faults": {"sticky": 0.5}, "world": {"start_heading": "random"}},
     "stack": {"stack": 4},
-    "all": {"faults": ALL, "stack": 3, "world": {"slots": "listed"}, "max_steps": 60},
+    "all": {"faults": ALL, "stack": 3, "world": {"slots": "listed"}, "max_steps": 30},
 }
 
 
@@ -42,17 +43,14 @@ class SlowDrone:
         self.sense(draws)
 
     def sense(self, draws):
-        faults, world, slots = self.task.faults, self.task.world, []
-        padding = (0.0, 0.0, 1.0 if world.padding == "far" else 0.0)
-        inside = [one for one in self.flight.found if oracle.in_view(one)]
-        inside = sorted(inside, key=lambda one: one[0]) if world.slots == "nearest" else inside
-        for nth, (distance, right, forward) in enumerate(inside[:10]):
-            if faults.noise:
-                distance += faults.noise * draws["noise"][nth]
+        faults = self.task.faults
+
+        def hear(nth, distance):
             lost = faults.lost and draws["lost"][nth] < faults.lost
-            slots.append(padding if lost else oracle.triple((distance, right, forward)))
-        self.seen.append(slots + [padding] * (10 - len(slots)))
-        self.doubts.append(world.slots == "nearest" and oracle.doubtful(self.flight.found))
+            return None if lost else distance + (faults.noise * draws["noise"][nth] if faults.noise else 0)
+
+        self.seen.append(sum(self.flight.sensed(hear), ()))
+        self.doubts.append(self.flight.doubtful())
 
     def executed(self, action, draws):
         sticks = self.last is not None and self.task.faults.sticky and draws["sticky"] < self.task.faults.sticky
@@ -64,7 +62,7 @@ class SlowDrone:
         return [max(newest - back, 0) for back in range(self.task.stack)]
 
     def observation(self):
-        return torch.tensor([number for nth in self.remembered() for slot in self.seen[nth] for number in slot])
+        return [number for nth in self.remembered() for number in self.seen[nth]]
 
     def doubtful(self):
         return any(self.doubts[nth] for nth in self.remembered())
@@ -81,47 +79,52 @@ def drawn(generator, faults, rows):
     ]
 
 
+@pytest.mark.parametrize("name", TASKS)
 @pytest.mark.parametrize("switch", SWITCHES)
-def test_a_slow_loop_sees_and_earns_the_same_in_880_poses_of_whole_episodes(switch):
-    """Each of 6 switches: 8 rows of 2 seeds for 110 steps; the draws come from the streams of each seed."""
-    env = DroneEnv([2, 4], layouts="test", seeds=[3, 8], **SWITCHES[switch])
-    task, bank = env.task, env.bank.tolist()
+def test_a_slow_loop_sees_and_earns_the_same_in_1056_poses_of_whole_episodes(switch, name):
+    """Each of 6 switches in 5 worlds: 22 rows of 2 seeds for 48 steps; the draws come from the streams of each seed."""
+    world = SWITCHES[switch].get("world", {}) | ({"sense_velocity": True} if "moving" in name else {})
+    bank = make_task("test", task=name).bank[:40]
+    env = DroneEnv([2, 11], layouts=bank, seeds=[3, 8], task=name, **SWITCHES[switch] | {"world": world})
+    task = env.task
     streams = {name: [stream(seed, name) for seed in (3, 8)] for name in ("first_faults", "faults")}
 
     def draw(name):
-        return [one for generator in streams[name] for one in drawn(generator, task.faults, 4)]
+        return [one for generator in streams[name] for one in drawn(generator, task.faults, 11)]
 
-    root, state, first = env.reset(), env.state, draw("first_faults")
-    places = zip(state.layout.flatten().tolist(), state.heading.flatten().tolist(), first, strict=True)
-    drones = [
-        SlowDrone(oracle.Flight(bank, at, heading, task.reward, task.max_steps), task, own)
-        for at, heading, own in places
-    ]
+    root, first = env.reset(), draw("first_faults")
+    flights = slow_flights(task, *(part.flatten().tolist() for part in (env.state.layout, env.state.heading)))
+    drones = [SlowDrone(flight, task, own) for flight, own in zip(flights, first, strict=True)]
     generator, ended, doubtful = torch.Generator().manual_seed(1), 0, 0
-    for _ in range(110):
-        actions = torch.randint(100, (2, 4), generator=generator)
+
+    def compare(observation):
+        sure = [row for row, drone in enumerate(drones) if not drone.doubtful()]
+        expected = torch.tensor([drones[row].observation() for row in sure])
+        torch.testing.assert_close(observation.flatten(0, 1)[sure], expected, rtol=0, atol=2e-4)
+        return 22 - len(sure)
+
+    for _ in range(48):
+        actions = torch.randint(100, (2, 11), generator=generator)
         step, root = env.step_and_maybe_reset(root.set("action", actions))
-        after, later, first = step["next"], draw("faults"), draw("first_faults")
-        for row, (drone, action) in enumerate(zip(drones, actions.flatten().tolist(), strict=True)):
-            at = divmod(row, 4)
-            drone.flight.step(drone.executed(action, later[row]))
-            drone.sense(later[row])
-            counts = {name: after["episode", name][at].item() for name in ("steps", "stops", "turns", "distance")}
-            assert counts == {name: getattr(drone.flight, name) for name in counts}
-            over = after["terminated"][at].item(), after["truncated"][at].item()
-            assert over == (drone.flight.terminated, drone.flight.truncated)
-            assert after["reward"][at].item() == pytest.approx(drone.flight.reward, abs=1e-6)
-            if drone.doubtful():
-                doubtful += 1
-            else:
-                torch.testing.assert_close(after["observation"][at], drone.observation(), rtol=0, atol=2e-4)
-            if any(over):
+        later, first = draw("faults"), draw("first_faults")
+        after, now = step["next"].flatten(), type(env.state)(*(part.flatten(0, 1).tolist() for part in env.state))
+        for drone, action, own in zip(drones, actions.flatten().tolist(), later, strict=True):
+            drone.flight.step(drone.executed(action, own))
+            drone.sense(own)
+        for name in ("steps", "stops", "turns", "distance"):
+            assert after["episode", name].tolist() == [getattr(flight, name) for flight in flights]
+        for name in ("terminated", "truncated"):
+            assert after[name].flatten().tolist() == [getattr(flight, name) for flight in flights]
+        assert after["reward"].flatten().tolist() == pytest.approx([one.reward for one in flights], abs=2e-6)
+        doubtful += compare(step["next", "observation"])
+        for row, (flight, drone) in enumerate(zip(flights, drones, strict=True)):
+            if flight.terminated or flight.truncated:
                 ended += 1
-                drone.flight.begin(drone.flight.layout + 1, env.state.heading[at].item())
+                flight.begin(flight.layout + 1, now.heading[row])
                 drone.begin(first[row])
-                assert drone.doubtful() or torch.allclose(root["observation"][at], drone.observation(), atol=2e-4)
             else:
-                drone.flight.x, drone.flight.y = env.state.x[at].item(), env.state.y[at].item()  # as float32 rounds
+                take_over(flight, now, row)
+        compare(root["observation"])
     assert ended >= 4
     assert doubtful < 50
 

@@ -16,16 +16,15 @@ from hypothesis import strategies as st
 from safetensors import safe_open
 
 import uavnav
-from uavnav import evaluate, load_policy
+from uavnav import evaluate
 from uavnav.algorithms import c51, dqn, ppo, sac
 from uavnav.help.choices import ConfigError
 from uavnav.runs import metrics
 from uavnav.tasks import goal, layouts
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.goal import GoalWorld
-from uavnav.tasks.simulator import Goal, make_task
+from uavnav.tasks.simulator import make_task
 from uavnav.train import __main__ as train
-from uavnav.train import verify
 
 
 @pytest.fixture(scope="module")
@@ -137,47 +136,9 @@ def test_each_wrong_bank_is_refused_in_one_line(bank, says):
 # -- the task --------------------------------------------------------------------------------------------------------
 
 
-def test_whole_flights_of_40_rows_equal_a_loop_that_turns_moves_senses_and_judges(bank):
-    task = make_task(bank, task="goal", max_steps=40)
-    n = 40
-    sets = bank[:n].double().tolist()
-    generator = torch.Generator().manual_seed(3)
-    state = task.start(torch.arange(n), torch.where(torch.arange(n) < 10, 180, 90))
-    begun = [(circle[-1][0] + 48, circle[-1][1]) for circle in sets[:10]]  # ten head for their goals
-    state.x[:10], state.y[:10] = torch.tensor(begun).T
-    up, ends = set(range(n)), {"collided": 0, "reached": 0, "capped": 0}
-    for t in range(1, 41):
-        action = torch.randint(100, (n,), generator=generator)
-        before, (state, outcome) = state, task.step(state, action)
-        succeeded = task.succeeded(state)
-        for row in sorted(up):
-            *circles, (gx, gy, _) = sets[row]
-            turn, flown = oracle.decode(action[row].item())
-            pose = before.x[row].item(), before.y[row].item(), before.heading[row].item()
-            x, y, heading = oracle.move(*pose, turn, flown)
-            found = oracle.look(x, y, heading, circles)
-            away, earlier = math.hypot(gx - x, gy - y), math.hypot(gx - pose[0], gy - pose[1])
-            if abs(away - 40) > 1e-3 and not oracle.doubtful(found):
-                hit, reached = oracle.clearance_of(found) <= 30, away <= 40
-                assert outcome.terminated[row] == (hit or reached)
-                assert succeeded[row] == (reached and not hit)
-                assert outcome.truncated[row] == (t == 40 and not hit and not reached)
-                reward = 10 * reached + 0.01 * (earlier - away) - 0.01 * (turn != 0 or flown == 0)
-                assert outcome.reward[row].item() == pytest.approx(-10 if hit else reward, abs=2e-5)
-                cos, sin = oracle.cosine(heading), oracle.sine(heading)
-                ux, uy = (gx - x) / away, (gy - y) / away
-                seen = [*np.ravel(oracle.slots_of(found)), ux * sin - uy * cos, ux * cos + uy * sin, away / 1000]
-                np.testing.assert_allclose(outcome.observation[row].numpy(), seen, atol=5e-5)
-            if outcome.terminated[row] or outcome.truncated[row]:
-                up.remove(row)
-                ends["capped" if outcome.truncated[row] else "reached" if succeeded[row] else "collided"] += 1
-    assert min(ends.values()) >= 3
-    assert not up
-
-
-@pytest.mark.parametrize(("drawn", "n"), [({}, 5000), (oracle.OTHERWISE, 500)])
-def test_what_is_sensed_at_5000_poses_equals_the_papers_slots_and_a_slow_loop_to_the_goal(bank, drawn, n):
-    generator = torch.Generator().manual_seed(6)
+@pytest.mark.parametrize("drawn", oracle.SWITCHES)
+def test_what_is_sensed_at_5000_poses_equals_the_papers_slots_and_a_slow_loop_to_the_goal(bank, drawn):
+    n, generator = 5000, torch.Generator().manual_seed(6)
     task, paper = make_task(bank, drawn, task="goal"), make_task(bank[:, :8], drawn)
     heading, layout = (torch.randint(most, (n,), generator=generator) for most in (360, 1000))
     x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
@@ -285,14 +246,13 @@ def test_a_picture_shows_the_goal_in_its_colour():
     assert (abs(picture[300, 638:642].astype(int) - [0, 158, 115]).sum(-1) < 60).any()
 
 
-def test_a_run_trains_is_evaluated_with_four_metrics_more_and_verified(tmp_path, bank):
+def test_a_run_trains_and_is_evaluated_with_four_metrics_more(tmp_path, bank):
     config = ppo.PPOConfig(task="goal", layouts="validation", total_frames=64, n_worlds=1, frames_per_batch=64,
                            hidden=(8,), epochs=1)  # fmt: skip
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     with safe_open(run.path / "policy.safetensors", framework="pt") as file:
         header = json.loads(file.metadata()["uavnav"])
     assert (header["task"], header["reward"], header["max_steps"]) == ("goal", "goal", 1000)
-    assert type(load_policy(run.path).task) is Goal
     rows = evaluate.evaluate_run(run, episodes=3, quiet=True)
     assert (run.path / "evaluation-test-3-1000.parquet").exists()
     assert rows["steps"].max() <= 1000
@@ -304,7 +264,6 @@ def test_a_run_trains_is_evaluated_with_four_metrics_more_and_verified(tmp_path,
     assert run.behaviour_file().name == "behaviour-test-200-1000.parquet"
     assert set(metrics.own(rows).columns) == {"success", "collision", "time_out", "spl"}
     np.testing.assert_allclose(rows["shortest"], np.tile(bank[:3, 8, 2].numpy(), 2))
-    assert verify.verify(run, quiet=True).same
 
 
 def test_success_collision_and_time_out_add_up_and_spl_weighs_success_by_the_way_flown():

@@ -1,20 +1,21 @@
 """Ladders of the paper's world: their banks, what they count, and the task of each rung."""
 
 import dataclasses
+import functools
 import itertools
 import re
 
-import numpy as np
 import oracle
 import pytest
 import torch
+from test_sensing import agree_with_the_oracle, random_poses
 
 import uavnav
 from uavnav import evaluate
 from uavnav.runs import metrics
 from uavnav.tasks import circles, layouts, slalom
 from uavnav.tasks.baselines import BASELINES, straight_ahead
-from uavnav.tasks.faults import NAMES, NO_FAULTS, from_words
+from uavnav.tasks.faults import NAMES, NO_FAULTS
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.simulator import EMPTY, Moving, SpaceMoving, make_task
 
@@ -80,21 +81,11 @@ def test_each_column_has_one_gap_of_so_many_px_and_none_other_that_lets_a_drone_
     assert 540 - gap / 2 - 30 < max(middles) <= 540 - gap / 2
 
 
-def test_a_place_without_a_circle_is_never_sensed_and_never_hit():
-    task = make_task("slalom-80/test")
-    n = 200
-    generator = torch.Generator().manual_seed(1)
-    x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
-    heading = torch.randint(360, (n,), generator=generator)
-    state = task.start(torch.arange(n), heading)._replace(x=x, y=y)
-    observation, clearance = task.observe(state)
-    for row in range(n):
-        there = [circle for circle in task.bank[row].tolist() if circle[0] != -1000]
-        slots, nearest = oracle.sense(x[row].item(), y[row].item(), heading[row].item(), there)
-        assert clearance[row].item() == pytest.approx(nearest, abs=2e-4)
-        found = oracle.look(x[row].item(), y[row].item(), heading[row].item(), there)
-        if not oracle.doubtful(found):
-            np.testing.assert_allclose(observation[row].numpy(), np.ravel(slots), atol=2e-5)
+@pytest.mark.parametrize("drawn", oracle.SWITCHES[::3])
+def test_at_5000_poses_in_a_slalom_a_place_without_a_circle_is_never_sensed_and_never_hit(drawn):
+    task = make_task("slalom-80/test", drawn)
+    poses = (*random_poses(5000, 1)[:3], task.bank.repeat(5, 1, 1))
+    assert agree_with_the_oracle(poses, task.world, there=lambda circle: circle[0] != -1000) < 0.05
 
 
 @pytest.mark.parametrize(
@@ -179,28 +170,27 @@ def test_spheres_of_the_ladder_of_speeds_fly_up_to_6_px_a_step_and_at_0_stand_as
         assert torch.equal(*(outcome.observation for _, outcome in stepped))
 
 
-@pytest.mark.parametrize("fault", ["none", "noise=5,lost=0.2"])
-@pytest.mark.parametrize("rung", LADDERS["reach"].rungs)
-def test_with_another_reach_proximity_is_that_of_training_and_the_rest_that_of_the_rung(rung, fault):
-    own = make_task(EMPTY, {"sensor_radius": 100.0}, faults=dataclasses.asdict(from_words(fault)))
-    task = LADDERS["reach"].task(own, rung, "test")
-    n, generator = 400, torch.Generator().manual_seed(3)
-    x, y = (30 + (size - 60) * torch.rand(n, generator=generator) for size in (800, 600))  # not inside of the border
-    heading = torch.randint(360, (n,), generator=generator)
-    draws = task.draw(n, generator)
-    state = task.start(torch.arange(n), heading, draws)._replace(x=x, y=y)
-    seen = task.sense(state, draws)[0].reshape(n, 10, 3).double().numpy()
-    plain = dataclasses.replace(task, trained_reach=None).sense(state, draws)[0].reshape(n, 10, 3).double().numpy()
-    assert (seen[..., :2] == plain[..., :2]).all()
-    empty = (plain[..., :2] == 0).all(-1)
-    assert (seen[empty] == [0, 0, 1]).all()
-    checked = 0
-    for row, slot in zip(*np.nonzero(~empty), strict=True):
-        if 0 < plain[row, slot, 2] < 1:  # else it is clamped, and the distance not known
-            distance = 30 + plain[row, slot, 2] * (rung - 30)
-            assert seen[row, slot, 2] == pytest.approx(min((distance - 30) / (100 - 30), 1), abs=1e-5)
-            checked += 1
-    assert checked > 200
+def test_on_all_rungs_of_arc_and_reach_5000_poses_equal_a_slow_loop_whose_proximity_is_that_of_training():
+    """Half of them with noise and losses."""
+    own = make_task(EMPTY, {"sensor_radius": 100.0}, faults={"noise": 5, "lost": 0.2})
+    arenas = {("arc", rung): oracle.Arena(arc=rung, sensor=100) for rung in LADDERS["arc"].rungs}
+    arenas |= {("reach", rung): oracle.Arena(sensor=rung, trained=100) for rung in LADDERS["reach"].rungs}
+    x, y, heading, circles = random_poses(5000, 3)
+    layout, draws = torch.arange(5000), own.draw(5000, torch.Generator().manual_seed(3))
+    draws[::2, :10], draws[::2, 10:] = 0, 1
+    found = [oracle.look(*pose) for pose in zip(*(part.tolist() for part in (x, y, heading, circles)), strict=True)]
+
+    def hear(nth, distance, given):
+        return None if given[10 + nth] < 0.2 else distance + 5 * given[nth]
+
+    heard = [functools.partial(hear, given=row) for row in draws.tolist()]
+    for (name, rung), arena in arenas.items():
+        task = LADDERS[name].task(own, rung, "test").with_bank(circles)
+        seen = task.sense(task.place(layout, heading)._replace(x=x, y=y), draws)[0]
+        kept = [row for row in range(5000) if not oracle.doubtful(found[row], arena)]
+        expected = [oracle.slots_of(found[row], arena=arena, hear=heard[row]) for row in kept]
+        assert len(kept) > 4500
+        torch.testing.assert_close(seen[kept], torch.tensor(expected).flatten(1), rtol=0, atol=1e-4)
 
 
 def test_a_proximity_is_1_from_the_reach_of_training_on_and_less_within_it():

@@ -14,6 +14,7 @@ import torch
 from playing import EMPTY, REACTIVE, STRAIGHT, click, drag, fly, new, opened, place, press, pygame, trained
 
 import uavnav
+from uavnav.algorithms import ALGORITHMS
 from uavnav.commands.keys import ALIASES, KEYS, MOUSE, ROWS
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
@@ -32,9 +33,9 @@ def window(monkeypatch):
         yield after
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return trained(tmp_path_factory.mktemp("play"))
+@pytest.fixture(scope="module", params=list(ALGORITHMS))
+def run(request, tmp_path_factory):
+    return trained(tmp_path_factory.mktemp("play"), request.param)
 
 
 # -- keys ------------------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from playing import STRAIGHT, WORLD, fly, new, opened, press, pygame, trained
 
-from uavnav.algorithms import ppo
+from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.envs import drawing
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.tasks import layouts
@@ -26,8 +26,11 @@ def window(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return trained(tmp_path_factory.mktemp("play"))
+def run(request, tmp_path_factory):
+    return trained(tmp_path_factory.mktemp("play"), getattr(request, "param", "ppo"))
+
+
+of_every_algorithm = pytest.mark.parametrize("run", ALGORITHMS, indirect=True)
 
 
 # -- the picture -----------------------------------------------------------------------------------------------------
@@ -63,6 +66,7 @@ def test_the_window_shows_the_drone_of_the_pilots_colour_where_it_is(size, windo
     assert tuple(pygame.display.get_surface().get_at((round(x), round(y))))[:3] == drawing.PILOTS[1]
 
 
+@of_every_algorithm
 def test_the_action_grid_has_the_best_action_in_the_brightest_colour_and_outlines_it(run):
     (pilot,) = render.load_pilots([str(run.path)], greedy=True)
     game = fly(new(pilot, bank=layouts.load("test")), 4)
@@ -119,6 +123,7 @@ def test_every_moment_has_a_picture_of_its_own():
 # -- the command -----------------------------------------------------------------------------------------------------
 
 
+@of_every_algorithm
 def test_the_command_opens_its_window_obeys_and_closes(run, window, tmp_path, capsys):
     out = tmp_path / "some" / "rows.parquet"
     for name in ("0", *["up"] * 9):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torchrl.envs.utils import step_mdp
 
 import uavnav
-from uavnav.tasks import layouts
+from uavnav.tasks import layouts, slalom
 from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.simulator import make_task, name_of
 
@@ -51,7 +51,19 @@ def with_goals(draw, bank):
     return goals[[draw(st.integers(0, len(goals) - 1)) for _ in bank]]
 
 
-BANKS = {"drone": lambda draw, bank: bank, "moving": moving, "goal": with_goals}
+def gaps(draw, bank):
+    """As many sets of four columns of circles, in 48 places."""
+    return slalom.generate(len(bank), draw(st.integers(1, slalom.WIDEST)), draw(st.integers(0, 1000)))
+
+
+def disturbed(draw):
+    """Faults, and a stack of observations."""
+    values = {"noise": [0.0, 5.0, 50.0], "lost": [0.0, 0.3, 1.0], "late": [0, 1, 5], "sticky": [0.0, 0.5, 1.0]}
+    drawn = {name: draw(st.sampled_from(some)) for name, some in values.items()}
+    return {"faults": drawn, "stack": draw(st.integers(1, 3))}
+
+
+BANKS = {"drone": lambda draw, bank: bank, "moving": moving, "goal": with_goals, "slalom": gaps}
 
 
 def circles_of(env, layout, steps):
@@ -81,16 +93,17 @@ def collided(env, state, after):
 
 
 @st.composite
-def flights(draw, task):
+def flights(draw, kind):
     """An environment, and actions [T, *B] for it: stretches of one action each, other rows begin elsewhere in them."""
-    bank = BANKS[task](draw, draw(banks()))
+    kind, how = (draw(st.sampled_from(sorted(BANKS))), disturbed(draw)) if kind == "faults" else (kind, {})
+    bank, task = BANKS[kind](draw, draw(banks())), "drone" if kind == "slalom" else kind
     shape = draw(st.sampled_from([[], [1], [3], [2, 2]]))
     action = st.just(9) | st.integers(0, 99)  # far enough straight ahead to meet every wall
     stretches = draw(st.lists(st.tuples(action, st.integers(1, 40)), min_size=1, max_size=4))
     actions = torch.tensor([action for action, times in stretches for _ in range(times)])
     rows = [actions.roll(-11 * row) for row in range(math.prod(shape))]
     actions = torch.stack(rows, 1).reshape(len(actions), *shape)
-    how = {
+    how |= {
         "layouts": bank,
         "reward": draw(st.sampled_from(sorted(PENALTIES))),
         "task": task,
@@ -118,11 +131,14 @@ def first_collision(env, actions):
 
 
 def drive(env, actions):
-    """Yield of each step its action, the states before and after it, and what it led to."""
+    """Yield of each step what was executed, the states before and after it, and what it led to."""
     now = env.reset()
     for action in actions:
         before = env.state
         env.step(now.set("action", action))
+        if env.task.remembers:
+            given, action = action, env.state.executed
+            assert ((action == given) | ((action == before.executed) & (before.steps > 0))).all()
         yield action, before, env.state, now["next"]
         now = env.maybe_reset(step_mdp(now))
 
@@ -131,10 +147,12 @@ def rows_of(*tensors):
     return zip(*(tensor.flatten().tolist() for tensor in tensors), strict=True)
 
 
-@pytest.mark.parametrize(("task", "times"), [("drone", 70), ("moving", 25), ("goal", 25)])
-def test_in_every_step_of_every_flight(task, times):
+@pytest.mark.parametrize(
+    ("kind", "times"), [("drone", 70), ("moving", 25), ("goal", 25), ("slalom", 10), ("faults", 20)]
+)
+def test_in_every_step_of_every_flight(kind, times):
     """What the functions below are named; to fly costs more than to look, so all look at the same flights."""
-    settings(max_examples=times, deadline=None, derandomize=True)(given(flights(task))(every_step))()
+    settings(max_examples=times, deadline=None, derandomize=True)(given(flights(kind))(every_step))()
 
 
 def every_step(flight):

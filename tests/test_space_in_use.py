@@ -2,18 +2,14 @@
 
 import dataclasses
 import functools
-import json
 
 import gymnasium
 import numpy as np
 import pytest
 import space_by_hand as by_hand
 import torch
-from gymnasium.utils.env_checker import check_env
-from safetensors import safe_open
 from torchrl.envs.utils import check_env_specs
 
-import uavnav
 from uavnav import DroneEnv, evaluate, load_policy
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.envs import drawing
@@ -21,9 +17,8 @@ from uavnav.flights.repeats import pose_of
 from uavnav.tasks import baselines, space
 from uavnav.tasks.baselines import BASELINES, suited
 from uavnav.tasks.rewards import bounds_of_returns
-from uavnav.tasks.simulator import Space, make_task
+from uavnav.tasks.simulator import make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
-from uavnav.train import verify
 from uavnav.training import probes
 from uavnav.views import render
 from uavnav.views.window import game as rules
@@ -82,23 +77,6 @@ def test_each_kind_of_algorithm_takes_the_size_of_the_observation_from_the_task(
     assert load_policy(run.path)(torch.zeros(3, 70)).shape == (3,)
 
 
-def test_a_run_trains_stops_goes_on_is_evaluated_and_verified_in_a_deeper_box(tmp_path):
-    given = {"task": "space", "world": {"depth": 700}, "total_frames": 128}
-    config = ppo.PPOConfig(**given, n_worlds=2, frames_per_batch=64, hidden=(8,), epochs=1)
-    with pytest.raises(uavnav.RunError):
-        ppo.train(config, out=tmp_path / "run", quiet=True, until=64)
-    run = ppo.train(config, out=tmp_path / "run", quiet=True)
-    whole = ppo.train(config, out=tmp_path / "whole", quiet=True)
-    assert run.episodes.equals(whole.episodes)
-    with safe_open(run.path / "policy.safetensors", framework="pt") as file:
-        header = json.loads(file.metadata()["uavnav"])
-    assert (header["task"], header["world"]["depth"]) == ("space", 700)
-    assert type(load_policy(run.path).task) is Space
-    rows = evaluate.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
-    assert len(rows) == 6
-    assert verify.verify(run, quiet=True).same
-
-
 def test_fields_are_the_boxs_and_those_of_moving_obstacles_where_they_move():
     names = [{field.name for field in dataclasses.fields(kind)} for kind in (SpaceWorld, SpaceMovingWorld)]
     assert names[1] - names[0] == {"speed_min", "speed_max", "sense_velocity"}
@@ -144,21 +122,6 @@ def test_single_and_vector_environments_fly_the_same_steps_and_say_where_they_ar
         if terminated:
             break
     assert t > 5
-
-
-@pytest.mark.parametrize("known", ["uavnav/Space-v0", "uavnav/SpaceMoving-v0"])
-def test_the_checkers_of_gymnasium_and_stable_baselines3_pass(known):
-    check_env(gymnasium.make(known, layouts="test").unwrapped, skip_render_check=True)
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3.common.env_checker import check_env as check_by_sb3
-
-    from uavnav.envs.sb3 import DroneVecEnv
-
-    check_by_sb3(gymnasium.make(known, layouts="test").unwrapped)
-    many = DroneVecEnv(2, layouts="test", task="space-moving", sense_velocity=True)
-    assert many.reset().shape == (2, 70)
-    observation, reward, _, infos = many.step(np.array([3, 7]))
-    assert (observation.shape, reward.shape, infos[1]["pitch"]) == ((2, 70), (2,), 2)
 
 
 # -- scripted rules --------------------------------------------------------------------------------------------------

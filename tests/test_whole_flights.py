@@ -1,0 +1,95 @@
+"""Whole flights in every world: all that is sensed, moved, hit, reached, earned and counted, against slow loops."""
+
+import oracle
+import pytest
+import space_by_hand
+import torch
+
+from uavnav.tasks import slalom
+from uavnav.tasks.simulator import make_task, name_of
+from uavnav.tasks.state import COUNTS
+
+FASTER = {"speed_min": 3.0, "speed_max": 5.0, "sense_velocity": True}
+KINDS = {
+    "drone": oracle.Flight,
+    "moving": oracle.AmongMoving,
+    "goal": oracle.ToGoal,
+    "space": space_by_hand.InTheBox,
+    "space-moving": space_by_hand.AmongSpheres,
+}
+
+
+def slow_flights(task, layouts, headings):
+    """In float64 and plain Python, a drone each."""
+    bank, world = task.bank.tolist(), task.world
+    fastest = world.speed_max if getattr(world, "sense_velocity", False) else None
+    how = {"variant": task.reward, "max_steps": task.max_steps, "slots": world.slots, "padding": world.padding}
+    kind = KINDS[name_of(task)]
+    return [kind(bank, *pose, fastest=fastest, **how) for pose in zip(layouts, headings, strict=True)]
+
+
+def take_over(flight, state, row):
+    """Its place as float32 rounded it, so that its error does not build up."""
+    for axis in {"x", "y", "z"} & {*state._fields}:
+        found = float(getattr(state, axis)[row])
+        assert abs(getattr(flight, axis) - found) < 1e-4
+        setattr(flight, axis, found)
+
+
+@pytest.mark.parametrize(
+    ("seed", "drawn", "reward"),
+    [*zip(range(4), oracle.SWITCHES, [None, "eq14", "additive", "initial"], strict=True)],
+)
+@pytest.mark.parametrize(
+    ("name", "fields"), [*((name, {}) for name in KINDS), ("moving", FASTER), ("space-moving", FASTER)]
+)
+def test_25_whole_flights_equal_a_loop_that_turns_moves_lets_obstacles_move_senses_and_judges(
+    name, fields, seed, drawn, reward
+):
+    """Those of the paper's world lead through a slalom; a quarter of those to a goal begins 48 px away from it."""
+    task = make_task("slalom-160/test" if name == "drone" else "test", fields | drawn, reward, 40, task=name)
+    task = task.with_bank(task.bank[:100])
+    generator, rows = torch.Generator().manual_seed(seed), torch.arange(25)
+    state = task.start(25 * seed + rows, 180 * (rows % 2))
+    if name == "goal":
+        goals = task.bank[state.layout[:14:2], -1]
+        state.x[:14:2], state.y[:14:2] = goals[:, 0] - 48, goals[:, 1]
+    flights = slow_flights(task, state.layout.tolist(), state.heading.tolist())
+    for row, flight in enumerate(flights):
+        flight.x, flight.y = state.x[row].item(), state.y[row].item()
+    straight, up, doubtful, passages = 3 if "space" in name else 9, {*range(25)}, 0, 0
+    whole = {"heading", "pitch", *COUNTS[:-1]} & {*state._fields}
+    ends = {"collided": 0, "reached": 0, "capped": 0}
+    while up:
+        flies = torch.randint(3, (25,), generator=generator) > 1
+        action = torch.where(flies, straight, torch.randint(100, (25,), generator=generator)).tolist()
+        before, (state, outcome) = state, task.step(state, torch.tensor(action))
+        found = type(state)(*(part.tolist() for part in state))
+        succeeded = task.measure(before, state).get("succeeded", torch.zeros(25)).tolist()
+        passed = slalom.passages(before, state)["passages"].tolist()
+        places, (over, capped) = before.x.tolist(), (part.tolist() for part in outcome[-2:])
+        seen = []
+        for row in sorted(up):
+            flight = flights[row]
+            flight.step(action[row])
+            take_over(flight, found, row)
+            assert all(getattr(found, field)[row] == getattr(flight, field) for field in whole)
+            sides = [sum(x > column for column in (150, 290, 510, 650)) for x in (places[row], flight.x)]
+            assert passed[row] == abs(sides[1] - sides[0])
+            passages += passed[row]
+            if flight.doubtful():
+                doubtful += 1
+            else:
+                assert (over[row], capped[row]) == (flight.terminated, flight.truncated)
+                assert outcome.reward[row].item() == pytest.approx(flight.reward, abs=2e-5)
+                assert succeeded[row] == (flight.terminated and flight.clearance > 30)
+                seen.append((row, sum(flight.slots, ())))
+            if over[row] or capped[row]:
+                up.remove(row)
+                ends["capped" if capped[row] else "collided" if flight.clearance <= 30 else "reached"] += 1
+        kept, expected = zip(*seen, strict=True)
+        torch.testing.assert_close(outcome.observation[[*kept]], torch.tensor(expected), rtol=0, atol=1e-4)
+    assert min(ends["collided"], ends["capped"]) > 0
+    assert ends["reached"] > 3 or name != "goal"
+    assert passages > 3 or name != "drone"
+    assert doubtful < 60

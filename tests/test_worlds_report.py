@@ -78,16 +78,19 @@ def test_scatter_is_the_distance_to_the_cells_median_in_units_of_its_worlds_mean
     assert found("ppo", "relu", SCATTER, ALL).tolist() == [5 / usual, 0, 5 / usual]
 
 
-def test_a_mean_over_worlds_leaves_the_tuned_presets_out():
+def test_a_mean_over_worlds_leaves_the_tuned_presets_out_and_asks_for_runs_in_each_world():
     found = Evidence(
         {
             ("drone", "ppo", "tanh"): seeds([1, 2]),
             ("goal", "ppo", "tanh"): seeds([3, 6]),
             ("goal, fast", "ppo", "tanh"): seeds([100, 100]),
+            ("goal", "c51", "tanh"): seeds([7, 8]),
         }
     )
     assert found("ppo", "tanh", "reward", ALL).tolist() == [2, 4]
     assert found("ppo", "tanh", "reward", "goal, fast").tolist() == [100, 100]
+    assert found("c51", "tanh", "reward", "goal").tolist() == [7, 8]
+    assert found("c51", "tanh", "reward", ALL).size == 0
     assert found("dqn", "tanh", "reward", ALL).size == 0
 
 

@@ -200,7 +200,10 @@ def measured(flown: pd.DataFrame, cap: int) -> pd.DataFrame:
 
 @dataclass(eq=False)
 class Evidence:
-    """What the claims of the discussion ask (an `Evidence` of `claims`): seeds by world, algorithm and activation."""
+    """What the claims of the discussion ask (an `Evidence` of `claims`): seeds by world, algorithm and activation.
+
+    A mean over worlds is of a cell with runs in all of them; another has none yet.
+    """
 
     seeds: Mapping[Key, pd.DataFrame]
 
@@ -220,12 +223,11 @@ class Evidence:
         if study != ALL:
             table = self._seeds.get((study, algorithm, activation))
             return np.empty(0) if table is None or metric not in table else table[metric].dropna().to_numpy()
-        tables_ = [
-            table[metric]
-            for (world, *cell), table in self._seeds.items()
-            if cell == [algorithm, activation] and world == _place(world) and metric in table
-        ]
-        return pd.concat(tables_, axis=1).mean(axis=1).dropna().to_numpy() if tables_ else np.empty(0)
+        worlds = dict.fromkeys(world for world, _, _ in self._seeds if world == _place(world))
+        mine = [self._seeds.get((world, algorithm, activation)) for world in worlds]
+        flown = [one[metric] for one in mine if one is not None and metric in one]
+        complete = flown and all(one is not None for one in mine)
+        return pd.concat(flown, axis=1).mean(axis=1).dropna().to_numpy() if complete else np.empty(0)
 
     def _explains(self, metric: str) -> Array:
         """The rank correlation of a measure with the reward across the cells of a world, mean over worlds: [S].

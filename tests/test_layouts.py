@@ -230,6 +230,7 @@ DRAWN_BY = [
     (uavnav.World(width=1600, safe_zone=80.0), {"width": "1600", "safe_zone": "80.0"}),
     (MovingWorld(obstacle_radius_min=50), {"obstacle_radius_min": "50"}),
     (GoalWorld(height=900), {"height": "900"}),
+    (uavnav.World(height=300, sensor_radius=90.0), {"height": "300", "sensor_radius": "90.0"}),
     (SpaceWorld(depth=400), {"depth": "400"}),
     (MovingWorld(speed_max=3.0), {}),
 ]

@@ -138,7 +138,7 @@ def test_the_sentences_say_who_is_ahead_where_a_rule_beats_all_and_where_random_
         "Neither a script nor a learned cell is clearly ahead in moving.",
         "Some learned cell is above random flight, intervals apart, in every world.",
         "Not above random flight, or intervals overlap: DQN tanh (drone).",
-        "These have runs in some worlds alone: DQN tanh (drone), PPO tanh fast (goal).",
+        "Some cells have runs in only some worlds: DQN tanh (drone), PPO tanh fast (goal).",
     ]
 
 

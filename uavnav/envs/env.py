@@ -148,7 +148,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self.task.start(layout, *self._draw_starts())
 
     def _draw_starts(self) -> tuple[Tensor, Tensor | None]:
-        """Headings [*B] and draws [*B, n] of starts, for every row. The streams do not depend on who resets."""
+        """Headings [*B] and draws [*B, n] of starts, for every row, whoever resets."""
         headings, first = self._chance.start()
         return headings.reshape(self.batch_size), self._rows(first)
 

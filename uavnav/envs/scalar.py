@@ -49,7 +49,7 @@ class Flight:
         self._angles, self._distances = angle.tolist(), distance.tolist()
         nowhere = task.place(torch.zeros_like(action), torch.zeros_like(action))
         collided = torch.tensor([[False], [True]])
-        far = torch.full_like(angle, 1000 * self.world.width)  # from a goal, neither nearer nor further
+        far = torch.full_like(angle, 1.0 + getattr(self.world, "goal_radius", 0.0), dtype=torch.float64)  # from a goal
         step = Step(nowhere, nowhere, action, angle, distance, collided, angle, angle, self.world, (far, far))
         terms = REWARDS[task.reward](step).values()
         shape = 2, self.world.n_actions
@@ -142,7 +142,7 @@ class ToGoal(Flight):
 
     def _judge(self, action: int, collided: bool) -> tuple[float, bool]:
         reward, there = self._rewards[collided][action], self.to_goal <= self.world.goal_radius
-        if self.task.reward == "goal" and not collided:  # what `rewards.goal` adds to what follows from the action
+        if REWARDS[self.task.reward] is goal and not collided:  # beside what follows from the action
             reward += self.world.goal_reward * there + self.world.reward_per_pixel * (self._before - self.to_goal)
         return reward, collided or there
 

@@ -200,15 +200,13 @@ def measured(flown: pd.DataFrame, cap: int) -> pd.DataFrame:
 
 @dataclass(eq=False)
 class Evidence:
-    """What the claims of the discussion ask (an `Evidence` of `claims`): seeds by world, algorithm and activation.
-
-    A mean over worlds is of a cell with runs in all of them; another has none yet.
-    """
+    """What the claims of the discussion ask (an `Evidence` of `claims`); means over worlds are of cells in all."""
 
     seeds: Mapping[Key, pd.DataFrame]
 
     def __post_init__(self) -> None:
         self._seeds = dict(self.seeds)
+        self._worlds = [*dict.fromkeys(world for world, _, _ in self.seeds if world == _place(world))]
         for world in dict.fromkeys(world for world, _, _ in self._seeds):
             mine = {key: table for key, table in self._seeds.items() if key[0] == world}
             apart = {key: (table["reward"] - table["reward"].median()).abs() for key, table in mine.items()}
@@ -223,11 +221,13 @@ class Evidence:
         if study != ALL:
             table = self._seeds.get((study, algorithm, activation))
             return np.empty(0) if table is None or metric not in table else table[metric].dropna().to_numpy()
-        worlds = dict.fromkeys(world for world, _, _ in self._seeds if world == _place(world))
-        mine = [self._seeds.get((world, algorithm, activation)) for world in worlds]
-        flown = [one[metric] for one in mine if one is not None and metric in one]
-        complete = flown and all(one is not None for one in mine)
-        return pd.concat(flown, axis=1).mean(axis=1).dropna().to_numpy() if complete else np.empty(0)
+        flown = [one[metric] for one in self._everywhere(algorithm, activation) if metric in one]
+        return pd.concat(flown, axis=1, join="inner").mean(axis=1).dropna().to_numpy() if flown else np.empty(0)
+
+    def _everywhere(self, algorithm: str, activation: str) -> list[pd.DataFrame]:
+        """A cell's seeds in each world, with the default preset; nothing where it lacks a world."""
+        found = [self._seeds.get((world, algorithm, activation), pd.DataFrame()) for world in self._worlds]
+        return found if all(map(len, found)) else []
 
     def _explains(self, metric: str) -> Array:
         """The rank correlation of a measure with the reward across the cells of a world, mean over worlds: [S].
@@ -236,8 +236,9 @@ class Evidence:
         """
         measure = next(name for name, explains in EXPLAINS.items() if explains == metric)
         parts = []
-        for world in dict.fromkeys(world for world, _, _ in self._seeds if world == _place(world)):
-            mine = [table for key, table in self._seeds.items() if key[0] == world and measure in table]
+        for world in self._worlds:
+            cells = (key for key in self._seeds if key[0] == world and self._everywhere(*key[1:]))
+            mine = [table for cell in cells if measure in (table := self._seeds[cell])]
             if len(mine) > 2:
                 first, second = (
                     pd.concat([table[name] for table in mine], axis=1, join="inner", keys=range(len(mine))).rank(axis=1)
@@ -344,7 +345,7 @@ def sentences(found: pd.DataFrame) -> list[str]:
         said.append(f"Not above random flight, or intervals overlap: {', '.join(told)}.")
     everywhere, flown = worlds_of(found), found[~found["who"].isin(SCRIPTS)].groupby("who", sort=False)["world"]
     if told := [f"{who} ({'; '.join(own)})" for who, own in flown.unique().items() if len(own) < len(everywhere)]:
-        said.append(f"These have runs in some worlds alone: {', '.join(told)}.")
+        said.append(f"Some cells have runs in only some worlds: {', '.join(told)}.")
     return said
 
 
@@ -415,11 +416,12 @@ def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn 
 def figures(found: Worlds, width: float = style.WIDTH) -> list[tuple[str, style.Drawn, str]]:
     """Names, figures and captions."""
     drawn = [("worlds-rewards", draw(summary(found), width), "Means and 95 % intervals over seeds; lines: scripts.")]
+    scripted = {name for (name, _), there in found.rungs.items() if there}
     for name in ("density", "slalom"):
         if (one := ladder(found, name, width)) is not None:
-            caption = (
-                f"The ladder {name}: policies trained in the paper's world, the mean of their activations; bands are"
-                " Welch's 95 % intervals over seeds. Black lines are the scripts; random has a band, of its ten seeds."
+            caption = f"The ladder {name}: policies trained in the paper's world, means over activations with Welch's"
+            caption += " 95 % intervals over seeds." + " Black: scripts, of random with an interval." * (
+                name in scripted
             )
             drawn.append((f"worlds-{name}", one, caption))
     return drawn

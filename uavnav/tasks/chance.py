@@ -17,9 +17,8 @@ FIRST, LATER = "first_faults", "faults"
 
 
 class Chance:
-    """The streams of each seed, for so many rows a seed: what a row gets does not depend on what others do.
-
-    A step draws for every row what an episode would begin with, whether one ended or not.
+    """The streams of each seed, for so many rows a seed. A step draws for every row what an episode would begin with,
+    whether one ended or not: what a row gets does not depend on others, if none is reset twice between two steps.
     """
 
     def __init__(self, task: Task, seeds: Sequence[int], rows: int, device: torch.device | str = "cpu") -> None:
@@ -62,4 +61,8 @@ class Chance:
         for purpose, streams in self._streams.items():
             streams.load_state_dict(state_dict[purpose])
         headings = state_dict.get("start headings")
-        self._starts = None if headings is None else (headings, state_dict.get("start draws"))
+        draws = state_dict.get("start draws")
+        if headings is None:
+            self._starts = None
+        else:
+            self._starts = headings.to(self._device), None if draws is None else draws.to(self._device)

@@ -64,8 +64,9 @@ KINDS = {
 SHAPES = (
     *("width", "height", "depth", "border", "drone_radius"),
     *("obstacle_radius_min", "obstacle_radius_max", "safe_zone"),
+    *("sensor_radius", "sensor_arc", "n_slots"),
 )
-"""Fields that every world's sets are drawn by; a header has those that are not as usual."""
+"""Fields that a world's sets are drawn by, or that its size must fit; a header has those that are not as usual."""
 
 RUNGS = ("density", "slalom")
 """By difficulty: `density-12/test` has 12 obstacles a set; `slalom-80/test`, of the paper's world, gaps of 80 px."""
@@ -122,7 +123,7 @@ def _header(bank: Tensor, seed: int, split: str, world: World) -> dict[str, str]
     own = {"task": name} if name != "drone" else {}
     usual = asdict(KINDS[name].world())
     shape = [field for field in SHAPES if field in usual and getattr(world, field) != usual[field]]
-    return header | own | {field: repr(getattr(world, field)) for field in (*KINDS[name].reads, *shape)}
+    return header | own | {field: json.dumps(getattr(world, field)) for field in (*KINDS[name].reads, *shape)}
 
 
 def load(layouts: str | Path, world: World | None = None) -> Tensor:
@@ -176,8 +177,9 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
         raise LayoutError(
             f"{path}: a bank of task={header.get('task', 'drone')}, not of task={name}; give one of those"
         )
+    drawn_by = _drawn_by(header, path)
     try:
-        KINDS[name].validate(bank, _drawn_by(header, path))
+        KINDS[name].validate(bank, drawn_by)
     except LayoutError as error:
         raise LayoutError(f"{path}: {error}; generate it anew") from error
     n, k = len(bank), bank.shape[1] - KINDS[name].beside
@@ -265,7 +267,7 @@ def _drawn_by(header: Mapping[str, str], path: str | Path) -> World:
     try:
         own: dict[str, Any] = {name: float(header[name]) for name in kind.reads}
         return kind.world(**own, **{name: json.loads(header[name]) for name in SHAPES if name in header})
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise LayoutError(f"{path}: its header does not say how it was drawn ({error}); generate it anew") from error
 
 

@@ -166,8 +166,10 @@ class TrainConfig:
 
     def check_memory(self, what: str, needed: int, instead: str) -> None:
         """Raise a ConfigError where something would take more bytes than the machine has; instead: what to give."""
+        if self.device != "cpu":
+            return
         available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        if self.device == "cpu" and needed > available:
+        if needed > available:
             taken = f"at least {needed / 2**30:,.1f} GiB of the machine's {available / 2**30:.1f}"
             raise ConfigError(f"{what} would take {taken}; give {instead}")
 

@@ -210,7 +210,8 @@ class Evidence:
         for world in dict.fromkeys(world for world, _, _ in self._seeds):
             mine = {key: table for key, table in self._seeds.items() if key[0] == world}
             apart = {key: (table["reward"] - table["reward"].median()).abs() for key, table in mine.items()}
-            usual = pd.concat([*apart.values()]).mean()
+            whole = [key for key in mine if world != _place(world) or self._everywhere(*key[1:])]
+            usual = pd.concat([apart[key] for key in whole or mine]).mean()
             for key, table in mine.items():
                 self._seeds[key] = table.assign(**{SCATTER: apart[key] / usual if usual > 0 else np.nan})
 
@@ -420,9 +421,7 @@ def figures(found: Worlds, width: float = style.WIDTH) -> list[tuple[str, style.
     for name in ("density", "slalom"):
         if (one := ladder(found, name, width)) is not None:
             caption = f"The ladder {name}: policies trained in the paper's world, means over activations with Welch's"
-            caption += " 95 % intervals over seeds." + " Black: scripts, of random with an interval." * (
-                name in scripted
-            )
+            caption += " 95 % intervals over seeds." + " Dotted and dashed: scripts." * (name in scripted)
             drawn.append((f"worlds-{name}", one, caption))
     return drawn
 

@@ -34,3 +34,16 @@ def test_a_step_and_a_reset_apart_lead_to_the_same_200_observations_as_both_in_o
         assert torch.equal(there["observation"], here["observation"])
         _, there = first.step_and_maybe_reset(there.set("action", actions))
         here = second.maybe_reset(second.step(here.set("action", actions))["next"])
+
+
+@pytest.mark.parametrize("how", [{"faults": {"noise": 5}}, {"world": uavnav.World(start_heading="random")}])
+def test_a_state_taken_between_a_step_and_its_reset_goes_on_to_the_same_starts(how):
+    first, second = (uavnav.DroneEnv([1, 3], layouts="test", seeds=[seed], **how) for seed in (4, 5))
+    there = first.reset()
+    for _ in range(28):  # straight on: 28 steps lead to the wall, or to an obstacle before it
+        there = first.step(there.set("action", torch.full((1, 3), 9)))["next"]
+    second.load_state_dict(first.state_dict())
+    over = there.clone().set("_reset", torch.ones(1, 3, 1, dtype=torch.bool))
+    starts = [env.reset(over.clone())["observation"] for env in (first, second)]
+    assert torch.equal(*starts)
+    assert torch.equal(first.state.heading, second.state.heading)

@@ -254,3 +254,32 @@ def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies
     assert re.fullmatch(r"In goal, .*\]; the best script, straight, has 4\.00\.", beside)
     handles = worlds.draw(summary(found)).figure.legends[0].get_texts()
     assert [one.get_text() for one in handles] == ["straight"]
+
+
+def test_scripts_of_a_rung_are_read_from_its_own_rows_and_a_run_tells_how_it_was_made(tmp_path):
+    path, home = tmp_path / "worlds" / "paper" / "drone", tmp_path / "worlds" / "baselines"
+    write_run(path, two(0, -6.0), two(1, -8.0))
+    flown = pd.concat([rows(seed, (9, 9, 1, 1, 5, 50, 1.0 + seed)) for seed in (0, 1)], ignore_index=True)
+    flown.assign(mode="sampled").to_parquet(path / "evaluation-test-200-2000.parquet")
+    climbed = [flown.assign(mode="sampled", rung=float(rung)) for rung in LADDERS["density"].rungs]
+    pd.concat(climbed, ignore_index=True).to_parquet(path / "across-density-200-2000.parquet")
+    home.mkdir()
+    for rung in (0, 4):
+        own = rows(0, (10, 10, 1, 1, 5, 50, 100.0 - rung))
+        own.attrs = {"layouts": f"density-{rung}/test", "episodes": 200, "max_steps": 2000}
+        own.to_parquet(home / f"reactive-density-{rung}-test-200-2000.parquet")
+    found = worlds.gather([tmp_path])
+    assert {rung for _, rung in found.rungs} == {*LADDERS["density"].rungs}
+    scripted = {rung: own["reactive"]["reward"].tolist() for (_, rung), own in found.rungs.items() if own}
+    assert scripted == {0: [100.0], 4: [96.0]}
+    assert sum("--layouts density-" in line for line in found.left_out) == 11
+    (made,) = found.runs.to_dict("records")
+    told = {
+        "run": str(path),
+        "world": "drone",
+        "seeds": 2,
+        "git_commit": "c0ffee",
+        "processor": "an abacus",
+        "cores": 2,
+    }
+    assert told.items() <= made.items()

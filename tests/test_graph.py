@@ -145,7 +145,7 @@ def descend(rate, weight, target, batch):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("missing", [None, "standalone_compile", "make_fx", "while_loop_op"])
+@pytest.mark.parametrize("missing", [None, "standalone_compile", "make_fx", "while_loop_op", "fx_graph_cse"])
 def test_five_updates_as_a_graph_are_those_of_a_slow_loop_also_where_torch_compile_must_do(missing, monkeypatch):
     if missing:
         monkeypatch.setattr(graph, missing, None)
@@ -158,6 +158,18 @@ def test_five_updates_as_a_graph_are_those_of_a_slow_loop_also_where_torch_compi
     (found,) = graph.Loop(descend, 1, 1)(rates, weight, target, batches)
     torch.testing.assert_close(weight, expected)
     torch.testing.assert_close(found, torch.stack(losses).mean(0))
+
+
+@pytest.mark.compiled
+def test_an_update_that_writes_into_one_of_two_equal_tensors_leaves_the_other_as_it_is():
+    def update(rate, total, batch):
+        one, other = torch.zeros(2), torch.zeros(2)
+        one.add_(batch.sum(1))
+        return other[None] + 3, total + one + other
+
+    total = torch.zeros(2)
+    (found,) = graph.Loop(update, 1, 0)(torch.ones(5), total, torch.ones(2, 5, 4))
+    assert (total.tolist(), found.tolist()) == ([20, 20], [[3, 3]])
 
 
 def refuses(*given, **how):

@@ -9,6 +9,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.objectives import DiscreteSACLoss
 
+from uavnav import graph
 from uavnav.algorithms.sac import PRESETS, SACConfig, following, make_learner, make_loss, make_networks, train
 from uavnav.help.choices import ConfigError
 
@@ -142,6 +143,23 @@ def test_100_updates_of_2_agents_are_those_of_plain_pytorch(compile):
             assert (old[0].weight - network[0].weight).abs().max() > 1e-3  # it follows, and is not there
         torch.testing.assert_close(loss.log_alpha[agent], one.log_alpha, **CLOSE)
     assert (loss.log_alpha - before).abs().min() > 1e-2
+
+
+@pytest.mark.compiled
+def test_a_compiled_update_asks_each_of_the_six_networks_once(monkeypatch):
+    """Policy and twins at s, policy and targets at s': TorchRL's loss asks the twins at s for each of two terms."""
+    asked = []
+
+    def counted(given):
+        found = once(given)
+        asked.extend(len(one.find_nodes(op="call_function", target=layer)) for one in (given, found))
+        return found
+
+    once, layer = graph.fx_graph_cse, torch.ops.aten.baddbmm.default
+    monkeypatch.setattr(graph, "fx_graph_cse", counted)
+    config = SACConfig(hidden=[16])
+    make_learner(made(config)[2], config, compile=True).learn(transitions(1, 2, 8))
+    assert asked == [2 * 8, 2 * 6]
 
 
 def test_the_gradient_of_3_agents_is_each_ones_own():

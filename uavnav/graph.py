@@ -13,16 +13,17 @@ from typing import Any
 
 import torch
 import torch._inductor.config
-from torch import Tensor
+from torch import Tensor, fx
 
 from uavnav.help.choices import ConfigError
 
 try:
+    from torch._functorch.compile_utils import fx_graph_cse
     from torch._higher_order_ops.while_loop import while_loop_op
     from torch._inductor import standalone_compile
     from torch.fx.experimental.proxy_tensor import make_fx
 except ImportError:
-    make_fx = standalone_compile = while_loop_op = None  # type: ignore[assignment]
+    make_fx = standalone_compile = while_loop_op = fx_graph_cse = None  # type: ignore[assignment]
 
 Tensors = Sequence[Tensor]
 Function = Callable[..., Tensors]
@@ -114,7 +115,7 @@ class Loop(Graph):
         rates, *others = tensors
         state, constants, batches = self._split(others)
         first = rates[0], *state, *constants, *(batch[:, 0] for batch in batches)
-        update = make_fx(self.update)(*first)
+        update = _each_once(make_fx(self.update)(*first))
         shape = update(*first)[0].shape
 
         def unfinished(index: Tensor, total: Tensor, *rest: Tensor) -> Tensor:
@@ -151,6 +152,20 @@ def _parts_work() -> bool:
     except Exception:  # of whatever kind
         return False
     return True
+
+
+def _each_once(traced: fx.GraphModule) -> fx.GraphModule:
+    """The same trace without repeated calls: two terms of a loss may ask one network for the same values.
+
+    One that writes in place stays as it is: what is called twice could then be two places to write.
+    """
+    calls = traced.graph.nodes
+    if any(isinstance(call.target, torch._ops.OpOverload) and call.target._schema.is_mutable for call in calls):
+        return traced
+    for call in traced.graph.find_nodes(op="call_function", target=torch.ops.aten.detach.default):
+        call.replace_all_uses_with(call.args[0])  # autograd is done: a weight and the same one detached are one
+        traced.graph.erase_node(call)
+    return fx.GraphModule(traced, fx_graph_cse(traced.graph))
 
 
 def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> Function:

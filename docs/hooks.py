@@ -31,7 +31,7 @@ PRIMED = r'<mrow>\1<mo form="postfix" lspace="0" rspace="0">&#x02032;</mo></mrow
 """A prime at the size of a superscript would be a dot."""
 GENERATED = "results/"
 """What `make study` and `make report` write is not there before them."""
-LINK = re.compile(r"(?<!!)\[([^\]\n]+)\]\((\.\./[^)#\s]+)(?:#[^)\s]+)?\)")
+LINK = re.compile(r"(?<!!)\[([^][]+)\]\((\.\./[^)#\s]+)(?:#[^)\s]+)?\)")
 
 
 REPORT, FIRST = "report/", "<!-- first -->"

@@ -164,6 +164,7 @@ def test_the_hook_tells_of_a_file_that_is_missing(monkeypatch):
     assert shown("see [`uavnav/graph.py`](../uavnav/graph.py)") == "see `uavnav/graph.py`"
     assert shown("see [PPO](../docs/ppo.md)") == "see [PPO](../docs/ppo.md)"
     assert shown("by [5 (4 to 6)](../results/tables/gaps.csv#L2) less") == "by 5 (4 to 6) less"
+    assert shown("see [the\nmodule](../uavnav/graph.py)") == "see the\nmodule (`uavnav/graph.py`)"
     assert shown("[a part](../results/report.md#why)") == "a part (`results/report.md`)"
     assert not told
     shown("see [nothing](../uavnav/nothing.py)")

@@ -6,8 +6,9 @@ import pytest
 import torch
 
 import uavnav
-from uavnav.evaluate import evaluate_policy
-from uavnav.tasks.baselines import BASELINES, reactive, straight_ahead, uniform_random
+from uavnav.evaluate import evaluate_policy, fly
+from uavnav.tasks.baselines import BASELINES, reactive, straight_ahead, suited, uniform_random
+from uavnav.tasks.simulator import make_task
 
 EMPTY = uavnav.layouts.generate(3, k=0)
 LEFT_IN_PLACE = 50  # 5 degrees, 0 px
@@ -88,3 +89,25 @@ def test_each_of_3_baselines_answers_every_batch_shape_with_whole_numbers_below_
     assert action.shape == shape
     assert action.dtype == torch.int64
     assert ((action >= 0) & (action < 100)).all()
+
+
+@pytest.mark.parametrize("task", ["drone", "goal", "space"])
+@pytest.mark.parametrize(
+    "world",
+    [{"n_slots": 11}, {"padding": "zeros"}, {"drone_radius": 40.0}, {"sensor_radius": 70.0}, {"sensor_radius": 130.0}],
+    ids=str,
+)
+def test_in_a_world_of_other_fields_reactive_flies_on_and_touches_nothing_that_it_senses(task, world):
+    bank = {"goal": [[600.0, 300.0, 160.0]], "space": torch.empty(0, 4)}.get(task, torch.empty(0, 3))
+    whole = make_task(torch.tensor(bank)[None] if task == "goal" else bank[None], world, task=task, max_steps=150)
+    rows = fly({0: suited(BASELINES["reactive"], whole)}, whole).episodes
+    assert rows["distance"].item() > (100 if task == "goal" else 300)
+    assert rows["reward"].item() > 0
+
+
+@pytest.mark.parametrize("name", BASELINES)
+@pytest.mark.parametrize(("task", "chosen"), [("drone", "10 turns and 10"), ("space-moving", "5 turns and 4")])
+def test_a_script_refuses_a_world_of_other_actions_in_one_line(name, task, chosen):
+    whole = make_task("test", {"n_distances": 3}, task=task)
+    with pytest.raises(ValueError, match=f"n_distances=3: scripts choose among {chosen} distances; leave them out"):
+        suited(BASELINES[name], whole)

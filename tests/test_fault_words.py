@@ -19,6 +19,7 @@ from uavnav.tasks.simulator import TASKS, Task, make_task
         ({"noise": math.inf}, "noise=inf; give a number of at least 0"),
         ({"lost": 1.5}, "lost=1.5; give a number of at least 0 and at most 1"),
         ({"late": 1.5}, "late=1.5; give a whole number of at least 0"),
+        ({"late": 10**9}, "late=1000000000; give a whole number of at least 0 and at most 1000"),
         ({"sticky": True}, "sticky=True; give a number of at least 0 and at most 1"),
     ],
 )

@@ -136,7 +136,7 @@ def test_a_flyer_with_faults_flies_among_others_as_alone_and_its_film_is_its_row
     row = alone[alone["layout"] == 7].iloc[0]
     last = film.states[-1]
     assert (int(last.steps), int(last.distance), float(last.reward)) == (row["steps"], row["distance"], row["reward"])
-    assert film.collided == row["terminated"]
+    assert (film.ended == "collided") == row["terminated"]
 
 
 def test_draws_of_a_flight_depend_on_its_seed_its_set_and_the_step_and_not_on_who_has_ended():

@@ -76,16 +76,28 @@ def test_each_split_has_a_goal_a_set_and_its_first_30_are_what_the_seed_generate
     assert found.shape == (n, 9, 3)
     assert (header["task"], header["n"], header["k"], header["goal_radius"]) == ("goal", str(n), "8", "40.0")
     assert header["generator_seed"] == str(seed)
-    first = layouts.generate(n, 8, seed)[:30]
-    assert torch.equal(found[:30, :8], first)
+    assert torch.equal(found[:30, :8], layouts.generate(n, 8, seed)[:30])
+    streams = [np.random.Generator(np.random.PCG64([seed, 2, index])) for index in range(30)]
+    again = [goal._draw_goal(one[:8].numpy(), rng, GoalWorld()) for one, rng in zip(found, streams, strict=False)]
+    assert np.array_equal(np.stack(again).astype(np.float32), found[:30, 8].numpy())
     assert layouts.checksum(found) == header["sha256"]
 
 
-def test_a_goal_is_generated_again_bit_for_bit_whatever_follows_it(bank):
+def test_a_drone_of_another_radius_has_goals_of_its_own(monkeypatch):
+    monkeypatch.setitem(layouts.SPLITS, "test", layouts.SPLITS["test"]._replace(n=2))
+    world = GoalWorld(drone_radius=45.0)
+    found, header = layouts.read("test", world)
+    assert (len(found), header["drone_radius"]) == (2, "45.0")
+    assert not torch.equal(found[:, 8], layouts.load("test", GoalWorld(sensor_radius=90.0))[:2, 8])
+
+
+def test_there_is_no_way_from_a_start_without_room_for_the_drone():
+    assert np.isinf(goal.shortest_ways(np.array([[420.0, 300.0, 30.0]]), GoalWorld())).all()
+    assert np.isfinite(goal.shortest_ways(np.array([[470.0, 300.0, 30.0]]), GoalWorld())).any()
+
+
+def test_goals_are_the_same_whatever_follows_them():
     assert torch.equal(goal.generate(4, 0, 7)[:2], goal.generate(2, 0, 7))
-    header = layouts.read("test", GoalWorld())[1]
-    rng = np.random.Generator(np.random.PCG64([int(header["generator_seed"]), 2, 0]))
-    assert np.array_equal(goal._draw_goal(bank[0, :8].numpy(), rng, GoalWorld()).astype(np.float32), bank[0, 8].numpy())
 
 
 def test_1000_goals_have_60_px_of_room_are_200_px_away_and_no_shorter_way_than_a_straight_one(bank):

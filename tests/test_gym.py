@@ -410,6 +410,15 @@ def test_sb3s_rows_equal_the_vectors_and_name_the_end_of_each_of_their_episodes(
     assert min(ends.values()) > 3
 
 
+def test_who_writes_into_the_obstacles_that_an_env_shows_changes_neither_it_nor_the_bank(bank):
+    env = make().unwrapped
+    env.reset(options={"layout": 3})
+    env.obstacles[:] = 0
+    env.velocities[:] = 1
+    assert env.obstacles.tolist() == bank[3]
+    assert not env.velocities.any()
+
+
 def test_sb3_is_given_of_3_rows_the_obstacles_velocities_and_spaces_of_the_row_that_it_asks_for():
     pytest.importorskip("stable_baselines3")
     from uavnav.envs.sb3 import DroneVecEnv

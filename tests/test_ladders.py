@@ -16,7 +16,7 @@ from uavnav.runs import metrics
 from uavnav.tasks import circles, layouts, slalom
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.faults import NAMES, NO_FAULTS
-from uavnav.tasks.ladders import LADDERS
+from uavnav.tasks.ladders import LADDERS, measure_of
 from uavnav.tasks.simulator import EMPTY, Moving, SpaceMoving, make_task
 
 # -- banks -----------------------------------------------------------------------------------------------------------
@@ -127,6 +127,24 @@ def test_an_evaluation_on_a_slalom_has_a_column_of_passages_and_two_metrics_of_i
     assert own.loc[0, "passages_per_flight"] == flown["passages"].mean()
     assert own.loc[0, "passages_per_1000_steps"] == 1000 * flown["passages"].sum() / flown["steps"].sum()
     assert metrics.own(rows.drop(columns="passages")).empty
+
+
+def test_a_slalom_s_file_of_any_name_is_what_its_header_generates_and_counts_passages(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, gap in (("rows.safetensors", 80), ("density-12.safetensors", 90)):
+        layouts.save(slalom.generate(4, gap, 7), name, seed=7, split=f"slalom-{gap}/train")
+        assert len(layouts.check(name)[0]) == 4
+        assert measure_of(name) is measure_of(tmp_path / name) is slalom.passages
+    layouts.save(slalom.generate(4, 80, 8), "rows.safetensors", seed=7, split="slalom-80/train")
+    with pytest.raises(uavnav.LayoutError, match=r"rows.safetensors: is not what seed 7 generates"):
+        layouts.check("rows.safetensors")
+    layouts.save(layouts.generate(4, 8, 7), "slalom-80.safetensors", seed=7, split="train")
+    assert measure_of("slalom-80.safetensors") is measure_of("test") is None
+
+
+def test_a_bank_that_is_drawn_when_it_is_asked_for_is_ones_own():
+    layouts.load("slalom-100/test")[:] = 0
+    assert layouts.load("slalom-100/test").any()
 
 
 # -- the task of a rung ----------------------------------------------------------------------------------------------

@@ -170,6 +170,18 @@ def test_without_the_extra_it_is_one_line_that_says_which_and_status_2(capsys, m
     assert capsys.readouterr() == ("", "uavnav play: needs pygame-ce: pip install 'uavnav[play]'\n")
 
 
+@pytest.mark.parametrize(
+    ("words", "cap"), [([], 10_000), (["--task", "goal"], 1_000), (["--task", "goal", "--max-steps", "50"], 50)]
+)
+def test_a_flight_ends_at_the_cap_that_is_given_or_at_its_tasks_own(words, cap, window, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    games = []
+    monkeypatch.setattr(play, "play", lambda game: games.append(game) or game)
+    assert play.main(words) == 0
+    assert games[0].task.max_steps == cap
+    assert rules.draw(games[0]).drawing == (not words)  # shortest ways to a goal lead round its circles
+
+
 @pytest.mark.parametrize("driver", ["none such", None])
 def test_without_a_screen_it_is_one_line_and_status_2(driver, capsys, monkeypatch):
     pygame.display.quit()

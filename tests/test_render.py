@@ -74,11 +74,17 @@ def film(*policies, steps=30, width=160, every=1):
 def test_straight_ahead_collides_in_step_28_and_its_trail_is_drawn():
     flown, obstacles = flight()
     assert len(flown.states) == 28 + 1  # contact at 300 + 250 px: ceil(250 / 9) steps, and the start
-    assert flown.collided
+    assert flown.ended == "collided"
     frames = Film([flown], obstacles, 800, every=10)
     assert len(frames) == 4
     assert colour(frames[-1][:600], 400, 350) == DRONE
     assert colour(frames[0][:600], 400, 350) != DRONE
+
+
+def test_a_flight_to_a_goal_ahead_has_arrived_and_one_that_is_cut_off_has_not():
+    task = make_task(torch.tensor([[[400.0, 520.0, 180.0]]]), task="goal")
+    ends = [fly(Pilot("a pilot", straight_ahead, task), task.bank, 0, steps).ended for steps in (100, 5)]
+    assert ends == ["arrived", ""]
 
 
 def test_two_flights_are_480_px_wide_each_with_a_gap_of_8_and_the_one_that_is_over_stands_still():
@@ -214,7 +220,7 @@ def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run, gree
     flown: Flight = fly(Pilot("", policy, policy.task), uavnav.layouts.load("test"), 0, 100)
     last = flown.states[-1]
     assert {name: getattr(last, name).item() for name in COUNTS} == {name: row[name] for name in COUNTS}
-    assert flown.collided == row["terminated"]
+    assert (flown.ended == "collided") == row["terminated"]
 
 
 def test_with_faults_the_rule_flies_the_60_steps_that_an_evaluation_with_them_has_and_they_are_told(tmp_path, capsys):

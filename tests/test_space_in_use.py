@@ -134,7 +134,7 @@ def test_names_of_scripted_policies_stand_for_rules_of_the_box():
     assert suited(BASELINES["straight"], paper) is BASELINES["straight"]
     assert suited(BASELINES["reactive"], still).func is baselines.reactive_in_the_box
     rule = suited(BASELINES["reactive"], moving_)
-    assert (rule.func, rule.keywords) == (baselines.dodge_in_the_box, {"width": 7})
+    assert (rule.func, rule.keywords) == (baselines.dodge_in_the_box, {"world": moving_.world})
 
 
 def test_among_spheres_that_stand_still_the_reactive_rule_never_collides_and_flies_on():
@@ -148,8 +148,7 @@ def test_among_spheres_that_stand_still_the_reactive_rule_never_collides_and_fli
 @pytest.mark.parametrize("fields", [{}, SENSED])
 def test_among_moving_spheres_the_rule_that_dodges_lasts_twice_as_long_as_the_one_for_a_still_box(fields):
     task = evaluate.on(make_task("test", fields, task="space-moving"), "test", 30, 300)
-    width = len(task.world.slot_low)
-    still = functools.partial(baselines.reactive_in_the_box, width=width)
+    still = functools.partial(baselines.reactive_in_the_box, world=task.world)
     rules = suited(BASELINES["reactive"], task), still, BASELINES["random"]
     dodges, stands, random = (evaluate.fly({0: rule}, task).episodes["steps"].mean() for rule in rules)
     assert dodges > 1.7 * stands > 1.7 * random
@@ -244,7 +243,7 @@ def test_the_window_shows_a_box_from_above_and_from_the_side_in_the_space_of_an_
     left, right = np.array_split(changed, 2, axis=1)
     assert left.any()
     assert right.any()
-    assert rules.draw(game).message == "Obstacles are drawn in worlds of two dimensions"
+    assert rules.draw(game).message == "Obstacles are drawn in worlds of two dimensions without a goal"
     assert rules.seat(game, 0).distance == 9
 
 

@@ -59,6 +59,7 @@ WORLDS: dict[str, Result] = {
     **{f"density-{k}": {"layouts": f"density-{k}/train"} for k in (0, 20)},
     "slalom-100": {"layouts": "slalom-100/train"},
     "a sensor of 160 px": {"world": {"sensor_radius": 160.0}},
+    "a sensor of 90 degrees": {"world": {"sensor_arc": 90.0}},
     "moving": {"task": "moving"},
     "moving, velocities sensed": {"task": "moving", "world": {"sense_velocity": True}},
     "goal": {"task": "goal"},

@@ -250,7 +250,8 @@ def _play(parser: Parser) -> None:
     parser.epilog = f"example: uavnav play runs/ppo/relu reactive --layout 20\n\nkeys:\n{table}"
     parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN}; keys 1 to 9 (default: you fly)")
     _flight(parser)
-    parser.add_argument("--max-steps", type=int, default=MAX_STEPS, help=f"cap on steps (default: {MAX_STEPS:,})")
+    told = f"cap on steps (default: {MAX_STEPS:,}, or the task's own if less)"
+    parser.add_argument("--max-steps", type=int, help=told)
     parser.add_argument("--person", type=int, default=0, help="who flies by hand: the rows' seed (default: 0)")
     rows = f"as runs/baselines/{ROWS.name}; without a run {ROWS}"
     parser.add_argument(

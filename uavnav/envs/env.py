@@ -43,7 +43,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         The centre of the window, heading up; each row has a place of its own in the bank and takes the next set of
         obstacles after each of its episodes.
     End:
-        `terminated`: the drone touched an obstacle or the border. `truncated`: `max_steps` was reached (never both).
+        `terminated`: the drone touched an obstacle or the border, or reached its goal. `truncated`: `max_steps` was
+        reached (never both).
     Episode:
         `("next", "episode", ...)` holds the counts since the episode began (steps, stops, full_stops, turns,
         distance [px], reward) and its layout: on the last step of an episode they describe all of it.

@@ -86,12 +86,12 @@ class _Surroundings:
     @property
     def obstacles(self) -> np.ndarray[Any, Any]:
         """The obstacles as they are now: [k, 3] of (x, y, radius) px."""
-        return self.task.obstacles(self._now()).numpy()
+        return self.task.obstacles(self._now()).numpy().copy()  # where they stand still, the bank's own
 
     @property
     def velocities(self) -> np.ndarray[Any, Any]:
         """Where they move: [k, 2] px a step."""
-        return self.task.velocities(self._now()).numpy()
+        return self.task.velocities(self._now()).numpy().copy()
 
 
 class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
@@ -107,7 +107,8 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         The centre of the window, heading up. `reset(seed=...)` chooses the first layout of the bank, every later reset
         takes the next layout, and `reset(options={"layout": 3})` takes layout 3.
     End:
-        `terminated`: the drone touched an obstacle or the border. `truncated`: `max_steps` was reached.
+        `terminated`: the drone touched an obstacle or the border, or reached its goal. `truncated`: `max_steps` was
+        reached.
     Info:
         layout (index), x, y (px), heading (degrees), clearance (px to the nearest obstacle or border square); and what
         the task adds (`Task.info`).

@@ -24,8 +24,8 @@ from uavnav.policies import Policy
 from uavnav.runs import Run, metrics
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, lock, records, write_table
-from uavnav.tasks.baselines import BASELINES, WORLD, AnyPolicy, suited
-from uavnav.tasks.ladders import LADDERS, Ladder, Measure, reached
+from uavnav.tasks.baselines import BASELINES, AnyPolicy, chosen_among, suited
+from uavnav.tasks.ladders import LADDERS, Ladder, Measure
 from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
@@ -82,7 +82,7 @@ def climb(
         A row an episode: the columns of `metrics.EPISODE_COLUMNS`, `mode` and `rung`.
     """
     first = who.first
-    own = first.task if isinstance(first, Policy) else reached(scripted or make_task(EMPTY), WORLD.sensor_radius)
+    own = first.task if isinstance(first, Policy) else scripted or make_task(EMPTY)
     parts = []
     for rung in ladder.rungs:
         task = ladder.task(replace(own, max_steps=max_steps), rung, "test")
@@ -211,10 +211,9 @@ def across(
     for name in names:
         if name not in climbed:
             tell(f"left out: the ladder {name}, which the world of {', '.join(unfit[name])} does not have; {fit} fit")
-    usual, own = type(theirs.world)(), theirs.world
-    scripts_fit = (own.n_turns, own.n_distances) == (usual.n_turns, usual.n_distances)
-    if not alone and not scripts_fit:
-        tell(f"left out: the scripts, which choose among {usual.n_turns} turns and {usual.n_distances} distances")
+    turns, distances = chosen_among(theirs.world)
+    if not alone and (theirs.world.n_turns, theirs.world.n_distances) != (turns, distances):
+        tell(f"left out: the scripts, which choose among {turns} turns and {distances} distances")
     elif not alone:
         flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
     caps = {one.name: max_steps or _task_of(one, theirs).cap(ACROSS_STEPS) for one in flyers}

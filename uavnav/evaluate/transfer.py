@@ -27,15 +27,16 @@ from uavnav.runs import Run
 from uavnav.runs.metrics import FLIGHTS
 from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks import layouts as banks
-from uavnav.tasks.baselines import WORLD, AnyPolicy
+from uavnav.tasks.baselines import AnyPolicy
 from uavnav.tasks.ladders import Measure, measure_of, reached
 from uavnav.tasks.protocol import ACROSS_STEPS
 from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
 from uavnav.views import style
 
 FLOWN = "flown_in"
-SPEEDS = ("speed_min", "speed_max")
 """The column that names the world of a flight."""
+SPEEDS = ("speed_min", "speed_max")
+"""Fields of a world by which sensed velocities are scaled."""
 
 
 class Place(NamedTuple):
@@ -130,12 +131,11 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
     A policy keeps its own memory; its proximities stay shares of the reach of its training, and sensed velocities of
     that world's greatest speed.
     """
-    first = who.first
-    task = reached(place.task, first.world.sensor_radius if isinstance(first, Policy) else WORLD.sensor_radius)
+    first, task = who.first, place.task
     if isinstance(first, Policy):
         both = [name for name in SPEEDS if hasattr(first.world, name) and hasattr(task.world, name)]
         world = replace(task.world, **{name: getattr(first.world, name) for name in both})
-        task = replace(task, stack=first.task.stack, world=world)
+        task = reached(replace(task, stack=first.task.stack, world=world), first.world.sensor_radius)
     rows = who.fly(task, f"in {place.name}", quiet, place.measure)
     parts = [part.assign(mode=mode, **{FLOWN: place.name}) for mode, part in rows.items()]
     return pd.concat(parts, ignore_index=True)

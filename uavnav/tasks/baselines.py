@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from uavnav.tasks.goal import SCALE, GoalWorld
+from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.simulator import Space, Task
 from uavnav.tasks.space import SpaceWorld, decode
@@ -21,7 +23,8 @@ WORLD = World()
 FULL_SPEED = WORLD.n_distances - 1  # straight ahead, 9 px
 LEFT_IN_PLACE = WORLD.n_turns // 2 * WORLD.n_distances  # 5 degrees, 0 px
 MARGIN = 0.01  # [px] against rounding
-WITH_GOAL = GoalWorld().observation_size
+GOAL = GoalWorld()
+WITH_GOAL = GOAL.observation_size
 
 
 def uniform_random(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -34,22 +37,41 @@ def straight_ahead(observation: Tensor, generator: torch.Generator | None = None
     return torch.full(observation.shape[:-1], FULL_SPEED)
 
 
-def reactive(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
+def reactive(observation: Tensor, generator: torch.Generator | None = None, world: World | None = None) -> Tensor:
     """Fly straight at full speed where that is certainly safe, else turn left on the spot; where a goal is sensed too,
     `towards_goal`.
 
     The distance to a convex body at d px in a direction with forward component y falls by at most s y over s px
     straight ahead, and what is behind recedes: d - 9 y > 30 for all that is in view excludes a collision. It looks at
-    the newest observation of a stack.
+    the newest observation of a stack. world: what is sensed; by default as the size of one observation tells.
     """
-    size = observation.shape[-1]
-    if size % WITH_GOAL == 0:
+    if world is None and observation.shape[-1] % WITH_GOAL == 0:
         return towards_goal(observation, generator)
-    width = 3 if size % WORLD.observation_size == 0 else 5  # with velocities
-    slots = observation[..., : WORLD.n_slots * width].reshape(*observation.shape[:-1], WORLD.n_slots, width)
-    distance = WORLD.drone_radius + slots[..., 2] * (WORLD.sensor_radius - WORLD.drone_radius)
-    closest = (distance - FULL_SPEED * slots[..., 1]).amin(-1)
-    return torch.where(closest > WORLD.drone_radius + MARGIN, FULL_SPEED, LEFT_IN_PLACE)
+    world = world or _of_size(observation)
+    return torch.where(_safe_ahead(observation, world), FULL_SPEED, LEFT_IN_PLACE)
+
+
+def _of_size(observation: Tensor) -> World:
+    """The world without a goal whose observations have so many numbers, by default."""
+    return WORLD if observation.shape[-1] % WORLD.observation_size == 0 else MovingWorld(sense_velocity=True)
+
+
+def _seen(observation: Tensor, world: World) -> tuple[Tensor, Tensor, Tensor]:
+    """The slots of the newest observation: directions [..., S, axes], the last of them forward, distances [..., S] px,
+    and which are empty [..., S] bool.
+    """
+    width, axes = len(world.slot_low), len(world.size)
+    slots = observation[..., : world.n_slots * width].reshape(*observation.shape[:-1], world.n_slots, width)
+    towards = slots[..., :axes]
+    distance = world.drone_radius + slots[..., axes] * (world.sensor_radius - world.drone_radius)
+    return towards, distance, (towards == 0).all(-1)
+
+
+def _safe_ahead(observation: Tensor, world: World) -> Tensor:
+    """Whether nothing that is sensed can be touched by a step straight ahead at full speed [...] bool."""
+    towards, distance, empty = _seen(observation, world)
+    closest = torch.where(empty, torch.inf, distance - FULL_SPEED * towards[..., -1]).amin(-1)
+    return closest > world.drone_radius + MARGIN
 
 
 BEARINGS = torch.arange(-90, 91, 5)  # [degrees] to the right of the heading
@@ -57,29 +79,29 @@ LOOK = 60.0  # [px] that must be free in a direction
 ROOM = 2.0  # [px] beyond the drone's own radius
 
 
-def towards_goal(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
+def towards_goal(observation: Tensor, generator: torch.Generator | None = None, world: World | None = None) -> Tensor:
     """Turn to the free direction that is nearest to the goal's, and fly as far as is certainly safe.
 
     A direction is free if the nearest point of nothing in view comes too close to the next 60 px there, or to the way
     to a goal that is nearer. The drone turns on the spot while it has 45 degrees or more to turn, or nothing is free.
+    world: as of `reactive`.
     """
-    slots = observation[..., : 3 * WORLD.n_slots].reshape(*observation.shape[:-1], WORLD.n_slots, 3)
-    right, forward, away = observation[..., WORLD.observation_size : WITH_GOAL].unbind(-1)
-    towards, empty = slots[..., :2], (slots[..., :2] == 0).all(-1)
-    distance = WORLD.drone_radius + slots[..., 2] * (WORLD.sensor_radius - WORLD.drone_radius)
+    world = world or GOAL
+    towards, distance, empty = _seen(observation, world)
+    right, forward, away = observation[..., world.observation_size - 3 : world.observation_size].unbind(-1)
     ahead = torch.deg2rad(BEARINGS)
     along = towards @ torch.stack([ahead.sin(), ahead.cos()])  # [..., slots, bearings]
     reach = (away * SCALE).clamp(max=LOOK)[..., None, None]
     flown = (distance[..., None] * along).clamp(min=0).minimum(reach)  # where it is nearest
     nearest = (distance[..., None] ** 2 - 2 * flown * distance[..., None] * along + flown**2).sqrt()
-    free = ((nearest > WORLD.drone_radius + ROOM) | (along <= 0) | empty[..., None]).all(-2)
+    free = ((nearest > world.drone_radius + ROOM) | (along <= 0) | empty[..., None]).all(-2)
     bearing = torch.rad2deg(torch.atan2(right, forward))
     apart = torch.where(free, (BEARINGS - bearing[..., None]).abs(), torch.inf)
     wanted = torch.where(free.any(-1), BEARINGS[apart.argmin(-1)], -90)
     angle = (-wanted).clamp(WORLD.n_turns // 2 + 1 - WORLD.n_turns, WORLD.n_turns // 2)
     after = torch.deg2rad(angle)
     closing = (towards * torch.stack([-after.sin(), after.cos()], -1)[..., None, :]).sum(-1)
-    room = torch.where(empty | (closing <= 0), torch.inf, (distance - WORLD.drone_radius - MARGIN) / closing)
+    room = torch.where(empty | (closing <= 0), torch.inf, (distance - world.drone_radius - MARGIN) / closing)
     safe = room.amin(-1).clamp(0, FULL_SPEED).long()
     return angle % WORLD.n_turns * WORLD.n_distances + torch.where(wanted.abs() >= 45, 0, safe)
 
@@ -108,20 +130,18 @@ def _ways() -> tuple[Tensor, Tensor, Tensor]:
 PLACES, FIRST, WORTH = _ways()
 
 
-def dodge(observation: Tensor, generator: torch.Generator | None = None, width: int | None = None) -> Tensor:
+def dodge(observation: Tensor, generator: torch.Generator | None = None, world: World | None = None) -> Tensor:
     """The first action of the way that keeps most clear of what is in view, also if that comes nearer by itself.
 
     It judges 46 ways of 16 steps, each a turn and then straight on, as the dynamic window approach does (Fox et al.
     1997). A way that leads farther counts a little more. It never stands still without a turn, and looks at no sensed
-    velocities. width: numbers of a slot, by default as the size of one observation tells.
+    velocities. world: as of `reactive`.
     """
-    width = width or (3 if observation.shape[-1] % WORLD.observation_size == 0 else 5)
-    slots = observation[..., : WORLD.n_slots * width].reshape(*observation.shape[:-1], WORLD.n_slots, width)
-    distance = WORLD.drone_radius + slots[..., 2] * (WORLD.sensor_radius - WORLD.drone_radius)
-    centre = slots[..., :2] * (distance + BODY)[..., None]
-    centre = torch.where((slots[..., :2] == 0).all(-1, keepdim=True), torch.inf, centre)
+    world = world or _of_size(observation)
+    towards, distance, empty = _seen(observation, world)
+    centre = torch.where(empty[..., None], torch.inf, towards * (distance + BODY)[..., None])
     apart = (PLACES[:, :, None] - centre[..., None, None, :, :]).norm(dim=-1).amin(-1)  # [..., ways, steps]
-    clear = (apart - BODY - WORLD.drone_radius - DRIFT * torch.arange(1, STEPS + 1)).amin(-1)
+    clear = (apart - BODY - world.drone_radius - DRIFT * torch.arange(1, STEPS + 1)).amin(-1)
     return FIRST[(clear.clamp(max=ENOUGH) + WORTH).argmax(-1)]
 
 
@@ -140,16 +160,12 @@ def straight_in_the_box(observation: Tensor, generator: torch.Generator | None =
     return torch.full(observation.shape[:-1], AHEAD)
 
 
-def reactive_in_the_box(
-    observation: Tensor, generator: torch.Generator | None = None, width: int = len(BOX.slot_low)
-) -> Tensor:
+def reactive_in_the_box(observation: Tensor, generator: torch.Generator | None = None, world: World = BOX) -> Tensor:
     """As `reactive`, and for the same reason never into what it senses: straight at full speed, else a yaw to the left.
 
-    width: numbers of a slot, more where velocities are sensed.
+    world: what is sensed.
     """
-    towards, distance = _in_the_box(observation, width)
-    closest = (distance - FULL_SPEED * towards[..., 2]).amin(-1)
-    return torch.where(closest > BOX.drone_radius + MARGIN, AHEAD, LEFT_IN_THE_BOX)
+    return torch.where(_safe_ahead(observation, world), AHEAD, LEFT_IN_THE_BOX)
 
 
 def _ways_in_the_box() -> tuple[Tensor, Tensor, Tensor]:
@@ -175,42 +191,47 @@ BOX_STRAIGHT = int((BOX_FIRST == AHEAD).nonzero())
 EASY = 15.0  # [px] of clearance straight ahead with which it does not turn, for a turn costs
 
 
-def dodge_in_the_box(
-    observation: Tensor, generator: torch.Generator | None = None, width: int = len(BOX.slot_low)
-) -> Tensor:
+def dodge_in_the_box(observation: Tensor, generator: torch.Generator | None = None, world: World = BOX) -> Tensor:
     """As `dodge`, of 67 ways of 10 steps that turn to eight sides, where straight on is not clear; it knows nothing of
-    its pitch, which may be at its end. width: as of `reactive_in_the_box`.
+    its pitch, which may be at its end. world: what is sensed.
     """
-    towards, distance = _in_the_box(observation, width)
-    centre = towards * (distance + SPHERE)[..., None]
-    centre = torch.where((towards == 0).all(-1, keepdim=True), torch.inf, centre)
+    towards, distance, empty = _seen(observation, world)
+    centre = torch.where(empty[..., None], torch.inf, towards * (distance + SPHERE)[..., None])
     apart = (BOX_PLACES[:, :, None] - centre[..., None, None, :, :]).norm(dim=-1).amin(-1)
-    clear = (apart - SPHERE - BOX.drone_radius - DRIFT * torch.arange(1, LOOKED_AHEAD + 1)).amin(-1)
+    clear = (apart - SPHERE - world.drone_radius - DRIFT * torch.arange(1, LOOKED_AHEAD + 1)).amin(-1)
     best = BOX_FIRST[(clear.clamp(max=ENOUGH) + BOX_WORTH).argmax(-1)]
     return torch.where(clear[..., BOX_STRAIGHT] > EASY, AHEAD, best)
 
 
-def _in_the_box(observation: Tensor, width: int) -> tuple[Tensor, Tensor]:
-    """Directions [..., S, 3] (right, up, forward) and distances [..., S] px of the slots of the newest observation."""
-    slots = observation[..., : BOX.n_slots * width].reshape(*observation.shape[:-1], BOX.n_slots, width)
-    return slots[..., :3], BOX.drone_radius + slots[..., 3] * (BOX.sensor_radius - BOX.drone_radius)
+def chosen_among(world: World) -> tuple[int, int]:
+    """How many turns and distances the scripts choose among in a world of two or three dimensions."""
+    usual = BOX if isinstance(world, SpaceWorld) else WORLD
+    return usual.n_turns, usual.n_distances
 
 
 def suited(policy: AnyPolicy, task: Task) -> AnyPolicy:
-    """The policy that a name stands for in a task: among obstacles that move, `reactive` is `dodge`; a box has its own
-    straight flight and its own rules.
+    """The policy that a name stands for in a task: a box has its own straight flight, and `reactive` is a rule for what
+    stands still, what moves, or a goal, that knows the task's world. Other policies are as they are.
+
+    Raises:
+        ValueError: a script is to fly where there are other turns and distances than it chooses among.
     """
+    if policy not in BASELINES.values():
+        return policy
+    own, (turns, distances) = task.world, chosen_among(task.world)
+    if (own.n_turns, own.n_distances) != (turns, distances):
+        given = f"n_turns={own.n_turns}, n_distances={own.n_distances}"
+        raise ValueError(f"{given}: scripts choose among {turns} turns and {distances} distances; leave them out")
+    if policy is not reactive:
+        return straight_in_the_box if isinstance(task, Space) and policy is straight_ahead else policy
+    rule: Callable[..., Tensor]
     if isinstance(task, Space):
         rule = reactive_in_the_box if task.STATIC else dodge_in_the_box
-        own: dict[AnyPolicy, AnyPolicy] = {
-            straight_ahead: straight_in_the_box,
-            reactive: functools.partial(rule, width=len(task.world.slot_low)),
-        }
-        return own.get(policy, policy)
-    if policy is not reactive or task.STATIC:
-        return policy
-    width = len(task.world.slot_low)
-    return dodge if width == len(WORLD.slot_low) else functools.partial(dodge, width=width)
+    elif task.STATIC:
+        rule = towards_goal if isinstance(own, GoalWorld) else reactive
+    else:
+        rule = dodge
+    return functools.partial(rule, world=replace(own, sensor_radius=task.trained_reach or own.sensor_radius))
 
 
 BASELINES: dict[str, AnyPolicy] = dict(zip(SCRIPTS, (uniform_random, straight_ahead, reactive), strict=True))

@@ -27,7 +27,7 @@ class Faults:
 
     noise: float = key(0.0, "standard deviation σ of each sensed distance", "px", least=0)
     lost: float = key(0.0, "of each echo to be lost, whatever the others do", "probability", least=0, most=1)
-    late: int = key(0, "by which each observation comes too late", "steps", least=0)
+    late: int = key(0, "by which each observation comes too late", "steps", least=0, most=1000)
     sticky: float = key(0.0, "of the last executed action to be executed again", "probability", least=0, most=1)
 
     def __post_init__(self) -> None:

@@ -120,7 +120,7 @@ def shortest_ways(standing: Array, world: World) -> Array:
     """Lengths of the shortest ways from the start to each place of the grid [columns, rows] px; infinite: no way.
 
     A way leads from place to place, each to 16 neighbours, over places where the drone keeps more than its radius of
-    clearance. standing: circles [K, 3] px.
+    clearance; there is none from a start without it. standing: circles [K, 3] px.
     """
     places, (near, far), length = _grid(world.width, world.height)
     free = _room(places, standing, world) > world.drone_radius
@@ -130,7 +130,8 @@ def shortest_ways(standing: Array, world: World) -> Array:
     lengths = np.full(len(places), np.inf)
     columns, rows = world.width // GRID + 1, world.height // GRID + 1
     start = round(world.start[0] / GRID) * rows + round(world.start[1] / GRID)
-    lengths[free] = dijkstra(ways, directed=False, indices=number[start])
+    if free[start]:
+        lengths[free] = dijkstra(ways, directed=False, indices=number[start])
     return lengths.reshape(columns, rows)
 
 

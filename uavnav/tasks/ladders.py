@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -108,6 +109,7 @@ LADDERS = {
 """By name, in the order of a report."""
 
 
-def measure_of(layouts: object) -> Measure | None:
-    """What an evaluation on a bank of this name counts beside the metrics."""
-    return LADDERS["slalom"].measure if str(layouts).startswith("slalom-") else None
+def measure_of(bank: str | Path | Tensor) -> Measure | None:
+    """What an evaluation on a bank counts beside the metrics, by its name or by its file's header."""
+    named = "" if isinstance(bank, Tensor) else layouts.split_of(bank)
+    return LADDERS["slalom"].measure if named.startswith("slalom-") else None

@@ -61,20 +61,26 @@ KINDS = {
 """By the task that they were made for, which is written into the header of all but the first."""
 
 
-SHAPES = (
+DRAWN_BY = (
     *("width", "height", "depth", "border", "drone_radius"),
     *("obstacle_radius_min", "obstacle_radius_max", "safe_zone"),
-    *("sensor_radius", "sensor_arc", "n_slots"),
 )
-"""Fields that a world's sets are drawn by, or that its size must fit; a header has those that are not as usual."""
+"""Fields that a world's sets are drawn by."""
+SHAPES = (*DRAWN_BY, "sensor_radius", "sensor_arc", "n_slots")
+"""The same, and those that its size must fit; a header has those that are not as usual."""
 
 RUNGS = ("density", "slalom")
 """By difficulty: `density-12/test` has 12 obstacles a set; `slalom-80/test`, of the paper's world, gaps of 80 px."""
 
 
 def is_rung(layouts: str | Path) -> bool:
-    """Whether a bank's name is that of a rung, such as `density-12/test`."""
-    return str(layouts).startswith(tuple(f"{ladder}-" for ladder in RUNGS))
+    """Whether a bank's name is that of a rung, such as `density-12/test`, and no file's."""
+    return str(layouts).startswith(tuple(f"{ladder}-" for ladder in RUNGS)) and not os.path.isfile(layouts)
+
+
+def split_of(layouts: str | Path) -> str:
+    """The split, or the rung and its split, that a bank's name stands for, or that its file's header says."""
+    return _open(Path(layouts))[1].get("split", "") if os.path.isfile(layouts) else str(layouts)
 
 
 def kind_of(world: World) -> str:
@@ -84,10 +90,13 @@ def kind_of(world: World) -> str:
 
 
 def _ships(world: World) -> bool:
-    """Whether its splits are files of the package: the paper's are for every `World`, others for the defaults alone."""
-    name = kind_of(world)
-    usual = all(getattr(world, field) == getattr(KINDS[name].world(), field) for field in KINDS[name].reads)
-    return KINDS[name].ships and usual
+    """Whether its splits are files of the package: the paper's are for every `World`, those of goals, whose files hold
+    lengths of ways, for worlds that are drawn by the defaults.
+    """
+    kind = KINDS[kind_of(world)]
+    fields = (*kind.reads, *(DRAWN_BY if kind.beside else ()))
+    usual = kind.world()
+    return kind.ships and all(getattr(world, field, None) == getattr(usual, field, None) for field in fields)
 
 
 def save(bank: Tensor, path: str | Path, *, seed: int, split: str, world: World | None = None) -> None:
@@ -164,9 +173,9 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     world = world or World()
     name = kind_of(world)
     if layouts in SPLITS and not _ships(world):
-        return _drawn(str(layouts), world)
+        return _of_ones_own(_drawn(str(layouts), world))
     if is_rung(layouts):
-        return _rung(str(layouts), World() if name == "drone" else world)
+        return _of_ones_own(_rung(str(layouts), World() if name == "drone" else world))
     file = str(layouts) if name == "drone" else f"{name}-{layouts}"
     path = Path(__file__).parent / "banks" / f"{file}.safetensors" if layouts in SPLITS else Path(layouts)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
@@ -193,6 +202,11 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     return bank, header
 
 
+def _of_ones_own(found: tuple[Tensor, dict[str, str]]) -> tuple[Tensor, dict[str, str]]:
+    """A copy of a bank that is kept."""
+    return found[0].clone(), dict(found[1])
+
+
 @functools.lru_cache(maxsize=8)
 def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split of a world whose banks are no files of the package, and its header."""
@@ -211,12 +225,11 @@ def _rung(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
             f"layouts={layouts!r}: no such bank; give a rung and a split, such as {ladder}-{example}/test{near}"
         )
     name, (n, seed) = kind_of(world), SPLITS[split]
-    if ladder == "density":
-        bank = KINDS[name].generate(n, int(rung), seed, world)
-    elif name == "drone":
-        bank = slalom.generate(n, int(rung), seed)
-    else:
+    if ladder == "slalom" and name != "drone":
         raise LayoutError(f"layouts={layouts!r}: a slalom is of task=drone, not of task={name}; give density-8/{split}")
+    bank = (
+        KINDS[name].generate(n, int(rung), seed, world) if ladder == "density" else slalom.generate(n, int(rung), seed)
+    )
     return bank, _header(bank, seed, layouts, world)
 
 
@@ -248,8 +261,14 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     if layouts == header["split"] and layouts not in SPLITS:  # a rung, which was generated just now
         return bank, header
     kind, seed = KINDS[kind_of(world)], header.get("generator_seed", "")
-    n, k = len(bank), bank.shape[1] - kind.beside
-    if not seed.isdecimal() or not torch.equal(bank, kind.generate(n, k, int(seed), world)):
+    gap = re.match(r"slalom-(\d+)/", header.get("split", ""))
+    if not seed.isdecimal():
+        anew = torch.empty(0)
+    elif gap:
+        anew = slalom.generate(len(bank), int(gap[1]), int(seed))
+    else:
+        anew = kind.generate(len(bank), bank.shape[1] - kind.beside, int(seed), world)
+    if not torch.equal(bank, anew):
         raise LayoutError(f"{layouts}: is not what seed {seed} generates; generate it anew")
     return bank, header
 

@@ -67,7 +67,7 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
 
 
 def validate(bank: Tensor, world: World | None = None) -> None:
-    """As `circles.validate`; and every centre lies in the window, for there is no bouncing in from outside.
+    """As `circles.validate`; and every centre lies in the window or the box, for there is no bouncing in from outside.
 
     Raises:
         LayoutError: naming the first set that is wrong.
@@ -77,7 +77,7 @@ def validate(bank: Tensor, world: World | None = None) -> None:
     circles.validate(bank, world, more=axes)
     centres = bank[..., :axes].cpu().numpy()
     inside = (centres >= 0) & (centres <= np.array(world.size))
-    circles.refuse_first(np.asarray(~inside.all(-1)), "has its centre outside the window")
+    circles.refuse_first(np.asarray(~inside.all(-1)), f"has its centre outside the {'window' if axes == 2 else 'box'}")
 
 
 def motion(bank: Tensor, steps: Tensor, world: World) -> tuple[Tensor, Tensor]:

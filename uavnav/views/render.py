@@ -66,11 +66,11 @@ class Pilot(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """One episode: its states, the first and the last included, and whether it ended in a collision."""
+    """One episode: its states, the first and the last included, and how it ended."""
 
     pilot: Pilot
     states: list[State]
-    collided: bool
+    ended: str  # collided, arrived, or nothing at the cap
 
 
 def load_pilots(
@@ -130,7 +130,9 @@ def fly(pilot: Pilot, bank: Tensor, layout: int, max_steps: int) -> Flight:
         mine = step.place[step.flight == layout].squeeze()
         states.append(at(step.states, mine))
         if step.outcomes.terminated[mine] or step.outcomes.truncated[mine]:
-            return Flight(pilot, states, bool(step.outcomes.clearance[mine] <= task.world.drone_radius))
+            arrived = "arrived" if step.outcomes.terminated[mine] else ""
+            hit = step.outcomes.clearance[mine] <= task.world.drone_radius
+            return Flight(pilot, states, "collided" if hit else arrived)
     raise AssertionError("every flight ends at its cap")
 
 
@@ -177,8 +179,8 @@ class Film(Sequence[Picture]):
         task = flight.pilot.task.with_bank(self.obstacles[None])
         here = state._replace(layout=torch.tensor(0))
         arena = drawing.draw_arena(here, task, self.width, [(trail, colour)], colour)
-        over = flight.collided and step == len(flight.states) - 1
-        strip = _caption(self.width, flight.pilot, state, over, colour)
+        ended = flight.ended if step == len(flight.states) - 1 else ""
+        strip = _caption(self.width, flight.pilot, state, ended, colour)
         panel = Image.new("RGB", (self.width, arena.height + strip.height))
         panel.paste(arena, (0, 0))
         panel.paste(strip, (0, arena.height))
@@ -190,7 +192,7 @@ def _place(state: State) -> tuple[float, ...]:
     return tuple(float(getattr(state, axis)) for axis in "xyz" if hasattr(state, axis))
 
 
-def _caption(width: int, pilot: Pilot, state: State, collided: bool, colour: Colour) -> Image.Image:
+def _caption(width: int, pilot: Pilot, state: State, ended: str, colour: Colour) -> Image.Image:
     """A line below a flight: who flies, greedy or sampled, and how far it is."""
     size = max(8, width // 32)
     strip = Image.new("RGB", (width, 2 * size), GROUND)
@@ -198,7 +200,7 @@ def _caption(width: int, pilot: Pilot, state: State, collided: bool, colour: Col
     canvas.ellipse((size // 2, size // 2, size // 2 + size, size // 2 + size), fill=colour)
     steps, reward = int(state.steps), f"{float(state.reward):.2f}"
     told = [f"step {steps}   reward {reward}", f"{steps}   {reward}"]
-    for counts in [f"collided at {told[0]}", *told] if collided else told:  # the first that leaves room for the name
+    for counts in [f"{ended} at {told[0]}", *told] if ended else told:  # the first that leaves room for the name
         room = width - 3 * size - canvas.textlength(f"{counts} {pilot.mode}", font(size))
         if room > 3 * size:
             break
@@ -209,7 +211,7 @@ def _caption(width: int, pilot: Pilot, state: State, collided: bool, colour: Col
     if pilot.mode:
         after = 2 * size + canvas.textlength(f"{name} ", font(size, bold=True))
         canvas.text((after, size), pilot.mode, INK, font(size), anchor="lm")
-    canvas.text((width - size // 2, size), counts, SENSED if collided else INK, font(size), anchor="rm")
+    canvas.text((width - size // 2, size), counts, SENSED if ended == "collided" else INK, font(size), anchor="rm")
     return strip
 
 
@@ -334,7 +336,7 @@ def main(argv: list[str] | None = None) -> int:
     for flight in flown:
         last = flight.states[-1]
         told = f"{int(last.steps)} steps, {int(last.distance)} px, reward {float(last.reward):.2f}"
-        print(f"{flight.pilot.title}: {told}{', collided' if flight.collided else ''}")
+        print(f"{flight.pilot.title}: {told}{flight.ended and f', {flight.ended}'}")
     print(f"wrote {arguments.out}")
     return 0
 

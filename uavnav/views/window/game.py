@@ -303,8 +303,8 @@ def single_step(game: Game) -> Game:
 
 def draw(game: Game) -> Game:
     """Begin to draw obstacles, or fly what was drawn."""
-    if in_3d(game.world):
-        return replace(game, message="Obstacles are drawn in worlds of two dimensions")
+    if in_3d(game.world) or banks.KINDS[banks.kind_of(game.world)].beside:
+        return replace(game, message="Obstacles are drawn in worlds of two dimensions without a goal")
     return replace(reset(replace(game, legs=(), ghosts=())), drawing=not game.drawing)
 
 

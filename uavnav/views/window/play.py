@@ -20,6 +20,7 @@ from uavnav.files import check_out
 from uavnav.policies import as_option, is_zip
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks.protocol import MAX_STEPS
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training.machine import use_threads
 from uavnav.views.render import Pilot, load_layout, load_pilots
@@ -128,7 +129,7 @@ def main(argv: list[str] | None = None) -> int:
     """Fly a drone with the keyboard, or watch policies fly it, in a window."""
     arguments = commands.parse("play", argv)
     try:
-        if arguments.max_steps < 1:
+        if arguments.max_steps is not None and arguments.max_steps < 1:
             raise ValueError(f"--max-steps {arguments.max_steps}: give at least 1")
         for path in filter(None, (arguments.out, arguments.bank)):
             check_out(path)
@@ -144,7 +145,8 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     with use_threads(1):
         paths = {"rows_path": rows_path, "bank_path": arguments.bank or BANK}
-        how = {"max_steps": arguments.max_steps, "person": arguments.person, **paths}
+        cap = you.task.cap(MAX_STEPS) if arguments.max_steps is None else arguments.max_steps
+        how = {"max_steps": cap, "person": arguments.person, **paths}
         game = play(rules.new(pilots, bank, arguments.layouts, arguments.layout, you, **how))
     if lost := len(game.flights):
         print(f"{rules.counted(lost)} by hand {'was' if lost == 1 else 'were'} not saved")

@@ -196,6 +196,7 @@ def test_a_reward_without_bounds_needs_a_support_and_a_support_has_an_order(monk
         ({"gamma": 1.0}, "reward=eq14, gamma=1: it declares no bounds of returns; give v_min and v_max"),
         ({"v_min": 9.5}, "v_min=9.5, v_max=9; give a v_min below v_max"),
         ({"v_max": 1e300}, r"v_min=-10, v_max=1e\+300; give a v_min below v_max, both finite in single precision"),
+        ({"v_min": -3e38, "v_max": 3e38}, r"v_min=-3e\+38, v_max=3e\+38; give a v_min below v_max, both finite"),
         ({"v_min": 8.99999999}, "v_min=9, v_max=9; give a v_min below v_max"),
         ({"n_atoms": 1}, "n_atoms=1; give a number of at least 2"),
     ):

@@ -201,11 +201,13 @@ MEASURED = """
 | SAC | frames/s before learning | 1 M frames | peak [GB] |
 |---|--:|--:|--:|
 | uavnav, 10 seeds | 9,000 | 0:20:00 | 2.5 |
+
+SAC, ten seeds, each buffer full with 1,000,000 frames, then a few updates: its processes held at most 3.13 GB together.
 """
 
 
 def test_what_a_million_frames_of_ten_seeds_cost_is_taken_from_the_benchmarks(results):
-    assert docs.costs(MEASURED) == {"ppo": ("0:02:44", "1.32"), "sac": ("0:20:00", "2.5")}
+    assert docs.costs(MEASURED) == {"ppo": ("0:02:44", "1.32"), "sac": ("0:20:00", "3.13")}
     assert docs.costs("") == {}
     lines = docs.choice(gather([results], lambda cells: {"cells": [], "left_out": []}), MEASURED).splitlines()
     (ppo,), (c51,) = ([line for line in lines if line.startswith(f"| [{name}]")] for name in ("PPO", "C51"))

@@ -3,6 +3,7 @@
 import contextlib
 import inspect
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -262,6 +263,20 @@ def test_dqn_spreads_as_well_and_its_memory_is_counted_for_all_seeds(tmp_path):
 def test_networks_larger_than_the_machines_memory_are_refused_before_they_are_made(config, outputs):
     with pytest.raises(ConfigError, match=rf"n_seeds=1: networks of {outputs} outputs would take at least [\d,.]+ GiB"):
         config.check_machine()
+
+
+def test_a_network_is_counted_with_its_moments_its_target_and_those_beside_it():
+    told = []
+    for config in (PPOConfig, DQNConfig, SACConfig):
+        with pytest.raises(ConfigError) as refused:
+            config(hidden=[200_000, 200_000]).check_machine()
+        told.append(float(re.search(r"at least ([\d,.]+) GiB", str(refused.value))[1].replace(",", "")))
+    assert told == pytest.approx([told[0], told[0] * 4 / 3, told[0] * 11 / 3], abs=0.2)
+
+
+def test_a_projection_larger_than_the_machines_memory_is_refused():
+    with pytest.raises(ConfigError, match="n_atoms=20000, batch_size=1000: the projection of a target would take at"):
+        C51Config(n_atoms=20_000, batch_size=1000, hidden=[2]).check_machine()
 
 
 def test_only_runs_that_are_compiled_are_spread_by_themselves(monkeypatch):

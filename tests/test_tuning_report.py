@@ -82,6 +82,25 @@ def test_without_the_rules_flights_the_sentence_says_so():
     assert beyond.conclusion(found).endswith("No flights of the hand-written rule lie beside them.")
 
 
+def test_without_runs_of_the_defaults_the_sentence_leaves_them_and_what_tuning_changed_out():
+    found = compared()
+    said = beyond.conclusion(found[found["settings"] == "tuned"])
+    assert said.startswith("Tuned with the same budget: PPO")
+    assert "default" not in said
+    assert "Tuning" not in said
+
+
+def test_of_pairs_that_are_told_apart_and_pairs_that_are_not_the_fewer_are_named():
+    columns = ["pair", "settings", "value", "low", "high", "n"]
+    rows = [["ppo − dqn", -5.0, -7.0, -3.0], ["ppo − sac", 1.0, -1.0, 3.0], ["dqn − sac", 5.0, 1.0, 9.0]]
+    found = pd.DataFrame([[pair, "tuned", *numbers, 10] for pair, *numbers in rows], columns=columns)
+    how = "Tuned with the same budget"
+    assert beyond.told_apart(found) == f"{how}, 2 of 3 pairs are told apart, all but PPO − SAC 1.0 [−1.0, 3.0]."
+    assert beyond.told_apart(found[:2]) == f"{how}, 1 of 2 pairs are told apart: DQN above PPO by 5.0 [3.0, 7.0]."
+    assert beyond.told_apart(found[1:2]) == f"{how}, 0 of 1 pairs are told apart."
+    assert beyond.told_apart(found[:0]) == ""
+
+
 def test_the_best_so_far_never_falls_and_a_trial_that_diverged_changes_nothing():
     assert beyond.so_far(TRIALS).tolist() == [1.0, 1.0, 5.0, 5.0, 2.0, 2.0]
 
@@ -110,6 +129,7 @@ def test_the_two_settings_that_matter_most_are_named_with_their_shares():
     )
     assert beyond.matters(importance) == (
         "What matters most among the trials (fANOVA): b (60%) and c (30%) for PPO; tau (100%) for SAC."
+        " Each share is one estimate from few trials, so near ones tell no order."
     )
     assert beyond.matters(importance[:0]) == ""
 
@@ -214,7 +234,7 @@ def test_a_conclusion_about_activations_carries_over_turns_round_or_stays_open()
     assert value["tanh − relu", "ppo"] == pytest.approx(1.0)
     assert value["bounded − unbounded", "sac"] == pytest.approx(-0.5)
     answer, first, *_ = beyond.carries(found).split(". ")
-    assert answer == "No conclusion about activations holds under every algorithm"
+    assert answer == "No conclusion about activations is seen to hold under every algorithm"
     assert (
         first == "Under PPO, tanh is ahead of ReLU; this holds under A2C, turns round under SAC and is open under C51"
     )

@@ -52,8 +52,8 @@ class C51Config(ReplayConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        least, most = torch.tensor(self.support).tolist()  # as the network has them, in single precision
-        if not -math.inf < least < most < math.inf:
+        least, most = torch.tensor(self.support)  # as the network has them, in single precision
+        if not 0 < most - least < math.inf:
             low, high = self.support
             raise ConfigError(
                 f"v_min={low:g}, v_max={high:g}; give a v_min below v_max, both finite in single precision"
@@ -61,6 +61,12 @@ class C51Config(ReplayConfig):
 
     def make_loss(self, network: nn.Module) -> C51Loss:
         return C51Loss(network, self)
+
+    def check_machine(self) -> None:
+        """Raise a ConfigError where networks, buffers or a projection would not fit into the machine's memory."""
+        super().check_machine()
+        named = f"n_atoms={self.n_atoms}, batch_size={self.batch_size}: the projection of a target"
+        self.check_memory(named, 4 * self.batch_size * self.n_atoms**2, "fewer atoms or a smaller batch_size")
 
     @property
     def support(self) -> tuple[float, float]:

@@ -47,9 +47,11 @@ FRAME_BYTES = 14
 class ReplayConfig(TrainConfig):
     """What Q-learning from replay needs, whatever its loss."""
 
+    COPIES: ClassVar[int] = 4  # a target too
+
     n_worlds: int = at_least(64, 1)
     lr: float = at_least(1e-4, 0, "Adam's learning rate")
-    max_grad_norm: float = at_least(10.0, 0)
+    max_grad_norm: float | None = at_least(10.0, 0)
     buffer_size: int = at_least(1_000_000, 1, "the newest so many are kept", "frames a seed")
     learning_starts: int = at_least(50_000, 0, "of uniformly random actions, without updates", "frames a seed")
     batch_size: int = at_least(32, 1, "in a gradient step", "transitions")

@@ -47,6 +47,7 @@ HOW = ALGORITHMS["sac"]
 class SACConfig(TrainConfig):
     """Soft Actor-Critic for discrete actions, which the paper does not have; the defaults are CleanRL's."""
 
+    COPIES: ClassVar[int] = 11  # a policy, two Q networks, and the targets of these
     algorithm: ClassVar[str] = "sac"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "paper": {},  # CleanRL's sac_atari.py; what is not from there says so below
@@ -83,6 +84,7 @@ class SACConfig(TrainConfig):
 
     def check_machine(self) -> None:
         """Raise a ConfigError where networks or buffers of all seeds would not fit into the machine's memory."""
+        super().check_machine()
         self.replay.check_machine()
 
     @property

@@ -96,7 +96,7 @@ def _allowed(kind: type, hint: Any, item: Field[Any]) -> str:
         return ", ".join(sorted(choices)) + null
     if "most" in limits:
         return f"{shown(limits['least'])} to {shown(limits['most'])}{null}"
-    return f"at least {shown(limits['least'])}{null}" if "least" in limits else null.removeprefix(" or ")
+    return f"at least {shown(limits['least'])}{null}" if "least" in limits else null and f"a number{null}"
 
 
 def shown(value: Any) -> str:

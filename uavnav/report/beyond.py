@@ -28,14 +28,25 @@ from uavnav.runs import paper
 from uavnav.runs.metrics import finished
 from uavnav.runs.readings import SAMPLED, words
 from uavnav.runs.tables import RunError
-from uavnav.runs.trials import COLUMNS, DIFFERENCE, IMPORTANCE, OF_IMPORTANCE, TABLE, TUNED, best, folders, read, winner
+from uavnav.runs.trials import (
+    COLUMNS,
+    DEFAULT,
+    DIFFERENCE,
+    HOW,
+    IMPORTANCE,
+    OF_IMPORTANCE,
+    TABLE,
+    TUNED,
+    best,
+    folders,
+    read,
+    winner,
+)
 from uavnav.tasks.protocol import DRAWS
 from uavnav.views import style
 
 Table = pd.DataFrame
 TextRows = list[list[str]]
-DEFAULT = "default"
-"""A folder of the study `tuning` and what it holds, as `TUNED`."""
 NAMED = {"tuning", "carried"}
 """Tables of a report that has this section."""
 COLOURS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -199,17 +210,18 @@ def conclusion(found: Table) -> str:
     if tuned.empty:
         return "No winner has flown yet."
     said = []
-    for which in (DEFAULT, TUNED):
+    for which, how in HOW.items():
         ranked = found[found["settings"] == which].sort_values("value", ascending=False)
         each = ", ".join(f"{one['algorithm'].upper()} {_number(one)}" for one in ranked.to_dict("records"))
-        said.append(f"{'With default settings' if which == DEFAULT else 'Tuned with the same budget'}: {each}.")
-    changed = found[(found["settings"] == DIFFERENCE)]
-    better = [one["algorithm"].upper() for one in changed.to_dict("records") if one["low"] > 0]
-    worse = [one["algorithm"].upper() for one in changed.to_dict("records") if one["high"] < 0]
-    said.append(
-        f"Tuning raises the reward of {_listed(better)}"
-        + (f", and lowers that of {_listed(worse)}." * bool(worse) or ".")
-    )
+        said += [f"{how}: {each}."] * bool(each)
+    changed = found[(found["settings"] == DIFFERENCE)].to_dict("records")
+    better = [f"{one['algorithm'].upper()} by {_number(one)}" for one in changed if one["low"] > 0]
+    worse = [f"{one['algorithm'].upper()} by {_number(one)}" for one in changed if one["high"] < 0]
+    if changed:
+        said.append(
+            f"Tuning raises the reward of {_listed(better)}"
+            + (f", and lowers that of {_listed(worse)}." * bool(worse) or ".")
+        )
     best = tuned.sort_values("gap", ascending=False).iloc[0]
     if np.isnan(best["gap"]):
         return " ".join([*said, "No flights of the hand-written rule lie beside them."])
@@ -224,6 +236,29 @@ def conclusion(found: Table) -> str:
     return " ".join(said)
 
 
+def told_apart(pairs: Table) -> str:
+    """Which algorithms are told apart, with default and with tuned settings; pairs: as `tuning_pairs` is kept.
+
+    The fewer are named: those that are told apart, with the greater first, or those that are not.
+    """
+    said = []
+    for which, how in HOW.items():
+        apart, alike = [], []
+        for one in pairs[pairs["settings"] == which].to_dict("records"):
+            first, second = one["pair"].upper().split(" − ")
+            if one["low"] <= 0 <= one["high"]:
+                alike.append(f"{first} − {second} {_number(one)}")
+            elif one["low"] > 0:
+                apart.append(f"{first} above {second} by {_number(one)}")
+            else:
+                turned: dict[Hashable, Any] = {"value": -one["value"], "low": -one["high"], "high": -one["low"]}
+                apart.append(f"{second} above {first} by {_number(turned)}")
+        n = len(apart) + len(alike)
+        named = f": {'; '.join(apart)}" if len(apart) <= len(alike) else f", all but {'; '.join(alike)}" * bool(alike)
+        said += [f"{how}, {len(apart)} of {n} pairs are told apart{named * bool(apart)}."] * bool(n)
+    return " ".join(said)
+
+
 def matters(importance: Table) -> str:
     """Which setting explains most of the variation among trials; importance: as `tuning` gives it."""
     each = []
@@ -231,7 +266,8 @@ def matters(importance: Table) -> str:
         top = part.sort_values("importance", ascending=False).head(2).to_dict("records")
         shown = " and ".join(f"{one['setting']} ({one['importance']:.0%})" for one in top)
         each.append(f"{shown} for {str(algorithm).upper()}")
-    return f"What matters most among the trials (fANOVA): {'; '.join(each)}." if each else ""
+    told = f"What matters most among the trials (fANOVA): {'; '.join(each)}."
+    return f"{told} Each share is one estimate from few trials, so near ones tell no order." if each else ""
 
 
 def _number(one: Mapping[Hashable, Any]) -> str:
@@ -386,7 +422,9 @@ def carries(found: Table) -> str:
             said.append(f"Under {own}, {AHEAD[str(label)][way < 0]}; this {_listed(parts)}.")
     if not said:
         return "No difference of activations is told from zero under the paper's algorithms."
-    return " ".join(said if everywhere else ["No conclusion about activations holds under every algorithm.", *said])
+    return " ".join(
+        said if everywhere else ["No conclusion about activations is seen to hold under every algorithm.", *said]
+    )
 
 
 def no_better(flown: Table) -> str:

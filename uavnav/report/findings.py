@@ -5,6 +5,7 @@ All is made from the report's tables. The words follow the intervals, and a find
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -20,7 +21,7 @@ from uavnav.report.whys import Question
 from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
 from uavnav.runs.readings import ALL, LAST_EPISODES, LOG_CURVE, PER_FRAME, TOTALS
-from uavnav.runs.trials import DIFFERENCE, TUNED
+from uavnav.runs.trials import DIFFERENCE, HOW, TUNED
 from uavnav.stats import Interval
 
 Numbers = Mapping[str, pd.DataFrame]
@@ -319,9 +320,9 @@ def _many_worlds(numbers: Numbers) -> Iterator[Sentence]:
 
 
 def _pair(numbers: Numbers) -> Iterator[Sentence]:
-    first, second = (name.upper() for name in ALGORITHMS)
-    for which, how in {"default": "With default settings", "tuned": "Tuned with the same budget"}.items():
-        for place, row in _rows(numbers["tuning_pairs"], pair=" − ".join(ALGORITHMS), settings=which):
+    chain = ("PPO", "DQN"), ("DQN", "SAC")  # the paper's related work has SAC above DQN above PPO
+    for (which, how), (first, second) in itertools.product(HOW.items(), chain):
+        for place, row in _rows(numbers["tuning_pairs"], pair=f"{first} − {second}".lower(), settings=which):
             yield from _told(
                 f"{how}, {first} earns {{}} more a test flight than {second}.",
                 f"{how}, {first} earns {{}} less a test flight than {second}.",

@@ -10,6 +10,9 @@ import pandas as pd
 
 TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
 """What a study that tunes writes into; in there its trials, which are no runs of their own; and winners, by trial."""
+DEFAULT = "default"
+HOW = {DEFAULT: "With default settings", TUNED: "Tuned with the same budget"}
+"""Settings of rows of a comparison, in words."""
 DIFFERENCE = "tuned − default"
 """Settings of a row that compares the winner with the default."""
 TABLE, IMPORTANCE = "trials.csv", "importance.csv"

@@ -55,6 +55,8 @@ class TrainConfig:
     Measured on the two cores of docs/benchmarks.md; a preset that is not there was not measured.
     """
 
+    COPIES: ClassVar[int] = 3
+    """Numbers that an agent keeps for each weight of a network: itself and Adam's moments, and those of others."""
     algorithm: ClassVar[str]
     """Its name in `uavnav.algorithms.ALGORITHMS`."""
 
@@ -162,7 +164,7 @@ class TrainConfig:
         sizes = [self.observation_size, *self.hidden, self.n_outputs]
         weights = self.n_seeds * sum((inputs + 1) * outputs for inputs, outputs in itertools.pairwise(sizes))
         named = f"hidden={list(self.hidden)}, n_seeds={self.n_seeds}: networks of {self.n_outputs:,} outputs"
-        self.check_memory(named, 3 * 4 * weights, "smaller networks or fewer seeds")  # the policy's, and Adam's moments
+        self.check_memory(named, 4 * self.COPIES * weights, "smaller networks or fewer seeds")
 
     def check_memory(self, what: str, needed: int, instead: str) -> None:
         """Raise a ConfigError where something would take more bytes than the machine has; instead: what to give."""

@@ -139,6 +139,7 @@ def test_a_slalom_s_file_of_any_name_is_what_its_header_generates_and_counts_pas
     with pytest.raises(uavnav.LayoutError, match=r"rows.safetensors: is not what seed 7 generates"):
         layouts.check("rows.safetensors")
     layouts.save(layouts.generate(4, 8, 7), "slalom-80.safetensors", seed=7, split="train")
+    (tmp_path / "test").write_text("no bank")  # a split is one of the package, whatever lies here
     assert measure_of("slalom-80.safetensors") is measure_of("test") is None
 
 

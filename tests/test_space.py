@@ -292,7 +292,7 @@ def test_files_of_spheres_are_what_their_seed_generates_and_fly_in_their_world_a
         ({"layouts": torch.tensor([[[0.0, 0, 0, 29]]])}, "obstacle 0 of set 0 has a radius outside 30 ... 100 px"),
         (
             {"layouts": torch.tensor([[[0.0, 0, 601, 30, 0, 0, 0]]]), "task": "space-moving"},
-            "obstacle 0 of set 0 has its centre outside the window",
+            "obstacle 0 of set 0 has its centre outside the box",
         ),
     ],
 )

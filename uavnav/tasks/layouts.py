@@ -80,7 +80,8 @@ def is_rung(layouts: str | Path) -> bool:
 
 def split_of(layouts: str | Path) -> str:
     """The split, or the rung and its split, that a bank's name stands for, or that its file's header says."""
-    return _open(Path(layouts))[1].get("split", "") if os.path.isfile(layouts) else str(layouts)
+    file = layouts not in SPLITS and os.path.isfile(layouts)
+    return _open(Path(layouts))[1].get("split", "") if file else str(layouts)
 
 
 def kind_of(world: World) -> str:

@@ -66,7 +66,7 @@ def test_a_films_numbers_are_the_row_of_the_evaluation_to_the_last_bit(algorithm
         row, last = rows.iloc[layout], flown.states[-1]
         assert row.layout == layout
         assert len(flown.states) == row.steps + 1
-        assert flown.collided == row.terminated
+        assert (flown.ended == "collided") == row.terminated
         assert {name: getattr(last, name).item() for name in COUNTS} == {name: row[name] for name in COUNTS}
 
 

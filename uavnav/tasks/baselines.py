@@ -70,8 +70,10 @@ def _seen(observation: Tensor, world: World) -> tuple[Tensor, Tensor, Tensor]:
 def _safe_ahead(observation: Tensor, world: World) -> Tensor:
     """Whether nothing that is sensed can be touched by a step straight ahead at full speed [...] bool."""
     towards, distance, empty = _seen(observation, world)
-    closest = torch.where(empty, torch.inf, distance - FULL_SPEED * towards[..., -1]).amin(-1)
-    return closest > world.drone_radius + MARGIN
+    closest = distance - FULL_SPEED * towards[..., -1]
+    if world.padding == "zeros":  # else an empty slot is as far as the sensor reaches
+        closest = torch.where(empty, torch.inf, closest)
+    return closest.amin(-1) > world.drone_radius + MARGIN
 
 
 BEARINGS = torch.arange(-90, 91, 5)  # [degrees] to the right of the heading

@@ -31,8 +31,8 @@ def test_a_fault_out_of_its_range_is_refused_in_one_line(given, says):
 def test_a_task_refuses_a_wrong_fault_a_wrong_stack_and_steps_without_draws():
     with pytest.raises(ValueError, match=r"there is no key 'faults.nois'; .*did you mean faults.noise"):
         make_task("test", faults={"nois": 5})
-    for stack in (0, 1.5):
-        with pytest.raises(ValueError, match=f"stack={stack}; give a whole number from 1"):
+    for stack in (0, 1.5, 10**9):
+        with pytest.raises(ValueError, match=f"stack={stack}; give a whole number from 1 to 1000"):
             make_task("test", stack=stack)
     task, at = make_task("test", faults={"noise": 5.0}), torch.tensor(0)
     with pytest.raises(ValueError, match="faults=noise=5: give draws"):

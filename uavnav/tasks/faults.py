@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
+MOST_REMEMBERED = 1_000
+"""Observations that one can come too late by, and that a policy can see at once: a state remembers them all."""
+
+
 @dataclass(frozen=True)
 class Faults:
     """Faults of a drone's sensor and actuator; by default there are none.
@@ -27,7 +31,7 @@ class Faults:
 
     noise: float = key(0.0, "standard deviation σ of each sensed distance", "px", least=0)
     lost: float = key(0.0, "of each echo to be lost, whatever the others do", "probability", least=0, most=1)
-    late: int = key(0, "by which each observation comes too late", "steps", least=0, most=1000)
+    late: int = key(0, "by which each observation comes too late", "steps", least=0, most=MOST_REMEMBERED)
     sticky: float = key(0.0, "of the last executed action to be executed again", "probability", least=0, most=1)
 
     def __post_init__(self) -> None:

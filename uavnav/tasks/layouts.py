@@ -228,10 +228,14 @@ def _rung(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
     name, (n, seed) = kind_of(world), SPLITS[split]
     if ladder == "slalom" and name != "drone":
         raise LayoutError(f"layouts={layouts!r}: a slalom is of task=drone, not of task={name}; give density-8/{split}")
-    bank = (
-        KINDS[name].generate(n, int(rung), seed, world) if ladder == "density" else slalom.generate(n, int(rung), seed)
-    )
+    bank = _generate(layouts, n, int(rung), seed, world)
     return bank, _header(bank, seed, layouts, world)
+
+
+def _generate(split: str, n: int, k: int, seed: int, world: World) -> Tensor:
+    """The sets of a split, of k obstacles each, or of a slalom's rung, whose name says its gap."""
+    gap = re.match(r"slalom-(\d+)/", split)
+    return slalom.generate(n, int(gap[1]), seed) if gap else KINDS[kind_of(world)].generate(n, k, seed, world)
 
 
 def _open(path: Path) -> tuple[Tensor, dict[str, str]]:
@@ -262,14 +266,8 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     if layouts == header["split"] and layouts not in SPLITS:  # a rung, which was generated just now
         return bank, header
     kind, seed = KINDS[kind_of(world)], header.get("generator_seed", "")
-    gap = re.match(r"slalom-(\d+)/", header.get("split", ""))
-    if not seed.isdecimal():
-        anew = torch.empty(0)
-    elif gap:
-        anew = slalom.generate(len(bank), int(gap[1]), int(seed))
-    else:
-        anew = kind.generate(len(bank), bank.shape[1] - kind.beside, int(seed), world)
-    if not torch.equal(bank, anew):
+    drawn = header.get("split", ""), len(bank), bank.shape[1] - kind.beside
+    if not seed.isdecimal() or not torch.equal(bank, _generate(*drawn, int(seed), world)):
         raise LayoutError(f"{layouts}: is not what seed {seed} generates; generate it anew")
     return bank, header
 

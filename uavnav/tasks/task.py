@@ -21,7 +21,7 @@ from uavnav.help.choices import did_you_mean
 from uavnav.tasks import layouts as banks
 from uavnav.tasks import memory
 from uavnav.tasks.dynamics import decode, move
-from uavnav.tasks.faults import NO_FAULTS, Faults
+from uavnav.tasks.faults import MOST_REMEMBERED, NO_FAULTS, Faults
 from uavnav.tasks.rewards import REWARDS, Step, Terms, check_reward, total
 from uavnav.tasks.sensing import Echoes, at_reach, heard, sense
 from uavnav.tasks.state import COUNTS, State
@@ -87,8 +87,8 @@ class Task:
         check_reward(self.reward, self.world)
         if self.max_steps is not None and (not isinstance(self.max_steps, int) or self.max_steps < 1):
             raise ValueError(f"max_steps={self.max_steps}; choose None or a whole number from 1")
-        if not isinstance(self.stack, int) or self.stack < 1:
-            raise ValueError(f"stack={self.stack}; give a whole number from 1")
+        if not isinstance(self.stack, int) or not 1 <= self.stack <= MOST_REMEMBERED:
+            raise ValueError(f"stack={self.stack}; give a whole number from 1 to {MOST_REMEMBERED}")
 
     @property
     def observation_size(self) -> int:

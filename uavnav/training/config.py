@@ -18,7 +18,7 @@ from uavnav.help import key
 from uavnav.help.choices import ConfigError, unknown, unknown_key
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import default_folder, modern
-from uavnav.tasks.faults import Faults
+from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
 from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.world import World
@@ -78,7 +78,7 @@ class TrainConfig:
     max_steps: int | None = at_least(None, 1, "cap on an episode, which truncates it", "steps")
     reward: str = one_of("eq14", REWARDS, "what a step earns")
     task: str = one_of("drone", TASKS, "what is flown")
-    stack: int = at_least(1, 1, "newest ones that a policy sees at once", "observations")
+    stack: int = within(1, 1, MOST_REMEMBERED, "newest ones that a policy sees at once", "observations")
     world: World = key(None, "fields of the world that differ from the task's own")
     faults: Faults = key(None, "faults of the sensor and the actuator")
     device: str = key("cpu", "where tensors live")

@@ -57,7 +57,16 @@ CASES = [
     # a run
     run("", "missing", missing, "no such run folder", RUN),
     run("", "a file", a_file, "no such run folder", RUN),
-    Case("run: too long a name", "run", nothing, lambda f: Run(LONG), RunError, LONG, RUN, ["evaluate", LONG]),
+    Case(
+        "run: too long a name",
+        "run",
+        nothing,
+        lambda f: Run(LONG),
+        RunError,
+        LONG[:50] + "x…x",
+        RUN,
+        ["evaluate", LONG],
+    ),
     run("config.yaml", "missing", missing, DAMAGED, RUN),
     run("config.yaml", "empty", written(""), "not a run's configuration", RUN),
     run("config.yaml", "a list", written("[1, 2]"), "not a run's configuration", RUN),

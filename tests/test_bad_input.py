@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from unittest import mock
 
@@ -43,10 +44,12 @@ def good(tmp_path_factory):
 
 
 @pytest.fixture
-def folder(good, tmp_path, monkeypatch):
-    """A copy of the good folder to spoil, and the current directory."""
-    monkeypatch.chdir(shutil.copytree(good, tmp_path / "here"))
-    return tmp_path / "here"
+def folder(good, monkeypatch):
+    """A copy of the good folder to spoil, and the current directory; its path is short, so that no line is cut."""
+    with tempfile.TemporaryDirectory() as scratch:
+        here = Path(shutil.copytree(good, Path(scratch) / "here"))
+        monkeypatch.chdir(here)
+        yield here
 
 
 def test_each_case_has_a_name_of_its_own():

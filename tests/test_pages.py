@@ -195,13 +195,6 @@ def test_the_tables_of_the_world_hold_every_bank_and_every_field_of_a_step():
 
 # -- error lines ------------------------------------------------------------------------------------------------------
 
-ERRORS = {
-    *("ConfigError", "Diverged", "LayoutError", "PolicyError", "RunError", "HydraException"),
-    *("ValueError", "AttributeError", "ImportError", "ResetNeeded"),
-}
-IN_BRACKETS = {"more than … bytes of weights", "not a table of float32 tensors", "… has more than … bytes"}
-"""Said in the brackets of another line alone."""
-
 
 def message(node):
     """A string of the source, with … for what it is filled with; hints of the nearest choice are left out."""
@@ -246,17 +239,6 @@ def test_every_error_line_of_the_page_is_in_the_source():
     ]
     assert not gone
     assert len(set(on_the_page())) == len(on_the_page())
-
-
-def test_every_error_line_of_the_source_is_on_the_page():
-    missing = []
-    for node in sources():
-        called = isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", ""))
-        if called in ERRORS and node.args:
-            line = message(node.args[0])
-            if telling(line) and line not in IN_BRACKETS and not any(says(shown, line) for shown in on_the_page()):
-                missing.append(line)
-    assert not missing, "a row for each in docs/troubleshooting.md"
 
 
 def test_whoever_chooses_an_algorithm_finds_each_in_the_table():

@@ -1,10 +1,21 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and that are read only where they are files of the size of their kind."""
 
 from __future__ import annotations
 
+import errno
+import json
 import os
+import stat
 import tempfile
 from pathlib import Path
+from typing import Any
+
+import yaml
+
+SETTINGS_BYTES = 2**18
+"""Of a file that a person or a command wrote in YAML or JSON, at most: a run's own have a few thousand."""
+TABLE_BYTES = 2**31
+"""Of a table, or of a file of tensors, at most."""
 
 
 def write(path: Path, content: bytes) -> None:
@@ -15,6 +26,61 @@ def write(path: Path, content: bytes) -> None:
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def check(path: str | Path, most: int = TABLE_BYTES) -> None:
+    """Raise an OSError unless a regular file lies there (no folder, pipe or device) of at most so many bytes."""
+    _check(os.stat(_named(path)), most)
+
+
+def read(path: str | Path, most: int = TABLE_BYTES) -> bytes:
+    """What a regular file holds; raises an OSError as `check` does, or where it cannot be read."""
+    with open(os.open(_named(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:  # a pipe would wait
+        _check(os.fstat(file.fileno()), most)
+        return file.read(most)
+
+
+def read_json(path: str | Path, most: int = SETTINGS_BYTES) -> Any:
+    """What a JSON file says; raises an OSError as `read` does, and a ValueError where it is no JSON."""
+    return parsed(read(path, most))
+
+
+def parsed(text: str | bytes) -> Any:
+    """What JSON says; raises a ValueError where it is none, or nested too deeply."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+
+
+class Loader(yaml.SafeLoader):
+    """Plain YAML: no aliases, with which a few lines stand for billions."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.composer.ComposerError(None, None, "aliases are not taken", self.peek_event().start_mark)
+        return super().compose_node(parent, index)
+
+
+def read_yaml(path: str | Path, loader: type[yaml.SafeLoader] = Loader) -> Any:
+    """What a YAML file says; raises an OSError as `read` does, and a ValueError where it is no plain YAML."""
+    return parsed_yaml(read(path, SETTINGS_BYTES), loader)
+
+
+def parsed_yaml(text: str | bytes, loader: type[yaml.SafeLoader] = Loader) -> Any:
+    """What YAML says; raises a ValueError where it is none, has aliases, or is nested too deeply."""
+    try:
+        return yaml.load(text, loader)  # a safe loader
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+    except (
+        yaml.YAMLError,
+        TypeError,
+        AttributeError,
+        KeyError,
+        OverflowError,
+    ) as error:  # the latter of odd keys, dates
+        raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
 
 
 def check_out(path: Path) -> None:
@@ -28,3 +94,16 @@ def check_out(path: Path) -> None:
     except OSError as error:
         reason = error.strerror or error
         raise ValueError(f"{path}: cannot be written ({reason}); give a path that can be written") from error
+
+
+def _named(path: str | Path) -> str | Path:
+    if "\0" in str(path):  # Python would raise a ValueError
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+    return path
+
+
+def _check(facts: os.stat_result, most: int) -> None:
+    if not stat.S_ISREG(facts.st_mode):
+        raise OSError(errno.EINVAL, "it is no file")
+    if facts.st_size > most:
+        raise OSError(errno.EFBIG, f"it has {facts.st_size:,} bytes, more than {most:,}")

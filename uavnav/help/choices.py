@@ -12,6 +12,13 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
 
+from uavnav.help.errors import MOST, OneLineError, one_line
+
+LONG = 150
+"""Characters of choices that are listed whole."""
+SOME = 5
+"""Choices that are named where there are too many."""
+
 
 def did_you_mean(value: object, choices: Collection[str]) -> str:
     """` (did you mean relu?)`, the nearest of the choices, as the end of a message; empty where none is near."""
@@ -34,11 +41,15 @@ def did_you_mean_run(run: str, others: Collection[str]) -> str:
 
 
 def choose_from(value: object, choices: Collection[str]) -> str:
-    """`choose from elu, gelu (did you mean gelu?)`: the choices in order of name, and the nearest."""
-    return f"choose from {', '.join(sorted(choices))}{did_you_mean(value, choices)}"
+    """`choose from elu, gelu (did you mean gelu?)`: the choices in order of name (some of very many), and the nearest."""
+    names = sorted(choices)
+    if len(", ".join(names)) > LONG:
+        near = difflib.get_close_matches(str(value), names, n=SOME, cutoff=0.4)
+        names = [f"{len(names)}, such as {', '.join(near or names[:SOME])}"]
+    return f"choose from {', '.join(names)}{did_you_mean(value, choices)}"
 
 
-class ConfigError(ValueError):
+class ConfigError(OneLineError, ValueError):
     """A key or a value of a configuration is wrong; the message is one line that names it and the choices."""
 
 
@@ -60,7 +71,7 @@ class Parser(argparse.ArgumentParser):
 
     def refuse(self, message: str) -> NoReturn:
         """End the process with a line that says what is wrong."""
-        self.exit(2, f"{self.prog.removeprefix('python -m ')}: {message}\n")
+        self.exit(2, one_line(f"{self.prog.removeprefix('python -m ')}: {message}", MOST + 30) + "\n")
 
     def flags(self) -> list[str]:
         """All that this command takes, as its help lists them."""

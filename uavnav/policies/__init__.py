@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import choose_from
+from uavnav.help.errors import OneLineError
 from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.runs import POLICY, read_settings
 from uavnav.runs.tables import RunError
@@ -36,7 +37,7 @@ SB3_EPSILON = 0.05
 """Stable-Baselines3's final epsilon by default, and ours in the preset `paper`: a zip's weights do not tell."""
 
 
-class PolicyError(ValueError):
+class PolicyError(OneLineError, ValueError):
     """A policy cannot be found, read or trusted; the message says what is wrong and what would be right."""
 
 

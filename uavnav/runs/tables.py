@@ -14,6 +14,7 @@ import pandas as pd
 from filelock import FileLock, Timeout
 
 from uavnav import files
+from uavnav.help.errors import OneLineError
 from uavnav.runs.metrics import LAST, finished
 
 Columns = dict[str, np.ndarray[Any, Any]]
@@ -21,7 +22,7 @@ Columns = dict[str, np.ndarray[Any, Any]]
 LOCK = ".lock"
 
 
-class RunError(RuntimeError):
+class RunError(OneLineError, RuntimeError):
     """A run's folder cannot be read or used; the message says what is wrong and what to do."""
 
 

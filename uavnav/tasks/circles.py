@@ -11,11 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from uavnav.help.errors import OneLineError
 from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.world import World
 
 
-class LayoutError(ValueError):
+class LayoutError(OneLineError, ValueError):
     """A bank cannot be found, read or trusted; the message says what is wrong and what would be right."""
 
 

@@ -28,7 +28,8 @@ cells:
 SECOND = "  - {algorithm: dqn, n_seeds: 4, learning_starts: 1_000, frames_per_update: 16}\n"
 GIVEN = ("seeds_per_share=4", "checkpoint_seconds=0.5", "report=false")
 
-SECONDS = 300
+SECONDS = 240
+"""Of a test, after which it fails."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("warm_module")]
 
@@ -39,6 +40,7 @@ class Started:
     def __init__(self, folder, text=STUDY):
         (folder / "mine.yaml").write_text(text)
         self.folder, self.out, self.processes = folder, folder / "out", []
+        self.limit = time.monotonic() + SECONDS
 
     def __call__(self, *settings, env=None):
         words = [sys.executable, "-m", "uavnav.studies.study", "mine.yaml", "out=out", *GIVEN, *settings]
@@ -46,6 +48,19 @@ class Started:
         process = subprocess.Popen(words, cwd=self.folder, env=os.environ | (env or {}), **how)
         self.processes.append(process)
         return process
+
+    def until(self, condition):
+        """What a condition gives, once it gives something."""
+        while not (found := condition()):
+            assert time.monotonic() < self.limit, self.told()
+            time.sleep(0.1)
+        return found
+
+    def finished(self, process):
+        """What a study says that ends well."""
+        said, _ = process.communicate(timeout=max(1.0, self.limit - time.monotonic()))
+        assert process.returncode == 0, said
+        return said
 
     def kill(self):
         for process in self.processes:
@@ -87,22 +102,8 @@ def study(tmp_path):
 def alone(tmp_path_factory, warm_module):
     """What one machine gives: both cells, undisturbed."""
     started = Started(tmp_path_factory.mktemp("alone"), STUDY + SECOND)
-    finished(started("checkpoint_seconds=60"))
+    started.finished(started("checkpoint_seconds=60"))
     return started.out
-
-
-def finished(process):
-    said, _ = process.communicate(timeout=SECONDS)
-    assert process.returncode == 0, said
-    return said
-
-
-def until(condition):
-    limit = time.monotonic() + SECONDS
-    while not (found := condition()):
-        assert time.monotonic() < limit
-        time.sleep(0.1)
-    return found
 
 
 def signal_all(number, processes):
@@ -139,32 +140,32 @@ def test_what_shares_have_flown_is_the_evaluation_of_all_seeds(alone, tmp_path):
 
 def test_a_local_study_goes_on_whatever_is_killed(study, alone):
     process = study()
-    until(study.snapshots)
+    study.until(study.snapshots)
     old = {*study.jobs()}
     signal_all(signal.SIGSTOP, old)  # cut off, as by the network
     process.kill()
     process.wait()
     process = study()
-    new = until(lambda: len(new := {*study.jobs()} - old) == 2 and new)
+    new = study.until(lambda: len(new := {*study.jobs()} - old) == 2 and new)
     signal_all(signal.SIGSTOP, new)  # else they may be done before the old ones have noticed
     signal_all(signal.SIGCONT, old)
-    until(lambda: not old & {*study.jobs()})
+    study.until(lambda: not old & {*study.jobs()})
     assert "error" in study.told()  # its folder is gone, as its next word or its next snapshot finds
     signal_all(signal.SIGKILL, [process.pid, *study.jobs()])  # the whole tree
     process.wait()
     process = study()
-    first, second = until(lambda: len(study.jobs()) == 2 and study.jobs())
+    first, second = study.until(lambda: len(study.jobs()) == 2 and study.jobs())
     os.kill(second, signal.SIGSTOP)
     os.kill(first, signal.SIGKILL)  # one job
-    until(lambda: len({*study.jobs()} - {first}) == 2)
+    study.until(lambda: len({*study.jobs()} - {first}) == 2)
     os.kill(second, signal.SIGCONT)
     process.send_signal(signal.SIGINT)
-    said, _ = process.communicate(timeout=SECONDS)
+    said, _ = process.communicate(timeout=max(1.0, study.limit - time.monotonic()))
     assert "its job is gone; given again, from its last snapshot" in said
     assert process.returncode == 130
     assert said.splitlines()[-1].endswith("stopped by SIGINT; the same command goes on from there")
     assert not study.jobs()
-    finished(study())
+    study.finished(study())
     assert_same_bits(study.out, alone)
 
 
@@ -177,9 +178,9 @@ def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path)
     try:
         second = cluster.add_node(num_cpus=1)
         process = study("engine=ray", f"address={cluster.address}")
-        until(lambda: study.snapshots() and len(study.jobs()) == 2)  # one on each machine
+        study.until(lambda: study.snapshots() and len(study.jobs()) == 2)  # one on each machine
         cluster.remove_node(second, allow_graceful=False)
-        assert "its job is gone; given again" in finished(process)
+        assert "its job is gone; given again" in study.finished(process)
     finally:
         cluster.shutdown()
         study.kill()
@@ -189,9 +190,9 @@ def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path)
 def test_submitits_local_jobs_give_the_same_bits_although_one_is_killed(study, alone):
     pytest.importorskip("submitit")
     process = study("engine=slurm", "cluster=local", "jobs=2")
-    until(study.snapshots)
+    study.until(study.snapshots)
     os.kill(study.jobs()[0], signal.SIGKILL)
-    assert "its job is gone; given again" in finished(process)
+    assert "its job is gone; given again" in study.finished(process)
     assert_same_bits(study.out, alone)
 
 
@@ -234,7 +235,7 @@ def test_slurm_is_asked_for_an_array_with_partition_time_and_memory(study, alone
         (tools / name).write_text(text)
         (tools / name).chmod(0o755)
     path = {"PATH": f"{tools}:{os.environ['PATH']}"}
-    finished(study("engine=slurm", "partition=long", "time=90", "memory=3", "jobs=4", env=path))
+    study.finished(study("engine=slurm", "partition=long", "time=90", "memory=3", "jobs=4", env=path))
     (array,) = [script for script in (file.read_text() for file in asked.iterdir()) if "--array=0-1%2" in script]
     for line in ("--partition=long", "--time=90", "--mem=3GB", "--cpus-per-task=1"):
         assert f"#SBATCH {line}" in array

@@ -384,9 +384,8 @@ def test_a_start_that_another_process_overtook_leaves_the_finished_run_as_it_is(
     same(run.path, finished.path)
 
 
-def test_a_stop_that_another_process_asked_for_counts_once(whole, tmp_path, monkeypatch):
+def test_a_stop_that_another_process_asked_for_counts_once(whole, tmp_path):
     train, config, run = whole
-    monkeypatch.setattr("uavnav.training.recorder.PROGRESS_SECONDS", 0)
     folder = tmp_path / "run"
     folder.mkdir()
     (folder / STOP).touch()

@@ -13,7 +13,7 @@ from uavnav.commands.runs import row, span
 from uavnav.evaluate import EPISODES, files_of
 from uavnav.runs import progress as told
 from uavnav.tasks.simulator import TASKS
-from uavnav.training import recorder
+from uavnav.training import heartbeat
 from uavnav.training.recorder import Recorder
 
 CONFIG = {"algorithm": "ppo", "activation": "relu", "preset": "fast", "seed": 3, "n_seeds": 2, "total_frames": 400_000}
@@ -61,11 +61,12 @@ def test_a_run_that_wrote_its_progress_59_s_ago_runs_at_2000_frames_a_second_for
 def test_a_rate_leaves_out_the_frames_of_before_a_resume_whenever_they_are_told(tmp_path, monkeypatch):
     """Of several processes the first to speak say 0 for the others."""
     clock = [0.0]
-    monkeypatch.setattr(recorder.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(heartbeat.time, "perf_counter", lambda: clock[0])
     own = Recorder(tmp_path / "run", PPOConfig(total_frames=10_000_000))
     with own:
         for clock[0], frames in ((0.0, 0), (1.0, 0), (2.0, 5_000_000), (12.0, 5_010_000)):
             own.tell(frames)
+        own.heartbeat.beat()
         assert told(tmp_path / "run")["rate"] == 1000
 
 

@@ -1,33 +1,35 @@
 """Carry a study out: its shares as jobs of an engine, its cells put together and evaluated as they finish.
 
-Everything lies in files below the study's folder, so that the same command goes on after whatever has ended it. A share
-whose job has died is given again, under its folder's next name, and goes on from its last snapshot.
+Everything lies in files below the study's folder, so that the same command goes on after whatever has ended it. An
+engine's word that a job runs is a hint: whether a job lives is what its own heartbeat says, and how it ended is in the
+files. A share whose job has died is given again, under its folder's next name, and goes on from its last snapshot.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import queue
 import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pandas as pd
 
-from uavnav import plugins
+from uavnav import files, plugins
 from uavnav.evaluate import rows_across
-from uavnav.files import write
 from uavnav.help.choices import ConfigError
 from uavnav.runs import ARENA, FINISHED, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.studies import Cell, engines
 from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
-from uavnav.training import machine, recorder, shares
+from uavnav.training import heartbeat, machine, recorder, shares
 from uavnav.training.config import TrainConfig
 from uavnav.training.recorder import STOPS, Interrupted, Recorder
 
@@ -35,10 +37,21 @@ POLL_SECONDS = 1.0
 STOP_SECONDS = 60.0
 """Given to shares to save themselves."""
 ATTEMPTS = 3
-"""How often a share is given without having got any further."""
+"""How often a job is given without having got any further."""
+BEGIN_SECONDS = 600.0
+"""Given to a job that has begun to import what it needs, until its first heartbeat."""
+SILENT_SECONDS = 120.0
+"""Without a heartbeat, after which a job counts as dead."""
+IDLE_SECONDS = 3600.0
+"""Without any job that lives, after which a study ends, unless its engine says that jobs are queued."""
+ANSWER_SECONDS = 120.0
+"""Given to an engine to answer a question."""
+SAY_SECONDS = 60.0
+"""Between two lines that say what a study waits for."""
 
 Tell = Callable[[Sequence["Work"]], None]
 Say = Callable[[str], None]
+Answer = TypeVar("Answer")
 
 
 @dataclass
@@ -60,6 +73,7 @@ class Work:
     cell: Cell
     shares: list[Share] = field(default_factory=list)
     flights: int = 0  # that were missing when its last evaluation began
+    attempts: int = 0  # to fly it that left no file more
     problem: str = ""
     diverged: bool = False
 
@@ -77,6 +91,81 @@ class Work:
     def total(self) -> int:
         """Of all its seeds, in the end."""
         return self.cell.config.frames * self.cell.config.n_seeds
+
+
+@dataclass
+class Job:
+    """A job that an engine was given."""
+
+    work: Work
+    share: Share | None  # None: an evaluation
+    handle: Any = None
+    told: dict[str, float] = field(default_factory=dict)  # by its newest heartbeat
+    heard: float = 0.0  # when that, or the job's beginning, was seen
+    spoke: bool = False  # there was a heartbeat
+
+    @property
+    def folder(self) -> Path:
+        """Where its heartbeat is."""
+        return self.work.cell.out if self.share is None else self.share.folder
+
+    def file(self, end: str) -> Path:
+        """One of its files: `job` describes it, `log` exists once it has begun, `ended` once it has ended by itself."""
+        stem = self.folder / "evaluation" if self.share is None else self.folder
+        return stem.with_name(f"{stem.name}.{end}")
+
+    @property
+    def begun(self) -> bool:
+        """Whether it runs, or has run, on some machine."""
+        return self.file("log").exists()
+
+    def given(self, handle: Any) -> None:
+        """An engine has taken it."""
+        self.handle, self.told, self.heard = handle, progress(self.folder), time.monotonic()
+
+    def silence(self) -> float:
+        """How long ago its heart was seen to beat [s]; 0 while it waits to begin."""
+        now, told = time.monotonic(), progress(self.folder)
+        if told != self.told:
+            self.told, self.heard, self.spoke = told, now, True
+        elif not self.begun:
+            self.heard = now
+        return now - self.heard
+
+    def last_words(self) -> dict[str, Any]:
+        """What it wrote when it ended; empty where it has not, or died."""
+        try:
+            found = files.read_json(self.file("ended"))
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+
+def asked(engine: Engine, question: Callable[[], Answer]) -> Answer:
+    """What an engine answers.
+
+    Raises:
+        RunError: it does not answer within `ANSWER_SECONDS`.
+        Exception: whatever the question raises.
+    """
+    heard: queue.SimpleQueue[tuple[Any, Exception | None]] = queue.SimpleQueue()
+
+    def ask() -> None:
+        try:
+            heard.put((question(), None))
+        except Exception as error:
+            heard.put((None, error))
+
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        answer, error = heard.get(timeout=ANSWER_SECONDS)
+    except queue.Empty:
+        name = type(engine).__name__.lower()
+        raise RunError(f"engine={name}: does not answer for {ANSWER_SECONDS:.0f} s; the same command goes on") from None
+    if error is not None:
+        raise error
+    found: Answer = answer
+    return found
 
 
 def trained(cell: Cell) -> bool:
@@ -153,7 +242,9 @@ class Study:
             if own := machine.own_parts(work.cell.config):
                 raise ConfigError(f"{work.cell.out}: {own} is known to this process alone; give it as a plugin")
         self._stop: int | None = None
-        self._looked = 0.0
+        self._slots = 0
+        self._looked = self._said = 0.0
+        self._lived = time.monotonic()  # when a job lived last
 
     def _trained(self, cell: Cell) -> bool:
         return trained(cell) and (not self.policies or (cell.out / POLICY).exists())
@@ -167,7 +258,7 @@ class Study:
         Raises:
             ConfigError: the engine's machines do not see the folder.
             Interrupted: by SIGINT or SIGTERM; every share was asked to save itself.
-            RunError: another process carries this study out.
+            RunError: another process carries this study out, or no job has lived for an hour.
         """
         self.out.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as stack:
@@ -179,15 +270,17 @@ class Study:
                     self._begin(work)
             waiting = deque((work, share) for work in self.works for share in work.shares if not share.done)
             flights = deque(work for work in self.works if self._trained(work.cell))
-            running: list[tuple[Any, Work, Share | None]] = []
+            running: list[Job] = []
             self._finish_what_is_trained(flights)
+            self._lived = self._said = time.monotonic()
             while waiting or flights or running:
                 self._start(waiting, flights, running)
                 time.sleep(POLL_SECONDS)
-                for entry in [entry for entry in running if self.engine.ended(entry[0])]:
-                    running.remove(entry)
-                    self._ended(entry[1], entry[2], waiting, flights)
+                for job in self._over(running):
+                    running.remove(job)
+                    self._ended(job, waiting, flights)
                 self._look(running)
+                self._check_waiting(running, len(waiting) + len(flights))
                 self.tell(self.works)
                 if self._stop is not None:
                     raise self._stopped(running)
@@ -223,67 +316,117 @@ class Study:
             if work.shares and all(share.done for share in work.shares):
                 self._join(work, flights)
 
-    def _start(
-        self,
-        waiting: deque[tuple[Work, Share]],
-        flights: deque[Work],
-        running: list[tuple[Any, Work, Share | None]],
-    ) -> None:
+    def _start(self, waiting: deque[tuple[Work, Share]], flights: deque[Work], running: list[Job]) -> None:
         """Give the engine as many jobs as it takes: evaluations first, which finish cells."""
-        jobs: list[tuple[list[str], Work, Share | None]] = []
-        while len(running) + len(jobs) < self.engine.slots() and (flights or waiting):
+        jobs: list[tuple[Job, list[str]]] = []
+        self._slots = asked(self.engine, self.engine.slots)
+        while len(running) + len(jobs) < self._slots and (flights or waiting):
             if flights:
-                work = flights.popleft()
-                work.flights = len(unflown(work.cell))
-                jobs.append((self._evaluation(work), work, None))
+                job = Job(flights.popleft(), None)
+                jobs.append((job, self._evaluation(job)))
             else:
                 work, share = waiting.popleft()
                 if not work.problem:
-                    jobs.append((self._training(work, share), work, share))
-        handles = self.engine.start([words for words, _, _ in jobs]) if jobs else []
-        running += [(handle, work, share) for handle, (_, work, share) in zip(handles, jobs, strict=True)]
+                    job = Job(work, share)
+                    jobs.append((job, self._training(job, share)))
+        commands = [words for _, words in jobs]
+        handles = asked(self.engine, lambda: self.engine.start(commands)) if jobs else []
+        for (job, _), handle in zip(jobs, handles, strict=True):
+            job.given(handle)
+            running.append(job)
 
-    def _training(self, work: Work, share: Share) -> list[str]:
+    def _over(self, running: Sequence[Job]) -> list[Job]:
+        """The jobs that have ended, by their own word or their engine's, and those that count as dead."""
+        handles = [job.handle for job in running]
+        ended = asked(self.engine, lambda: [self.engine.ended(handle) for handle in handles])
+        return [job for job, told in zip(running, ended, strict=True) if told or job.last_words() or self._dead(job)]
+
+    def _dead(self, job: Job) -> bool:
+        silence = job.silence()
+        if silence < (SILENT_SECONDS if job.spoke else BEGIN_SECONDS):
+            return False
+        asked(self.engine, lambda: self.engine.cancel(job.handle))
+        self.say(f"{_shown(job.folder)}: its job has been silent for {silence:.0f} s and counts as dead")
+        return True
+
+    def _check_waiting(self, running: Sequence[Job], left: int) -> None:
+        """Say now and then what the study waits for while no job lives.
+
+        Raises:
+            RunError: that has lasted for an hour, and no job is queued.
+        """
+        now = time.monotonic()
+        if not (running or left) or any(job.begun and now - job.heard < SAY_SECONDS for job in running):
+            self._lived = self._said = now
+            return
+        begun = sum(job.begun for job in running)
+        parts = [f"{begun} jobs that are silent"] * bool(begun)
+        parts += [f"{len(running) - begun} jobs to begin"] * (begun < len(running))
+        parts += [f"a machine for {left} jobs"] * (not running)
+        what = f"no job has lived for {now - self._lived:,.0f} s, waiting for {' and '.join(parts)}"
+        engine = f"engine={type(self.engine).__name__.lower()} has {self._slots} slots"
+        if now - self._lived > IDLE_SECONDS:
+            handles = [job.handle for job in running if not job.begun]
+            if not asked(self.engine, lambda: any(self.engine.queued(handle) for handle in handles)):
+                raise RunError(f"{_shown(self.out)}: {what}; {engine}; the same command goes on")
+        if now - self._said >= SAY_SECONDS:
+            self._said = now
+            self.say(f"{_shown(self.out)}: {what}; {engine}")
+
+    def _training(self, job: Job, share: Share) -> list[str]:
+        work = job.work
         share.folder = shares.take(share.folder)
         threads = machine.threads(work.cell.config, len(work.shares))
         described = shares.described(share.folder, share.config, self.checkpoint_seconds, threads=threads)
-        job = share.folder.with_name(f"{share.folder.name}.job")
         described |= {"evaluation": work.cell.evaluation, "folder": str(Path.cwd())}
-        write(job, json.dumps(described).encode())
-        words = ["-m", "uavnav.train.share", *plugins.LOADED, str(job)]
-        return engines.logged(words, job.with_suffix(".log"))
+        files.write(job.file("job"), json.dumps(described).encode())
+        words = ["-m", "uavnav.train.share", *plugins.LOADED, str(job.file("job"))]
+        return engines.logged(words, job.file("log"))
 
-    def _evaluation(self, work: Work) -> list[str]:
-        words = ["-m", "uavnav", "evaluate", str(work.cell.out), *unflown(work.cell)[0], "--quiet"]
+    def _evaluation(self, job: Job) -> list[str]:
+        cell, missing = job.work.cell, unflown(job.work.cell)
+        job.work.flights = len(missing)
+        for end in ("log", "ended"):
+            job.file(end).unlink(missing_ok=True)
+        words = ["-m", "uavnav.studies.flights", str(job.file("ended")), str(cell.out), *missing[0], "--quiet"]
         words += ["--plugins", ",".join(plugins.LOADED)] if plugins.LOADED else []
-        return engines.logged(words, self._log(work))
+        return engines.logged(words, job.file("log"))
 
-    def _log(self, work: Work) -> Path:
-        return work.cell.out / "evaluation.log"
-
-    def _ended(self, work: Work, share: Share | None, waiting: deque[tuple[Work, Share]], flights: deque[Work]) -> None:
+    def _ended(self, job: Job, waiting: deque[tuple[Work, Share]], flights: deque[Work]) -> None:
         """See how a job ended: go on with its cell, give it again, or note what is wrong."""
-        if share is None:
-            left = len(unflown(work.cell))
-            if not left:
-                self._log(work).unlink(missing_ok=True)
-                self.say(f"{_shown(work.cell.out)}: finished")
-            elif left < work.flights:
-                flights.append(work)
-            else:
-                self._failed(work, f"was not evaluated, see {self._log(work)}")
-            return
+        if job.share is None:
+            self._flown(job, flights)
+        else:
+            self._trained_share(job, job.share, waiting, flights)
+
+    def _flown(self, job: Job, flights: deque[Work]) -> None:
+        work, left = job.work, len(unflown(job.work.cell))
+        if not left:
+            for end in ("log", "ended"):
+                job.file(end).unlink(missing_ok=True)
+            self.say(f"{_shown(work.cell.out)}: finished")
+        elif left < work.flights:
+            work.attempts = 0
+            flights.append(work)
+        elif not job.last_words() and work.attempts < ATTEMPTS:
+            work.attempts += 1
+            self.say(f"{_shown(work.cell.out)}: the job of its evaluation is gone; given again")
+            flights.append(work)
+        else:
+            self._failed(work, f"was not evaluated, see {job.file('log')}")
+
+    def _trained_share(self, job: Job, share: Share, waiting: deque[tuple[Work, Share]], flights: deque[Work]) -> None:
+        work, said = job.work, job.last_words()
         share.rate = 0.0
-        said = _said(share.folder.with_name(f"{share.folder.name}.ended"))
         if "finished" in said:
             share.done, share.frames = True, share.config.frames
             if all(other.done for other in work.shares):
                 self._join(work, flights)
         elif "error" in said:
             work.diverged = said.get("diverged", False)
-            self._failed(work, said["error"])
+            self._failed(work, str(said["error"]))
         elif share.attempts >= ATTEMPTS:
-            log = share.folder.with_name(f"{share.folder.name}.log")
+            log = job.file("log")
             self._failed(work, f"{share.folder}: its job ended {ATTEMPTS} times without a word, see {log}")
         else:
             share.attempts += 1
@@ -313,37 +456,37 @@ class Study:
         else:
             flights.append(work)
 
-    def _look(self, running: Sequence[tuple[Any, Work, Share | None]]) -> None:
-        """Read now and then how far the shares are, and write how far their cells are."""
+    def _look(self, running: Sequence[Job]) -> None:
+        """See now and then how far the shares are, and write how far their cells are."""
         now = time.monotonic()
-        if now - self._looked < recorder.PROGRESS_SECONDS:
+        if now - self._looked < heartbeat.SECONDS:
             return
         self._looked = now
         flying: dict[int, list[Share]] = {}
-        for _, work, share in running:
-            if share is not None:
-                told = progress(share.folder)
-                share.rate = told.get("rate", 0.0)
-                if told.get("frames", 0) > share.frames:
-                    share.frames, share.attempts = int(told["frames"]), 0
-                flying.setdefault(id(work), []).append(share)
+        for job in running:
+            if (share := job.share) is not None:
+                share.rate = job.told.get("rate", 0.0)
+                if job.told.get("frames", 0) > share.frames:
+                    share.frames, share.attempts = int(job.told["frames"]), 0
+                flying.setdefault(id(job.work), []).append(share)
         for work in self.works:
             if id(work) in flying and not trained(work.cell):
                 frames = min(share.frames for share in work.shares)
                 rate = min(share.rate for share in flying[id(work)])
                 with contextlib.suppress(OSError):
-                    recorder.tell(work.cell.out, frames, work.cell.config.frames, rate or None)
+                    heartbeat.tell(work.cell.out, frames, work.cell.config.frames, rate or None)
 
-    def _stopped(self, running: Sequence[tuple[Any, Work, Share | None]]) -> Interrupted:
+    def _stopped(self, running: Sequence[Job]) -> Interrupted:
         """Ask the shares to save themselves, and wait until they have."""
-        folders = [share.folder for _, _, share in running if share is not None]
-        for folder in folders:
-            (folder / STOP).touch()
+        for job in running:
+            if job.share is not None:
+                with contextlib.suppress(OSError):
+                    (job.folder / STOP).touch()
         limit = time.monotonic() + STOP_SECONDS
         left = list(running)
         while left and time.monotonic() < limit:
             time.sleep(POLL_SECONDS)
-            left = [entry for entry in left if not self.engine.ended(entry[0])]
+            left = [job for job in left if not (job.last_words() or self.engine.ended(job.handle))]
         number = self._stop or signal.SIGTERM
         what = f"{_shown(self.out)}: stopped by {signal.Signals(number).name}; the same command goes on from there"
         return Interrupted(what, number, 0, wanted=False)
@@ -364,12 +507,3 @@ def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
 def _shown(path: Path) -> str:
     """A path from here, where that is short."""
     return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
-
-
-def _said(path: Path) -> dict[str, Any]:
-    """What a job has written, or nothing."""
-    try:
-        found = json.loads(path.read_text())
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}

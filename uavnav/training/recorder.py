@@ -23,7 +23,7 @@ from filelock import FileLock, Timeout
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from uavnav import files, plugins
+from uavnav import plugins
 from uavnav.runs import FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, Run, read_settings
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.tables import LOCK, Columns, RunError, with_reward, write, write_table
@@ -33,6 +33,7 @@ from uavnav.tasks.state import COUNTS, State
 from uavnav.training import provenance
 from uavnav.training.checkpoints import Checkpoints, Snapshot, Stateful
 from uavnav.training.config import TrainConfig, plain
+from uavnav.training.heartbeat import Heartbeat
 
 if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer
@@ -47,8 +48,6 @@ CHECKPOINT_SECONDS = 60.0
 """The time between two snapshots."""
 CHECKPOINT_SHARE = 0.04
 """What snapshots may take of a run's time: where writing one takes long, the next comes later."""
-PROGRESS_SECONDS = 5.0
-"""The time between two writings of `runs.PROGRESS`."""
 BANK_FACTS = ("n", "k", "split", "generator_seed", "sha256")
 
 
@@ -122,7 +121,7 @@ class Recorder:
             raise RunError(f"out={path}: {parent} is not a folder that can be written; give one that is")
         if path.exists() and not path.is_dir():
             raise RunError(f"out={path}: is a file; give a folder")
-        if not path.exists() or all(entry.name in (LOCK, STOP) for entry in path.iterdir()):
+        if not path.exists() or all(entry.name in (LOCK, STOP, PROGRESS) for entry in path.iterdir()):
             return False
         if not os.access(path, os.W_OK):
             raise RunError(f"out={path}: is not a folder that can be written; give one that is")
@@ -175,6 +174,8 @@ class Recorder:
             self._release()
             raise
         self.stop: int | None = None
+        self.heartbeat = Heartbeat(self.path, self.config.frames)
+        self.heartbeat.__enter__()
         self._handlers: dict[int, Any] = {}
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._note_stop) for number in STOPS}
@@ -188,8 +189,6 @@ class Recorder:
         for name in LOG_FOLDERS:  # of an earlier part of the run; every log is whole
             shutil.rmtree(self.path / name, ignore_errors=True)
         self._began = self._saved = time.perf_counter()
-        self._told = self._began
-        self._first: tuple[float, int] | None = None
         self.meta = self._before | self.meta | {"status": "running", "started": self._before.get("started", _now())}
         write(self.path / "config.yaml", yaml.safe_dump(self._described, sort_keys=False).encode())
         self._write_meta()
@@ -201,7 +200,7 @@ class Recorder:
             self.meta |= {"status": "interrupted" if issubclass(kind, (Interrupted, KeyboardInterrupt)) else "failed"}
             with contextlib.suppress(RunError):  # on a full disk the error under way says more
                 self._write_meta()
-        (self.path / PROGRESS).unlink(missing_ok=True)
+        self.heartbeat.__exit__(kind, *error)
         if self.stop is not None:
             (self.path / STOP).unlink(missing_ok=True)  # it was obeyed, and counts once
         self._release()
@@ -247,26 +246,16 @@ class Recorder:
         return frames
 
     def tell(self, frames: int) -> None:
-        """Write now and then, for whoever looks at the folder, how far the run is; and see whether it shall stop.
+        """Note how far the run is, for whoever looks at the folder, and see whether it shall stop.
 
         Raises:
             RunError: the folder is gone, as when another process has taken the run over.
         """
-        now = time.perf_counter()
-        if self._first is None or not self._first[1]:  # the frames of before a resume come with a share's first word
-            self._first = now, frames
-        elif now - self._told < PROGRESS_SECONDS:
-            return
-        self._told = now
-        if (self.path / STOP).exists():
+        self.heartbeat.tell(frames)
+        if self.heartbeat.gone:
+            raise RunError(f"{self.path}: is gone; another process has taken this run over")
+        if self.heartbeat.asked:
             self.stop = self.stop or signal.SIGTERM
-        since, before = self._first
-        try:
-            tell(self.path, frames, self.config.frames, (frames - before) / (now - since) if now > since else None)
-        except FileNotFoundError:
-            raise RunError(f"{self.path}: is gone; another process has taken this run over") from None
-        except OSError:  # a full disk: the next snapshot says more
-            pass
 
     def checkpoint(self, frames: int, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> None:
         """Save a snapshot if one is due, or if a signal asks to stop.
@@ -406,12 +395,6 @@ class Recorder:
 
     def _write_meta(self) -> None:
         write(self.path / "meta.json", json.dumps(self.meta, indent=2).encode())
-
-
-def tell(folder: Path, frames: int, total: int, rate: float | None) -> None:
-    """Write how far a run is: frames per seed, of how many, at so many a second, if that is known; raises OSError."""
-    facts = {"frames": frames, "total": total, "rate": rate, "at": time.time()}
-    files.write(folder / PROGRESS, json.dumps(facts).encode())
 
 
 def _snapshot_columns(snapshot: Snapshot) -> dict[str, Columns]:

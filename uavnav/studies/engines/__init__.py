@@ -1,7 +1,8 @@
 """Where the jobs of a study run: on the cores of this machine, on a Ray cluster, or on a SLURM cluster.
 
-A job is a command line, and what it needs lies in files below a folder that all machines see. An engine starts jobs and
-knows whether one has ended; how it ended is in the files. An engine is a file here and a line of `ENGINES`.
+A job is a command line, and what it needs lies in files below a folder that all machines see. An engine starts jobs,
+and may know that one has ended; whether a job lives, and how it ended, is in the files. An engine is a file here and a
+line of `ENGINES`.
 """
 
 from __future__ import annotations
@@ -39,7 +40,13 @@ class Engine(Protocol):
         """Start command lines, and return what stands for each."""
 
     def ended(self, job: Any) -> bool:
-        """Whether a job has ended, or died with its machine."""
+        """Whether a job is known to have ended, or to have died with its machine; false is no proof that it lives."""
+
+    def queued(self, job: Any) -> bool:
+        """Whether the engine explains that a job has not begun, however long that lasts."""
+
+    def cancel(self, job: Any) -> None:
+        """End a job that counts as dead, as far as it can be reached."""
 
     def close(self) -> None:
         """End all jobs that still run."""

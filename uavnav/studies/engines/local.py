@@ -43,6 +43,12 @@ class Local:
     def ended(self, job: subprocess.Popen[bytes]) -> bool:
         return job.poll() is not None
 
+    def queued(self, job: subprocess.Popen[bytes]) -> bool:
+        return False
+
+    def cancel(self, job: subprocess.Popen[bytes]) -> None:
+        job.kill()
+
     def close(self) -> None:
         left = [job for job in self._running if job.poll() is None]
         for job in left:

@@ -1,8 +1,14 @@
-"""Jobs on a Ray cluster: each is one call of `subprocess.call` on one CPU, so that nothing of ours is pickled."""
+"""Jobs on a Ray cluster: each is one call of `subprocess.call` on one CPU, so that nothing of ours is pickled.
+
+Each job is given to one machine, so that it is known to have died where Ray says that the machine has. Ray itself may
+never tell the end of a job whose machine is gone.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import math
 import os
 import socket
 import subprocess
@@ -19,6 +25,10 @@ from uavnav.studies import engines
 SECONDS = 60.0
 """Given to a machine to answer."""
 KNOCK_SECONDS = 5.0
+LOOK_SECONDS = 0.5
+"""Between two looks which machines live."""
+KNOCKS = 3
+"""How often the head of the cluster may fail to answer."""
 
 
 @dataclass
@@ -45,21 +55,44 @@ class Ray:
             raise ConfigError(
                 f"engine=ray: there is no Ray cluster at address={self.address}; `ray start --head` begins one"
             ) from error
-        self._call = ray.remote(subprocess.call).options(num_cpus=1, max_retries=0)
+        self._head: str = ray.get_runtime_context().gcs_address
+        self._running: dict[Any, str] = {}  # the machine of each job
+        self._seen, self._living = -math.inf, dict[str, int]()
+
+    def _machines(self) -> dict[str, int]:
+        """The CPUs of each machine that lives.
+
+        Raises:
+            ConfigError: the head of the cluster is gone, for which Ray itself would wait, and then end this process.
+        """
+        if time.monotonic() - self._seen < LOOK_SECONDS:
+            return dict(self._living)
+        for again in range(KNOCKS):
+            try:
+                time.sleep(again * KNOCK_SECONDS)
+                _knock(self._head)
+                break
+            except OSError as error:
+                problem = error
+        else:
+            where = f"engine=ray: the cluster at address={self.address}"
+            raise ConfigError(f"{where} does not answer any more ({problem}); the same command goes on")
+        nodes = (node for node in self._ray.nodes() if node["Alive"])
+        self._living = {node["NodeID"]: int(node["Resources"].get("CPU", 0)) for node in nodes}
+        self._seen = time.monotonic()
+        return dict(self._living)
 
     def slots(self) -> int:
-        return int(self._ray.cluster_resources().get("CPU", 0))
+        return sum(self._machines().values())
 
     def check(self, folder: Path) -> None:
-        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
         call, exists = self._ray.remote(subprocess.call), self._ray.remote(os.path.exists)
         names, asked = {}, {}
         with engines.Probe(folder) as probe:
             for node in self._ray.nodes():
                 if node["Alive"]:
                     key = node["NodeID"]
-                    how = {"num_cpus": 0, "scheduling_strategy": NodeAffinitySchedulingStrategy(key, soft=False)}
+                    how = {"num_cpus": 0, "scheduling_strategy": self._only(key)}
                     names[key] = f"the machine {node['NodeManagerHostname']} of the Ray cluster"
                     asked[key] = [
                         call.options(**how).remote(probe.words(key)),
@@ -79,12 +112,42 @@ class Ray:
                 if not runs:
                     raise engines.lacking("ray", name)
 
+    def _only(self, machine: str) -> Any:
+        """How Ray is told to run something on one machine, or nowhere."""
+        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+        return NodeAffinitySchedulingStrategy(machine, soft=False)
+
     def start(self, jobs: Sequence[list[str]]) -> list[Any]:
-        return [self._call.remote(words) for words in jobs]
+        free = self._machines()
+        for machine in self._running.values():
+            free[machine] = free.get(machine, 0) - 1
+        if not free:
+            raise ConfigError("engine=ray: the cluster has no machine left; the same command goes on")
+        started = []
+        for words in jobs:
+            machine = max(free, key=lambda one: free[one])
+            free[machine] -= 1
+            call = self._ray.remote(subprocess.call)
+            job = call.options(num_cpus=1, max_retries=0, scheduling_strategy=self._only(machine)).remote(words)
+            self._running[job] = machine
+            started.append(job)
+        return started
 
     def ended(self, job: Any) -> bool:
         done, _ = self._ray.wait([job], timeout=0)
-        return bool(done)
+        if not done and self._running.get(job) in self._machines():
+            return False
+        self._running.pop(job, None)
+        return True
+
+    def queued(self, job: Any) -> bool:
+        return False
+
+    def cancel(self, job: Any) -> None:
+        self._running.pop(job, None)
+        with contextlib.suppress(self._ray.exceptions.RayError, ValueError):
+            self._ray.cancel(job, force=True)
 
     def close(self) -> None:
         self._ray.shutdown()

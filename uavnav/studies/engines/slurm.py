@@ -18,6 +18,8 @@ SACCT_SECONDS = 30
 """The time between two questions to SLURM."""
 FREE = ["sinfo", "--noheader", "--Node", "--states=idle,mixed", "--format=%N %P"]
 """Lists the machines that take a job at once, with their partitions; a star marks the cluster's own."""
+QUEUED = ("PENDING", "REQUEUED", "CONFIGURING", "RESV_DEL_HOLD", "SPECIAL_EXIT")
+"""States of a job that waits, for however long."""
 ANY = "a machine"
 
 
@@ -121,7 +123,14 @@ class Slurm:
         return started
 
     def ended(self, job: Any) -> bool:
-        return bool(job.done())
+        return bool(job.done())  # failed with its machine, too
+
+    def queued(self, job: Any) -> bool:
+        return str(job.state).startswith(QUEUED)
+
+    def cancel(self, job: Any) -> None:
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            job.cancel()
 
     def close(self) -> None:
         for job in self._running:

@@ -1,0 +1,261 @@
+"""Whether a job of a study lives is what it says itself: engines that lie, wait, or say nothing do not stop a study."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+
+from uavnav.algorithms.ppo import PPOConfig
+from uavnav.runs import PROGRESS, STOP, Run, progress
+from uavnav.runs.tables import RunError
+from uavnav.studies import Cell, run
+from uavnav.studies.engines import logged
+from uavnav.studies.engines.local import Local
+from uavnav.studies.run import Study
+from uavnav.train.verify import _parting as parting
+from uavnav.training import heartbeat
+from uavnav.training.heartbeat import Heartbeat
+from uavnav.training.loop import train
+
+CONFIG = PPOConfig(
+    n_seeds=2, total_frames=2_048, frames_per_batch=256, minibatch_size=64, epochs=1, hidden=(8,), compile="off"
+)
+FLOWN = {"episodes": 2, "max_steps": 20}
+
+
+class Engine(Local):
+    """This machine's cores, and what each test makes of them."""
+
+    def __init__(self, jobs=2):
+        super().__init__(jobs)
+        self.given = 0
+
+    def start(self, jobs):
+        self.given += len(jobs)
+        return super().start(jobs)
+
+
+class NeverEnds(Engine):
+    def ended(self, job):
+        return False
+
+
+class NeverBegins(Engine):
+    def start(self, jobs):
+        self.given += len(jobs)
+        return [None for _ in jobs]
+
+    def ended(self, job):
+        return False
+
+    def cancel(self, job):
+        pass
+
+
+class InAQueue(NeverBegins):
+    asked = 0
+
+    def queued(self, job):
+        self.asked += 1
+        return self.asked < 3
+
+
+class NeverSpeaks(Engine):
+    """Its jobs begin, and hang before they say a word."""
+
+    def start(self, jobs):
+        return super().start([logged(["-c", "import time; time.sleep(60)"], words[3]) for words in jobs])
+
+
+class NoMachine(Engine):
+    def slots(self):
+        return 0
+
+
+class NoAnswer(Engine):
+    def slots(self):
+        time.sleep(60)
+
+
+@pytest.fixture
+def study(tmp_path, warm):
+    """Carries one cell out on an engine; gives the cells that failed and what was said."""
+    engines = []
+
+    def carry_out(engine, config=CONFIG, evaluation=FLOWN, **how):
+        engines.append(engine)
+        said = []
+        cell = Cell(config, tmp_path / "out" / "ppo" / "tanh", evaluation)
+        failed = Study(tmp_path / "out", [cell], engine, say=said.append, **how).run()
+        return failed, said
+
+    yield carry_out
+    for engine in engines:
+        engine.close()
+
+
+def impatient(monkeypatch, **seconds):
+    for name, value in ({"POLL": 0.05, "SAY": 0.3, "IDLE": 1.0} | seconds).items():
+        monkeypatch.setattr(run, f"{name}_SECONDS", value)
+
+
+def test_a_study_whose_engine_never_tells_an_end_ends_with_the_same_rows(study, tmp_path):
+    failed, said = study(NeverEnds(), seeds_per_share=1)
+    assert failed == []
+    assert said[-1].endswith("finished")
+    alone = train(CONFIG, tmp_path / "alone", quiet=True, processes=2)
+    there = Run(tmp_path / "out" / "ppo" / "tanh")
+    assert not parting("episodes", alone.episodes, there.episodes)
+    assert not parting("progress", alone.progress, there.progress)
+
+
+def test_an_evaluation_whose_engine_never_tells_its_end_is_seen_to_end(study, tmp_path):
+    train(CONFIG, tmp_path / "out" / "ppo" / "tanh", quiet=True, processes=1)
+    failed, _ = study(NeverEnds())
+    assert failed == []
+    left = {path.name for path in (tmp_path / "out" / "ppo" / "tanh").iterdir()}
+    assert not {"evaluation.log", "evaluation.ended", PROGRESS} & left
+
+
+def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_not(study, tmp_path):
+    there = train(CONFIG, tmp_path / "out" / "ppo" / "tanh", quiet=True, processes=1)
+
+    class Killed(Engine):
+        def start(self, jobs):
+            handles = super().start(jobs)
+            if self.given == 1:
+                handles[0].kill()
+            return handles
+
+    engine = Killed()
+    failed, said = study(engine)
+    assert (failed, engine.given) == ([], 2)
+    assert said[0].endswith("the job of its evaluation is gone; given again")
+    (there.path / "evaluation-test-2-20.parquet").unlink()
+    (there.path / "policy.safetensors").write_bytes(b"damaged")
+    engine = Engine()
+    (failed,), _ = study(engine)
+    assert engine.given == 1
+    assert failed.problem.startswith("was not evaluated, see ")
+
+
+def test_a_job_that_falls_silent_is_ended_and_its_share_given_again_from_its_snapshot(study, tmp_path, monkeypatch):
+    impatient(monkeypatch, SILENT=12.0, IDLE=60.0)
+
+    class Stopped(Engine):
+        """Its first job is stopped as soon as it has a snapshot, as by a machine that swaps or is cut off."""
+
+        def ended(self, job):
+            if self.given == 1 and [*tmp_path.glob("out/*/*/checkpoint/*/checkpoint/state-*")]:
+                os.kill(job.pid, signal.SIGSTOP)
+            return super().ended(job)
+
+    engine = Stopped()
+    config = replace(CONFIG, total_frames=20_480)
+    failed, said = study(engine, config, None, seeds_per_share=2, checkpoint_seconds=0)
+    assert (failed, engine.given) == ([], 2)
+    assert any("has been silent for 12 s and counts as dead" in line for line in said)
+    assert any("its job is gone; given again, from its last snapshot" in line for line in said)
+    alone = train(config, tmp_path / "alone", quiet=True, processes=1)
+    assert not parting("episodes", alone.episodes, Run(tmp_path / "out" / "ppo" / "tanh").episodes)
+
+
+def test_a_job_that_never_speaks_is_given_four_times_and_then_fails_in_one_line(study, monkeypatch):
+    impatient(monkeypatch, BEGIN=0.5, IDLE=60.0)
+    engine = NeverSpeaks()
+    (failed,), _ = study(engine, seeds_per_share=2)
+    assert engine.given == 1 + run.ATTEMPTS
+    assert "its job ended 3 times without a word, see " in failed.problem
+    assert "\n" not in failed.problem
+
+
+@pytest.mark.parametrize(
+    ("engine", "waits"),
+    [(NoMachine(), "waiting for a machine for 1 jobs"), (NeverBegins(), "waiting for 1 jobs to begin")],
+)
+def test_a_study_says_what_it_waits_for_and_does_not_wait_without_end(engine, waits, tmp_path, monkeypatch):
+    impatient(monkeypatch)
+    said = []
+    cell = Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
+    with pytest.raises(RunError, match=f"no job has lived for 1 s, {waits}; engine=.* has . slots; the same command"):
+        Study(tmp_path / "out", [cell], engine, seeds_per_share=2, say=said.append).run()
+    assert 2 <= len(said) <= 3
+    assert all(waits in line for line in said)
+
+
+def test_a_study_waits_for_longer_where_its_engine_says_that_jobs_are_queued(study, monkeypatch):
+    impatient(monkeypatch)
+    engine = InAQueue()
+    with pytest.raises(RunError, match="1 jobs to begin"):
+        study(engine, seeds_per_share=2)
+    assert engine.asked == 3
+
+
+def test_an_engine_that_does_not_answer_ends_a_study_in_one_line(study, monkeypatch):
+    impatient(monkeypatch, ANSWER=0.3)
+    with pytest.raises(RunError, match="engine=noanswer: does not answer for 0 s; the same command goes on"):
+        study(NoAnswer())
+
+
+# -- a heartbeat ------------------------------------------------------------------------------------------------------
+
+
+def test_a_heart_beats_while_its_run_is_busy_and_says_how_far_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(heartbeat, "SECONDS", 0.01)
+    with Heartbeat(tmp_path, total=100) as heart:
+        before = progress(tmp_path)
+        assert (before["frames"], before["total"], before["rate"]) == (0, 100, 0)
+        heart.tell(10)
+        limit = time.monotonic() + 20
+        while progress(tmp_path)["frames"] != 10 and time.monotonic() < limit:
+            time.sleep(0.01)
+        assert progress(tmp_path)["frames"] == 10
+        assert progress(tmp_path)["at"] > before["at"]
+    assert not (tmp_path / PROGRESS).exists()
+    assert not [thread for thread in threading.enumerate() if thread is heart._thread]
+
+
+def test_a_heart_feels_that_its_folder_is_gone_and_sees_a_stop(tmp_path, monkeypatch):
+    (tmp_path / "run").mkdir()
+    heart = Heartbeat(tmp_path / "run", total=1)
+    heart.beat()
+    assert (heart.gone, heart.asked) == (False, False)
+    (tmp_path / "run" / STOP).touch()
+    heart.beat()
+    assert heart.asked
+    (tmp_path / "run").rename(tmp_path / "taken")
+    heart.beat()
+    assert heart.gone
+
+
+def test_silence_is_measured_by_whoever_listens_whatever_the_clock_of_the_worker_says(tmp_path, monkeypatch):
+    cell = Cell(CONFIG, tmp_path, None)
+    job = run.Job(run.Work(cell), None)
+    now = [100.0]
+    monkeypatch.setattr(run.time, "monotonic", lambda: now[0])
+    job.given("handle")
+    now[0] = 900.0
+    assert job.silence() == 0  # it has not begun
+    job.file("log").touch()
+    for clock in (5e9, 1e9, 2e9):  # forth, and back
+        (tmp_path / PROGRESS).write_text(json.dumps({"frames": 1, "total": 2, "rate": None, "at": clock}))
+        now[0] += 50
+        assert job.silence() == 0
+    now[0] += 50
+    assert job.silence() == 50
+
+
+def test_the_process_of_an_evaluation_writes_its_status(tmp_path, warm):
+    words = [sys.executable, "-m", "uavnav.studies.flights", str(tmp_path / "ended"), str(tmp_path), "--quiet"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert json.loads((tmp_path / "ended").read_text()) == {"status": 2}
+    assert done.stderr.startswith("uavnav evaluate: ")
+    with contextlib.suppress(FileNotFoundError):
+        assert not (tmp_path / PROGRESS).exists()

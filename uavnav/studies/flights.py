@@ -1,0 +1,24 @@
+"""The process of an evaluation that a study has started: `uavnav evaluate`, with a heartbeat in the run's folder."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from uavnav import files
+from uavnav.evaluate.__main__ import main as evaluate
+from uavnav.training.heartbeat import Heartbeat
+
+
+def main(argv: Sequence[str]) -> None:
+    """argv: the file that is to tell how this ended, and the words of `uavnav evaluate`, a run's folder first."""
+    ended, *words = argv
+    with Heartbeat(Path(words[0]), total=0):
+        status = evaluate(words)
+    files.write(Path(ended), json.dumps({"status": status}).encode())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

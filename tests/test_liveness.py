@@ -104,6 +104,7 @@ def study(tmp_path, warm):
 def impatient(monkeypatch, **seconds):
     for name, value in ({"POLL": 0.05, "SAY": 0.3, "IDLE": 1.0} | seconds).items():
         monkeypatch.setattr(run, f"{name}_SECONDS", value)
+    monkeypatch.setattr(heartbeat, "SECONDS", 0.2)
 
 
 def test_a_study_whose_engine_never_tells_an_end_ends_with_the_same_rows(study, tmp_path):

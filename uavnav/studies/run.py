@@ -336,10 +336,15 @@ class Study:
             running.append(job)
 
     def _over(self, running: Sequence[Job]) -> list[Job]:
-        """The jobs that have ended, by their own word or their engine's, and those that count as dead."""
+        """The jobs that have ended, by their engine's word or, now and then, by their files; and dead ones."""
         handles = [job.handle for job in running]
         ended = asked(self.engine, lambda: [self.engine.ended(handle) for handle in handles])
-        return [job for job, told in zip(running, ended, strict=True) if told or job.last_words() or self._dead(job)]
+        look = time.monotonic() - self._looked >= heartbeat.SECONDS
+        return [
+            job
+            for job, told in zip(running, ended, strict=True)
+            if told or (look and (job.last_words() or self._dead(job)))
+        ]
 
     def _dead(self, job: Job) -> bool:
         silence = job.silence()

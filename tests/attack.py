@@ -42,8 +42,10 @@ FILE = 2 * 2**30
 """Bytes of a file that a case may write."""
 SECONDS = 20.0
 """Given to a case on an idle machine, and then to one that is stopped."""
+LEFT_TO_WORK = 5.0
+"""Seconds given to a case whose work may be as long as it asks, before it is stopped."""
 LEFT_TO_TRAIN = 1.0
-"""Seconds given to a run that has begun to train."""
+"""Seconds given to one that has begun to train."""
 AT_ONCE = 2
 BLOCK = 50
 """Cases that one call of Hypothesis draws: to repeat one, its block alone is drawn."""
@@ -251,16 +253,17 @@ class Attempt:
         now = time.monotonic()
         with suppress(OSError, IndexError), open(f"/proc/{self.pid}/statm") as sizes:
             self.peak = max(self.peak, int(sizes.read().split()[1]) * resource.getpagesize())
-        seconds = self.seconds * max(1.0, os.getloadavg()[0] / len(os.sched_getaffinity(0)))  # others work here too
-        trains = self.case.works or any(self.here.glob("**/progress.json"))
+        busy = max(1.0, os.getloadavg()[0] / len(os.sched_getaffinity(0)))  # others work here too
+        seconds, patience = self.seconds * busy, LEFT_TO_WORK * busy if self.case.works else LEFT_TO_TRAIN
+        works = self.case.works or any(self.here.glob("**/progress.json"))
         if self.peak > MEMORY:
             self._kill("memory")
         elif self.asked is not None:
             if now - self.asked > seconds:
                 self._kill("hang")
-        elif now - self.began > seconds and not trains:
+        elif now - self.began > seconds and not works:
             self._kill("hang")
-        elif trains and now - self.began > (seconds if self.case.works else LEFT_TO_TRAIN):
+        elif works and now - self.began > patience:
             self.asked = now
             os.kill(self.pid, signal.SIGINT)
 

@@ -146,6 +146,9 @@ def call(told, function, *given, spoil=lambda folder: None, works=False, **named
         end_quietly("uavnav")
         try:
             function(*given, **named)
+        except Interrupted as stop:
+            print(stop, file=sys.stderr)
+            return 128 + stop.signum
         except TYPED as error:
             print(f"{type(error).__name__}: {error}" if len(str(error)) > 240 else error, file=sys.stderr)
             return 2
@@ -183,13 +186,16 @@ def settings(draw):
         if part in PARTS:
             nested[part] = {name: value} if name else value
     if draw(st.booleans()):
-        return call(f"{algorithm}.from_mapping", ALGORITHMS[algorithm].config.from_mapping, nested)
-    return call(f"train {algorithm}", functools.partial(_train, algorithm), nested, quiet=True)
+        return call(f"{algorithm} in {task}: from_mapping", lambda **given: _config(algorithm, nested), **given)
+    return call(f"{algorithm} in {task}: train", lambda **given: _train(algorithm, nested), **given)
 
 
-def _train(algorithm, mapping, **how):
-    config = ALGORITHMS[algorithm].config.from_mapping(mapping)
-    return ppo.train(config, **{"out": "new"} | how)
+def _config(algorithm, mapping):
+    return ALGORITHMS[algorithm].config.from_mapping(mapping)
+
+
+def _train(algorithm, mapping):
+    ppo.train(_config(algorithm, mapping), out="new", quiet=True)
 
 
 # -- command lines ---------------------------------------------------------------------------------------------------
@@ -236,6 +242,8 @@ def command_lines(draw):
         pairs = [quick[i : i + 2] for i in range(0, len(quick), 2)]
         words += [one for pair in pairs if pair[0] not in named for one in pair]
     stray = draw(st.lists(hostile.map(word), max_size=1)) if not draw(st.integers(0, 4)) else []
+    if name == "bench":  # which would take 40 minutes
+        return Case(f"uavnav bench {shown(words)}", lambda: commands.parse("bench", words) and 0)
     return command(name, *words, *stray, works=True)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
@@ -25,7 +26,13 @@ def write(path: Path, content: bytes) -> None:
         aside.write_bytes(content)
         os.replace(aside, path)
     finally:
-        aside.unlink(missing_ok=True)
+        remove(aside)
+
+
+def remove(path: Path) -> None:
+    """Remove a file that may be there; it stays where a disk has become read-only meanwhile."""
+    with contextlib.suppress(OSError):
+        path.unlink()
 
 
 def check(path: str | Path, most: int = TABLE_BYTES) -> None:

@@ -20,8 +20,8 @@ from uavnav import commands
 from uavnav.runs import (
     FINISHED,
     KINDS,
-    SILENCE,
     check_settings,
+    heard,
     own_evaluation,
     progress,
     read_settings,
@@ -63,13 +63,13 @@ def row(path: Path, now: float) -> dict[str, Any]:
 def _progress(path: Path, now: float) -> dict[str, Any]:
     """How far a running run is; empty where it has been silent for a minute."""
     known = progress(path)
-    return known if known and now - known["at"] < SILENCE else {}
+    return known if heard(known, now) else {}
 
 
 def _age(written: str, now: float) -> int | None:
-    """Seconds since a time that meta.json names."""
+    """Seconds since a time that meta.json names; 0 where the clock was set back since."""
     try:
-        return round(now - datetime.datetime.fromisoformat(written).timestamp())
+        return max(0, round(now - datetime.datetime.fromisoformat(written).timestamp()))
     except ValueError:
         return None
 

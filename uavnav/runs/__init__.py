@@ -155,6 +155,11 @@ def progress(folder: Path) -> dict[str, float]:
         return {}
 
 
+def heard(told: Mapping[str, float], now: float) -> bool:
+    """Whether a run that said this runs: by a clock that was set back, one that was killed may speak of the future."""
+    return bool(told) and abs(now - told["at"]) < SILENCE
+
+
 def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
     """A run's settings as they are written today.
 

@@ -43,7 +43,7 @@ def lock(path: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        Path(held.lock_file).unlink(missing_ok=True)
+        files.remove(path / LOCK)
         held.release()
 
 

@@ -20,7 +20,7 @@ from uavnav import commands, plugins, studies
 from uavnav.evaluate.scripts import Protocol, missing, protocol_in
 from uavnav.help.choices import ConfigError
 from uavnav.report import report
-from uavnav.runs import SILENCE, progress
+from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, engines, search, tuning
 from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
@@ -87,7 +87,7 @@ def status(cell: Cell) -> dict[str, Any]:
     if trained(cell):
         return facts | {"frames": cell.config.frames, "state": "finished" if evaluated(cell) else "not evaluated"}
     told = progress(cell.out)
-    if time.time() - told.get("at", 0) < SILENCE:
+    if heard(told, time.time()):
         return facts | {"frames": told["frames"], "state": "under way"}
     return facts | {"frames": told.get("frames", 0), "state": "stopped" if cell.out.exists() else "missing"}
 

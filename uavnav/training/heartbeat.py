@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import threading
 import time
@@ -41,8 +40,7 @@ class Heartbeat:
     def __exit__(self, *error: object) -> None:
         self._over.set()
         self._thread.join()
-        with contextlib.suppress(OSError):
-            (self.folder / PROGRESS).unlink(missing_ok=True)
+        files.remove(self.folder / PROGRESS)
 
     def tell(self, frames: int) -> None:
         """Note how many frames per seed there are now, for the next beat."""

@@ -23,7 +23,7 @@ from filelock import FileLock, Timeout
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from uavnav import plugins
+from uavnav import files, plugins
 from uavnav.runs import FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, Run, read_settings
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.tables import LOCK, Columns, RunError, with_reward, write, write_table
@@ -170,6 +170,9 @@ class Recorder:
             if self._check_folder():
                 raise RunError(f"out={self.path}: was finished by another process meanwhile; give the command again")
             self._begin()
+        except OSError as error:
+            self._release()
+            raise self._unwritable(error) from error
         except BaseException:
             self._release()
             raise
@@ -202,11 +205,11 @@ class Recorder:
                 self._write_meta()
         self.heartbeat.__exit__(kind, *error)
         if self.stop is not None:
-            (self.path / STOP).unlink(missing_ok=True)  # it was obeyed, and counts once
+            files.remove(self.path / STOP)  # it was obeyed, and counts once
         self._release()
 
     def _release(self) -> None:
-        Path(self._lock.lock_file).unlink(missing_ok=True)
+        files.remove(self.path / LOCK)
         self._lock.release()
 
     def _note_stop(self, number: int, frame: object) -> None:
@@ -390,7 +393,10 @@ class Recorder:
         wall = time.perf_counter() - self._began if wall_seconds is None else wall_seconds
         self.meta |= {"status": FINISHED, "frames": frames, "wall_seconds": round(wall, 3), "ended": _now()}
         self._write_meta()
-        self._checkpoints.remove()
+        try:
+            self._checkpoints.remove()
+        except OSError as error:
+            raise RunError(f"{self._checkpoints.folder}: cannot be removed ({error}); the run is finished") from error
         return Run(self.path, fresh=True)
 
     def _write_meta(self) -> None:

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from uavnav import plugins
+from uavnav import files, plugins
 from uavnav.runs import POLICY, PROGRESS, STOP, Run
 from uavnav.runs.tables import LOCK, RunError
 from uavnav.training import weights
@@ -111,7 +111,7 @@ class Shares:
         self.recorder, self.log = recorder, recorder.log
         self.shares = split(recorder.config, recorder.path, n)
         for path in self.shares:
-            (path / STOP).unlink(missing_ok=True)  # of a study that was stopped
+            files.remove(path / STOP)  # of a study that was stopped
 
     def progress(self) -> Generator[tuple[int, list[float]]]:
         """Train all shares, and yield where the whole run is: what `Tell` is told.
@@ -182,8 +182,9 @@ class Shares:
                 assert process.stdin is not None
                 told = described(path, config, self.recorder.checkpoint_seconds, self.recorder.until)
                 told["log"] = self.log is not None
-                process.stdin.write(json.dumps(told) + "\n")
-                process.stdin.flush()
+                with contextlib.suppress(BrokenPipeError):  # it has ended without a word, as is heard below
+                    process.stdin.write(json.dumps(told) + "\n")
+                    process.stdin.flush()
                 threading.Thread(target=_listen, args=(process, path, said), daemon=True).start()
             yield processes
         finally:
@@ -224,7 +225,8 @@ def _stop(processes: Sequence[subprocess.Popen[str]]) -> None:
     """Ask all to save and end, by closing what they listen to: however often it is said, they hear it once."""
     for process in processes:
         if process.stdin is not None:
-            process.stdin.close()
+            with contextlib.suppress(BrokenPipeError):  # of what it was told and never read
+                process.stdin.close()
 
 
 def _in_order(episodes: list[pd.DataFrame]) -> pd.DataFrame:

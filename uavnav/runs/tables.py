@@ -25,6 +25,8 @@ Columns = dict[str, np.ndarray[Any, Any]]
 LOCK = ".lock"
 UNFOLDED = 100
 """Bytes that one of a large table's file stands for, at most."""
+CSV_BYTES = 2**22
+"""Of a table of text, at most."""
 MOST_COLUMNS = 1_000
 PLAIN = (
     *(pa.types.is_boolean, pa.types.is_integer, pa.types.is_floating, pa.types.is_null),
@@ -81,6 +83,25 @@ def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFra
         if str(table.dtypes.get(column)) != kind:
             raise RunError(f"{path}: its columns are not a run's, {column} is no {kind}; {again}")
     return table
+
+
+def read_csv(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFrame:
+    """Read a table of text whose columns are these; columns: name -> dtype, `object` for words.
+
+    Raises:
+        RunError: the file cannot be read, or is another table.
+    """
+    try:
+        table = pd.read_csv(io.BytesIO(files.read(path, CSV_BYTES)), float_precision="round_trip")
+        if [*table] != [*columns]:
+            raise ValueError("its columns are others")
+        for column, kind in columns.items():
+            words = table[column].map(lambda value: isinstance(value, str))
+            if not words.all() if kind == "object" else words.any():
+                raise ValueError(f"{column} is no {kind}")
+        return table.astype(dict(columns))
+    except (OSError, ValueError, OverflowError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); {again}") from error
 
 
 def arrow(path: Path, columns: Sequence[str] | None = None) -> pa.Table:

@@ -18,12 +18,11 @@ from typing import Any
 
 import pandas as pd
 
-from uavnav import plugins
+from uavnav import files, plugins
 from uavnav.evaluate import rows_across
-from uavnav.files import write
 from uavnav.help.choices import ConfigError
 from uavnav.runs import ARENA, FINISHED, POLICY, STOP, VALUES, Run, progress, read_settings
-from uavnav.runs.tables import RunError, lock, write_table
+from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.studies import Cell, engines
 from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
@@ -249,7 +248,7 @@ class Study:
         described = shares.described(share.folder, share.config, self.checkpoint_seconds, threads=threads)
         job = share.folder.with_name(f"{share.folder.name}.job")
         described |= {"evaluation": work.cell.evaluation, "folder": str(Path.cwd())}
-        write(job, json.dumps(described).encode())
+        files.write(job, json.dumps(described).encode())
         words = ["-m", "uavnav.train.share", *plugins.LOADED, str(job)]
         return engines.logged(words, job.with_suffix(".log"))
 
@@ -353,7 +352,7 @@ def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
     """Put what the shares have flown together, in the order of one evaluation of all seeds: mode by mode."""
     beside = [name for name in (ARENA, VALUES) if all((folder / name).exists() for folder in folders)]
     for name in (*beside, *reversed(cell.flights)):  # rows last: who finds them has the others too
-        parts = [pd.read_parquet(folder / name) for folder in folders]
+        parts = [read_table(folder / name, {"seed": "int64"}, "delete it") for folder in folders]
         table = pd.concat(parts, ignore_index=True)
         if "mode" in table:
             table = table.sort_values("mode", kind="stable", ignore_index=True)
@@ -369,7 +368,7 @@ def _shown(path: Path) -> str:
 def _said(path: Path) -> dict[str, Any]:
     """What a job has written, or nothing."""
     try:
-        found = json.loads(path.read_text())
+        found = files.read_json(path)
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}

@@ -176,7 +176,10 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
         ("cells: [{algorithm: ppo, 3: 4}]", "settings={'algorithm': 'ppo', 3: 4}; give keys and values"),
         ("cells: [{algorithm: ppo, lr: []}]", "lr=[]; give at least one value"),
         ("cells: [{algorithm: ppo, hidden: []}]", "hidden=[]; give at least one"),
-        ("cells: [{algorithm: ppo, folder: '{lr.foo}', lr: 0.1}]", "folder={lr.foo}: cannot be filled in ("),
+        (
+            "cells: [{algorithm: ppo, folder: '{lr.foo}', lr: 0.1}]",
+            "folder={lr.foo}: names 'lr.foo', which the cell does",
+        ),
         ("cells: [{algorithm: ppo, folder: ../x}]", "folder=../x: leads out of the study's own; give one within"),
         ("cells: [{algorithm: ppo, layouts: '{foo}'}]", "layouts={foo}: names 'foo', which the cell does not set"),
         ("cells: [{algorithm: ppo, evaluate: {across: [3, [4]]}}]", "across=[3, [4]]; give a list of some of density"),

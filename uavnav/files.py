@@ -9,14 +9,26 @@ import os
 import stat
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 SETTINGS_BYTES = 2**18
 """Of a file that a person or a command wrote in YAML or JSON, at most: a run's own have a few thousand."""
 TABLE_BYTES = 2**31
 """Of a table, or of a file of tensors, at most."""
+WHOLE_BITS = 64
+"""Of a whole number in YAML or JSON, at most."""
+
+
+class Facts(BaseModel):
+    """What a file says, in the very types of its fields; it may say more."""
+
+    model_config = ConfigDict(strict=True, extra="allow", frozen=True, allow_inf_nan=False)
+
+
+Kind = TypeVar("Kind", bound=Facts)
 
 
 def write(path: Path, content: bytes) -> None:
@@ -42,9 +54,23 @@ def check(path: str | Path, most: int = TABLE_BYTES) -> None:
 
 def read(path: str | Path, most: int = TABLE_BYTES) -> bytes:
     """What a regular file holds; raises an OSError as `check` does, or where it cannot be read."""
-    with open(os.open(_named(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:  # a pipe would wait
-        _check(os.fstat(file.fileno()), most)
-        return file.read(most)
+    descriptor = os.open(_named(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe would wait
+    try:
+        _check(os.fstat(descriptor), most)
+        with open(descriptor, "rb", closefd=False) as file:
+            return file.read()
+    finally:
+        os.close(descriptor)
+
+
+def facts(kind: type[Kind], said: Any) -> Kind:
+    """What a file says as its kind of facts; raises a ValueError that names the first that is wrong: `frames=many`."""
+    try:
+        return kind.model_validate(said)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        value = None if first["type"] == "missing" else first["input"]
+        raise ValueError(f"{'.'.join(map(str, first['loc'])) or 'all'}={value!s}") from None
 
 
 def read_json(path: str | Path, most: int = SETTINGS_BYTES) -> Any:
@@ -53,9 +79,9 @@ def read_json(path: str | Path, most: int = SETTINGS_BYTES) -> Any:
 
 
 def parsed(text: str | bytes) -> Any:
-    """What JSON says; raises a ValueError where it is none, or nested too deeply."""
+    """What JSON says; raises a ValueError where it is none, nested too deeply, or has a number of very many digits."""
     try:
-        return json.loads(text)
+        return json.loads(text, parse_int=_whole)
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
 
@@ -65,8 +91,14 @@ class Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, "aliases are not taken", self.peek_event().start_mark)  # type: ignore[no-untyped-call]
+            raise yaml.composer.ComposerError(None, None, "aliases are not taken")
         return super().compose_node(parent, index)
+
+    def construct_yaml_int(self, node: Any) -> int:
+        return _whole(super().construct_yaml_int(node))
+
+
+Loader.add_constructor("tag:yaml.org,2002:int", Loader.construct_yaml_int)
 
 
 def read_yaml(path: str | Path, loader: type[yaml.SafeLoader] = Loader) -> Any:
@@ -96,11 +128,21 @@ def check_out(path: Path) -> None:
         folder = next(one for one in path.absolute().parents if one.exists())
         if path.is_dir():
             raise IsADirectoryError("it is a folder")
+        if path.exists() and not path.is_file():
+            raise FileExistsError("it is no file")
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         reason = error.strerror or error
         raise ValueError(f"{path}: cannot be written ({reason}); give a path that can be written") from error
+
+
+def _whole(number: str | int) -> int:
+    """A whole number; raises a ValueError where it is too large for whoever computes with it or prints it."""
+    whole = int(number)
+    if whole.bit_length() > WHOLE_BITS:
+        raise ValueError(f"a whole number has more than {WHOLE_BITS} bits")
+    return whole
 
 
 def _named(path: str | Path) -> str | Path:

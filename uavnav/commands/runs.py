@@ -14,13 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.compute
-import pyarrow.parquet
 
 from uavnav import commands
 from uavnav.runs import (
     FINISHED,
-    KINDS,
-    check_settings,
     heard,
     own_evaluation,
     progress,
@@ -28,7 +25,7 @@ from uavnav.runs import (
     run_folders,
 )
 from uavnav.runs.metrics import MODES
-from uavnav.runs.tables import RunError
+from uavnav.runs.tables import RunError, arrow
 
 MEANS = {f"reward_{mode}": mode for mode in reversed(MODES)}
 STATES = {FINISHED: "finished", "failed": "failed"}
@@ -42,7 +39,8 @@ def row(path: Path, now: float) -> dict[str, Any]:
     evaluation. Raises a RunError where its files are no run's.
     """
     config = read_settings(path / "config.yaml")
-    check_settings(path / "config.yaml", config, KINDS | {"total_frames": int})
+    if "total_frames" not in config:
+        raise RunError(f"{path / 'config.yaml'}: not a run's, its total_frames=None; give a run's folder")
     meta = read_settings(path / "meta.json") if (path / "meta.json").exists() else {}
     running = _progress(path, now) if meta.get("status") == "running" else {}
     return {
@@ -70,7 +68,7 @@ def _age(written: str, now: float) -> int | None:
     """Seconds since a time that meta.json names; 0 where the clock was set back since."""
     try:
         return max(0, round(now - datetime.datetime.fromisoformat(written).timestamp()))
-    except ValueError:
+    except (ValueError, OverflowError):
         return None
 
 
@@ -85,11 +83,11 @@ def _pace(running: Mapping[str, Any]) -> dict[str, float]:
 def _rewards(path: Path, task: str) -> dict[str, float | None]:
     """The mean reward of a test flight in each mode, by the run's own protocol."""
     try:
-        rows = pyarrow.parquet.read_table(path / own_evaluation(task), columns=["mode", "reward"], use_threads=False)
+        rows = arrow(path / own_evaluation(task), ["mode", "reward"])
         flown = {column: rows.filter(pyarrow.compute.equal(rows["mode"], mode)) for column, mode in MEANS.items()}
-    except (OSError, KeyError, pyarrow.ArrowException):  # there is none, or it is damaged
+        return {column: pyarrow.compute.mean(part["reward"]).as_py() for column, part in flown.items()}
+    except (OSError, ValueError, NotImplementedError):  # there is none, or it is damaged, or its rewards are words
         return dict.fromkeys(MEANS)
-    return {column: pyarrow.compute.mean(part["reward"]).as_py() for column, part in flown.items()}
 
 
 # -- in words --------------------------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import pickle
 import re
@@ -12,19 +11,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from pydantic import Field
 from torch import Tensor, nn
 
-from uavnav import plugins
+from uavnav import files, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import choose_from
 from uavnav.help.errors import OneLineError
 from uavnav.networks import ACTIVATIONS, mlp
-from uavnav.runs import POLICY, read_settings
+from uavnav.runs import MOST_SEEDS, POLICY, read_settings
 from uavnav.runs.tables import RunError
+from uavnav.tasks import tensors as safe
 from uavnav.tasks.rewards import REWARDS
 from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.tasks.world import VERSION, World
@@ -43,6 +43,28 @@ class PolicyError(OneLineError, ValueError):
 
 class Diverged(PolicyError):
     """A policy's weights are not finite."""
+
+
+class Header(files.Facts):
+    """What a policy file says of its networks."""
+
+    algorithm: str
+    activation: str
+    hidden: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1, max_length=100)]
+    seeds: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1, max_length=MOST_SEEDS)]
+    epsilon: Annotated[float, Field(ge=0, le=1)]
+    world_version: str
+    world: dict[str, Any]
+    reward: str
+    task: str = "drone"
+    max_steps: int | None = None
+    stack: int = 1
+    faults: dict[str, Any] = Field(default_factory=dict)
+    layer_norm: bool = False
+    acts: str | None = None  # files of earlier versions do not say
+    head: Annotated[str, Field(max_length=100)] | None = None
+    bank: str | None = None
+    plugins: list[str] = Field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +153,23 @@ def as_option(error: Exception) -> str:
 def seeds(path: str | Path) -> list[int]:
     """The training seeds of a policy file; raises a PolicyError as `load_policy` does."""
     load_policy(path)
-    with safe_open(path, framework="pt") as file:
-        return list(json.loads(file.metadata()["uavnav"])["seeds"])
+    return contents(Path(path))[1].seeds
+
+
+def contents(path: Path) -> tuple[dict[str, Tensor], Header]:
+    """What a policy file holds: tensors whose first axis is of seeds, and its header.
+
+    Raises:
+        PolicyError: the file is missing or damaged.
+    """
+    try:
+        tensors, said = safe.read(path)
+        header = files.facts(Header, files.parsed(said.get("uavnav", "{}")))
+        if any(tensor.shape[:1] != (len(header.seeds),) for tensor in tensors.values()):
+            raise ValueError(f"not {len(header.seeds)} networks for {len(header.seeds)} seeds")
+    except (OSError, ValueError) as error:
+        raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
+    return tensors, header
 
 
 def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, activation: str | None = None) -> Policy:
@@ -160,63 +197,49 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     path = path / POLICY if os.path.isdir(path) else path
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
         raise PolicyError(f"{run}: no {POLICY} there; give the folder of a finished run")
-    try:
-        with safe_open(path, framework="pt") as file:
-            header = json.loads((file.metadata() or {}).get("uavnav", "{}"))
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        seeds, hidden, algorithm = list(header["seeds"]), list(header["hidden"]), str(header["algorithm"])
-        activation, version, reward = header["activation"], header["world_version"], header["reward"]
-        task, cap, epsilon = header.get("task", "drone"), header.get("max_steps"), float(header["epsilon"])
-        layer_norm = bool(header.get("layer_norm", False))
-        world, noted = dict(header["world"]), list(header.get("plugins", []))
-        stack, faults = header.get("stack", 1), dict(header.get("faults", {}))
-        how = ALGORITHMS.get(algorithm)
-        acts = header.get("acts", how and how.acts)  # files of earlier versions do not say
-        head = header.get("head", how and how.head)
-        if not all(type(one) is int for one in seeds):
-            raise TypeError("its seeds are no whole numbers")
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
-    if version != VERSION:
-        raise PolicyError(f"{path}: trained in world version {version}, this is {VERSION}")
+    tensors, header = contents(path)
+    how = ALGORITHMS.get(header.algorithm)
+    acts, head = header.acts or (how and how.acts), header.head or (how and how.head)
+    if header.world_version != VERSION:
+        raise PolicyError(f"{path}: trained in world version {header.world_version}, this is {VERSION}")
     for name, value, choices in (
-        ("activation", activation, ACTIVATIONS),
-        ("reward", reward, REWARDS),
-        ("task", task, TASKS),
-        ("algorithm", algorithm, ALGORITHMS),
+        ("activation", header.activation, ACTIVATIONS),
+        ("reward", header.reward, REWARDS),
+        ("task", header.task, TASKS),
+        ("algorithm", header.algorithm, ALGORITHMS),
         ("way to act", acts, ACTS),
         ("head", str(head).partition(" ")[0], HEADS),  # its numbers follow
     ):
         if value not in list(choices):
-            hint = plugins.missing(noted) or f"; {choose_from(value, choices)}"
+            hint = plugins.missing(header.plugins) or f"; {choose_from(value, choices)}"
             raise PolicyError(f"{path}: unknown {name} {value!r}{hint}")
     try:
-        trained_in = make_task(EMPTY, world, reward, cap, task, stack, faults)
+        cap, task, faults = header.max_steps, header.task, header.faults
+        trained_in = make_task(EMPTY, header.world, header.reward, cap, task, header.stack, faults)
     except (TypeError, ValueError) as error:
         raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
-    if not seeds:
-        raise PolicyError(f"{path}: holds no seed; give the policy of a finished run")
-    seed = seeds[0] if seed is None else seed
-    if seed not in seeds:
-        raise PolicyError(f"{path}: seed={seed} is not there; choose from {seeds[0]} ... {seeds[-1]}")
-    agent = seeds.index(seed)
+    seed = header.seeds[0] if seed is None else seed
+    if seed not in header.seeds:
+        raise PolicyError(f"{path}: seed={seed} is not there; choose from {header.seeds[0]} ... {header.seeds[-1]}")
+    agent = header.seeds.index(seed)
     policy = {
         key.removeprefix("policy."): tensor[agent : agent + 1]
         for key, tensor in tensors.items()
         if key.startswith("policy.")
     }
     try:
-        inputs, outputs = policy["0.weight"].shape[1], policy[f"{2 * len(hidden)}.weight"].shape[2]
-        network = mlp([inputs, *hidden, outputs], activation, [torch.Generator()], "default", layer_norm=layer_norm)
+        inputs, outputs = policy["0.weight"].shape[1], policy[f"{2 * len(header.hidden)}.weight"].shape[2]
+        sizes = [inputs, *header.hidden, outputs]
+        if {key: (tensor.dtype, *tensor.shape) for key, tensor in policy.items()} != _expected(sizes):
+            raise ValueError("other tensors")
+        network = mlp(sizes, header.activation, [torch.Generator()], "default", layer_norm=header.layer_norm)
         network.load_state_dict(policy)
-        outputs = values_of(head, torch.zeros(1, outputs)).shape[-1]
-        if any(len(tensor) != len(seeds) for tensor in tensors.values()):
-            raise RuntimeError(f"not {len(seeds)} networks for {len(seeds)} seeds")
+        outputs = values_of(str(head), torch.zeros(1, outputs)).shape[-1]
     except (KeyError, IndexError, RuntimeError, TypeError, ValueError, OverflowError) as error:
         raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
     _check_sizes(path, inputs, outputs, trained_in)
     facts = path.with_name("meta.json")
-    if noted and facts.is_file():
+    if header.plugins and facts.is_file():
         try:
             plugins.warn_of_changed(path, read_settings(facts).get("plugins", {}))
         except RunError as error:
@@ -224,7 +247,16 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     for key, tensor in policy.items():
         if not tensor.isfinite().all():
             raise Diverged(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
-    return Policy(network, algorithm, greedy, trained_in, acts, head, epsilon, seed, header.get("bank"))
+    return Policy(
+        network, header.algorithm, greedy, trained_in, str(acts), str(head), header.epsilon, seed, header.bank
+    )
+
+
+def _expected(sizes: Sequence[int]) -> dict[str, tuple[Any, ...]]:
+    """Type and shape of each tensor of an agent's network with layers of some sizes, before memory is taken for it."""
+    layers = {f"{2 * index}": layer for index, layer in enumerate(pairwise(sizes))}
+    weights = {f"{name}.weight": (torch.float32, 1, inputs, outputs) for name, (inputs, outputs) in layers.items()}
+    return weights | {f"{name}.bias": (torch.float32, 1, 1, outputs) for name, (_, outputs) in layers.items()}
 
 
 def _check_sizes(path: Path, inputs: int, outputs: int, task: Task) -> None:

@@ -90,8 +90,8 @@ def tuning(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str
         trials = trials.assign(best=so_far(trials))
         algorithms = list(dict.fromkeys(trials["algorithm"]))
         won = {name: row["trial"] for name in algorithms if (row := best(trials, name))}
-    except (KeyError, ValueError) as error:
-        return {}, [one_line(f"{folder}: its tables cannot be read ({error}); carry the study out again"), *left_out]
+    except RunError as error:
+        return {}, [str(error), *left_out]
     cells: dict[str, Cells] = {DEFAULT: {}, TUNED: {}}
     places = [(DEFAULT, folder / DEFAULT)]
     places += [(TUNED, folder / winner(trial) / name) for name, trial in won.items()]

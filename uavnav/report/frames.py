@@ -24,7 +24,7 @@ from uavnav.report.verdicts import Finding, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.metrics import FIRST_COLUMNS
 from uavnav.runs.readings import PER_FRAME, SAMPLED
-from uavnav.runs.tables import RunError, read_table
+from uavnav.runs.tables import RunError, read_csv, read_table
 
 CAP = 10_000
 """Steps at which the restricted mean of a survival curve ends: the evaluation's own cap."""
@@ -122,10 +122,18 @@ def predictions(evidence: Mapping[str, Evidence]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
+FIRST_RULE = (
+    {"claim": "int64", "text": "object"}
+    | dict.fromkeys(("paper", "value", "low", "high", "p_holm"), "float64")
+    | {"n": "int64", "verdict": "object", "verdict_of_claim": "object"}
+)
+"""Columns of its verdicts."""
+
+
 def first_rule(folder: Path) -> pd.DataFrame:
     """The verdicts of the first rule, which the report keeps as history; no rows where the folder has none."""
     path = folder / "tables" / "first_rule.csv"
-    return pd.read_csv(path) if path.exists() else pd.DataFrame(columns=["claim", "text"])
+    return read_csv(path, FIRST_RULE, "delete it") if path.exists() else pd.DataFrame(columns=["claim", "text"])
 
 
 def improvement(cells: Cells) -> pd.DataFrame:

@@ -19,15 +19,16 @@ Files appear whole or not at all. A folder is locked while a run writes to it.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pandas as pd
-import yaml
+from pydantic import Field
 
+from uavnav import files
+from uavnav.files import Facts
 from uavnav.runs.metrics import FIRST_COLUMNS
 from uavnav.runs.tables import RunError, read_table
 from uavnav.runs.trials import TRIALS, TUNING
@@ -49,8 +50,55 @@ OF_REPORTS = ("baselines", "bench", "tables", "figures")
 """Folders that a report reads or writes itself."""
 SILENCE = 60.0
 """Seconds after which a run that has written no progress no longer runs."""
-KINDS = {"algorithm": str, "activation": str, "seed": int, "n_seeds": int}
-"""What every config.yaml holds."""
+MOST_SEEDS = 2**20
+"""Of a run, and of a file of policies."""
+Name = Annotated[str, Field(pattern=r"^[\w.-]+$", max_length=100)]
+Count = Annotated[int, Field(ge=0, lt=2**53)]
+
+
+class Config(Facts):
+    """What every config.yaml holds, and what some do."""
+
+    algorithm: Name
+    activation: Name
+    seed: Annotated[int, Field(ge=0, lt=2**31)]
+    n_seeds: Annotated[int, Field(ge=1, le=MOST_SEEDS)]
+    total_frames: Annotated[Count, Field(ge=1)] = 1
+    n_worlds: Annotated[Count, Field(ge=1)] = 1
+    preset: Name = "paper"
+    task: Name = "drone"
+    reward: Name = "eq14"
+    layouts: str = "train"
+    gamma: Annotated[float, Field(ge=0, le=1)] = 1.0
+    world: dict[str, Any] = Field(default_factory=dict)
+    faults: dict[str, Any] = Field(default_factory=dict)
+
+
+class Meta(Facts):
+    """What meta.json holds, as far as somebody reads it."""
+
+    status: str = ""
+    frames: Annotated[Count, Field(ge=1)] | None = None
+    started: str = ""
+    ended: str = ""
+    wall_seconds: Annotated[float, Field(ge=0)] = 0.0
+    compiled: bool = False
+    threads: Annotated[int, Field(ge=1, le=2**12)] = 1
+    processes: Annotated[int, Field(ge=1, le=MOST_SEEDS)] = 1
+    versions: dict[str, str | None] = Field(default_factory=dict)
+    bank: dict[str, str | None] = Field(default_factory=dict)
+    machine: dict[str, Any] | str = Field(default_factory=dict)
+    plugins: dict[str, str] = Field(default_factory=dict)
+    beyond_preset: dict[str, Any] = Field(default_factory=dict)
+
+
+class Progress(Facts):
+    """What progress.json holds."""
+
+    frames: Count
+    total: Annotated[Count, Field(ge=1)]
+    rate: Annotated[float, Field(ge=0)] | None
+    at: float
 
 
 class Run:
@@ -77,8 +125,8 @@ class Run:
         self.meta: dict[str, Any] = read_settings(self.path / "meta.json")
         if self.meta.get("status") != FINISHED:
             raise RunError(f"{path}: the run is not finished; give the same command again to complete it")
-        check_settings(self.path / "config.yaml", self.config)
-        check_settings(self.path / "meta.json", self.meta, {"frames": int})
+        if self.meta.get("frames") is None:
+            raise RunError(f"{self.path / 'meta.json'}: not a run's, its frames=None; give a run's folder")
         self.algorithm: str = self.config.pop("algorithm")
         self.config = modern(self.config)
         if rows:
@@ -127,32 +175,31 @@ def default_folder(algorithm: str, preset: str, activation: str) -> Path:
     return Path("runs") / (algorithm if preset == "paper" else f"{algorithm}-{preset}") / activation
 
 
-def read_settings(path: Path) -> dict[str, Any]:
-    """What a run's config.yaml or meta.json holds; raises a RunError where it is missing, damaged, or no table."""
-    parse, what = (json.loads, "a run's facts") if path.suffix == ".json" else (yaml.safe_load, "a run's configuration")
+def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str, Any]:
+    """What a run's config.yaml or meta.json holds; raises a RunError where it is missing, damaged, or no run's."""
+    said: Any
+    kind: type[Facts]
+    kind, what = (Meta, "facts") if path.suffix == ".json" else (Config, "configuration")
     try:
-        content = parse(path.read_text())
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise RunError(f"{path}: missing or damaged; give a run's folder") from error
-    if not isinstance(content, dict):
-        raise RunError(f"{path}: not {what}; give a run's folder")
-    return content
-
-
-def check_settings(path: Path, there: Mapping[str, Any], kinds: Mapping[str, type] = KINDS) -> None:
-    """Raise a RunError where what a file holds is no run's; kinds: of the keys that it must have."""
-    for key, kind in kinds.items():
-        if type(there.get(key)) is not kind or (key == "n_seeds" and there[key] < 1):
-            raise RunError(f"{path}: not a run's, its {key}={there.get(key)}; give a run's folder")
+        said = files.read_json(path) if kind is Meta else files.read_yaml(path)
+    except (OSError, ValueError) as error:
+        raise RunError(f"{path}: missing or damaged; {instead}") from error
+    if not isinstance(said, dict):
+        raise RunError(f"{path}: not a run's {what}; {instead}")
+    try:
+        files.facts(kind, said)
+    except ValueError as error:
+        raise RunError(f"{path}: not a run's, its {error}; {instead}") from error
+    return said
 
 
 def progress(folder: Path) -> dict[str, float]:
     """What `progress.json` says: `frames`, `total`, `rate` (0: not known yet), `at`; empty where it cannot be read."""
     try:
-        there = json.loads((folder / PROGRESS).read_text())
-        return {key: there[key] + 0 for key in ("frames", "total", "at")} | {"rate": (there["rate"] or 0) + 0}
-    except (OSError, ValueError, RecursionError, KeyError, TypeError):
+        there = files.facts(Progress, files.read_json(folder / PROGRESS))
+    except (OSError, ValueError):
         return {}
+    return {"frames": there.frames, "total": there.total, "at": there.at, "rate": there.rate or 0}
 
 
 def heard(told: Mapping[str, float], now: float) -> bool:
@@ -182,15 +229,15 @@ def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
         problem = "is a file" if folder.exists() else "there is no such folder"
         raise RunError(f"{folder}: {problem}; give a folder that holds runs")
     found, strays = [], []
-    for path, names, files in os.walk(folder):
+    for path, names, there in os.walk(folder):
         none = (*NO_RUNS, TRIALS) if Path(path).name == TUNING else NO_RUNS
         names[:] = sorted(name for name in names if not name.startswith(".") and name not in none)
-        if "config.yaml" in files:
+        if "config.yaml" in there:
             found.append(Path(path))
-        elif "episodes.parquet" in files:
+        elif "episodes.parquet" in there:
             strays.append(f"{path}: has episodes.parquet and no config.yaml; not a run of this package")
         elif Path(path).name not in OF_REPORTS:
-            strays += [f"{path}/{name}: lies where no run is" for name in sorted(files) if name.endswith(".parquet")]
+            strays += [f"{path}/{name}: lies where no run is" for name in sorted(there) if name.endswith(".parquet")]
     if not found:
         raise RunError(f"{folder}: holds no run; give a folder that does, or train one with out={folder}/ppo/tanh")
     return found, strays

@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
 from uavnav import files
@@ -20,6 +23,16 @@ from uavnav.runs.metrics import LAST, finished
 Columns = dict[str, np.ndarray[Any, Any]]
 
 LOCK = ".lock"
+UNFOLDED = 100
+"""Bytes that one of a large table's file stands for, at most."""
+CSV_BYTES = 2**22
+"""Of a table of text, at most."""
+MOST_COLUMNS = 1_000
+PLAIN = (
+    *(pa.types.is_boolean, pa.types.is_integer, pa.types.is_floating, pa.types.is_null),
+    *(pa.types.is_string, pa.types.is_large_string),
+)
+"""What a column may hold."""
 
 
 class RunError(OneLineError, RuntimeError):
@@ -61,13 +74,88 @@ def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFra
         RunError: the file is missing or damaged, or its columns differ.
     """
     try:
-        table = pd.read_parquet(io.BytesIO(path.read_bytes()), page_checksum_verification=True)
-    except Exception as error:  # pyarrow raises many kinds, in many lines
+        plain = arrow(path)
+        table: pd.DataFrame = plain.to_pandas(ignore_metadata=True)
+        table.attrs |= _attrs(plain.schema.metadata or {})
+    except (OSError, ValueError) as error:
         raise RunError(f"{path}: missing or damaged; {again}") from error
     for column, kind in columns.items():
         if str(table.dtypes.get(column)) != kind:
             raise RunError(f"{path}: its columns are not a run's, {column} is no {kind}; {again}")
     return table
+
+
+def read_csv(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFrame:
+    """Read a table of text whose columns are these; columns: name -> dtype, `object` for words.
+
+    Raises:
+        RunError: the file cannot be read, or is another table.
+    """
+    try:
+        table = pd.read_csv(io.BytesIO(files.read(path, CSV_BYTES)), float_precision="round_trip")
+        if [*table] != [*columns]:
+            raise ValueError("its columns are others")
+        for column, kind in columns.items():
+            words = table[column].map(lambda value: isinstance(value, str))
+            if not words.all() if kind == "object" else words.any():
+                raise ValueError(f"{column} is no {kind}")
+        return table.astype(dict(columns))
+    except (OSError, ValueError, OverflowError) as error:
+        raise RunError(f"{path}: cannot be read ({error}); {again}") from error
+
+
+def arrow(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a Parquet file, or some columns of it, whose size is known before it is unfolded.
+
+    Raises:
+        OSError, ValueError: the file is missing or damaged, has columns of other than plain values, or unfolds to more
+            than 2 GiB and a hundred times its own size.
+    """
+    content = files.read(path)
+    try:
+        text = [one.name for one in _checked(content, pq.ParquetFile(pa.BufferReader(content)), columns)]
+        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True, read_dictionary=text)
+        folded = file.read(columns, use_threads=False)
+        for name in text:
+            folded = _unfolded(content, folded, name)
+        folded.validate(full=True)
+    except (pa.ArrowException, KeyError, TypeError, OverflowError) as error:
+        raise ValueError(str(error)) from error
+    return folded
+
+
+def _checked(content: bytes, file: pq.ParquetFile, columns: Collection[str] | None) -> list[pa.Field]:
+    """The columns of text of those that are read; raises a ValueError where one is not plain, or all are too many."""
+    schema, facts = file.schema_arrow, file.metadata
+    if len({*schema.names}) < len(schema.names) or not {*(columns or ())} <= {*schema.names}:
+        raise ValueError("its columns have no names of their own")
+    if facts.num_columns > MOST_COLUMNS or not all(any(one(field.type) for one in PLAIN) for field in schema):
+        raise ValueError("its columns do not hold plain values")
+    groups = [facts.row_group(index) for index in range(facts.num_row_groups)]
+    rows = max(facts.num_rows, sum(max(group.num_rows, 0) for group in groups))
+    _check_unfolded(content, max(8 * rows * facts.num_columns, sum(max(one.total_byte_size, 0) for one in groups)))
+    return [field for field in schema if field.type in (pa.string(), pa.large_string())]
+
+
+def _unfolded(content: bytes, table: pa.Table, name: str) -> pa.Table:
+    """A table with the words of a column that was read as a dictionary of them."""
+    index, words = table.schema.get_field_index(name), table[name]
+    longest = max((pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for chunk in words.chunks), default=0)
+    _check_unfolded(content, len(table) * longest)
+    return table.set_column(index, name, words.cast(words.type.value_type))
+
+
+def _check_unfolded(content: bytes, size: int) -> None:
+    if size > max(files.TABLE_BYTES, UNFOLDED * len(content)):
+        raise ValueError(f"it unfolds to {size:,} bytes")
+
+
+def _attrs(metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
+    """What pandas wrote beside a table's columns: names with plain values."""
+    said = files.parsed(metadata.get(b"PANDAS_ATTRS", b"{}"))
+    if not isinstance(said, dict) or not all(isinstance(one, (str, int, float)) for one in said.values()):
+        raise ValueError("its header is none")
+    return said
 
 
 def write_table(path: Path, table: pd.DataFrame) -> None:

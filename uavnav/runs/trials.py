@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+
+from uavnav import files
+from uavnav.runs.tables import RunError, read_csv
 
 TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
 """What a study that tunes writes into; in there its trials, which are no runs of their own; and winners, by trial."""
@@ -16,8 +19,9 @@ HOW = {DEFAULT: "With default settings", TUNED: "Tuned with the same budget"}
 DIFFERENCE = "tuned − default"
 """Settings of a row that compares the winner with the default."""
 TABLE, IMPORTANCE = "trials.csv", "importance.csv"
-COLUMNS = ["algorithm", "trial", "state", "value", "settings"]
-OF_IMPORTANCE = ["algorithm", "setting", "importance"]
+COLUMNS = {"algorithm": "object", "trial": "int64", "state": "object", "value": "float64", "settings": "object"}
+OF_IMPORTANCE = {"algorithm": "object", "setting": "object", "importance": "float64"}
+AGAIN = "carry the study out again"
 FINISHED, DIVERGED = "finished", "diverged"
 """States of a trial that was told."""
 
@@ -39,6 +43,19 @@ def folders(of: Sequence[Path]) -> list[Path]:
     return [place for place in places if (place / TABLE).is_file()]
 
 
-def read(path: Path, columns: Sequence[str]) -> pd.DataFrame:
-    """One of the tables; no rows where it is not there yet."""
-    return pd.read_csv(path, float_precision="round_trip") if path.is_file() else pd.DataFrame(columns=list(columns))
+def read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
+    """One of the tables; no rows where it is not there yet. Settings are JSON.
+
+    Raises:
+        RunError: it is another table, or damaged.
+    """
+    if not path.exists():
+        return pd.DataFrame(columns=list(columns))
+    table = read_csv(path, columns, AGAIN)
+    try:
+        wrong = any(not isinstance(files.parsed(settings), dict) for settings in table.get("settings", ()))
+    except ValueError:
+        wrong = True
+    if wrong or not table.get("trial", pd.Series(0)).between(0, 10**6).all():
+        raise RunError(f"{path}: holds other rows than trials; {AGAIN}")
+    return table

@@ -19,16 +19,20 @@
 from __future__ import annotations
 
 import itertools
+import math
+import os
 import re
+import string
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
+from uavnav import files
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import EPISODES, MAX_STEPS, files_of
 from uavnav.help.choices import ConfigError, choose_from, unknown, unknown_key
+from uavnav.help.errors import one_line
 from uavnav.tasks import layouts
 from uavnav.tasks.layouts import judged_on
 from uavnav.tasks.protocol import LADDER_NAMES, SPLITS
@@ -41,11 +45,19 @@ OF_CELLS = ("folder", "algorithm", "evaluate")
 """Keys of a cell that are no settings of its algorithm."""
 PROTOCOL = ("episodes", "max_steps")
 """Keys of `evaluate` that every cell is flown by."""
+MOST_CELLS = 10_000
+"""Of a study, its trials included."""
+MOST_OBSTACLES = 1_000
+"""Of a set of a study's own banks."""
+MOST_STEPS = 2**31 - 1
+"""Cap on a flight."""
+PATH = 1_000
+"""Characters of a folder within a study's, at most; the operating system gives 255 bytes to each part."""
 BANK = "layouts"
 """A key of `evaluate` for another bank than the test sets."""
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(files.Loader):
     """YAML with numbers such as 1e6, which are words for YAML 1.1."""
 
 
@@ -54,8 +66,8 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, [*"-+012345678
 
 
 def load(text: str) -> Any:
-    """What a YAML text says; numbers may be written as 1e6."""
-    return yaml.load(text, _Loader)  # a safe loader
+    """What a YAML text says; numbers may be written as 1e6. Raises a ValueError as `files.parsed_yaml` does."""
+    return files.parsed_yaml(text, _Loader)
 
 
 class Cell(NamedTuple):
@@ -98,11 +110,11 @@ def read(name: str) -> Study:
         ConfigError: there is no such study, or its file is not as it should be.
     """
     path = Path(name) if name.endswith(".yaml") else HERE / f"{name}.yaml"
-    if not path.is_file():
+    if not os.path.lexists(path):
         raise ConfigError(f"{name}: there is no such study; {choose_from(name, names())}, or give a file of your own")
     try:
-        said = load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+        said = files.read_yaml(path, _Loader)
+    except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: cannot be read ({' '.join(str(error).split())})") from error
     try:
         return _study(path.stem, said)
@@ -117,7 +129,7 @@ def _study(name: str, said: Any) -> Study:
         if key not in KEYS:
             raise unknown_key(str(key), KEYS)
     banks = said.get("banks", [])
-    if not isinstance(banks, list) or not all(type(k) is int and k >= 0 for k in banks):
+    if not isinstance(banks, list) or not all(type(k) is int and 0 <= k <= MOST_OBSTACLES for k in banks):
         raise ConfigError(f"banks={banks}; give a list of numbers of obstacles, such as [4, 12]")
     for cell in said["cells"]:
         if not isinstance(cell, dict) or "algorithm" not in cell:
@@ -126,16 +138,18 @@ def _study(name: str, said: Any) -> Study:
             raise ConfigError(f"algorithm={cell['algorithm']}; give a name, or a list of some")
     settings = said.get("settings", {})
     for part in (settings, *said["cells"]):
-        _check_settings("settings", part)
+        check_settings("settings", part)
         for algorithm in ALGORITHMS:
-            _check_settings(algorithm, part.get(algorithm, {}))
+            check_settings(algorithm, part.get(algorithm, {}))
     tune = said.get("tune")
     if tune is not None and not isinstance(tune, dict):
         raise ConfigError(f"tune={tune}; give keys and values, as uavnav/studies/tuning.yaml does")
     scripts = said.get("scripts")
-    if scripts is not None and not isinstance(scripts, str):
+    if scripts is not None and (not isinstance(scripts, str) or not _is_folder(scripts)):
         raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
-    return Study(name, str(said.get("what", name)), banks, settings, said["cells"], tune, scripts)
+    return Study(
+        name, one_line(said.get("what", name)), [*dict.fromkeys(banks)], settings, said["cells"], tune, scripts
+    )
 
 
 def only(study: Study, chosen: str | None) -> Study:
@@ -155,7 +169,8 @@ def only(study: Study, chosen: str | None) -> Study:
     return study._replace(cells=[cell for cell in kept if cell["algorithm"]])
 
 
-def _check_settings(name: str, said: Any) -> None:
+def check_settings(name: str, said: Any) -> None:
+    """Raise a ConfigError where settings are no table of names."""
     if not isinstance(said, dict) or not all(isinstance(key, str) for key in said):
         raise ConfigError(f"{name}={said}; give keys and values")
 
@@ -172,19 +187,24 @@ def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None 
         ConfigError: a setting is wrong, or two cells share a folder.
     """
     given = {key: value for key, value in (("n_seeds", seeds), ("total_frames", frames)) if value is not None}
-    found = []
+    found: list[Cell] = []
+    left = MOST_CELLS
     for cell in study.cells:
         for algorithm in algorithms(cell):
             if algorithm not in ALGORITHMS:
                 raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
             several = _of(algorithm, study.settings) | _of(algorithm, cell) | {"algorithm": algorithm} | given
+            left -= math.prod(len(value) for key, value in several.items() if _is_list(key, value))
+            if left < 0:
+                raise ConfigError(
+                    f"study {study.name}: cells stand for more than {MOST_CELLS:,} runs; give fewer values"
+                )
             try:
                 found += [_cell(one, out) for one in _combinations(several)]
             except ConfigError as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
-    folders = [cell.out for cell in found]
-    for folder in folders:
-        if folders.count(folder) > 1:
+    for folder, number in Counter(cell.out for cell in found).items():
+        if number > 1:
             raise ConfigError(
                 f"study {study.name}: folder={folder}: two cells share it; name in braces what they differ in"
             )
@@ -219,6 +239,8 @@ def _cell(said: Mapping[str, Any], out: Path) -> Cell:
     config: TrainConfig = ALGORITHMS[said["algorithm"]].config.from_mapping(_nested(settings))
     names = {key: "null" if value is None else value for key, value in said.items()}
     folder = _filled("folder", said.get("folder", ""), names)
+    if not _is_folder(folder):
+        raise ConfigError(f"folder={folder}: no folder has such a name; give a shorter one of printable characters")
     if not (out / folder).resolve().is_relative_to(out.resolve()):
         raise ConfigError(f"folder={folder}: leads out of the study's own; give one within")
     evaluation, across = _protocol(said.get("evaluate", True), TASKS[config.task].cap(MAX_STEPS))
@@ -232,13 +254,29 @@ def _cell(said: Mapping[str, Any], out: Path) -> Cell:
 
 
 def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
-    """A pattern whose names in braces are filled in."""
+    """A pattern whose names in braces are filled in: names alone, since a format may ask for gigabytes."""
+    filled = ""
     try:
-        return str(pattern).format(**names)
+        for text, name, width, conversion in string.Formatter().parse(str(pattern)):
+            if width or conversion or (name is not None and re.search(r"[^\w.]", name)):
+                raise ValueError("it has more than names in braces")
+            if name is not None and name not in names:
+                raise KeyError(name)
+            filled += text + ("" if name is None else str(names[name]))
+            if len(filled) > PATH:
+                raise ValueError(f"it has more than {PATH:,} characters")
     except KeyError as error:
         raise ConfigError(f"{key}={pattern}: names {error}, which the cell does not set") from error
-    except (AttributeError, IndexError, TypeError, ValueError) as error:
+    except ValueError as error:
         raise ConfigError(f"{key}={pattern}: cannot be filled in ({error}); give names such as {{lr}}") from error
+    return filled
+
+
+def _is_folder(name: str) -> bool:
+    """Whether a folder may have such a name, below another."""
+    if not name.isprintable() or len(name) > PATH:
+        return False
+    return not os.path.isabs(name) and all(part != ".." and len(part.encode()) <= 255 for part in name.split("/"))
 
 
 def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -263,7 +301,9 @@ def _protocol(said: Any, cap: int) -> tuple[dict[str, Any] | None, tuple[str, ..
     across = said.get("across", [])
     if not isinstance(across, list) or not all(name in LADDER_NAMES for name in across):
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
+    if BANK in said and not isinstance(said[BANK], str):
+        raise ConfigError(f"evaluate.{BANK}={said[BANK]}; give a name")
     protocol = usual | {key: value for key, value in said.items() if key != "across"}
     for key in PROTOCOL:
-        protocol[key] = checked(f"evaluate.{key}", protocol[key], int, {"least": 1})
-    return protocol, tuple(across)
+        protocol[key] = checked(f"evaluate.{key}", protocol[key], int, {"least": 1, "most": MOST_STEPS})
+    return protocol, tuple(dict.fromkeys(across))

@@ -25,7 +25,7 @@ from uavnav import files, plugins
 from uavnav.evaluate import rows_across
 from uavnav.help.choices import ConfigError
 from uavnav.runs import ARENA, FINISHED, POLICY, STOP, VALUES, Run, progress, read_settings
-from uavnav.runs.tables import RunError, lock, write_table
+from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.studies import Cell, engines
 from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
@@ -501,7 +501,7 @@ def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
     """Put what the shares have flown together, in the order of one evaluation of all seeds: mode by mode."""
     beside = [name for name in (ARENA, VALUES) if all((folder / name).exists() for folder in folders)]
     for name in (*beside, *reversed(cell.flights)):  # rows last: who finds them has the others too
-        parts = [pd.read_parquet(folder / name) for folder in folders]
+        parts = [read_table(folder / name, {"seed": "int64"}, "delete it") for folder in folders]
         table = pd.concat(parts, ignore_index=True)
         if "mode" in table:
             table = table.sort_values("mode", kind="stable", ignore_index=True)

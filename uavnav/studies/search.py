@@ -27,6 +27,8 @@ from uavnav.studies import Cell, Study
 
 KEYS = {"trials": int, "at_once": int, "settings": dict, "ranges": dict, "space": dict}
 
+MOST_VALUES = 1_000
+"""Of a range that is a list."""
 Settings = dict[str, Any]
 
 
@@ -108,6 +110,9 @@ def plan(
             if type(said.get(key)) is not kind or not said[key] or (kind is int and said[key] < 1):
                 raise ConfigError(f"{key}={said.get(key)}; give it as uavnav/studies/tuning.yaml does")
         found = Plan(study, out, trials or said["trials"], seeds, frames)
+        if found.trials * len(found.said["space"]) > studies.MOST_CELLS:
+            raise ConfigError(f"trials={found.trials}; give at most {studies.MOST_CELLS:,} in all")
+        studies.check_settings("settings", said["settings"])
         for algorithm in dict.fromkeys(name for cell in study.cells for name in studies.algorithms(cell)):
             if algorithm not in said["space"]:
                 raise unknown("algorithm", algorithm, said["space"])
@@ -126,11 +131,13 @@ def _check(found: Plan, algorithm: str) -> None:
     if not isinstance(space, dict) or not space:
         raise ConfigError(f"space: {algorithm}={space}; give settings with the names of their ranges, as lr: rate")
     for setting, name in space.items():
+        if not isinstance(setting, str) or setting in studies.OF_CELLS:
+            raise unknown_key(str(setting), found.defaults(algorithm))
         if not isinstance(name, str) or name not in found.said["ranges"]:
             raise unknown("range", name, found.said["ranges"])
         values = found.range(algorithm, setting)
         bounds = isinstance(values, dict) and {"low", "high"} <= values.keys() <= {"low", "high", "log"}
-        if not bounds and (not isinstance(values, list) or len(values) < 2):
+        if not bounds and (not isinstance(values, list) or not 2 <= len(values) <= MOST_VALUES):
             raise ConfigError(f"{name}={values}; give a list of values, or low and high, and log: true if you like")
         if bounds and not _in_order(**values):
             raise ConfigError(f"{name}={values}; give numbers, low below high, and low above 0 with log: true")

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -63,7 +62,7 @@ def parse(words: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
             raise ConfigError(f"{word}: give a value, or leave it out")
         try:
             given[key] = studies.load(value)
-        except yaml.YAMLError as error:
+        except ValueError as error:
             raise ConfigError(f"{word}: its value cannot be read") from error
     own = {
         key: checked(key, given.pop(key, default), kind, limits) if key in given else default

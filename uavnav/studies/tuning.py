@@ -15,20 +15,32 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pandas as pd
+from pydantic import Field
 
+from uavnav import files
 from uavnav.help.choices import ConfigError
-from uavnav.runs.tables import RunError, lock, write
+from uavnav.runs.tables import RunError, lock, read_table, write
 from uavnav.runs.trials import COLUMNS, DIVERGED, FINISHED, IMPORTANCE, OF_IMPORTANCE, TABLE, read
 from uavnav.studies import Cell
 from uavnav.studies.run import Work
 from uavnav.studies.search import Plan
 
 JOURNAL = "journal.jsonl"
+JOURNAL_BYTES = 2**26
+"""Of the journal, at most: a trial has some hundreds."""
 PLAN = "plan"
 """An attribute of Optuna's studies: what their trials have in common."""
+
+
+class Line(files.Facts):
+    """A line of the journal."""
+
+    op_code: Annotated[int, Field(ge=0, lt=100)]
+    worker_id: str
+
 
 Train = Callable[[Sequence[Cell]], list[Work]]
 
@@ -76,7 +88,7 @@ def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[
 
 def objective(cell: Cell) -> float:
     """The mean reward of a trial's sampled flights, all seeds alike."""
-    rows = pd.read_parquet(cell.out / cell.flights[0])
+    rows = read_table(cell.out / cell.flights[0], {"mode": "object", "reward": "float64"}, "evaluate it again")
     return float(rows.loc[rows["mode"] == "sampled", "reward"].mean())
 
 
@@ -93,13 +105,13 @@ def _optuna() -> Any:
 def _storage(optuna: Any, journal: Path) -> Any:
     """The journal; half a line at its end, of a write that was cut off, is taken from it."""
     try:
-        if journal.exists():
-            said = journal.read_bytes()
-            os.truncate(journal, said.rfind(b"\n") + 1)  # else the next line would be joined to it
+        if os.path.lexists(journal):
+            said = files.read(journal, JOURNAL_BYTES)
             for line in said.split(b"\n")[:-1]:
-                json.loads(line)
+                files.facts(Line, files.parsed(line))
+            os.truncate(journal, said.rfind(b"\n") + 1)  # else the next line would be joined to it
         return optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(str(journal)))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except Exception as error:  # Optuna raises any kind at a line that it has not written
         raise RunError(f"{journal}: cannot be read ({' '.join(str(error).split())}); give another out=") from error
 
 
@@ -155,12 +167,12 @@ def _keep(found: Plan, searches: Mapping[str, Any]) -> None:
         for name, search in searches.items()
         for trial in _told(search)
     ]
-    _put(found.folder / TABLE, pd.DataFrame(rows, columns=COLUMNS), list(searches))
+    _put(found.folder / TABLE, pd.DataFrame(rows, columns=[*COLUMNS]), list(searches))
 
 
 def _put(path: Path, table: pd.DataFrame, algorithms: Sequence[str]) -> None:
     """Write what there is of some algorithms; rows of others, which a call before this one searched, stay."""
-    there = read(path, [str(name) for name in table])
+    there = read(path, COLUMNS if path.name == TABLE else OF_IMPORTANCE)
     others = there[~there["algorithm"].isin(algorithms)]
     whole = pd.concat([part for part in (others, table) if len(part)] or [table])
     write(path, whole.to_csv(index=False).encode())
@@ -174,4 +186,4 @@ def _importance(optuna: Any, searches: Mapping[str, Any]) -> pd.DataFrame:
         with contextlib.suppress(ValueError, RuntimeError):  # fewer than two trials, or all have the same value
             found = optuna.importance.get_param_importances(search, evaluator=evaluator)
             rows += [[name, setting, float(share)] for setting, share in found.items()]
-    return pd.DataFrame(rows, columns=OF_IMPORTANCE)
+    return pd.DataFrame(rows, columns=[*OF_IMPORTANCE])

@@ -20,6 +20,8 @@ class LayoutError(OneLineError, ValueError):
     """A bank cannot be found, read or trusted; the message says what is wrong and what would be right."""
 
 
+MOST = 2**24
+"""Obstacles that a bank has at most."""
 DRAWS = 1_000
 """Places that an obstacle may try; the paper's world refuses one in eleven."""
 
@@ -38,6 +40,8 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
     world = world or World()
     if min(n, k, seed) < 0:
         raise LayoutError(f"n={n}, k={k}, seed={seed}; give whole numbers of at least 0")
+    if n * k > MOST:
+        raise LayoutError(f"n={n}, k={k}; give at most {MOST:,} obstacles in all")
     rng = np.random.Generator(np.random.PCG64(seed))
     smallest, largest = np.float32(world.obstacle_radius_min), np.float32(world.obstacle_radius_max)
     size = np.array(world.size, dtype=np.float32)

@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import save as serialize
 from torch import Tensor
 
 from uavnav import files
 from uavnav.help.choices import did_you_mean
-from uavnav.tasks import circles, goal, moving, slalom, space
+from uavnav.tasks import circles, goal, moving, slalom, space, tensors
 from uavnav.tasks.circles import LayoutError as LayoutError  # this and the next two are also names of this module
 from uavnav.tasks.circles import generate as generate
 from uavnav.tasks.circles import validate as validate
@@ -241,12 +241,10 @@ def _generate(split: str, n: int, k: int, seed: int, world: World) -> Tensor:
 def _open(path: Path) -> tuple[Tensor, dict[str, str]]:
     """What a file holds, if it is a bank of this version."""
     try:
-        with safe_open(path, framework="pt") as file:
-            header = file.metadata() or {}
-            bank = file.get_tensor("obstacles") if "obstacles" in file.keys() else None  # noqa: SIM118
-    except (OSError, SafetensorError) as error:
+        found, header = tensors.read(path)
+    except (OSError, ValueError) as error:
         raise LayoutError(f"{path}: not a readable bank ({error}); make one with uavnav layouts") from error
-    if bank is None:
+    if (bank := found.get("obstacles")) is None:
         raise LayoutError(f"{path}: holds no tensor `obstacles`; make one with uavnav layouts")
     if header.get("world_version") != VERSION:
         raise LayoutError(
@@ -284,8 +282,8 @@ def _drawn_by(header: Mapping[str, str], path: str | Path) -> World:
     kind = KINDS.get(header.get("task", "drone"), KINDS["drone"])
     try:
         own: dict[str, Any] = {name: float(header[name]) for name in kind.reads}
-        return kind.world(**own, **{name: json.loads(header[name]) for name in SHAPES if name in header})
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        return kind.world(**own, **{name: files.parsed(header[name]) for name in SHAPES if name in header})
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise LayoutError(f"{path}: its header does not say how it was drawn ({error}); generate it anew") from error
 
 

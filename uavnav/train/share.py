@@ -20,7 +20,9 @@ import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from uavnav import files, plugins
 from uavnav.algorithms import ALGORITHMS
@@ -38,6 +40,18 @@ EXPECTED = (ConfigError, LayoutError, RunError)
 POLL_SECONDS = 0.2
 STOP_SECONDS = 1.0
 """Between two askings of a share to stop: before its run has begun it does not hear."""
+
+
+class Job(files.Facts):
+    """What a study tells a share in a file."""
+
+    out: str
+    folder: str
+    algorithm: str
+    config: dict[str, Any]
+    how: dict[str, Any]
+    threads: Annotated[int, Field(ge=1, le=2**12)]
+    evaluation: dict[str, Any] | None
 
 
 def say(channel: int, **message: Any) -> None:
@@ -135,10 +149,11 @@ def unheard(job: Path, names: Sequence[str] = ()) -> None:
     names: of the plugins that the study was given.
     """
     try:
-        described = json.loads(job.read_text())
-        out, folder, evaluation = Path(described["out"]), described["folder"], described["evaluation"]
-    except (OSError, ValueError, RecursionError, TypeError, KeyError):
+        described = files.read_json(job)
+        told = files.facts(Job, described)
+    except (OSError, ValueError):
         raise SystemExit(f"{job}: missing or damaged; give the study's command again, which writes it anew") from None
+    out, folder, evaluation = Path(told.out), told.folder, told.evaluation
     with job.with_suffix(".log").open("ab", buffering=0) as log:
         for stream in (sys.stdout, sys.stderr):
             os.dup2(log.fileno(), stream.fileno())

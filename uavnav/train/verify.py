@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -14,13 +13,11 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file
 
 from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import ConfigError, choose_from
-from uavnav.policies import as_option
+from uavnav.policies import PolicyError, as_option, contents
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import finished
 from uavnav.runs.tables import RunError
@@ -130,10 +127,10 @@ def _weights(folder: Path) -> tuple[dict[str, torch.Tensor], list[int]]:
     """The tensors of a policy file, and the seeds that it holds."""
     path = folder / POLICY
     try:
-        with safe_open(path, framework="pt") as file:
-            return load_file(path), list(json.loads(file.metadata()["uavnav"])["seeds"])
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{path}: missing or damaged ({error}); run again with overwrite=true") from error
+        tensors, header = contents(path)
+    except PolicyError as error:
+        raise RunError(f"{path}: missing or damaged; run again with overwrite=true") from error
+    return tensors, header.seeds
 
 
 def _weights_parting(there: dict[str, torch.Tensor], here: dict[str, torch.Tensor]) -> str:

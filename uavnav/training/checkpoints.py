@@ -16,15 +16,17 @@ import shutil
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Protocol
 
-from safetensors import SafetensorError
-from safetensors.torch import load, save
+from pydantic import Field
+from safetensors.torch import save
 from tensordict import TensorDict
 from torch import Tensor
 
 from uavnav import files
+from uavnav.runs import Count
 from uavnav.runs.tables import RunError
+from uavnav.tasks import tensors
 
 if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer
@@ -49,12 +51,35 @@ class Stateful(Protocol):
         """Go on from there."""
 
 
+class Header(files.Facts):
+    """What a state file says beside its tensors. Its chunks are files of its own folder."""
+
+    facts: dict[str, Any]
+    chunks: list[Annotated[str, Field(pattern=r"^replay-\d{12}-[0-9a-f]{32}\.safetensors$")]]
+    identity: dict[str, Any]
+
+
+class Frames(files.Facts):
+    """What every snapshot says in its facts: the frames per seed that lie behind it."""
+
+    frames: Count
+
+
 class Snapshot(NamedTuple):
     """What a state file holds."""
 
     state: dict[str, Any]
     facts: dict[str, Any]
     chunks: list[str]
+
+    @property
+    def frames(self) -> int:
+        """Per seed, that lie behind it."""
+        return int(self.facts["frames"])
+
+
+Take = Callable[[Snapshot], object]
+"""Goes on from a snapshot, or raises a RunError and leaves everything as it was."""
 
 
 class Checkpoints:
@@ -81,7 +106,7 @@ class Checkpoints:
         header = {"facts": dict(facts), "chunks": self._chunks, "identity": self.identity}
         self._write(f"state-{frames:012d}", TensorDict(state), header)
         for old in self._states()[KEPT:]:
-            old.unlink()
+            _remove(old)
         self._kept = [self._chunks, *self._kept][:KEPT]
         self._drop_strays()
 
@@ -98,14 +123,16 @@ class Checkpoints:
         self._chunks = [name for name, end in zip(self._chunks, ends, strict=False) if end > rows - capacity]
 
     def _write(self, stem: str, nested: TensorDict, header: Nested) -> str:
-        tensors = {name: value.contiguous() for name, value in nested.flatten_keys("/").items()}
-        content = save(tensors, {"uavnav": json.dumps(header)})
+        flat = {name: value.contiguous() for name, value in nested.flatten_keys("/").items()}
+        content = save(flat, {"uavnav": json.dumps(header)})
         name = f"{stem}-{_digest(content)}.safetensors"
         files.write(self.folder / name, content)
         return name
 
-    def load(self, replay: ReplayBuffer | None = None) -> Snapshot | None:
-        """The newest snapshot that is whole; the buffer, if one is given, is filled from it. None where there is none.
+    def load(self, replay: ReplayBuffer | None = None, take: Take = lambda snapshot: None) -> Snapshot | None:
+        """The newest snapshot that is whole, which `take` has taken; the buffer, if one is given, is filled from it.
+
+        None where there is none.
 
         Raises:
             RunError: there are snapshots, and none can be used.
@@ -114,8 +141,8 @@ class Checkpoints:
         for path in states:
             try:
                 snapshot = self._read_state(path)
-                for name in snapshot.chunks:
-                    self._read(self.folder / name)  # is it whole? they are read again one by one: all would fill memory
+                self._check_chunks(path, snapshot, replay)
+                take(snapshot)
             except RunError as error:
                 problem = error
                 if path is not states[-1]:
@@ -128,7 +155,7 @@ class Checkpoints:
                 damaged.rename(damaged.with_name(f"damaged-{damaged.name}"))
             self._chunks = snapshot.chunks
             self._kept = [snapshot.chunks, *self._chunks_of(states[states.index(path) + 1 :])]
-            self._rows_saved = snapshot.facts.get("frames", 0)
+            self._rows_saved = snapshot.frames
             self._drop_strays()
             return snapshot
         if states:
@@ -136,12 +163,37 @@ class Checkpoints:
         return None
 
     def _read_state(self, path: Path) -> Snapshot:
-        tensors, header = self._read(path)
-        theirs = json.loads(json.dumps(self._of_today(header.get("identity", {}))))
+        found, metadata = self._read(path)
+        try:
+            header = files.facts(Header, files.parsed(metadata.get("uavnav", "{}")))
+            files.facts(Frames, header.facts)
+            theirs = json.loads(json.dumps(self._of_today(header.identity)))
+            state = TensorDict(found).unflatten_keys("/").to_dict()
+        except (ValueError, KeyError, TypeError) as error:  # KeyError: a name that is also a table's
+            raise RunError(f"{path}: not a snapshot ({error})") from error
         for key in self.identity:
             if theirs.get(key) != self.identity[key]:
                 raise RunError(f"{path}: saved with {key}={theirs.get(key)}, not {self.identity[key]}")
-        return Snapshot(TensorDict(tensors).unflatten_keys("/").to_dict(), header["facts"], header["chunks"])
+        return Snapshot(state, header.facts, header.chunks)
+
+    def _check_chunks(self, path: Path, snapshot: Snapshot, replay: ReplayBuffer | None) -> None:
+        """Raise a RunError unless the chunks are whole and follow each other to the snapshot's last row.
+
+        They are read one by one, and again when they are used: all would fill the memory.
+        """
+        firsts = [_first_row(name) for name in snapshot.chunks]
+        kinds = set()
+        for name, first, end in zip(snapshot.chunks, firsts, [*firsts[1:], snapshot.frames], strict=False):
+            found, _ = self._read(self.folder / name)
+            rows = found["action"].shape if "action" in found else ()
+            if not 0 < end - first == next(iter(rows), 0) or any(
+                one.shape[: len(rows)] != rows for one in found.values()
+            ):
+                raise RunError(f"{path}: its {name} has other rows")
+            kinds.add(tuple(sorted((key, str(one.dtype), *one.shape[1:]) for key, one in found.items())))
+        wanted = 0 if replay is None else max(snapshot.frames - replay.storage.max_size, 0)
+        if len(kinds) > 1 or (replay is not None and snapshot.frames and not (firsts and firsts[0] <= wanted)):
+            raise RunError(f"{path}: its chunks do not belong together")
 
     def _chunks_of(self, states: list[Path]) -> Iterator[list[str]]:
         """Of those that can be read."""
@@ -149,18 +201,16 @@ class Checkpoints:
             with contextlib.suppress(RunError):
                 yield self._read_state(path).chunks
 
-    def _read(self, path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    def _read(self, path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         try:
-            content = path.read_bytes()
+            content = files.read(path)
         except OSError as error:
             raise RunError(f"{path}: missing or not readable") from error
         if _digest(content) != path.stem.rsplit("-", 1)[-1]:
             raise RunError(f"{path}: damaged, its checksum does not match")
         try:
-            size = int.from_bytes(content[:8], "little")
-            header = json.loads(json.loads(content[8 : 8 + size])["__metadata__"]["uavnav"])
-            return load(content), header
-        except (SafetensorError, ValueError, KeyError) as error:
+            return tensors.parsed(content)
+        except ValueError as error:
             raise RunError(f"{path}: not a snapshot") from error
 
     def _states(self) -> list[Path]:
@@ -172,12 +222,16 @@ class Checkpoints:
         known = set().union(*self._kept)
         for path in [*self.folder.glob(".*"), *self.folder.glob("replay-*.safetensors")]:
             if path.name not in known:
-                path.unlink()
+                _remove(path)
 
     def remove(self) -> None:
         """Delete all snapshots: the run is finished, or starts anew."""
         if self.folder.is_dir():
             shutil.rmtree(self.folder)
+
+
+def _remove(path: Path) -> None:
+    shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
 
 
 def _digest(content: bytes) -> str:

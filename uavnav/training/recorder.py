@@ -13,13 +13,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 import pandas as pd
 import torch
 import yaml
 from filelock import FileLock, Timeout
+from pydantic import Field
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -49,6 +50,20 @@ CHECKPOINT_SECONDS = 60.0
 CHECKPOINT_SHARE = 0.04
 """What snapshots may take of a run's time: where writing one takes long, the next comes later."""
 BANK_FACTS = ("n", "k", "split", "generator_seed", "sha256")
+
+
+class Tables(files.Facts):
+    """The columns of a snapshot's tables, in order; none where there were no rows."""
+
+    episodes: list[str]
+    progress: list[str]
+
+
+class Rows(files.Facts):
+    """What a run notes in a snapshot, beside its frames."""
+
+    wall_seconds: Annotated[float, Field(ge=0)]
+    columns: Tables
 
 
 class Interrupted(RunError):
@@ -125,14 +140,12 @@ class Recorder:
             return False
         if not os.access(path, os.W_OK):
             raise RunError(f"out={path}: is not a folder that can be written; give one that is")
-        if not (path / "config.yaml").is_file():
+        if not os.path.lexists(path / "config.yaml"):
             raise RunError(f"out={path}: holds other files and no run; give a new or empty folder")
-        there = read_settings(path / "config.yaml")
-        if not isinstance(there.get("algorithm"), str) or not {"activation", "seed", "n_seeds"} <= there.keys():
-            raise RunError(f"out={path}: its config.yaml is not a run's; give a new or empty folder")
+        there = read_settings(path / "config.yaml", "give a new or empty folder")
         if self._overwrite:
             return False
-        meta = read_settings(path / "meta.json") if (path / "meta.json").is_file() else {}
+        meta = read_settings(path / "meta.json") if os.path.lexists(path / "meta.json") else {}
         if there.get("task", self.config.task) not in TASKS:
             needed = plugins.missing(meta.get("plugins", {}))
             raise RunError(f"out={path}: holds a run with task={there['task']}; give another folder{needed}")
@@ -226,27 +239,58 @@ class Recorder:
         Raises:
             RunError: there are snapshots and none can be used.
         """
-        frames = 0
-        snapshot = self._checkpoints.load(replay)
+        snapshot = self._checkpoints.load(replay, lambda snapshot: self._take(snapshot, parts))
+        frames = 0 if snapshot is None else snapshot.frames
         if snapshot is not None:
-            for name, part in parts.items():
-                try:
-                    part.load_state_dict(snapshot.state["parts"][name])
-                except (KeyError, TypeError) as error:
-                    problem = f"{self._checkpoints.folder}: its {name} is of another version"
-                    raise RunError(f"{problem}; overwrite=true starts the run anew") from error
-            for table, columns in _snapshot_columns(snapshot).items():
+            for table, columns in self._columns(snapshot).items():
                 if columns:
                     self._tables[table].append(columns)
             for rows in self._tables["episodes"]:
                 for seed, reward in zip(rows["seed"].tolist(), rows["reward"].tolist(), strict=True):
                     self._recent[seed - self.config.seed].append(reward)
             self._began -= snapshot.facts["wall_seconds"]
-            frames = int(snapshot.facts["frames"])
         if self.log is not None:
             tables = {name: pd.DataFrame(_joined(rows, ["seed", "frame"])) for name, rows in self._tables.items()}
             self.log(with_reward(**tables))
         return frames
+
+    def _take(self, snapshot: Snapshot, parts: Mapping[str, Stateful]) -> None:
+        """Set the parts to a snapshot; where one does not take it, all are as before and a RunError says so."""
+        self._columns(snapshot)
+        before = {name: part.state_dict() for name, part in parts.items()}
+        saved = snapshot.state.get("parts", {})
+        for name in parts:
+            if _kinds(saved.get(name)) != _kinds(before[name]):
+                raise RunError(f"{self._checkpoints.folder}: its {name} is of another version")
+        for name, part in parts.items():
+            try:
+                part.load_state_dict(saved[name])
+            except (RuntimeError, TypeError, ValueError) as error:  # of generators, whose states are bytes
+                for other in parts:
+                    parts[other].load_state_dict(before[other])
+                raise RunError(f"{self._checkpoints.folder}: its {name} cannot be taken ({error})") from error
+
+    def _columns(self, snapshot: Snapshot) -> dict[str, Columns]:
+        """The rows in a snapshot; raises a RunError where they are not this run's."""
+        try:
+            facts = files.facts(Rows, snapshot.facts)
+            if snapshot.frames > self.config.frames:
+                raise ValueError(f"frames={snapshot.frames}")
+            found = {
+                table: {name: snapshot.state[table][name].numpy() for name in getattr(facts.columns, table)}
+                for table in self._tables
+            }
+            for table, needed in {"episodes": EPISODE_COLUMNS, "progress": ("seed", "frame")}.items():
+                rows = found[table]
+                if rows and not {*needed} <= {*rows}:
+                    raise ValueError(f"{table} lack columns")
+                if len({column.shape for column in rows.values()}) > 1 or any(one.ndim != 1 for one in rows.values()):
+                    raise ValueError(f"{table} are no table")
+                if rows and not np.isin(rows["seed"], self.config.seeds).all():
+                    raise ValueError(f"{table} have other seeds")
+        except (ValueError, KeyError, TypeError) as error:
+            raise RunError(f"{self._checkpoints.folder}: its rows are not this run's ({error})") from error
+        return found
 
     def tell(self, frames: int) -> None:
         """Note how far the run is, for whoever looks at the folder, and see whether it shall stop.
@@ -304,11 +348,10 @@ class Recorder:
         Raises:
             RunError: there is none.
         """
-        snapshot = self._checkpoints.load()
+        snapshot = self._checkpoints.load(take=self._columns)
         if snapshot is None:
             raise RunError(f"{self.path}: has no snapshot")
-        tables = {table: pd.DataFrame(columns) for table, columns in _snapshot_columns(snapshot).items()}
-        return int(snapshot.facts["frames"]), tables
+        return snapshot.frames, {table: pd.DataFrame(rows) for table, rows in self._columns(snapshot).items()}
 
     def repeat(self, compile: bool) -> bool:
         """Whether to compile, and in how many threads torch works: as the unfinished run began, where there is one.
@@ -403,11 +446,11 @@ class Recorder:
         write(self.path / "meta.json", json.dumps(self.meta, indent=2).encode())
 
 
-def _snapshot_columns(snapshot: Snapshot) -> dict[str, Columns]:
-    return {
-        table: {name: snapshot.state[table][name].numpy() for name in names}
-        for table, names in snapshot.facts["columns"].items()
-    }
+def _kinds(state: Any) -> Any:
+    """Type and shape of each tensor of a part's state, by its names."""
+    if isinstance(state, Mapping):
+        return {name: _kinds(value) for name, value in state.items()}
+    return (state.dtype, state.shape) if isinstance(state, Tensor) else type(state)
 
 
 def _joined(parts: list[Columns], columns: list[str]) -> Columns:

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
-from safetensors import safe_open
 from safetensors.torch import save
 from torch import nn
 
 from uavnav import plugins
 from uavnav.help.choices import ConfigError
 from uavnav.networks import mlp
+from uavnav.tasks import tensors
 from uavnav.tasks.world import VERSION
 from uavnav.training.config import TrainConfig
 from uavnav.training.sampling import Actor
@@ -47,21 +47,21 @@ def serialize(networks: Mapping[str, nn.Module], config: TrainConfig, actor: Act
         "world_version": VERSION,
         **({"plugins": list(plugins.LOADED)} if plugins.LOADED else {}),
     }
-    tensors = {
+    found = {
         f"{name}.{key}": value.detach().cpu().contiguous()
         for name, network in networks.items()
         for key, value in network.state_dict().items()
     }
-    return save(tensors, metadata={"uavnav": json.dumps(facts, sort_keys=True)})
+    return save(found, metadata={"uavnav": json.dumps(facts, sort_keys=True)})
 
 
 def join(paths: Sequence[Path]) -> bytes:
     """The bytes of one policy file from those of runs that differ in nothing but their seeds, in that order."""
     parts, seeds = [], []
     for path in paths:
-        with safe_open(path, framework="pt") as file:
-            facts = json.loads(file.metadata()["uavnav"])
-            parts.append({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118
+        found, header = tensors.read(path)
+        facts = json.loads(header["uavnav"])
+        parts.append(found)
         seeds += facts["seeds"]
-    tensors = {key: torch.cat([part[key] for part in parts]) for key in parts[0]}
-    return save(tensors, metadata={"uavnav": json.dumps(facts | {"seeds": seeds}, sort_keys=True)})
+    joined = {key: torch.cat([part[key] for part in parts]) for key in parts[0]}
+    return save(joined, metadata={"uavnav": json.dumps(facts | {"seeds": seeds}, sort_keys=True)})

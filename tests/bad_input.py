@@ -191,7 +191,7 @@ GOOD_BANK, READABLE = "make one with uavnav layouts", "{}/bank: not a readable b
 SHAPE, ANEW, FOLDER = "a bank has the shape [n > 0, k, 3]", "generate it anew", "that can be written"
 WHOLE, NUMBER, FILE, OVERWRITE = "give a whole number", "give a number", "or a file's path", "overwrite=true"
 HEADER, RUN = "its tensors do not fit its header", "give a run's folder"
-DAMAGED, NO_RUN, EMPTY = "missing or damaged", "its config.yaml is not a run's", "give a new or empty folder"
+DAMAGED, NO_RUN, EMPTY = "missing or damaged", "config.yaml: not a run's", "give a new or empty folder"
 EXECUTED = "mkdir executed"
 LONG = "x" * 300  # more than a file's name may have
 

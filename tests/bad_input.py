@@ -70,7 +70,15 @@ def make_good(folder):
 
 def tree(folder):
     """Every path below a folder, with its bytes."""
-    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+    return {str(path.relative_to(folder)): held(path) for path in folder.rglob("*")}
+
+
+def held(path):
+    """A file's bytes; of one that is too large to be read, how many."""
+    if not path.is_file():
+        return None
+    size = path.stat().st_size
+    return path.read_bytes() if size < 2**30 else size
 
 
 def words(settings):

@@ -70,7 +70,15 @@ def make_good(folder):
 
 def tree(folder):
     """Every path below a folder, with its bytes."""
-    return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+    return {str(path.relative_to(folder)): held(path) for path in folder.rglob("*")}
+
+
+def held(path):
+    """A file's bytes; of one that is too large to be read, how many."""
+    if not path.is_file():
+        return None
+    size = path.stat().st_size
+    return path.read_bytes() if size < 2**30 else size
 
 
 def words(settings):
@@ -191,7 +199,7 @@ GOOD_BANK, READABLE = "make one with uavnav layouts", "{}/bank: not a readable b
 SHAPE, ANEW, FOLDER = "a bank has the shape [n > 0, k, 3]", "generate it anew", "that can be written"
 WHOLE, NUMBER, FILE, OVERWRITE = "give a whole number", "give a number", "or a file's path", "overwrite=true"
 HEADER, RUN = "its tensors do not fit its header", "give a run's folder"
-DAMAGED, NO_RUN, EMPTY = "missing or damaged", "its config.yaml is not a run's", "give a new or empty folder"
+DAMAGED, NO_RUN, EMPTY = "missing or damaged", "config.yaml: not a run's", "give a new or empty folder"
 EXECUTED = "mkdir executed"
 LONG = "x" * 300  # more than a file's name may have
 

@@ -11,7 +11,6 @@ from bad_input import (
     FOLDER,
     LONG,
     NO_RUN,
-    NUMBER,
     OVERWRITE,
     PPO,
     REPORT,
@@ -28,13 +27,19 @@ from bad_input import (
     words,
 )
 from spoiling import (
+    YAML_BOMB,
     a_file,
     a_folder,
+    a_pipe,
     added,
+    columns,
     cut,
     cut_before,
+    endless,
     flipped,
     in_use,
+    large,
+    lying,
     meta,
     missing,
     newer_torch,
@@ -47,6 +52,7 @@ from spoiling import (
     snapshots,
     status,
     table,
+    unfolding,
     written,
 )
 
@@ -78,6 +84,27 @@ CASES = [
     run("config.yaml", "a command", written(f"!!python/object/apply:os.system ['{EXECUTED}']"), DAMAGED, RUN),
     run(
         "config.yaml", "a command below", written(f"seed: !!python/object/apply:os.system ['{EXECUTED}']"), DAMAGED, RUN
+    ),
+    run("config.yaml", "a bomb of aliases", written(YAML_BOMB), DAMAGED, RUN),
+    run("config.yaml", "a number of 2,000 digits", written("seed: 0x" + "f" * 2000), DAMAGED, RUN),
+    *(
+        run(part, how, spoil, DAMAGED, right)
+        for part, right in (("config.yaml", RUN), ("meta.json", RUN), ("episodes.parquet", OVERWRITE))
+        for how, spoil in (("a pipe", a_pipe), ("without end", endless), ("of 2^40 bytes", large))
+    ),
+    run(
+        "config.yaml",
+        "a million millions of seeds",
+        replaced("n_seeds: 2", "n_seeds: 1000000000000"),
+        "not a run's, its n_seeds=1",
+        RUN,
+    ),
+    run(
+        "config.yaml",
+        "a world that is a number",
+        replaced("world:\n", "world: 3\nmore:\n"),
+        "not a run's, its world=3",
+        RUN,
     ),
     run("config.yaml", "no algorithm", replaced("algorithm: ppo\n", ""), "not a run's, its algorithm=None", RUN),
     run("config.yaml", "no seed", replaced("\nseed: 0\n", "\n"), "not a run's, its seed=None", RUN),
@@ -111,21 +138,19 @@ CASES = [
         "config.yaml",
         "a key that is a number",
         added("3: 3\n"),
-        "there is no key 3",
-        "choose",
+        "not a run's, its 3=3",
+        RUN,
         verify,
         VERIFY,
-        ConfigError,
     ),
     run(
         "config.yaml",
         "a wrong value",
         replaced("gamma: 0.99", "gamma: 9"),
-        "gamma=9",
-        NUMBER,
+        "not a run's, its gamma=9",
+        RUN,
         verify,
         VERIFY,
-        ConfigError,
     ),
     Case(
         "run/config.yaml: a bank that is gone",
@@ -145,6 +170,11 @@ CASES = [
     run("meta.json", "a list", written("[1]"), "not a run's facts", RUN),
     run("meta.json", "no frames", meta(frames=...), "not a run's, its frames=None", RUN),
     run("meta.json", "frames in words", meta(frames="many"), "not a run's, its frames=many", RUN),
+    run("meta.json", "versions a list", meta(versions=[1]), "not a run's, its versions=[1]", RUN),
+    run("meta.json", "plugins a number", meta(plugins=3), "not a run's, its plugins=3", RUN),
+    run("meta.json", "threads beyond any machine", meta(threads=10**18), "not a run's, its threads=1000000", RUN),
+    run("meta.json", "compiled in words", meta(compiled="yes"), "not a run's, its compiled=yes", RUN),
+    run("meta.json", "a number of 1,000 digits", meta(frames=10**999), DAMAGED, RUN),
     run("", "under way", status("running"), "the run is not finished", "give the same command again"),
     *(
         run(f"{name}.parquet", how, spoil, wrong, OVERWRITE)
@@ -156,6 +186,9 @@ CASES = [
             ("cut", cut(0.7), DAMAGED),
             ("text", written("seed,frame\n0,1\n"), DAMAGED),
             ("a pickle", pickled, DAMAGED),
+            ("one that unfolds", unfolding, DAMAGED),
+            ("lists in a column", columns(seed=[1]), DAMAGED),
+            ("structures in a column", columns(seed={"seed": 1}), DAMAGED),
             ("other columns", table(lambda t: t.rename(columns={"frame": "time"})), "its columns are not"),
             ("words for numbers", table(lambda t: t.astype({"seed": str})), "its columns are not"),
         )
@@ -180,6 +213,8 @@ CASES = [
         EVALUATE,
         PolicyError,
     ),
+    run("policy.safetensors", "a pipe before a repeat", a_pipe, DAMAGED, OVERWRITE, verify, VERIFY),
+    run("policy.safetensors", "scalars before a repeat", lying(shape=[]), DAMAGED, OVERWRITE, verify, VERIFY),
     run("policy.safetensors", "cut before a repeat", cut(0.5), DAMAGED, OVERWRITE, verify, VERIFY),
     *(
         run("evaluation.parquet", how, spoil, wrong, "evaluate the run again", read_evaluation, REPORT)
@@ -209,7 +244,7 @@ CASES = [
     out(
         "over a damaged config", "run/config.yaml", written("[1"), "{}/run/config.yaml: " + DAMAGED, "", overwrite=True
     ),
-    out("a config of keys that are numbers", "run/config.yaml", added("1: 2\n"), "with 1=2, not None", OVERWRITE),
+    out("a config of keys that are numbers", "run/config.yaml", added("1: 2\n"), NO_RUN + ", its 1=1", EMPTY),
     out("another learning rate", "run", nothing, "holds a run with lr=0.0003, not 0.1", OVERWRITE, lr=0.1),
     out("another network", "run", nothing, "holds a run with hidden=[8], not [9]", OVERWRITE, hidden=[9]),
     out("another algorithm's", "run/config.yaml", replaced(": ppo", ": dqn"), "algorithm=dqn, not ppo", OVERWRITE),

@@ -1,5 +1,6 @@
 """Ways to spoil a file or a folder, each a function of its path; what tests of bad input do first."""
 
+import itertools
 import json
 import math
 import os
@@ -8,6 +9,8 @@ import shutil
 from unittest import mock
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import torch
 from filelock import FileLock
 from safetensors import safe_open
@@ -38,6 +41,59 @@ def a_file(path):
 def itself(path):
     missing(path)
     path.symlink_to(path)
+
+
+def a_pipe(path):
+    """Which nobody writes into: whoever opens it as a file waits."""
+    missing(path)
+    os.mkfifo(path)
+
+
+def endless(path):
+    missing(path)
+    path.symlink_to("/dev/full")  # which reads as zeros
+
+
+def large(path):
+    """A file without end for whoever reads all of it, which takes no room."""
+    os.truncate(path, 2**40)
+
+
+YAML_BOMB = "a: &a [x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n" for before, name in itertools.pairwise("abcdefghijkl")
+)
+"""Some hundred bytes for 2 * 9^11 words."""
+
+
+def unfolding(path):
+    """A table of 10^7 rows in each of 50 columns, in some kilobytes."""
+    nulls = pa.nulls(10**7)
+    pq.write_table(pa.table({f"column {index}": nulls for index in range(50)}), path)
+    assert path.stat().st_size < 2**20
+
+
+def columns(**content):
+    """A table with other columns, each of one row."""
+    return lambda path: pq.write_table(pa.table({name: [value] for name, value in content.items()}), path)
+
+
+def lying(**entry):
+    """A safetensors header that says something else of its first tensor, or of its whole."""
+
+    def spoil(path):
+        content = path.read_bytes()
+        size = int.from_bytes(content[:8], "little")
+        header = json.loads(content[8 : 8 + size])
+        first = next(name for name in header if name != "__metadata__")
+        text = json.dumps(header | {first: header[first] | entry}).encode()
+        put(path, len(text).to_bytes(8, "little") + text + content[8 + size :])
+
+    return spoil
+
+
+def headed(text):
+    """A safetensors file of nothing but a header."""
+    return lambda path: put(path, len(text).to_bytes(8, "little") + text.encode())
 
 
 def written(content):

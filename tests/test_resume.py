@@ -20,6 +20,7 @@ from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from uavnav.algorithms import dqn, ppo
+from uavnav.envs.env import DroneEnv
 from uavnav.runs import FILES, STOP
 from uavnav.runs.tables import RunError
 from uavnav.training import checkpoints, provenance
@@ -257,8 +258,9 @@ def test_a_key_that_came_after_a_snapshot_has_its_default_there(whole, tmp_path,
 def test_a_snapshot_whose_parts_are_others_is_refused_in_one_line(whole, stopped, tmp_path, monkeypatch):
     train, config, _ = whole
     stopped(tmp_path / "run", 1000)
-    monkeypatch.setattr("uavnav.envs.env.DroneEnv.load_state_dict", lambda self, state: state["late"])
-    with pytest.raises(RunError, match="checkpoint: its env is of another version; overwrite=true starts the run anew"):
+    then = DroneEnv.state_dict
+    monkeypatch.setattr(DroneEnv, "state_dict", lambda self: then(self) | {"late": torch.zeros(1)})
+    with pytest.raises(RunError, match="its env is of another version, and there is no other; overwrite=true starts"):
         train(config, out=tmp_path / "run", quiet=True)
 
 

@@ -32,7 +32,9 @@ Kind = TypeVar("Kind", bound=Facts)
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write aside, then rename: the file is whole or not there; raises OSError."""
+    """Write aside, then rename: the file is whole or not there; raises OSError, also where something else lies."""
+    if path.exists() and not path.is_file():  # a rename would put the file in its place
+        raise FileExistsError(errno.EEXIST, "it is no file", str(path))
     aside = path.with_name(f".{path.name}.{os.getpid()}.aside")
     try:
         aside.write_bytes(content)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ DIFFERENCE = "tuned − default"
 TABLE, IMPORTANCE = "trials.csv", "importance.csv"
 COLUMNS = {"algorithm": "object", "trial": "int64", "state": "object", "value": "float64", "settings": "object"}
 OF_IMPORTANCE = {"algorithm": "object", "setting": "object", "importance": "float64"}
+MOST_TRIALS = 10**6
+"""Of an algorithm, at most."""
 AGAIN = "carry the study out again"
 FINISHED, DIVERGED = "finished", "diverged"
 """States of a trial that was told."""
@@ -52,10 +55,14 @@ def read(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
     if not path.exists():
         return pd.DataFrame(columns=list(columns))
     table = read_csv(path, columns, AGAIN)
-    try:
-        wrong = any(not isinstance(files.parsed(settings), dict) for settings in table.get("settings", ()))
-    except ValueError:
-        wrong = True
-    if wrong or not table.get("trial", pd.Series(0)).between(0, 10**6).all():
+    if columns == COLUMNS and not all(_is_trial(row) for row in table.to_dict("records")):
         raise RunError(f"{path}: holds other rows than trials; {AGAIN}")
     return table
+
+
+def _is_trial(row: Mapping[Any, Any]) -> bool:
+    try:
+        known = isinstance(files.parsed(row["settings"]), dict) and 0 <= row["trial"] < MOST_TRIALS
+    except ValueError:
+        return False
+    return known and (row["state"] != FINISHED or math.isfinite(row["value"]))

@@ -145,7 +145,7 @@ def _study(name: str, said: Any) -> Study:
     if tune is not None and not isinstance(tune, dict):
         raise ConfigError(f"tune={tune}; give keys and values, as uavnav/studies/tuning.yaml does")
     scripts = said.get("scripts")
-    if scripts is not None and (not isinstance(scripts, str) or not _is_folder(scripts)):
+    if scripts is not None and not (isinstance(scripts, str) and _is_folder(scripts) and _is_within(scripts)):
         raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
     return Study(
         name, one_line(said.get("what", name)), [*dict.fromkeys(banks)], settings, said["cells"], tune, scripts
@@ -272,11 +272,16 @@ def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
     return filled
 
 
+def _is_within(name: str) -> bool:
+    """Whether a name leads to a folder below the one it is read in."""
+    return not os.path.isabs(name) and ".." not in Path(name).parts
+
+
 def _is_folder(name: str) -> bool:
-    """Whether a folder may have such a name, below another."""
+    """Whether a folder may have such a name."""
     if not name.isprintable() or len(name) > PATH:
         return False
-    return not os.path.isabs(name) and all(part != ".." and len(part.encode()) <= 255 for part in name.split("/"))
+    return all(len(part.encode()) <= 255 for part in name.split("/"))
 
 
 def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:

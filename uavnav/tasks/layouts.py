@@ -265,7 +265,7 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
         return bank, header
     kind, seed = KINDS[kind_of(world)], header.get("generator_seed", "")
     drawn = header.get("split", ""), len(bank), bank.shape[1] - kind.beside
-    if not seed.isdecimal() or not torch.equal(bank, _generate(*drawn, int(seed), world)):
+    if not re.fullmatch(r"[0-9]{1,20}", seed) or not torch.equal(bank, _generate(*drawn, int(seed), world)):
         raise LayoutError(f"{layouts}: is not what seed {seed} generates; generate it anew")
     return bank, header
 

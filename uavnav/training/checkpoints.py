@@ -68,6 +68,7 @@ class Frames(files.Facts):
 class Snapshot(NamedTuple):
     """What a state file holds."""
 
+    path: Path
     state: dict[str, Any]
     facts: dict[str, Any]
     chunks: list[str]
@@ -141,7 +142,7 @@ class Checkpoints:
         for path in states:
             try:
                 snapshot = self._read_state(path)
-                self._check_chunks(path, snapshot, replay)
+                self._check_chunks(snapshot, replay)
                 take(snapshot)
             except RunError as error:
                 problem = error
@@ -174,9 +175,9 @@ class Checkpoints:
         for key in self.identity:
             if theirs.get(key) != self.identity[key]:
                 raise RunError(f"{path}: saved with {key}={theirs.get(key)}, not {self.identity[key]}")
-        return Snapshot(state, header.facts, header.chunks)
+        return Snapshot(path, state, header.facts, header.chunks)
 
-    def _check_chunks(self, path: Path, snapshot: Snapshot, replay: ReplayBuffer | None) -> None:
+    def _check_chunks(self, snapshot: Snapshot, replay: ReplayBuffer | None) -> None:
         """Raise a RunError unless the chunks are whole and follow each other to the snapshot's last row.
 
         They are read one by one, and again when they are used: all would fill the memory.
@@ -189,11 +190,11 @@ class Checkpoints:
             if not 0 < end - first == next(iter(rows), 0) or any(
                 one.shape[: len(rows)] != rows for one in found.values()
             ):
-                raise RunError(f"{path}: its {name} has other rows")
+                raise RunError(f"{snapshot.path}: its {name} has other rows")
             kinds.add(tuple(sorted((key, str(one.dtype), *one.shape[1:]) for key, one in found.items())))
         wanted = 0 if replay is None else max(snapshot.frames - replay.storage.max_size, 0)
         if len(kinds) > 1 or (replay is not None and snapshot.frames and not (firsts and firsts[0] <= wanted)):
-            raise RunError(f"{path}: its chunks do not belong together")
+            raise RunError(f"{snapshot.path}: its chunks do not belong together")
 
     def _chunks_of(self, states: list[Path]) -> Iterator[list[str]]:
         """Of those that can be read."""

@@ -261,14 +261,14 @@ class Recorder:
         saved = snapshot.state.get("parts", {})
         for name in parts:
             if _kinds(saved.get(name)) != _kinds(before[name]):
-                raise RunError(f"{self._checkpoints.folder}: its {name} is of another version")
+                raise RunError(f"{snapshot.path}: its {name} is of another version")
         for name, part in parts.items():
             try:
                 part.load_state_dict(saved[name])
             except (RuntimeError, TypeError, ValueError) as error:  # of generators, whose states are bytes
                 for other in parts:
                     parts[other].load_state_dict(before[other])
-                raise RunError(f"{self._checkpoints.folder}: its {name} cannot be taken ({error})") from error
+                raise RunError(f"{snapshot.path}: its {name} cannot be taken ({error})") from error
 
     def _columns(self, snapshot: Snapshot) -> dict[str, Columns]:
         """The rows in a snapshot; raises a RunError where they are not this run's."""
@@ -289,7 +289,7 @@ class Recorder:
                 if rows and not np.isin(rows["seed"], self.config.seeds).all():
                     raise ValueError(f"{table} have other seeds")
         except (ValueError, KeyError, TypeError) as error:
-            raise RunError(f"{self._checkpoints.folder}: its rows are not this run's ({error})") from error
+            raise RunError(f"{snapshot.path}: its rows are not this run's ({error})") from error
         return found
 
     def tell(self, frames: int) -> None:

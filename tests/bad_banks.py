@@ -128,12 +128,23 @@ CASES = [
         [*NEW_BANK, "--seed=-1", "--split=test"],
     ),
     bank_for(
-        "a million million obstacles",
-        lambda f: layouts.generate(1, 10**12),
-        "k=1000000000000",
-        "give at most 16,777,216",
-        [*NEW_BANK, "--k", "1000000000000"],
+        "a trillion", lambda f: layouts.generate(10**12), "n=1000000000000", "at most", [*NEW_BANK, "--n", str(10**12)]
     ),
+    bank_for("half a set", lambda f: layouts.generate(1.5), "n=1.5", "whole numbers"),
+    bank_for("sets in words", lambda f: layouts.generate("2"), "n=2", "whole numbers"),
+    bank_for("a list", lambda f: layouts.load(["test"]), "layouts=['test']", FILE),
+    bank_for("nothing", lambda f: layouts.load(None), "layouts=None", FILE),
+    bank_for("a NUL byte", lambda f: layouts.load("a\0b"), "no such bank", FILE),
+    bank_for("a world that is none", lambda f: layouts.load("test", 3), "world=3", "give a World"),
+    bank_for("no tensor", lambda f: layouts.validate([1]), "[1]: is no bank", "give a tensor"),
+    bank_for(
+        "a rung of 5,000 digits",
+        lambda f: layouts.load(f"density-{'9' * 5000}/test"),
+        "no such bank",
+        "give fewer digits",
+        [*RENDER, "--layouts", f"density-{'9' * 5000}/test"],
+    ),
+    bank_for("a huge rung", lambda f: layouts.load("density-99999999/test"), "k=99999999", "at most 20,000,000"),
     bank_for("no set", lambda f: save_bank(f / "new", 0), "not [0, 8, 3]", "n > 0", [*NEW_BANK, "--n", "0"]),
     bank_for(
         "a folder below a file",

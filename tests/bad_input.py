@@ -191,8 +191,8 @@ def word(name, wrong, right, *command):
     return Case(f"word: {name}", "thesis", nothing, None, SystemExit, wrong, right, list(command))
 
 
-def argument(name, call, wrong, right, *command):
-    return Case(f"argument: {name}", "thesis", nothing, call, ValueError, wrong, right, list(command))
+def argument(name, call, wrong, right, *command, error=ValueError):
+    return Case(f"argument: {name}", "thesis", nothing, call, error, wrong, right, list(command))
 
 
 GOOD_BANK, READABLE = "make one with uavnav layouts", "{}/bank: not a readable bank"

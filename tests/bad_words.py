@@ -17,7 +17,9 @@ from bad_input import (
 )
 
 import uavnav
+from uavnav import ConfigError
 from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms.ppo import PPOConfig, train
 from uavnav.tasks.space import SpaceWorld
 
 KNOWN = ", ".join(sorted(ALGORITHMS))
@@ -99,6 +101,55 @@ CASES = [
         "seed=1,2",
         "out=new",
     ),
+    # what is no number, no name, too large or too deep
+    *(config({key: value}, WHOLE) for key in ("seed", "n_seeds", "n_worlds") for value in ([1], "")),
+    *(config({key: 2**64}, "at most 9,007,199,254,740,992") for key in ("n_seeds", "total_frames", "minibatch_size")),
+    *(config({key: [1]}, "choose from") for key in ("preset", "compile")),
+    *(config({key: [1]}, "give a name") for key in ("task", "reward", "activation")),
+    config({"lr": 10**400}, NUMBER, "lr="),
+    config({"hidden": [1] * 101}, "give at most 100", "hidden: 101 layers"),
+    config({"device": "hpu"}, "choose cpu"),
+    config({"critic_coeff": 0.0}, "give a number above 0", "critic_coeff=0: "),
+    config({"world": {"width": 10**7}}, "at most 1,000,000"),
+    config({"world": {"slots": []}}, "choose from"),
+    argument(
+        "a world's width", lambda f: uavnav.World(width=10**400), "width=1", "at most 1,000,000", error=ConfigError
+    ),
+    argument("a world's slots", lambda f: uavnav.World(slots=[]), "slots=[]", "choose from", error=ConfigError),
+    argument("a task", lambda f: uavnav.DroneEnv(task=[]), "task=[]", "choose from", error=ConfigError),
+    argument("a run of nothing", lambda f: train(None, f / "new"), "config=None", "PPOConfig()", error=ConfigError),
+    argument(
+        "seconds", lambda f: train(PPOConfig(), f / "new", checkpoint_seconds=[]), "=[]", NUMBER, error=ConfigError
+    ),
+    argument("until 0", lambda f: train(PPOConfig(), f / "new", until=0), "until=0", "at least 1", error=ConfigError),
+    word("a line break", "seed=1\\n2", "cannot be read", "ppo", "seed=1\n2"),
+    word("5,000 digits", "cannot be read", "give a shorter one", "ppo", f"seed={'9' * 5000}"),
+    word("500 brackets", "cannot be read", "give a shorter one", "ppo", f"seed={'[' * 500}{']' * 500}"),
+    word("a preset that is a number", "preset=3", "choose from", "ppo", "preset=3"),
+    word("a long preset", "preset=xxx", "choose from fast", "ppo", f"preset={'x' * 300}"),
+    word("a sweep of a billion", "the sweep is too long", "at most 1,000", "ppo", "-m", "seed=range(0,1000000000)"),
+    word("a sweep of nothing", "it is no range", "range(start,stop,step)", "ppo", "-m", "seed=range(0,9,0)"),
+    word(
+        "a sweep of 10,000",
+        "has 10,000 runs",
+        "at most 1,000",
+        "ppo",
+        "-m",
+        "seed=range(0,100)",
+        "n_seeds=range(1,101)",
+    ),
+    word("out left out", "~out: ", "give out=", "ppo", "out=new", "~out"),
+    word("out a list", "out=[1]", "give a folder", "ppo", "out=[1]"),
+    word("out of a NUL byte", "no folder can have such a name", "give another", "ppo", 'out="\0"'),
+    word(
+        "rows beyond memory", "rows of progress a seed", "give fewer frames", "ppo", "total_frames=1e15", "compile=off"
+    ),
+    word("a batch beyond memory", "of a batch would take", "give", "dqn", "batch_size=1e12", "compile=off"),
+    word("seeds beyond memory", "would take at least", "fewer seeds", "ppo", "n_seeds=1e15", "compile=off"),
+    word("an integer beyond 2^53", "is too large", "give at most", *VERIFY, "--frames", str(2**64)),
+    word("5,000 digits of frames", "invalid int value", "--help", *VERIFY, "--frames", "9" * 5000),
+    word("a million seeds of a script", "--seeds 1000000", "at most 1,000", "evaluate", "random", "--seeds=1000000"),
+    word("a billion steps", "--steps 1000000000", "at most 100,000", *RENDER, "--steps", "1000000000"),
     # arguments
     argument(
         "0 episodes", lambda f: fly(f, episodes=0), "episodes=0", "1 to 1000", "evaluate", "random", "--episodes=0"
@@ -111,13 +162,27 @@ CASES = [
     ),
     argument("0 seeds of a script", None, "--seeds 0", "at least 1", "evaluate", "random", "--seeds=0"),
     argument("seeds of a rule", None, "--seeds 2", "only random has several", "evaluate", "reactive", "--seeds=2"),
-    argument("a reward", lambda f: fly(f, reward="eq15"), "reward='eq15'", "choose from eq14"),
-    argument("a slot order", lambda f: uavnav.World(slots="first"), "slots='first'", "choose from nearest, listed"),
-    argument("a box's depth", lambda f: SpaceWorld(depth=280), "depth=280", "give above 280 px"),
-    argument("a border", lambda f: uavnav.World(border=30), "border=30", "must divide"),
+    argument("a reward", lambda f: fly(f, reward="eq15"), "reward='eq15'", "choose from eq14", error=ConfigError),
+    argument(
+        "a slot order",
+        lambda f: uavnav.World(slots="first"),
+        "slots='first'",
+        "choose from nearest, listed",
+        error=ConfigError,
+    ),
+    argument("a box's depth", lambda f: SpaceWorld(depth=280), "depth=280", "give above 280 px", error=ConfigError),
+    argument("a border", lambda f: uavnav.World(border=30), "border=30", "must divide", error=ConfigError),
     argument("an activation", lambda f: uavnav.networks.Activation("rleu"), "activation='rleu'", "choose from elu"),
-    argument("a cap", lambda f: uavnav.DroneEnv(max_steps=0), "max_steps=0", "a whole number from 1"),
-    argument("a cap in half steps", lambda f: uavnav.DroneEnv(max_steps=1.5), "max_steps=1.5", "a whole number from 1"),
+    argument(
+        "a cap", lambda f: uavnav.DroneEnv(max_steps=0), "max_steps=0", "a whole number from 1", error=ConfigError
+    ),
+    argument(
+        "a cap in half steps",
+        lambda f: uavnav.DroneEnv(max_steps=1.5),
+        "max_steps=1.5",
+        "a whole number from 1",
+        error=ConfigError,
+    ),
     argument("seeds", lambda f: uavnav.DroneEnv([3], seeds=[1, 2]), "2 seeds for batch_size [3]", "one per agent"),
     argument("a drone's action", lambda f: gym_env().step(100), "action=100", "from 0 to 99"),
     argument("a drone's layout", lambda f: gym_env(layout=1000), "layout=1000", "from 0 to 999"),

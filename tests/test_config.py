@@ -24,7 +24,7 @@ WRONG = [
     ({"activation": "rleu"}, "activation=rleu; choose from elu, .* (did you mean relu?)"),
     ({"activation": 3}, "activation=3; give a name"),
     ({"activation": None}, "activation=None; give a name"),
-    ({"activatoin": "relu"}, "there is no key 'activatoin'; choose from activation, .*(did you mean activation?)"),
+    ({"activatoin": "relu"}, "there is no key 'activatoin'; choose from .*activation .*(did you mean activation?)"),
     ({"n_seeds": 0}, "n_seeds=0; give a number of at least 1"),
     ({"n_seeds": "two"}, "n_seeds=two; give a whole number"),
     ({"n_seeds": True}, "n_seeds=True; give a whole number"),

@@ -11,6 +11,7 @@ import uavnav
 from uavnav import commands
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import choose_from
+from uavnav.help.errors import one_line
 
 
 def module_of(command: str) -> str:
@@ -34,10 +35,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         known = (
             f"it is an algorithm: uavnav train {name}" if name in ALGORITHMS else choose_from(name, commands.COMMANDS)
         )
-        print(f"uavnav: there is no command {name!r}; {known}", file=sys.stderr)
+        print(one_line(f"uavnav: there is no command {name!r}; {known}"), file=sys.stderr)
         return 2
     commands.parse(name, words)
-    status: int = importlib.import_module(module_of(name)).main(words)
+    try:
+        status: int = importlib.import_module(module_of(name)).main(words)
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and "allocate memory" not in str(error):  # as torch says it
+            raise
+        print(one_line(f"uavnav {name}: the machine's memory is too small for this ({error})"), file=sys.stderr)
+        return 2
     return status
 
 

@@ -21,6 +21,7 @@ from torchrl.objectives import A2CLoss
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.ppo import make_actor_critic, make_advantage, make_networks
 from uavnav.help import key
+from uavnav.help.choices import ConfigError
 from uavnav.networks import Init
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
@@ -60,6 +61,15 @@ class A2CConfig(TrainConfig):
     critic_coeff: float = at_least(0.5, 0, "weight of the value loss")
     entropy_coeff: float = at_least(0.0, 0, "weight of the entropy bonus")
     init: Init = key("orthogonal", "of the weights, with gains √2, 0.01 (policy) and 1 (value) if orthogonal")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.critic_coeff == 0:
+            raise ConfigError("critic_coeff=0: advantages need a value that learns; give a number above 0")
+
+    @property
+    def frames_between_rows(self) -> int:
+        return LOG_FRAMES
 
     @property
     def frames_per_iteration(self) -> int:

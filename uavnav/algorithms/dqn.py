@@ -92,6 +92,9 @@ class ReplayConfig(TrainConfig):
         needed = self.n_seeds * capacity * (observations * 4 * self.observation_size + FRAME_BYTES)
         named = f"buffer_size={self.buffer_size}, n_seeds={self.n_seeds}: the buffer"
         self.check_memory(named, needed, "a smaller buffer_size or fewer seeds")
+        named = f"batch_size={self.batch_size}, n_seeds={self.n_seeds}: the observations of a batch"
+        needed = 4 * self.n_seeds * self.batch_size * self.observation_size
+        self.check_memory(named, needed, "a smaller batch_size or fewer seeds")
 
     @property
     def final_epsilon(self) -> float:

@@ -81,6 +81,8 @@ class PPOConfig(TrainConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.critic_coeff == 0:
+            raise ConfigError("critic_coeff=0: advantages need a value that learns; give a number above 0")
         if self.frames_per_batch % self.minibatch_size:
             raise ConfigError(
                 f"minibatch_size={self.minibatch_size}; give a divisor of frames_per_batch={self.frames_per_batch}"

@@ -94,6 +94,10 @@ class SACConfig(TrainConfig):
         return DQNConfig(**{item.name: getattr(self, item.name) for item in fields(DQNConfig) if item.name in mine})
 
     @property
+    def frames_between_rows(self) -> int:
+        return self.replay.frames_between_rows
+
+    @property
     def frames_per_iteration(self) -> int:
         return self.n_worlds * max(self.frames_per_update // self.n_worlds, 1)
 

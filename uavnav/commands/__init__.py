@@ -17,7 +17,8 @@ from uavnav import help as texts
 from uavnav.algorithms import ALGORITHMS
 from uavnav.commands.benches import BY_DEFAULT, LONGER, OUT, SCRATCH
 from uavnav.commands.keys import BANK, HELP, ROWS
-from uavnav.help.choices import Parser, choose_from, did_you_mean
+from uavnav.help.choices import Parser, choose_from, did_you_mean, whole
+from uavnav.help.errors import one_line
 from uavnav.tasks.protocol import (
     ACROSS_STEPS,
     DEFAULT_K,
@@ -81,7 +82,7 @@ RUN_COLUMNS = (
 def parse(name: str, words: Sequence[str] | None = None) -> argparse.Namespace:
     """The arguments of a command; where they are wrong, or ask for help, the process ends with one line or the help."""
     words = sys.argv[1:] if words is None else words
-    warnings.formatwarning = lambda message, *where, **more: f"uavnav {name}: {message}\n"
+    warnings.formatwarning = lambda message, *where, **more: f"uavnav {name}: {one_line(message)}\n"
     parser = Parser(
         prog=f"uavnav {name}",
         description=COMMANDS[name],
@@ -211,11 +212,11 @@ def _algorithms() -> str:
 def _evaluate(parser: Parser) -> None:
     parser.epilog = "example: uavnav evaluate runs/ppo/relu reactive --episodes 200"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
-    parser.add_argument("--episodes", type=int, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
+    parser.add_argument("--episodes", type=whole, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
     told = (
         f"cap on steps (default: {MAX_STEPS:,}, across ladders and worlds {ACROSS_STEPS:,}, or the task's own if less)"
     )
-    parser.add_argument("--max-steps", type=int, help=told)
+    parser.add_argument("--max-steps", type=whole, help=told)
     _bank(parser)
     _task(parser)
     _faults(parser)
@@ -228,7 +229,7 @@ def _evaluate(parser: Parser) -> None:
     where.add_argument("--transfer", action="store_true", help=told)
     _activation(parser)
     told = f"so many seeds of {DRAWS}, each on every set (default: 1)"
-    parser.add_argument("--seeds", type=int, default=1, metavar="N", help=told)
+    parser.add_argument("--seeds", type=whole, default=1, metavar="N", help=told)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"
     )
@@ -251,8 +252,8 @@ def _play(parser: Parser) -> None:
     parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN}; keys 1 to 9 (default: you fly)")
     _flight(parser)
     told = f"cap on steps (default: {MAX_STEPS:,}, or the task's own if less)"
-    parser.add_argument("--max-steps", type=int, help=told)
-    parser.add_argument("--person", type=int, default=0, help="who flies by hand: the rows' seed (default: 0)")
+    parser.add_argument("--max-steps", type=whole, help=told)
+    parser.add_argument("--person", type=whole, default=0, help="who flies by hand: the rows' seed (default: 0)")
     rows = f"as runs/baselines/{ROWS.name}; without a run {ROWS}"
     parser.add_argument(
         "--out",
@@ -282,11 +283,14 @@ def _render(parser: Parser) -> None:
     )
     _flight(parser)
     _faults(parser)
-    parser.add_argument("--steps", type=int, default=500, help="steps at most (default: 500)")
-    parser.add_argument("--every", type=int, default=1, help="steps from one picture to the next (default: 1)")
+    parser.add_argument("--steps", type=whole, default=500, help="steps at most (default: 500)")
+    parser.add_argument("--every", type=whole, default=1, help="steps from one picture to the next (default: 1)")
     parser.add_argument("--speed", type=float, default=1.0, help="times as fast as in the window (default: 1)")
     parser.add_argument(
-        "--width", type=int, default=480, help="width of one flight [px] (default: 480); an MP4 is padded to even sizes"
+        "--width",
+        type=whole,
+        default=480,
+        help="width of one flight [px] (default: 480); an MP4 is padded to even sizes",
     )
 
 
@@ -319,7 +323,7 @@ def _report(parser: Parser) -> None:
 def _verify(parser: Parser) -> None:
     parser.epilog = "example: uavnav verify runs/ppo/relu --frames 20000"
     parser.add_argument("run", type=Path, metavar="RUN", help="a finished run's folder")
-    parser.add_argument("--frames", type=int, help="repeat only the first so many frames per seed")
+    parser.add_argument("--frames", type=whole, help="repeat only the first so many frames per seed")
     _plugins(parser)
 
 
@@ -335,7 +339,7 @@ def _bench(parser: Parser) -> None:
 def _export(parser: Parser) -> None:
     parser.epilog = "example: uavnav export runs/ppo/relu --out policy.onnx"
     parser.add_argument("run", metavar="RUN", help="a run's folder, its policy file, or a zip of Stable-Baselines3")
-    parser.add_argument("--seed", type=int, help="which training seed (default: the first)")
+    parser.add_argument("--seed", type=whole, help="which training seed (default: the first)")
     _activation(parser)
     parser.add_argument("--out", required=True, metavar="FILE", help="policy.onnx or policy.pt2")
     _plugins(parser)
@@ -349,10 +353,10 @@ def _layouts(parser: Parser) -> None:
     parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which bank to write")
     parser.add_argument("--task", default="drone", help=f"whose obstacles: {TASKS} (default: drone)")
     parser.add_argument(
-        "--k", type=int, help=f"obstacles per set, 0 for an empty arena (default: {DEFAULT_K}; in 3D 40)"
+        "--k", type=whole, help=f"obstacles per set, 0 for an empty arena (default: {DEFAULT_K}; in 3D 40)"
     )
-    parser.add_argument("--n", type=int, help=f"sets in the bank (default: {sizes})")
-    parser.add_argument("--seed", type=int, help=f"generator seed (default: {seeds})")
+    parser.add_argument("--n", type=whole, help=f"sets in the bank (default: {sizes})")
+    parser.add_argument("--seed", type=whole, help=f"generator seed (default: {seeds})")
     parser.add_argument("--check", nargs="+", metavar="BANK", help="regenerate these from their headers and compare")
 
 
@@ -395,13 +399,13 @@ STUDY_KEYS = {
 
 def _flight(parser: Parser) -> None:
     """What every command that shows flights asks: which seed, how, and where."""
-    parser.add_argument("--seed", type=int, help="training seed (default: each run's first)")
+    parser.add_argument("--seed", type=whole, help="training seed (default: each run's first)")
     greedy = "take the best action always, instead of acting as in training (sampled, or with the final epsilon)"
     parser.add_argument("--greedy", action="store_true", help=greedy)
     _activation(parser)
     _bank(parser)
     _task(parser)
-    parser.add_argument("--layout", type=int, default=0, help="index of the obstacle set (default: 0)")
+    parser.add_argument("--layout", type=whole, default=0, help="index of the obstacle set (default: 0)")
     _plugins(parser)
 
 

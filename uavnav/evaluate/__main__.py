@@ -27,6 +27,9 @@ from uavnav.tasks.ladders import measure_of
 from uavnav.tasks.protocol import DRAWS, GROUPS, MAX_STEPS
 from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task, name_of
 
+MOST_SEEDS = 1_000
+"""Of a script."""
+
 
 def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
     """A run, or what else flies, by its mode."""
@@ -59,8 +62,8 @@ def _rows_file(name: str, mode: str, protocol: str = "") -> str:
 
 def _check_seeds(arguments: Namespace) -> None:
     given, elsewhere = f"--seeds {arguments.seeds}", arguments.across is not None or arguments.transfer
-    if arguments.seeds < 1:
-        raise ValueError(f"{given}; give at least 1")
+    if not 1 <= arguments.seeds <= MOST_SEEDS:
+        raise ValueError(f"{given}; give at least 1 and at most {MOST_SEEDS:,}")
     if DRAWS not in arguments.runs or elsewhere:
         raise ValueError(f"{given}: only {DRAWS} has several, on the sets of one bank; leave it out")
 

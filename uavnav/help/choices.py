@@ -12,18 +12,21 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
 
-from uavnav.help.errors import MOST, OneLineError, one_line
+from uavnav.help.errors import MOST, OneLineError, one_line, told
 
 LONG = 150
 """Characters of choices that are listed whole."""
+MOST_WHOLE = 2**53
+"""The largest whole number that a user may give: a float holds no more digits."""
 SOME = 5
 """Choices that are named where there are too many."""
 
 
 def did_you_mean(value: object, choices: Collection[str]) -> str:
     """` (did you mean relu?)`, the nearest of the choices, as the end of a message; empty where none is near."""
-    of_a_part = [choice for choice in choices if choice.endswith(f".{value}")]  # `slots` for `world.slots`
-    near = of_a_part or difflib.get_close_matches(str(value), choices, n=1)
+    word = told(value)
+    of_a_part = [choice for choice in choices if choice.endswith(f".{word}")]  # `slots` for `world.slots`
+    near = of_a_part or difflib.get_close_matches(word, choices, n=1)
     return f" (did you mean {near[0]}?)" if near else ""
 
 
@@ -44,9 +47,25 @@ def choose_from(value: object, choices: Collection[str]) -> str:
     """`choose from elu, gelu (did you mean gelu?)`: the choices by name, some of very many, and the nearest."""
     names = sorted(choices)
     if len(", ".join(names)) > LONG:
-        near = difflib.get_close_matches(str(value), names, n=SOME, cutoff=0.4)
+        near = difflib.get_close_matches(told(value), names, n=SOME, cutoff=0.4)
         names = [f"{len(names)}, such as {', '.join(near or names[:SOME])}"]
     return f"choose from {', '.join(names)}{did_you_mean(value, choices)}"
+
+
+def among(value: object, choices: Collection[str]) -> bool:
+    """Whether a value is one of some names; what is no name is none of them."""
+    return isinstance(value, str) and value in choices
+
+
+def whole(text: str) -> int:
+    """A whole number of a command line, as the type of an argument."""
+    try:
+        number = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"invalid int value: {text!r}") from None
+    if abs(number) > MOST_WHOLE:
+        raise argparse.ArgumentTypeError(f"{told(number)} is too large; give at most {MOST_WHOLE:,}")
+    return number
 
 
 class ConfigError(OneLineError, ValueError):
@@ -55,12 +74,13 @@ class ConfigError(OneLineError, ValueError):
 
 def unknown(name: str, value: object, choices: Collection[str]) -> ConfigError:
     """The error for a value that is not among the choices, with the nearest one suggested."""
-    return ConfigError(f"{name}={value!s}; {choose_from(value, choices)}")
+    return ConfigError(f"{name}={told(value)}; {choose_from(value, choices)}")
 
 
-def unknown_key(key: str, choices: Collection[str]) -> ConfigError:
+def unknown_key(key: object, choices: Collection[str]) -> ConfigError:
     """The error for a key that is not among the choices, with the nearest one suggested."""
-    return ConfigError(f"there is no key {key!r}; {choose_from(key, choices)}")
+    shown = repr(key) if isinstance(key, str) else told(key)
+    return ConfigError(f"there is no key {shown}; {choose_from(key, choices)}")
 
 
 class Parser(argparse.ArgumentParser):

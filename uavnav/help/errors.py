@@ -38,6 +38,14 @@ def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")
 
 
+def told(value: object, most: int = WORD * 2) -> str:
+    """A value as a message shows it: short and in one line, however large, deep or odd it is."""
+    try:
+        return one_line(value, most)
+    except (ValueError, RecursionError, RuntimeError):  # a number of many digits, nested lists, a damaged tensor
+        return f"a {type(value).__name__}"
+
+
 class OneLineError(Exception):
     """What is wrong with what a user gave; its message is one line of at most `MOST` characters."""
 

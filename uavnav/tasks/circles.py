@@ -6,12 +6,14 @@ In a world of three dimensions they are spheres. Letter: D the dimensions of the
 from __future__ import annotations
 
 import functools
+import numbers
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from uavnav.help.errors import OneLineError
+from uavnav.help.choices import MOST_WHOLE
+from uavnav.help.errors import OneLineError, told
 from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.world import World
 
@@ -20,8 +22,8 @@ class LayoutError(OneLineError, ValueError):
     """A bank cannot be found, read or trusted; the message says what is wrong and what would be right."""
 
 
-MOST = 2**24
-"""Obstacles that a bank has at most."""
+MOST_OBSTACLES = 20_000_000
+"""Of all sets of a bank: half a gigabyte where they are drawn."""
 DRAWS = 1_000
 """Places that an obstacle may try; the paper's world refuses one in eleven."""
 
@@ -38,10 +40,13 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
         LayoutError: n, k or seed is negative, or an obstacle finds no place.
     """
     world = world or World()
-    if min(n, k, seed) < 0:
-        raise LayoutError(f"n={n}, k={k}, seed={seed}; give whole numbers of at least 0")
-    if n * k > MOST:
-        raise LayoutError(f"n={n}, k={k}; give at most {MOST:,} obstacles in all")
+    if not all(isinstance(one, numbers.Integral) and 0 <= one <= MOST_WHOLE for one in (n, k, seed)):
+        given = f"n={told(n)}, k={told(k)}, seed={told(seed)}"
+        raise LayoutError(f"{given}; give whole numbers of at least 0 and at most {MOST_WHOLE:,}")
+    if n * max(k, 1) > MOST_OBSTACLES:
+        raise LayoutError(f"n={n}, k={k}; give at most {MOST_OBSTACLES:,} obstacles or sets in all")
+    if not isinstance(world, World):
+        raise LayoutError(f"world={told(world)}; give a World")
     rng = np.random.Generator(np.random.PCG64(seed))
     smallest, largest = np.float32(world.obstacle_radius_min), np.float32(world.obstacle_radius_max)
     size = np.array(world.size, dtype=np.float32)
@@ -67,6 +72,8 @@ def validate(bank: Tensor, world: World | None = None, more: int = 0) -> None:
         LayoutError: naming the first set that is wrong.
     """
     world = world or World()
+    if not isinstance(bank, Tensor):
+        raise LayoutError(f"{told(bank)}: is no bank; give a tensor")
     columns = len(world.size) + 1 + more
     if bank.ndim != 3 or bank.shape[-1] != columns or bank.shape[0] == 0:
         raise LayoutError(f"a bank has the shape [n > 0, k, {columns}], not {list(bank.shape)}")

@@ -11,7 +11,8 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from uavnav.help import key
-from uavnav.help.choices import unknown_key
+from uavnav.help.choices import MOST_WHOLE, ConfigError, unknown_key
+from uavnav.help.errors import told
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -26,7 +27,7 @@ class Faults:
     """Faults of a drone's sensor and actuator; by default there are none.
 
     Raises:
-        ValueError: a number is out of its range.
+        ConfigError: a number is out of its range.
     """
 
     noise: float = key(0.0, "standard deviation σ of each sensed distance", "px", least=0)
@@ -39,11 +40,11 @@ class Faults:
             value: Any = getattr(self, item.name)
             least, most = item.metadata["least"], item.metadata.get("most", math.inf)
             whole = item.name != "late" or isinstance(value, int)
-            number = isinstance(value, (int, float)) and not isinstance(value, bool) and value < math.inf
+            number = isinstance(value, (int, float)) and not isinstance(value, bool) and value <= MOST_WHOLE
             if not (number and whole and least <= value <= most):
                 kind = "number" if item.name != "late" else "whole number"
                 bounds = f"at least {least}" + (f" and at most {most}" if most < math.inf else "")
-                raise ValueError(f"{item.name}={value}; give a {kind} of {bounds}")
+                raise ConfigError(f"{item.name}={told(value)}; give a {kind} of {bounds}")
 
     def __str__(self) -> str:
         """The faults that are not zero, as `noise=5,late=2`, or `none`."""
@@ -116,7 +117,7 @@ def from_words(words: str) -> Faults:
         try:
             values[name] = int(given) if name == "late" else float(given)
         except ValueError:
-            raise ValueError(f"{word.strip()}; give a number, as noise=5, or whole steps, as late=2") from None
+            raise ConfigError(f"{told(word.strip())}; give a number, as noise=5, or whole steps, as late=2") from None
     return Faults(**values)  # type: ignore[arg-type]
 
 
@@ -129,4 +130,4 @@ def from_option(words: str | None) -> Faults | None:
     try:
         return None if words is None else from_words(words)
     except ValueError as error:
-        raise ValueError(f"--faults {words}: {error}") from error
+        raise ConfigError(f"--faults {told(words)}: {error}") from error

@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from uavnav.help import key
+from uavnav.help.choices import ConfigError
 from uavnav.tasks import circles
 from uavnav.tasks.circles import LayoutError
 from uavnav.tasks.protocol import DEFAULT_K
@@ -41,7 +42,7 @@ class GoalWorld(World):
     """The paper's arena, drone and sensor, and a goal.
 
     Raises:
-        ValueError: as of `World`, or the radius is not above 0.
+        ConfigError: as of `World`, or the radius is not above 0.
     """
 
     goal_radius: float = key(40.0, "within which the drone's centre has reached the goal", "px")
@@ -50,7 +51,7 @@ class GoalWorld(World):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 < self.goal_radius < math.inf:
-            raise ValueError(f"goal_radius={self.goal_radius:g}; give a number above 0")
+            raise ConfigError(f"goal_radius={self.goal_radius:g}; give a number above 0")
 
     @property
     def observation_low(self) -> tuple[float, ...]:

@@ -23,7 +23,8 @@ from safetensors.torch import save as serialize
 from torch import Tensor
 
 from uavnav import files
-from uavnav.help.choices import did_you_mean
+from uavnav.help.choices import MOST_WHOLE, did_you_mean
+from uavnav.help.errors import told
 from uavnav.tasks import circles, goal, moving, slalom, space, tensors
 from uavnav.tasks.circles import LayoutError as LayoutError  # this and the next two are also names of this module
 from uavnav.tasks.circles import generate as generate
@@ -87,7 +88,10 @@ def split_of(layouts: str | Path) -> str:
 def kind_of(world: World) -> str:
     """The name in `KINDS` of a world's banks: of its class, or of the nearest class that it derives from."""
     names = {kind.world: name for name, kind in KINDS.items()}
-    return next(names[one] for one in type(world).__mro__ if one in names)
+    found = next((names[one] for one in type(world).__mro__ if one in names), None)
+    if found is None:
+        raise LayoutError(f"world={told(world)}; give a World")
+    return found
 
 
 def _ships(world: World) -> bool:
@@ -171,8 +175,10 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     The paper's splits are files of the package, and so are those of goals. Others are drawn when they are asked for, by
     the fields of their world.
     """
-    world = world or World()
+    world = World() if world is None else world
     name = kind_of(world)
+    if not isinstance(layouts, (str, Path)):
+        raise LayoutError(f"layouts={told(layouts)}; give {', '.join(SPLITS)} or a file's path")
     if layouts in SPLITS and not _ships(world):
         return _of_ones_own(_drawn(str(layouts), world))
     if is_rung(layouts):
@@ -220,8 +226,13 @@ def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
 def _rung(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split of a rung, such as `density-12/test`, and its header."""
     ladder, rung, split = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL).groups()  # type: ignore[union-attr]
+    if len(rung) > len(str(MOST_WHOLE)):  # whatever it says is too much
+        raise LayoutError(f"layouts={told(layouts)}: no such bank; give fewer digits")
     if split not in SPLITS or not rung.isdecimal():
-        near, example = did_you_mean(split, SPLITS), rung if rung.isdecimal() else {"density": 12}.get(ladder, 100)
+        near, example = (
+            did_you_mean(split, SPLITS),
+            rung if rung.isdecimal() else {"density": 12}.get(ladder, 100),
+        )
         raise LayoutError(
             f"layouts={layouts!r}: no such bank; give a rung and a split, such as {ladder}-{example}/test{near}"
         )
@@ -259,7 +270,8 @@ def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
     Raises:
         LayoutError: it is not, or as `load` does.
     """
-    world = World() if layouts in SPLITS else _world_of(layouts)
+    named = not isinstance(layouts, (str, Path)) or layouts in SPLITS
+    world = World() if named else _world_of(layouts)
     bank, header = read(layouts, world)
     if layouts == header["split"] and layouts not in SPLITS:  # a rung, which was generated just now
         return bank, header

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from uavnav.help import key
+from uavnav.help.choices import ConfigError
 from uavnav.tasks import circles
 from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.world import World
@@ -27,7 +28,7 @@ class MovingWorld(World):
     """The paper's arena, drone and sensor, and how fast obstacles are.
 
     Raises:
-        ValueError: as of `World`, or the speeds are no range.
+        ConfigError: as of `World`, or the speeds are no range.
     """
 
     speed_min: float = key(0.0, "of the slowest obstacle", "px a step")
@@ -37,9 +38,9 @@ class MovingWorld(World):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 <= self.speed_max < math.inf:
-            raise ValueError(f"speed_max={self.speed_max:g}; give a number of at least 0 px a step")
+            raise ConfigError(f"speed_max={self.speed_max:g}; give a number of at least 0 px a step")
         if not 0 <= self.speed_min <= self.speed_max:
-            raise ValueError(f"speed_min={self.speed_min:g}; give 0 to speed_max={self.speed_max:g} px a step")
+            raise ConfigError(f"speed_min={self.speed_min:g}; give 0 to speed_max={self.speed_max:g} px a step")
 
     @property
     def slot_low(self) -> tuple[float, ...]:

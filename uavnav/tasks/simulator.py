@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from uavnav.help.choices import did_you_mean, unknown_key
+from uavnav.help.choices import ConfigError, among, did_you_mean, unknown_key
+from uavnav.help.errors import told
 from uavnav.tasks import goal, moving, space
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.protocol import CAPS
@@ -205,13 +206,13 @@ def make_task(
     """
     if isinstance(task, Task):
         return task
-    if task not in TASKS:
-        raise ValueError(f"task={task!r}; choose from {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
+    if not among(task, TASKS):
+        raise ConfigError(f"task={told(repr(task))}; choose from {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
     kind = TASKS[task]
     if not isinstance(world, World):
         world = _made(kind.WORLD, "world", world)
     elif type(world) is not kind.WORLD:
-        raise ValueError(f"world={type(world).__name__}: task={task} has a {kind.WORLD.__name__}; give one of these")
+        raise ConfigError(f"world={type(world).__name__}: task={task} has a {kind.WORLD.__name__}; give one of these")
     if not isinstance(faults, Faults):
         faults = _made(Faults, "faults", faults)
     max_steps = kind.MAX_STEPS if max_steps is None else max_steps
@@ -225,7 +226,9 @@ Part = TypeVar("Part")
 def _made(kind: type[Part], name: str, given: Mapping[str, Any] | None) -> Part:
     """A world, or faults, from a mapping of some fields; name: of the key that holds it."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    if given is not None and not isinstance(given, Mapping):
+        raise ConfigError(f"{name}={told(given)}; give a {kind.__name__}, or a mapping of its fields")
     for one in given or {}:
-        if one not in names:
-            raise unknown_key(f"{name}.{one}", [f"{name}.{other}" for other in names])
+        if not among(one, names):
+            raise unknown_key(f"{name}.{told(one)}", [f"{name}.{other}" for other in names])
     return kind(**(given or {}))

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from uavnav.help import key
+from uavnav.help.choices import ConfigError
 from uavnav.tasks import circles
 from uavnav.tasks.dynamics import direction
 from uavnav.tasks.moving import VELOCITIES, MovingWorld
@@ -40,7 +41,7 @@ class SpaceWorld(World):
     """The paper's drone and sensor in a box: width x depth x height px along x, y and z.
 
     Raises:
-        ValueError: as of `World`, or the sensor reaches two opposite walls at once.
+        ConfigError: as of `World`, or the sensor reaches two opposite walls at once.
     """
 
     depth: int = key(600, "of the box, along y", "px")
@@ -51,7 +52,7 @@ class SpaceWorld(World):
         super().__post_init__()
         reached = 2 * (self.border + self.sensor_radius)
         if not reached < self.depth < math.inf:
-            raise ValueError(
+            raise ConfigError(
                 f"depth={self.depth:g}; give above {reached:g} px, or two opposite walls are in reach at once"
             )
 

@@ -17,7 +17,8 @@ from typing import Any, ClassVar, NamedTuple, Self
 import torch
 from torch import Tensor
 
-from uavnav.help.choices import did_you_mean
+from uavnav.help.choices import MOST_WHOLE, ConfigError, among, did_you_mean
+from uavnav.help.errors import told
 from uavnav.tasks import layouts as banks
 from uavnav.tasks import memory
 from uavnav.tasks.dynamics import decode, move
@@ -81,14 +82,15 @@ class Task:
             cls.STATIC = False
 
     def __post_init__(self) -> None:
-        if self.reward not in REWARDS:
+        if not among(self.reward, REWARDS):
             hint = did_you_mean(self.reward, REWARDS)
-            raise ValueError(f"reward={self.reward!r}; choose from {', '.join(REWARDS)}{hint}")
+            raise ConfigError(f"reward={told(repr(self.reward))}; choose from {', '.join(REWARDS)}{hint}")
         check_reward(self.reward, self.world)
-        if self.max_steps is not None and (not isinstance(self.max_steps, int) or self.max_steps < 1):
-            raise ValueError(f"max_steps={self.max_steps}; choose None or a whole number from 1")
+        cap = self.max_steps
+        if cap is not None and (not isinstance(cap, int) or not 1 <= cap <= MOST_WHOLE):
+            raise ConfigError(f"max_steps={told(cap)}; choose None or a whole number from 1")
         if not isinstance(self.stack, int) or not 1 <= self.stack <= MOST_REMEMBERED:
-            raise ValueError(f"stack={self.stack}; give a whole number from 1 to {MOST_REMEMBERED}")
+            raise ConfigError(f"stack={told(self.stack)}; give a whole number from 1 to {MOST_REMEMBERED}")
 
     @property
     def observation_size(self) -> int:

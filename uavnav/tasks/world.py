@@ -11,12 +11,15 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_type_hints
 
 from uavnav.help import key
-from uavnav.help.choices import did_you_mean
+from uavnav.help.choices import ConfigError, among, did_you_mean
+from uavnav.help.errors import told
 
 VERSION = "1"
 """Version of the world's semantics and of the distribution of obstacles; written into every bank, run and policy."""
 
 
+MOST = 1_000_000
+"""The largest number of a world, in whatever unit."""
 POSITIVE = ("width", "height", "border", "sensor_radius", "sensor_arc", "n_slots", "n_turns", "n_distances")
 """The fields of `World` that are above 0."""
 
@@ -29,7 +32,7 @@ class World:
     counter-clockwise from +x. Changing a default is a new `VERSION`.
 
     Raises:
-        ValueError: a switch has a value that is not among its choices, or the geometry makes no sense.
+        ConfigError: a switch has a value that is not among its choices, or the geometry makes no sense.
     """
 
     width: int = key(800, "of the window, sec. 3.6", "px")
@@ -56,38 +59,41 @@ class World:
         for field in fields(self):
             choices = get_args(hints[field.name])
             value: Any = getattr(self, field.name)
+            shown = f"'{told(value)}'" if isinstance(value, str) else told(value)
             if hints[field.name] is bool:
                 if not isinstance(value, bool):
-                    raise ValueError(f"{field.name}={value!r}; choose from false, true")
-            elif choices and value not in choices:
+                    raise ConfigError(f"{field.name}={shown}; choose from false, true")
+            elif choices and not among(value, choices):
                 hint = did_you_mean(value, choices)
-                raise ValueError(f"{field.name}={value!r}; choose from {', '.join(choices)}{hint}")
+                raise ConfigError(f"{field.name}={shown}; choose from {', '.join(choices)}{hint}")
             elif not choices and (isinstance(value, bool) or not isinstance(value, (int, float))):
-                raise ValueError(f"{field.name}={value!r}; give a number")
+                raise ConfigError(f"{field.name}={shown}; give a number")
+            elif not choices and MOST < abs(value) < math.inf:
+                raise ConfigError(f"{field.name}={shown}; give a number of at most {MOST:,}")
             elif field.name in POSITIVE and not 0 < value < math.inf:
-                raise ValueError(f"{field.name}={value:g}; give a number above 0")
+                raise ConfigError(f"{field.name}={value:g}; give a number above 0")
             elif not choices and not math.isfinite(value):
-                raise ValueError(f"{field.name}={value:g}; give a finite number")
+                raise ConfigError(f"{field.name}={value:g}; give a finite number")
             elif hints[field.name] is int and not isinstance(value, int):
-                raise ValueError(f"{field.name}={value:g}; give a whole number")
+                raise ConfigError(f"{field.name}={value:g}; give a whole number")
         if not self.sensor_arc <= 360:
-            raise ValueError(f"sensor_arc={self.sensor_arc:g}; give at most 360 degrees")
+            raise ConfigError(f"sensor_arc={self.sensor_arc:g}; give at most 360 degrees")
         if self.width % self.border or self.height % self.border:
-            raise ValueError(f"border={self.border} must divide width={self.width} and height={self.height}")
+            raise ConfigError(f"border={self.border} must divide width={self.width} and height={self.height}")
         if min(self.width, self.height) // self.border < self.sensed_squares_of_a_wall + 2:
             reach = f"sensor_radius={self.sensor_radius:g}"
-            raise ValueError(f"{reach} reaches two opposite walls at once; give a smaller one, or a larger window")
+            raise ConfigError(f"{reach} reaches two opposite walls at once; give a smaller one, or a larger window")
         if not 1 <= self.n_slots <= 2 * self.sensed_squares_of_a_wall:
-            raise ValueError(f"n_slots={self.n_slots}; give 1 to {2 * self.sensed_squares_of_a_wall}")
+            raise ConfigError(f"n_slots={self.n_slots}; give 1 to {2 * self.sensed_squares_of_a_wall}")
         if not 0 <= self.drone_radius < self.sensor_radius:
-            raise ValueError(
+            raise ConfigError(
                 f"drone_radius={self.drone_radius:g}; give 0 to below sensor_radius={self.sensor_radius:g}"
             )
         if not 0 < self.obstacle_radius_min <= self.obstacle_radius_max:
             most = f"obstacle_radius_max={self.obstacle_radius_max:g}"
-            raise ValueError(f"obstacle_radius_min={self.obstacle_radius_min:g}; give above 0, to {most}")
+            raise ConfigError(f"obstacle_radius_min={self.obstacle_radius_min:g}; give above 0, to {most}")
         if self.safe_zone < 0:
-            raise ValueError(f"safe_zone={self.safe_zone:g}; give at least 0")
+            raise ConfigError(f"safe_zone={self.safe_zone:g}; give at least 0")
 
     @property
     def size(self) -> tuple[int, ...]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 import shlex
 import sys
+import types
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from importlib.util import find_spec
@@ -16,7 +18,7 @@ from typing import Any, NamedTuple
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Override, RangeSweep
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -25,6 +27,7 @@ from uavnav import commands, help, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import evaluate_run, summary, usual_files
 from uavnav.help.choices import ConfigError, unknown, unknown_key
+from uavnav.help.errors import one_line, told
 from uavnav.policies import Diverged, PolicyError
 from uavnav.runs import Run
 from uavnav.runs.tables import RunError
@@ -32,11 +35,13 @@ from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import TASKS
 from uavnav.tasks.world import World
-from uavnav.training.config import TrainConfig, part_keys
+from uavnav.training.config import TrainConfig, checked, part_keys
 from uavnav.training.loggers import chosen
 from uavnav.training.loop import train
 from uavnav.training.recorder import Interrupted, Recorder
 
+MOST_CELLS = 1_000
+"""Runs of a sweep."""
 HERE = tuple(line.name for line in help.of_command())
 """The keys of the command itself; all others are fields of the algorithm's configuration."""
 
@@ -80,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(stop, file=sys.stderr)
         return 128 + stop.signum
     except (HydraException, OmegaConfBaseException) as error:
-        print(f"uavnav train: {_one_line(error, kind)}", file=sys.stderr)
+        print(f"uavnav train: {one_line(_one_line(error, kind))}", file=sys.stderr)
         return 2
     except ConfigError as error:
         print(f"uavnav train: {error}{commands.needs(given.algorithm, given.settings)}", file=sys.stderr)
@@ -104,21 +109,38 @@ def _cells(kind: type[TrainConfig], settings: Sequence[str], multirun: bool) -> 
     """The words of each run: with `-m` every combination of the values of keys that have several."""
     # a task of its own may have other fields than the world that Hydra knows: the configuration checks them
     words = [f"++{word}" if word.startswith("world.") else word for word in settings]
-    overrides = OverridesParser.create().parse_overrides(words)
+    overrides = [_parsed(word) for word in words]
     for name in (one.key_or_group for one in overrides):
         if name.startswith("hydra"):  # that it has settings of its own is nobody's business
             raise unknown_key(name, _keys(kind))
     several = [one.key_or_group for one in overrides if one.is_sweep_override()]
     if several and not multirun:
         raise ConfigError(f"{several[0]}: give one value, or -m to train with each in turn")
-    return [list(cell) for cell in itertools.product(*map(_values, overrides))]
+    values = [_values(one) for one in overrides]
+    if (cells := math.prod(map(len, values))) > MOST_CELLS:
+        raise ConfigError(f"{several[0]}: the sweep has {cells:,} runs; give at most {MOST_CELLS:,}")
+    return [list(cell) for cell in itertools.product(*values)]
+
+
+def _parsed(word: str) -> Override:
+    """A setting as Hydra reads it."""
+    try:
+        return OverridesParser.create().parse_overrides([word])[0]
+    except (RecursionError, ValueError) as error:  # lists in lists, a number of thousands of digits
+        raise ConfigError(f"{told(word)}: its value cannot be read; give a shorter one") from error
 
 
 def _values(override: Override) -> list[str]:
     """The words of a setting, one a value."""
     if not override.is_sweep_override():
         return [override.input_line or ""]
-    return [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
+    swept = override.value()
+    try:
+        if isinstance(swept, RangeSweep) and (swept.stop - swept.start) / swept.step > MOST_CELLS:
+            raise ConfigError(f"{override.input_line}: the sweep is too long; give at most {MOST_CELLS:,} values")
+        return [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
+    except ArithmeticError as error:
+        raise ConfigError(f"{override.input_line}: it is no range; give range(start,stop,step)") from error
 
 
 def _composed(kind: type[TrainConfig], words: list[str]) -> DictConfig:
@@ -128,20 +150,32 @@ def _composed(kind: type[TrainConfig], words: list[str]) -> DictConfig:
     for name in kind.PRESETS:
         node = kind.usual(name, task) | {"world": asdict(world()) if world else {}}
         ConfigStore.instance().store(group="preset", name=name, node=node, package="_global_")
-    with initialize_config_dir(str(help.COMMAND.parent), version_base="1.3"):
-        return compose(help.COMMAND.stem, words)
+    try:
+        with initialize_config_dir(str(help.COMMAND.parent), version_base="1.3"):
+            return compose(help.COMMAND.stem, words)
+    except HydraException:
+        raise
+    except (OSError, TypeError, ValueError) as error:  # Hydra looks for files of names that are none
+        named = next((word for word in words if word.lstrip("+").startswith("preset=")), None)
+        if named is not None:
+            raise unknown("preset", named.partition("=")[2], kind.PRESETS) from error
+        raise ConfigError(
+            f"{told(' '.join(words))}: cannot be read; settings are key=value: activation=tanh"
+        ) from error
 
 
 def _order(kind: type[TrainConfig], settings: DictConfig) -> Order:
     """The run that the settings describe; a ConfigError where they cannot be."""
     values: dict[str, Any] = OmegaConf.to_container(settings, resolve=True)
+    for key in HERE:
+        if key not in values:
+            raise ConfigError(f"~{key}: it cannot be left out; give {key}=...")
     here = {key: values.pop(key) for key in HERE}
     for key in ("overwrite", "evaluate"):
-        if not isinstance(here[key], bool):
-            raise ConfigError(f"{key}={here[key]}; choose from false, true")
-    seconds = here["checkpoint_seconds"]
-    if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not seconds >= 0:
-        raise ConfigError(f"checkpoint_seconds={seconds}; give a number of at least 0")
+        checked(key, here[key], bool, {})
+    checked("checkpoint_seconds", here["checkpoint_seconds"], float, {"least": 0})
+    if not isinstance(here["out"], (str, int, float, types.NoneType)):
+        raise ConfigError(f"out={told(here['out'])}; give a folder")
     chosen(here["logger"])
     config = kind.from_mapping(values)
     return Order(config, config.folder if here["out"] is None else Path(str(here["out"])), here)
@@ -151,13 +185,13 @@ def _check(orders: Sequence[Order]) -> None:
     """Raise a RunError where a folder cannot be used, before any run begins."""
     folders: set[Path] = set()
     for config, out, here in orders:
+        Recorder(out, config, here["overwrite"])
         if out.resolve() in folders:
             raise RunError(
                 f"out={out}: two runs of the sweep would share it; name what differs, as"
                 " out='runs/${activation}-${seed}'"
             )
         folders.add(out.resolve())
-        Recorder(out, config, here["overwrite"])
 
 
 def _one_line(error: Exception, kind: type[TrainConfig]) -> str:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
-import math
 import os
+import sys
 import types
+import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -15,13 +16,19 @@ import torch
 
 from uavnav.graph import telling_line
 from uavnav.help import key
-from uavnav.help.choices import ConfigError, unknown, unknown_key
+from uavnav.help.choices import MOST_WHOLE, ConfigError, among, unknown, unknown_key
+from uavnav.help.errors import told
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import default_folder, modern
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
 from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.world import World
+
+ROW_COLUMNS = 5
+"""Numbers of a row of progress, at least: seed, frame, pace, and some of the algorithm's."""
+ROW_BYTES = 600
+"""What the rows of all seeds take beside their numbers, as one mapping of arrays."""
 
 
 def one_of(default: str, choices: Collection[str], what: str = "") -> Any:
@@ -90,14 +97,14 @@ class TrainConfig:
         return self
 
     def __post_init__(self) -> None:
-        if self.preset not in self.PRESETS:
+        if not among(self.preset, self.PRESETS):
             raise unknown("preset", self.preset, self.PRESETS)
         for name, value in self.PRESETS[self.preset].items():
             if name not in self.__dict__["_given"]:
                 object.__setattr__(self, name, value)
-        if "reward" not in self.__dict__["_given"] and self.task in TASKS:
+        if "reward" not in self.__dict__["_given"] and among(self.task, TASKS):
             object.__setattr__(self, "reward", TASKS[self.task].REWARD)
-        if self.max_steps is None and self.task in TASKS:
+        if self.max_steps is None and among(self.task, TASKS):
             object.__setattr__(self, "max_steps", TASKS[self.task].MAX_STEPS)
         object.__delattr__(self, "_given")
         hints = get_type_hints(type(self))
@@ -115,11 +122,15 @@ class TrainConfig:
                 f"n_worlds={self.n_worlds}; give a divisor of the {self.frames_per_iteration} frames of an iteration"
             )
         if not self.hidden or min(self.hidden) < 1:
-            raise ConfigError(f"hidden={list(self.hidden)}; give at least one layer, each of at least 1 unit")
+            raise ConfigError(f"hidden={told(list(self.hidden))}; give at least one layer, each of at least 1 unit")
+        if len(self.hidden) > MOST_LAYERS:
+            raise ConfigError(f"hidden: {len(self.hidden)} layers; give at most {MOST_LAYERS}")
         try:
-            torch.ones(1, device=self.device).item()  # `meta`, say, has no numbers
-        except (RuntimeError, AssertionError, NotImplementedError) as error:
-            raise ConfigError(f"device={self.device}; choose cpu, or a device that this machine has") from error
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of names that torch knew once
+                torch.ones(1, device=self.device).item()  # `meta`, say, has no numbers
+        except Exception as error:  # each kind of device has its own
+            raise ConfigError(f"device={told(self.device)}; choose cpu, or a device that this machine has") from error
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> Self:
@@ -128,9 +139,11 @@ class TrainConfig:
         Raises:
             ConfigError: there is no such key, or as for the constructor.
         """
+        if not isinstance(mapping, Mapping):
+            raise ConfigError(f"{told(mapping)}: is no mapping; give keys and values")
         names = [item.name for item in fields(cls)]
         for name in mapping:
-            if name not in names:
+            if not among(name, names):
                 raise unknown_key(name, [*names, *part_keys()])
         return cls(**mapping)
 
@@ -165,6 +178,17 @@ class TrainConfig:
         weights = self.n_seeds * sum((inputs + 1) * outputs for inputs, outputs in itertools.pairwise(sizes))
         named = f"hidden={list(self.hidden)}, n_seeds={self.n_seeds}: networks of {self.n_outputs:,} outputs"
         self.check_memory(named, 4 * self.COPIES * weights, "smaller networks or fewer seeds")
+        steps = self.n_seeds * self.frames_per_iteration
+        named = f"n_seeds={self.n_seeds}, n_worlds={self.n_worlds}: the {steps:,} frames of an iteration"
+        self.check_memory(named, 4 * steps * self.observation_size, "fewer frames an iteration, worlds or seeds")
+        if self.stack > 1 or self.faults.late:
+            kept = max(self.stack, self.faults.late) * self.world.observation_size
+            named = f"stack={self.stack}, faults.late={self.faults.late}: the observations that worlds remember"
+            self.check_memory(named, 4 * self.n_seeds * self.n_worlds * kept, "fewer of them, worlds or seeds")
+        rows = self.frames // max(self.frames_between_rows, self.frames_per_iteration)
+        named = f"total_frames={self.total_frames}: its {rows:,} rows of progress a seed"
+        needed = rows * (ROW_BYTES + self.n_seeds * 8 * ROW_COLUMNS)
+        self.check_memory(named, needed, "fewer frames, or more of them an iteration")
 
     def check_memory(self, what: str, needed: int, instead: str) -> None:
         """Raise a ConfigError where something would take more bytes than the machine has; instead: what to give."""
@@ -184,6 +208,11 @@ class TrainConfig:
     def frames_per_iteration(self) -> int:
         """Collected per seed between two calls of `learn`: here a step of all worlds."""
         return self.n_worlds
+
+    @property
+    def frames_between_rows(self) -> int:
+        """Collected per seed between two rows of progress, if an iteration has fewer."""
+        return 1
 
     @property
     def iterations(self) -> int:
@@ -238,6 +267,7 @@ def plain(config: TrainConfig) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(config).items()}
 
 
+MOST_LAYERS = 100
 EXAMPLES = {"world": "sensor_arc=90", "faults": "noise=5"}
 PARTS = tuple(EXAMPLES)
 """The fields that are dataclasses of their own, whose fields a command line sets as `world.sensor_arc`."""
@@ -264,14 +294,14 @@ def _part(name: str, given: Any, kind: type[World] | type[Faults]) -> World | Fa
     hints, names = get_type_hints(kind), [item.name for item in fields(kind)]
     if isinstance(given, (World, Faults)):
         if type(given) is not kind:
-            raise ConfigError(f"{name}={given}; give a {kind.__name__}")
+            raise ConfigError(f"{name}={told(given)}; give a {kind.__name__}")
         return given
     if given is not None and not isinstance(given, Mapping):
-        raise ConfigError(f"{name}={given}; give fields of the {name}, such as {name}.{EXAMPLES[name]}")
+        raise ConfigError(f"{name}={told(given)}; give fields of the {name}, such as {name}.{EXAMPLES[name]}")
     values = {}
     for one, value in (given or {}).items():
-        if one not in names:
-            raise unknown_key(f"{name}.{one}", [f"{name}.{other}" for other in names])
+        if not among(one, names):
+            raise unknown_key(f"{name}.{told(one)}", [f"{name}.{other}" for other in names])
         values[one] = checked(f"{name}.{one}", value, hints[one], {})
     try:
         return kind(**values)
@@ -283,31 +313,34 @@ def checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any:
     """The value in its declared type, or a ConfigError."""
     if get_origin(hint) is Literal:
         value = {True: "on", False: "off"}.get(value, value) if isinstance(value, bool) else value  # yaml's on and off
-        if value not in get_args(hint):
+        if not among(value, get_args(hint)):
             raise unknown(name, value, get_args(hint))
         return value
     if get_origin(hint) is types.UnionType:  # the one form in use: `int | None`
         return None if value is None else checked(name, value, get_args(hint)[0], limits)
     if get_origin(hint) is tuple:
         if not isinstance(value, (list, tuple)):
-            raise ConfigError(f"{name}={value!s}; give a list of whole numbers, such as [64,64]")
+            raise ConfigError(f"{name}={told(value)}; give a list of whole numbers, such as [64,64]")
         return tuple(checked(name, entry, int, {}) for entry in value)
+    given = value
     if hint is int:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value // 1:
-            raise ConfigError(f"{name}={value!s}; give a whole number")
+            raise ConfigError(f"{name}={told(value)}; give a whole number")
+        if abs(value) > MOST_WHOLE:
+            raise ConfigError(f"{name}={told(value)}; give a number of at most {MOST_WHOLE:,}")
         value = int(value)
     elif hint is float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise ConfigError(f"{name}={value!s}; give a number")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= sys.float_info.max:
+            raise ConfigError(f"{name}={told(value)}; give a number")
         value = float(value)
     elif hint is bool:
         if not isinstance(value, bool):
-            raise ConfigError(f"{name}={value!s}; choose from false, true")
+            raise ConfigError(f"{name}={told(value)}; choose from false, true")
     elif hint is str and not isinstance(value, str):
-        raise ConfigError(f"{name}={value!s}; give a name")
+        raise ConfigError(f"{name}={told(value)}; give a name")
     if "choices" in limits and value not in limits["choices"]:
         raise unknown(name, value, limits["choices"])
     if not limits.get("least", value) <= value <= limits.get("most", value):
         bounds = f"at least {limits['least']}" + (f" and at most {limits['most']}" if "most" in limits else "")
-        raise ConfigError(f"{name}={value!s}; give a number of {bounds}")
+        raise ConfigError(f"{name}={told(given)}; give a number of {bounds}")
     return value

@@ -42,7 +42,7 @@ def chosen(logger: str | Sequence[str]) -> list[str]:
     choices = (*LOG_FOLDERS, NONE)
     names = list(logger) if isinstance(logger, (list, tuple)) else [logger]
     for name in names:
-        if name not in choices:
+        if not isinstance(name, str) or name not in choices:
             raise unknown("logger", name, choices)
         if name != NONE and find_spec(name) is None:
             raise ConfigError(f"logger={name}: its package is not installed; pip install '{INSTALL[name]}'")

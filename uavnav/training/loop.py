@@ -18,10 +18,11 @@ from torchrl.data import ReplayBuffer
 
 from uavnav.envs.env import DroneEnv
 from uavnav.help.choices import ConfigError
+from uavnav.help.errors import told
 from uavnav.runs import Run
 from uavnav.training import loggers, machine, weights
 from uavnav.training.checkpoints import Stateful
-from uavnav.training.config import TrainConfig, plain
+from uavnav.training.config import TrainConfig, checked, plain
 from uavnav.training.display import Display, Tell
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
 from uavnav.training.sampling import Actor
@@ -79,6 +80,13 @@ def train(
         ConfigError, LayoutError, RunError: before anything is written.
         Interrupted: by SIGINT, SIGTERM or `until`; saved, or the message says what is not.
     """
+    if not isinstance(config, TrainConfig):
+        raise ConfigError(f"config={told(config)}; give a configuration, such as PPOConfig()")
+    if out is not None and not isinstance(out, (str, Path)):
+        raise ConfigError(f"out={told(out)}; give a folder")
+    checked("overwrite", overwrite, bool, {})
+    checked("checkpoint_seconds", checkpoint_seconds, float, {"least": 0})
+    checked("until", until, int | None, {"least": 1})
     names = loggers.chosen(logger)
     folder = Path(out or config.folder)
     logs = loggers.Logs(names, folder, config.algorithm, plain(config))
@@ -90,7 +98,7 @@ def train(
     config.check_machine()
     config.try_task()
     if processes is not None and (type(processes) is not int or not 1 <= processes <= config.n_seeds):
-        raise ConfigError(f"processes={processes}; give a whole number from 1 to n_seeds={config.n_seeds}")
+        raise ConfigError(f"processes={told(processes)}; give a whole number from 1 to n_seeds={config.n_seeds}")
     n = recorder.processes(processes or machine.processes(config))
     if n > 1 and (own := machine.own_parts(config)):
         raise ConfigError(f"processes={n}: {own} is known to this process alone; give processes=1")

@@ -105,7 +105,7 @@ class Recorder:
         self.checkpoint_seconds, self.until, self.log = checkpoint_seconds, until, log
         self._tables: dict[str, list[Columns]] = {"episodes": [], "progress": []}
         self._before: dict[str, Any] = {}
-        self._recent = [deque[float](maxlen=LAST) for _ in config.seeds]
+        self._recent: list[deque[float]] = []
         _, bank = layouts.read(config.layouts, config.world)
         self.meta = provenance.facts() | {"bank": {name: bank.get(name) for name in BANK_FACTS}}
         self._lock = FileLock(self.path / LOCK)
@@ -131,6 +131,12 @@ class Recorder:
     def _check_folder(self) -> bool:
         """Whether the very same run is already there and finished; without its policy it starts anew."""
         path = self.path
+        try:
+            named = b"\0" not in os.fsencode(path)
+        except UnicodeEncodeError:
+            named = False
+        if not named:
+            raise RunError(f"out={path}: no folder can have such a name; give another")
         parent = next(parent for parent in path.absolute().parents if parent.exists())
         if not parent.is_dir() or not os.access(parent, os.W_OK):
             raise RunError(f"out={path}: {parent} is not a folder that can be written; give one that is")
@@ -170,6 +176,7 @@ class Recorder:
         return not self._overwrite
 
     def __enter__(self) -> Self:
+        self._recent = [deque[float](maxlen=LAST) for _ in self.config.seeds]
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock.acquire(blocking=False)

@@ -39,6 +39,7 @@ SUFFIXES = (".mp4", ".gif", ".png")
 COLOURS = 128  # of a GIF
 GAP = 8  # between flights side by side [px]
 WIDTHS = range(160, 3841)  # of one flight's picture [px]
+MOST_FLOWN = 100_000  # steps of a flight that is drawn: its states are kept
 SLOWEST = Fraction(1, 100)  # pictures per second of a film
 FASTEST_GIF = 50  # pictures per second: viewers slow shorter pauses than 0.02 s down
 
@@ -310,8 +311,9 @@ def main(argv: list[str] | None = None) -> int:
     """Draw flights of policies on the same set of obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
     arguments = commands.parse("render", argv)
     try:
-        if min(arguments.steps, arguments.every) < 1:
-            raise ValueError("--steps and --every are at least 1")
+        for option, number in (("steps", arguments.steps), ("every", arguments.every)):
+            if not 1 <= number <= MOST_FLOWN:
+                raise ValueError(f"--{option} {number}: give at least 1 and at most {MOST_FLOWN:,}")
         if not 0.1 <= arguments.speed <= 100:
             raise ValueError(f"--speed {arguments.speed:g}: give 0.1 to 100")
         if arguments.width not in WIDTHS:

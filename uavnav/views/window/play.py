@@ -131,6 +131,8 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if arguments.max_steps is not None and arguments.max_steps < 1:
             raise ValueError(f"--max-steps {arguments.max_steps}: give at least 1")
+        if arguments.person < 0:
+            raise ValueError(f"--person {arguments.person}: give at least 0")
         for path in filter(None, (arguments.out, arguments.bank)):
             check_out(path)
         plugins.load(arguments.plugins)

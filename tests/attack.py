@@ -4,8 +4,8 @@
     python tests/attack.py --case files:0:17                    one of these cases again, with all that it says
 
 Keys come from the dataclasses and options from the parsers: new ones are attacked without a change here. The inputs
-are in `attack_inputs`. A case runs in a fork of this process, in a copy of a folder of good files, within bounds of
-time and memory.
+are in `attack_inputs` and `attack_files`. A case runs in a fork of this process, in a copy of a folder of good files,
+within bounds of time and memory.
 """
 
 import argparse
@@ -13,6 +13,7 @@ import atexit
 import faulthandler
 import hashlib
 import os
+import re
 import resource
 import shutil
 import signal
@@ -27,6 +28,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+import attack_files
 import attack_inputs
 import hypothesis
 import torch
@@ -51,6 +53,18 @@ BLOCK = 50
 """Cases that one call of Hypothesis draws: to repeat one, its block alone is drawn."""
 VERDICTS = ("refused in one line", "accepted", "traceback", "hang", "memory", "long line", "half-written")
 GOOD = VERDICTS[:2]
+TRIED = re.compile(r"(^|/)(\.lock|journal\.jsonl|half/meta\.json|study/.*meta\.json)$")
+"""Files that a command may change before it is refused: they say that it was tried."""
+KINDS = {
+    "settings": attack_inputs.settings(),
+    "command-lines": attack_inputs.command_lines(),
+    "library": attack_inputs.library(),
+    "study-files": attack_files.study_files(),
+    "files": attack_files.damaged(),
+    "planted": attack_inputs.planted,
+}
+ATTACKED = tuple(KINDS)[:-1]
+"""Those that are attacked unless others are named."""
 
 
 class Ended(NamedTuple):
@@ -78,7 +92,7 @@ def block(kind, seed, number):
         phases=[hypothesis.Phase.generate],
         suppress_health_check=list(hypothesis.HealthCheck),
     )
-    @hypothesis.given(attack_inputs.KINDS[kind])
+    @hypothesis.given(KINDS[kind])
     def note(case):
         found.append(case)
 
@@ -111,7 +125,8 @@ def judge(ended):
         return ended.killed, lines[-1] if lines else "without a word"
     if "Traceback" in ended.complained or ended.status not in (0, 1, 2, 130):
         named = [line for line in lines if line[:1].isalpha() and not line.startswith(("Traceback", "Extension mod"))]
-        return "traceback", f"status {ended.status}: {(named or lines or [''])[-1][:LINE]}"
+        fatal = [line for line in lines if line.startswith("Fatal Python error")]
+        return "traceback", f"status {ended.status}: {(fatal or named or lines or [''])[-1][:LINE]}"
     if ended.status == 2:
         refusals = [line for line in ended.complained.split("\n")[:-1] if ": left out: " not in line]
         wrong = [line for line in ended.complained.split("\n") if len(line) > LINE or not line.isprintable()]
@@ -119,22 +134,22 @@ def judge(ended):
             return "long line", f"{len(wrong[0])} characters: {wrong[0][:LINE]!r}"
         if len(refusals) != 1:
             return "long line", f"{len(refusals)} lines: {refusals[:3]}"
-    left = [path for path in ended.changed if path.endswith(".aside")]
-    if left or (ended.status == 2 and ended.changed):
-        return "half-written", f"{', '.join((left or ended.changed)[:5])} after {lines[-1:]}"
+    changed = [path for path in ended.changed if not TRIED.search(path)]
+    left = [path for path in changed if path.endswith(".aside")]
+    if left or (ended.status == 2 and changed):
+        return "half-written", f"{', '.join((left or changed)[:5])} after {lines[-1:]}"
     return GOOD[ended.status != 2], lines[-1] if lines else ""
 
 
 def tree(folder):
-    """Every path below a folder, with its kind and a digest of what it holds; locks aside."""
+    """Every path below a folder, with its kind and a digest of what it holds."""
     found = {}
     for path in folder.rglob("*"):
         facts = path.lstat()
         held = os.readlink(path) if path.is_symlink() else ""
         if stat.S_ISREG(facts.st_mode):
             held = hashlib.sha1(path.read_bytes()).hexdigest()
-        if path.name != ".lock":
-            found[str(path.relative_to(folder))] = (stat.S_IFMT(facts.st_mode), held)
+        found[str(path.relative_to(folder))] = (stat.S_IFMT(facts.st_mode), held)
     return found
 
 
@@ -145,7 +160,7 @@ def warmed():
     """Import what commands import, once; no threads may be started before a fork."""
     os.environ |= {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "MPLBACKEND": "agg"}
     torch.set_num_threads(1)
-    attack_inputs.warmed()
+    attack_files.warmed()
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
@@ -172,7 +187,7 @@ def make_good(folder):
 def _make_good(folder):
     folder.mkdir()
     os.chdir(folder)
-    attack_inputs.make_good(folder)
+    attack_files.make_good(folder)
 
 
 @contextmanager
@@ -330,7 +345,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--n", type=int, default=500, help="cases, of all classes together (default: 500)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--class", dest="kinds", nargs="+", choices=attack_inputs.KINDS, default=attack_inputs.ATTACKED)
+    parser.add_argument("--class", dest="kinds", nargs="+", choices=KINDS, default=ATTACKED)
     parser.add_argument("--case", metavar="CLASS:SEED:INDEX", help="one case again, with all that it says")
     parser.add_argument("--seconds", type=float, default=SECONDS, help=f"given to a case (default: {SECONDS:.0f})")
     given = parser.parse_args()

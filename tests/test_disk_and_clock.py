@@ -98,10 +98,11 @@ def assert_same(path, whole):
         assert (path / name).read_bytes() == (whole / name).read_bytes()
 
 
-def one_line(error, fragment):
+def one_line(error, fragment, capfd):
     assert "\n" not in str(error.value)
     assert len(str(error.value)) <= MOST
     assert fragment in str(error.value)
+    assert "Traceback" not in capfd.readouterr().err  # of a share
 
 
 def asides(folder):
@@ -129,13 +130,13 @@ def once(act, frames=64):
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_a_run_whose_disk_gets_full_or_read_only_says_so_in_one_line_and_goes_on_later(
-    trouble, processes, seconds, disk, whole
+    trouble, processes, seconds, disk, whole, capfd
 ):
     begin, end = TROUBLES[trouble]
     how = {"processes": processes, "checkpoint_seconds": seconds}
     with once(lambda: begin(disk)) as tell, pytest.raises(RunError) as refused:
         train(disk.path / "run", tell=tell, **how)
-    one_line(refused, "cannot be written")
+    one_line(refused, "cannot be written", capfd)
     end(disk)
     assert not asides(disk.path)
     assert json.loads((disk.path / "run" / "meta.json").read_text())["status"] != "finished"
@@ -189,26 +190,26 @@ def test_a_command_on_such_a_disk_is_one_line_and_leaves_nothing_half_written(tr
 @pytest.mark.parametrize("seconds", [0, 3600])
 @pytest.mark.parametrize("told", [0.01, 3600.0])
 def test_a_run_whose_folder_is_removed_says_so_in_one_line_and_begins_anew(
-    processes, seconds, told, tmp_path, whole, monkeypatch
+    processes, seconds, told, tmp_path, whole, monkeypatch, capfd
 ):
     monkeypatch.setattr(heartbeat, "SECONDS", told)
     folder, how = tmp_path / "run", {"processes": processes, "checkpoint_seconds": seconds}
     with once(lambda: shutil.rmtree(folder)) as tell, pytest.raises(RunError) as refused:
         train(folder, tell=tell, **how)
-    one_line(refused, str(folder))
+    one_line(refused, str(folder), capfd)
     assert_same(train(folder, **how).path, whole[processes])
 
 
 @pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("seconds", [0, 3600])
 def test_a_run_whose_folder_is_renamed_says_so_in_one_line_and_goes_on_under_the_old_name(
-    processes, seconds, tmp_path, whole
+    processes, seconds, tmp_path, whole, capfd
 ):
     folder, other = tmp_path / "run", tmp_path / "other"
     how = {"processes": processes, "checkpoint_seconds": seconds}
     with once(lambda: folder.rename(other)) as tell, pytest.raises(RunError) as refused:
         train(folder, tell=tell, **how)
-    one_line(refused, str(folder))
+    one_line(refused, str(folder), capfd)
     assert not asides(tmp_path)
     shutil.rmtree(folder, ignore_errors=True)
     other.rename(folder)

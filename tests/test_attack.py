@@ -1,0 +1,72 @@
+"""Hostile input is refused in one line, or accepted; and the judge of that sees what is planted for it.
+
+`attack` has the cases and the judge. The same cases are tried every time, so many that they end within a minute on an
+idle machine of two cores; on a busy one they take longer, and the bounds of each case grow with the load.
+"""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ATTACK = Path(__file__).parent / "attack.py"
+CLASSES = ("settings", "command-lines", "library", "study-files", "files")
+EACH = 24
+"""Cases of a class."""
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="forks and /proc are Linux's"),
+]
+
+
+def attacked(*words):
+    """The rows of the table by class, each with a number by verdict; and the lines of what failed."""
+    done = subprocess.run([sys.executable, ATTACK, *words], capture_output=True, text=True, check=False)
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in done.stdout.splitlines() if line[:1] == "|"
+    ]
+    assert rows, done.stderr
+    head, _, *found = rows
+    failed = [line for line in done.stdout.splitlines() if re.match(r"[a-z-]+:\d+:\d+ ", line)]
+    assert done.returncode == bool(failed)
+    return {row[0]: dict(zip(head[1:], map(int, row[1:]), strict=True)) for row in found}, failed
+
+
+@pytest.fixture(scope="module")
+def outcome():
+    return attacked("--n", str(EACH * len(CLASSES)), "--seed", "0")
+
+
+@pytest.mark.parametrize("kind", CLASSES)
+def test_hostile_input_is_refused_in_one_line_or_accepted(kind, outcome):
+    counts, failed = outcome
+    assert [line for line in failed if line.startswith(f"{kind}:")] == []
+    assert counts[kind]["tried"] == EACH
+    assert counts[kind]["refused in one line"] + counts[kind]["accepted"] == EACH
+    assert counts[kind]["refused in one line"] >= EACH // 4  # or it is not hostile
+
+
+@pytest.fixture(scope="module")
+def planted():
+    return attacked("--class", "planted", "--n", "8", "--seconds", "5")
+
+
+@pytest.mark.parametrize("verdict", ["traceback", "hang", "memory", "long line", "half-written"])
+def test_the_judge_sees_each_fault_that_is_planted(verdict, planted):
+    """Eight faults that are all different; each is called by its name."""
+    counts, failed = planted
+    told = [line.split("  ")[1:3] for line in failed]
+    assert [seen for seen, meant in told if meant == verdict] == [verdict] * len(
+        [1 for _, meant in told if meant == verdict]
+    )
+    assert counts["planted"][verdict] >= 1
+    assert counts["planted"]["refused in one line"] == counts["planted"]["accepted"] == 0
+
+
+def test_a_case_has_the_same_input_every_time():
+    words = [sys.executable, ATTACK, "--case", "planted:3:1"]
+    first, second = (subprocess.run(words, capture_output=True, text=True, check=False).stdout for _ in range(2))
+    assert first == second != ""

@@ -2,6 +2,7 @@
 
     python tests/attack.py --n 5000 --seed 0 [--class files]    a long attack: a table, and a line for each failed case
     python tests/attack.py --case files:0:17                    one of these cases again, with all that it says
+    python tests/attack.py --list                               what would be tried
 
 Keys come from the dataclasses and options from the parsers: new ones are attacked without a change here. The inputs
 are in `attack_inputs` and `attack_files`. A case runs in a fork of this process, in a copy of a folder of good files,
@@ -328,11 +329,11 @@ def table(counts):
     return "\n".join(lines)
 
 
-def attack(kinds, n, seed, good, seconds):
-    """Run so many cases, as many of each class; returns how many of each verdict, and a line for each that failed."""
+def attack(kinds, each, seed, good, seconds):
+    """Run so many cases of each class; returns how many of each verdict, and a line for each that failed."""
     counts, failed = {kind: Counter() for kind in kinds}, []
     for kind in kinds:
-        for name, case, ended in run(cases(kind, seed, -(-n // len(kinds))), good, seconds):
+        for name, case, ended in run(cases(kind, seed, each), good, seconds):
             verdict, why = judge(ended)
             counts[kind][verdict] += 1
             if verdict not in GOOD:
@@ -347,8 +348,14 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--class", dest="kinds", nargs="+", choices=KINDS, default=ATTACKED)
     parser.add_argument("--case", metavar="CLASS:SEED:INDEX", help="one case again, with all that it says")
+    parser.add_argument("--list", action="store_true", help="say what would be tried, and try nothing")
     parser.add_argument("--seconds", type=float, default=SECONDS, help=f"given to a case (default: {SECONDS:.0f})")
     given = parser.parse_args()
+    each = -(-given.n // len(given.kinds))
+    if given.list:
+        for name, case in (one for kind in given.kinds for one in cases(kind, given.seed, each)):
+            print(name, ascii(case.told))
+        return 0
     warm.address()
     warmed()
     with scratch_folder() as folder:
@@ -359,7 +366,7 @@ def main():
             [(_, _, ended)] = run([(given.case, case)], good, given.seconds)
             print(ended.said, ended.complained, f"changed: {ended.changed}", ": ".join(judge(ended)), sep="\n")
             return judge(ended)[0] not in GOOD
-        counts, failed = attack(given.kinds, given.n, given.seed, good, given.seconds)
+        counts, failed = attack(given.kinds, each, given.seed, good, given.seconds)
     print(table(counts))
     return bool(failed)
 

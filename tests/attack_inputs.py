@@ -143,7 +143,7 @@ def call(told, function, *given, spoil=lambda folder: None, works=False, **named
             print(stop, file=sys.stderr)
             return 128 + stop.signum
         except TYPED as error:
-            print(f"{type(error).__name__}: {error}" if len(str(error)) > 240 else error, file=sys.stderr)
+            print(error, file=sys.stderr)
             return 2
 
     values = ", ".join([*map(shown, given), *(f"{key}={shown(value)}" for key, value in named.items())])

@@ -66,7 +66,11 @@ def test_the_judge_sees_each_fault_that_is_planted(verdict, planted):
     assert counts["planted"]["refused in one line"] == counts["planted"]["accepted"] == 0
 
 
-def test_a_case_has_the_same_input_every_time():
-    words = [sys.executable, ATTACK, "--case", "planted:3:1"]
-    first, second = (subprocess.run(words, capture_output=True, text=True, check=False).stdout for _ in range(2))
-    assert first == second != ""
+def test_a_seed_stands_for_the_same_300_cases_in_every_process():
+    words = [sys.executable, ATTACK, "--list", "--n", "300", "--seed", "0"]
+    first, again = (
+        subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines() for _ in range(2)
+    )
+    assert first == again
+    assert len(first) == 300
+    assert len({line.partition(" ")[2] for line in first}) > 250

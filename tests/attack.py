@@ -215,6 +215,7 @@ class Attempt:
     def _be(self):
         """Be the process of the case, to its end."""
         os.setsid()
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         os.chdir(self.here)
         for number, path in enumerate((os.devnull, self.scratch / "out", self.scratch / "err")):
             os.dup2(os.open(path, os.O_RDWR | os.O_CREAT), number)
@@ -254,9 +255,7 @@ class Attempt:
         if number == 0:
             self._watch()
             return None
-        for process in self._beside():
-            with suppress(ProcessLookupError):
-                os.kill(process, signal.SIGKILL)
+        self.kill_all()
         self.peak = max(self.peak, used.ru_maxrss * 1024)
         said, complained, changed = (self._text(name) for name in ("out", "err", "changed"))
         killed = self.killed or ("memory" if self.peak > MEMORY else "")
@@ -287,12 +286,12 @@ class Attempt:
         self.killed = why
         os.kill(self.pid, signal.SIGKILL)
 
-    def _beside(self):
-        """Processes that the case started and left, by the folder that they work in."""
+    def kill_all(self):
+        """End what the case started and left too: whatever works in its folder."""
         for link in Path("/proc").glob("[0-9]*/cwd"):
             with suppress(OSError):
-                if os.readlink(link).startswith(str(self.scratch)):
-                    yield int(link.parts[2])
+                if os.readlink(link).startswith(f"{self.scratch}/"):
+                    os.kill(int(link.parts[2]), signal.SIGKILL)
 
     def _text(self, name):
         path = self.scratch / name
@@ -302,19 +301,22 @@ class Attempt:
 def run(named, good, seconds=SECONDS):
     """Run cases, a few at a time; yields the name of each, the case, and how it ended."""
     with scratch_folder() as scratch:
-        waiting, under_way = iter(named), []
-        more = True
-        while more or under_way:
-            while more and len(under_way) < AT_ONCE:
-                name, case = next(waiting, (None, None))
-                more = name is not None
-                if more:
-                    under_way.append(Attempt(name, case, good, scratch, seconds))
-            time.sleep(0.01)
-            for one in list(under_way):
-                if (ended := one.ended()) is not None:
-                    under_way.remove(one)
-                    yield one.name, one.case, ended
+        waiting, under_way, more = iter(named), [], True
+        try:
+            while more or under_way:
+                while more and len(under_way) < AT_ONCE:
+                    name, case = next(waiting, (None, None))
+                    more = name is not None
+                    if more:
+                        under_way.append(Attempt(name, case, good, scratch, seconds))
+                time.sleep(0.01)
+                for one in list(under_way):
+                    if (ended := one.ended()) is not None:
+                        under_way.remove(one)
+                        yield one.name, one.case, ended
+        finally:
+            for one in under_way:
+                one.kill_all()
 
 
 # -- the command -----------------------------------------------------------------------------------------------------
@@ -356,6 +358,7 @@ def main():
         for name, case in (one for kind in given.kinds for one in cases(kind, given.seed, each)):
             print(name, ascii(case.told))
         return 0
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # and clean up
     warm.address()
     warmed()
     with scratch_folder() as folder:

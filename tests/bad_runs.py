@@ -39,7 +39,6 @@ from spoiling import (
     flipped,
     in_use,
     large,
-    lying,
     meta,
     missing,
     newer_torch,
@@ -214,7 +213,6 @@ CASES = [
         PolicyError,
     ),
     run("policy.safetensors", "a pipe before a repeat", a_pipe, DAMAGED, OVERWRITE, verify, VERIFY),
-    run("policy.safetensors", "scalars before a repeat", lying(shape=[]), DAMAGED, OVERWRITE, verify, VERIFY),
     run("policy.safetensors", "cut before a repeat", cut(0.5), DAMAGED, OVERWRITE, verify, VERIFY),
     *(
         run("evaluation.parquet", how, spoil, wrong, "evaluate the run again", read_evaluation, REPORT)

@@ -380,7 +380,7 @@ def test_another_task_is_another_cell_and_its_world_has_no_defaults_of_the_drone
 def test_a_world_that_is_no_table_is_named(tmp_path):
     write_run(tmp_path / "good", two(0, -1.0))
     strange = write_run(tmp_path / "strange", two(0, -1.0), world="flat")
-    assert collect([tmp_path])[1] == [f"{strange / 'config.yaml'}: world is no table; not a run of this package"]
+    assert collect([tmp_path])[1] == [f"{strange / 'config.yaml'}: not a run's, its world=flat; give a run's folder"]
 
 
 def test_one_bank_by_a_relative_and_a_full_path_is_the_same_setting(tmp_path):

@@ -15,10 +15,11 @@ import pandas as pd
 import pytest
 import torch
 import yaml
-from safetensors.torch import load_file
+from safetensors.torch import load, load_file, save
 from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
+from uavnav import files
 from uavnav.algorithms import dqn, ppo
 from uavnav.envs.env import DroneEnv
 from uavnav.runs import FILES, STOP
@@ -26,6 +27,7 @@ from uavnav.runs.tables import RunError
 from uavnav.training import checkpoints, provenance
 from uavnav.training.recorder import Interrupted, Recorder
 
+PACKAGE = Path(files.__file__).parent
 ALGORITHMS = {
     "ppo": (
         ppo.train,
@@ -262,6 +264,98 @@ def test_a_snapshot_whose_parts_are_others_is_refused_in_one_line(whole, stopped
     monkeypatch.setattr(DroneEnv, "state_dict", lambda self: then(self) | {"late": torch.zeros(1)})
     with pytest.raises(RunError, match="its env is of another version, and there is no other; overwrite=true starts"):
         train(config, out=tmp_path / "run", quiet=True)
+
+
+def doctored(path, change=lambda tensors, header: None):
+    """A state with other tensors or another header, under the name that belongs to its bytes."""
+    content = path.read_bytes()
+    found, header = load(content), json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    said = json.loads(header["__metadata__"]["uavnav"])
+    said = change(found, said) or said
+    content = save(found, {"uavnav": said if isinstance(said, str) else json.dumps(said)})
+    path.unlink()
+    path.with_name(f"{path.name.rsplit('-', 1)[0]}-{checkpoints._digest(content)}.safetensors").write_bytes(content)
+
+
+def facts(**changes):
+    return lambda tensors, header: header | {"facts": header["facts"] | changes}
+
+
+def tensor(prefix, change):
+    """Another first tensor whose name begins so, or none."""
+
+    def doctor(tensors, header):
+        name = next(name for name in sorted(tensors) if name.startswith(prefix))
+        value = tensors.pop(name)
+        if change is not None:
+            tensors[name] = change(value).contiguous()
+
+    return doctor
+
+
+WRONG = {
+    "no chunks": lambda tensors, header: {key: header[key] for key in header if key != "chunks"},
+    "chunks elsewhere": lambda tensors, header: header | {"chunks": ["../../../../../../../../etc/passwd"]},
+    "chunks that are numbers": lambda tensors, header: header | {"chunks": [3]},
+    "a chunk that is a word": lambda tensors, header: header | {"chunks": "replay"},
+    "a chunk of another name": lambda tensors, header: header | {"chunks": ["replay-0-0.safetensors"]},
+    "facts a list": lambda tensors, header: header | {"facts": [1]},
+    "identity a list": lambda tensors, header: header | {"identity": [1]},
+    "a world that is a number": lambda tensors, header: header | {"identity": header["identity"] | {"world": 3}},
+    "a header of brackets": lambda tensors, header: "[" * 50_000,
+    "frames a word": facts(frames="many"),
+    "frames without end": facts(frames=10**20),
+    "frames of another run": facts(frames=10**9),
+    "wall time a word": facts(wall_seconds="long"),
+    "columns a list": facts(columns=[]),
+    "columns of one table": facts(columns={"episodes": []}),
+    "columns that are not there": facts(columns={"episodes": ["seed", "height"], "progress": []}),
+    "a column of numbers": facts(columns={"episodes": [3], "progress": []}),
+    "a part missing": tensor("parts/env/observation", None),
+    "a shape of another": tensor("parts/learner/network", lambda value: value[None]),
+    "a type of another": tensor("parts/learner/network", lambda value: value.double()),
+    "no state of a generator": tensor("parts/actions/generators", torch.zeros_like),
+    "a column of two axes": tensor("episodes/frame", lambda value: value[:, None]),
+    "another seed": tensor("episodes/seed", lambda value: value + 7),
+}
+
+
+@pytest.mark.parametrize("change", WRONG.values(), ids=WRONG)
+def test_a_snapshot_that_is_not_this_runs_is_named_and_the_older_one_is_used(whole, two_states, monkeypatch, change):
+    train, config, run = whole
+    folder, states = two_states
+    doctored(states[-1], change)
+    opened, read = [], files.read
+    monkeypatch.setattr(files, "read", lambda path, *most: opened.append(Path(path).resolve()) or read(path, *most))
+    with pytest.warns(UserWarning, match="going on from the one before") as warned:
+        resumed = train(config, out=folder, quiet=True)
+    assert "\n" not in str(warned[0].message)
+    assert len(str(warned[0].message)) < 330
+    assert all(path.is_relative_to(folder.resolve()) or path.is_relative_to(PACKAGE) for path in opened)
+    same(run.path, resumed.path)
+
+
+def test_a_chunk_of_other_rows_is_not_taken(whole, two_states):
+    train, config, run = whole
+    folder, states = two_states
+    if config.algorithm == "ppo":
+        doctored(states[-1], lambda tensors, header: header | {"chunks": [f"replay-{0:012}-{0:032}.safetensors"]})
+    else:
+        doctored(states[-1], lambda tensors, header: header | {"chunks": header["chunks"][:1] * 2})
+    with pytest.warns(UserWarning, match="going on from the one before"):
+        resumed = train(config, out=folder, quiet=True)
+    same(run.path, resumed.path)
+
+
+def test_with_every_snapshot_another_runs_the_run_is_refused_and_nothing_is_lost(whole, two_states):
+    train, config, _ = whole
+    folder, states = two_states
+    for path in states:
+        doctored(path, facts(frames="many"))
+    before = {path.name: path.read_bytes() for path in (folder / "checkpoint").iterdir()}
+    with pytest.warns(UserWarning), pytest.raises(RunError, match="and there is no other; overwrite=true starts"):  # noqa: PT030
+        train(config, out=folder, quiet=True)
+    assert {path.name: path.read_bytes() for path in (folder / "checkpoint").iterdir()} == before
 
 
 def test_a_snapshot_of_another_configuration_is_refused_in_one_line(whole, two_states):

@@ -128,7 +128,8 @@ def test_a_share_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_o
     monkeypatch.setattr(share, "Run", lambda out: out)
     monkeypatch.setattr(share, "evaluate_run", flown)
     job = tmp_path / "seeds.job"
-    job.write_text(json.dumps({"out": str(tmp_path), "folder": str(tmp_path), "evaluation": {"episodes": 1}}))
+    said = {"out": str(tmp_path), "folder": str(tmp_path), "evaluation": {"episodes": 1}}
+    job.write_text(json.dumps(said | {"algorithm": "ppo", "config": {}, "how": {}, "threads": 1}))
     share.unheard(job)
     said = json.loads((tmp_path / "seeds.ended").read_text())
     assert said == {"error": "policy.0.weight of seed 3", "diverged": diverged}

@@ -165,7 +165,7 @@ def test_a_folder_without_tuning_has_no_tables_and_a_damaged_one_a_line(tmp_path
     (tmp_path / "tuning" / "trials.csv").write_text("")
     tables, (line,) = beyond.tuning([tmp_path], {})
     assert tables == {}
-    assert line.startswith(f"{tmp_path}/tuning: its tables cannot be read")
+    assert line.startswith(f"{tmp_path}/tuning/trials.csv: cannot be read (")
 
 
 @pytest.mark.parametrize("where", ["tuning", "tuning/tuning"])

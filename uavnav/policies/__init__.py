@@ -51,7 +51,7 @@ class Header(files.Facts):
     algorithm: str
     activation: str
     hidden: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1, max_length=100)]
-    seeds: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1, max_length=MOST_SEEDS)]
+    seeds: Annotated[list[Annotated[int, Field(ge=0)]], Field(max_length=MOST_SEEDS)]
     epsilon: Annotated[float, Field(ge=0, le=1)]
     world_version: str
     world: dict[str, Any]
@@ -157,7 +157,7 @@ def seeds(path: str | Path) -> list[int]:
 
 
 def contents(path: Path) -> tuple[dict[str, Tensor], Header]:
-    """What a policy file holds: tensors whose first axis is of seeds, and its header.
+    """What a policy file holds: the tensors of all seeds by name, and its header.
 
     Raises:
         PolicyError: the file is missing or damaged.
@@ -165,8 +165,6 @@ def contents(path: Path) -> tuple[dict[str, Tensor], Header]:
     try:
         tensors, said = safe.read(path)
         header = files.facts(Header, files.parsed(said.get("uavnav", "{}")))
-        if any(tensor.shape[:1] != (len(header.seeds),) for tensor in tensors.values()):
-            raise ValueError(f"not {len(header.seeds)} networks for {len(header.seeds)} seeds")
     except (OSError, ValueError) as error:
         raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
     return tensors, header
@@ -218,16 +216,20 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
         trained_in = make_task(EMPTY, header.world, header.reward, cap, task, header.stack, faults)
     except (TypeError, ValueError) as error:
         raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
+    if not header.seeds:
+        raise PolicyError(f"{path}: holds no seed; give the policy of a finished run")
     seed = header.seeds[0] if seed is None else seed
     if seed not in header.seeds:
         raise PolicyError(f"{path}: seed={seed} is not there; choose from {header.seeds[0]} ... {header.seeds[-1]}")
     agent = header.seeds.index(seed)
-    policy = {
-        key.removeprefix("policy."): tensor[agent : agent + 1]
-        for key, tensor in tensors.items()
-        if key.startswith("policy.")
-    }
     try:
+        if any(tensor.shape[:1] != (len(header.seeds),) for tensor in tensors.values()):
+            raise ValueError(f"not {len(header.seeds)} networks")
+        policy = {
+            key.removeprefix("policy."): tensor[agent : agent + 1]
+            for key, tensor in tensors.items()
+            if key.startswith("policy.")
+        }
         inputs, outputs = policy["0.weight"].shape[1], policy[f"{2 * len(header.hidden)}.weight"].shape[2]
         sizes = [inputs, *header.hidden, outputs]
         if {key: (tensor.dtype, *tensor.shape) for key, tensor in policy.items()} != _expected(sizes):

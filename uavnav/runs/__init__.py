@@ -52,7 +52,7 @@ SILENCE = 60.0
 """Seconds after which a run that has written no progress no longer runs."""
 MOST_SEEDS = 2**20
 """Of a run, and of a file of policies."""
-Name = Annotated[str, Field(pattern=r"^[\w.-]+$", max_length=100)]
+Name = Annotated[str, Field(pattern=r"^\w[\w.-]*$", max_length=100)]
 Count = Annotated[int, Field(ge=0, lt=2**53)]
 
 
@@ -86,7 +86,7 @@ class Meta(Facts):
     threads: Annotated[int, Field(ge=1, le=2**12)] = 1
     processes: Annotated[int, Field(ge=1, le=MOST_SEEDS)] = 1
     versions: dict[str, str | None] = Field(default_factory=dict)
-    bank: dict[str, str | None] = Field(default_factory=dict)
+    bank: dict[str, str | int | None] = Field(default_factory=dict)
     machine: dict[str, Any] | str = Field(default_factory=dict)
     plugins: dict[str, str] = Field(default_factory=dict)
     beyond_preset: dict[str, Any] = Field(default_factory=dict)

@@ -30,4 +30,4 @@ def parsed(content: bytes) -> tuple[dict[str, Tensor], dict[str, str]]:
     except (SafetensorError, AssertionError, KeyError, TypeError, RuntimeError) as error:  # all but the first of torch
         raise ValueError(str(error) or type(error).__name__) from error
     size = int.from_bytes(content[:8], "little")
-    return found, files.parsed(content[8 : 8 + size]).get(METADATA) or {}
+    return dict(sorted(found.items())), files.parsed(content[8 : 8 + size]).get(METADATA) or {}

@@ -24,6 +24,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from uavnav import files
+from uavnav.help.errors import one_line
 from uavnav.runs import Count
 from uavnav.runs.tables import RunError
 from uavnav.tasks import tensors
@@ -147,7 +148,7 @@ class Checkpoints:
             except RunError as error:
                 problem = error
                 if path is not states[-1]:
-                    warnings.warn(f"{error}; going on from the one before", stacklevel=2)
+                    warnings.warn(one_line(f"{error}; going on from the one before"), stacklevel=2)
                 continue
             if replay is not None:
                 for name in snapshot.chunks:

@@ -17,6 +17,7 @@ import pyarrow.compute
 import pyarrow.parquet
 
 from uavnav import commands
+from uavnav.help.errors import complain
 from uavnav.runs import (
     FINISHED,
     KINDS,
@@ -155,8 +156,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     now, rows = time.time(), []
     try:
         found = [path for folder in arguments.folders or default for path in run_folders(Path(folder))[0]]
-    except RunError as error:
-        print(f"uavnav runs: {error}", file=sys.stderr)
+    except (RunError, OSError) as error:
+        complain("runs", error)
         return 2
     for path in dict.fromkeys(found):
         try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 MOST = 270
 """Characters of a message; with the command before it, a line has at most 300."""
 WORD = 40
@@ -32,6 +34,11 @@ def shortened(text: str, most: int) -> str:
     """A text of at most so many characters, its middle left out where it is longer."""
     kept = most - 1
     return text if len(text) <= most else f"{text[: kept // 2]}…{text[len(text) - (kept - kept // 2) :]}"
+
+
+def complain(command: str, error: object) -> None:
+    """Say on stderr, in one line, why a command does not do what it was asked for."""
+    print(one_line(f"uavnav {command}: {error}", MOST + 30), file=sys.stderr)
 
 
 def _escaped(character: str) -> str:

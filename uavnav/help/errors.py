@@ -53,6 +53,11 @@ def told(value: object, most: int = WORD * 2) -> str:
         return f"a {type(value).__name__}"
 
 
+def quoted(value: object) -> str:
+    """The same, with the quotes of a word."""
+    return told(repr(value)) if isinstance(value, str) else told(value)
+
+
 class OneLineError(Exception):
     """What is wrong with what a user gave; its message is one line of at most `MOST` characters."""
 

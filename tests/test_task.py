@@ -101,7 +101,7 @@ def test_a_whole_task_says_all_that_the_other_arguments_would_say():
         ({"task": "dorne"}, "task='dorne'; choose from drone, moving, goal, space, space-moving"),
         ({"task": "dorne"}, " (did you mean drone?)"),
         ({"reward": "eq41"}, "reward='eq41'; choose from eq14, additive, initial, goal (did you mean eq14?)"),
-        ({"world": {"sensor_ark": 90}}, "there is no key 'world.sensor_ark'; choose from world.border, "),
+        ({"world": {"sensor_ark": 90}}, "there is no key 'world.sensor_ark'; choose from 18, such as world."),
         ({"world": {"sensor_ark": 90}}, " (did you mean world.sensor_arc?)"),
         ({"world": {"slots": "nearst"}}, "slots='nearst'; choose from nearest, listed (did you mean nearest?)"),
         ({"world": {"sensor_arc": 361}}, "sensor_arc=361; give at most 360 degrees"),

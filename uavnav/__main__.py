@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -37,6 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         print(one_line(f"uavnav: there is no command {name!r}; {known}"), file=sys.stderr)
         return 2
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a path may hold what no terminal shows
     commands.parse(name, words)
     try:
         status: int = importlib.import_module(module_of(name)).main(words)

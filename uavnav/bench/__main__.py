@@ -25,6 +25,7 @@ from uavnav.bench.runner import Runner
 from uavnav.bench.sections import SECTIONS, write
 from uavnav.commands.benches import BY_DEFAULT, OUT, QUICK, SCRATCH
 from uavnav.files import check_out
+from uavnav.help.errors import complain
 
 STOPS = (signal.SIGTERM, signal.SIGHUP)
 """Signals that stop a run as Ctrl-C does."""
@@ -44,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         check_out(out)
     except ValueError as error:
-        print(f"uavnav bench: {error}", file=sys.stderr)
+        complain("bench", error)
         return 2
     console = Console(highlight=False, soft_wrap=True, markup=False)
     runner = Runner(SCRATCH, console.print)
@@ -69,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # nobody reads on: `terminal` ends it
         raise
     except OSError as error:
-        print(f"uavnav bench: {error}", file=sys.stderr)
+        complain("bench", error)
         return 2
     except KeyboardInterrupt:
         print("uavnav bench: stopped while it wrote; the file is whole or as it was", file=sys.stderr)

@@ -89,6 +89,9 @@ def parse(name: str, words: Sequence[str] | None = None) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,  # a slip is no other word for an option
     )
+    for word in words:
+        if re.fullmatch(r"-[^=]*=--", word):  # argparse takes it for an empty list
+            parser.error(f"{word}: give a value")
     if name == "train":
         return _train(parser, words)
     PARSERS[name](parser)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from uavnav import commands
 from uavnav.help.choices import choose_from
+from uavnav.help.errors import complain
 from uavnav.tasks.layouts import KINDS, LayoutError, check, save
 from uavnav.tasks.protocol import SPLITS
 from uavnav.tasks.world import VERSION
@@ -36,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             save(kind.generate(n, k, seed, kind.world()), path, seed=seed, split=split, world=kind.world())
             print(f"wrote {path}: {n} sets of {k} obstacles from seed {seed}")
     except LayoutError as error:
-        print(f"uavnav layouts: {error}", file=sys.stderr)
+        complain("layouts", error)
         return 2
     return 0
 

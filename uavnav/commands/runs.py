@@ -16,6 +16,7 @@ from typing import Any
 import pyarrow.compute
 
 from uavnav import commands
+from uavnav.help.errors import complain
 from uavnav.runs import (
     FINISHED,
     heard,
@@ -153,8 +154,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     now, rows = time.time(), []
     try:
         found = [path for folder in arguments.folders or default for path in run_folders(Path(folder))[0]]
-    except RunError as error:
-        print(f"uavnav runs: {error}", file=sys.stderr)
+    except (RunError, OSError) as error:
+        complain("runs", error)
         return 2
     for path in dict.fromkeys(found):
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 import operator
 from collections.abc import Callable, Mapping, Sequence
@@ -15,6 +16,8 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from uavnav.graph import Graph
+from uavnav.help.choices import ConfigError
+from uavnav.help.errors import told
 from uavnav.tasks import seeding
 from uavnav.tasks.chance import Chance
 from uavnav.tasks.faults import Faults
@@ -27,6 +30,35 @@ unchecked = getattr(TensorDict, "_new_unsafe", TensorDict)
 
 LEAVES = ("observation", "reward", "done", "terminated", "truncated")
 N_LEAVES = len(LEAVES)
+
+
+MOST_ROWS = 10_000_000
+"""Of a batch."""
+
+
+def _listed(name: str, value: Any) -> Sequence[Any]:
+    """The entries of a sequence; raises a ConfigError for what is none."""
+    if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
+        raise ConfigError(f"{name}={told(value)}; give whole numbers")
+    return value
+
+
+def _size(batch_size: Any) -> torch.Size:
+    """A shape of rows; raises a ConfigError where it is none, or too large."""
+    shape = _listed("batch_size", batch_size)
+    if not all(isinstance(one, int) and 0 <= one <= MOST_ROWS for one in shape[:8]) or len(shape) > 8:
+        raise ConfigError(f"batch_size={told(batch_size)}; give whole numbers")
+    if math.prod(shape) > MOST_ROWS:
+        raise ConfigError(f"batch_size={told(batch_size)}; give at most {MOST_ROWS:,} rows")
+    return torch.Size(shape)
+
+
+def _device(device: Any) -> torch.device:
+    """A device of torch; raises a ConfigError where there is no such name."""
+    try:
+        return torch.device(device)
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise ConfigError(f"device={told(device)}; choose cpu, or a device that this machine has") from error
 
 
 class DroneEnv(EnvBase):  # type: ignore[misc]
@@ -84,7 +116,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         stack: int = 1,
         faults: Faults | Mapping[str, Any] | None = None,
     ) -> None:
-        super().__init__(device=torch.device(device), batch_size=torch.Size(batch_size))
+        super().__init__(device=_device(device), batch_size=_size(batch_size))
         whole = make_task(layouts, world, reward, max_steps, task, stack, faults)
         self.task = whole.with_bank(whole.bank.to(self.device))
         self.world, self.bank = self.task.world, self.task.bank
@@ -115,6 +147,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     def _seed(self, seeds: int | Sequence[int]) -> None:
         one = isinstance(seeds, numbers.Integral)
+        if not one and not all(isinstance(seed, numbers.Integral) for seed in _listed("seeds", seeds)):
+            raise ConfigError(f"seeds={told(seeds)}; give a whole number, or one per agent")
         self.seeds = [int(seeds)] if one else [operator.index(seed) for seed in seeds]  # type: ignore[arg-type, union-attr]
         if not one and (not self.batch_size or len(self.seeds) != self.batch_size[0]):
             raise ValueError(

@@ -21,6 +21,9 @@ from torch import Tensor
 
 from uavnav.envs import scalar
 from uavnav.envs.drawing import draw_state
+from uavnav.envs.env import MOST_ROWS
+from uavnav.help.choices import ConfigError, among
+from uavnav.help.errors import quoted, told
 from uavnav.tasks import seeding
 from uavnav.tasks.chance import Chance
 from uavnav.tasks.faults import NAMES, Faults
@@ -62,16 +65,26 @@ def _task(
     return whole.with_bank(whole.bank.cpu())
 
 
+def _options(options: Any) -> Mapping[str, Any]:
+    """The options given to `reset`; raises a ConfigError where they are no mapping."""
+    if options is not None and not isinstance(options, Mapping):
+        raise ConfigError(f"options={told(options)}; give a mapping, such as {{'layout': 3}}")
+    return options or {}
+
+
 def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any, Any]:
     """The layouts given to `reset`: one index, or one index per row of `shape`.
 
     Raises:
         ValueError: an index is not in the bank.
     """
-    chosen = np.asarray(layout)
+    try:
+        chosen = np.array(-1) if isinstance(layout, range) else np.asarray(layout)
+    except (TypeError, ValueError, RuntimeError):  # ragged or deep lists
+        chosen = np.array(-1)
     fits = chosen.dtype.kind in "iu" and chosen.shape in ((), shape)
     if not fits or not ((chosen >= 0) & (chosen < n_layouts)).all():
-        raise ValueError(f"options layout={layout}; give a whole number from 0 to {n_layouts - 1}")
+        raise ValueError(f"options layout={told(layout)}; give a whole number from 0 to {n_layouts - 1}")
     return chosen
 
 
@@ -133,8 +146,8 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         faults: Faults | Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
-        if render_mode not in (None, *METADATA["render_modes"]):
-            raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
+        if render_mode is not None and not among(render_mode, METADATA["render_modes"]):
+            raise ValueError(f"render_mode={quoted(render_mode)}; choose None or rgb_array")
         self.task = _task(layouts, world, reward, max_steps, task, stack, faults, fields)
         self.world, self.bank = self.task.world, self.task.bank
         self.render_mode = render_mode
@@ -144,7 +157,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         self._layout: int | None = None  # of the present episode
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
-        chosen = (options or {}).get("layout")
+        chosen = _options(options).get("layout")
         if chosen is not None:
             chosen = int(pick(chosen, (), len(self.bank)))
         super().reset(seed=seed)
@@ -166,7 +179,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         except (TypeError, ValueError):
             index = -1
         if not 0 <= index < self.world.n_actions:
-            raise ValueError(f"action={action}; give a whole number from 0 to {self.world.n_actions - 1}")
+            raise ValueError(f"action={told(action)}; give a whole number from 0 to {self.world.n_actions - 1}")
         return *self._flight.step(index, self._chance.step()), self._info()
 
     def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
@@ -211,10 +224,12 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
         faults: Faults | Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs={num_envs}; give at least 1")
-        if render_mode not in (None, *METADATA["render_modes"]):
-            raise ValueError(f"render_mode={render_mode!r}; choose None or rgb_array")
+        if not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
+            raise ValueError(f"num_envs={told(num_envs)}; give at least 1")
+        if num_envs > MOST_ROWS:
+            raise ValueError(f"num_envs={told(num_envs)}; give at most {MOST_ROWS:,}")
+        if render_mode is not None and not among(render_mode, METADATA["render_modes"]):
+            raise ValueError(f"render_mode={quoted(render_mode)}; choose None or rgb_array")
         self.task = _task(layouts, world, reward, max_steps, task, stack, faults, fields)
         self.num_envs = num_envs
         self.render_mode = render_mode
@@ -223,7 +238,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
         self.single_action_space = spaces.Discrete(self.task.world.n_actions)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
-        self._seeded = False
+        self._seeded: bool = False
         self._state: State | None = None
 
     def reset(
@@ -240,7 +255,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             super().reset(seed=seed)
             self._seed_rows([int(self.np_random.integers(2**31)) if seed is None else seed])
         following = self._first if self._state is None else (self._state.layout + 1) % len(self.task.bank)
-        layout = (options or {}).get("layout")
+        layout = _options(options).get("layout")
         if layout is not None:
             chosen = torch.as_tensor(pick(layout, (self.num_envs,), len(self.task.bank)), dtype=torch.int64)
             following = chosen.expand(self.num_envs).clone()
@@ -257,7 +272,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
         fits = given.dtype.kind in "iu" and given.size == self.num_envs
         if not fits or not ((given >= 0) & (given < n_actions)).all():
             whole = f"give a whole number from 0 to {n_actions - 1} for each of the {self.num_envs} rows"
-            raise ValueError(f"action={actions}; {whole}")
+            raise ValueError(f"action={told(actions)}; {whole}")
         action = torch.as_tensor(given, dtype=torch.int64).reshape(self.num_envs)
         state, outcome = self.task.step(self._state, action, _flat(self._chance.step()))
         observation, clearance = outcome.observation, outcome.clearance

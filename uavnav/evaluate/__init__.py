@@ -20,10 +20,12 @@ from uavnav import flights, policies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import arena, values
 from uavnav.flights.repeats import Repeats
+from uavnav.help.choices import ConfigError
+from uavnav.help.errors import told
 from uavnav.policies import Policy
 from uavnav.runs import ARENA, BEHAVIOUR, EVALUATION, VALUES, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES
-from uavnav.runs.tables import lock, write_table
+from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import AnyPolicy, suited
 from uavnav.tasks.faults import Faults
@@ -36,7 +38,10 @@ from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.tasks.state import COUNTS, State, at
 from uavnav.tasks.world import World
 from uavnav.training import display, machine
+from uavnav.training.config import checked
 
+MOST_STEPS = 1_000_000
+"""The largest cap on the steps of an evaluation: some flights never end."""
 WATCHED_LAYOUTS = 10
 WATCHED_STEPS = 500
 """Behaviour is kept of so many sets of obstacles, and of so many steps of each."""
@@ -89,6 +94,9 @@ def evaluate_policy(
         ValueError: an unknown reward or task, more episodes than the bank has sets, a count below 1, or a policy that
             sees another number of numbers than there are in this world.
     """
+    if not callable(policy):
+        raise ConfigError(f"policy={told(policy)}; give what load_policy returns, or a function of that form")
+    checked("seed", seed, int, {})
     own = policy.task if isinstance(policy, Policy) else make_task(EMPTY)
     if task is not None or (world is not None and type(world) is not type(own.world)):
         name = task or next((name for name, kind in TASKS.items() if kind.WORLD is type(world)), "drone")
@@ -114,8 +122,10 @@ def on(
         LayoutError: the bank cannot be read.
         ValueError: more episodes than the bank has sets, or a count below 1.
     """
+    if not isinstance(faults, Faults | None):
+        raise ConfigError(f"faults={told(faults)}; give Faults, or None for the task's own")
     if not isinstance(episodes, int) or not isinstance(max_steps, int):
-        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give whole numbers")
+        raise ValueError(f"episodes={told(episodes)}, max_steps={told(max_steps)}; give whole numbers")
     bank = banks.resolve(layouts, task.world)
     check_bounds(episodes, max_steps, len(bank))
     flown = replace(task, bank=bank[:episodes], max_steps=max_steps)
@@ -124,8 +134,9 @@ def on(
 
 def check_bounds(episodes: int, max_steps: int, most: int) -> None:
     """Raise a ValueError for more episodes than a bank's sets, which are `most`, or for a count below 1."""
-    if not 1 <= episodes <= most or max_steps < 1:
-        raise ValueError(f"episodes={episodes}, max_steps={max_steps}; give 1 to {most} episodes of at least 1 step")
+    if not 1 <= episodes <= most or not 1 <= max_steps <= MOST_STEPS:
+        bounds = f"1 to {most} episodes of at least 1 step and at most {MOST_STEPS:,}"
+        raise ValueError(f"episodes={told(episodes)}, max_steps={told(max_steps)}; give {bounds}")
 
 
 def fly(
@@ -248,6 +259,8 @@ def evaluate_run(
     Raises:
         LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
     """
+    if not isinstance(run, Run):
+        raise RunError(f"run={told(run)}; give a Run")
     crews = {
         mode: {seed: policies.load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
         for mode in MODES

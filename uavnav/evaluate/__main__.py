@@ -17,6 +17,7 @@ from uavnav.evaluate.across import Flyer, across
 from uavnav.evaluate.transfer import transfer
 from uavnav.files import check_out
 from uavnav.help.choices import did_you_mean_run
+from uavnav.help.errors import complain
 from uavnav.policies import Policy
 from uavnav.runs import Run
 from uavnav.runs.metrics import MODES
@@ -148,7 +149,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # nobody reads on: `terminal` ends it
         raise
     except (RunError, ValueError, OSError) as error:
-        print(f"uavnav evaluate: {policies.as_option(error)}", file=sys.stderr)
+        complain("evaluate", policies.as_option(error))
         return 2
     return 0
 

@@ -12,7 +12,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NoReturn
 
-from uavnav.help.errors import MOST, OneLineError, one_line, told
+from uavnav.help.errors import MOST, OneLineError, one_line, quoted, told
 
 LONG = 150
 """Characters of choices that are listed whole."""
@@ -79,8 +79,7 @@ def unknown(name: str, value: object, choices: Collection[str]) -> ConfigError:
 
 def unknown_key(key: object, choices: Collection[str]) -> ConfigError:
     """The error for a key that is not among the choices, with the nearest one suggested."""
-    shown = repr(key) if isinstance(key, str) else told(key)
-    return ConfigError(f"there is no key {shown}; {choose_from(key, choices)}")
+    return ConfigError(f"there is no key {quoted(key)}; {choose_from(key, choices)}")
 
 
 class Parser(argparse.ArgumentParser):

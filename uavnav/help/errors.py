@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 MOST = 270
 """Characters of a message; with the command before it, a line has at most 300."""
 WORD = 40
@@ -34,6 +36,11 @@ def shortened(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: kept // 2]}…{text[len(text) - (kept - kept // 2) :]}"
 
 
+def complain(command: str, error: object) -> None:
+    """Say on stderr, in one line, why a command does not do what it was asked for."""
+    print(one_line(f"uavnav {command}: {error}", MOST + 30), file=sys.stderr)
+
+
 def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")
 
@@ -44,6 +51,11 @@ def told(value: object, most: int = WORD * 2) -> str:
         return one_line(value, most)
     except (ValueError, RecursionError, RuntimeError):  # a number of many digits, nested lists, a damaged tensor
         return f"a {type(value).__name__}"
+
+
+def quoted(value: object) -> str:
+    """The same, with the quotes of a word."""
+    return told(repr(value)) if isinstance(value, str) else told(value)
 
 
 class OneLineError(Exception):

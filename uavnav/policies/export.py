@@ -25,6 +25,7 @@ from torch import nn
 from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import ConfigError
+from uavnav.help.errors import complain
 from uavnav.networks import AgentLinear
 from uavnav.policies import Policy, PolicyError, as_option, load_policy, zips
 from uavnav.runs.tables import RunError, write
@@ -118,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         policy = load_policy(arguments.run, arguments.seed, activation=arguments.activation)
         path = export_policy(policy, arguments.out)
     except (ConfigError, PolicyError, RunError) as error:
-        print(f"uavnav export: {as_option(error)}", file=sys.stderr)
+        complain("export", as_option(error))
         return 2
     print(f"{path}: observation [N, {policy.task.observation_size}] -> values [N, {policy.world.n_actions}]")
     return 0

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from uavnav import commands, plugins
 from uavnav.help.choices import ConfigError
+from uavnav.help.errors import complain
 from uavnav.report import report
-from uavnav.report.cells import one_line
 from uavnav.runs.tables import RunError
 
 
@@ -19,7 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         plugins.load(arguments.plugins)
         written = report(arguments.folders, arguments.out)
     except (ConfigError, RunError) as error:
-        print(f"uavnav report: {one_line(error)}", file=sys.stderr)
+        complain("report", error)
         return 2
     except KeyboardInterrupt:
         print("uavnav report: stopped; no report was written", file=sys.stderr)

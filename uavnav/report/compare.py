@@ -24,6 +24,7 @@ from rich.table import Table
 from uavnav import commands, stats
 from uavnav.files import check_out, write
 from uavnav.help.choices import did_you_mean, did_you_mean_run
+from uavnav.help.errors import complain
 from uavnav.report import cells, charts, curves, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
@@ -310,7 +311,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (RunError, ValueError, OSError) as error:
         from uavnav.policies import as_option
 
-        print(f"uavnav compare: {as_option(error)}", file=sys.stderr)
+        complain("compare", as_option(error))
         return 2
     return 0
 

@@ -18,6 +18,7 @@ from rich.table import Table
 from uavnav import commands, plugins, studies
 from uavnav.evaluate.scripts import Protocol, missing, protocol_in
 from uavnav.help.choices import ConfigError
+from uavnav.help.errors import complain
 from uavnav.report import report
 from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
@@ -34,7 +35,7 @@ KEYS: dict[str, tuple[Any, Any, dict[str, float]]] = {
     "out": (None, str | None, {}),
     "seeds": (None, int | None, {"least": 1}),
     "frames": (None, int | None, {"least": 1}),
-    "trials": (None, int | None, {"least": 1}),
+    "trials": (None, int | None, {"least": 1, "most": 1_000}),
     "algorithms": (None, str | None, {}),
     "seeds_per_share": (None, int | None, {"least": 1}),
     "checkpoint_seconds": (CHECKPOINT_SECONDS, float, {"least": 0}),
@@ -235,7 +236,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # nobody reads on: `terminal` ends it
         raise
     except (ConfigError, LayoutError, RunError, OSError) as error:
-        print(f"uavnav study: {error}", file=sys.stderr)
+        complain("study", error)
         return 2
 
 

@@ -112,14 +112,16 @@ def save(bank: Tensor, path: str | Path, *, seed: int, split: str, world: World 
     Raises:
         LayoutError: the bank is not valid, or the place cannot be written.
     """
-    world = world or World()
+    world = World() if world is None else world
+    if not isinstance(path, (str, Path)) or not isinstance(split, str):
+        raise LayoutError(f"path={told(path)}, split={told(split)}; give a file's path and a name")
     KINDS[kind_of(world)].validate(bank, world)
     path = Path(path)
     header = _header(bank, seed, split, world)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         files.write(path, _in_order(serialize({"obstacles": bank.contiguous()}, header)))
-    except (OSError, SafetensorError) as error:
+    except (OSError, ValueError, SafetensorError) as error:
         raise LayoutError(f"{path}: cannot be written ({error}); give a path that can be written") from error
 
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from uavnav.help.choices import ConfigError, among, did_you_mean, unknown_key
-from uavnav.help.errors import told
+from uavnav.help.errors import quoted, told
 from uavnav.tasks import goal, moving, space
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.protocol import CAPS
@@ -207,7 +207,7 @@ def make_task(
     if isinstance(task, Task):
         return task
     if not among(task, TASKS):
-        raise ConfigError(f"task={told(repr(task))}; choose from {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
+        raise ConfigError(f"task={quoted(task)}; choose from {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
     kind = TASKS[task]
     if not isinstance(world, World):
         world = _made(kind.WORLD, "world", world)

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from uavnav.help.choices import MOST_WHOLE, ConfigError, among, did_you_mean
-from uavnav.help.errors import told
+from uavnav.help.errors import quoted, told
 from uavnav.tasks import layouts as banks
 from uavnav.tasks import memory
 from uavnav.tasks.dynamics import decode, move
@@ -84,7 +84,7 @@ class Task:
     def __post_init__(self) -> None:
         if not among(self.reward, REWARDS):
             hint = did_you_mean(self.reward, REWARDS)
-            raise ConfigError(f"reward={told(repr(self.reward))}; choose from {', '.join(REWARDS)}{hint}")
+            raise ConfigError(f"reward={quoted(self.reward)}; choose from {', '.join(REWARDS)}{hint}")
         check_reward(self.reward, self.world)
         cap = self.max_steps
         if cap is not None and (not isinstance(cap, int) or not 1 <= cap <= MOST_WHOLE):

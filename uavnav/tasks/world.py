@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args, get_type_hints
 
 from uavnav.help import key
 from uavnav.help.choices import ConfigError, among, did_you_mean
-from uavnav.help.errors import told
+from uavnav.help.errors import quoted
 
 VERSION = "1"
 """Version of the world's semantics and of the distribution of obstacles; written into every bank, run and policy."""
@@ -59,7 +59,7 @@ class World:
         for field in fields(self):
             choices = get_args(hints[field.name])
             value: Any = getattr(self, field.name)
-            shown = f"'{told(value)}'" if isinstance(value, str) else told(value)
+            shown = quoted(value)
             if hints[field.name] is bool:
                 if not isinstance(value, bool):
                     raise ConfigError(f"{field.name}={shown}; choose from false, true")

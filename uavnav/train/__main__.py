@@ -27,7 +27,7 @@ from uavnav import commands, help, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import evaluate_run, summary, usual_files
 from uavnav.help.choices import ConfigError, unknown, unknown_key
-from uavnav.help.errors import one_line, told
+from uavnav.help.errors import complain, told
 from uavnav.policies import Diverged, PolicyError
 from uavnav.runs import Run
 from uavnav.runs.tables import RunError
@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             try:
                 finished.append(_train(order, given.quiet or given.json))
             except Diverged as error:  # the others of a sweep are trained all the same
-                print(f"uavnav train: {error}", file=sys.stderr)
+                complain("train", error)
         if given.json:
             print(json.dumps([summary.record(run) for run in finished], indent=2))
         elif not given.quiet and finished and finished[-1].fresh:
@@ -85,13 +85,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(stop, file=sys.stderr)
         return 128 + stop.signum
     except (HydraException, OmegaConfBaseException) as error:
-        print(f"uavnav train: {one_line(_one_line(error, kind))}", file=sys.stderr)
+        complain("train", _one_line(error, kind))
         return 2
     except ConfigError as error:
-        print(f"uavnav train: {error}{commands.needs(given.algorithm, given.settings)}", file=sys.stderr)
+        complain("train", f"{error}{commands.needs(given.algorithm, given.settings)}")
         return 2
     except (LayoutError, PolicyError, RunError) as error:
-        print(f"uavnav train: {error}", file=sys.stderr)
+        complain("train", error)
         return 2
     return 0 if len(finished) == len(orders) else 2
 

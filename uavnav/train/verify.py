@@ -17,13 +17,14 @@ import torch
 from uavnav import commands, plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import ConfigError, choose_from
+from uavnav.help.errors import complain
 from uavnav.policies import PolicyError, as_option, contents
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import finished
 from uavnav.runs.tables import RunError
 from uavnav.tasks.layouts import LayoutError
 from uavnav.training import shares
-from uavnav.training.config import TrainConfig
+from uavnav.training.config import TrainConfig, checked
 from uavnav.training.loop import train
 from uavnav.training.recorder import Interrupted
 
@@ -47,6 +48,7 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     Raises:
         ConfigError, LayoutError, RunError: the run cannot be repeated.
     """
+    checked("frames", frames, int | None, {"least": 1})
     config = _config(run)
     original, kept = _weights(run.path) if (run.path / POLICY).exists() else (None, run.seeds)
     whole = frames is None or frames >= run.frames
@@ -171,7 +173,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("uavnav verify: stopped, nothing was compared", file=sys.stderr)
         return 128 + stop.signum
     except (ConfigError, LayoutError, RunError) as error:
-        print(f"uavnav verify: {as_option(error)}", file=sys.stderr)
+        complain("verify", as_option(error))
         return 2
     print("\n".join(verdict.lines))
     return 0 if verdict.same else 1

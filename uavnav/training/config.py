@@ -25,6 +25,10 @@ from uavnav.tasks.rewards import REWARDS, check_reward
 from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.world import World
 
+STEP_BYTES = 60
+"""Of a step of an iteration beside its two observations: an episode's counts, action, reward and flags."""
+SEED_BYTES = 80_000
+"""The order in which a seed takes the sets of the bank `train`."""
 ROW_COLUMNS = 5
 """Numbers of a row of progress, at least: seed, frame, pace, and some of the algorithm's."""
 ROW_BYTES = 600
@@ -180,7 +184,11 @@ class TrainConfig:
         self.check_memory(named, 4 * self.COPIES * weights, "smaller networks or fewer seeds")
         steps = self.n_seeds * self.frames_per_iteration
         named = f"n_seeds={self.n_seeds}, n_worlds={self.n_worlds}: the {steps:,} frames of an iteration"
-        self.check_memory(named, 4 * steps * self.observation_size, "fewer frames an iteration, worlds or seeds")
+        needed = steps * (2 * 4 * self.observation_size + STEP_BYTES)
+        self.check_memory(named, needed, "fewer frames an iteration, worlds or seeds")
+        self.check_memory(f"n_seeds={self.n_seeds}: their orders of a bank", SEED_BYTES * self.n_seeds, "fewer seeds")
+        named = f"hidden={told(list(self.hidden))}: the products of the last layer's units"
+        self.check_memory(named, 12 * self.n_seeds * self.hidden[-1] ** 2, "a narrower last layer or fewer seeds")
         if self.stack > 1 or self.faults.late:
             kept = max(self.stack, self.faults.late) * self.world.observation_size
             named = f"stack={self.stack}, faults.late={self.faults.late}: the observations that worlds remember"

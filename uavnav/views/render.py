@@ -27,6 +27,7 @@ from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, PILOTS, SENSED, STEPS_PER_SECOND, Colour, Picture, font
 from uavnav.files import check_out
 from uavnav.help.choices import did_you_mean, did_you_mean_run
+from uavnav.help.errors import complain
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.faults import NO_FAULTS, from_option
@@ -333,7 +334,7 @@ def main(argv: list[str] | None = None) -> int:
             film = Film(flown, bank[arguments.layout], arguments.width, arguments.every)
             save(film, arguments.out, rate)
     except ValueError as error:
-        print(f"uavnav render: {policies.as_option(error)}", file=sys.stderr)
+        complain("render", policies.as_option(error))
         return 2
     for flight in flown:
         last = flight.states[-1]

@@ -17,6 +17,7 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.commands.keys import BANK, ROWS
 from uavnav.envs.drawing import STEPS_PER_SECOND
 from uavnav.files import check_out
+from uavnav.help.errors import complain
 from uavnav.policies import as_option, is_zip
 from uavnav.runs.tables import RunError
 from uavnav.tasks.baselines import BASELINES
@@ -143,7 +144,7 @@ def main(argv: list[str] | None = None) -> int:
         rules.read_rows(rows_path)
         open_window(hud.DESIGN)
     except (RunError, ValueError) as error:
-        print(f"uavnav play: {as_option(error)}", file=sys.stderr)
+        complain("play", as_option(error))
         return 2
     with use_threads(1):
         paths = {"rows_path": rows_path, "bank_path": arguments.bank or BANK}

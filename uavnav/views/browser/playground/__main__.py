@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from uavnav import commands, files, plugins
 from uavnav.help.choices import ConfigError
+from uavnav.help.errors import complain
 from uavnav.policies import as_option
 from uavnav.runs.tables import RunError, write
 from uavnav.views.browser.playground import collect, page
@@ -22,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         write(arguments.out, page(found).encode())
     except (ConfigError, RunError, ValueError, OSError) as error:
-        print(f"uavnav playground: {as_option(error)}", file=sys.stderr)
+        complain("playground", as_option(error))
         return 2
     for line in left_out:
         print(f"uavnav playground: left out: {line}", file=sys.stderr)

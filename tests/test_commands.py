@@ -49,6 +49,7 @@ def test_the_table_holds_each_module_that_is_a_command_and_each_is_of_one_kind()
         "uavnav.report.docs",
         "uavnav.report.replays",
         "uavnav.bench.jobs",
+        "uavnav.studies.flights",
         "uavnav.train.share",
     }
     assert {module_of(name) for name in commands.COMMANDS} == there - others

@@ -5,6 +5,7 @@
 
 import contextlib
 import errno
+import json
 import os
 import shutil
 import subprocess
@@ -29,10 +30,12 @@ from bad_input import (
     save_picture,
     tree,
 )
-from spoiling import put
+from spoiling import YAML_BOMB, a_folder, a_pipe, endless, itself, large, put, replaced, unfolding, written
 
 from uavnav import LayoutError, RunError, runs
+from uavnav.__main__ import main
 from uavnav.algorithms import dqn
+from uavnav.report.cells import collect
 from uavnav.runs import POLICY
 
 CASES = [*bad_banks.CASES, *bad_runs.CASES, *bad_words.CASES]
@@ -84,6 +87,42 @@ def test_as_a_process_it_is_one_line_too(folder, command, message):
     assert result.stderr.startswith(message.replace("{}", str(folder)))
     assert result.stderr.count("\n") == 1
     assert tree(folder) == before
+
+
+@pytest.fixture
+def three(folder):
+    """Three runs, of which the second is to be spoilt."""
+    for name, activation in (("a", "tanh"), ("b", "relu"), ("c", "elu")):
+        shutil.copytree(folder / "run", folder / "three" / name)
+        replaced("activation: tanh", f"activation: {activation}")(folder / "three" / name / "config.yaml")
+    return folder / "three"
+
+
+OF_ANY = {
+    **{"a folder": a_folder, "a pipe": a_pipe, "without end": endless, "of 2^40 bytes": large, "itself": itself},
+    **{"empty": written(b""), "zeros": written(bytes(3000)), "brackets": written("[" * 100_000)},
+    **{"a number": written("3"), "a bomb of aliases": written(YAML_BOMB), "unfolding": unfolding},
+}
+
+
+@pytest.mark.parametrize("how", OF_ANY)
+@pytest.mark.parametrize(
+    "part", ["config.yaml", "meta.json", "episodes.parquet", "progress.parquet", "evaluation.parquet"]
+)
+def test_a_damaged_run_costs_one_line_and_the_others_are_told(three, part, how, capfd):
+    OF_ANY[how](three / "b" / part)
+    assert main(["runs", str(three), "--json"]) == 0
+    told, complained = capfd.readouterr()
+    read = part in ("config.yaml", "meta.json")
+    assert [Path(row["run"]).name for row in json.loads(told)] == (["a", "c"] if read else ["a", "b", "c"])
+    lines = complained.splitlines()
+    assert len(lines) == read
+    assert all(line.startswith(f"uavnav runs: left out: {three / 'b' / part}: ") and len(line) <= 300 for line in lines)
+    cells, left_out = collect([three])
+    assert [cell.activation for cell in cells] == ["tanh", "elu"]
+    (line,) = left_out
+    assert line.startswith(f"{three / 'b' / part}: ")
+    assert len(line) <= 270
 
 
 # -- a full disk -----------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from spoiling import put
+from spoiling import a_folder, a_pipe, endless, itself, large, put
 
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS, ppo
@@ -189,6 +189,31 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
             "cells: [{algorithm: ppo, evaluate: {episodes: 1001}}]",
             "evaluate.episodes=1001; give at most 1000, the bank",
         ),
+        ("cells: &a [{algorithm: ppo}]\nsettings: *a", "aliases are not taken"),
+        ("[" * 100_000, "cannot be read (nested too deeply)"),
+        ("cells: [{algorithm: ppo, lr: 0x" + "f" * 99 + "}]", "a whole number has more than 64 bits"),
+        ("banks: [1000000000]\ncells: [{algorithm: ppo}]", "banks=[1000000000]; give a list of numbers of obstacles"),
+        ("scripts: ../x\ncells: [{algorithm: ppo}]", "scripts=../x; give a folder's name, such as baselines"),
+        ('scripts: "a\\0b"\ncells: [{algorithm: ppo}]', "scripts=a\\x00b; give a folder's name, such as baselines"),
+        ("cells: [{algorithm: ppo, folder: '{lr:999999999}', lr: 1}]", "it has more than names in braces"),
+        ("cells: [{algorithm: ppo, folder: '{lr.__class__}', lr: 1}]", "names 'lr.__class__', which the cell does"),
+        ("cells: [{algorithm: ppo, folder: '{lr!r}', lr: 1}]", "it has more than names in braces"),
+        ("cells: [{algorithm: ppo, folder: '{', lr: 1}]", "folder={: cannot be filled in ("),
+        ("cells: [{algorithm: ppo, folder: /tmp}]", "folder=/tmp: leads out of the study's own"),
+        ('cells: [{algorithm: ppo, folder: "a\\0b"}]', "folder=a\\x00b: no folder has such a name"),
+        (f"cells: [{{algorithm: ppo, folder: {'x' * 256}}}]", "no folder has such a name"),
+        (f"cells: [{{algorithm: ppo, folder: '{'{seed}' * 1001}', seed: 1}}]", "it has more than 1,000 characters"),
+        (f"cells: [{{algorithm: [{'ppo, ' * 10_001}]}}]", "cells stand for more than 10,000 runs; give fewer values"),
+        (
+            f"cells: [{{algorithm: ppo, {', '.join(f'{key}: {[*range(100)]}' for key in ('lr', 'gamma', 'seed'))}}}]",
+            "cells stand for more than 10,000 runs; give fewer values",
+        ),
+        ("cells: [{algorithm: ppo, evaluate: {layouts: 3}}]", "evaluate.layouts=3; give a name"),
+        (
+            "cells: [{algorithm: ppo, evaluate: {max_steps: 9999999999}}]",
+            "evaluate.max_steps=9999999999; give a number",
+        ),
+        ("cells: [{algorithm: ppo, evaluate: {layouts: density-99999999/test}}]", "give at most 16,777,216 obstacles"),
         ("scripts: [random]\ncells: [{algorithm: ppo}]", "scripts=['random']; give a folder's name, such as baselines"),
     ],
 )
@@ -198,6 +223,16 @@ def test_a_wrong_study_file_is_refused_in_one_line_that_names_it(text, said, tmp
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith((f"uavnav study: {name}: ", "uavnav study: study mine: "))
     assert said in line
+
+
+@pytest.mark.parametrize("spoil", [a_folder, a_pipe, endless, large, itself])
+def test_what_is_no_study_file_is_refused_in_one_line_before_anything_is_written(spoil, tmp_path, capsys):
+    name = written(tmp_path, MINE)
+    spoil(Path(name))
+    assert main([name, f"out={tmp_path / 'out'}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"uavnav study: {name}: cannot be read (")
+    assert [*tmp_path.iterdir()] == [Path(name)]
 
 
 @pytest.mark.parametrize(

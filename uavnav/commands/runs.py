@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -42,7 +43,7 @@ def row(path: Path, now: float) -> dict[str, Any]:
     config = read_settings(path / "config.yaml")
     if "total_frames" not in config:
         raise RunError(f"{path / 'config.yaml'}: not a run's, its total_frames=None; give a run's folder")
-    meta = read_settings(path / "meta.json") if (path / "meta.json").exists() else {}
+    meta = read_settings(path / "meta.json") if os.path.lexists(path / "meta.json") else {}
     running = _progress(path, now) if meta.get("status") == "running" else {}
     return {
         "run": str(path),

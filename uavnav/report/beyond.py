@@ -196,7 +196,9 @@ def winners(trials: Table) -> TextRows:
         told = ["–"] * 3
         if top is not None:
             settings = json.loads(top["settings"])
-            shown_ = (f"{key}={value if isinstance(value, int) else f'{value:.3g}'}" for key, value in settings.items())
+            shown_ = (
+                f"{key}={f'{value:.3g}' if isinstance(value, float) else value}" for key, value in settings.items()
+            )
             told = [number(top["value"], 1), str(top["trial"]), ", ".join(shown_)]
         diverged = str(len(part) - len(known))
         shown = number(float(first[0]), 1) if len(first) else "–"

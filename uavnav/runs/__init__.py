@@ -118,7 +118,7 @@ class Run:
         self.fresh = fresh
         if not os.path.isdir(path):  # Path.is_dir would raise for a name that is too long
             raise RunError(f"{path}: no such run folder; give a run's folder")
-        below = () if (self.path / "config.yaml").exists() else self.path.glob("*/config.yaml")
+        below = () if os.path.lexists(self.path / "config.yaml") else self.path.glob("*/config.yaml")
         if (other := next(iter(below), None)) is not None:
             raise RunError(f"{path}: holds runs and is none; give one of them, such as {other.parent}")
         self.config: dict[str, Any] = read_settings(self.path / "config.yaml")
@@ -148,7 +148,7 @@ class Run:
         own = own_evaluation(self.config.get("task", "drone"))
         others = sorted(path.name for path in self.path.glob(f"{Path(EVALUATION).stem}-*.parquet"))
         paths = (self.path / name for name in dict.fromkeys([own, EVALUATION, *others]))
-        return [path for path in paths if path.exists()]
+        return [path for path in paths if os.path.lexists(path)]
 
     def evaluation(self) -> pd.DataFrame | None:
         """The rows of the first of `evaluations`, with their mode; None where it was not evaluated."""
@@ -232,7 +232,7 @@ def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
     for path, names, there in os.walk(folder):
         none = (*NO_RUNS, TRIALS) if Path(path).name == TUNING else NO_RUNS
         names[:] = sorted(name for name in names if not name.startswith(".") and name not in none)
-        if "config.yaml" in there:
+        if "config.yaml" in (*there, *names):
             found.append(Path(path))
         elif "episodes.parquet" in there:
             strays.append(f"{path}: has episodes.parquet and no config.yaml; not a run of this package")

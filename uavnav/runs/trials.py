@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -65,4 +66,5 @@ def _is_trial(row: Mapping[Any, Any]) -> bool:
         known = isinstance(files.parsed(row["settings"]), dict) and 0 <= row["trial"] < MOST_TRIALS
     except ValueError:
         return False
+    known = known and re.fullmatch(r"\w[\w-]*", row["algorithm"]) is not None
     return known and (row["state"] != FINISHED or math.isfinite(row["value"]))

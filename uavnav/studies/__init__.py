@@ -34,7 +34,7 @@ from uavnav.evaluate import EPISODES, MAX_STEPS, files_of
 from uavnav.help.choices import ConfigError, choose_from, unknown, unknown_key
 from uavnav.help.errors import one_line
 from uavnav.tasks import layouts
-from uavnav.tasks.layouts import judged_on
+from uavnav.tasks.layouts import LayoutError, judged_on
 from uavnav.tasks.protocol import LADDER_NAMES, SPLITS
 from uavnav.tasks.simulator import TASKS
 from uavnav.training.config import PARTS, TrainConfig, checked
@@ -201,7 +201,7 @@ def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None 
                 )
             try:
                 found += [_cell(one, out) for one in _combinations(several)]
-            except ConfigError as error:
+            except (ConfigError, LayoutError) as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
     for folder, number in Counter(cell.out for cell in found).items():
         if number > 1:

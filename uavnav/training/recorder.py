@@ -172,7 +172,7 @@ class Recorder:
         if meta.get("status") != FINISHED:
             self._before = meta if (path / "checkpoint").is_dir() else {}
             return False
-        self._overwrite = not (path / POLICY).is_file()  # a repository may keep a run's rows alone
+        self._overwrite = not os.path.lexists(path / POLICY)  # a repository may keep a run's rows alone
         return not self._overwrite
 
     def __enter__(self) -> Self:
@@ -206,8 +206,11 @@ class Recorder:
 
     def _begin(self) -> None:
         if self._overwrite:
+            there = (*(self.path / name for name in FILES), *self.path.glob("*.parquet"))  # flights too
+            if folder := next((path for path in there if path.is_dir() and not path.is_symlink()), None):
+                raise RunError(f"out={self.path}: {folder.name} is a folder; give another folder")
             self._checkpoints.remove()
-            for path in (*(self.path / name for name in FILES), *self.path.glob("*.parquet")):  # flights too
+            for path in there:
                 path.unlink(missing_ok=True)
         for name in LOG_FOLDERS:  # of an earlier part of the run; every log is whole
             shutil.rmtree(self.path / name, ignore_errors=True)

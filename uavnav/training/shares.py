@@ -51,7 +51,9 @@ def split(config: TrainConfig, folder: Path, n: int) -> dict[Path, TrainConfig]:
 
 def _newest(path: Path) -> Path:
     """The folder of a share, under whichever name it was given last."""
-    names = {int(other.suffix[1:]): other for other in path.parent.glob(f"{path.name}.*") if other.suffix[1:].isdigit()}
+    names = {
+        int(other.suffix[1:]): other for other in path.parent.glob(f"{path.name}.*") if other.suffix[1:].isdecimal()
+    }
     return names[max(names)] if names else path
 
 

@@ -12,7 +12,7 @@ import uavnav
 from uavnav import commands
 from uavnav.algorithms import ALGORITHMS
 from uavnav.help.choices import choose_from
-from uavnav.help.errors import one_line
+from uavnav.help.errors import complain, one_line
 
 
 def module_of(command: str) -> str:
@@ -43,10 +43,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands.parse(name, words)
     try:
         status: int = importlib.import_module(module_of(name)).main(words)
+    except BrokenPipeError:  # nobody reads on: `terminal` ends it
+        raise
+    except OSError as error:
+        complain(name, error)
+        return 2
     except (MemoryError, RuntimeError) as error:
         if not isinstance(error, MemoryError) and "allocate memory" not in str(error):  # as torch says it
             raise
-        print(one_line(f"uavnav {name}: the machine's memory is too small for this ({error})"), file=sys.stderr)
+        complain(name, f"the machine's memory is too small for this ({error})")
         return 2
     return status
 

@@ -127,7 +127,7 @@ def parsed_yaml(text: str | bytes, loader: type[yaml.SafeLoader] = Loader) -> An
 def check_out(path: Path) -> None:
     """Raises ValueError, before anyone flies, for a file that could not be written; its folders may yet be made."""
     try:
-        folder = next(one for one in path.absolute().parents if one.exists())
+        folder = next(one for one in Path(_named(path)).absolute().parents if one.exists())
         if path.is_dir():
             raise IsADirectoryError("it is a folder")
         if path.exists() and not path.is_file():

@@ -162,7 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             rows.append(row(path, now))
         except RunError as error:
-            print(f"uavnav runs: left out: {error}", file=sys.stderr)
+            complain("runs", f"left out: {error}")
     if arguments.sort:
         rows.sort(key=order(arguments.sort))
     print(json.dumps(rows, indent=2) if arguments.json else table(rows))

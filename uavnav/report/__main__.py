@@ -25,7 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("uavnav report: stopped; no report was written", file=sys.stderr)
         return 130
     for line in written.left_out:
-        print(f"uavnav report: left out: {line}", file=sys.stderr)
+        complain("report", f"left out: {line}")
     print(f"the report is in {written.path}")
     return 0
 

@@ -225,8 +225,8 @@ def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
     Raises:
         RunError: it is missing, a file, or holds no run.
     """
-    if not folder.is_dir():
-        problem = "is a file" if folder.exists() else "there is no such folder"
+    if not os.path.isdir(folder):  # Path.is_dir would raise for a name that is too long
+        problem = "is a file" if os.path.exists(folder) else "there is no such folder"
         raise RunError(f"{folder}: {problem}; give a folder that holds runs")
     found, strays = [], []
     for path, names, there in os.walk(folder):

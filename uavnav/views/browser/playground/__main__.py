@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         complain("playground", as_option(error))
         return 2
     for line in left_out:
-        print(f"uavnav playground: left out: {line}", file=sys.stderr)
+        complain("playground", f"left out: {line}")
     print(f"{arguments.out}: policies: {len(found)}; open it in a browser")
     return 0
 

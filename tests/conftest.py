@@ -24,6 +24,12 @@ def pytest_collectstart() -> None:
     torch.set_num_threads(1)
 
 
+@pytest.fixture
+def tmp_path(tmp_path_factory):
+    """As pytest's, with a short name: long paths are shortened in messages."""
+    return tmp_path_factory.mktemp("t")
+
+
 @functools.cache
 def problem() -> str | None:
     from uavnav import graph

@@ -308,7 +308,10 @@ def test_each_of_the_papers_numbers_is_held_against_one_more_seed_in_its_own_rea
 def test_the_first_rules_verdicts_are_read_where_they_were_kept(tmp_path):
     assert frames.first_rule(tmp_path).empty
     (tmp_path / "tables").mkdir()
-    (tmp_path / "tables" / "first_rule.csv").write_text("claim,text\n1,a part\n")
+    (tmp_path / "tables" / "first_rule.csv").write_text(
+        "claim,text,paper,value,low,high,p_holm,n,verdict,verdict_of_claim\n"
+        "1,a part,1664,813.1,748.8,877.8,0.005,20,supported,contradicted\n"
+    )
     assert frames.first_rule(tmp_path)["text"].tolist() == ["a part"]
 
 

@@ -243,6 +243,7 @@ def test_files_of_a_run_that_name_a_plugin_have_it_never_imported(bomb, capsys):
 def test_the_file_of_a_studys_job_has_nothing_imported_either(bomb, monkeypatch):
     monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
     told = {"algorithm": "bomb", "kind": ["bomb", "Config"], "plugins": ["bomb"], "config": {}, "evaluation": None}
+    told |= {"how": {}, "threads": 1}
     job = bomb.with_name("seeds.job")
     job.write_text(json.dumps(told | {"out": str(bomb), "folder": str(bomb.parent)}))
     share.main([str(job)])

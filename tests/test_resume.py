@@ -203,7 +203,10 @@ def test_with_every_snapshot_damaged_the_run_is_refused_in_one_line_and_nothing_
     for path in states:
         damage(path)
     before = {path.name: path.read_bytes() for path in (folder / "checkpoint").iterdir()}
-    with pytest.warns(UserWarning), pytest.raises(RunError, match="overwrite=true starts the run anew") as refused:  # noqa: PT030
+    with (
+        warnings.catch_warnings(action="error"),
+        pytest.raises(RunError, match="overwrite=true starts the run anew") as refused,
+    ):
         train(config, out=folder, quiet=True)
     assert "\n" not in str(refused.value)
     assert {path.name: path.read_bytes() for path in (folder / "checkpoint").iterdir()} == before
@@ -353,7 +356,10 @@ def test_with_every_snapshot_another_runs_the_run_is_refused_and_nothing_is_lost
     for path in states:
         doctored(path, facts(frames="many"))
     before = {path.name: path.read_bytes() for path in (folder / "checkpoint").iterdir()}
-    with pytest.warns(UserWarning), pytest.raises(RunError, match="and there is no other; overwrite=true starts"):  # noqa: PT030
+    with (
+        warnings.catch_warnings(action="error"),
+        pytest.raises(RunError, match="and there is no other; overwrite=true starts"),
+    ):
         train(config, out=folder, quiet=True)
     assert {path.name: path.read_bytes() for path in (folder / "checkpoint").iterdir()} == before
 
@@ -365,7 +371,7 @@ def test_a_snapshot_of_another_configuration_is_refused_in_one_line(whole, two_s
     with pytest.raises(RunError, match="holds a run with seed=0, not 7"):
         train(other, out=folder, quiet=True)
     (folder / "config.yaml").write_text((folder / "config.yaml").read_text().replace("seed: 0", "seed: 7"))
-    with pytest.warns(UserWarning), pytest.raises(RunError, match="saved with seed=0, not 7"):  # noqa: PT030
+    with warnings.catch_warnings(action="error"), pytest.raises(RunError, match="saved with seed=0, not 7"):
         train(other, out=folder, quiet=True)
 
 

@@ -189,11 +189,9 @@ def test_rows_of_another_cap_or_task_are_refused_in_one_line_and_the_others_are_
     found, left_out = rows_of_scripts([tmp_path], GOAL)
     assert found.keys() == {"straight"}
     pd.testing.assert_frame_equal(found["straight"], flown)
-    start = (
-        f"{tmp_path}/random-goal-test-200-1000.parquet: its rows are of layouts=test, episodes=200, max_steps=2000, "
-    )
-    wanted = "not of layouts=test, episodes=200, max_steps=1000, task=goal; write them with uavnav evaluate random "
-    assert left_out[0] == f"{start}task=goal, {wanted}--max-steps 1000 --task goal --seeds {SEEDS} --out {tmp_path}"
+    start = f"{tmp_path}/random-goal-test-200-1000.parquet: its rows are of max_steps=2000, not of max_steps=1000; "
+    command = f"uavnav evaluate random --max-steps 1000 --task goal --seeds {SEEDS} --out {tmp_path}"
+    assert left_out[0] == f"{start}write them with {command}"
     assert "task=moving, not of" in left_out[1]
     assert len(left_out) == 2
 

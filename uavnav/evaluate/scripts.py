@@ -71,9 +71,10 @@ def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[s
         path, again = folder / protocol.file(rule), _command([rule], folder, protocol)
         try:
             rows = read_table(path, FIRST_COLUMNS, again)
-            if rows.attrs != header(*protocol):
-                wanted = _shown(header(*protocol))
-                raise RunError(f"{path}: its rows are of {_shown(rows.attrs)}, not of {wanted}; {again}")
+            if rows.attrs != (wanted := header(*protocol)):
+                differs = [key for key in rows.attrs | wanted if rows.attrs.get(key) != wanted.get(key)]
+                there, asked = (_shown({key: said.get(key) for key in differs}) for said in (rows.attrs, wanted))
+                raise RunError(f"{path}: its rows are of {there}, not of {asked}; {again}")
             found[rule] = rows
         except RunError as error:
             left_out.append(str(error))
@@ -85,4 +86,4 @@ def _command(rules: Sequence[str], folder: Path, protocol: Protocol) -> str:
 
 
 def _shown(said: Mapping[Any, Any]) -> str:
-    return ", ".join(f"{key}={value}" for key, value in said.items()) or "no known flights"
+    return ", ".join(f"{key}={value}" for key, value in said.items())

@@ -67,7 +67,7 @@ class Config(Facts):
     n_worlds: Annotated[Count, Field(ge=1)] = 1
     preset: Name = "paper"
     task: Name = "drone"
-    reward: Name = "eq14"
+    reward: Annotated[str, Field(min_length=1, max_length=100)] = "eq14"
     layouts: str = "train"
     gamma: Annotated[float, Field(ge=0, le=1)] = 1.0
     world: dict[str, Any] = Field(default_factory=dict)

@@ -42,6 +42,8 @@ from uavnav.training.recorder import Interrupted, Recorder
 
 MOST_CELLS = 1_000
 """Runs of a sweep."""
+MOST_BRACKETS = 50
+"""That a setting opens."""
 HERE = tuple(line.name for line in help.of_command())
 """The keys of the command itself; all others are fields of the algorithm's configuration."""
 
@@ -124,9 +126,11 @@ def _cells(kind: type[TrainConfig], settings: Sequence[str], multirun: bool) -> 
 
 def _parsed(word: str) -> Override:
     """A setting as Hydra reads it."""
+    if sum(map(word.count, "[{(")) > MOST_BRACKETS:  # a list in a list in a list: more than Python's stack may hold
+        raise ConfigError(f"{told(word)}: its value cannot be read; give a shorter one")
     try:
         return OverridesParser.create().parse_overrides([word])[0]
-    except (RecursionError, ValueError) as error:  # lists in lists, a number of thousands of digits
+    except (RecursionError, ValueError) as error:  # a number of thousands of digits
         raise ConfigError(f"{told(word)}: its value cannot be read; give a shorter one") from error
 
 

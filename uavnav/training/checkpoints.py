@@ -139,17 +139,17 @@ class Checkpoints:
         Raises:
             RunError: there are snapshots, and none can be used.
         """
-        states = self._states()
+        states, problems = self._states(), list[RunError]()
         for path in states:
             try:
                 snapshot = self._read_state(path)
                 self._check_chunks(snapshot, replay)
                 take(snapshot)
             except RunError as error:
-                problem = error
-                if path is not states[-1]:
-                    warnings.warn(one_line(f"{error}; going on from the one before"), stacklevel=2)
+                problems.append(error)
                 continue
+            for problem in problems:
+                warnings.warn(one_line(f"{problem}; going on from the one before"), stacklevel=2)
             if replay is not None:
                 for name in snapshot.chunks:
                     _refill(replay, _first_row(name), self._read(self.folder / name)[0])
@@ -161,7 +161,7 @@ class Checkpoints:
             self._drop_strays()
             return snapshot
         if states:
-            raise RunError(f"{problem}, and there is no other; overwrite=true starts the run anew")
+            raise RunError(f"{problems[-1]}, and there is no other; overwrite=true starts the run anew")
         return None
 
     def _read_state(self, path: Path) -> Snapshot:

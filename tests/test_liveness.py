@@ -19,8 +19,9 @@ from uavnav.studies import Cell, run
 from uavnav.studies.engines import logged
 from uavnav.studies.engines.local import Local
 from uavnav.studies.run import Study
+from uavnav.train import share
 from uavnav.train.verify import _parting as parting
-from uavnav.training import heartbeat
+from uavnav.training import heartbeat, shares
 from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.loop import train
 
@@ -122,7 +123,8 @@ def test_an_evaluation_whose_engine_never_tells_its_end_is_seen_to_end(study, tm
     failed, _ = study(NeverEnds())
     assert failed == []
     left = {path.name for path in (tmp_path / "out" / "ppo" / "tanh").iterdir()}
-    assert not {"evaluation.log", "evaluation.ended", PROGRESS} & left
+    assert PROGRESS not in left
+    assert not [name for name in left if name.startswith(run.FLIGHTS)]
 
 
 def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_not(study, tmp_path):
@@ -173,7 +175,7 @@ def test_a_job_that_never_speaks_is_given_four_times_and_then_fails_in_one_line(
     engine = NeverSpeaks()
     (failed,), _ = study(engine, seeds_per_share=2)
     assert engine.given == 1 + run.ATTEMPTS
-    assert "its job ended 3 times without a word, see " in failed.problem
+    assert "its job ended 4 times without a word, see " in failed.problem
     assert "\n" not in failed.problem
 
 
@@ -260,3 +262,56 @@ def test_the_process_of_an_evaluation_writes_its_status(tmp_path, warm):
     assert done.stderr.startswith("uavnav evaluate: ")
     with contextlib.suppress(FileNotFoundError):
         assert not (tmp_path / PROGRESS).exists()
+
+
+def test_the_heart_of_a_share_beats_while_it_flies(tmp_path, monkeypatch):
+    """Evaluations outlast the silence that a study bears."""
+    seen = []
+    monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
+    monkeypatch.setattr(share, "evaluate_run", lambda run, **how: seen.append(progress(run.path)))
+    monkeypatch.chdir(tmp_path)
+    folder = shares.take(tmp_path / "seeds-0-1")
+    job = tmp_path / "seeds-0-1.1.job"
+    told = shares.described(folder, CONFIG, 60.0) | {"evaluation": FLOWN, "folder": str(tmp_path)}
+    job.write_text(json.dumps(told))
+    share.main([str(job)])
+    assert json.loads(job.with_suffix(".ended").read_text()) == {"finished": CONFIG.frames}
+    (told,) = seen
+    assert (told["frames"], told["total"]) == (CONFIG.frames, CONFIG.frames)
+    assert not (folder / PROGRESS).exists()
+
+
+@pytest.mark.parametrize("problem", [RunError("the disk is full"), ValueError("too many"), OSError("read-only")])
+def test_a_share_whose_flights_fail_says_why(problem, tmp_path, monkeypatch):
+    def fail(run, **how):
+        raise problem
+
+    monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
+    monkeypatch.setattr(share, "evaluate_run", fail)
+    monkeypatch.chdir(tmp_path)
+    folder = shares.take(tmp_path / "seeds-0-1")
+    job = tmp_path / "seeds-0-1.1.job"
+    job.write_text(json.dumps(shares.described(folder, CONFIG, 60.0) | {"evaluation": FLOWN, "folder": str(tmp_path)}))
+    share.main([str(job)])
+    assert json.loads(job.with_suffix(".ended").read_text()) == {"error": str(problem), "diverged": False}
+
+
+def test_a_heart_without_a_known_end_is_heard(tmp_path):
+    with Heartbeat(tmp_path, total=0):
+        assert progress(tmp_path)["total"] == 0
+
+
+def test_a_job_that_gets_no_further_for_four_hours_is_dead_although_its_heart_beats(tmp_path, monkeypatch):
+    study = Study(tmp_path / "out", [], Engine(), say=lambda line: None)
+    job = run.Job(run.Work(Cell(CONFIG, tmp_path, None)), None)
+    now, cancelled = [0.0], []
+    monkeypatch.setattr(run.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(study.engine, "cancel", cancelled.append)
+    job.given("handle")
+    job.file("log").touch()
+    for beat in range(4 * 60 + 1):
+        assert not study._dead(job)
+        now[0] += 60.0
+        (tmp_path / PROGRESS).write_text(json.dumps({"frames": 1, "total": 2, "rate": None, "at": float(beat)}))
+    assert study._dead(job)
+    assert cancelled == ["handle"]

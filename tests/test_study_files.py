@@ -213,7 +213,7 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
             "cells: [{algorithm: ppo, evaluate: {max_steps: 9999999999}}]",
             "evaluate.max_steps=9999999999; give a number",
         ),
-        ("cells: [{algorithm: ppo, evaluate: {layouts: density-99999999/test}}]", "give at most 16,777,216 obstacles"),
+        ("cells: [{algorithm: ppo, evaluate: {layouts: density-99999999/test}}]", "give at most 20,000,000 obstacles"),
         ("scripts: [random]\ncells: [{algorithm: ppo}]", "scripts=['random']; give a folder's name, such as baselines"),
     ],
 )

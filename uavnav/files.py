@@ -16,8 +16,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 SETTINGS_BYTES = 2**18
 """Of a file that a person or a command wrote in YAML or JSON, at most: a run's own have a few thousand."""
-TABLE_BYTES = 2**31
-"""Of a table, or of a file of tensors, at most."""
+TABLE_BYTES = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+"""Of a table, or of a file of tensors, at most: the machine's memory."""
 WHOLE_BITS = 64
 """Of a whole number in YAML or JSON, at most."""
 

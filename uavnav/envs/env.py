@@ -38,6 +38,7 @@ MOST_ROWS = 10_000_000
 
 def _listed(name: str, value: Any) -> Sequence[Any]:
     """The entries of a sequence; raises a ConfigError for what is none."""
+    value = value.tolist() if hasattr(value, "tolist") else value  # an array, or a tensor
     if isinstance(value, (str, bytes)) or not isinstance(value, Sequence):
         raise ConfigError(f"{name}={told(value)}; give whole numbers")
     return value
@@ -46,7 +47,7 @@ def _listed(name: str, value: Any) -> Sequence[Any]:
 def _size(batch_size: Any) -> torch.Size:
     """A shape of rows; raises a ConfigError where it is none, or too large."""
     shape = _listed("batch_size", batch_size)
-    if not all(isinstance(one, int) and 0 <= one <= MOST_ROWS for one in shape[:8]) or len(shape) > 8:
+    if not all(isinstance(one, numbers.Integral) and 0 <= int(one) <= MOST_ROWS for one in shape[:8]) or len(shape) > 8:
         raise ConfigError(f"batch_size={told(batch_size)}; give whole numbers")
     if math.prod(shape) > MOST_ROWS:
         raise ConfigError(f"batch_size={told(batch_size)}; give at most {MOST_ROWS:,} rows")
@@ -147,9 +148,10 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     def _seed(self, seeds: int | Sequence[int]) -> None:
         one = isinstance(seeds, numbers.Integral)
-        if not one and not all(isinstance(seed, numbers.Integral) for seed in _listed("seeds", seeds)):
+        given: Sequence[Any] = [seeds] if one else _listed("seeds", seeds)
+        if not all(isinstance(seed, numbers.Integral) for seed in given):
             raise ConfigError(f"seeds={told(seeds)}; give a whole number, or one per agent")
-        self.seeds = [int(seeds)] if one else [operator.index(seed) for seed in seeds]  # type: ignore[arg-type, union-attr]
+        self.seeds = [operator.index(seed) for seed in given]
         if not one and (not self.batch_size or len(self.seeds) != self.batch_size[0]):
             raise ValueError(
                 f"{len(self.seeds)} seeds for batch_size {list(self.batch_size)}; give one, or one per agent"

@@ -79,7 +79,8 @@ def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any,
         ValueError: an index is not in the bank.
     """
     try:
-        chosen = np.array(-1) if isinstance(layout, range) else np.asarray(layout)
+        long = isinstance(layout, range) and (len(layout),) != shape
+        chosen = np.array(-1) if long else np.asarray(layout)
     except (TypeError, ValueError, RuntimeError):  # ragged or deep lists
         chosen = np.array(-1)
     fits = chosen.dtype.kind in "iu" and chosen.shape in ((), shape)

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 from uavnav import files
 from uavnav.algorithms import ALGORITHMS
-from uavnav.evaluate import EPISODES, MAX_STEPS, files_of
+from uavnav.evaluate import EPISODES, MAX_STEPS, MOST_STEPS, files_of
 from uavnav.help.choices import ConfigError, choose_from, unknown, unknown_key
 from uavnav.help.errors import one_line
 from uavnav.tasks import layouts
@@ -49,8 +49,8 @@ MOST_CELLS = 10_000
 """Of a study, its trials included."""
 MOST_OBSTACLES = 1_000
 """Of a set of a study's own banks."""
-MOST_STEPS = 2**31 - 1
-"""Cap on a flight."""
+FORMAT = r"[,_]?0?\d{0,2}[,_]?(\.\d{1,2})?[defgs%]?"
+"""Of a value in a folder's name."""
 PATH = 1_000
 """Characters of a folder within a study's, at most; the operating system gives 255 bytes to each part."""
 BANK = "layouts"
@@ -254,20 +254,20 @@ def _cell(said: Mapping[str, Any], out: Path) -> Cell:
 
 
 def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
-    """A pattern whose names in braces are filled in: names alone, since a format may ask for gigabytes."""
+    """A pattern whose names in braces are filled in, with short formats alone: a long one may ask for gigabytes."""
     filled = ""
     try:
         for text, name, width, conversion in string.Formatter().parse(str(pattern)):
-            if width or conversion or (name is not None and re.search(r"[^\w.]", name)):
-                raise ValueError("it has more than names in braces")
+            if conversion or not re.fullmatch(FORMAT, width or "") or (name and re.search(r"[^\w.]", name)):
+                raise ValueError("it has more than names in braces, and short formats such as {lr:.3g}")
             if name is not None and name not in names:
                 raise KeyError(name)
-            filled += text + ("" if name is None else str(names[name]))
+            filled += text + ("" if name is None else format(names[name], width or ""))
             if len(filled) > PATH:
                 raise ValueError(f"it has more than {PATH:,} characters")
     except KeyError as error:
         raise ConfigError(f"{key}={pattern}: names {error}, which the cell does not set") from error
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise ConfigError(f"{key}={pattern}: cannot be filled in ({error}); give names such as {{lr}}") from error
     return filled
 

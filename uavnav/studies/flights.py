@@ -15,9 +15,14 @@ from uavnav.training.heartbeat import Heartbeat
 def main(argv: Sequence[str]) -> None:
     """argv: the file that is to tell how this ended, and the words of `uavnav evaluate`, a run's folder first."""
     ended, *words = argv
-    with Heartbeat(Path(words[0]), total=0):
-        status = evaluate(words)
-    files.write(Path(ended), json.dumps({"status": status}).encode())
+    status: object = 1
+    try:
+        with Heartbeat(Path(words[0]), total=0):
+            status = evaluate(words)
+    except SystemExit as stop:
+        status = stop.code
+    finally:
+        files.write(Path(ended), json.dumps({"status": status}).encode())
 
 
 if __name__ == "__main__":

@@ -8,8 +8,10 @@ files. A share whose job has died is given again, under its folder's next name, 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import queue
+import secrets
 import signal
 import threading
 import time
@@ -37,17 +39,24 @@ POLL_SECONDS = 1.0
 STOP_SECONDS = 60.0
 """Given to shares to save themselves."""
 ATTEMPTS = 3
-"""How often a job is given without having got any further."""
+"""How often a job is given again without having got any further."""
+QUEUE_SECONDS = 1800.0
+"""Given to a job to begin, unless its engine says that it is queued."""
 BEGIN_SECONDS = 600.0
-"""Given to a job that has begun to import what it needs, until its first heartbeat."""
+"""Given to a job, once it has begun, until its first heartbeat."""
 SILENT_SECONDS = 120.0
 """Without a heartbeat, after which a job counts as dead."""
 IDLE_SECONDS = 3600.0
 """Without any job that lives, after which a study ends, unless its engine says that jobs are queued."""
+STUCK_SECONDS = 4 * 3600.0
+"""Without a frame more, after which a job counts as dead although its heart beats."""
 ANSWER_SECONDS = 120.0
 """Given to an engine to answer a question."""
 SAY_SECONDS = 60.0
 """Between two lines that say what a study waits for."""
+
+FLIGHTS = "flying"
+"""Begins the names of the files of an evaluation's job, in its cell's folder."""
 
 Tell = Callable[[Sequence["Work"]], None]
 Say = Callable[[str], None]
@@ -101,7 +110,10 @@ class Job:
     share: Share | None  # None: an evaluation
     handle: Any = None
     told: dict[str, float] = field(default_factory=dict)  # by its newest heartbeat
-    heard: float = 0.0  # when that, or the job's beginning, was seen
+    number: str = field(default_factory=lambda: secrets.token_hex(4))  # so that no former job is taken for this one
+    since: float = 0.0  # when the engine took it
+    moved: float = 0.0  # when its frames grew last
+    heard: float = 0.0  # when its newest heartbeat, or its beginning, was seen
     spoke: bool = False  # there was a heartbeat
 
     @property
@@ -111,7 +123,7 @@ class Job:
 
     def file(self, end: str) -> Path:
         """One of its files: `job` describes it, `log` exists once it has begun, `ended` once it has ended by itself."""
-        stem = self.folder / "evaluation" if self.share is None else self.folder
+        stem = self.folder / f"{FLIGHTS}-{self.number}" if self.share is None else self.folder
         return stem.with_name(f"{stem.name}.{end}")
 
     @property
@@ -121,12 +133,14 @@ class Job:
 
     def given(self, handle: Any) -> None:
         """An engine has taken it."""
-        self.handle, self.told, self.heard = handle, progress(self.folder), time.monotonic()
+        self.handle, self.told = handle, progress(self.folder)
+        self.since = self.moved = self.heard = time.monotonic()
 
     def silence(self) -> float:
         """How long ago its heart was seen to beat [s]; 0 while it waits to begin."""
         now, told = time.monotonic(), progress(self.folder)
         if told != self.told:
+            self.moved = now if told.get("frames") != self.told.get("frames") else self.moved
             self.told, self.heard, self.spoke = told, now, True
         elif not self.begun:
             self.heard = now
@@ -166,6 +180,12 @@ def asked(engine: Engine, question: Callable[[], Answer]) -> Answer:
         raise error
     found: Answer = answer
     return found
+
+
+def let_go(engine: Engine) -> None:
+    """End an engine's jobs, if it still answers."""
+    with contextlib.suppress(RunError):
+        asked(engine, engine.close)
 
 
 def trained(cell: Cell) -> bool:
@@ -258,7 +278,7 @@ class Study:
         Raises:
             ConfigError: the engine's machines do not see the folder.
             Interrupted: by SIGINT or SIGTERM; every share was asked to save itself.
-            RunError: another process carries this study out, or no job has lived for an hour.
+            RunError: another process carries it out, its engine does not answer, or no job has lived for an hour.
         """
         self.out.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as stack:
@@ -340,18 +360,28 @@ class Study:
         handles = [job.handle for job in running]
         ended = asked(self.engine, lambda: [self.engine.ended(handle) for handle in handles])
         look = time.monotonic() - self._looked >= heartbeat.SECONDS
-        return [
-            job
-            for job, told in zip(running, ended, strict=True)
-            if told or (look and (job.last_words() or self._dead(job)))
-        ]
+        over = []
+        for job, told in zip(running, ended, strict=True):
+            if told or (look and self._dead(job)):
+                over.append(job)
+            elif look and job.last_words():
+                asked(self.engine, functools.partial(self.engine.cancel, job.handle))  # it need not count it any more
+                over.append(job)
+        return over
 
     def _dead(self, job: Job) -> bool:
-        silence = job.silence()
-        if silence < (SILENT_SECONDS if job.spoke else BEGIN_SECONDS):
+        """Whether a job is silent, stuck, or does not begin, for longer than its engine explains; then it is ended."""
+        silence, now = job.silence(), time.monotonic()
+        if not job.begun:
+            what, since, limit = "has not begun", now - job.since, QUEUE_SECONDS
+        elif job.spoke and silence < SILENT_SECONDS:
+            what, since, limit = "has got no further", now - job.moved, STUCK_SECONDS
+        else:
+            what, since, limit = "has been silent", silence, SILENT_SECONDS if job.spoke else BEGIN_SECONDS
+        if since < limit or asked(self.engine, lambda: self.engine.queued(job.handle)):
             return False
         asked(self.engine, lambda: self.engine.cancel(job.handle))
-        self.say(f"{_shown(job.folder)}: its job has been silent for {silence:.0f} s and counts as dead")
+        self.say(f"{_shown(job.folder)}: its job {what} for {since:.0f} s and counts as dead")
         return True
 
     def _check_waiting(self, running: Sequence[Job], left: int) -> None:
@@ -391,8 +421,6 @@ class Study:
     def _evaluation(self, job: Job) -> list[str]:
         cell, missing = job.work.cell, unflown(job.work.cell)
         job.work.flights = len(missing)
-        for end in ("log", "ended"):
-            job.file(end).unlink(missing_ok=True)
         words = ["-m", "uavnav.studies.flights", str(job.file("ended")), str(cell.out), *missing[0], "--quiet"]
         words += ["--plugins", ",".join(plugins.LOADED)] if plugins.LOADED else []
         return engines.logged(words, job.file("log"))
@@ -407,8 +435,8 @@ class Study:
     def _flown(self, job: Job, flights: deque[Work]) -> None:
         work, left = job.work, len(unflown(job.work.cell))
         if not left:
-            for end in ("log", "ended"):
-                job.file(end).unlink(missing_ok=True)
+            for path in work.cell.out.glob(f"{FLIGHTS}-*.*"):
+                files.remove(path)
             self.say(f"{_shown(work.cell.out)}: finished")
         elif left < work.flights:
             work.attempts = 0
@@ -432,7 +460,7 @@ class Study:
             self._failed(work, str(said["error"]))
         elif share.attempts >= ATTEMPTS:
             log = job.file("log")
-            self._failed(work, f"{share.folder}: its job ended {ATTEMPTS} times without a word, see {log}")
+            self._failed(work, f"{share.folder}: its job ended {1 + ATTEMPTS} times without a word, see {log}")
         else:
             share.attempts += 1
             self.say(f"{_shown(share.folder.with_suffix(''))}: its job is gone; given again, from its last snapshot")
@@ -481,6 +509,11 @@ class Study:
                 with contextlib.suppress(OSError):
                     heartbeat.tell(work.cell.out, frames, work.cell.config.frames, rate or None)
 
+    def _ended_by_engine(self, job: Job) -> bool:
+        with contextlib.suppress(RunError):  # it does not answer
+            return asked(self.engine, lambda: self.engine.ended(job.handle))
+        return False
+
     def _stopped(self, running: Sequence[Job]) -> Interrupted:
         """Ask the shares to save themselves, and wait until they have."""
         for job in running:
@@ -491,7 +524,7 @@ class Study:
         left = list(running)
         while left and time.monotonic() < limit:
             time.sleep(POLL_SECONDS)
-            left = [job for job in left if not (job.last_words() or self.engine.ended(job.handle))]
+            left = [job for job in left if not (job.last_words() or self._ended_by_engine(job))]
         number = self._stop or signal.SIGTERM
         what = f"{_shown(self.out)}: stopped by {signal.Signals(number).name}; the same command goes on from there"
         return Interrupted(what, number, 0, wanted=False)

@@ -23,7 +23,7 @@ from uavnav.report import report
 from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, engines, search, tuning
-from uavnav.studies.run import Study, Work, evaluated, make_banks, trained
+from uavnav.studies.run import Study, Work, evaluated, let_go, make_banks, trained
 from uavnav.tasks import ladders, layouts
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import EMPTY, make_task
@@ -151,7 +151,9 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         return 0
     from uavnav.evaluate.__main__ import main as evaluate  # a status waits for no library of figures
 
-    with contextlib.closing(engines.build(own["engine"], of_engine, KEYS)) as engine, Show(quiet) as show:
+    engine = engines.build(own["engine"], of_engine, KEYS)
+    with contextlib.ExitStack() as stack, Show(quiet) as show:
+        stack.callback(let_go, engine)
         plan = _plan(study, out.resolve(), own)
         found = _cells(study, out.resolve(), own, make=True)
 

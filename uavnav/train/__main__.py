@@ -43,7 +43,7 @@ from uavnav.training.recorder import Interrupted, Recorder
 MOST_CELLS = 1_000
 """Runs of a sweep."""
 MOST_BRACKETS = 50
-"""That a setting opens."""
+"""That are open at once in a setting."""
 HERE = tuple(line.name for line in help.of_command())
 """The keys of the command itself; all others are fields of the algorithm's configuration."""
 
@@ -126,7 +126,8 @@ def _cells(kind: type[TrainConfig], settings: Sequence[str], multirun: bool) -> 
 
 def _parsed(word: str) -> Override:
     """A setting as Hydra reads it."""
-    if sum(map(word.count, "[{(")) > MOST_BRACKETS:  # a list in a list in a list: more than Python's stack may hold
+    depths = itertools.accumulate((one in "[{(") - (one in ")}]") for one in word)
+    if max(depths, default=0) > MOST_BRACKETS:  # a list in a list in a list: more than Python's stack may hold
         raise ConfigError(f"{told(word)}: its value cannot be read; give a shorter one")
     try:
         return OverridesParser.create().parse_overrides([word])[0]
@@ -177,7 +178,8 @@ def _order(kind: type[TrainConfig], settings: DictConfig) -> Order:
     here = {key: values.pop(key) for key in HERE}
     for key in ("overwrite", "evaluate"):
         checked(key, here[key], bool, {})
-    checked("checkpoint_seconds", here["checkpoint_seconds"], float, {"least": 0})
+    if here["checkpoint_seconds"] != math.inf:  # no snapshot but that of a stop
+        checked("checkpoint_seconds", here["checkpoint_seconds"], float, {"least": 0})
     if not isinstance(here["out"], (str, int, float, types.NoneType)):
         raise ConfigError(f"out={told(here['out'])}; give a folder")
     chosen(here["logger"])

@@ -34,6 +34,7 @@ from uavnav.runs.tables import Columns, RunError, with_reward
 from uavnav.tasks.layouts import LayoutError
 from uavnav.training import loop, machine
 from uavnav.training.display import Tell
+from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.recorder import STOPS, Interrupted, Log, Recorder
 
 EXPECTED = (ConfigError, LayoutError, RunError)
@@ -164,8 +165,9 @@ def unheard(job: Path, names: Sequence[str] = ()) -> None:
     last = {"stopped": 0, "wanted": True} if stopped else _train(described, lambda: _listed(described, names))
     if "finished" in last and evaluation is not None:
         try:
-            evaluate_run(Run(out), **evaluation, quiet=True)
-        except PolicyError as error:
+            with Heartbeat(out, total=last["finished"], frames=last["finished"]):
+                evaluate_run(Run(out), **evaluation, quiet=True)
+        except (ConfigError, LayoutError, PolicyError, RunError, ValueError, OSError) as error:
             last = {"error": str(error), "diverged": isinstance(error, Diverged)}
     files.write(job.with_suffix(".ended"), json.dumps(last).encode())
 

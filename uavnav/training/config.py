@@ -219,8 +219,8 @@ class TrainConfig:
 
     @property
     def frames_between_rows(self) -> int:
-        """Collected per seed between two rows of progress, if an iteration has fewer."""
-        return 1
+        """Collected per seed between two rows of progress, if an iteration has fewer; here unknown, one row in all."""
+        return self.frames
 
     @property
     def iterations(self) -> int:

@@ -6,6 +6,7 @@ An algorithm's module imports `train` from here. The `make` of its configuration
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -85,7 +86,8 @@ def train(
     if out is not None and not isinstance(out, (str, Path)):
         raise ConfigError(f"out={told(out)}; give a folder")
     checked("overwrite", overwrite, bool, {})
-    checked("checkpoint_seconds", checkpoint_seconds, float, {"least": 0})
+    if checkpoint_seconds != math.inf:  # no snapshot but that of a stop
+        checked("checkpoint_seconds", checkpoint_seconds, float, {"least": 0})
     checked("until", until, int | None, {"least": 1})
     names = loggers.chosen(logger)
     folder = Path(out or config.folder)

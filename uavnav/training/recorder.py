@@ -197,11 +197,11 @@ class Recorder:
             self._release()
             raise
         self.stop: int | None = None
-        self.heartbeat = Heartbeat(self.path, self.config.frames)
-        self.heartbeat.__enter__()
         self._handlers: dict[int, Any] = {}
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._note_stop) for number in STOPS}
+        self.heartbeat = Heartbeat(self.path, self.config.frames)
+        self.heartbeat.__enter__()
         return self
 
     def _begin(self) -> None:
@@ -310,7 +310,7 @@ class Recorder:
         """
         self.heartbeat.tell(frames)
         if self.heartbeat.gone:
-            raise RunError(f"{self.path}: is gone; another process has taken this run over")
+            raise RunError(f"{self.path}: is gone: removed, renamed, or taken over by another process")
         if self.heartbeat.asked:
             self.stop = self.stop or signal.SIGTERM
 

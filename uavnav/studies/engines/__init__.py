@@ -84,6 +84,8 @@ class Probe:
 
     SECONDS: ClassVar[float] = 60.0
     """The time in which what one machine writes is seen by another."""
+    PATIENCE: ClassVar[float] = 3600.0
+    """The time in which a machine answers, unless its engine says that the question is queued."""
 
     def __init__(self, folder: Path) -> None:
         self._file = folder / f"seen-{secrets.token_hex(4)}" / "question"

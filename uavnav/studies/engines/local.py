@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -47,7 +50,8 @@ class Local:
         return False
 
     def cancel(self, job: subprocess.Popen[bytes]) -> None:
-        job.kill()
+        with contextlib.suppress(ProcessLookupError):  # its forks too
+            os.killpg(job.pid, signal.SIGKILL)
 
     def close(self) -> None:
         left = [job for job in self._running if job.poll() is None]

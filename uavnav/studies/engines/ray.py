@@ -121,7 +121,8 @@ class Ray:
     def start(self, jobs: Sequence[list[str]]) -> list[Any]:
         free = self._machines()
         for machine in self._running.values():
-            free[machine] = free.get(machine, 0) - 1
+            if machine in free:
+                free[machine] -= 1
         if not free:
             raise ConfigError("engine=ray: the cluster has no machine left; the same command goes on")
         started = []

@@ -18,7 +18,7 @@ SACCT_SECONDS = 30
 """The time between two questions to SLURM."""
 FREE = ["sinfo", "--noheader", "--Node", "--states=idle,mixed", "--format=%N %P"]
 """Lists the machines that take a job at once, with their partitions; a star marks the cluster's own."""
-QUEUED = ("PENDING", "REQUEUED", "CONFIGURING", "RESV_DEL_HOLD", "SPECIAL_EXIT")
+QUEUED = ("PENDING", "REQUEUE", "CONFIGURING", "RESV_DEL_HOLD", "SPECIAL_EXIT", "SUSPENDED", "STOPPED")
 """States of a job that waits, for however long."""
 ANY = "a machine"
 
@@ -95,7 +95,7 @@ class Slurm:
     def _wait(self, folder: Path, probe: engines.Probe, asked: dict[str, Any]) -> None:
         """Wait for the answers of machines; one that is busy by now need not answer, if another has."""
         ended: dict[str, float] = {}
-        limit = float("inf")
+        limit, patience = float("inf"), time.monotonic() + engines.Probe.PATIENCE
         while left := [machine for machine in asked if not probe.answered(machine)]:
             now = time.monotonic()
             limit = min(limit, now + probe.SECONDS) if len(left) < len(asked) else limit
@@ -107,6 +107,8 @@ class Slurm:
                     raise engines.lacking("slurm", name) if heard else engines.unseen(folder, name)
             if now >= limit and not silent:
                 break
+            if now >= patience and not any(self.queued(asked[machine]) for machine in left):
+                raise engines.unseen(folder, f"{left[0]} of the SLURM cluster")
             time.sleep(1)
         for machine in left:
             asked[machine].cancel()

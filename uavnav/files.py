@@ -16,8 +16,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 SETTINGS_BYTES = 2**18
 """Of a file that a person or a command wrote in YAML or JSON, at most: a run's own have a few thousand."""
-TABLE_BYTES = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-"""Of a table, or of a file of tensors, at most: the machine's memory."""
+TABLE_BYTES = 2**31
+"""Of a table, at most."""
+MEMORY_BYTES = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+"""Of a file of tensors, at most: the machine's memory."""
 WHOLE_BITS = 64
 """Of a whole number in YAML or JSON, at most."""
 
@@ -49,12 +51,12 @@ def remove(path: Path) -> None:
         path.unlink()
 
 
-def check(path: str | Path, most: int = TABLE_BYTES) -> None:
+def check(path: str | Path, most: int = MEMORY_BYTES) -> None:
     """Raise an OSError unless a regular file lies there (no folder, pipe or device) of at most so many bytes."""
     _check(os.stat(_named(path)), most)
 
 
-def read(path: str | Path, most: int = TABLE_BYTES) -> bytes:
+def read(path: str | Path, most: int = MEMORY_BYTES) -> bytes:
     """What a regular file holds; raises an OSError as `check` does, or where it cannot be read."""
     descriptor = os.open(_named(path), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe would wait
     try:

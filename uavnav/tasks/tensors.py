@@ -13,7 +13,7 @@ from uavnav import files
 METADATA = "__metadata__"
 
 
-def read(path: str | Path, most: int = files.TABLE_BYTES) -> tuple[dict[str, Tensor], dict[str, str]]:
+def read(path: str | Path, most: int = files.MEMORY_BYTES) -> tuple[dict[str, Tensor], dict[str, str]]:
     """The tensors of a file by name, and what its header says of them.
 
     Raises:

@@ -8,7 +8,6 @@ files. A share whose job has died is given again, under its folder's next name, 
 from __future__ import annotations
 
 import contextlib
-import functools
 import json
 import queue
 import secrets
@@ -360,14 +359,11 @@ class Study:
         handles = [job.handle for job in running]
         ended = asked(self.engine, lambda: [self.engine.ended(handle) for handle in handles])
         look = time.monotonic() - self._looked >= heartbeat.SECONDS
-        over = []
-        for job, told in zip(running, ended, strict=True):
-            if told or (look and self._dead(job)):
-                over.append(job)
-            elif look and job.last_words():
-                asked(self.engine, functools.partial(self.engine.cancel, job.handle))  # it need not count it any more
-                over.append(job)
-        return over
+        return [
+            job
+            for job, told in zip(running, ended, strict=True)
+            if told or (look and (job.last_words() or self._dead(job)))
+        ]
 
     def _dead(self, job: Job) -> bool:
         """Whether a job is silent, stuck, or does not begin, for longer than its engine explains; then it is ended."""

@@ -120,6 +120,10 @@ class Ray:
 
     def start(self, jobs: Sequence[list[str]]) -> list[Any]:
         free = self._machines()
+        given = list(self._running)
+        done, _ = self._ray.wait(given, num_returns=len(given), timeout=0) if given else ([], [])
+        for job in done:
+            del self._running[job]
         for machine in self._running.values():
             if machine in free:
                 free[machine] -= 1

@@ -179,6 +179,35 @@ def test_a_job_that_never_speaks_is_given_four_times_and_then_fails_in_one_line(
     assert "\n" not in failed.problem
 
 
+def test_a_job_that_an_engine_does_not_begin_is_given_again_as_often_as_needed(study, monkeypatch):
+    """As on a cluster whose machines are busy with others' work."""
+
+    class Busy(NeverBegins):
+        free = False
+
+        def start(self, jobs):
+            self.free = self.given > run.ATTEMPTS
+            return Engine.start(self, jobs) if self.free else super().start(jobs)
+
+        def ended(self, job):
+            return self.free and Engine.ended(self, job)
+
+        def cancel(self, job):
+            return Engine.cancel(self, job) if self.free else None
+
+    impatient(monkeypatch, QUEUE=0.3, IDLE=60.0)
+    monkeypatch.setattr(run, "BEGIN_SECONDS", 60.0)
+    engine = Busy()
+
+    def begin(self):
+        return self.file("log").exists() or engine.free
+
+    monkeypatch.setattr(run.Job, "begun", property(begin))
+    failed, said = study(engine, seeds_per_share=2, evaluation=None)
+    assert (failed, engine.given) == ([], 2 + run.ATTEMPTS)
+    assert sum("has not begun for" in line for line in said) == 1 + run.ATTEMPTS
+
+
 @pytest.mark.parametrize(
     ("engine", "waits"),
     [(NoMachine(), "waiting for a machine for 1 jobs"), (NeverBegins(), "waiting for 1 jobs to begin")],

@@ -1,5 +1,6 @@
 """A study's folder that only some machines see is found out before any work, on clusters made up here."""
 
+import socket
 import subprocess
 import sys
 import types
@@ -151,3 +152,61 @@ def test_every_living_machine_of_a_ray_cluster_is_asked(machine, said, tmp_path)
             engine.check(out)
         assert str(refused.value).startswith(said.format(out=out, python=sys.executable))
     assert not [*out.iterdir()]
+
+
+@pytest.fixture
+def cluster(monkeypatch):
+    """Ray with the machines `living` and `gone`, of one CPU each; Ray has not seen that the second does not answer."""
+    ray = pytest.importorskip("ray")
+    with socket.create_server(("127.0.0.1", 0)) as door, socket.socket() as shut:
+        shut.bind(("127.0.0.1", 0))  # and listens to nobody
+        doors = {"living".ljust(56, "0"): door, "gone".ljust(56, "0"): shut}
+        nodes = [
+            {"NodeID": key.encode().hex()[:56], "Alive": True, "Resources": {"CPU": 1.0}}
+            | dict(zip(("NodeManagerAddress", "NodeManagerPort"), where.getsockname(), strict=True))
+            for key, where in doors.items()
+        ]
+        head = ":".join(map(str, door.getsockname()))
+        given = []
+
+        def options(scheduling_strategy, **how):
+            def begin(words):
+                given.append(bytes.fromhex(scheduling_strategy.node_id).decode().rstrip("0"))
+                return f"job {len(given)}"
+
+            return types.SimpleNamespace(remote=begin)
+
+        for name, stand_in in {
+            "init": lambda **how: None,
+            "get_runtime_context": lambda: types.SimpleNamespace(gcs_address=head),
+            "nodes": lambda: nodes,
+            "remote": lambda call: types.SimpleNamespace(options=options),
+            "wait": lambda jobs, **how: ([], jobs),
+            "available_resources": dict,
+        }.items():
+            monkeypatch.setattr(ray, name, stand_in)
+        yield types.SimpleNamespace(head=head, given=given, nodes=nodes)
+
+
+def test_a_machine_that_does_not_answer_gets_no_job_of_ray(cluster):
+    from uavnav.studies.engines.ray import Ray
+
+    engine = Ray(cluster.head)
+    assert engine.slots() == 1
+    engine.start([["first"], ["second"]])
+    assert cluster.given == ["living", "living"]
+
+
+def test_a_job_of_ray_that_waits_behind_another_is_queued_and_ends_with_its_machine(cluster):
+    from uavnav.studies.engines.ray import Ray
+
+    engine = Ray(cluster.head)
+    first, second = engine.start([["first"], ["second"]])
+    assert not engine.queued(first)
+    assert engine.queued(second)
+    engine.cancel(first)
+    assert not engine.queued(second)
+    assert not engine.ended(second)
+    cluster.nodes[0]["Alive"] = False
+    engine._seen = 0.0
+    assert engine.ended(second)

@@ -114,6 +114,7 @@ class Job:
     moved: float = 0.0  # when its frames grew last
     heard: float = 0.0  # when its newest heartbeat, or its beginning, was seen
     spoke: bool = False  # there was a heartbeat
+    unbegun: bool = False  # it was ended because it did not begin, which says nothing of its work
 
     @property
     def folder(self) -> Path:
@@ -377,6 +378,7 @@ class Study:
         if since < limit or asked(self.engine, lambda: self.engine.queued(job.handle)):
             return False
         asked(self.engine, lambda: self.engine.cancel(job.handle))
+        job.unbegun = not job.begun
         self.say(f"{_shown(job.folder)}: its job {what} for {since:.0f} s and counts as dead")
         return True
 
@@ -438,7 +440,7 @@ class Study:
             work.attempts = 0
             flights.append(work)
         elif not job.last_words() and work.attempts < ATTEMPTS:
-            work.attempts += 1
+            work.attempts += not job.unbegun
             self.say(f"{_shown(work.cell.out)}: the job of its evaluation is gone; given again")
             flights.append(work)
         else:
@@ -458,7 +460,7 @@ class Study:
             log = job.file("log")
             self._failed(work, f"{share.folder}: its job ended {1 + ATTEMPTS} times without a word, see {log}")
         else:
-            share.attempts += 1
+            share.attempts += not job.unbegun
             self.say(f"{_shown(share.folder.with_suffix(''))}: its job is gone; given again, from its last snapshot")
             waiting.appendleft((work, share))
 

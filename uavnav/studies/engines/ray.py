@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -57,10 +58,10 @@ class Ray:
             ) from error
         self._head: str = ray.get_runtime_context().gcs_address
         self._running: dict[Any, str] = {}  # the machine of each job
-        self._seen, self._living = -math.inf, dict[str, int]()
+        self._seen, self._living, self._answering = -math.inf, dict[str, int](), dict[str, int]()
 
     def _machines(self) -> dict[str, int]:
-        """The CPUs of each machine that lives.
+        """The CPUs of each machine that lives; some of these may not answer any more, and get no further job.
 
         Raises:
             ConfigError: the head of the cluster is gone, for which Ray itself would wait, and then end this process.
@@ -77,13 +78,18 @@ class Ray:
         else:
             where = f"engine=ray: the cluster at address={self.address}"
             raise ConfigError(f"{where} does not answer any more ({problem}); the same command goes on")
-        nodes = (node for node in self._ray.nodes() if node["Alive"])
+        nodes = [node for node in self._ray.nodes() if node["Alive"]]
         self._living = {node["NodeID"]: int(node["Resources"].get("CPU", 0)) for node in nodes}
+        with ThreadPoolExecutor() as pool:
+            answers = pool.map(_answers, [f"{node['NodeManagerAddress']}:{node['NodeManagerPort']}" for node in nodes])
+        answering = {node["NodeID"] for node, there in zip(nodes, answers, strict=True) if there}
+        self._answering = {key: n for key, n in self._living.items() if key in answering or not answering}
         self._seen = time.monotonic()
         return dict(self._living)
 
     def slots(self) -> int:
-        return sum(self._machines().values())
+        self._machines()
+        return sum(self._answering.values())
 
     def check(self, folder: Path) -> None:
         call, exists = self._ray.remote(subprocess.call), self._ray.remote(os.path.exists)
@@ -119,7 +125,8 @@ class Ray:
         return NodeAffinitySchedulingStrategy(machine, soft=False)
 
     def start(self, jobs: Sequence[list[str]]) -> list[Any]:
-        free = self._machines()
+        self._machines()
+        free = dict(self._answering)
         given = list(self._running)
         done, _ = self._ray.wait(given, num_returns=len(given), timeout=0) if given else ([], [])
         for job in done:
@@ -147,7 +154,9 @@ class Ray:
         return True
 
     def queued(self, job: Any) -> bool:
-        return False
+        machine = self._running.get(job)
+        there = [one for one, where in self._running.items() if where == machine]  # in the order they were given
+        return machine in self._machines() and job in there[self._living[machine] :]
 
     def cancel(self, job: Any) -> None:
         self._running.pop(job, None)
@@ -156,6 +165,14 @@ class Ray:
 
     def close(self) -> None:
         self._ray.shutdown()
+
+
+def _answers(address: str) -> bool:
+    try:
+        _knock(address)
+    except OSError:
+        return False
+    return True
 
 
 def _knock(address: str) -> None:

@@ -45,7 +45,7 @@ docs: .venv/.installed-dev # the site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 help: .venv/.installed # the help of each algorithm, from its configuration
-	$(BIN)/python -m uavnav.train.help
+	$(BIN)/python -m uavnav.cli.help
 
 layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/uavnav layouts --out uavnav/tasks/banks

@@ -16,7 +16,7 @@ from typing import Any
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 from uavnav.runs import POLICY
 from uavnav.runs.tables import RunError
 from uavnav.views import browser

@@ -30,13 +30,12 @@ from hypothesis import strategies as st
 from spoiling import a_folder, cut, itself, missing, put
 
 import uavnav
-from uavnav import commands, evaluate, files, studies
-from uavnav.__main__ import module_of
+from uavnav import evaluation, files, studies
 from uavnav.algorithms import ALGORITHMS, dqn, ppo
+from uavnav.cli import commands
 from uavnav.studies import search, tuning
 from uavnav.tasks import layouts
-from uavnav.train import share
-from uavnav.training import shares
+from uavnav.training import worker, workers
 from uavnav.training.recorder import Interrupted
 
 # -- study files -----------------------------------------------------------------------------------------------------
@@ -290,12 +289,12 @@ def damaged(draw):
 
     told = f"{part} (seed {seed}): {how} |"
     if words == ["SHARE"]:
-        return Case(f"{told} uavnav.train.share", _share, spoil)
+        return Case(f"{told} uavnav.training.worker", _share, spoil)
     return command(*words, spoil=spoil, told=told, works=words[0] == "play")
 
 
 def _share():
-    share.main([str(next(Path("study").rglob("*.job")))])
+    worker.main([str(next(Path("study").rglob("*.job")))])
 
 
 # -- the good files --------------------------------------------------------------------------------------------------
@@ -303,7 +302,11 @@ def _share():
 
 def warmed():
     """Import whatever a command imports."""
-    for name in [*warm.MODULES, *map(module_of, commands.COMMANDS), *(one.module for one in ALGORITHMS.values())]:
+    for name in [
+        *warm.MODULES,
+        *(f"uavnav.cli.{name}" for name in commands.COMMANDS),
+        *(one.module for one in ALGORITHMS.values()),
+    ]:
         __import__(name)
     for name in ("optuna", "filelock", "uavnav.report.content", "uavnav.report.page", "uavnav.report.replays"):
         __import__(name)
@@ -313,7 +316,7 @@ def make_good(folder):
     """A bank, a finished and evaluated run, a half-finished one, one in two shares, a search, a policy, a zip."""
     layouts.save(layouts.generate(20, 4, seed=0), folder / "bank.safetensors", seed=0, split="train")
     run = ppo.train(ppo.PPOConfig(n_seeds=2, **SMALL | OWN["ppo"]), out="run", quiet=True)
-    evaluate.evaluate_run(run, episodes=2, max_steps=5)
+    evaluation.evaluate_run(run, episodes=2, max_steps=5)
     for path in run.path.glob("*-test-2-5.parquet"):  # stands for 200 sets and 10,000 steps
         path.with_name(f"{path.name.partition('-')[0]}.parquet").write_bytes(path.read_bytes())
     with contextlib.suppress(Interrupted):
@@ -336,8 +339,8 @@ def _make_study(folder):
     (cell,) = studies.cells(studies.read("study.yaml"), folder / "study")
     with contextlib.suppress(Interrupted):
         ppo.train(cell.config, cell.out, quiet=True, checkpoint_seconds=0, processes=2, until=128)
-    for path, config in shares.split(cell.config, cell.out, 2).items():
-        described = shares.described(path, config, 60.0) | {"evaluation": cell.evaluation, "folder": "."}
+    for path, config in workers.split(cell.config, cell.out, 2).items():
+        described = workers.described(path, config, 60.0) | {"evaluation": cell.evaluation, "folder": "."}
         described["out"] = str(path.relative_to(folder))
         files.write(path.with_name(f"{path.name}.job"), json.dumps(described).encode())
 

@@ -22,20 +22,21 @@ import warm
 from hypothesis import strategies as st
 
 import uavnav
-from uavnav import commands, evaluate, studies
+from uavnav import evaluation, studies
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS, ppo
-from uavnav.help import of_command
-from uavnav.help.choices import Parser
-from uavnav.help.terminal import end_quietly
+from uavnav.cli import commands
+from uavnav.cli.help import of_command
+from uavnav.cli.parser import Parser
+from uavnav.cli.terminal import end_quietly
 from uavnav.runs import POLICY, Run
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import TASKS, make_task
-from uavnav.train.verify import verify
 from uavnav.training.config import PARTS, parts_of
 from uavnav.training.recorder import Interrupted
+from uavnav.training.verify import verify
 
 TYPED = (ValueError, TypeError, RunError, gymnasium.error.Error)
 """What the library may raise; ConfigError, LayoutError and PolicyError are ValueErrors."""
@@ -283,11 +284,11 @@ def _env(batch_size=(2,), **how):
 
 
 def _evaluate(policy=uavnav.baselines.straight_ahead, **how):
-    evaluate.evaluate_policy(policy, **{"episodes": 2, "max_steps": 5} | how)
+    evaluation.evaluate_policy(policy, **{"episodes": 2, "max_steps": 5} | how)
 
 
 def _evaluate_run(run="run", **how):
-    evaluate.evaluate_run(Run(run), **{"episodes": 2, "max_steps": 5, "quiet": True} | how)
+    evaluation.evaluate_run(Run(run), **{"episodes": 2, "max_steps": 5, "quiet": True} | how)
 
 
 def _generate(n=2, k=4, seed=0, **how):
@@ -324,8 +325,8 @@ CALLS = [
     (_env, ["batch_size", *OF_ENVS]),
     *((functools.partial(_world, task), _fields(TASKS[task].WORLD)) for task in TASKS),
     (Faults, _fields(Faults)),
-    (_evaluate, _takes(evaluate.evaluate_policy)),
-    (_evaluate_run, _takes(evaluate.evaluate_run)),
+    (_evaluate, _takes(evaluation.evaluate_policy)),
+    (_evaluate_run, _takes(evaluation.evaluate_run)),
     (_generate, _takes(layouts.generate)),
     (_save, _takes(_save)),
     (layouts.load, ["layouts"]),
@@ -336,10 +337,17 @@ CALLS = [
     (uavnav.compare.contend, ["names"]),
     (lambda run="run", frames=None: verify(Run(run), frames, True), ["run", "frames"]),
     (studies.read, ["name"]),
-    (uavnav.networks.Activation, ["name"]),
+    (uavnav.algorithms.networks.Activation, ["name"]),
     (lambda policy="run", path="policy.pt2": uavnav.export.export_policy(uavnav.load_policy(policy), path), ["path"]),
 ]
-NAMED_AS_GIVEN = (layouts.load, layouts.check, Run, studies.read, uavnav.networks.Activation, uavnav.compare.contend)
+NAMED_AS_GIVEN = (
+    layouts.load,
+    layouts.check,
+    Run,
+    studies.read,
+    uavnav.algorithms.networks.Activation,
+    uavnav.compare.contend,
+)
 
 
 @st.composite

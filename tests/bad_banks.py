@@ -55,7 +55,7 @@ from spoiling import (
 
 import uavnav
 from uavnav.algorithms import ALGORITHMS
-from uavnav.policies import Diverged
+from uavnav.runs.policies import Diverged
 from uavnav.tasks import layouts
 
 KNOWN = ", ".join(sorted(ALGORITHMS))

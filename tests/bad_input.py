@@ -14,12 +14,12 @@ from spoiling import nothing
 
 import uavnav
 from uavnav import ConfigError, LayoutError, PolicyError, RunError
-from uavnav import evaluate as evaluation
+from uavnav import evaluation as evaluation
 from uavnav.__main__ import main
 from uavnav.algorithms import dqn, ppo
 from uavnav.runs import POLICY, Run
 from uavnav.tasks import layouts
-from uavnav.train import verify as verification
+from uavnav.training import verify as verification
 from uavnav.training.recorder import Interrupted
 from uavnav.views import render as rendering
 

@@ -5,6 +5,7 @@ import contextlib
 import pytest
 
 from uavnav.algorithms import ALGORITHMS
+from uavnav.cli import play
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.simulator import make_task
@@ -12,7 +13,7 @@ from uavnav.tasks.world import World
 from uavnav.training.loop import train
 from uavnav.views.render import Pilot
 from uavnav.views.window import game as rules
-from uavnav.views.window import hud, keys, play
+from uavnav.views.window import hud, keys
 
 WORLD = World()
 pygame = pytest.importorskip("pygame")

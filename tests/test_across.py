@@ -9,7 +9,7 @@ import pytest
 
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
-from uavnav.evaluate import across, summary
+from uavnav.evaluation import across, summary
 from uavnav.runs import Run
 from uavnav.runs.metrics import FLIGHTS
 from uavnav.runs.tables import RunError

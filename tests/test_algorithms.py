@@ -12,18 +12,18 @@ from safetensors.torch import load_file
 from test_replays import as_flown, flown, recorded
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.evaluate import evaluate_run
-from uavnav.policies import export, load_policy
+from uavnav.algorithms.acting import ACTS, values_of
+from uavnav.cli.render import main as render_command
+from uavnav.evaluation import evaluate_run
 from uavnav.report import report
-from uavnav.runs import POLICY
+from uavnav.runs import POLICY, export
 from uavnav.runs.metrics import MODES
 from uavnav.runs.paper import TABLES
+from uavnav.runs.policies import load_policy
 from uavnav.tasks.rewards import BOUNDS, REWARDS, Bounds
-from uavnav.train.verify import verify
 from uavnav.training.loop import make_collector, make_env, train
 from uavnav.training.recorder import Interrupted, Recorder
-from uavnav.training.sampling import ACTS, values_of
-from uavnav.views import render
+from uavnav.training.verify import verify
 
 SMALL = {"n_seeds": 2, "n_worlds": 8, "total_frames": 640, "hidden": (16,), "lr": 1e-2, "compile": "off"}
 """Of every run here."""
@@ -275,7 +275,7 @@ def test_a_page_replays_its_flights_as_they_are_flown_one_by_one(algorithm, run,
 
 def test_a_flight_of_it_is_a_gif_of_more_than_one_picture(algorithm, run, tmp_path):
     path = tmp_path / "flight.gif"
-    assert render.main([str(run.path), "--out", str(path), "--steps", "12", "--width", "160"]) == 0
+    assert render_command([str(run.path), "--out", str(path), "--steps", "12", "--width", "160"]) == 0
     with Image.open(path) as film:
         assert (film.format, film.n_frames > 1) == ("GIF", True)
 

@@ -73,8 +73,8 @@ def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, f
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        (["-m", "uavnav.layouts", "--check", "{}/thesis"], "uavnav layouts: layouts='{}/thesis': no such bank; "),
-        (["-m", "uavnav.evaluate", "{}/thesis"], "uavnav evaluate: {}/thesis/config.yaml: missing or damaged; "),
+        (["-m", "uavnav", "layouts", "--check", "{}/thesis"], "uavnav layouts: layouts='{}/thesis': no such bank; "),
+        (["-m", "uavnav", "evaluate", "{}/thesis"], "uavnav evaluate: {}/thesis/config.yaml: missing or damaged; "),
         ([RECIPES / "dqn.py", "out={}/policy"], "uavnav train: out={}/policy: is a file; give a folder"),
     ],
 )

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import uavnav
-from uavnav.evaluate import evaluate_policy, fly
+from uavnav.evaluation import evaluate_policy, fly
 from uavnav.tasks.baselines import BASELINES, reactive, straight_ahead, suited, uniform_random
 from uavnav.tasks.simulator import make_task
 

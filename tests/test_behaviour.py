@@ -11,8 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uavnav import flights
-from uavnav.evaluate import BEHAVIOUR_COLUMNS, fly, on
+from uavnav.evaluation import BEHAVIOUR_COLUMNS, flights, fly, on
 from uavnav.report import behaviour
 from uavnav.report.behaviour import (
     COLUMNS,

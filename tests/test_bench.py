@@ -12,13 +12,14 @@ from pathlib import Path
 import pytest
 import torch
 
+from uavnav import evaluation
 from uavnav.algorithms import ALGORITHMS
-from uavnav.bench import __main__ as bench
 from uavnav.bench import ours, page, peers, plain, runner, sections, worlds
 from uavnav.bench.jobs import Job, JobError
 from uavnav.bench.page import read_sections
 from uavnav.bench.plan import Measurement
 from uavnav.bench.runner import Runner
+from uavnav.cli import bench as bench
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 
@@ -101,7 +102,7 @@ def test_the_first_policy_that_is_good_after_training_anew_up_to_its_frame_is_fo
 ):
     import pandas as pd
 
-    from uavnav import evaluate, policies
+    from uavnav.runs import policies
 
     now = [0.0]
     monkeypatch.setattr(ours.time, "time", lambda: now[0])
@@ -123,7 +124,7 @@ def test_the_first_policy_that_is_good_after_training_anew_up_to_its_frame_is_fo
     monkeypatch.setattr(ours, "watch", watch)
     monkeypatch.setattr(ours, "train", lambda algorithm, config, out: trained.append(config.total_frames))
     monkeypatch.setattr(policies, "load_policy", lambda folder, greedy: FakeRun(folder))
-    monkeypatch.setattr(evaluate, "evaluate_policy", judge)
+    monkeypatch.setattr(evaluation, "evaluate_policy", judge)
     found = ours.reach(0.0, "ppo", "fast", 5, 88.5, 200, patience)
     assert found == {"seed": 5, "seconds": seconds, "frames": frames}
     assert set(held_out) == {200}

@@ -11,14 +11,14 @@ import pytest
 import torch
 from runs_by_hand import policy_bytes
 
-from uavnav import evaluate
+from uavnav import evaluation
 from uavnav.algorithms import dqn, ppo
-from uavnav.evaluate import arena, evaluate_run, fly, on
-from uavnav.evaluate.values import overestimation
-from uavnav.networks import mlp
-from uavnav.policies import load_policy
+from uavnav.algorithms.networks import mlp
+from uavnav.evaluation import arena, evaluate_run, fly, on
+from uavnav.evaluation.values import overestimation
 from uavnav.runs import ARENA, VALUES
 from uavnav.runs.metrics import MODES
+from uavnav.runs.policies import load_policy
 from uavnav.runs.tables import write_table
 from uavnav.studies import Cell
 from uavnav.studies.run import _join_flights
@@ -134,8 +134,8 @@ def test_what_has_no_overestimation_is_refused(tmp_path, gamma, n_layouts, messa
     ids=["ppo", "dqn"],
 )
 def test_the_runs_own_protocol_leaves_them_and_another_does_not(train, config, tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluate, "EPISODES", 3)
-    monkeypatch.setattr(evaluate, "MAX_STEPS", 40)
+    monkeypatch.setattr(evaluation, "EPISODES", 3)
+    monkeypatch.setattr(evaluation, "MAX_STEPS", 40)
     run = train(config, out=tmp_path / "run", quiet=True)
     evaluate_run(run, 2, 40)
     assert [name for name in (ARENA, VALUES) if (run.path / name).exists()] == []

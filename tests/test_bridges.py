@@ -12,12 +12,13 @@ import torch
 from torch import nn
 
 import uavnav
-from uavnav import PolicyError, evaluate_policy, load_policy, policies
+from uavnav import PolicyError, evaluate_policy, load_policy
 from uavnav.__main__ import main
+from uavnav.cli import play
+from uavnav.cli.render import main as render_command
 from uavnav.envs.sb3 import DroneVecEnv
-from uavnav.policies import export
+from uavnav.runs import export, policies
 from uavnav.views import render
-from uavnav.views.window import play
 
 SHORT = {"ppo": {"n_steps": 16, "batch_size": 64}, "dqn": {"learning_starts": 64, "buffer_size": 1000}}
 MODELS = {
@@ -262,7 +263,7 @@ def test_beside_a_script_in_another_world_a_zips_rows_are_of_its_own(saved, tmp_
 def test_a_zip_is_drawn_with_its_activation_beside_a_script(tmp_path, capsys):
     path = zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
     words = [str(path), "straight", "--activation", "tanh", "--steps", "5", "--out", str(tmp_path / "a.png")]
-    assert render.main(words) == 0
+    assert render_command(words) == 0
     assert f"{tmp_path.name}/theirs.zip, sampled: 5 steps" in capsys.readouterr().out
     (pilot,) = render.load_pilots([str(path)], greedy=True, activation="relu")
     observation = torch.rand(5, 30)

@@ -13,16 +13,16 @@ from uavnav import load_policy
 from uavnav.__main__ import main
 from uavnav.algorithms.c51 import PRESETS, C51Config, project, train
 from uavnav.algorithms.dqn import DQNConfig, make_learner, make_network
-from uavnav.evaluate import evaluate_run
-from uavnav.flights.squads import Squad, Squads
-from uavnav.help.choices import ConfigError
-from uavnav.policies import PolicyError
-from uavnav.policies.export import export_policy
+from uavnav.errors import ConfigError
+from uavnav.evaluation import evaluate_run
+from uavnav.evaluation.squads import Squad, Squads
 from uavnav.runs import POLICY
+from uavnav.runs.export import export_policy
+from uavnav.runs.policies import PolicyError
 from uavnav.tasks.rewards import BOUNDS, REWARDS
-from uavnav.train.verify import verify
 from uavnav.training.loop import make_collector, make_env
 from uavnav.training.recorder import Interrupted
+from uavnav.training.verify import verify
 
 SMALL = {"hidden": (8,), "n_atoms": 7, "activation": "relu"}
 

@@ -13,11 +13,10 @@ import pytest
 from pages import ALL, CONFIGS, table
 
 import uavnav
-from uavnav import commands, help
-from uavnav.__main__ import main, module_of
+from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
-from uavnav.help import terminal
-from uavnav.help.choices import Parser
+from uavnav.cli import commands, help, terminal
+from uavnav.cli.parser import Parser
 from uavnav.runs import LOG_FOLDERS
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.world import World
@@ -50,14 +49,14 @@ def test_the_table_holds_each_module_that_is_a_command_and_each_is_of_one_kind()
         "uavnav.report.replays",
         "uavnav.bench.jobs",
         "uavnav.studies.flights",
-        "uavnav.train.share",
+        "uavnav.training.worker",
     }
-    assert {module_of(name) for name in commands.COMMANDS} == there - others
+    assert {f"uavnav.cli.{name}" for name in commands.COMMANDS} == there - others
     assert set(commands.PARSERS) == set(commands.COMMANDS) - {"train"}
     of_a_kind = [name for names, _ in commands.KINDS.values() for name in names]
     assert sorted(of_a_kind) == sorted(commands.COMMANDS)
     for name in commands.COMMANDS:
-        assert callable(importlib.import_module(module_of(name)).main)
+        assert callable(importlib.import_module(f"uavnav.cli.{name}").main)
 
 
 @pytest.mark.parametrize("words", ["", "--help", "-h"])
@@ -79,7 +78,7 @@ def test_the_version_is_that_of_the_package(capsys):
 def test_the_wheel_has_the_command_and_what_it_reads():
     project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())
     assert project["project"]["scripts"] == {"uavnav": "uavnav.__main__:main"}
-    data = project["tool"]["setuptools"]["package-data"]["uavnav.help"]
+    data = project["tool"]["setuptools"]["package-data"]["uavnav.cli.help"]
     assert {help.COMMAND, *map(help.text_of, ALGORITHMS)} <= {path for one in data for path in help.HERE.glob(one)}
     folders = {path.parent.relative_to(PACKAGE.parent).as_posix() for path in PACKAGE.rglob("*.py")}
     assert {name.replace(".", "/") for name in project["tool"]["setuptools"]["packages"]} == folders
@@ -216,7 +215,8 @@ def test_the_page_has_each_exit_status_of_the_code():
 
 def test_the_help_of_a_study_has_its_keys_those_of_its_engines_and_its_files(capsys):
     from uavnav import studies
-    from uavnav.studies import engines, study
+    from uavnav.cli import study
+    from uavnav.studies import engines
 
     assert list(commands.STUDY_KEYS) == list(study.KEYS)
     text = " ".join(told("study --help", capsys).split())

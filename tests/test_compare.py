@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from uavnav.evaluate import EPISODES, MAX_STEPS, header
+from uavnav.cli.compare import main
+from uavnav.evaluation import EPISODES, MAX_STEPS, header
 from uavnav.report import compare
 from uavnav.report.compare import (
     Contender,
@@ -17,7 +18,6 @@ from uavnav.report.compare import (
     check,
     contend,
     improvement,
-    main,
     metrics,
     page,
     seeds_of,
@@ -113,7 +113,7 @@ def test_scripts_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_pape
 
 
 def test_committed_runs_are_compared_without_torch():
-    code = "import sys; from uavnav.report.compare import main; main(sys.argv[1:]); sys.exit('torch' in sys.modules)"
+    code = "import sys; from uavnav.cli.compare import main; main(sys.argv[1:]); sys.exit('torch' in sys.modules)"
     words = [sys.executable, "-c", code, "results/tuned/ppo/tanh", "results/tuned/ppo/sigmoid", "reactive"]
     assert subprocess.run(words, capture_output=True, check=False).returncode == 0
 

@@ -16,7 +16,7 @@ from uavnav.algorithms.ppo import PRESETS as PPO_PRESETS
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.algorithms.sac import PRESETS as SAC_PRESETS
 from uavnav.algorithms.sac import SACConfig
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 from uavnav.tasks.world import World
 from uavnav.training.config import plain
 

@@ -7,10 +7,10 @@ import torch
 from tensordict import TensorDict
 
 from uavnav.algorithms import a2c, dqn, ppo, sac
+from uavnav.algorithms.acting import Actor
 from uavnav.envs.env import DroneEnv
 from uavnav.tasks.simulator import make_task
 from uavnav.training import probes
-from uavnav.training.sampling import Actor
 
 ALGORITHMS = {
     "ppo": ppo.PPOConfig(n_seeds=2),

@@ -17,13 +17,13 @@ import yaml
 from uavnav import RunError
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
-from uavnav.commands import runs as listing
-from uavnav.evaluate import evaluate_run
-from uavnav.help.errors import MOST
+from uavnav.cli import runs as listing
+from uavnav.errors import MOST
+from uavnav.evaluation import evaluate_run
 from uavnav.runs import POLICY, PROGRESS
 from uavnav.training import heartbeat
 from uavnav.training.recorder import Interrupted, Recorder
-from uavnav.training.shares import wall_seconds
+from uavnav.training.workers import wall_seconds
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 
 import uavnav
 from uavnav.algorithms.dqn import PRESETS, DQNConfig, make_learner, make_loss, make_network, rows, train
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 from uavnav.tasks.seeding import Streams
 from uavnav.training.recorder import Interrupted, Recorder
 

@@ -11,13 +11,13 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from uavnav.algorithms.acting import Actor
 from uavnav.algorithms.dqn import DQNConfig, make_buffer, make_network, train
 from uavnav.envs.gym import DroneVectorEnv
 from uavnav.tasks.seeding import Streams
 from uavnav.tasks.world import World
 from uavnav.training.learner import Learner
 from uavnav.training.recorder import Recorder
-from uavnav.training.sampling import Actor
 
 SWITCHES = {"slots": "listed", "padding": "zeros"}
 WATCHED = DQNConfig(

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from uavnav.evaluate import evaluate_run, files_of
+from uavnav.evaluation import evaluate_run, files_of
 from uavnav.runs import Run
-from uavnav.train.verify import _parting as parting
-from uavnav.train.verify import _weights as weights
-from uavnav.train.verify import _weights_parting as weights_parting
-from uavnav.train.verify import verify
+from uavnav.training.verify import _parting as parting
+from uavnav.training.verify import _weights as weights
+from uavnav.training.verify import _weights_parting as weights_parting
+from uavnav.training.verify import verify
 
 STUDY = """
 what: two cells of eight seeds
@@ -43,7 +43,7 @@ class Started:
         self.limit = time.monotonic() + SECONDS
 
     def __call__(self, *settings, env=None):
-        words = [sys.executable, "-m", "uavnav.studies.study", "mine.yaml", "out=out", *GIVEN, *settings]
+        words = [sys.executable, "-m", "uavnav.cli.study", "mine.yaml", "out=out", *GIVEN, *settings]
         how = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "process_group": 0}
         process = subprocess.Popen(words, cwd=self.folder, env=os.environ | (env or {}), **how)
         self.processes.append(process)
@@ -77,7 +77,7 @@ class Started:
                 words = (entry / "cmdline").read_bytes().decode().rstrip("\0").split("\0")
             except OSError:
                 continue
-            if words[0] == sys.executable and "uavnav.train.share" in words and str(self.folder) in words[-1]:
+            if words[0] == sys.executable and "uavnav.training.worker" in words and str(self.folder) in words[-1]:
                 found.append(int(entry.name))
         return found
 

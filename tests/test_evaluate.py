@@ -14,10 +14,10 @@ import pytest
 import torch
 
 import uavnav
-from uavnav import evaluate
+from uavnav import evaluation
 from uavnav.algorithms import dqn, ppo
-from uavnav.evaluate import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, files_of, fly, on, summary
-from uavnav.evaluate.__main__ import main as fly_command
+from uavnav.cli.evaluate import main as fly_command
+from uavnav.evaluation import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, files_of, fly, on, summary
 from uavnav.report import behaviour
 from uavnav.runs import Run, own_evaluation
 from uavnav.runs.metrics import EPISODE_COLUMNS
@@ -203,14 +203,14 @@ def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
     ],
 )
 def test_each_protocol_has_a_file_of_its_own(protocol, name):
-    assert evaluate.protocol_name(*protocol) == name
+    assert evaluation.protocol_name(*protocol) == name
 
 
 @pytest.mark.parametrize("out", ["/proc/x", "file", "file/rows"])
 def test_a_folder_for_rows_that_cannot_be_is_refused_before_anyone_flies(out, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr(evaluate, "fly", None)
+    monkeypatch.setattr(evaluation, "fly", None)
     assert fly_command(["random", "--out", out]) == 2
     printed, err = capsys.readouterr()
     assert err.startswith(f"uavnav evaluate: {out}/random.parquet: cannot be written (")
@@ -281,7 +281,7 @@ def test_a_zip_that_cannot_be_flown_is_one_line_and_no_rows(zipped, monkeypatch,
 
 @pytest.mark.usefixtures("warm")
 def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_ends_with_0(run):
-    command = [sys.executable, "-m", "uavnav.evaluate", run.path, "reactive", "--episodes", "5", "--max-steps", "50"]
+    command = [sys.executable, "-m", "uavnav", "evaluate", run.path, "reactive", "--episodes", "5", "--max-steps", "50"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")
     for words in (f"{run.algorithm} tanh on 5 test sets", "reactive", "3 seeds", "1 seed", "greedy", "sampled"):
@@ -349,8 +349,8 @@ def test_banks_of_one_name_and_other_obstacles_have_files_of_their_own(tmp_path)
 def test_another_number_of_episodes_cap_or_bank_goes_to_its_own_file_and_replaces_no_other(
     small, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(evaluate, "EPISODES", 4)
-    monkeypatch.setattr(evaluate, "MAX_STEPS", 9)
+    monkeypatch.setattr(evaluation, "EPISODES", 4)
+    monkeypatch.setattr(evaluation, "MAX_STEPS", 9)
     run = Run(shutil.copytree(small.path, tmp_path / "run"))
     bank = tmp_path / "own"
     layouts.save(layouts.generate(5, 4), bank, seed=0, split="train")

@@ -11,12 +11,12 @@ from safetensors import safe_open
 from test_resume import same
 
 import uavnav
-from uavnav import evaluate, load_policy
+from uavnav import evaluation, load_policy
 from uavnav.algorithms import ppo
-from uavnav.evaluate.summary import of_evaluation, of_run
+from uavnav.evaluation.summary import of_evaluation, of_run
 from uavnav.tasks import layouts
 from uavnav.tasks.simulator import TASKS
-from uavnav.train import verify
+from uavnav.training import verify
 
 FIELDS = {
     "moving": {"speed_max": 3.0, "sense_velocity": True},
@@ -41,7 +41,7 @@ def test_a_run_of_two_seeds_stopped_and_resumed_ends_the_same_is_evaluated_and_v
     assert header["bank"] == run.meta["bank"]["sha256"] == layouts.read("validation", config.world)[1]["sha256"]
     found = load_policy(run.path).task
     assert (type(found), found.world) == (TASKS[task], config.world)
-    rows = evaluate.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
+    rows = evaluation.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
     assert len(rows) == 12
     titles = [column.header for table in (of_run(run), of_evaluation(rows, run)) for column in table.columns]
     assert task == "drone" or "paper" not in titles  # whose world is another

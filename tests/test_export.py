@@ -17,14 +17,16 @@ from torch import nn
 
 from uavnav import PolicyError, RunError, load_policy
 from uavnav.algorithms import dqn, ppo
-from uavnav.networks import ACTIVATIONS, Activation, mlp
-from uavnav.policies import Policy, export
-from uavnav.policies.export import export_policy
+from uavnav.algorithms.acting import HEADS
+from uavnav.algorithms.networks import ACTIVATIONS, Activation, mlp
+from uavnav.cli.export import main as export_command
+from uavnav.runs import export
+from uavnav.runs.export import export_policy
+from uavnav.runs.policies import Policy
 from uavnav.tasks import layouts
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.tasks.world import World
-from uavnav.training.sampling import HEADS
 
 pytestmark = pytest.mark.slow  # exporters take seconds a policy: not in the quick suite
 
@@ -194,7 +196,7 @@ def test_the_command_writes_the_named_seed(run, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "uavnav.policies.export",
+        "uavnav.runs.export",
         run.path,
         "--seed",
         "5",
@@ -220,7 +222,7 @@ def test_what_cannot_be_written_is_one_line_and_no_file(run, tmp_path, monkeypat
         ([run.path.parent / "nowhere"], "no policy.safetensors there; give the folder of a finished run"),
         ([run.path, "--seed", "7"], "seed=7 is not there; choose from 4 ... 5"),
     ):
-        assert export.main([*map(str, words), "--out", str(tmp_path / "policy.pt2")]) == 2
+        assert export_command([*map(str, words), "--out", str(tmp_path / "policy.pt2")]) == 2
         out, err = capsys.readouterr()
         assert out == ""
         assert err.startswith("uavnav export: ")

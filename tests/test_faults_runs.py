@@ -10,14 +10,14 @@ import yaml
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from uavnav import ConfigError, Run, evaluate, flights, load_policy
+from uavnav import ConfigError, Run, evaluation, load_policy
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
-from uavnav.evaluate import evaluate_policy, evaluate_run, files_of, header, on
-from uavnav.evaluate.__main__ import main as fly_command
-from uavnav.networks import mlp
-from uavnav.policies import Policy
-from uavnav.policies.export import export_policy
+from uavnav.algorithms.networks import mlp
+from uavnav.cli.evaluate import main as fly_command
+from uavnav.evaluation import evaluate_policy, evaluate_run, files_of, flights, header, on
 from uavnav.report import behaviour, cells, replays
+from uavnav.runs.export import export_policy
+from uavnav.runs.policies import Policy
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 from uavnav.tasks.faults import NO_FAULTS, Faults
@@ -129,8 +129,8 @@ def test_a_flyer_with_faults_flies_among_others_as_alone_and_its_film_is_its_row
     own = make_task(EMPTY, stack=2, faults=ALL)
     policies = {seed: untrained(own, greedy, seed) for seed in (5, 6)}
     task = on(own, "test", 20, 60)
-    together = evaluate.fly(policies, task).episodes
-    alone = evaluate.fly({6: policies[6]}, task).episodes
+    together = evaluation.fly(policies, task).episodes
+    alone = evaluation.fly({6: policies[6]}, task).episodes
     pd.testing.assert_frame_equal(together[together["seed"] == 6].reset_index(drop=True), alone)
     film = render.fly(Pilot("own", policies[6], own, 6), layouts.load("test")[:20], 7, 60)
     row = alone[alone["layout"] == 7].iloc[0]
@@ -141,7 +141,7 @@ def test_a_flyer_with_faults_flies_among_others_as_alone_and_its_film_is_its_row
 
 def test_draws_of_a_flight_depend_on_its_seed_its_set_and_the_step_and_not_on_who_has_ended():
     task = on(make_task(EMPTY, faults={"sticky": 0.5}), "test", 30, 50)
-    rows = evaluate.fly({3: uniform_random}, task).behaviour
+    rows = evaluation.fly({3: uniform_random}, task).behaviour
     first = on(task, "test", 30, 50)
     seen = {}
     for step in flights.fly([(3, straight_ahead)], first):
@@ -157,12 +157,12 @@ def test_a_compiled_step_takes_the_same_draws_as_a_step_that_is_not_compiled(mon
     """Flights that have ended keep their places in the batch of a graph; here the graph is left out."""
     own = make_task(EMPTY, stack=2, faults=ALL)
     task, policies = on(own, "test", 40, 60), {seed: untrained(own, seed=seed) for seed in (5, 6)}
-    eager = evaluate.fly(policies, task)
+    eager = evaluation.fly(policies, task)
     monkeypatch.setattr(machine, "EAGER_STEPS", 9)
     monkeypatch.setattr(machine, "flights", lambda max_steps: True)
     monkeypatch.setattr(flights.graph, "Graph", lambda function: function)
     flights._graph.cache_clear()
-    padded = evaluate.fly(policies, task)
+    padded = evaluation.fly(policies, task)
     flights._graph.cache_clear()
     pd.testing.assert_frame_equal(eager.episodes, padded.episodes)
     pd.testing.assert_frame_equal(eager.behaviour, padded.behaviour)
@@ -171,7 +171,7 @@ def test_a_compiled_step_takes_the_same_draws_as_a_step_that_is_not_compiled(mon
 def test_behaviour_keeps_executed_actions_which_lead_where_the_drone_was():
     own = make_task(EMPTY, faults={"sticky": 0.5})
     task = on(own, "test", 5, 40)
-    flown = evaluate.fly({3: uniform_random}, task)
+    flown = evaluation.fly({3: uniform_random}, task)
     table = flown.behaviour.assign(mode="sampled")
     traced = behaviour.retrace(table, task.bank, flights.headings(task, 5), task.world)
     ends = traced.groupby("layout").last()
@@ -184,9 +184,9 @@ def test_behaviour_keeps_executed_actions_which_lead_where_the_drone_was():
 
 def test_greedy_flights_with_a_memory_are_flown_and_not_counted():
     policy = untrained(make_task(EMPTY))
-    assert evaluate._repeatable(policy, make_task(EMPTY))
+    assert evaluation._repeatable(policy, make_task(EMPTY))
     for how in ({"stack": 2}, {"faults": {"late": 1}}, {"faults": {"noise": 1.0}}):
-        assert not evaluate._repeatable(policy, make_task(EMPTY, **how))
+        assert not evaluation._repeatable(policy, make_task(EMPTY, **how))
 
 
 def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch():

@@ -82,7 +82,7 @@ def test_a_misspelt_word_is_one_line_that_names_the_nearest_and_status_2(words, 
 CALLS = {
     "reward='eq41'; .*did you mean eq14": lambda: uavnav.DroneEnv(reward="eq41"),
     "slots='nearst'; .*did you mean nearest": lambda: uavnav.World(slots="nearst"),
-    "activation='rleu'; .*did you mean relu": lambda: uavnav.networks.Activation("rleu"),
+    "activation='rleu'; .*did you mean relu": lambda: uavnav.algorithms.networks.Activation("rleu"),
     "layouts='trian'.*did you mean train": lambda: uavnav.layouts.load("trian"),
     "no attribute 'evaluate_polcy'.*did you mean evaluate_policy": lambda: uavnav.evaluate_polcy,
     "preset=fats; .*did you mean fast": lambda: PPOConfig(preset="fats"),
@@ -200,12 +200,12 @@ for words in json.loads(sys.argv[2]):
     for module in [*sys.modules.values()]:
         if isinstance(told := getattr(module, "__warningregistry__", None), dict):
             told.clear()  # what one command has warned of may not hide another's
-    if words[1] == "uavnav.play":  # the first event closes the window
+    if words[2:3] == ["play"]:  # the first event closes the window
         import pygame
-        from uavnav import play
+        from uavnav.cli import play
         show = play.show
         play.show = lambda game: (show(game), pygame.event.post(pygame.event.Event(pygame.QUIT)))
-        assert play.main(words[2:]) == 0
+        assert play.main(words[3:]) == 0
         continue
     try:
         execute(*words)
@@ -223,22 +223,24 @@ def test_no_command_lets_a_dependency_talk(tmp_path):
         [RECIPES / "dqn.py", *short, "learning_starts=2000", "frames_per_update=16", "n_seeds=2", "out=runs/dqn"],
     ]
     commands = [
-        ["uavnav.evaluate", "runs/ppo", "random", *small],
-        ["uavnav.render", "runs/ppo", "reactive", "--steps", 20, "--out", "flight.gif"],
-        ["uavnav.verify", "runs/ppo", "--frames", 2048],
-        ["uavnav.export", "runs/ppo", "--out", "policy.pt2"],
-        ["uavnav.layouts", "--n", 5],
-        ["uavnav.report", "runs"],
-        ["uavnav"],
-        ["uavnav", "runs"],
+        ["evaluate", "runs/ppo", "random", *small],
+        ["render", "runs/ppo", "reactive", "--steps", 20, "--out", "flight.gif"],
+        ["verify", "runs/ppo", "--frames", 2048],
+        ["export", "runs/ppo", "--out", "policy.pt2"],
+        ["layouts", "--n", 5],
+        ["report", "runs"],
+        ["--help"],
+        ["runs"],
     ]
     if importlib.util.find_spec("onnxscript"):
-        commands.append(["uavnav.export", "runs/ppo", "--out", "policy.onnx"])
+        commands.append(["export", "runs/ppo", "--out", "policy.onnx"])
     if importlib.util.find_spec("av"):
-        commands.append(["uavnav.render", "runs/ppo", "--steps", 20, "--out", "flight.mp4"])
+        commands.append(["render", "runs/ppo", "--steps", 20, "--out", "flight.mp4"])
     if importlib.util.find_spec("pygame"):
-        commands.append(["uavnav.play", "runs/ppo"])
-    words = [[str(word) for word in command] for command in [*recipes, *(["-m", *command] for command in commands)]]
+        commands.append(["play", "runs/ppo"])
+    words = [
+        [str(word) for word in command] for command in [*recipes, *(["-m", "uavnav", *command] for command in commands)]
+    ]
     screen = {"SDL_VIDEODRIVER": "dummy", "MPLBACKEND": "agg"}
     result = python("-c", ONE_BY_ONE, Path(__file__).parent, json.dumps(words), cwd=tmp_path, **screen)
     assert (result.returncode, result.stderr) == (0, "")

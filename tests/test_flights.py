@@ -6,10 +6,10 @@ import pandas as pd
 import pytest
 import torch
 
-from uavnav import evaluate, flights
-from uavnav.evaluate import evaluate_policy, on
-from uavnav.networks import mlp
-from uavnav.policies import Policy
+from uavnav import evaluation
+from uavnav.algorithms.networks import mlp
+from uavnav.evaluation import evaluate_policy, flights, on
+from uavnav.runs.policies import Policy
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.simulator import EMPTY, make_task
@@ -155,10 +155,10 @@ def test_compiled_flights_give_the_rows_of_eager_ones(monkeypatch, compiled_step
     """Scripted policies, which do not depend on the last bit of what they see; flights end at many different steps."""
     population = {0: BASELINES["random"], 1: BASELINES["reactive"], 2: BASELINES["straight"]}
     task = on(make_task(EMPTY), episodes=40, max_steps=300)
-    compiled = evaluate.fly(population, task)
+    compiled = evaluation.fly(population, task)
     assert len(compiled_steps) == 300 - 5 + 1
     monkeypatch.setattr(machine, "FLIGHTS_PAY_FROM", 301)
-    eager = evaluate.fly(population, task)
+    eager = evaluation.fly(population, task)
     assert len(compiled_steps) == 300 - 5 + 1
     assert compiled.episodes.steps.nunique() > 20
     pd.testing.assert_frame_equal(compiled.episodes, eager.episodes)
@@ -169,7 +169,7 @@ def test_many_flights_are_stepped_in_chunks_of_256_and_only_as_many_as_still_fly
     """The graph itself is left out, so that rows are the same to the last bit."""
     population = {seed: untrained(greedy=False, seed=seed) for seed in range(4)}
     task, calls = on(make_task(EMPTY), episodes=200, max_steps=120), []
-    eager = evaluate.fly(population, task)
+    eager = evaluation.fly(population, task)
 
     def graph(function):
         def counted(action, *rest):
@@ -182,7 +182,7 @@ def test_many_flights_are_stepped_in_chunks_of_256_and_only_as_many_as_still_fly
     monkeypatch.setattr(machine, "flights", lambda max_steps: True)
     monkeypatch.setattr(flights.graph, "Graph", graph)
     flights._graph.cache_clear()
-    chunked = evaluate.fly(population, task)
+    chunked = evaluation.fly(population, task)
     flights._graph.cache_clear()
     up = [int((eager.episodes.steps > step).sum()) for step in range(int(eager.episodes.steps.max()))]
     assert {*calls} == {256}

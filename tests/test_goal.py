@@ -16,15 +16,15 @@ from hypothesis import strategies as st
 from safetensors import safe_open
 
 import uavnav
-from uavnav import evaluate
+from uavnav import evaluation
 from uavnav.algorithms import c51, dqn, ppo, sac
-from uavnav.help.choices import ConfigError
+from uavnav.cli import train
+from uavnav.errors import ConfigError
 from uavnav.runs import metrics
 from uavnav.tasks import goal, layouts
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.simulator import make_task
-from uavnav.train import __main__ as train
 
 
 @pytest.fixture(scope="module")
@@ -265,10 +265,10 @@ def test_a_run_trains_and_is_evaluated_with_four_metrics_more(tmp_path, bank):
     with safe_open(run.path / "policy.safetensors", framework="pt") as file:
         header = json.loads(file.metadata()["uavnav"])
     assert (header["task"], header["reward"], header["max_steps"]) == ("goal", "goal", 1000)
-    rows = evaluate.evaluate_run(run, episodes=3, quiet=True)
+    rows = evaluation.evaluate_run(run, episodes=3, quiet=True)
     assert (run.path / "evaluation-test-3-1000.parquet").exists()
     assert rows["steps"].max() <= 1000
-    assert evaluate.usual_files(run)[0] == "evaluation-test-200-1000.parquet"  # if it is there, `train` adds none
+    assert evaluation.usual_files(run)[0] == "evaluation-test-200-1000.parquet"  # if it is there, `train` adds none
     for name, cap in (("evaluation.parquet", 10_000), ("evaluation-test-200-1000.parquet", 1000)):  # of both versions
         rows.attrs["max_steps"] = cap
         rows.to_parquet(run.path / name)
@@ -287,7 +287,7 @@ def test_success_collision_and_time_out_add_up_and_spl_weighs_success_by_the_way
 
 
 def test_the_reactive_rule_reaches_at_least_60_percent_of_60_goals(bank):
-    rows = evaluate.fly({0: BASELINES["reactive"]}, make_task(bank[:60], task="goal", max_steps=300)).episodes
+    rows = evaluation.fly({0: BASELINES["reactive"]}, make_task(bank[:60], task="goal", max_steps=300)).episodes
     assert rows["succeeded"].mean() > 0.6
     assert (rows["distance"][rows["succeeded"] == 1] + 9 >= rows["shortest"][rows["succeeded"] == 1] * 0.98).all()
 

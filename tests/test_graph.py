@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from uavnav import graph
+from uavnav.algorithms.acting import ACTS, Actor
+from uavnav.algorithms.networks import mlp
+from uavnav.errors import ConfigError
 from uavnav.graph import Graph
-from uavnav.help.choices import ConfigError
-from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
-from uavnav.training.sampling import ACTS, Actor
 
 COMMAND = """
 import os

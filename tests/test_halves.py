@@ -5,7 +5,7 @@ import os
 import pytest
 
 from uavnav import ppo
-from uavnav.evaluate import evaluate_run
+from uavnav.evaluation import evaluate_run
 from uavnav.tasks.faults import Faults
 from uavnav.training import machine
 

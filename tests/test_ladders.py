@@ -11,7 +11,7 @@ import torch
 from test_sensing import agree_with_the_oracle, random_poses
 
 import uavnav
-from uavnav import evaluate
+from uavnav import evaluation
 from uavnav.runs import metrics
 from uavnav.tasks import circles, layouts, slalom
 from uavnav.tasks.baselines import BASELINES, straight_ahead
@@ -118,8 +118,8 @@ def test_a_flight_across_a_column_and_back_has_two_passages():
 
 
 def test_an_evaluation_on_a_slalom_has_a_column_of_passages_and_two_metrics_of_it():
-    task = evaluate.on(make_task(EMPTY), "slalom-160/test", 6, 40)
-    rows = evaluate.fly({0: BASELINES["random"], 1: straight_ahead}, task, measure=slalom.passages).episodes
+    task = evaluation.on(make_task(EMPTY), "slalom-160/test", 6, 40)
+    rows = evaluation.fly({0: BASELINES["random"], 1: straight_ahead}, task, measure=slalom.passages).episodes
     assert rows.groupby("seed")["passages"].sum()[1] == 0  # up, between two columns
     own = metrics.own(rows)
     assert list(own.columns) == ["passages_per_1000_steps", "passages_per_flight"]

@@ -8,7 +8,7 @@ from safetensors.torch import save_file
 from scipy import stats
 
 import uavnav
-from uavnav.commands.layouts import main as write_banks
+from uavnav.cli.layouts import main as write_banks
 from uavnav.tasks import circles, goal, layouts
 from uavnav.tasks.goal import GoalWorld
 from uavnav.tasks.moving import MovingWorld

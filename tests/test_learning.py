@@ -5,7 +5,7 @@ import pytest
 
 import uavnav
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
-from uavnav.evaluate import evaluate_policy
+from uavnav.evaluation import evaluate_policy
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 
 EPISODES = 100

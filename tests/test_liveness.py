@@ -19,11 +19,10 @@ from uavnav.studies import Cell, run
 from uavnav.studies.engines import logged
 from uavnav.studies.engines.local import Local
 from uavnav.studies.run import Study
-from uavnav.train import share
-from uavnav.train.verify import _parting as parting
-from uavnav.training import heartbeat, shares
+from uavnav.training import heartbeat, worker, workers
 from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.loop import train
+from uavnav.training.verify import _parting as parting
 
 CONFIG = PPOConfig(
     n_seeds=2, total_frames=2_048, frames_per_batch=256, minibatch_size=64, epochs=1, hidden=(8,), compile="off"
@@ -296,14 +295,14 @@ def test_the_process_of_an_evaluation_writes_its_status(tmp_path, warm):
 def test_the_heart_of_a_share_beats_while_it_flies(tmp_path, monkeypatch):
     """Evaluations outlast the silence that a study bears."""
     seen = []
-    monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
-    monkeypatch.setattr(share, "evaluate_run", lambda run, **how: seen.append(progress(run.path)))
+    monkeypatch.setattr(worker.os, "dup2", lambda *streams: None)
+    monkeypatch.setattr(worker, "evaluate_run", lambda run, **how: seen.append(progress(run.path)))
     monkeypatch.chdir(tmp_path)
-    folder = shares.take(tmp_path / "seeds-0-1")
+    folder = workers.take(tmp_path / "seeds-0-1")
     job = tmp_path / "seeds-0-1.1.job"
-    told = shares.described(folder, CONFIG, 60.0) | {"evaluation": FLOWN, "folder": str(tmp_path)}
+    told = workers.described(folder, CONFIG, 60.0) | {"evaluation": FLOWN, "folder": str(tmp_path)}
     job.write_text(json.dumps(told))
-    share.main([str(job)])
+    worker.main([str(job)])
     assert json.loads(job.with_suffix(".ended").read_text()) == {"finished": CONFIG.frames}
     (told,) = seen
     assert (told["frames"], told["total"]) == (CONFIG.frames, CONFIG.frames)
@@ -315,13 +314,13 @@ def test_a_share_whose_flights_fail_says_why(problem, tmp_path, monkeypatch):
     def fail(run, **how):
         raise problem
 
-    monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
-    monkeypatch.setattr(share, "evaluate_run", fail)
+    monkeypatch.setattr(worker.os, "dup2", lambda *streams: None)
+    monkeypatch.setattr(worker, "evaluate_run", fail)
     monkeypatch.chdir(tmp_path)
-    folder = shares.take(tmp_path / "seeds-0-1")
+    folder = workers.take(tmp_path / "seeds-0-1")
     job = tmp_path / "seeds-0-1.1.job"
-    job.write_text(json.dumps(shares.described(folder, CONFIG, 60.0) | {"evaluation": FLOWN, "folder": str(tmp_path)}))
-    share.main([str(job)])
+    job.write_text(json.dumps(workers.described(folder, CONFIG, 60.0) | {"evaluation": FLOWN, "folder": str(tmp_path)}))
+    worker.main([str(job)])
     assert json.loads(job.with_suffix(".ended").read_text()) == {"error": str(problem), "diverged": False}
 
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import uavnav
-from uavnav import DroneEnv, evaluate, load_policy
+from uavnav import DroneEnv, evaluation, load_policy
 from uavnav.algorithms import ppo
-from uavnav.commands.layouts import main as write_banks
+from uavnav.cli.layouts import main as write_banks
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
 from uavnav.tasks import circles, layouts, moving
 from uavnav.tasks.baselines import BASELINES, dodge, suited
@@ -272,7 +272,7 @@ def test_obstacles_that_move_are_never_counted_as_going_round(tmp_path):
     config = ppo.PPOConfig(task="moving", total_frames=64, n_worlds=1, frames_per_batch=64, hidden=(8,), epochs=1)
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     policy = load_policy(run.path)
-    assert not evaluate._repeatable(policy, policy.task)
+    assert not evaluation._repeatable(policy, policy.task)
 
 
 def test_among_moving_obstacles_the_reactive_rule_dodges_and_lives_500_steps_of_2000_and_half_as_long_again(bank):
@@ -282,7 +282,7 @@ def test_among_moving_obstacles_the_reactive_rule_dodges_and_lives_500_steps_of_
     assert rule.func is dodge
     assert suited(BASELINES["reactive"], make_task("test")).func is BASELINES["reactive"]
     assert suited(BASELINES["random"], task) is BASELINES["random"]
-    steps = [evaluate.fly({0: policy}, task).episodes["steps"].mean() for policy in (rule, BASELINES["reactive"])]
+    steps = [evaluation.fly({0: policy}, task).episodes["steps"].mean() for policy in (rule, BASELINES["reactive"])]
     assert steps[0] > max(500, 1.5 * steps[1])
 
 
@@ -308,4 +308,4 @@ def test_with_velocities_and_a_stack_the_rule_sees_the_newest_observation_alone(
 @pytest.mark.parametrize("fields", [{}, SENSED])
 def test_the_scripted_policies_fly_with_and_without_sensed_velocities(name, fields):
     task = make_task("test", fields, max_steps=5, task="moving").with_bank(layouts.load("test", MovingWorld())[:3])
-    assert len(evaluate.fly({0: BASELINES[name]}, task).episodes) == 3
+    assert len(evaluation.fly({0: BASELINES[name]}, task).episodes) == 3

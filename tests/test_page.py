@@ -27,7 +27,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
 from uavnav.algorithms import dqn, ppo
-from uavnav.evaluate import evaluate_run
+from uavnav.evaluation import evaluate_run
 from uavnav.report import report
 from uavnav.report.claims import CLAIMS
 from uavnav.report.page import SECTIONS

@@ -11,7 +11,8 @@ import yaml
 from pages import ALL, CONFIGS, MINE, PAGES, ROOT, blocks, code, table
 
 import uavnav
-from uavnav import help, runs
+from uavnav import runs
+from uavnav.cli import help
 from uavnav.runs import metrics
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import SPLITS

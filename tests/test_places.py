@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 import torch
 
-from uavnav.evaluate import fly, on
+from uavnav.evaluation import fly, on
 from uavnav.report.behaviour import BEFORE_CRASH, COLUMNS, by_layout, early, measures, of_steps, retrace
 from uavnav.report.claims import ACTIVATIONS, ALGORITHMS, CLAIMS
 from uavnav.report.studies import Rows, Studies

@@ -15,13 +15,14 @@ from playing import EMPTY, REACTIVE, STRAIGHT, click, drag, fly, new, opened, pl
 
 import uavnav
 from uavnav.algorithms import ALGORITHMS
-from uavnav.commands.keys import ALIASES, KEYS, MOUSE, ROWS
+from uavnav.cli import play
+from uavnav.cli.keys import ALIASES, KEYS, MOUSE, ROWS
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead
 from uavnav.views import render
 from uavnav.views.window import game as rules
-from uavnav.views.window import hud, keys, play
+from uavnav.views.window import hud, keys
 from uavnav.views.window.game import PACES
 
 NAMES = [name for key in KEYS for name in key.names]

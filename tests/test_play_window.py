@@ -8,13 +8,13 @@ import pytest
 from playing import STRAIGHT, WORLD, fly, new, opened, press, pygame, trained
 
 from uavnav.algorithms import ALGORITHMS, ppo
+from uavnav.cli import play, train
 from uavnav.envs import drawing
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.tasks import layouts
-from uavnav.train import __main__ as train
 from uavnav.views import render
 from uavnav.views.window import game as rules
-from uavnav.views.window import hud, mouse, play
+from uavnav.views.window import hud, mouse
 
 SIZES = [hud.DESIGN, (760, 900), (1920, 1080), (640, 480), play.SMALLEST]
 

@@ -9,7 +9,8 @@ import torch
 from browsing import RESULTS, ask
 
 from uavnav import load_policy
-from uavnav.networks import ACTIVATIONS, KNOWN
+from uavnav.algorithms.acting import HEADS, values_of
+from uavnav.algorithms.networks import ACTIVATIONS, KNOWN
 from uavnav.runs import paper
 from uavnav.runs.metrics import per_episode
 from uavnav.tasks import layouts
@@ -19,7 +20,6 @@ from uavnav.tasks.sensing import sense
 from uavnav.tasks.simulator import make_task
 from uavnav.tasks.state import COUNTS
 from uavnav.tasks.world import World
-from uavnav.training.sampling import HEADS, values_of
 
 pytestmark = pytest.mark.slow
 

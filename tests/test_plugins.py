@@ -19,14 +19,15 @@ from safetensors.torch import load_file, save_file
 import uavnav
 from uavnav import ConfigError, PolicyError, Run, load_policy, plugins
 from uavnav.algorithms import ALGORITHMS, ppo
-from uavnav.evaluate.__main__ import main as fly_command
-from uavnav.policies import export
+from uavnav.cli import play
+from uavnav.cli.evaluate import main as fly_command
+from uavnav.cli.export import main as export_command
+from uavnav.cli.render import main as render_command
+from uavnav.cli.train import main as train_command
+from uavnav.cli.verify import main as verify_command
 from uavnav.runs import POLICY
 from uavnav.tasks import simulator
-from uavnav.train import share, verify
-from uavnav.train.__main__ import main as train_command
-from uavnav.views import render
-from uavnav.views.window import play
+from uavnav.training import worker
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 
@@ -118,7 +119,7 @@ def test_a_recipe_with_a_plugin_trains_compiled_in_two_processes(folder):
 
 
 def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monkeypatch):
-    monkeypatch.setitem(uavnav.networks.ACTIVATIONS, "cubed", lambda x: x**3)
+    monkeypatch.setitem(uavnav.algorithms.networks.ACTIVATIONS, "cubed", lambda x: x**3)
     config = ppo.PPOConfig(activation="cubed", **SHORT)
     with pytest.raises(ConfigError, match="processes=2: activation=cubed is known to this process alone"):
         ppo.train(config, out=tmp_path / "run", quiet=True, processes=2)
@@ -151,9 +152,9 @@ def test_the_command_that_goes_on_with_a_run_says_which_plugin_it_needs(words, l
 
 COMMANDS = {
     "evaluate": (fly_command, ["RUN", "--episodes", "3", "--max-steps", "20"]),
-    "verify": (verify.main, ["RUN", "--frames", "512"]),
-    "render": (render.main, ["RUN", "--steps", "5", "--out", "flight.png"]),
-    "export": (export.main, ["RUN", "--out", "policy.pt2"]),
+    "verify": (verify_command, ["RUN", "--frames", "512"]),
+    "render": (render_command, ["RUN", "--steps", "5", "--out", "flight.png"]),
+    "export": (export_command, ["RUN", "--out", "policy.pt2"]),
     "play": (play.main, ["RUN"]),
 }
 
@@ -186,7 +187,9 @@ def test_the_help_of_each_command_has_the_flag(command, capsys):
 def test_with_the_flag_each_command_works(folder, run, tmp_path):
     shutil.copy(folder / "my_study.py", tmp_path)
     own = shutil.copytree(run.path, tmp_path / "own")
-    said = python(tmp_path, "-m", "uavnav.evaluate", own, "--episodes", 3, "--max-steps", 20, "--plugins", "my_study")
+    said = python(
+        tmp_path, "-m", "uavnav", "evaluate", own, "--episodes", 3, "--max-steps", 20, "--plugins", "my_study"
+    )
     assert "reinforce hardswish on 3 test sets" in said
     assert len(Run(own).evaluation()) == 2 * 2 * 3
     lines = ["from uavnav.__main__ import main"]
@@ -241,12 +244,12 @@ def test_files_of_a_run_that_name_a_plugin_have_it_never_imported(bomb, capsys):
 
 
 def test_the_file_of_a_studys_job_has_nothing_imported_either(bomb, monkeypatch):
-    monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
+    monkeypatch.setattr(worker.os, "dup2", lambda *streams: None)
     told = {"algorithm": "bomb", "kind": ["bomb", "Config"], "plugins": ["bomb"], "config": {}, "evaluation": None}
     told |= {"how": {}, "threads": 1}
     job = bomb.with_name("seeds.job")
     job.write_text(json.dumps(told | {"out": str(bomb), "folder": str(bomb.parent)}))
-    share.main([str(job)])
+    worker.main([str(job)])
     assert json.loads(job.with_suffix(".ended").read_text())["error"].startswith("algorithm=bomb; choose from a2c, c51")
 
 
@@ -309,10 +312,10 @@ def test_a_plugin_that_gives_the_algorithm_of_another_plugin_to_another_module_i
 def test_a_plugin_that_gives_a_known_name_another_meaning_is_refused_and_the_name_keeps_its_own(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "takes_relu.py").write_text("from uavnav import networks\nnetworks.ACTIVATIONS['relu'] = abs\n")
-    own = uavnav.networks.ACTIVATIONS["relu"]
+    own = uavnav.algorithms.networks.ACTIVATIONS["relu"]
     with pytest.raises(ConfigError, match=r"^plugins=takes_relu: activation=relu is there already; give yours another"):
         plugins.load("takes_relu")
-    assert uavnav.networks.ACTIVATIONS["relu"] is own
+    assert uavnav.algorithms.networks.ACTIVATIONS["relu"] is own
     assert "takes_relu" not in plugins.LOADED
 
 
@@ -353,7 +356,7 @@ def test_a_policy_that_could_not_be_read_again_is_refused_before_training(where,
     monkeypatch.setattr(Other, "where", where)
     monkeypatch.setattr(Other, "what", staticmethod(what))
     monkeypatch.setattr(ppo.PPOConfig, "make", lambda config, compile: Other(config, compile))
-    line = "^algorithm=ppo: networks.. must give policy, made by uavnav.networks.mlp"
+    line = "^algorithm=ppo: networks.. must give policy, made by uavnav.algorithms.networks.mlp"
     with pytest.raises(ConfigError, match=line + says):
         ppo.train(ppo.PPOConfig(**SHORT), out=tmp_path / "run", quiet=True)
     assert not (tmp_path / "run").exists()
@@ -401,14 +404,14 @@ def test_a_module_is_imported_once_and_what_it_adds_is_known_to_all_processes(tm
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(plugins, "LOADED", {})
     for table in ("ACTIVATIONS", "KNOWN"):
-        monkeypatch.setattr(uavnav.networks, table, dict(getattr(uavnav.networks, table)))
-    tables = {"activation": (uavnav.networks.ACTIVATIONS, uavnav.networks.KNOWN)}
+        monkeypatch.setattr(uavnav.algorithms.networks, table, dict(getattr(uavnav.algorithms.networks, table)))
+    tables = {"activation": (uavnav.algorithms.networks.ACTIVATIONS, uavnav.algorithms.networks.KNOWN)}
     monkeypatch.setattr(plugins, "TABLES", tables)
     code = "from uavnav import networks\nnetworks.ACTIVATIONS['twice'] = lambda x: 2 * x\nprint('imported')\n"
     (tmp_path / "adds_one.py").write_text(code)
     plugins.load("adds_one")
     plugins.load(["adds_one", "adds_one"])
     assert {"adds_one": hashlib.sha256(code.encode()).hexdigest()} == plugins.LOADED
-    assert uavnav.networks.KNOWN["twice"] is uavnav.networks.ACTIVATIONS["twice"]
+    assert uavnav.algorithms.networks.KNOWN["twice"] is uavnav.algorithms.networks.ACTIVATIONS["twice"]
     assert " give --plugins other,more (" in plugins.missing(["adds_one", "other", "more"])
     assert plugins.missing({"adds_one": ""}) == ""

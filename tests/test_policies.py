@@ -10,8 +10,8 @@ from safetensors.torch import load_file, save_file
 
 import uavnav
 from uavnav.algorithms import dqn, ppo
-from uavnav.policies import PolicyError
 from uavnav.runs import POLICY
+from uavnav.runs.policies import PolicyError
 from uavnav.tasks import layouts
 from uavnav.training.weights import serialize
 from uavnav.views import render

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from uavnav import PolicyError, commands, load_policy
+from uavnav import PolicyError, load_policy
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
+from uavnav.cli import commands
 from uavnav.runs import Run
 from uavnav.runs.metrics import per_seed
 
@@ -91,7 +92,7 @@ def test_a_finished_run_says_so_in_one_line_and_exits_0(recipe):
 
 
 def test_after_training_it_says_what_to_do_next_with_the_very_commands(recipe, monkeypatch):
-    monkeypatch.setattr("uavnav.train.__main__.find_spec", lambda name: None)  # no pygame
+    monkeypatch.setattr("uavnav.cli.train.find_spec", lambda name: None)  # no pygame
     _, out, _ = recipe("ppo", "out=runs/my own", *SHORT["ppo"])
     last = ["watch it:    uavnav render 'runs/my own'", "compare it:  uavnav report runs --out report"]
     assert out.splitlines()[-2:] == last
@@ -136,7 +137,7 @@ from dataclasses import dataclass
 import torch
 
 from uavnav.algorithms import ALGORITHMS, Algorithm, a2c
-from uavnav.networks import ACTIVATIONS
+from uavnav.algorithms.networks import ACTIVATIONS
 from uavnav.tasks.rewards import REWARDS
 from uavnav.training.loop import train
 

@@ -12,9 +12,10 @@ from PIL import Image, ImageDraw
 
 import uavnav
 from uavnav.algorithms import ppo
+from uavnav.cli.render import main as render_command
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
-from uavnav.flights import start
+from uavnav.evaluation.flights import start
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import EMPTY, make_task
@@ -201,7 +202,7 @@ def run(tmp_path_factory):
 def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third_step(run, tmp_path, capsys):
     path = tmp_path / "flight.gif"
     words = [str(run.path), "reactive", "--steps", "30", "--every", "3", "--out", str(path)]
-    assert render.main(words) == 0
+    assert render_command(words) == 0
     first, second, last = capsys.readouterr().out.splitlines()
     assert first.startswith(f"{run.path.parent.name}/run, sampled: ")
     assert second.startswith("reactive: 30 steps, ")
@@ -225,7 +226,7 @@ def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run, gree
 
 def test_with_faults_the_rule_flies_the_60_steps_that_an_evaluation_with_them_has_and_they_are_told(tmp_path, capsys):
     words = ["reactive", "--layout", "3", "--steps", "60", "--faults", "noise=20,sticky=0.5"]
-    assert render.main([*words, "--out", str(tmp_path / "a.png")]) == 0
+    assert render_command([*words, "--out", str(tmp_path / "a.png")]) == 0
     faults = Faults(noise=20, sticky=0.5)
     row, plain = (
         uavnav.evaluate_policy(BASELINES["reactive"], max_steps=60, faults=one).iloc[3] for one in (faults, None)
@@ -268,7 +269,7 @@ def test_the_caption_and_the_printed_line_say_greedy_or_sampled_and_sampled_is_t
 
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
     command = [str(run.path), "straight", *words, "--steps", "2", "--out", str(tmp_path / "flight.png")]
-    assert render.main(command) == 0
+    assert render_command(command) == 0
     name = f"{run.path.parent.name}/run"
     first, second, _ = capsys.readouterr().out.splitlines()
     assert first.startswith(f"{name}, {mode}: 2 steps, ")
@@ -305,7 +306,7 @@ def test_the_caption_and_the_printed_line_say_greedy_or_sampled_and_sampled_is_t
 def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(render, "fly", None)  # nobody flies
-    assert render.main([str(run.path) if word == "RUN" else word for word in arguments]) == 2
+    assert render_command([str(run.path) if word == "RUN" else word for word in arguments]) == 2
     printed, err = capsys.readouterr()
     assert message in err
     assert (printed, err.count("\n")) == ("", 1)
@@ -313,5 +314,5 @@ def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, 
 
 
 def test_a_run_that_is_spelt_wrongly_is_the_nearest_folder_beside_it(run, capsys):
-    assert render.main([str(run.path.parent / "rum")]) == 2
+    assert render_command([str(run.path.parent / "rum")]) == 2
     assert f"give the folder of a finished run (did you mean {run.path}?)\n" in capsys.readouterr().err

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from torch import nn
 
 import uavnav
-from uavnav import evaluate, flights
-from uavnav.evaluate import WATCHED_STEPS, evaluate_policy, on
-from uavnav.flights.repeats import counted
-from uavnav.networks import mlp
-from uavnav.policies import Policy, load_policy
+from uavnav import evaluation
+from uavnav.algorithms.networks import mlp
+from uavnav.evaluation import WATCHED_STEPS, evaluate_policy, flights, on
+from uavnav.evaluation.repeats import counted
+from uavnav.runs.policies import Policy, load_policy
 from uavnav.tasks import layouts, rewards, simulator
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import COUNTS, State
@@ -71,10 +71,10 @@ def flown(monkeypatch):
 
 def both(population, task, monkeypatch):
     """What is left when rounds are counted, and when all is flown."""
-    counted = evaluate.fly(population, task)
+    counted = evaluation.fly(population, task)
     with monkeypatch.context() as patch:
-        patch.setattr(evaluate, "_repeatable", lambda policy, task: False)
-        return counted, evaluate.fly(population, task)
+        patch.setattr(evaluation, "_repeatable", lambda policy, task: False)
+        return counted, evaluation.fly(population, task)
 
 
 def assert_same(first, second):
@@ -144,7 +144,7 @@ def test_trained_policies_that_circle_have_the_rows_of_flying_it_all(monkeypatch
 
 
 def test_all_500_watched_steps_of_ten_sets_are_there():
-    left = evaluate.fly({0: policy_of(Always(50)), 1: policy_of(Always(0))}, on(make_task(EMPTY), "test", 12, 10_000))
+    left = evaluation.fly({0: policy_of(Always(50)), 1: policy_of(Always(0))}, on(make_task(EMPTY), "test", 12, 10_000))
     assert left.behaviour.groupby(["seed", "layout"]).size().tolist() == [WATCHED_STEPS] * 20
     assert WATCHED_STEPS == 500
     assert (left.episodes.steps == 10_000).all()
@@ -170,7 +170,7 @@ def test_who_goes_round_leaves_the_flight_of_those_that_never_do_and_a_script_is
         return torch.zeros(len(observation), dtype=torch.int64)
 
     population = {0: policy_of(Always(0)), 1: policy_of(Always(50)), 2: stands}
-    rows = evaluate.fly(population, task, lambda step, flights: up.append(flights)).episodes
+    rows = evaluation.fly(population, task, lambda step, flights: up.append(flights)).episodes
     assert (len(up), up[499], up[700:]) == (1_300, 9, [3] * 599 + [0])
     assert (rows.steps == 1_300).all()
     assert_same(*both(population, task, monkeypatch))
@@ -182,10 +182,10 @@ def test_two_modes_at_once_leave_what_each_leaves_alone():
         "greedy": {0: untrained(), 1: policy_of(Always(50))},
         "sampled": {seed: dataclasses.replace(untrained(seed), greedy=False) for seed in (0, 1)},
     }
-    together = evaluate.fly_crews(crews, task)
+    together = evaluation.fly_crews(crews, task)
     assert [*together] == ["greedy", "sampled"]
     for mode, crew in crews.items():
-        assert_same(together[mode], evaluate.fly(crew, task))
+        assert_same(together[mode], evaluation.fly(crew, task))
     assert together["greedy"].episodes.truncated.sum() == 21
 
 
@@ -213,7 +213,7 @@ def test_in_a_task_in_which_something_moves_it_is_flown(flown, monkeypatch):
 
     monkeypatch.setitem(simulator.TASKS, "wind", Wind)
     task = on(make_task(EMPTY, task="wind"), OPEN, 2, 2_000)
-    rows = evaluate.fly({0: policy_of(Always(0))}, task).episodes
+    rows = evaluation.fly({0: policy_of(Always(0))}, task).episodes
     assert len(flown) == 1_500
     assert (rows.steps == 1_500).all()  # 300 + 5 x 60 px: beyond the wall's 250
     assert rows.terminated.all()

@@ -11,15 +11,15 @@ import torch
 import yaml
 from runs_by_hand import policy_bytes
 
+from uavnav.algorithms.networks import mlp
 from uavnav.envs import scalar
-from uavnav.evaluate import EPISODES
-from uavnav.networks import mlp
-from uavnav.policies import load_policy
+from uavnav.evaluation import EPISODES
 from uavnav.report import replays, studies
 from uavnav.report.cells import collect
 from uavnav.report.replays import paths, record, together
 from uavnav.runs import POLICY
 from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.policies import load_policy
 from uavnav.tasks import layouts, space
 from uavnav.tasks.sensing import sense
 from uavnav.tasks.simulator import Goal, make_task

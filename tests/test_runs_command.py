@@ -9,8 +9,8 @@ import yaml
 
 from uavnav.__main__ import main
 from uavnav.algorithms.ppo import PPOConfig
-from uavnav.commands.runs import row, span
-from uavnav.evaluate import EPISODES, files_of
+from uavnav.cli.runs import row, span
+from uavnav.evaluation import EPISODES, files_of
 from uavnav.runs import progress as told
 from uavnav.tasks.simulator import TASKS
 from uavnav.training import heartbeat

@@ -11,7 +11,7 @@ from torchrl.objectives import DiscreteSACLoss
 
 from uavnav import graph
 from uavnav.algorithms.sac import PRESETS, SACConfig, following, make_learner, make_loss, make_networks, train
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 

@@ -7,13 +7,13 @@ from tensordict import TensorDict
 from torchrl.data import ReplayBuffer
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.networks import mlp
+from uavnav.algorithms.acting import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical, values_of
+from uavnav.algorithms.networks import mlp
+from uavnav.algorithms.replay import AgentSampler, AgentStorage
 from uavnav.tasks.chance import Chance
 from uavnav.tasks.seeding import Streams, places, stream
 from uavnav.tasks.simulator import make_task
 from uavnav.tasks.world import World
-from uavnav.training.sampler import AgentSampler, AgentStorage
-from uavnav.training.sampling import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical, values_of
 
 
 def test_sampled_actions_follow_the_softmax_of_their_logits():

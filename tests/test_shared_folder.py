@@ -7,7 +7,7 @@ import types
 
 import pytest
 
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 from uavnav.studies import engines
 
 SBATCH = """#!{python}

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import uavnav
-from uavnav.commands.layouts import main as write_banks
+from uavnav.cli.layouts import main as write_banks
 from uavnav.tasks import layouts, moving, space
 from uavnav.tasks.simulator import make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld

@@ -10,10 +10,10 @@ import space_by_hand as by_hand
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from uavnav import DroneEnv, evaluate, load_policy
+from uavnav import DroneEnv, evaluation, load_policy
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.envs import drawing
-from uavnav.flights.repeats import pose_of
+from uavnav.evaluation.repeats import pose_of
 from uavnav.tasks import baselines, space
 from uavnav.tasks.baselines import BASELINES, suited
 from uavnav.tasks.rewards import bounds_of_returns
@@ -48,10 +48,10 @@ def test_a_flight_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_we
     config = ppo.PPOConfig(task="space", total_frames=64, n_worlds=1, frames_per_batch=64, hidden=(8,), epochs=1)
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     greedy = load_policy(run.path, greedy=True)
-    task = evaluate.on(greedy.task, "test", 10, 2000)
-    assert evaluate._repeatable(greedy, task)
-    counted = evaluate.fly({0: greedy}, task).episodes
-    flown = evaluate.fly({0: lambda observation, generator: greedy(observation)}, task).episodes
+    task = evaluation.on(greedy.task, "test", 10, 2000)
+    assert evaluation._repeatable(greedy, task)
+    counted = evaluation.fly({0: greedy}, task).episodes
+    flown = evaluation.fly({0: lambda observation, generator: greedy(observation)}, task).episodes
     assert counted.equals(flown)
 
 
@@ -138,8 +138,8 @@ def test_names_of_scripted_policies_stand_for_rules_of_the_box():
 
 
 def test_among_spheres_that_stand_still_the_reactive_rule_never_collides_and_flies_on():
-    task = evaluate.on(make_task("test", task="space"), "test", 30, 400)
-    rows = evaluate.fly({0: suited(BASELINES["reactive"], task)}, task).episodes
+    task = evaluation.on(make_task("test", task="space"), "test", 30, 400)
+    rows = evaluation.fly({0: suited(BASELINES["reactive"], task)}, task).episodes
     assert rows["truncated"].all()
     assert rows["distance"].mean() > 1000
     assert rows["reward"].tolist() == pytest.approx((0.01 * rows["distance"] - 0.01 * rows["turns"]).tolist())
@@ -147,10 +147,10 @@ def test_among_spheres_that_stand_still_the_reactive_rule_never_collides_and_fli
 
 @pytest.mark.parametrize("fields", [{}, SENSED])
 def test_among_moving_spheres_the_rule_that_dodges_lasts_twice_as_long_as_the_one_for_a_still_box(fields):
-    task = evaluate.on(make_task("test", fields, task="space-moving"), "test", 30, 300)
+    task = evaluation.on(make_task("test", fields, task="space-moving"), "test", 30, 300)
     still = functools.partial(baselines.reactive_in_the_box, world=task.world)
     rules = suited(BASELINES["reactive"], task), still, BASELINES["random"]
-    dodges, stands, random = (evaluate.fly({0: rule}, task).episodes["steps"].mean() for rule in rules)
+    dodges, stands, random = (evaluation.fly({0: rule}, task).episodes["steps"].mean() for rule in rules)
     assert dodges > 1.7 * stands > 1.7 * random
 
 

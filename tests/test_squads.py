@@ -3,11 +3,10 @@
 import pytest
 import torch
 
-from uavnav import flights
-from uavnav.evaluate import on
-from uavnav.flights.squads import Squads
-from uavnav.networks import made_of, mlp, stacked
-from uavnav.policies import Policy
+from uavnav.algorithms.networks import made_of, mlp, stacked
+from uavnav.evaluation import flights, on
+from uavnav.evaluation.squads import Squads
+from uavnav.runs.policies import Policy
 from uavnav.tasks.baselines import reactive
 from uavnav.tasks.simulator import EMPTY, make_task
 

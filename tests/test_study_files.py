@@ -12,11 +12,11 @@ from spoiling import a_folder, a_pipe, endless, itself, large, put
 
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS, ppo
-from uavnav.help.choices import ConfigError
+from uavnav.cli.study import main, parse, scripted, status
+from uavnav.errors import ConfigError
 from uavnav.runs import progress, read_settings, run_folders
 from uavnav.studies import search
 from uavnav.studies.run import evaluated, unflown
-from uavnav.studies.study import main, parse, scripted, status
 from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
 

@@ -12,7 +12,7 @@ import uavnav
 
 ROOT = Path(uavnav.__file__).parent.parent
 COMMANDS = {
-    "evaluate": ["-m", "uavnav.evaluate", "random"],
+    "evaluate": ["-m", "uavnav", "evaluate", "random"],
     "ppo": [ROOT / "recipes" / "ppo.py", "total_frames=1e7", "compile=off", "out=run"],
 }
 
@@ -55,7 +55,7 @@ def test_a_training_run_that_nobody_reads_goes_on_and_is_finished(tmp_path):
 
 UNREAD = f"""'
 import runpy
-runpy.run_path("{ROOT}/uavnav/help/terminal.py")["end_quietly"]("mine")
+runpy.run_path("{ROOT}/uavnav/cli/terminal.py")["end_quietly"]("mine")
 import multiprocessing
 lock = multiprocessing.get_context("spawn").Lock()
 while True:
@@ -65,7 +65,7 @@ while True:
 
 
 @pytest.mark.parametrize(
-    "command", ["-m uavnav", "-m uavnav.evaluate reactive --episodes 2 --max-steps 50", f"-c {UNREAD}"]
+    "command", ["-m uavnav", "-m uavnav evaluate reactive --episodes 2 --max-steps 50", f"-c {UNREAD}"]
 )
 def test_a_command_that_nobody_reads_ends_with_141_as_by_sigpipe_and_leaves_no_word(command, tmp_path):
     line = f"{sys.executable} {command} | true; exit ${{PIPESTATUS[0]}}"
@@ -77,7 +77,7 @@ def test_a_command_that_nobody_reads_ends_with_141_as_by_sigpipe_and_leaves_no_w
     ("command", "first"),
     [
         ("-m uavnav", f"uavnav {uavnav.__version__}: "),
-        ("-m uavnav.evaluate reactive --episodes 2 --max-steps 50", ""),
+        ("-m uavnav evaluate reactive --episodes 2 --max-steps 50", ""),
         ("-m uavnav evaluate --help", "usage: uavnav evaluate "),
     ],
 )

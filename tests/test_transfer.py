@@ -11,8 +11,8 @@ from test_replays import write_run
 import uavnav
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
-from uavnav.evaluate import transfer
-from uavnav.evaluate.across import flyer
+from uavnav.evaluation import transfer
+from uavnav.evaluation.across import flyer
 from uavnav.runs import Run
 from uavnav.tasks.baselines import reactive
 from uavnav.tasks.moving import MovingWorld

@@ -13,14 +13,15 @@ import pandas as pd
 import pytest
 
 from uavnav import studies
-from uavnav.help.choices import ConfigError
-from uavnav.policies import Diverged, PolicyError
+from uavnav.cli import study
+from uavnav.cli.study import main
+from uavnav.errors import ConfigError
 from uavnav.report.tables import markdown
 from uavnav.runs import trials
+from uavnav.runs.policies import Diverged, PolicyError
 from uavnav.runs.tables import RunError, lock
-from uavnav.studies import search, study, tuning
-from uavnav.studies.study import main
-from uavnav.train import share
+from uavnav.studies import search, tuning
+from uavnav.training import worker
 
 optuna = pytest.importorskip("optuna")
 
@@ -123,14 +124,14 @@ def test_a_share_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_o
         raise error("policy.0.weight of seed 3")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(share.os, "dup2", lambda *streams: None)
-    monkeypatch.setattr(share, "_train", lambda *given: {"finished": 64})
-    monkeypatch.setattr(share, "Run", lambda out: out)
-    monkeypatch.setattr(share, "evaluate_run", flown)
+    monkeypatch.setattr(worker.os, "dup2", lambda *streams: None)
+    monkeypatch.setattr(worker, "_train", lambda *given: {"finished": 64})
+    monkeypatch.setattr(worker, "Run", lambda out: out)
+    monkeypatch.setattr(worker, "evaluate_run", flown)
     job = tmp_path / "seeds.job"
     said = {"out": str(tmp_path), "folder": str(tmp_path), "evaluation": {"episodes": 1}}
     job.write_text(json.dumps(said | {"algorithm": "ppo", "config": {}, "how": {}, "threads": 1}))
-    share.unheard(job)
+    worker.unheard(job)
     said = json.loads((tmp_path / "seeds.ended").read_text())
     assert said == {"error": "policy.0.weight of seed 3", "diverged": diverged}
 
@@ -141,7 +142,7 @@ def test_a_damaged_job_of_a_share_is_answered_in_one_line(said, tmp_path):
     if said is not None:
         job.write_text(said)
     with pytest.raises(SystemExit, match=r"seeds\.job: missing or damaged; give the study's command again, "):
-        share.unheard(job)
+        worker.unheard(job)
     assert [*tmp_path.iterdir()] == [job] * (said is not None)
 
 

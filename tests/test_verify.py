@@ -11,8 +11,9 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from uavnav.algorithms import dqn, ppo
+from uavnav.cli.verify import main as verify_command
 from uavnav.runs import POLICY, Run
-from uavnav.train import verify
+from uavnav.training import verify
 from uavnav.training.recorder import Recorder
 
 ALGORITHMS = {
@@ -41,7 +42,7 @@ def verdict(capsys):
     """What the command says of a folder: status and lines."""
 
     def judge(folder, *arguments):
-        status = verify.main([str(folder), *arguments])
+        status = verify_command([str(folder), *arguments])
         out, err = capsys.readouterr()
         assert err == ""
         lines = out.splitlines()
@@ -223,7 +224,7 @@ def test_another_version_alone_leaves_the_same_run_the_same(run, verdict):
 
 @pytest.mark.parametrize("frames", ["0", "-5"])
 def test_a_number_of_frames_below_1_is_refused_with_status_2(trained, capsys, frames):
-    assert verify.main([str(trained.path), "--frames", frames]) == 2
+    assert verify_command([str(trained.path), "--frames", frames]) == 2
     assert capsys.readouterr().err == f"uavnav verify: --frames {frames}: give a number of at least 1\n"
 
 
@@ -239,7 +240,7 @@ def test_an_interrupted_repeat_compares_nothing_and_ends_with_130(tmp_path, monk
         original(self, frames, *parts)
 
     monkeypatch.setattr(Recorder, "checkpoint", interrupt)
-    assert verify.main([str(run.path), *arguments]) == 130
+    assert verify_command([str(run.path), *arguments]) == 130
     out, err = capsys.readouterr()
     assert "same" not in out
     assert err == "uavnav verify: stopped, nothing was compared\n"

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 from runs_by_hand import rows, two, write_run
 
-from uavnav import evaluate
-from uavnav.evaluate import __main__ as command
-from uavnav.evaluate.scripts import SEEDS, Protocol, rows_of_scripts
+from uavnav import evaluation
+from uavnav.cli import evaluate as command
+from uavnav.evaluation.scripts import SEEDS, Protocol, rows_of_scripts
 from uavnav.report import worlds
 from uavnav.report.cells import of_worlds
 from uavnav.report.discussion import ALL, CELLS, NONE, SCATTER, VARIATION, at
@@ -224,7 +224,7 @@ def test_the_command_that_the_line_of_missing_rows_names_writes_them(tmp_path):
 
 
 def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies(tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluate, "fly", None)
+    monkeypatch.setattr(evaluation, "fly", None)
     flights = [rows(seed, (9, 9, 1, 1, 5, 50, 1.0 + seed), (9, 9, 1, 1, 5, 50, 3.0)) for seed in (0, 1)]
     flown = pd.concat(flights, ignore_index=True)
     for task, cap, world in (("drone", 2000, {}), ("goal", 1000, {}), ("drone", 2000, {"sensor_arc": 90})):

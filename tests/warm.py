@@ -25,11 +25,11 @@ ADDRESS = "UAVNAV_WARM"
 """The variable with the server's name, an abstract socket of Linux."""
 PATH = sys.path[1:]
 MODULES = (
-    "uavnav.train.share",
-    "uavnav.evaluate",
+    "uavnav.training.worker",
+    "uavnav.cli.evaluate",
     "uavnav.views.render",
     "uavnav.report",
-    "uavnav.policies.export",
+    "uavnav.runs.export",
     "hydra",
 )
 SERVERS = []

@@ -8,32 +8,29 @@ from __future__ import annotations
 import os
 import sys
 
-from uavnav.help.terminal import end_quietly
+from uavnav.cli.terminal import end_quietly
 
 _folder, _program = os.path.split("".join(sys.argv[:1]))
 if _program in ("-m", "uavnav") or os.path.basename(_folder) == "recipes":
     end_quietly("uavnav")  # a command begins: the imports that follow may be stopped too
 
 import importlib
-import importlib.util
 import warnings
-from importlib.machinery import ModuleSpec, SourceFileLoader
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.help.choices import did_you_mean
+from uavnav.errors import did_you_mean
 
 if TYPE_CHECKING:
-    from uavnav import evaluate, networks, plugins, report, stats
-    from uavnav.algorithms import a2c, c51, dqn, ppo, sac
+    from uavnav import evaluation, plugins, report, stats
+    from uavnav.algorithms import a2c, c51, dqn, networks, ppo, sac
     from uavnav.envs.env import DroneEnv
-    from uavnav.evaluate import evaluate_policy
-    from uavnav.help.choices import ConfigError
-    from uavnav.policies import Policy, PolicyError, load_policy
+    from uavnav.errors import ConfigError
+    from uavnav.evaluation import evaluate_policy
     from uavnav.runs import Run
+    from uavnav.runs.policies import Policy, PolicyError, load_policy
     from uavnav.runs.tables import RunError
     from uavnav.tasks import layouts, rewards, sensing
     from uavnav.tasks.layouts import LayoutError
@@ -42,23 +39,23 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _NAMES = {
-    "ConfigError": "help.choices",
+    "ConfigError": "errors",
     "DroneEnv": "envs.env",
-    "evaluate_policy": "evaluate",
+    "evaluate_policy": "evaluation",
     "LayoutError": "tasks.layouts",
-    "Policy": "policies",
-    "PolicyError": "policies",
-    "load_policy": "policies",
+    "Policy": "runs.policies",
+    "PolicyError": "runs.policies",
+    "load_policy": "runs.policies",
     "Run": "runs",
     "RunError": "runs.tables",
     "World": "tasks.world",
 }
 _ROOMS = {
+    "algorithms": ("acting", "networks", "replay"),
     "envs": ("env", "gym", "sb3", "scalar"),
-    "policies": ("export",),
+    "evaluation": ("flights",),
     "report": ("compare",),
-    "runs": ("metrics", "paper", "readings"),
-    "studies": ("study",),
+    "runs": ("export", "metrics", "paper", "policies", "readings"),
     "tasks": (
         "baselines",
         "dynamics",
@@ -72,28 +69,16 @@ _ROOMS = {
         "space",
         "world",
     ),
-    "train": ("verify",),
-    "training": ("config", "loggers", "sampler"),
+    "training": ("config", "loggers", "verify"),
     "views": ("render",),
     "views.browser": ("playground",),
-    "views.window": ("play",),
 }
-"""Modules that are also known without their folder: `uavnav.layouts` is `uavnav.tasks.layouts`."""
 HOMES = {name: f"uavnav.{room}.{name}" for room, names in _ROOMS.items() for name in names}
 HOMES |= {name: algorithm.module for name, algorithm in ALGORITHMS.items()}
-_MODULES = (
-    "bench",
-    "evaluate",
-    "flights",
-    "networks",
-    "plugins",
-    "policies",
-    "report",
-    "runs",
-    "stats",
-)
+"""Modules that are also known without their folder: `uavnav.layouts` is `uavnav.tasks.layouts`."""
+_MODULES = ("bench", "evaluation", "plugins", "report", "runs", "stats")
 
-_SHOWN = ("evaluate", "layouts", "networks", "plugins", "report", "rewards", "sensing", "stats")
+_SHOWN = ("evaluation", "layouts", "networks", "plugins", "report", "rewards", "sensing", "stats")
 __all__ = sorted({*_NAMES, *ALGORITHMS, *_SHOWN})
 """What most programs need; every other module is found too, by its short name or in its folder."""
 
@@ -110,33 +95,6 @@ for _name, _task in _WORLDS.items():
         vector_entry_point="uavnav.envs.gym:DroneVectorEnv",
         kwargs={"task": _task},
     )
-
-
-class _ShortName(SourceFileLoader):
-    """Finds `uavnav.layouts` in its folder, also for `python -m uavnav.layouts`; it is one module by two names."""
-
-    @classmethod
-    def find_spec(cls, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-        package, _, short = name.rpartition(".")
-        home = importlib.util.find_spec(HOMES[short]) if package == __name__ and short in HOMES else None
-        if home is None:
-            return None
-        command = os.path.join(__path__[0], "commands", f"{short}.py")
-        run = command if os.path.exists(command) else str(home.origin)  # by `python -m`
-        spec = ModuleSpec(name, cls(name, run), origin=home.origin)
-        spec.submodule_search_locations = home.submodule_search_locations  # of a folder, whose `__main__` -m looks for
-        return spec
-
-    def create_module(self, spec: ModuleSpec) -> ModuleType:
-        module = importlib.import_module(HOMES[spec.name.rpartition(".")[2]])
-        self._home = module.__spec__
-        return module
-
-    def exec_module(self, module: ModuleType) -> None:
-        module.__spec__ = self._home
-
-
-sys.meta_path.append(_ShortName)
 
 
 def __getattr__(name: str) -> Any:

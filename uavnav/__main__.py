@@ -6,22 +6,11 @@ import importlib
 import io
 import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
 
 import uavnav
-from uavnav import commands
 from uavnav.algorithms import ALGORITHMS
-from uavnav.help.choices import choose_from
-from uavnav.help.errors import complain, one_line
-
-
-def module_of(command: str) -> str:
-    """Where a command's `main` is: in `commands`, in the module of its name, or in the `__main__` of that folder."""
-    if find_spec(f"uavnav.commands.{command}") is not None:
-        return f"uavnav.commands.{command}"
-    home = uavnav.HOMES.get(command, f"uavnav.{command}")
-    spec = find_spec(home)
-    return f"{home}.__main__" if spec is not None and spec.submodule_search_locations else home
+from uavnav.cli import commands
+from uavnav.errors import choose_from, complain, one_line
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -42,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")  # a path may hold what no terminal shows
     commands.parse(name, words)
     try:
-        status: int = importlib.import_module(module_of(name)).main(words)
+        status: int = importlib.import_module(f"uavnav.cli.{name}").main(words)
     except BrokenPipeError:  # nobody reads on: `terminal` ends it
         raise
     except OSError as error:

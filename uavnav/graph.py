@@ -15,7 +15,7 @@ import torch
 import torch._inductor.config
 from torch import Tensor, fx
 
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 
 try:
     from torch._functorch.compile_utils import fx_graph_cse

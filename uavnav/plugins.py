@@ -16,8 +16,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from uavnav import networks
-from uavnav.help.choices import ConfigError
+from uavnav.algorithms import networks
+from uavnav.errors import ConfigError
 from uavnav.tasks import rewards, simulator
 
 LOADED: dict[str, str] = {}

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 
 
 class Algorithm(NamedTuple):

@@ -19,17 +19,17 @@ from torch import nn
 from torchrl.objectives import A2CLoss
 
 from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms.acting import Actor
+from uavnav.algorithms.networks import Init
 from uavnav.algorithms.ppo import make_actor_critic, make_advantage, make_networks
-from uavnav.help import key
-from uavnav.help.choices import ConfigError
-from uavnav.networks import Init
+from uavnav.errors import ConfigError
+from uavnav.settings import key
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, at_least, within
 from uavnav.training.learner import Learner
 from uavnav.training.loop import Row, train
 from uavnav.training.optimisers import RMSprop
-from uavnav.training.sampling import Actor
 
 __all__ = ["A2C", "PRESETS", "A2CConfig", "train"]
 

@@ -20,13 +20,13 @@ from tensordict.nn import TensorDictModule, TensorDictParams
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
+from uavnav.algorithms.acting import by_atom, dueling, values_of
 from uavnav.algorithms.dqn import DQNConfig, ReplayConfig
-from uavnav.help import key
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
+from uavnav.settings import key
 from uavnav.tasks.rewards import bounds_of_returns
 from uavnav.training.config import at_least, within
 from uavnav.training.loop import train
-from uavnav.training.sampling import by_atom, dueling, values_of
 
 __all__ = ["PRESETS", "C51Config", "C51Loss", "train"]
 

@@ -22,9 +22,11 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.help import key
-from uavnav.help.choices import ConfigError
-from uavnav.networks import mlp
+from uavnav.algorithms.acting import Actor, Values, values_of
+from uavnav.algorithms.networks import mlp
+from uavnav.algorithms.replay import AgentSampler, AgentStorage
+from uavnav.errors import ConfigError
+from uavnav.settings import key
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
@@ -32,8 +34,6 @@ from uavnav.training.config import TrainConfig, at_least, within
 from uavnav.training.learner import Learner
 from uavnav.training.loop import Row, train
 from uavnav.training.optimisers import Adam
-from uavnav.training.sampler import AgentSampler, AgentStorage
-from uavnav.training.sampling import Actor, Values, values_of
 
 __all__ = ["DQN", "PRESETS", "DQNConfig", "train"]
 

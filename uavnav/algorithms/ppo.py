@@ -26,10 +26,12 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms.acting import Actor
 from uavnav.algorithms.losses import TraceableClipPPOLoss
-from uavnav.help import key
-from uavnav.help.choices import ConfigError
-from uavnav.networks import Init, mlp
+from uavnav.algorithms.networks import Init, mlp
+from uavnav.algorithms.replay import AgentSampler, AgentStorage
+from uavnav.errors import ConfigError
+from uavnav.settings import key
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
@@ -37,8 +39,6 @@ from uavnav.training.config import TrainConfig, at_least, within
 from uavnav.training.learner import Learner
 from uavnav.training.loop import Row, train
 from uavnav.training.optimisers import Adam
-from uavnav.training.sampler import AgentSampler, AgentStorage
-from uavnav.training.sampling import Actor
 
 __all__ = ["PPO", "PRESETS", "PPOConfig", "train"]
 

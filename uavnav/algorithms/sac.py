@@ -25,10 +25,11 @@ from torch import Tensor, nn
 from torchrl.objectives import DiscreteSACLoss
 
 from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms.acting import Actor
 from uavnav.algorithms.dqn import DQNConfig, draw, make_buffer, make_sampler, rows
 from uavnav.algorithms.losses import PopulationSACLoss
+from uavnav.algorithms.networks import mlp
 from uavnav.algorithms.ppo import make_actor_critic
-from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
@@ -36,7 +37,6 @@ from uavnav.training.config import TrainConfig, at_least, within
 from uavnav.training.learner import After, Learner
 from uavnav.training.loop import Row, train
 from uavnav.training.optimisers import Adam
-from uavnav.training.sampling import Actor
 
 __all__ = ["PRESETS", "SAC", "SACConfig", "train"]
 

@@ -137,8 +137,8 @@ def reach(
     second. Policies of those frames are then trained again and judged on the held-out sets: sampled, at most 10,000
     steps an episode. `seconds` and `frames` are None if no policy of the first `patience` seconds reaches the target.
     """
-    from uavnav.evaluate import evaluate_policy
-    from uavnav.policies import load_policy
+    from uavnav.evaluation import evaluate_policy
+    from uavnav.runs.policies import load_policy
     from uavnav.tasks import layouts
 
     bank = layouts.load("train")

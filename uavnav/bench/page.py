@@ -16,7 +16,7 @@ from uavnav import files
 from uavnav.bench.plan import CORES
 from uavnav.bench.results import clock, when
 from uavnav.bench.sections import SECTIONS
-from uavnav.commands.benches import BY_DEFAULT
+from uavnav.cli.benches import BY_DEFAULT
 from uavnav.tasks.world import VERSION
 from uavnav.training.provenance import processor
 

@@ -15,9 +15,8 @@ from torch import Tensor
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from uavnav.errors import ConfigError, told
 from uavnav.graph import Graph
-from uavnav.help.choices import ConfigError
-from uavnav.help.errors import told
 from uavnav.tasks import seeding
 from uavnav.tasks.chance import Chance
 from uavnav.tasks.faults import Faults

@@ -22,8 +22,7 @@ from torch import Tensor
 from uavnav.envs import scalar
 from uavnav.envs.drawing import draw_state
 from uavnav.envs.env import MOST_ROWS
-from uavnav.help.choices import ConfigError, among
-from uavnav.help.errors import quoted, told
+from uavnav.errors import ConfigError, among, quoted, told
 from uavnav.tasks import seeding
 from uavnav.tasks.chance import Chance
 from uavnav.tasks.faults import NAMES, Faults

@@ -1,7 +1,7 @@
 """What flights look like, as numbers for each training seed (claims 9 and 10); nothing here trains.
 
 A table of behaviour has a row a step and the columns mode and `COLUMNS`; a flight is the steps of one mode, seed and
-layout. Files hold its actions alone (`uavnav.evaluate.BEHAVIOUR_COLUMNS`). Letters: P poses, K obstacles of a layout,
+layout. Files hold its actions alone (`uavnav.evaluation.BEHAVIOUR_COLUMNS`). Letters: P poses, K obstacles of a layout,
 M = K + 4 bodies (they and the four walls), L layouts, F flights of all seeds together, T steps.
 """
 
@@ -16,9 +16,8 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from uavnav import flights
-from uavnav.evaluate import BEHAVIOUR_COLUMNS
-from uavnav.evaluate.arena import EMPTY_ARENA, HEADINGS
+from uavnav.evaluation import BEHAVIOUR_COLUMNS, flights
+from uavnav.evaluation.arena import EMPTY_ARENA, HEADINGS
 from uavnav.report.frames import MEASURES
 from uavnav.runs import ARENA, Run
 from uavnav.runs.metrics import MODES

@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 import json
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,15 +20,13 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
-from uavnav import commands, stats
-from uavnav.files import check_out, write
-from uavnav.help.choices import did_you_mean, did_you_mean_run
-from uavnav.help.errors import complain
+from uavnav import stats
+from uavnav.errors import did_you_mean, did_you_mean_run
 from uavnav.report import cells, charts, curves, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
-from uavnav.runs.tables import RunError, read_table, records
+from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import EPISODES, MAX_STEPS, SCRIPTS, header
 from uavnav.tasks.world import World
 from uavnav.views import style
@@ -121,7 +118,7 @@ def _of_run(name: str) -> Contender:
         raise RunError(f"{error}{did_you_mean_run(name, SCRIPTS)}") from error
     rows = run.evaluation()
     if rows is None:
-        from uavnav.evaluate import evaluate_run
+        from uavnav.evaluation import evaluate_run
 
         rows = evaluate_run(run)
     protocol = {key: rows.attrs.get(key, value) for key, value in header("test", EPISODES, MAX_STEPS).items()}
@@ -132,9 +129,9 @@ def _of_run(name: str) -> Contender:
 
 
 def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
-    from uavnav import policies
-    from uavnav.evaluate import fly, on
-    from uavnav.policies import Policy
+    from uavnav.evaluation import fly, on
+    from uavnav.runs import policies
+    from uavnav.runs.policies import Policy
     from uavnav.tasks.baselines import BASELINES, suited
     from uavnav.tasks.task import name_of
     from uavnav.training import display, machine
@@ -275,46 +272,3 @@ def page(contenders: Sequence[Contender]) -> bytes:
     }
     given = {"names": names, "rows": rows, "pictures": pictures, "flown": how, "apart": apart(contenders)}
     return template.render(**given, **(shown if recorded["cells"] else {"left_out": recorded["left_out"]})).encode()
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Compare runs, zips of Stable-Baselines3 and scripted baselines: intervals, probabilities, curves."""
-    arguments = commands.parse("compare", argv)
-    try:
-        if arguments.plugins or arguments.activation:
-            from uavnav import plugins, policies
-
-            plugins.load(arguments.plugins)
-            policies.zips(arguments.runs, arguments.activation)
-        if arguments.out is not None:
-            check_out(arguments.out)
-        names = list(dict.fromkeys(arguments.runs))
-        if len(names) < 2:
-            raise ValueError(f"{names[0]}: there is nothing to compare it with; give at least two, such as reactive")
-        contenders = contend(names, arguments.activation)
-        check(contenders)
-        if line := apart(contenders):
-            print(line, file=sys.stderr)
-        if arguments.json:
-            print(json.dumps(records(metrics(contenders)), indent=2))
-        else:
-            console = Console(highlight=False, soft_wrap=True, markup=False)
-            with console.capture() as told:
-                text(contenders, console)
-            print(told.get(), end="")
-        if arguments.out is not None:
-            arguments.out.parent.mkdir(parents=True, exist_ok=True)
-            write(arguments.out, page(contenders))
-            print(f"wrote {arguments.out}", file=sys.stderr)
-    except BrokenPipeError:  # nobody reads on: `terminal` ends it
-        raise
-    except (RunError, ValueError, OSError) as error:
-        from uavnav.policies import as_option
-
-        complain("compare", as_option(error))
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from uavnav.evaluate.arena import EMPTY_ARENA
+from uavnav.evaluation.arena import EMPTY_ARENA
 from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys, worlds
 from uavnav.report.cells import Cell, algorithms, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY

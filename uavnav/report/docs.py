@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavnav import files
-from uavnav.help.choices import Parser
+from uavnav.cli.parser import Parser
 from uavnav.report.content import Content, gather
 from uavnav.report.page import render
 from uavnav.runs.tables import RunError

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavnav.evaluate import WATCHED_LAYOUTS, WATCHED_STEPS
+from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
 from uavnav.report import arena, behaviour, charts, curves, findings, frames, studies, tables, whys
 from uavnav.report.cells import algorithms
 from uavnav.report.claims import PRIMARY

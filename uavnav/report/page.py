@@ -15,7 +15,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup, escape
 
-from uavnav import evaluate
+from uavnav import evaluation
 from uavnav.report import arena, beyond, conclusions, findings, frames, studies, tables, whys, worlds
 from uavnav.report.cells import BINS, label
 from uavnav.report.claims import CLAIMS, PRIMARY, Claim
@@ -84,7 +84,7 @@ def _json(data: Any) -> Markup:
 
 
 _TEMPLATES.filters |= {"json": _json, "cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
-_TEMPLATES.globals |= {"conclusions": conclusions, "evaluate": evaluate, "findings": findings, "frames": frames}
+_TEMPLATES.globals |= {"conclusions": conclusions, "evaluation": evaluation, "findings": findings, "frames": frames}
 _TEMPLATES.globals |= {"beyond": beyond, "studies": studies, "whys": whys, "worlds": worlds}
 _TEMPLATES.globals |= {
     "tables": tables,

@@ -25,12 +25,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from uavnav import flights, plugins
+from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.evaluate import EPISODES
-from uavnav.policies import Policy, PolicyError, load_policy
+from uavnav.evaluation import EPISODES, flights
 from uavnav.report.cells import EMPTY, Cell, one_line
 from uavnav.runs import Run
+from uavnav.runs.policies import Policy, PolicyError, load_policy
 from uavnav.stats import Array
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import AnyPolicy, reactive

@@ -42,7 +42,7 @@ from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS
 from uavnav.views import style
 
 if TYPE_CHECKING:
-    from uavnav.evaluate.scripts import Protocol
+    from uavnav.evaluation.scripts import Protocol
 
 MODE = "sampled"
 DEFAULT, TUNED = "paper", "fast"
@@ -101,7 +101,7 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
             left_out.append(" ".join(str(error).split()))
     if not seeds:
         return None
-    from uavnav.evaluate.scripts import rows_of_scripts
+    from uavnav.evaluation.scripts import rows_of_scripts
     from uavnav.tasks import ladders, layouts
 
     in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
@@ -158,9 +158,9 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     Raises:
         RunError: its world is not known, or it was not flown as in the study.
     """
-    from uavnav.evaluate import files_of, rows_across  # these know the tasks, and so load torch
-    from uavnav.evaluate.scripts import protocol_in
-    from uavnav.evaluate.transfer import named, trained_in
+    from uavnav.evaluation import files_of, rows_across  # these know the tasks, and so load torch
+    from uavnav.evaluation.scripts import protocol_in
+    from uavnav.evaluation.transfer import named, trained_in
     from uavnav.tasks.ladders import LADDERS
 
     task, sets = trained_in(run)
@@ -390,7 +390,7 @@ def draw(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:
     """The cells that were trained in the paper's world across a ladder, means of their activations, and the scripts;
     None where no cell was."""
-    from uavnav.evaluate import across
+    from uavnav.evaluation import across
     from uavnav.tasks.ladders import LADDERS
 
     rungs, parts = LADDERS[name].rungs, []

@@ -7,8 +7,8 @@
     policy.safetensors  the networks of all seeds; where it was left out, the command of the run trains it again
     evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled); see `own_evaluation`
     behaviour.parquet   the actions of some test flights, one row per step (see `uavnav.report.behaviour`)
-    arena.parquet       the same of flights in the empty arena (see `uavnav.evaluate.arena`)
-    values.parquet      what each seed expects and gets, where outputs are values (see `uavnav.evaluate.values`)
+    arena.parquet       the same of flights in the empty arena (see `uavnav.evaluation.arena`)
+    values.parquet      what each seed expects and gets, where outputs are values (see `uavnav.evaluation.values`)
     checkpoint/         the snapshots of an unfinished run (see `uavnav.training.checkpoints`)
     progress.json       while it trains: its frames per seed, of how many, at how many a second, and when that was
     stop                while it trains: whoever writes this file asks it to save and stop

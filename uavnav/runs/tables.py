@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
 from uavnav import files
-from uavnav.help.errors import OneLineError
+from uavnav.errors import OneLineError
 from uavnav.runs.metrics import LAST, finished
 
 Columns = dict[str, np.ndarray[Any, Any]]

@@ -13,7 +13,7 @@
     scripts: baselines          # scripted policies fly in the world of each cell too, as it does; their rows go there
     tune: ...                   # settings that are searched for first: `search`
 
-`run` carries a study out, and `uavnav.studies.study` is its command.
+`run` carries a study out, and `uavnav.cli.study` is its command.
 """
 
 from __future__ import annotations
@@ -30,9 +30,8 @@ from typing import Any, NamedTuple
 
 from uavnav import files
 from uavnav.algorithms import ALGORITHMS
-from uavnav.evaluate import EPISODES, MAX_STEPS, MOST_STEPS, files_of
-from uavnav.help.choices import ConfigError, choose_from, unknown, unknown_key
-from uavnav.help.errors import one_line
+from uavnav.errors import ConfigError, choose_from, one_line, unknown, unknown_key
+from uavnav.evaluation import EPISODES, MAX_STEPS, MOST_STEPS, files_of
 from uavnav.tasks import layouts
 from uavnav.tasks.layouts import LayoutError, judged_on
 from uavnav.tasks.protocol import LADDER_NAMES, SPLITS

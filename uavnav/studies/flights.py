@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavnav import files
-from uavnav.evaluate.__main__ import main as evaluate
+from uavnav.cli.evaluate import main as evaluate
 from uavnav.training.heartbeat import Heartbeat
 
 

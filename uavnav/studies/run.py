@@ -23,14 +23,14 @@ from typing import Any, TypeVar
 import pandas as pd
 
 from uavnav import files, plugins
-from uavnav.evaluate import rows_across
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
+from uavnav.evaluation import rows_across
 from uavnav.runs import ARENA, FINISHED, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.studies import Cell, engines
 from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
-from uavnav.training import heartbeat, machine, recorder, shares
+from uavnav.training import heartbeat, machine, recorder, workers
 from uavnav.training.config import TrainConfig
 from uavnav.training.recorder import STOPS, Interrupted, Recorder
 
@@ -325,7 +325,7 @@ class Study:
         n = own.processes(-(-config.n_seeds // self.per_share) if self.per_share else machine.processes(config))
         with machine.use_threads(machine.threads(config, n)), own:
             own.note(processes=n)
-        work.shares = [Share(path, part) for path, part in shares.split(config, work.cell.out, n).items()]
+        work.shares = [Share(path, part) for path, part in workers.split(config, work.cell.out, n).items()]
         for share in work.shares:
             part = Cell(share.config, share.folder, work.cell.evaluation)
             share.done = trained(part) and evaluated(part)
@@ -408,12 +408,12 @@ class Study:
 
     def _training(self, job: Job, share: Share) -> list[str]:
         work = job.work
-        share.folder = shares.take(share.folder)
+        share.folder = workers.take(share.folder)
         threads = machine.threads(work.cell.config, len(work.shares))
-        described = shares.described(share.folder, share.config, self.checkpoint_seconds, threads=threads)
+        described = workers.described(share.folder, share.config, self.checkpoint_seconds, threads=threads)
         described |= {"evaluation": work.cell.evaluation, "folder": str(Path.cwd())}
         files.write(job.file("job"), json.dumps(described).encode())
-        words = ["-m", "uavnav.train.share", *plugins.LOADED, str(job.file("job"))]
+        words = ["-m", "uavnav.training.worker", *plugins.LOADED, str(job.file("job"))]
         return engines.logged(words, job.file("log"))
 
     def _evaluation(self, job: Job) -> list[str]:
@@ -477,7 +477,7 @@ class Study:
                 compiled = all(Run(folder).meta["compiled"] for folder in folders)
                 own.note(compiled=compiled, processes=len(folders))
                 _join_flights(work.cell, folders)
-                shares.join(own, folders)
+                workers.join(own, folders)
                 self._stop = self._stop or own.stop
         except (OSError, RunError) as error:
             self._failed(work, str(error))

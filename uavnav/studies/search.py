@@ -21,7 +21,7 @@ import pandas as pd
 
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
-from uavnav.help.choices import ConfigError, unknown, unknown_key
+from uavnav.errors import ConfigError, unknown, unknown_key
 from uavnav.runs.trials import COLUMNS, TABLE, TRIALS, TUNED, TUNING, best, read, winner
 from uavnav.studies import Cell, Study
 

@@ -21,7 +21,7 @@ import pandas as pd
 from pydantic import Field
 
 from uavnav import files
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 from uavnav.runs.tables import RunError, lock, read_table, write
 from uavnav.runs.trials import COLUMNS, DIVERGED, FINISHED, IMPORTANCE, OF_IMPORTANCE, TABLE, read
 from uavnav.studies import Cell

@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uavnav.help.choices import MOST_WHOLE
-from uavnav.help.errors import OneLineError, told
+from uavnav.errors import MOST_WHOLE, OneLineError, told
 from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.world import World
 

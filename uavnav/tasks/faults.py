@@ -10,9 +10,8 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from uavnav.help import key
-from uavnav.help.choices import MOST_WHOLE, ConfigError, unknown_key
-from uavnav.help.errors import told
+from uavnav.errors import MOST_WHOLE, ConfigError, told, unknown_key
+from uavnav.settings import key
 
 if TYPE_CHECKING:
     from torch import Tensor

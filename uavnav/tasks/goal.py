@@ -18,8 +18,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
-from uavnav.help import key
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
+from uavnav.settings import key
 from uavnav.tasks import circles
 from uavnav.tasks.circles import LayoutError
 from uavnav.tasks.protocol import DEFAULT_K

@@ -23,8 +23,7 @@ from safetensors.torch import save as serialize
 from torch import Tensor
 
 from uavnav import files
-from uavnav.help.choices import MOST_WHOLE, did_you_mean
-from uavnav.help.errors import told
+from uavnav.errors import MOST_WHOLE, did_you_mean, told
 from uavnav.tasks import circles, goal, moving, slalom, space, tensors
 from uavnav.tasks.circles import LayoutError as LayoutError  # this and the next two are also names of this module
 from uavnav.tasks.circles import generate as generate

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uavnav.help import key
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
+from uavnav.settings import key
 from uavnav.tasks import circles
 from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.world import World

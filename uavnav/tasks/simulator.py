@@ -13,8 +13,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from uavnav.help.choices import ConfigError, among, did_you_mean, unknown_key
-from uavnav.help.errors import quoted, told
+from uavnav.errors import ConfigError, among, did_you_mean, quoted, told, unknown_key
 from uavnav.tasks import goal, moving, space
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.protocol import CAPS

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uavnav.help import key
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
+from uavnav.settings import key
 from uavnav.tasks import circles
 from uavnav.tasks.dynamics import direction
 from uavnav.tasks.moving import VELOCITIES, MovingWorld

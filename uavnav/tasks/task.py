@@ -17,8 +17,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import torch
 from torch import Tensor
 
-from uavnav.help.choices import MOST_WHOLE, ConfigError, among, did_you_mean
-from uavnav.help.errors import quoted, told
+from uavnav.errors import MOST_WHOLE, ConfigError, among, did_you_mean, quoted, told
 from uavnav.tasks import layouts as banks
 from uavnav.tasks import memory
 from uavnav.tasks.dynamics import decode, move

@@ -10,9 +10,8 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_type_hints
 
-from uavnav.help import key
-from uavnav.help.choices import ConfigError, among, did_you_mean
-from uavnav.help.errors import quoted
+from uavnav.errors import ConfigError, among, did_you_mean, quoted
+from uavnav.settings import key
 
 VERSION = "1"
 """Version of the world's semantics and of the distribution of obstacles; written into every bank, run and policy."""

@@ -24,7 +24,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from uavnav import files
-from uavnav.help.errors import one_line
+from uavnav.errors import one_line
 from uavnav.runs import Count
 from uavnav.runs.tables import RunError
 from uavnav.tasks import tensors

@@ -14,12 +14,11 @@ from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_
 
 import torch
 
+from uavnav.algorithms.networks import ACTIVATIONS, Init
+from uavnav.errors import MOST_WHOLE, ConfigError, among, told, unknown, unknown_key
 from uavnav.graph import telling_line
-from uavnav.help import key
-from uavnav.help.choices import MOST_WHOLE, ConfigError, among, unknown, unknown_key
-from uavnav.help.errors import told
-from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import default_folder, modern
+from uavnav.settings import key
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
 from uavnav.tasks.simulator import TASKS, Task, make_task

@@ -17,17 +17,16 @@ from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.data import ReplayBuffer
 
+from uavnav.algorithms.acting import Actor
 from uavnav.envs.env import DroneEnv
-from uavnav.help.choices import ConfigError
-from uavnav.help.errors import told
+from uavnav.errors import ConfigError, told
 from uavnav.runs import Run
 from uavnav.training import loggers, machine, weights
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, checked, plain
 from uavnav.training.display import Display, Tell
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
-from uavnav.training.sampling import Actor
-from uavnav.training.shares import Shares, join
+from uavnav.training.workers import Shares, join
 
 Row = Mapping[str, Tensor | float]
 """What a row of progress says beside seed and frame: [A], or one number for all."""

@@ -17,7 +17,7 @@ from typing import TypeVar
 import torch
 
 from uavnav import graph, plugins
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 from uavnav.training.config import TrainConfig
 
 Result = TypeVar("Result")

@@ -1,4 +1,4 @@
-"""The file of a run's policies: the networks of all seeds, and what rebuilds them. `uavnav.policies` reads it."""
+"""The file of a run's policies: the networks of all seeds, and what rebuilds them. `uavnav.runs.policies` reads it."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from safetensors.torch import save
 from torch import nn
 
 from uavnav import plugins
-from uavnav.help.choices import ConfigError
-from uavnav.networks import mlp
+from uavnav.algorithms.acting import Actor
+from uavnav.algorithms.networks import mlp
+from uavnav.errors import ConfigError
 from uavnav.tasks import tensors
 from uavnav.tasks.world import VERSION
 from uavnav.training.config import TrainConfig
-from uavnav.training.sampling import Actor
 
 
 def check(networks: Mapping[str, nn.Module], config: TrainConfig) -> None:
-    """Raise a ConfigError where `uavnav.policies` could not build the network that acts again."""
-    needed = f"algorithm={config.algorithm}: networks() must give policy, made by uavnav.networks.mlp"
+    """Raise a ConfigError where `uavnav.runs.policies` could not build the network that acts again."""
+    needed = f"algorithm={config.algorithm}: networks() must give policy, made by uavnav.algorithms.networks.mlp"
     if "policy" not in networks:
         raise ConfigError(f"{needed}; it gives {', '.join(networks)}")
     own = {name: tensor.shape[1:] for name, tensor in networks["policy"].state_dict().items()}

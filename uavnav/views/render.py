@@ -10,9 +10,7 @@ import io
 import itertools
 import math
 import os
-import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple, overload
@@ -22,19 +20,17 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from uavnav import commands, files, flights, plugins, policies
+from uavnav import files
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, PILOTS, SENSED, STEPS_PER_SECOND, Colour, Picture, font
-from uavnav.files import check_out
-from uavnav.help.choices import did_you_mean, did_you_mean_run
-from uavnav.help.errors import complain
+from uavnav.errors import did_you_mean, did_you_mean_run
+from uavnav.evaluation import flights
+from uavnav.runs import policies
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
-from uavnav.tasks.faults import NO_FAULTS, from_option
 from uavnav.tasks.protocol import EPISODES
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import State, at
-from uavnav.training import machine
 
 SUFFIXES = (".mp4", ".gif", ".png")
 COLOURS = 128  # of a GIF
@@ -306,43 +302,3 @@ def _pyav() -> Any:
     except ImportError as error:
         raise ValueError("an MP4 needs PyAV: pip install 'uavnav[play]', or choose a .gif") from error
     return av
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Draw flights of policies on the same set of obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
-    arguments = commands.parse("render", argv)
-    try:
-        for option, number in (("steps", arguments.steps), ("every", arguments.every)):
-            if not 1 <= number <= MOST_FLOWN:
-                raise ValueError(f"--{option} {number}: give at least 1 and at most {MOST_FLOWN:,}")
-        if not 0.1 <= arguments.speed <= 100:
-            raise ValueError(f"--speed {arguments.speed:g}: give 0.1 to 100")
-        if arguments.width not in WIDTHS:
-            raise ValueError(f"--width {arguments.width}: give {WIDTHS.start} to {WIDTHS.stop - 1}")
-        rate = Fraction(arguments.speed).limit_denominator(100) * STEPS_PER_SECOND / arguments.every
-        plugins.load(arguments.plugins)
-        faults = from_option(arguments.faults)
-        check_picture(arguments.out, rate)
-        check_out(arguments.out)
-        pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation, arguments.task)
-        if faults is not None:
-            told = f"{faults}" if faults != NO_FAULTS else "no faults"
-            pilots = [one._replace(name=f"{told} {one.name}", task=replace(one.task, faults=faults)) for one in pilots]
-        bank = load_layout(arguments.layouts, arguments.layout, pilots)
-        with machine.use_threads(1):
-            flown = [fly(pilot, bank, arguments.layout, arguments.steps) for pilot in pilots]
-            film = Film(flown, bank[arguments.layout], arguments.width, arguments.every)
-            save(film, arguments.out, rate)
-    except ValueError as error:
-        complain("render", policies.as_option(error))
-        return 2
-    for flight in flown:
-        last = flight.states[-1]
-        told = f"{int(last.steps)} steps, {int(last.distance)} px, reward {float(last.reward):.2f}"
-        print(f"{flight.pilot.title}: {told}{flight.ended and f', {flight.ended}'}")
-    print(f"wrote {arguments.out}")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -17,7 +17,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, get_type_hints
 
-from uavnav.help.choices import ConfigError, unknown, unknown_key
+from uavnav.errors import ConfigError, unknown, unknown_key
 from uavnav.training.config import checked
 
 ENGINES = {"local": "Local", "ray": "Ray", "slurm": "Slurm"}

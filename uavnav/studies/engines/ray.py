@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 from uavnav.studies import engines
 
 SECONDS = 60.0

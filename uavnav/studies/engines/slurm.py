@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from uavnav.help.choices import ConfigError
+from uavnav.errors import ConfigError
 from uavnav.studies import engines
 
 SACCT_SECONDS = 30

@@ -16,12 +16,12 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from uavnav import flights
 from uavnav.algorithms import ALGORITHMS
-from uavnav.commands.keys import BANK, LEFT, RIGHT, RISE, ROWS, SINK, TILTING, TURNING
+from uavnav.cli.keys import BANK, LEFT, RIGHT, RISE, ROWS, SINK, TILTING, TURNING
 from uavnav.envs.drawing import PILOTS, STEPS_PER_SECOND, Colour
-from uavnav.policies import Policy
+from uavnav.evaluation import flights
 from uavnav.runs.metrics import EPISODE_COLUMNS, FIRST_COLUMNS
+from uavnav.runs.policies import Policy
 from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.tasks import layouts as banks
 from uavnav.tasks import space

@@ -12,7 +12,7 @@ import torch
 from matplotlib import colormaps
 from PIL import Image, ImageDraw
 
-from uavnav.commands.keys import HELP
+from uavnav.cli.keys import HELP
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Ink, font, height_of
 from uavnav.runs.metrics import METRICS

@@ -1,10 +1,10 @@
-"""What a key does that goes down or up, by the table of `uavnav.commands.keys`."""
+"""What a key does that goes down or up, by the table of `uavnav.cli.keys`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from uavnav.commands.keys import ALIASES, KEYS, TILTING, TURNING
+from uavnav.cli.keys import ALIASES, KEYS, TILTING, TURNING
 from uavnav.views.window import game as rules
 from uavnav.views.window.game import Game
 

@@ -18,12 +18,11 @@ from typing import Any, NamedTuple
 import jinja2
 from markupsafe import Markup
 
-from uavnav import networks, policies
-from uavnav.algorithms import ALGORITHMS
-from uavnav.help.choices import ConfigError
-from uavnav.policies import Policy, PolicyError
-from uavnav.runs import POLICY, paper, read_settings, run_folders
+from uavnav.algorithms import ALGORITHMS, networks
+from uavnav.errors import ConfigError
+from uavnav.runs import POLICY, paper, policies, read_settings, run_folders
 from uavnav.runs.metrics import METRICS
+from uavnav.runs.policies import Policy, PolicyError
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.moving import MovingWorld

@@ -1,0 +1,246 @@
+"""The command `uavnav study`: train, evaluate and report many cells, on this machine or on a cluster."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from uavnav import plugins, studies
+from uavnav.cli import commands
+from uavnav.errors import ConfigError, complain
+from uavnav.evaluation.scripts import Protocol, missing, protocol_in
+from uavnav.report import report
+from uavnav.runs import heard, progress
+from uavnav.runs.tables import RunError
+from uavnav.studies import Cell, engines, search, tuning
+from uavnav.studies.run import Study, Work, evaluated, let_go, make_banks, trained
+from uavnav.tasks import ladders, layouts
+from uavnav.tasks.layouts import LayoutError
+from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.training.config import checked
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted, Recorder
+
+KEYS: dict[str, tuple[Any, Any, dict[str, float]]] = {
+    "engine": ("local", str, {}),
+    "out": (None, str | None, {}),
+    "seeds": (None, int | None, {"least": 1}),
+    "frames": (None, int | None, {"least": 1}),
+    "trials": (None, int | None, {"least": 1, "most": 1_000}),
+    "algorithms": (None, str | None, {}),
+    "seeds_per_share": (None, int | None, {"least": 1}),
+    "checkpoint_seconds": (CHECKPOINT_SECONDS, float, {"least": 0}),
+    "policies": (False, bool, {}),
+    "report": (True, bool, {}),
+    "plugins": (None, str | None, {}),
+}
+"""Settings of a study, beside those of its engine: default, type, limits."""
+LINE_SECONDS = 30.0
+"""Between two lines of progress where there is no terminal."""
+
+
+def parse(words: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The settings in `key=value` words, and those that are the engine's.
+
+    Raises:
+        ConfigError: a word is no setting, or a value is not right.
+    """
+    given = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals:
+            raise ConfigError(f"{word!r} is no setting; settings are key=value: engine=local")
+        if not value:
+            raise ConfigError(f"{word}: give a value, or leave it out")
+        try:
+            given[key] = studies.load(value)
+        except ValueError as error:
+            raise ConfigError(f"{word}: its value cannot be read") from error
+    own = {
+        key: checked(key, given.pop(key, default), kind, limits) if key in given else default
+        for key, (default, kind, limits) in KEYS.items()
+    }
+    if own["plugins"] is not None:
+        plugins.load(own["plugins"].split(","))
+    return own, given
+
+
+def status(cell: Cell) -> dict[str, Any]:
+    """What there is of a cell: `state`, and the frames per seed of one that is under way."""
+    facts: dict[str, Any] = {"cell": str(cell.out), "seeds": cell.config.n_seeds, "frames": 0, "of": cell.config.frames}
+    if (cell.out / "config.yaml").exists():
+        try:
+            Recorder(cell.out, cell.config)
+        except LayoutError:
+            pass  # a study makes its banks when it begins
+        except RunError as error:
+            return facts | {"state": f"in the way ({error})"}
+    if trained(cell):
+        return facts | {"frames": cell.config.frames, "state": "finished" if evaluated(cell) else "not evaluated"}
+    told = progress(cell.out)
+    if heard(told, time.time()):
+        return facts | {"frames": told["frames"], "state": "under way"}
+    return facts | {"frames": told.get("frames", 0), "state": "stopped" if cell.out.exists() else "missing"}
+
+
+class Show:
+    """The cells under way: a table on a terminal, elsewhere a line now and then."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._console = Console(highlight=False, soft_wrap=True, markup=False, quiet=quiet)
+        self._live = Live(console=self._console, transient=True, auto_refresh=False)
+        self._said = time.monotonic()
+
+    def __enter__(self) -> Show:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def say(self, line: str) -> None:
+        self._console.print(line)
+
+    def tell(self, works: Sequence[Work]) -> None:
+        """works: all cells that were not finished when the study began."""
+        now, frames, rate = time.monotonic(), sum(work.frames for work in works), sum(work.rate for work in works)
+        total = sum(work.total for work in works if work.shares)
+        left = f", {(total - frames) / rate / 60:,.0f} min left" if rate else ""
+        head = f"{frames / 1e6:,.2f} of {total / 1e6:,.2f} million frames of all seeds, {rate:,.0f} a second{left}"
+        if self._console.is_terminal:
+            table = Table(title=head, box=None, title_justify="left")
+            for name in ("cell", "shares", "frames per seed"):
+                table.add_column(name, justify="left" if name == "cell" else "right")
+            for work in works:
+                if work.frames and not all(share.done for share in work.shares):
+                    done = sum(share.done for share in work.shares)
+                    each = f"{work.frames // work.cell.config.n_seeds:,} of {work.cell.config.frames:,}"
+                    table.add_row(str(work.cell.out), f"{done} of {len(work.shares)}", each)
+            self._live.update(table, refresh=True)
+        elif now - self._said >= LINE_SECONDS:
+            self._said = now
+            self.say(head)
+
+
+def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool, quiet: bool) -> int:
+    """Run a study, or say what there is of it; returns the exit status."""
+    own, of_engine = parse(words)
+    study = studies.only(studies.read(name), own["algorithms"])
+    out = Path(own["out"] or Path("runs") / study.name)
+    if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
+        raise RunError(f"out={out}: is a file; give a folder")
+    if own["trials"] is not None and study.tune is None:
+        raise ConfigError(f"trials={own['trials']}: study {study.name} does not tune; leave it out")
+    if as_json and not only_status:
+        raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
+    if only_status:
+        engines.described(own["engine"], of_engine, KEYS)
+        rows = [status(cell) for cell in _cells(study, out, own, make=False)]
+        rows += [status(cell) | ({"state": state} if state else {}) for cell, state in _planned(study, out, own)]
+        _print_status(rows, as_json)
+        return 0
+    from uavnav.cli.evaluate import main as evaluate  # a status waits for no library of figures
+
+    engine = engines.build(own["engine"], of_engine, KEYS)
+    with contextlib.ExitStack() as stack, Show(quiet) as show:
+        stack.callback(let_go, engine)
+        plan = _plan(study, out.resolve(), own)
+        found = _cells(study, out.resolve(), own, make=True)
+
+        def train(cells: Sequence[Cell]) -> list[Work]:
+            how = {"policies": own["policies"], "checkpoint_seconds": own["checkpoint_seconds"]}
+            run = Study(out.resolve(), cells, engine, own["seeds_per_share"], **how, tell=show.tell, say=show.say)
+            show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(cells)} cells are left, into {out}")
+            return run.run()
+
+        untold = tuning.tune(plan, train, show.say) if plan is not None else []
+        if plan is not None and not untold:
+            found += search.winners(plan)
+        failed = [] if untold else train(found)
+        for words in scripted(found, out / study.scripts) if study.scripts and not (untold or failed) else ():
+            show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
+            evaluate([*words, "--quiet"])
+    if untold or failed:
+        what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} cells"
+        print(f"uavnav study: {what} failed; the same command repeats them", file=sys.stderr)
+        return 1
+    if own["report"]:
+        if plan is not None and not (out / "baselines" / "reactive.parquet").exists():
+            evaluate(["reactive", "--out", str(out / "baselines"), "--quiet"])  # what a winner is held against
+        print(f"the report is in {report([out]).path}")
+    return 0
+
+
+def scripted(cells: Sequence[Cell], folder: Path) -> list[list[str]]:
+    """The flights of scripts that a folder lacks, in the worlds of cells and on the rungs that are banks of their own:
+    each the words of `uavnav evaluate`."""
+    wanted: dict[Protocol | None, None] = {}
+    for cell in cells:
+        if cell.evaluation is None:
+            continue
+        own, flown = cell.config, {studies.BANK: "test"} | cell.evaluation
+        climbed = [name for name in layouts.RUNGS if name in cell.across]
+        rungs = [ladders.sets_of(name, rung) for name in climbed for rung in ladders.LADDERS[name].rungs]
+        task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=own.faults)
+        for sets in (flown[studies.BANK], *rungs):
+            wanted[protocol_in(task, **flown | {studies.BANK: sets})] = None
+    return [one.words(rules, folder) for one in wanted if one is not None and (rules := missing(folder, one))]
+
+
+def _plan(study: studies.Study, out: Path, own: dict[str, Any]) -> search.Plan | None:
+    """What is tuned first, if anything."""
+    return search.plan(study, out, own["trials"], own["seeds"], own["frames"]) if study.tune is not None else None
+
+
+def _planned(study: studies.Study, out: Path, own: dict[str, Any]) -> list[tuple[Cell, str | None]]:
+    plan = _plan(study, out, own)
+    return search.planned(plan) if plan is not None else []
+
+
+def _cells(study: studies.Study, out: Path, own: dict[str, Any], make: bool) -> list[Cell]:
+    if make:
+        make_banks(out, study.banks)
+    return studies.cells(study, out, own["seeds"], own["frames"])
+
+
+def _print_status(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(rows, indent=2))
+        return
+    width = max(len(row["cell"]) for row in rows)
+    for row in rows:
+        far = (
+            f"  {row['frames']:,} of {row['of']:,} frames per seed" if row["state"] in ("under way", "stopped") else ""
+        )
+        print(f"{row['cell']:{width}}  {row['state']}{far}")
+    states = [row["state"] for row in rows]
+    print(", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states)))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Train, evaluate and report the cells of a study, on this machine or on a cluster."""
+    arguments = commands.parse("study", argv)
+    try:
+        return carry_out(arguments.name, arguments.settings, arguments.status, arguments.json, arguments.quiet)
+    except Interrupted as stop:
+        print(stop, file=sys.stderr)
+        return 128 + stop.signum
+    except BrokenPipeError:  # nobody reads on: `terminal` ends it
+        raise
+    except (ConfigError, LayoutError, RunError, OSError) as error:
+        complain("study", error)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

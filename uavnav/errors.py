@@ -1,0 +1,124 @@
+"""Errors in one line: short, printable, without the line breaks of what a user gave, and with the choices."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import sys
+from collections.abc import Collection
+from pathlib import Path
+
+MOST = 270
+"""Characters of a message; with the command before it, a line has at most 300."""
+WORD = 40
+"""Characters that a word keeps at least in a message that is too long."""
+LONG = 150
+"""Characters of choices that are listed whole."""
+MOST_WHOLE = 2**53
+"""The largest whole number that a user may give: a float holds no more digits."""
+SOME = 5
+"""Choices that are named where there are too many."""
+
+
+def one_line(text: object, most: int = MOST) -> str:
+    r"""A text as one printable line of at most `most` characters.
+
+    Long words are shortened first, in their middle and no more than needed; then the middle of the line: what is wrong
+    stands at its beginning, and what would be right at its end.
+
+    >>> one_line("a\nb")
+    'a\\nb'
+    >>> one_line(f"out={'x' * 999}: is a file", 60)
+    'out=xxxxxxxxxxxxxxxxxxx…xxxxxxxxxxxxxxxxxxxxxxx: is a file'
+    """
+    line = "".join(one if one.isprintable() else _escaped(one) for one in str(text))
+    words = line.split(" ")
+    kept = max(map(len, words))
+    while len(line) > most and kept > WORD:
+        kept = max(WORD, kept * 9 // 10)
+        line = " ".join(shortened(word, kept) for word in words)
+    return shortened(line, most)
+
+
+def shortened(text: str, most: int) -> str:
+    """A text of at most so many characters, its middle left out where it is longer."""
+    kept = most - 1
+    return text if len(text) <= most else f"{text[: kept // 2]}…{text[len(text) - (kept - kept // 2) :]}"
+
+
+def complain(command: str, error: object) -> None:
+    """Say on stderr, in one line, why a command does not do what it was asked for."""
+    print(one_line(f"uavnav {command}: {error}", MOST + 30), file=sys.stderr)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode("ascii")
+
+
+def told(value: object, most: int = WORD * 2) -> str:
+    """A value as a message shows it: short and in one line, however large, deep or odd it is."""
+    try:
+        return one_line(value, most)
+    except (ValueError, RecursionError, RuntimeError):  # a number of many digits, nested lists, a damaged tensor
+        return f"a {type(value).__name__}"
+
+
+def quoted(value: object) -> str:
+    """The same, with the quotes of a word."""
+    return told(repr(value)) if isinstance(value, str) else told(value)
+
+
+class OneLineError(Exception):
+    """What is wrong with what a user gave; its message is one line of at most `MOST` characters."""
+
+    def __init__(self, message: object) -> None:
+        super().__init__(one_line(message))
+
+
+def did_you_mean(value: object, choices: Collection[str]) -> str:
+    """` (did you mean relu?)`, the nearest of the choices, as the end of a message; empty where none is near."""
+    word = told(value)
+    of_a_part = [choice for choice in choices if choice.endswith(f".{word}")]  # `slots` for `world.slots`
+    near = of_a_part or difflib.get_close_matches(word, choices, n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def did_you_mean_run(run: str, others: Collection[str]) -> str:
+    """The same for a run's folder that is not there: the nearest folder beside it, or one of the others."""
+    path = Path(run)
+    if os.path.exists(run):
+        return ""
+    try:
+        beside = [one.name for one in path.parent.iterdir() if one.is_dir()]
+    except OSError:
+        beside = []
+    near = difflib.get_close_matches(path.name, beside, n=1)
+    return f" (did you mean {path.with_name(near[0])}?)" if near else did_you_mean(run, others)
+
+
+def choose_from(value: object, choices: Collection[str]) -> str:
+    """`choose from elu, gelu (did you mean gelu?)`: the choices by name, some of very many, and the nearest."""
+    names = sorted(choices)
+    if len(", ".join(names)) > LONG:
+        near = difflib.get_close_matches(told(value), names, n=SOME, cutoff=0.4)
+        names = [f"{len(names)}, such as {', '.join(near or names[:SOME])}"]
+    return f"choose from {', '.join(names)}{did_you_mean(value, choices)}"
+
+
+def among(value: object, choices: Collection[str]) -> bool:
+    """Whether a value is one of some names; what is no name is none of them."""
+    return isinstance(value, str) and value in choices
+
+
+class ConfigError(OneLineError, ValueError):
+    """A key or a value of a configuration is wrong; the message is one line that names it and the choices."""
+
+
+def unknown(name: str, value: object, choices: Collection[str]) -> ConfigError:
+    """The error for a value that is not among the choices, with the nearest one suggested."""
+    return ConfigError(f"{name}={told(value)}; {choose_from(value, choices)}")
+
+
+def unknown_key(key: object, choices: Collection[str]) -> ConfigError:
+    """The error for a key that is not among the choices, with the nearest one suggested."""
+    return ConfigError(f"there is no key {quoted(key)}; {choose_from(key, choices)}")

@@ -1,0 +1,159 @@
+"""One loop that flies: evaluation, behaviour, replays and films see the same flights, the window the same rules.
+
+A flyer is a seed with its policy and a generator of its own; it flies each set of the task's bank once. It does not see
+what others do. The number of flights and the cap decide when the step is compiled, which rounds otherwise. What faults
+draw follows from the flyer's seed, the set and the step, whoever else flies and whatever has ended. Letters: F flights
+that are up, P places of a batch, which holds some that have ended too.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uavnav import graph
+from uavnav.evaluation.squads import Flyers, Squads
+from uavnav.runs.policies import Policy
+from uavnav.tasks import memory
+from uavnav.tasks.seeding import Streams, stream
+from uavnav.tasks.simulator import Outcome, Task
+from uavnav.tasks.state import UP, State, at
+from uavnav.training import machine
+
+CHUNK = 256
+"""Flights that one call of a compiled step moves at most."""
+
+
+class Step(NamedTuple):
+    """One step of the flights that were up before it."""
+
+    number: int  # counted from 1
+    flight: Tensor  # [F] which they are: first all sets of the first flyer
+    place: Tensor  # [F] where they lie in `states` and `outcomes`
+    action: Tensor  # [F] as it was executed
+    values: Tensor | None  # [F, n_actions] the numbers behind the actions, where they were asked for
+    states: State  # [P] after the step
+    outcomes: Outcome  # [P]
+    ended: Tensor  # [F] bool: which flights are over now
+
+    @property
+    def state(self) -> State:
+        """After the step, [F]."""
+        return at(self.states, self.place)
+
+    @property
+    def outcome(self) -> Outcome:
+        """Of the step, [F]."""
+        return Outcome(*(field[self.place] for field in self.outcomes))
+
+
+def headings(task: Task, n: int) -> Tensor:
+    """Start headings on the first n sets [n] whole degrees: random ones belong to the set, whoever flies."""
+    if task.world.start_heading == "up":
+        return torch.full((n,), UP)
+    return torch.randint(360, (n,), generator=stream(0, "headings in evaluation"))
+
+
+def start(task: Task, seeds: Sequence[int] = (0,), heading: Tensor | None = None) -> State:
+    """Where the flights of flyers begin, each on every set: [flyers x sets]; seeds: the flyers'."""
+    n = len(task.bank)
+    heading = headings(task, n) if heading is None else heading
+    layout = torch.arange(n).repeat(len(seeds))
+    return task.start(layout, heading.repeat(len(seeds)), next(_draws(task, seeds, "first faults in evaluation")))
+
+
+def _draws(task: Task, seeds: Sequence[int], purpose: str) -> Iterator[Tensor | None]:
+    """Step by step, what the flights of flyers need for faults: [flyers x sets, n_draws], or None."""
+    streams = Streams(seeds, purpose)
+    while True:
+        yield streams.draw(task.draw, len(task.bank), device="cpu").flatten(0, 1) if task.n_draws else None
+
+
+def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool = False) -> Iterator[Step]:
+    """Fly until every flight has ended by a collision or at the task's cap; stop whenever you have seen enough.
+
+    Set `ended` of a flight, and it goes no further.
+
+    heading: [sets] of the start, where it is not the task's; values: keep the numbers behind the actions of `Policy`s.
+
+    Raises:
+        ValueError: a policy chose something that is no action.
+    """
+    seeds = [seed for seed, _ in flyers]
+    state, draws = start(task, seeds, heading), _draws(task, seeds, "faults in evaluation")
+    squads = Squads(flyers, task.world.n_actions)
+    flight = place = torch.arange(len(state.x))
+    sizes = [len(task.bank)] * len(flyers)
+    compiled = False
+    compiles_at = 1 if task.max_steps and len(flight) * task.max_steps >= machine.MANY else machine.EAGER_STEPS
+    observation, _ = task.observe(state)
+    for number, drawn in enumerate(draws, 1):
+        with torch.no_grad():
+            seen = observation if len(place) == len(observation) else observation[place]
+            action, behind = squads.act(seen, sizes, values)
+            if not compiled and number == compiles_at and machine.flights(task.max_steps):
+                state, compiled = _padded(state), True
+            own = None if drawn is None else drawn[flight]
+            state, outcome = _advance(task, state, place, action, own) if compiled else task.step(state, action, own)
+            if task.remembers:
+                action = memory.executed_of(state)[place]
+        ended = (outcome.terminated | outcome.truncated)[place]
+        yield Step(number, flight, place, action, behind, state, outcome, ended)
+        observation, up = outcome.observation, ~ended
+        if not up.all():
+            sizes = [int(part.sum()) for part in torch.split(up, sizes)]
+            flight, place = flight[up], place[up]
+            if not len(flight):
+                return
+            if not compiled or max(CHUNK, _size(len(place))) < len(state.layout):
+                state, observation = at(state, place), observation[place]
+                place = torch.arange(len(place))
+                state = _padded(state, CHUNK) if compiled else state
+
+
+def alike(policies: Sequence[Policy]) -> list[list[int]]:
+    """Which policies were trained in the same task but for its bank and cap, so that they can fly as one batch."""
+    tasks = [policy.task for policy in policies]
+    keys = [(type(task), task.world, task.reward, task.stack, task.faults) for task in tasks]
+    return [[place for place, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]
+
+
+def _advance(task: Task, state: State, place: Tensor, action: Tensor, draws: Tensor | None) -> tuple[State, Outcome]:
+    """A step as a compiled graph: of all P places, those that have ended included."""
+    everywhere = torch.zeros_like(state.layout)
+    everywhere[place] = action
+    drawn = [] if draws is None else [torch.zeros(len(everywhere), task.n_draws).index_copy(0, place, draws)]
+    step, chunks = (
+        _graph(task),
+        zip(*(torch.split(field, CHUNK) for field in (everywhere, *state, *drawn)), strict=True),
+    )
+    parts = [step(action, task.bank, *rest) for action, *rest in chunks]
+    found = parts[0] if len(parts) == 1 else [torch.cat(fields) for fields in zip(*parts, strict=True)]
+    return task.state_class(*found[: len(state)]), Outcome(*found[len(state) :])
+
+
+@functools.lru_cache(maxsize=4)
+def _graph(task: Task) -> graph.Graph:
+    kind = task.state_class
+    n = len(kind._fields)
+
+    def step(action: Tensor, bank: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+        state, outcome = task.with_bank(bank).step(kind(*tensors[:n]), action, *tensors[n:])
+        return *state, *outcome
+
+    return graph.Graph(step)
+
+
+def _padded(state: State, least: int = 1) -> State:
+    """Repeat the last of some flights until there are as many as graphs are compiled for."""
+    n = len(state.layout)
+    return at(state, torch.arange(max(least, _size(n))).clamp(max=n - 1))
+
+
+def _size(n: int) -> int:
+    """How many places n flights have in compiled steps: 64, 128, or a multiple of 256; few sizes mean few graphs."""
+    return max(64, 1 << (n - 1).bit_length()) if n <= CHUNK else -(-n // CHUNK) * CHUNK

@@ -1,0 +1,157 @@
+"""Repeat a run from its config.yaml and say whether the rows and weights are the same, bit for bit.
+
+`uavnav verify RUN [--frames N]`
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+import torch
+
+from uavnav import plugins
+from uavnav.algorithms import ALGORITHMS
+from uavnav.errors import ConfigError, choose_from
+from uavnav.runs import POLICY, Run, read_settings
+from uavnav.runs.metrics import finished
+from uavnav.runs.policies import PolicyError, contents
+from uavnav.runs.tables import RunError
+from uavnav.training import workers
+from uavnav.training.config import TrainConfig, checked
+from uavnav.training.loop import train
+from uavnav.training.recorder import Interrupted
+
+TIMING = ["frames_per_second"]
+"""Columns that two equal runs may differ in."""
+
+
+class Verdict(NamedTuple):
+    """What a repeat showed."""
+
+    same: bool
+    lines: list[str]
+
+
+def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
+    """Repeat a run, or its first `frames` frames per seed, in a scratch folder and compare.
+
+    Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights if the
+    run has some: a repository may keep its rows alone, or the weights of some seeds.
+
+    Raises:
+        ConfigError, LayoutError, RunError: the run cannot be repeated.
+    """
+    checked("frames", frames, int | None, {"least": 1})
+    config = _config(run)
+    original, kept = _weights(run.path) if (run.path / POLICY).exists() else (None, run.seeds)
+    whole = frames is None or frames >= run.frames
+    processes = int(run.meta.get("processes", 1))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "again"
+        if whole:
+            again = train(config, out=folder, quiet=quiet, processes=processes)
+            reached, meta, (weights, _) = again.frames, again.meta, _weights(folder)
+            tables = {"episodes": again.episodes, "progress": again.progress}
+        else:
+            try:
+                train(config, out=folder, quiet=quiet, until=frames, processes=processes)
+            except Interrupted as stop:
+                if not stop.wanted:
+                    raise
+            reached, tables = workers.snapshot_tables(folder, config)
+            meta, weights = read_settings(folder / "meta.json"), None
+    originals = {"episodes": run.episodes, "progress": run.progress}
+    if not whole:
+        originals = {name: table[table["frame"] <= reached] for name, table in originals.items()}
+        originals["episodes"] = finished(originals["episodes"])
+    partings = [_parting(name, originals[name], tables[name]) for name in originals]
+    if weights is not None and original is not None:
+        if kept and {*kept} <= {*run.seeds}:
+            weights = {name: one[[run.seeds.index(seed) for seed in kept]] for name, one in weights.items()}
+            partings.append(_weights_parting(original, weights))
+        else:
+            partings.append(f"  weights: of the seeds {kept} then, {run.seeds} now")
+    lines = [line for line in partings if line]
+    if lines:
+        lines += [f"  {fact}: {there} then, {here} now" for fact, there, here in _differing(run.meta, meta)]
+        return Verdict(False, [f"{run.path}: not the same", *lines])
+    compared = f"{len(originals['episodes']):,} episodes, {len(originals['progress']):,} rows of progress"
+    if weights is not None and original is not None:
+        fewer = "" if kept == run.seeds else f" of {len(kept)} of its {len(run.seeds)} seeds"
+        compared += f" and {len(weights)} tensors{fewer}"
+    lines = [f"{run.path}: the same, bit for bit: {compared} at {reached:,} frames per seed"]
+    lines += [f"  weights: not compared, no {POLICY} there; the run's command makes it"] if original is None else []
+    return Verdict(True, lines)
+
+
+def _config(run: Run) -> TrainConfig:
+    if run.algorithm not in ALGORITHMS:
+        hint = plugins.missing(run.meta.get("plugins", {})) or f"; {choose_from(run.algorithm, ALGORITHMS)}"
+        raise RunError(f"{run.path / 'config.yaml'}: algorithm={run.algorithm}{hint}")
+    kind: type[TrainConfig] = ALGORITHMS[run.algorithm].config
+    try:
+        return kind.from_mapping(kind.as_run(run.config))
+    except (ConfigError, KeyError, TypeError) as error:
+        hint = plugins.missing(run.meta.get("plugins", {}))
+        raise ConfigError(f"{run.path / 'config.yaml'}: {error}{hint}") from error
+
+
+def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
+    """Where two tables part first, in words; empty where they do not."""
+    there, here = (
+        table.drop(columns=TIMING, errors="ignore").dropna(axis=1, how="all").reset_index(drop=True)
+        for table in (there, here)
+    )
+    rows = min(len(there), len(here))
+    if not rows:  # a table without rows need not have columns
+        return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
+    if list(there.columns) != list(here.columns):
+        return f"  {name}: other columns"
+    equal = (there[:rows] == here[:rows]) | (there[:rows].isna() & here[:rows].isna())
+    wrong = ~equal.all(axis=1)
+    if wrong.any():
+        index = int(wrong.idxmax())
+        column = equal.columns[~equal.iloc[index].to_numpy(dtype=bool)][0]
+        was, now = there.iloc[index].to_dict(), here.iloc[index].to_dict()
+        where = f"row {index} (seed {was['seed']:.0f}, frame {was['frame']:,.0f})"
+        return f"  {name}: {where} is the first with another {column}: {was[column]} then, {now[column]} now"
+    return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
+
+
+def _weights(folder: Path) -> tuple[dict[str, torch.Tensor], list[int]]:
+    """The tensors of a policy file, and the seeds that it holds."""
+    path = folder / POLICY
+    try:
+        tensors, header = contents(path)
+    except PolicyError as error:
+        raise RunError(f"{path}: missing or damaged; run again with overwrite=true") from error
+    return tensors, header.seeds
+
+
+def _weights_parting(there: dict[str, torch.Tensor], here: dict[str, torch.Tensor]) -> str:
+    if there.keys() != here.keys():
+        return "  weights: other tensors"
+    for name, tensor in there.items():
+        other = here[name]
+        if (tensor.shape, tensor.dtype) != (other.shape, other.dtype):
+            return f"  weights: {name} is {_kind(tensor)} then, {_kind(other)} now"
+        if tensor.numpy().tobytes() != other.numpy().tobytes():
+            return f"  weights: {name} differs by up to {(tensor - other).abs().max():.2g}"
+    return ""
+
+
+def _kind(tensor: torch.Tensor) -> str:
+    return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
+
+
+def _differing(there: dict[str, Any], here: dict[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Facts of version, machine and bank in which two runs differ."""
+    single = ("git_commit", "threads", "processes", "compiled")
+    pairs = [(key, there.get(key), here.get(key)) for key in single]
+    for group in ("versions", "machine", "bank", "plugins"):
+        old, new = (facts[group] if isinstance(facts.get(group), dict) else {} for facts in (there, here))
+        pairs += [(f"{group}.{key}", old.get(key), new.get(key)) for key in sorted({*old, *new})]
+    return [pair for pair in pairs if pair[1] != pair[2]]

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -22,6 +23,7 @@ from uavnav.studies.run import Study
 from uavnav.training import heartbeat, worker, workers
 from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.loop import train
+from uavnav.training.recorder import Recorder
 from uavnav.training.verify import _parting as parting
 
 CONFIG = PPOConfig(
@@ -229,10 +231,61 @@ def test_a_study_waits_for_longer_where_its_engine_says_that_jobs_are_queued(stu
     assert engine.asked == 3
 
 
-def test_an_engine_that_does_not_answer_ends_a_study_in_one_line(study, monkeypatch):
+def test_an_engine_that_does_not_answer_for_an_hour_ends_a_study_in_one_line(study, monkeypatch):
     impatient(monkeypatch, ANSWER=0.3)
-    with pytest.raises(RunError, match="engine=noanswer: does not answer for 0 s; the same command goes on"):
+    with pytest.raises(RunError, match=r"engine=noanswer:? does not answer.*; the same command goes on"):
         study(NoAnswer())
+
+
+def test_an_engine_that_is_slow_now_and_then_ends_no_job(study, monkeypatch):
+    class Slow(Engine):
+        asked = 0
+
+        def ended(self, job):
+            self.asked += 1
+            time.sleep(8.0 if self.asked == 1 else 0.0)
+            return super().ended(job)
+
+    impatient(monkeypatch, ANSWER=6.0, IDLE=60.0)
+    engine = Slow()
+    failed, said = study(engine, seeds_per_share=2, evaluation=None)
+    assert (failed, engine.given) == ([], 1)
+    assert len(said) == 1
+
+
+def test_a_check_of_machines_that_lasts_is_told_and_has_an_end(study, monkeypatch):
+    class Queue(Engine):
+        def check(self, folder):
+            time.sleep(60)
+
+    impatient(monkeypatch, SAY=0.2, CHECK=0.7)
+    said = []
+    cell = Cell(CONFIG, Path("unused"), None)
+    monkeypatch.setattr(run.Recorder, "__init__", lambda *anything: None)
+    with pytest.raises(RunError, match="engine=queue: does not answer for 1 s; the same command goes on"):
+        Study(Path("unused"), [cell], Queue(), say=said.append)._check_engine()
+    assert len(said) == 3
+    assert said[0] == f"engine=queue: does not answer for 0 s: {run.CHECK}"
+
+
+@pytest.mark.parametrize(("frames", "dead"), [(1_000, True), (2_048, False)])
+def test_a_heart_that_beats_counts_as_stuck_where_frames_are_missing_and_flies_where_they_are_not(
+    frames, dead, study, tmp_path, monkeypatch
+):
+    clock = [0.0]
+    monkeypatch.setattr(run.time, "monotonic", lambda: clock[0])
+    engine = NeverBegins()
+    cell = Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
+    carried = Study(tmp_path / "out", [cell], engine, say=lambda told: None)
+    job = run.Job(run.Work(cell), run.Share(tmp_path / "share.1", CONFIG))
+    job.folder.mkdir()
+    job.file("log").touch()
+    job.given(None)
+    for hour in (0.0, 4.5, 9.0):
+        clock[0] = hour * 3600
+        heartbeat.tell(job.folder, frames, 2_048, None)
+        found = carried._dead(job)
+    assert found == dead
 
 
 # -- a heartbeat ------------------------------------------------------------------------------------------------------
@@ -343,3 +396,21 @@ def test_a_job_that_gets_no_further_for_four_hours_is_dead_although_its_heart_be
         (tmp_path / PROGRESS).write_text(json.dumps({"frames": 1, "total": 2, "rate": None, "at": float(beat)}))
     assert study._dead(job)
     assert cancelled == ["handle"]
+
+
+def test_a_run_whose_folder_was_taken_leaves_what_lies_there_now_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(heartbeat, "SECONDS", 60.0)
+    recorder = Recorder(tmp_path / "run", CONFIG)
+
+    def lose():
+        (tmp_path / "run").rename(tmp_path / "taken")
+        recorder.heartbeat.beat()
+        (tmp_path / "run").mkdir()
+        for name in ("meta.json", PROGRESS, STOP, ".lock"):
+            (tmp_path / "run" / name).write_text("another's")
+        recorder.tell(256)
+
+    with pytest.raises(RunError, match="is gone"), recorder:
+        lose()
+    assert {path.read_text() for path in (tmp_path / "run").iterdir()} == {"another's"}
+    assert len([*(tmp_path / "run").iterdir()]) == 4

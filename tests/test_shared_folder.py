@@ -1,5 +1,6 @@
 """A study's folder that only some machines see is found out before any work, on clusters made up here."""
 
+import math
 import socket
 import subprocess
 import sys
@@ -185,7 +186,8 @@ def cluster(monkeypatch):
             "available_resources": dict,
         }.items():
             monkeypatch.setattr(ray, name, stand_in)
-        yield types.SimpleNamespace(head=head, given=given, nodes=nodes)
+        strategy = types.SimpleNamespace(node_id=nodes[0]["NodeID"])
+        yield types.SimpleNamespace(head=head, given=given, nodes=nodes, strategy=strategy)
 
 
 def test_a_machine_that_does_not_answer_gets_no_job_of_ray(cluster):
@@ -210,3 +212,18 @@ def test_a_job_of_ray_that_waits_behind_another_is_queued_and_ends_with_its_mach
     cluster.nodes[0]["Alive"] = False
     engine._seen = 0.0
     assert engine.ended(second)
+
+
+def test_a_machine_of_rays_where_a_job_did_not_begin_is_the_last_to_get_it_again(cluster):
+    from uavnav.studies.engines.ray import Ray
+
+    engine = Ray(cluster.head)
+    engine._machines()
+    engine._answering = {"first": 1, "second": 1}
+    engine._seen = math.inf
+    strategies = []
+    engine._only = lambda machine: strategies.append(machine) or cluster.strategy
+    (job,) = engine.start([["first"]])
+    engine.cancel(job)
+    engine.start([["again"], ["another"]])
+    assert strategies == ["first", "second", "first"]

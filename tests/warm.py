@@ -91,14 +91,15 @@ def address():
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
             listener.bind(f"\0{name}")
             listener.listen(100)
-            SERVERS.append(Popen.__base__([sys.executable, __file__, " " * ROOM], stdin=listener, process_group=0))
+            words = [sys.executable, __file__, str(os.getpid()), " " * ROOM]
+            SERVERS.append(Popen.__base__(words, stdin=listener, process_group=0))
         os.environ[ADDRESS] = name
     return f"\0{os.environ[ADDRESS]}"
 
 
 def serve():
     """Fork for each that asks, as long as the process is there that started this one."""
-    starter = os.getppid()
+    starter = int(sys.argv[1])
     for name in MODULES:
         importlib.import_module(name)
     listener = socket.socket(fileno=0)

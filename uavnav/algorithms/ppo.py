@@ -89,6 +89,10 @@ class PPOConfig(TrainConfig):
             )
 
     @property
+    def frames_between_rows(self) -> int:
+        return self.frames_per_batch
+
+    @property
     def frames_per_iteration(self) -> int:
         return self.frames_per_batch
 

@@ -33,7 +33,6 @@ from uavnav.views.window.game import Game
 from uavnav.views.window.keys import press, release, release_all
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else Wayland's library has a line of its own
 try:
     import pygame
 except ImportError:
@@ -51,6 +50,7 @@ def open_window(size: tuple[int, int]) -> pygame.Surface:
     """
     if pygame is None:
         raise ValueError("needs pygame-ce: pip install 'uavnav[play]'")
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else Wayland's library has a line of its own
     try:
         pygame.display.init()
         if "SDL_VIDEODRIVER" not in os.environ and pygame.display.get_driver() in UNSEEN:

@@ -49,11 +49,16 @@ IDLE_SECONDS = 3600.0
 """Without any job that lives, after which a study ends, unless its engine says that jobs are queued."""
 STUCK_SECONDS = 4 * 3600.0
 """Without a frame more, after which a job counts as dead although its heart beats."""
+FLIGHT_SECONDS = 48 * 3600.0
+"""Given to an evaluation, whose heartbeat says no frames."""
 ANSWER_SECONDS = 120.0
 """Given to an engine to answer a question."""
+CHECK_SECONDS = 24 * 3600.0
+"""Given to an engine to check its machines, which may wait in a queue."""
 SAY_SECONDS = 60.0
 """Between two lines that say what a study waits for."""
 
+CHECK = "its machines are checked, which may wait in a queue"
 FLIGHTS = "flying"
 """Begins the names of the files of an evaluation's job, in its cell's folder."""
 
@@ -155,13 +160,24 @@ class Job:
         return found if isinstance(found, dict) else {}
 
 
-def asked(engine: Engine, question: Callable[[], Answer]) -> Answer:
+class Unanswered(RunError):
+    """An engine does not answer a question in time."""
+
+
+def asked(
+    engine: Engine, question: Callable[[], Answer], seconds: float | None = None, wait: Say = lambda told: None
+) -> Answer:
     """What an engine answers.
 
+    Args:
+        seconds: given to the engine; by default `ANSWER_SECONDS`.
+        wait: is told each minute how long that has lasted.
+
     Raises:
-        RunError: it does not answer within `ANSWER_SECONDS`.
+        Unanswered: it does not answer within that time.
         Exception: whatever the question raises.
     """
+    seconds = ANSWER_SECONDS if seconds is None else seconds
     heard: queue.SimpleQueue[tuple[Any, Exception | None]] = queue.SimpleQueue()
 
     def ask() -> None:
@@ -171,11 +187,16 @@ def asked(engine: Engine, question: Callable[[], Answer]) -> Answer:
             heard.put((None, error))
 
     threading.Thread(target=ask, daemon=True).start()
-    try:
-        answer, error = heard.get(timeout=ANSWER_SECONDS)
-    except queue.Empty:
-        name = type(engine).__name__.lower()
-        raise RunError(f"engine={name}: does not answer for {ANSWER_SECONDS:.0f} s; the same command goes on") from None
+    name, since = type(engine).__name__.lower(), time.monotonic()
+    while True:
+        try:
+            answer, error = heard.get(timeout=min(SAY_SECONDS, max(0.0, since + seconds - time.monotonic())))
+            break
+        except queue.Empty:
+            told = f"engine={name}: does not answer for {time.monotonic() - since:.0f} s"
+            if time.monotonic() - since >= seconds:
+                raise Unanswered(f"{told}; the same command goes on") from None
+            wait(told)
     if error is not None:
         raise error
     found: Answer = answer
@@ -264,7 +285,7 @@ class Study:
         self._stop: int | None = None
         self._slots = 0
         self._looked = self._said = 0.0
-        self._lived = time.monotonic()  # when a job lived last
+        self._lived = self._answered = time.monotonic()  # when a job lived, and the engine answered, last
 
     def _trained(self, cell: Cell) -> bool:
         return trained(cell) and (not self.policies or (cell.out / POLICY).exists())
@@ -283,7 +304,7 @@ class Study:
         self.out.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as stack:
             stack.enter_context(lock(self.out))
-            self.engine.check(self.out)  # which may wait in a queue, and may be stopped there
+            self._check_engine()
             stack.enter_context(self._signals())
             for work in self.works:
                 if not self._trained(work.cell):
@@ -292,7 +313,7 @@ class Study:
             flights = deque(work for work in self.works if self._trained(work.cell))
             running: list[Job] = []
             self._finish_what_is_trained(flights)
-            self._lived = self._said = time.monotonic()
+            self._lived = self._said = self._answered = time.monotonic()
             while waiting or flights or running:
                 self._start(waiting, flights, running)
                 time.sleep(POLL_SECONDS)
@@ -305,6 +326,23 @@ class Study:
                 if self._stop is not None:
                     raise self._stopped(running)
         return [work for work in self.works if work.problem]
+
+    def _check_engine(self) -> None:
+        """Have the engine check its machines, which may wait in a queue and may be stopped there."""
+        asked(
+            self.engine, lambda: self.engine.check(self.out), CHECK_SECONDS, lambda told: self.say(f"{told}: {CHECK}")
+        )
+
+    def _ask(self, question: Callable[[], Answer], unknown: Answer) -> Answer:
+        """What the engine answers; `unknown` where it does not, until that has lasted for an hour."""
+        try:
+            answer = asked(self.engine, question)
+        except Unanswered:
+            if time.monotonic() - self._answered > IDLE_SECONDS:
+                raise
+            return unknown
+        self._answered = time.monotonic()
+        return answer
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
@@ -339,7 +377,7 @@ class Study:
     def _start(self, waiting: deque[tuple[Work, Share]], flights: deque[Work], running: list[Job]) -> None:
         """Give the engine as many jobs as it takes: evaluations first, which finish cells."""
         jobs: list[tuple[Job, list[str]]] = []
-        self._slots = asked(self.engine, self.engine.slots)
+        self._slots = self._ask(self.engine.slots, 0)
         while len(running) + len(jobs) < self._slots and (flights or waiting):
             if flights:
                 job = Job(flights.popleft(), None)
@@ -358,7 +396,8 @@ class Study:
     def _over(self, running: Sequence[Job]) -> list[Job]:
         """The jobs that have ended, by their engine's word or, now and then, by their files; and dead ones."""
         handles = [job.handle for job in running]
-        ended = asked(self.engine, lambda: [self.engine.ended(handle) for handle in handles])
+        unknown = [False for _ in handles]
+        ended = self._ask(lambda: [self.engine.ended(handle) for handle in handles], unknown) if handles else unknown
         look = time.monotonic() - self._looked >= heartbeat.SECONDS
         return [
             job
@@ -372,12 +411,13 @@ class Study:
         if not job.begun:
             what, since, limit = "has not begun", now - job.since, QUEUE_SECONDS
         elif job.spoke and silence < SILENT_SECONDS:
-            what, since, limit = "has got no further", now - job.moved, STUCK_SECONDS
+            trains = job.told.get("frames", 0) < job.told.get("total", 0)
+            what, since, limit = "has got no further", now - job.moved, STUCK_SECONDS if trains else FLIGHT_SECONDS
         else:
             what, since, limit = "has been silent", silence, SILENT_SECONDS if job.spoke else BEGIN_SECONDS
-        if since < limit or asked(self.engine, lambda: self.engine.queued(job.handle)):
+        if since < limit or self._ask(lambda: self.engine.queued(job.handle), True):
             return False
-        asked(self.engine, lambda: self.engine.cancel(job.handle))
+        self._ask(lambda: self.engine.cancel(job.handle), None)
         job.unbegun = not job.begun
         self.say(f"{_shown(job.folder)}: its job {what} for {since:.0f} s and counts as dead")
         return True
@@ -397,10 +437,11 @@ class Study:
         parts += [f"{len(running) - begun} jobs to begin"] * (begun < len(running))
         parts += [f"a machine for {left} jobs"] * (not running)
         what = f"no job has lived for {now - self._lived:,.0f} s, waiting for {' and '.join(parts)}"
-        engine = f"engine={type(self.engine).__name__.lower()} has {self._slots} slots"
+        has = f"has {self._slots} slots" if now - self._answered < SAY_SECONDS else "does not answer"
+        engine = f"engine={type(self.engine).__name__.lower()} {has}"
         if now - self._lived > IDLE_SECONDS:
             handles = [job.handle for job in running if not job.begun]
-            if not asked(self.engine, lambda: any(self.engine.queued(handle) for handle in handles)):
+            if not self._ask(lambda: any(self.engine.queued(handle) for handle in handles), True):
                 raise RunError(f"{_shown(self.out)}: {what}; {engine}; the same command goes on")
         if now - self._said >= SAY_SECONDS:
             self._said = now
@@ -514,12 +555,11 @@ class Study:
 
     def _stopped(self, running: Sequence[Job]) -> Interrupted:
         """Ask the shares to save themselves, and wait until they have."""
-        for job in running:
-            if job.share is not None:
-                with contextlib.suppress(OSError):
-                    (job.folder / STOP).touch()
+        left = [job for job in running if job.share is not None]  # an evaluation has nothing to save
+        for job in left:
+            with contextlib.suppress(OSError):
+                (job.folder / STOP).touch()
         limit = time.monotonic() + STOP_SECONDS
-        left = list(running)
         while left and time.monotonic() < limit:
             time.sleep(POLL_SECONDS)
             left = [job for job in left if not (job.last_words() or self._ended_by_engine(job))]

@@ -40,7 +40,8 @@ class Heartbeat:
     def __exit__(self, *error: object) -> None:
         self._over.set()
         self._thread.join()
-        files.remove(self.folder / PROGRESS)
+        if not self.gone:
+            files.remove(self.folder / PROGRESS)
 
     def tell(self, frames: int) -> None:
         """Note how many frames per seed there are now, for the next beat."""

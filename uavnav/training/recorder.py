@@ -222,17 +222,19 @@ class Recorder:
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
-        if kind is not None and self.meta.get("status") != FINISHED:
+        gone = self.heartbeat.gone  # what lies there now is another run's
+        if kind is not None and self.meta.get("status") != FINISHED and not gone:
             self.meta |= {"status": "interrupted" if issubclass(kind, (Interrupted, KeyboardInterrupt)) else "failed"}
             with contextlib.suppress(RunError):  # on a full disk the error under way says more
                 self._write_meta()
         self.heartbeat.__exit__(kind, *error)
-        if self.stop is not None:
+        if self.stop is not None and not gone:
             files.remove(self.path / STOP)  # it was obeyed, and counts once
-        self._release()
+        self._release(gone)
 
-    def _release(self) -> None:
-        files.remove(self.path / LOCK)
+    def _release(self, gone: bool = False) -> None:
+        if not gone:
+            files.remove(self.path / LOCK)
         self._lock.release()
 
     def _note_stop(self, number: int, frame: object) -> None:

@@ -58,6 +58,7 @@ class Ray:
             ) from error
         self._head: str = ray.get_runtime_context().gcs_address
         self._running: dict[Any, str] = {}  # the machine of each job
+        self._doubted: set[str] = set()  # machines where a job was silent, or did not begin
         self._seen, self._living, self._answering = -math.inf, dict[str, int](), dict[str, int]()
 
     def _machines(self) -> dict[str, int]:
@@ -138,7 +139,7 @@ class Ray:
             raise ConfigError("engine=ray: the cluster has no machine left; the same command goes on")
         started = []
         for words in jobs:
-            machine = max(free, key=lambda one: free[one])
+            machine = max(free, key=lambda one: (free[one] > 0, one not in self._doubted, free[one]))
             free[machine] -= 1
             call = self._ray.remote(subprocess.call)
             job = call.options(num_cpus=1, max_retries=0, scheduling_strategy=self._only(machine)).remote(words)
@@ -159,7 +160,8 @@ class Ray:
         return machine in self._machines() and job in there[self._living[machine] :]
 
     def cancel(self, job: Any) -> None:
-        self._running.pop(job, None)
+        if machine := self._running.pop(job, None):
+            self._doubted.add(machine)
         with contextlib.suppress(self._ray.exceptions.RayError, ValueError):
             self._ray.cancel(job, force=True)
 
@@ -177,6 +179,6 @@ def _answers(address: str) -> bool:
 
 def _knock(address: str) -> None:
     """Raise an OSError where nobody listens at host:port; Ray itself would wait a minute and then end the process."""
-    host, _, port = address.rpartition(":")
-    if host and port.isdigit() and "://" not in address:
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if host and port.isdigit():
         socket.create_connection((host, int(port)), KNOCK_SECONDS).close()

@@ -60,7 +60,10 @@ class Slurm:
     def check(self, folder: Path) -> None:
         if self._executor is not None:
             return
-        self._executor = self._submitit.AutoExecutor(folder=folder / "slurm", cluster=self.cluster)
+        try:
+            self._executor = self._submitit.AutoExecutor(folder=folder / "slurm", cluster=self.cluster)
+        except RuntimeError as error:  # there is no `srun`
+            raise ConfigError(f"engine=slurm: {error}; give the command where SLURM is installed") from error
         self._executor.update_parameters(
             name="uavnav",
             timeout_min=self.time,
@@ -83,8 +86,8 @@ class Slurm:
         if self.cluster != "slurm":
             return []
         try:
-            said = subprocess.run(FREE, capture_output=True, text=True, check=True).stdout
-        except (OSError, subprocess.CalledProcessError):
+            said = subprocess.run(FREE, capture_output=True, text=True, check=True, timeout=60).stdout
+        except (OSError, subprocess.SubprocessError):
             return []
         rows = [line.split() for line in said.splitlines()]
         return sorted({machine for machine, where in rows if self._goes_to(where)})

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from uavnav.algorithms import a2c, dqn, ppo, sac
+from uavnav.algorithms import a2c, dqn, ppo, replay, sac
 from uavnav.algorithms.acting import Actor
 from uavnav.envs.env import DroneEnv
 from uavnav.tasks.simulator import make_task
@@ -130,4 +130,4 @@ def test_dqn_acts_on_one_device_whose_epsilon_too_lies_there(unspecified):
     actor = Actor(network, config.seeds, "epsilon-greedy", config.head, compile=False, epsilon=config.epsilon)
     batch = collected(env, actor, 1)
     assert {value.device.type for value in (actor.epsilon, *batch.values(True, True))} == {"meta"}
-    assert dqn.rows(batch, config).batch_size == (config.n_worlds, 2)
+    assert replay.rows(batch, config).batch_size == (config.n_worlds, 2)

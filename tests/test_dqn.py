@@ -9,7 +9,8 @@ from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from tensordict import TensorDict
 
 import uavnav
-from uavnav.algorithms.dqn import PRESETS, DQNConfig, make_learner, make_loss, make_network, rows, train
+from uavnav.algorithms.dqn import PRESETS, DQNConfig, make_learner, make_loss, make_network, train
+from uavnav.algorithms.replay import rows
 from uavnav.errors import ConfigError
 from uavnav.tasks.seeding import Streams
 from uavnav.training.recorder import Interrupted, Recorder

@@ -12,7 +12,8 @@ import torch
 from safetensors.torch import load_file
 
 from uavnav.algorithms.acting import Actor
-from uavnav.algorithms.dqn import DQNConfig, make_buffer, make_network, train
+from uavnav.algorithms.dqn import DQNConfig, make_network, train
+from uavnav.algorithms.replay import make_buffer
 from uavnav.envs.gym import DroneVectorEnv
 from uavnav.tasks.seeding import Streams
 from uavnav.tasks.world import World
@@ -71,8 +72,8 @@ def watch(config, folder):
         checkpoint(self, frames, parts, replay)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uavnav.algorithms.dqn.make_buffer", watch_buffer)
-        patch.setattr("uavnav.algorithms.dqn.LOG_FRAMES", 32)
+        patch.setattr("uavnav.algorithms.replay.make_buffer", watch_buffer)
+        patch.setattr("uavnav.algorithms.replay.LOG_FRAMES", 32)
         patch.setattr(Learner, "step", watch_step)
         patch.setattr(Actor, "act", watch_act)
         patch.setattr(Recorder, "checkpoint", watch_checkpoint)

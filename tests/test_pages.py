@@ -82,7 +82,7 @@ SHORT = {
 def test_every_logged_column_has_its_line(algorithm, tmp_path):
     first = blocks(PAGES[algorithm], "console")[0].splitlines()[0].partition("#")[0].split()[3:]
     config = CONFIGS[algorithm].from_mapping({**dict(word.split("=") for word in first), **SHORT[algorithm]})
-    run = importlib.import_module(f"uavnav.{algorithm}").train(config, out=tmp_path / "run", quiet=True)
+    run = getattr(uavnav, algorithm).train(config, out=tmp_path / "run", quiet=True)
     rows = table(PAGES[algorithm], "| column | meaning |")
     assert sorted(code(row[0])[0] for row in rows) == sorted(run.progress.columns)
     assert all(row[1] for row in rows)

@@ -14,10 +14,10 @@ class Algorithm(NamedTuple):
     """What others must know of an algorithm without importing it."""
 
     module: str  # has its `PRESETS`, configurations by name, and `train`
-    acts: str  # how it acts in training: a name of `training.sampling.ACTS`
+    acts: str  # how it acts in training: a name of `acting.ACTS`
     values: str  # what its outputs are, for people
-    shown: str  # what a picture shows of them: a name of `training.sampling.SHOWN`
-    head: str = "direct"  # how outputs become one number an action: a name of `training.sampling.HEADS`
+    shown: str  # what a picture shows of them: a name of `acting.SHOWN`
+    head: str = "direct"  # how outputs become one number an action: a name of `acting.HEADS`
     came_later: Mapping[str, Any] = {}  # settings that older runs do not name, as those were run
     logs: tuple[str | int, ...] = ()  # Stable-Baselines3 does: `frames` or `episodes`, then factors of how many apart
 

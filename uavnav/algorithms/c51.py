@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from uavnav.algorithms.acting import by_atom, dueling, values_of
-from uavnav.algorithms.dqn import DQNConfig, ReplayConfig
+from uavnav.algorithms.dqn import DQNConfig, QConfig
 from uavnav.errors import ConfigError
 from uavnav.settings import key
 from uavnav.tasks.rewards import bounds_of_returns
@@ -32,7 +32,7 @@ __all__ = ["PRESETS", "C51Config", "C51Loss", "train"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class C51Config(ReplayConfig):
+class C51Config(QConfig):
     """Distributional DQN, which the paper does not have; the defaults are those of its authors and of CleanRL."""
 
     algorithm: ClassVar[str] = "c51"
@@ -111,7 +111,7 @@ def project(probabilities: Tensor, places: Tensor, atoms: Tensor) -> Tensor:
 
 
 class C51Loss(LossModule):  # type: ignore[misc]
-    """The cross-entropy of the projected target and the prediction, one loss a row: batches [A, B] of `dqn.draw`.
+    """The cross-entropy of the projected target and the prediction, one loss a row: batches [A, B] of `Replay.draw`.
 
     TorchRL's own DistributionalDQNLoss takes one batch dimension, branches on values and is always double.
     """

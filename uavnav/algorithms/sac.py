@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
@@ -26,14 +26,14 @@ from torchrl.objectives import DiscreteSACLoss
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.acting import Actor
-from uavnav.algorithms.dqn import DQNConfig, draw, make_buffer, make_sampler, rows
 from uavnav.algorithms.losses import PopulationSACLoss
 from uavnav.algorithms.networks import mlp
 from uavnav.algorithms.ppo import make_actor_critic
+from uavnav.algorithms.replay import Replay, ReplayConfig
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
-from uavnav.training.config import TrainConfig, at_least, within
+from uavnav.training.config import at_least, within
 from uavnav.training.learner import After, Learner
 from uavnav.training.loop import Row, train
 from uavnav.training.optimisers import Adam
@@ -44,7 +44,7 @@ HOW = ALGORITHMS["sac"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SACConfig(TrainConfig):
+class SACConfig(ReplayConfig):
     """Soft Actor-Critic for discrete actions, which the paper does not have; the defaults are CleanRL's."""
 
     COPIES: ClassVar[int] = 11  # a policy, two Q networks, and the targets of these
@@ -64,46 +64,16 @@ class SACConfig(TrainConfig):
         },
     }
 
-    n_worlds: int = at_least(64, 1)  # as DQN here
     lr: float = at_least(3e-4, 0, "Adam's learning rate, of policy, Q networks and temperature")
     max_grad_norm: float | None = at_least(None, 0)  # neither CleanRL nor SB3 clips
-    buffer_size: int = at_least(1_000_000, 1, "the newest so many are kept", "frames a seed")
     learning_starts: int = at_least(20_000, 0, "of the untrained policy, without updates", "frames a seed")
     batch_size: int = at_least(64, 1, "in a gradient step", "transitions")
-    frames_per_update: int = at_least(4, 1, "for each gradient step", "frames a seed")
     tau: float = within(0.005, 0, 1, "of the way to the Q networks that the targets go after each step", "share")  # SB3
     target_entropy: float = within(0.89, 0, 1, "of the entropy of random actions, ln 100, for the policy's", "share")
     adam_eps: float = at_least(1e-4, 0, "Adam's ε")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _ = self.replay  # its checks are DQN's
-
     def make(self, compile: bool) -> SAC:
         return SAC(self, compile)
-
-    def check_machine(self) -> None:
-        """Raise a ConfigError where networks or buffers of all seeds would not fit into the machine's memory."""
-        super().check_machine()
-        self.replay.check_machine()
-
-    @property
-    def replay(self) -> DQNConfig:
-        """The buffer and the rounds of updates: DQN's with these settings."""
-        mine = {item.name for item in fields(self)} - {"preset", "max_grad_norm"}  # each has its own of these
-        return DQNConfig(**{item.name: getattr(self, item.name) for item in fields(DQNConfig) if item.name in mine})
-
-    @property
-    def frames_between_rows(self) -> int:
-        return self.replay.frames_between_rows
-
-    @property
-    def frames_per_iteration(self) -> int:
-        return self.n_worlds * max(self.frames_per_update // self.n_worlds, 1)
-
-    @property
-    def frames_before_learning(self) -> int:
-        return max(self.learning_starts, self.n_worlds)  # a row has its successor
 
 
 PRESETS = {name: SACConfig(preset=name) for name in SACConfig.PRESETS}
@@ -170,24 +140,24 @@ class SAC:
     """All seeds' agents, as the training loop needs them."""
 
     def __init__(self, config: SACConfig, compile: bool) -> None:
-        self.config, self.settings = config, config.replay
+        self.config = config
         policy, twins = make_networks(config)
         self.policy, self.twins = policy.to(config.device), twins.to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
         self.loss = make_loss(self.policy, self.twins, config)
         self.learner = make_learner(self.loss, config, compile)
-        sampler = make_sampler(self.settings)
-        self.replay = make_buffer(sampler, self.settings)
+        self.transitions = Replay(config)
+        self.replay = self.transitions.buffer
         self.probe = probes.poses(config.make_task()).to(config.device)
-        self.parts: Mapping[str, Stateful] = {"replay": sampler, "learner": self.learner}
+        self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
         """Steps [A, W, T] into the buffer, then a round of updates; now and then a row, [A]."""
         config, losses = self.config, {}
-        self.replay.extend(rows(batch, self.settings))
+        self.transitions.extend(batch)
         if frames > config.frames_before_learning:
-            losses = self.learner.learn(draw(self.replay, self.settings))
-        if frames % self.settings.frames_between_rows and frames < config.frames:
+            losses = self.learner.learn(self.transitions.draw())
+        if not config.logs(frames):
             return None
         return {**losses, **self.diagnostics(batch["observation"][:, :, -1]), **probes.units(self.policy, self.probe)}
 

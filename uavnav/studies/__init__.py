@@ -32,7 +32,7 @@ from uavnav import files
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluate import EPISODES, MAX_STEPS, MOST_STEPS, files_of
 from uavnav.help.choices import ConfigError, choose_from, unknown, unknown_key
-from uavnav.help.errors import one_line
+from uavnav.help.errors import one_line, told
 from uavnav.tasks import layouts
 from uavnav.tasks.layouts import LayoutError, judged_on
 from uavnav.tasks.protocol import LADDER_NAMES, SPLITS
@@ -109,6 +109,8 @@ def read(name: str) -> Study:
     Raises:
         ConfigError: there is no such study, or its file is not as it should be.
     """
+    if not isinstance(name, str):
+        raise ConfigError(f"name={told(name)}: there is no such study; {choose_from(name, names())}")
     path = Path(name) if name.endswith(".yaml") else HERE / f"{name}.yaml"
     if not os.path.lexists(path):
         raise ConfigError(f"{name}: there is no such study; {choose_from(name, names())}, or give a file of your own")

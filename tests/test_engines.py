@@ -169,10 +169,11 @@ def test_a_local_study_goes_on_whatever_is_killed(study, alone):
     assert_same_bits(study.out, alone)
 
 
-def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path):
+def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path, monkeypatch):
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
+    monkeypatch.setenv("RAY_worker_niceness", "0")  # 15 is Ray's own: other tests would leave its jobs no time
     study = Started(tmp_path, STUDY + SECOND)
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     try:

@@ -237,6 +237,24 @@ def test_an_engine_that_does_not_answer_for_an_hour_ends_a_study_in_one_line(stu
         study(NoAnswer())
 
 
+def test_a_job_that_lingers_after_its_last_words_is_ended_and_gives_its_place_free(tmp_path):
+    class Lingers(NeverEnds):
+        def __init__(self):
+            super().__init__()
+            self.cancelled = []
+
+        def cancel(self, job):
+            self.cancelled.append(job)
+
+    engine, cell = Lingers(), Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
+    carried = Study(tmp_path / "out", [cell], engine)
+    before, now = (run.Job(run.Work(cell), None, handle=name) for name in ("before", "now"))
+    carried._leaving = [(time.monotonic() - run.SILENT_SECONDS - 1, before), (time.monotonic(), now)]
+    carried._end_what_lingers()
+    assert engine.cancelled == ["before"]
+    assert [job for _, job in carried._leaving] == [now]
+
+
 def test_an_engine_that_is_slow_now_and_then_ends_no_job(study, monkeypatch):
     class Slow(Engine):
         asked = 0

@@ -98,6 +98,7 @@ def did_you_mean_run(run: str, others: Collection[str]) -> str:
 
 def choose_from(value: object, choices: Collection[str]) -> str:
     """`choose from elu, gelu (did you mean gelu?)`: the choices by name, some of very many, and the nearest."""
+    choices = [told(choice) for choice in choices]  # a file may have keys that are no words
     names = sorted(choices)
     if len(", ".join(names)) > LONG:
         near = difflib.get_close_matches(told(value), names, n=SOME, cutoff=0.4)

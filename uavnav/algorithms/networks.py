@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from uavnav.errors import choose_from
+from uavnav.errors import among, choose_from, quoted
 
 ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "relu": F.relu,  # eq. (5)
@@ -80,8 +80,8 @@ class Activation(nn.Module):
 
     def __init__(self, name: str, layer_norm: bool = False) -> None:
         super().__init__()
-        if name not in ACTIVATIONS:
-            raise ValueError(f"activation={name!r}; {choose_from(name, ACTIVATIONS)}")
+        if not among(name, ACTIVATIONS):
+            raise ValueError(f"activation={quoted(name)}; {choose_from(name, ACTIVATIONS)}")
         self.name, self.layer_norm = name, layer_norm
 
     def forward(self, x: Tensor) -> Tensor:

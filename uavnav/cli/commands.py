@@ -182,7 +182,8 @@ def _no_flag(word: str, algorithm: str, settings: Sequence[str], parser: Parser)
     flag, _, value = word.partition("=")
     key = flag.lstrip("-").replace("-", "_")
     path = texts.text_of(algorithm)
-    keys = re.findall(r"^  (\w+)=", path.read_text(encoding="utf-8"), re.MULTILINE) if path.is_file() else []
+    there = algorithm in ALGORITHMS and path.is_file()
+    keys = re.findall(r"^  (\w+)=", path.read_text(encoding="utf-8"), re.MULTILINE) if there else []
     meant = value or next((word for word in settings if "=" not in word), "...")
     example = f"{key}={meant}" if key in (*keys, "plugins") else "activation=tanh"
     near = did_you_mean(flag, parser.flags())

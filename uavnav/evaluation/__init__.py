@@ -99,7 +99,7 @@ def evaluate_policy(
     if task is not None or (world is not None and type(world) is not type(own.world)):
         name = task or next((name for name, kind in TASKS.items() if kind.WORLD is type(world)), "drone")
         own = make_task(EMPTY, world, reward, task=name, stack=own.stack, faults=own.faults)
-    own = replace(own, world=world or own.world, reward=reward or own.reward)
+    own = replace(own, world=own.world if world is None else world, reward=own.reward if reward is None else reward)
     if isinstance(policy, Policy) and own.observation_size != policy.task.observation_size:
         sees = f"the policy sees {policy.task.observation_size} numbers"
         raise ValueError(f"{sees}, and this world has {own.observation_size}; give one that was trained there")

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 from uavnav import files
 from uavnav.algorithms import ALGORITHMS
-from uavnav.errors import ConfigError, choose_from, one_line, unknown, unknown_key
+from uavnav.errors import ConfigError, choose_from, one_line, told, unknown, unknown_key
 from uavnav.evaluation import EPISODES, MAX_STEPS, MOST_STEPS, files_of
 from uavnav.tasks import layouts
 from uavnav.tasks.layouts import LayoutError, judged_on
@@ -108,6 +108,8 @@ def read(name: str) -> Study:
     Raises:
         ConfigError: there is no such study, or its file is not as it should be.
     """
+    if not isinstance(name, str):
+        raise ConfigError(f"name={told(name)}: there is no such study; {choose_from(name, names())}")
     path = Path(name) if name.endswith(".yaml") else HERE / f"{name}.yaml"
     if not os.path.lexists(path):
         raise ConfigError(f"{name}: there is no such study; {choose_from(name, names())}, or give a file of your own")

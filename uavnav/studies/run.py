@@ -8,6 +8,7 @@ files. A share whose job has died is given again, under its folder's next name, 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import queue
 import secrets
@@ -283,6 +284,7 @@ class Study:
             if own := machine.own_parts(work.cell.config):
                 raise ConfigError(f"{work.cell.out}: {own} is known to this process alone; give it as a plugin")
         self._stop: int | None = None
+        self._leaving: list[tuple[float, Job]] = []  # jobs that have said their last words, since when
         self._slots = 0
         self._looked = self._said = 0.0
         self._lived = self._answered = time.monotonic()  # when a job lived, and the engine answered, last
@@ -319,7 +321,9 @@ class Study:
                 time.sleep(POLL_SECONDS)
                 for job in self._over(running):
                     running.remove(job)
+                    self._leaving.append((time.monotonic(), job))
                     self._ended(job, waiting, flights)
+                self._end_what_lingers()
                 self._look(running)
                 self._check_waiting(running, len(waiting) + len(flights))
                 self.tell(self.works)
@@ -421,6 +425,14 @@ class Study:
         job.unbegun = not job.begun
         self.say(f"{_shown(job.folder)}: its job {what} for {since:.0f} s and counts as dead")
         return True
+
+    def _end_what_lingers(self) -> None:
+        """End a job's process that does not end after its last words, and would keep its place."""
+        now = time.monotonic()
+        for since, job in [one for one in self._leaving if now - one[0] > SILENT_SECONDS]:
+            self._leaving.remove((since, job))
+            if not self._ask(functools.partial(self.engine.ended, job.handle), True):
+                self._ask(functools.partial(self.engine.cancel, job.handle), None)
 
     def _check_waiting(self, running: Sequence[Job], left: int) -> None:
         """Say now and then what the study waits for while no job lives.

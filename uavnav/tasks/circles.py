@@ -38,7 +38,7 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
     Raises:
         LayoutError: n, k or seed is negative, or an obstacle finds no place.
     """
-    world = world or World()
+    world = World() if world is None else world
     if not all(isinstance(one, numbers.Integral) and 0 <= one <= MOST_WHOLE for one in (n, k, seed)):
         given = f"n={told(n)}, k={told(k)}, seed={told(seed)}"
         raise LayoutError(f"{given}; give whole numbers of at least 0 and at most {MOST_WHOLE:,}")

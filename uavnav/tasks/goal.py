@@ -73,9 +73,11 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
         Tensor [n, k + 1, 3] float32: (x, y, radius) of the circles, then (x, y, shortest) of the goal, in px.
 
     Raises:
-        LayoutError: n, k or seed is negative, or no goal can be reached.
+        LayoutError: n, k or seed is negative, the goal is smaller than the grid of ways, or none can be reached.
     """
     world = world if isinstance(world, GoalWorld) else GoalWorld()
+    if world.goal_radius < GRID:
+        raise LayoutError(f"goal_radius={world.goal_radius:g}: ways are measured from place to place; give {GRID} px")
     sets = circles.generate(n, k, seed, world).numpy()
     found = np.empty((n, k + 1, 3), dtype=np.float32)
     for index, drawn in enumerate(sets):

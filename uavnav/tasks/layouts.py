@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import re
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -31,6 +32,9 @@ from uavnav.tasks.circles import validate as validate
 from uavnav.tasks.protocol import DEFAULT_K
 from uavnav.tasks.protocol import SPLITS as SPLITS  # also asked for as a name of this module
 from uavnav.tasks.world import VERSION, World
+
+SILENT_SETS = 1_000
+"""Sets with goals that are drawn without a word: ten seconds."""
 
 
 class Kind(NamedTuple):
@@ -219,6 +223,9 @@ def _of_ones_own(found: tuple[Tensor, dict[str, str]]) -> tuple[Tensor, dict[str
 def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split of a world whose banks are no files of the package, and its header."""
     kind = KINDS[kind_of(world)]
+    if isinstance(world, goal.GoalWorld) and SPLITS[split].n > SILENT_SETS:
+        told = f"{SPLITS[split].n:,} sets with goals are drawn for this world, {SPLITS[split].n / 100:.0f} s of a core"
+        warnings.warn(f"layouts={split}: {told}", stacklevel=2)
     bank = kind.generate(SPLITS[split].n, kind.k, SPLITS[split].seed, world)
     return bank, _header(bank, SPLITS[split].seed, split, world)
 

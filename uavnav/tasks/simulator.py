@@ -215,7 +215,7 @@ def make_task(
     if not isinstance(faults, Faults):
         faults = _made(Faults, "faults", faults)
     max_steps = kind.MAX_STEPS if max_steps is None else max_steps
-    made = kind(world, EMPTY, reward or kind.REWARD, max_steps, stack, faults)
+    made = kind(world, EMPTY, kind.REWARD if reward is None else reward, max_steps, stack, faults)
     return made if layouts is EMPTY else made.on(layouts, max_steps)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from torch import Tensor
 
+from uavnav.envs.gym import observation_space, pick
 from uavnav.tasks.seeding import places
 from uavnav.tasks.sensing import VIEW_TOLERANCE
 from uavnav.tasks.simulator import make_task
@@ -44,11 +45,10 @@ class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
         self.world = world = World()
         self.bank: Array = make_task(layouts, world, max_steps=max_steps).bank.cpu().numpy().astype(np.float64)
         self.max_steps = max_steps
-        self._low = np.tile(np.array([-1, 0, 0], dtype=np.float32), world.n_slots)
-        self.observation_space = spaces.Box(self._low, np.ones_like(self._low), dtype=np.float32)
+        self.observation_space = observation_space(world)
         self.action_space = spaces.Discrete(world.n_actions)
+        self._low = self.observation_space.low
         self._empty = np.tile(np.array([0, 0, 1], dtype=np.float32), (world.n_slots, 1))
-
         corner, k = border_squares(world), self.bank.shape[1]
         self._lower = np.concatenate([np.zeros((k, 2)), corner])
         self._upper = np.concatenate([np.zeros((k, 2)), corner + world.border])
@@ -62,10 +62,7 @@ class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
             following = int(places([first], 1, len(self.bank), "cpu"))
         else:
             following = (self._layout + 1) % len(self.bank)
-        layout = (options or {}).get("layout", following)
-        if not isinstance(layout, int | np.integer) or not 0 <= layout < len(self.bank):
-            raise ValueError(f"options layout={layout}; give a whole number from 0 to {len(self.bank) - 1}")
-        self._layout = int(layout)
+        self._layout = int(pick((options or {}).get("layout", following), (), len(self.bank)))
         circles = self.bank[self._layout]
         self._lower[: len(circles)] = self._upper[: len(circles)] = circles[:, :2]
         self._radius[: len(circles)] = circles[:, 2]

@@ -1,10 +1,10 @@
 """Benchmarks: the world, training and its peers, side by side on this machine, into one Markdown file.
 
-`uavnav bench` measures in about 40 minutes what a plain run measures, `--quick` a first impression in 3. `--only`
-chooses sections; other sections stay as they are in the file. A run that is stopped writes what it has found by then.
+`uavnav bench` takes about 40 minutes, `--quick` 3 for a first impression. `--only` chooses sections.
+Other sections stay as they are in the file. A run that is stopped writes what it has found by then.
 
-The table of jobs is `uavnav.bench.plan`, the runner `uavnav.bench.jobs`. Each measurement is a fresh process with a
-fixed number of threads. Measurements are interleaved over several rounds.
+The table of jobs is `uavnav.bench.plan`, the runner `uavnav.bench.jobs`.
+Rounds of measurements are interleaved; each is a fresh process with a fixed number of threads.
 """
 
 from __future__ import annotations

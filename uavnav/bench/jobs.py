@@ -1,8 +1,8 @@
 """The runner: each job is a function of `worlds`, `ours`, `peers` or `plain`, called in a fresh process.
 
-`python -m uavnav.bench.jobs MODULE.FUNCTION '{"argument": ...}' LAUNCHED` prints what the function returns as JSON.
-LAUNCHED is the time at which the process was started [s since the epoch], so that start-up counts. A job ends when its
-standard input does.
+`python -m uavnav.bench.jobs MODULE.FUNCTION '{"argument": ...}' LAUNCHED` prints its result as JSON.
+LAUNCHED is when the process was started [s since the epoch], so that start-up counts.
+A job ends when its standard input does.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 from uavnav.bench.watch import Result
 
@@ -30,6 +31,8 @@ LONGEST = 4 * 3600.0
 """Seconds after which any job is given up."""
 LIBRARIES = {"stable_baselines3": "Stable-Baselines3", "sbx": "SBX"}
 """Peers that may not be installed."""
+
+Process = subprocess.Popen[bytes]
 
 
 class JobError(RuntimeError):
@@ -73,10 +76,11 @@ def run(measurements: Sequence[Measurement], cache: Path, say: Callable[[str], N
                     measure(one, one.arguments | one.warm, cache)
                 found = measure(one, one.arguments, cache)
                 results.rows.append((one, turn, found))
-                said = ", ".join(f"{key} {value:,.4g}" for key, value in found.items() if type(value) in (int, float))
+                said = ", ".join(f"{key} {found[key]:,.4g}" for key in numbers(found))
             except JobError as error:
                 results.missing[one.name] = said = str(error)
-            say(f"{timedelta(seconds=round(time.monotonic() - began))} {count}/{len(rounds)} {one.name}: {said}")
+            took = timedelta(seconds=round(time.monotonic() - began))
+            say(f"{took} {count}/{len(rounds)} {one.name}: {said}")
     except KeyboardInterrupt:
         results.stopped = True
     return results
@@ -88,12 +92,13 @@ def measure(one: Measurement, arguments: Result, cache: Path, timeout: float = L
     `peak` is the peak memory [GB] of each with those that it started.
 
     Raises:
-        JobError: a library is missing, or a process failed or took longer than `timeout` seconds; all have ended.
+        JobError: a library is missing, or a process failed or took longer than `timeout` seconds.
     """
     if one.needs and importlib.util.find_spec(one.needs) is None:
         raise JobError(f"{LIBRARIES[one.needs]} is not installed: pip install -e '.[bench]'")
-    env = os.environ | dict.fromkeys(THREADS, str(one.threads)) | {"TORCHINDUCTOR_CACHE_DIR": str(cache.resolve())}
     cache.mkdir(parents=True, exist_ok=True)
+    env = os.environ | dict.fromkeys(THREADS, str(one.threads))
+    env["TORCHINDUCTOR_CACHE_DIR"] = str(cache.resolve())
     peak, end = 0.0, time.monotonic() + timeout
     with ExitStack() as ending:
         folder = Path(ending.enter_context(tempfile.TemporaryDirectory()))
@@ -107,22 +112,21 @@ def measure(one: Measurement, arguments: Result, cache: Path, timeout: float = L
             peak = max(peak, sum(memory(job.pid) for job in jobs) / one.copies)
             time.sleep(min(timeout, 0.5))
         found = [_found(job, path) for job, path in zip(jobs, said, strict=True)]
-    numbers = [key for key, value in found[0].items() if type(value) in (int, float)]
-    sums = {key: sum(each[key] for each in found) for key in numbers}
-    means = {key: sums[key] / one.copies for key in numbers if key != "rate" and not key.isdigit()}
+    sums = {key: sum(each[key] for each in found) for key in numbers(found[0])}
+    means = {key: sums[key] / one.copies for key in sums if key != "rate" and not key.isdigit()}
     return found[0] | sums | means | {"peak": peak}
 
 
+def numbers(found: Result) -> list[str]:
+    return [key for key, value in found.items() if type(value) in (int, float)]
+
+
 @contextmanager
-def _started(job: str, arguments: Result, env: dict[str, str], said: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that runs a job and writes into a file; in the end neither it runs nor those that share its seeds."""
+def _started(job: str, arguments: Result, env: dict[str, str], said: Path) -> Iterator[Process]:
+    """A process that runs a job and writes into a file; it ends with the block, and its workers with it."""
     command = [sys.executable, "-m", "uavnav.bench.jobs", job, json.dumps(arguments), str(time.time())]
-    with (
-        said.open("wb") as out,
-        subprocess.Popen(
-            command, env=env, stdin=subprocess.PIPE, stdout=out, stderr=out, start_new_session=True
-        ) as process,
-    ):
+    how: Any = {"env": env, "stdin": subprocess.PIPE, "start_new_session": True}
+    with said.open("wb") as out, subprocess.Popen(command, stdout=out, stderr=out, **how) as process:
         try:
             yield process
         finally:
@@ -130,7 +134,7 @@ def _started(job: str, arguments: Result, env: dict[str, str], said: Path) -> It
                 os.killpg(process.pid, signal.SIGKILL)
 
 
-def _found(job: subprocess.Popen[bytes], said: Path) -> Result:
+def _found(job: Process, said: Path) -> Result:
     """What a job that has ended has found; nothing where it still runs. Raises JobError where it failed."""
     lines = said.read_text(errors="replace").strip().splitlines()
     if job.poll():

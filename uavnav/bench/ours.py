@@ -21,11 +21,6 @@ def settings(algorithm: str, **changed: Any) -> Any:
     return ALGORITHMS[algorithm].config(preset="paper", **changed)
 
 
-def starts(config: Any) -> int:
-    """Frames before learning starts; 0 where it starts at once."""
-    return int(getattr(config, "learning_starts", 0))
-
-
 def train(algorithm: str, config: Any, **how: Any) -> Run:
     """Train to the end; `how` are further arguments of `train`."""
     run: Run = importlib.import_module(ALGORITHMS[algorithm].module).train(config, quiet=True, **how)
@@ -39,7 +34,7 @@ class _Enough(Exception):
 def watched(launched: float, algorithm: str, seconds: float, **changed: Any) -> Result:
     """A run that is watched for a while: what `Clock.result` gives, and its processes and their threads."""
     config = settings(algorithm, **changed)
-    clock = Clock(launched, starts(config), seconds)
+    clock = Clock(launched, config, seconds)
 
     def tell(frames: int, rewards: list[float]) -> None:
         if not clock(frames):

@@ -20,17 +20,17 @@ import pandas as pd
 from uavnav import files
 from uavnav.bench.jobs import Results
 from uavnav.bench.plan import BATCHES, CORES
+from uavnav.bench.watch import Result
 from uavnav.tasks.world import VERSION
 from uavnav.training.provenance import git_commit, processor
 
 TEXTS = Path(__file__).with_name("page.md")
 MARK = re.compile(r"^<!-- bench: (\w+) -->\n", flags=re.MULTILINE)
-PACKAGES = ("uavnav", "torch", "torchrl", "tensordict", "numpy", "gymnasium", "stable-baselines3", "sbx-rl", "jax")
+PACKAGES = ("uavnav", "torch", "torchrl", "tensordict", "numpy", "gymnasium")
+PEERS = ("stable-baselines3", "sbx-rl", "jax")
 
-Column = pd.Series  # type: ignore[type-arg]
 
-
-# -- the tables -------------------------------------------------------------------------------------------------------
+# -- the tables -----------------------------------------------------------------------------
 
 
 HEADS = {
@@ -53,7 +53,7 @@ def frame(results: Results) -> pd.DataFrame:
     """A row for each measurement that found something: medians over rounds, and what is known of it."""
     records = []
     for one, turn, found in results.rows:
-        row = {"name": one.name, "turn": turn, "base": one.base, "must": one.must, "rounds": 1}
+        row: Result = {"name": one.name, "turn": turn, "base": one.base, "must": one.must, "rounds": 1}
         row |= {"how": f"{one.copies} × {one.threads}"} | found
         if "whole" in found:
             seeds = one.arguments.get("n_seeds", 1)
@@ -66,10 +66,10 @@ def frame(results: Results) -> pd.DataFrame:
     numbers = rows.select_dtypes("number").columns
     ways = {name: "median" if name in numbers else "first" for name in rows} | {"rounds": "sum"}
     rows = rows.groupby("name", sort=False).agg(ways)
-    return rows.assign(reached=[reached(row) for _, row in rows.iterrows()])
+    return rows.assign(reached=[reached(row) for row in rows.to_dict("records")])
 
 
-def reached(row: Column) -> str:
+def reached(row: Mapping[Any, Any]) -> str:
     """What must be, times at least or GB of memory at most, and whether it is."""
     found, least = (row["times"], row["must"]) if row["base"] else (-row["peak"], -row["must"])
     if pd.isna(found) or pd.isna(least):
@@ -78,7 +78,7 @@ def reached(row: Column) -> str:
 
 
 def show(key: str, value: Any) -> str:
-    """Three significant digits, with commas between thousands; a clock for a run; a dash where there is nothing."""
+    """Three significant digits, with commas between thousands; a clock for a run; a dash for nothing."""
     if isinstance(value, str):
         return value
     if pd.isna(value):
@@ -105,17 +105,18 @@ def _table(rows: pd.DataFrame) -> list[str]:
     texts = {key: [show(key, value) for value in rows[key]] for key in HEADS if key in rows}
     shown = {key: column for key, column in texts.items() if set(column) - {"-"}}
     table = [["", *map(HEADS.__getitem__, shown)], ["---", *["--:"] * len(shown)]]
-    table += zip((name.split("/", 1)[1] for name in rows.index), *shown.values(), strict=True)
+    for name, *row in zip(rows.index, *shown.values(), strict=True):
+        table.append([name.split("/", 1)[1], *row])
     return [f"| {' | '.join(row)} |" for row in table if shown]
 
 
-# -- the file ---------------------------------------------------------------------------------------------------------
+# -- the file -------------------------------------------------------------------------------
 
 
 def machine() -> str:
     """The machine and the versions, in a sentence."""
     versions = [f"python {platform.python_version()}", f"world {VERSION}"]
-    for name in PACKAGES:
+    for name in PACKAGES + PEERS:
         with suppress(importlib.metadata.PackageNotFoundError):
             versions.append(f"{name} {importlib.metadata.version(name)}")
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
@@ -123,7 +124,7 @@ def machine() -> str:
 
 
 def read_sections(path: Path) -> dict[str, str]:
-    """The sections of a file as they stand, the text before the first under ""; none where there is no file."""
+    """The sections of a file as they stand, the text before the first as ""; none of no file."""
     if not path.is_file():
         return {}
     head, *parts = MARK.split(path.read_text())
@@ -131,23 +132,16 @@ def read_sections(path: Path) -> dict[str, str]:
 
 
 def write_sections(path: Path, tables: Mapping[str, Sequence[str]], seconds: float, mark: str = "") -> None:
-    """Put sections into the file in place of the old ones; the file is whole or as it was.
+    """Put sections into the file in place of the old ones; the file is whole or as it was. Raises OSError.
 
-    Args:
-        path: the file.
-        tables: the lines below the text of each section.
-        seconds: how long it took to measure them.
-        mark: what to say beside the date.
-
-    Raises:
-        OSError: it cannot be written.
+    tables: the lines below each section's text; seconds: the time of measuring; mark: said beside the date.
     """
     texts, old = read_sections(TEXTS), read_sections(path)
     today = datetime.datetime.now(datetime.UTC).date()
     took, commit = show("whole", seconds), git_commit(10) or "unknown"
     said = f"*{today}, commit {commit}{mark and f', {mark}'}, in {took}; {machine()}.*"
     new = {name: "\n".join([texts[name], "", said, "", *lines]) for name, lines in tables.items()}
-    every = dict.fromkeys(texts, "") | old | new | {"": texts[""]}  # what is not measured any more stays at the end
+    every = dict.fromkeys(texts, "") | old | new | {"": texts[""]}  # sections without a text stay last
     parts = [f"<!-- bench: {name} -->\n{text}" if name else text for name, text in every.items() if text]
     path.parent.mkdir(parents=True, exist_ok=True)
     files.write(path, ("\n\n".join(parts) + "\n").encode())

@@ -25,22 +25,28 @@ def make_model(library: str, algorithm: str, env: Any, **beyond: Any) -> Any:
         beyond["device"] = "cpu"
     policy = {"net_arch": list(config.hidden), "activation_fn": activation}
     if algorithm == "dqn":
-        own = {"learning_starts": config.learning_starts, "target_update_interval": config.target_update_frames}
+        own = {"learning_starts": config.learning_starts}
+        own["target_update_interval"] = config.target_update_frames  # SBX has another
     else:
         own = {"n_steps": config.frames_per_iteration}
     model = getattr(importlib.import_module(library), algorithm.upper())
     return model("MlpPolicy", env, seed=0, policy_kwargs=policy, **own | beyond)
 
 
-def watched(launched: float, algorithm: str, seconds: float, which: str = "numpy", library: str = SB3) -> Result:
+def watched(
+    launched: float,
+    algorithm: str,
+    seconds: float,
+    which: str = "numpy",
+    library: str = SB3,
+) -> Result:
     """A run of a library on one environment that is watched for a while: what `Clock.result` gives.
 
     DQN's epsilon has its last value as soon as learning starts, as in nine tenths of a whole run.
     """
     from stable_baselines3.common.callbacks import BaseCallback
 
-    starts = ours.starts(ours.settings(algorithm))
-    clock = Clock(launched, starts, seconds)
+    clock = Clock(launched, ours.settings(algorithm), seconds)
 
     class Watch(BaseCallback):  # type: ignore[misc]
         keep_on = True
@@ -51,6 +57,6 @@ def watched(launched: float, algorithm: str, seconds: float, which: str = "numpy
         def _on_step(self) -> bool:
             return self.keep_on
 
-    beyond = {"exploration_fraction": starts / WHOLE} if starts else {}
+    beyond = {"exploration_fraction": clock.starts / WHOLE} if algorithm == "dqn" else {}
     make_model(library, algorithm, make_env(which), **beyond).learn(WHOLE, Watch())
     return clock.result()

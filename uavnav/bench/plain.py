@@ -1,7 +1,7 @@
-"""Peers in plain PyTorch, as one would write them in one file: what Stable-Baselines3 has not, discrete SAC and C51.
+"""Peers in plain PyTorch, as one would write them in one file: discrete SAC and C51, which SB3 has not.
 
-They are written after CleanRL's `sac_atari.py` and `c51.py`: one environment, a NumPy buffer, a module a network, and
-an Adam for each loss, one after the other. Their numbers are those of our presets `paper`.
+They are written after CleanRL's `sac_atari.py` and `c51.py`: one environment, a NumPy buffer, a module a
+network, and an Adam for each loss, one after the other. Their numbers are those of our presets `paper`.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class SAC:
 
 
 class C51:
-    """A network that gives each action a distribution over atoms, and its target, which is a copy now and then."""
+    """A network that gives each action a distribution over atoms, and its target, a copy now and then."""
 
     def __init__(self, config: Any) -> None:
         self.config, self.updates = config, 0
@@ -120,7 +120,8 @@ class C51:
     def act(self, observation: Any) -> int:
         if torch.rand(1) < self.config.epsilon_end:  # its last value as soon as learning starts
             return int(torch.randint(self.config.world.n_actions, (1,)))
-        return int((self.probabilities(self.network, torch.from_numpy(observation)) * self.atoms).sum(-1).argmax())
+        pi = self.probabilities(self.network, torch.from_numpy(observation))
+        return int((pi * self.atoms).sum(-1).argmax())
 
     def update(self, batch: list[Tensor]) -> None:
         s, a, r, following, terminated = batch
@@ -129,7 +130,8 @@ class C51:
             pi = self.probabilities(self.target, following)
             pi = pi[rows, (pi * self.atoms).sum(-1).argmax(-1)]
             places = r[:, None] + self.config.gamma * (1 - terminated)[:, None] * self.atoms
-            places = (places.clamp(self.atoms[0], self.atoms[-1]) - self.atoms[0]) / (self.atoms[1] - self.atoms[0])
+            lowest, gap = self.atoms[0], self.atoms[1] - self.atoms[0]
+            places = (places.clamp(lowest, self.atoms[-1]) - lowest) / gap
             below = places.floor().clamp(0, last - 1)
             share = places - below
             target = torch.zeros_like(pi).scatter_add_(1, below.long(), pi * (1 - share))
@@ -147,18 +149,19 @@ AGENTS: dict[str, type[SAC] | type[C51]] = {"sac": SAC, "c51": C51}
 def watched(launched: float, algorithm: str, seconds: float, **changed: Any) -> Result:
     """A run on one environment that is watched for a while: what `Clock.result` gives."""
     config = ours.settings(algorithm, **changed)
-    starts, n_actions = config.learning_starts, config.world.n_actions
     torch.manual_seed(0)
     env, generator = make_env("numpy"), np.random.default_rng(0)
-    agent, buffer = AGENTS[algorithm](config), Buffer(min(config.buffer_size, WHOLE), config.world.observation_size)
-    clock = Clock(launched, starts, seconds)
+    agent = AGENTS[algorithm](config)
+    buffer = Buffer(min(config.buffer_size, WHOLE), config.world.observation_size)
+    clock = Clock(launched, config, seconds)
     observation, _ = env.reset(seed=0)
     for frame in itertools.count(1):
-        action = agent.act(observation) if frame > starts else int(generator.integers(n_actions))
+        learns = frame > clock.starts
+        action = agent.act(observation) if learns else int(generator.integers(config.world.n_actions))
         following, reward, terminated, truncated, _ = env.step(action)
         buffer.add(observation, action, reward, following, terminated)
         observation = env.reset()[0] if terminated or truncated else following
-        if frame > starts and frame % config.frames_per_update == 0:
+        if learns and frame % config.frames_per_update == 0:
             agent.update(buffer.sample(config.batch_size, generator))
         if frame % LOOK_EVERY == 0 and not clock(frame):
             break

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.bench import ours
@@ -19,7 +20,7 @@ WORLD_BATCH = 4096
 PEERS = {"ppo": "SB3", "dqn": "SB3", "a2c": "SB3", "c51": "plain PyTorch", "sac": "plain PyTorch"}
 """Whom each algorithm is compared with: SB3 has no C51 and no discrete SAC."""
 MUST = {"ppo": (8, 25), "dqn": (6, 20), "a2c": (6, 20), "c51": (6, 20), "sac": (6, 20)}
-"""How many times less a whole run of ours must take than one of its peer, per seed: with one seed, with ten."""
+"""How many times less than its peer a whole run of ours must take, per seed: with one seed, with ten."""
 FAULTS = {"noise": 5.0, "lost": 0.1, "late": 2, "sticky": 0.1}
 WORLDS: dict[str, Result] = {
     "drone": {},
@@ -46,7 +47,8 @@ def world() -> Iterator[Measurement]:
 
 
 def gymnasium() -> Iterator[Measurement]:
-    one = Measurement(NUMPY, "worlds.single", {"which": "numpy"}, rounds=5, quick={"seconds": 0.5}, base=NUMPY)
+    one = Measurement(NUMPY, "worlds.single", {"which": "numpy"}, rounds=5, base=NUMPY)
+    one = replace(one, quick={"seconds": 0.5})
     yield one
     yield replace(one, name="gymnasium/uavnav", arguments={"which": "uavnav"}, must=1)
     for n in (16, 256):
@@ -58,7 +60,8 @@ def training(algorithm: str) -> Iterator[Measurement]:
     name, who, quick = f"training/{algorithm.upper()}", PEERS.get(algorithm, ""), {"seconds": 5.0}
     run: Result = {"algorithm": algorithm, "seconds": 15.0}
     ten = run | {"n_seeds": 10}
-    mine = Measurement("", "ours.watched", run, CORES, base=f"{name}, {who}", warm={"seconds": 0.0}, quick=quick)
+    mine = Measurement("", "ours.watched", run, CORES, base=f"{name}, {who}", quick=quick)
+    mine = replace(mine, warm={"seconds": 0.0})
     least = MUST.get(algorithm, (None, None))
     yield replace(mine, name=f"{name}, uavnav, 1 seed", must=least[0])
     yield replace(mine, name=f"{name}, uavnav, 10 seeds", must=least[1], arguments=ten)
@@ -75,7 +78,7 @@ def training(algorithm: str) -> Iterator[Measurement]:
 
 
 def memory() -> Iterator[Measurement]:
-    """Ten seeds until their buffers are full, in so many environments that it takes seconds, and a few updates."""
+    """Ten seeds until their buffers are full, in many environments to be quick, and a few updates."""
     n_envs = WHOLE // 625
     run: Result = {"n_seeds": 10, "total_frames": WHOLE, "n_worlds": n_envs}
     run |= {"frames_per_update": n_envs, "learning_starts": 4 * n_envs}
@@ -92,8 +95,9 @@ def worlds() -> Iterator[Measurement]:
 
 def plan(sections: Sequence[str], quick: bool) -> list[Measurement]:
     """The measurements of sections; `quick`, shorter ones of one round each."""
-    every = [*world(), *gymnasium(), *(one for name in ALGORITHMS for one in training(name)), *memory(), *worlds()]
+    every = chain(world(), gymnasium(), *map(training, ALGORITHMS), memory(), worlds())
     found = [one for one in every if one.name.split("/")[0] in sections]
     if not quick:
         return found
-    return [replace(one, arguments=one.arguments | one.quick, rounds=1) for one in found if one.quick is not None]
+    short = [(one, one.quick) for one in found if one.quick is not None]
+    return [replace(one, arguments=one.arguments | changed, rounds=1) for one, changed in short]

@@ -28,12 +28,13 @@ class Clock:
 
     Args:
         launched: when the process was started [s since the epoch].
-        starts: frames before it learns.
+        config: our settings of the algorithm, which say how many frames come before it learns.
         seconds: how long to watch it learn, once it is warm.
     """
 
-    def __init__(self, launched: float, starts: int, seconds: float) -> None:
-        self.launched, self.starts, self.seconds = launched, starts, seconds
+    def __init__(self, launched: float, config: Any, seconds: float) -> None:
+        self.launched, self.seconds = launched, seconds
+        self.starts = getattr(config, "learning_starts", 0)
         self.marks: list[Mark] = []
 
     def __call__(self, frames: int) -> bool:

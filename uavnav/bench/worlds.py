@@ -1,4 +1,4 @@
-"""Jobs that measure steps/s of worlds alone, with random actions. Their first argument, the launch, is not used."""
+"""Jobs that measure frames/s of worlds alone, with random actions; `launched` is not used."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ def batched(
 
         def step() -> None:
             nonlocal now
-            _, now = env.step_and_maybe_reset(now.set("action", next(actions)))  # noqa: B023 - called in this round
+            now.set("action", next(actions))  # noqa: B023 - called in this round
+            _, now = env.step_and_maybe_reset(now)  # noqa: B023
 
         step()  # compiles
         if meeting:
@@ -100,7 +101,7 @@ def _rate(step: Callable[[], object], seconds: float) -> float:
 
 
 def make_env(which: str) -> Any:
-    """One environment as `gymnasium.make` gives it, with the same wrappers for both worlds: `numpy` or `uavnav`."""
+    """One environment with the wrappers of `gymnasium.make`; `which` world: `numpy` or `uavnav`."""
     if which == "numpy" and "uavnav/NumpyDrone-v0" not in gymnasium.registry:
         gymnasium.register(id="uavnav/NumpyDrone-v0", entry_point="uavnav.bench.numpy_world:NumpyDroneEnv")
     return gymnasium.make({"numpy": "uavnav/NumpyDrone-v0", "uavnav": "uavnav/Drone-v0"}[which])

@@ -37,9 +37,7 @@ def choice(content: Content, benchmarks: str) -> str:
 
 
 def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
-    """The time and the memory of a million frames of ten seeds, by algorithm; none that was not measured. The memory is
-    that of full buffers where there are any.
-    """
+    """The time and the memory of a million frames of ten seeds, by algorithm: of full buffers where there are any."""
     times, memory = {}, {}
     for lines in benchmarks.split("\n\n"):
         head, *rows = (

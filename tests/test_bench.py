@@ -1,5 +1,6 @@
 """The benchmarks' jobs, the command that runs them, and the file that it writes; no test judges a speed."""
 
+import importlib.util
 import inspect
 import os
 import signal
@@ -12,37 +13,62 @@ from pathlib import Path
 import pytest
 import torch
 
-from uavnav import evaluation
 from uavnav.algorithms import ALGORITHMS
-from uavnav.bench import ours, page, peers, plain, runner, sections, worlds
-from uavnav.bench.jobs import Job, JobError
-from uavnav.bench.page import read_sections
+from uavnav.bench import jobs, ours, peers, plain, plan, worlds
+from uavnav.bench.jobs import JobError
+from uavnav.bench.page import machine, read_sections
 from uavnav.bench.plan import Measurement
-from uavnav.bench.runner import Runner
-from uavnav.cli import bench as bench
+from uavnav.cli import bench
 
 pytestmark = pytest.mark.usefixtures("warm_module")
+
+NUMPY = Measurement("gymnasium/numpy", "worlds.single", {"which": "numpy", "seconds": 0.05}, rounds=1)
 
 # -- jobs -------------------------------------------------------------------------------------------------------------
 
 
-def test_a_job_that_fails_says_why_in_one_line_and_one_that_takes_too_long_is_ended(tmp_path):
-    job = Job("worlds.single", {"which": "numpy", "seconds": "soon"}, 1, tmp_path)
-    slow = Job("worlds.single", {"which": "numpy", "seconds": 600}, 1, tmp_path)
+def test_a_job_that_takes_too_long_is_ended(tmp_path, monkeypatch):
+    started = []
+    popen = jobs.subprocess.Popen
+    monkeypatch.setattr(
+        jobs.subprocess, "Popen", lambda *args, **how: started.append(popen(*args, **how)) or started[-1]
+    )
     with pytest.raises(JobError, match="it took longer than 0 s"):
-        slow.result(timeout=0.1)
-    assert slow._process.returncode is not None
+        jobs.measure(NUMPY, {"which": "numpy", "seconds": 600}, tmp_path, timeout=0.1)
+    assert started[0].returncode == -signal.SIGKILL
+
+
+def test_a_process_that_fails_says_why_in_one_line_and_ends_the_one_beside_it(tmp_path):
+    one = Measurement("world/two", "worlds.batched", {"batches": [1], "meeting": "", "copies": 3}, copies=2)
+    began = time.monotonic()
     with pytest.raises(JobError, match="TypeError") as failed:
-        job.result(timeout=60)
+        jobs.measure(one, one.arguments | {"settings": 7}, tmp_path)
     assert "\n" not in str(failed.value)
-    job.stop()
+    assert time.monotonic() - began < worlds.PATIENCE
+
+
+def test_two_processes_meet_and_their_rates_are_added_and_other_numbers_averaged(tmp_path, monkeypatch):
+    arguments = {"batches": [1, 2], "compiled": False, "seconds": 0.01, "meeting": "", "copies": 2}
+    one = Measurement("world/two", "worlds.batched", arguments, copies=2)
+    found = jobs.measure(one, arguments, tmp_path)
+    assert set(found) == {"rate", "1", "2", "peak"}
+    assert found["peak"] > 0
+    results = iter(
+        [{"rate": 1.0, "8": 2.0, "whole": 4.0, "how": "1"}, {"rate": 2.0, "8": 3.0, "whole": 6.0, "how": "1"}]
+    )
+    monkeypatch.setattr(jobs, "_found", lambda job, said: next(results))
+    monkeypatch.setattr(jobs, "memory", lambda session: 1.5)
+    joined = jobs.measure(one, arguments, tmp_path)
+    assert joined == {"rate": 3.0, "8": 5.0, "whole": 5.0, "how": "1", "peak": 1.5}
 
 
 def test_a_job_ends_when_the_one_that_started_it_is_killed(tmp_path):
     command = (
-        "import sys, time, pathlib; from uavnav.bench.jobs import Job;"
-        f"job = Job('worlds.single', {{'which': 'numpy', 'seconds': 600}}, 1, pathlib.Path({str(tmp_path)!r}));"
-        "print(job._process.pid, flush=True); time.sleep(600)"
+        "import sys, pathlib; from uavnav.bench import jobs; popen = jobs.subprocess.Popen;"
+        "tell = lambda job: print(job.pid, flush=True) or job;"
+        "jobs.subprocess.Popen = lambda *args, **how: tell(popen(*args, **how));"
+        "one = jobs.Measurement('', 'worlds.single', {'which': 'numpy', 'seconds': 600});"
+        f"jobs.measure(one, one.arguments, pathlib.Path({str(tmp_path)!r}))"
     )
     process = subprocess.Popen([sys.executable, "-c", command], stdout=subprocess.PIPE, text=True)
     with process:
@@ -71,83 +97,36 @@ def test_of_two_processes_that_meet_the_first_waits_for_the_second(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "frames", "more"),
+    ("algorithm", "more"),
     [
-        ("ppo", 8192, {"frames_per_batch": 256, "epochs": 1}),
-        ("dqn", 40_000, {"learning_starts": 10_000, "frames_per_update": 64}),
+        ("ppo", {"frames_per_batch": 256, "epochs": 1}),
+        ("dqn", {"learning_starts": 10_000, "frames_per_update": 64}),
     ],
 )
-def test_a_watched_run_of_ours_is_stopped_and_names_its_rates(algorithm, frames, more, monkeypatch):
-    given = []
-    monkeypatch.setattr(ours.os, "sched_setaffinity", lambda process, cores: given.append(cores), raising=False)
-    found = ours.watched(0.0, algorithm, 1, 0.0, stages=True, compile="off", **more)
-    assert [len(cores) for cores in given] == [1]
-    assert found["frames"] <= frames
+def test_a_watched_run_of_ours_is_stopped_and_names_its_rate(algorithm, more):
+    found = ours.watched(0.0, algorithm, 0.0, compile="off", **more)
+    assert found["frames"] <= 40_000
     assert found["rate"] > 0
-    assert 0.99 < sum(found["shares"].values()) < 1.01
-    assert found["shares"]["collection"] > 0
-    assert found["shares"]["update"] > 0
-
-
-class FakeRun:
-    """A run whose mean reward is 90 after 30,000 frames and -10 before."""
-
-    def __init__(self, folder):
-        self.reward = 90.0 if int(Path(folder).name) >= 30_000 else -10.0
-
-
-@pytest.mark.parametrize(("patience", "seconds", "frames"), [(100.0, 3.0, 30_000), (2.5, None, None)])
-def test_the_first_policy_that_is_good_after_training_anew_up_to_its_frame_is_found(
-    patience, seconds, frames, monkeypatch
-):
-    import pandas as pd
-
-    from uavnav.runs import policies
-
-    now = [0.0]
-    monkeypatch.setattr(ours.time, "time", lambda: now[0])
-    trained, held_out = [], []
-
-    def watch(algorithm, config, out, keep_on):
-        Path(out).mkdir()
-        Path(out, "meta.json").write_text("{}")
-        for second in range(10):  # a look every half a second
-            for now[0] in (float(second), second + 0.5):
-                if not keep_on(10_000 * second):
-                    return
-            now[0] = second + 0.5
-
-    def judge(policy, bank, episodes, max_steps):
-        held_out.append(len(bank))
-        return pd.DataFrame({"reward": [policy.reward]})
-
-    monkeypatch.setattr(ours, "watch", watch)
-    monkeypatch.setattr(ours, "train", lambda algorithm, config, out: trained.append(config.total_frames))
-    monkeypatch.setattr(policies, "load_policy", lambda folder, greedy: FakeRun(folder))
-    monkeypatch.setattr(evaluation, "evaluate_policy", judge)
-    found = ours.reach(0.0, "ppo", "fast", 5, 88.5, 200, patience)
-    assert found == {"seed": 5, "seconds": seconds, "frames": frames}
-    assert set(held_out) == {200}
-    assert trained == [10_000, 20_000, 30_000][: len(trained)]
+    assert found["how"] == "1 × 1"
 
 
 @pytest.mark.parametrize(("algorithm", "rows"), [("sac", 64), ("c51", 32)])
-def test_a_peer_in_plain_pytorch_is_watched_for_three_looks_once_it_is_steady(algorithm, rows, monkeypatch):
+def test_a_peer_in_plain_pytorch_is_watched_for_five_looks_once_it_learns(algorithm, rows, monkeypatch):
     learned = []
     kind = plain.AGENTS[algorithm]
     update = kind.update
     monkeypatch.setattr(kind, "update", lambda agent, batch: learned.append(batch) or update(agent, batch))
-    found = plain.watched(0.0, algorithm, "numpy", 400, 0.0, learning_starts=300, buffer_size=350)
-    assert found["frames"] == 600  # those after 400, 500 and 600
-    assert len(learned) == 75
+    found = plain.watched(0.0, algorithm, 0.0, learning_starts=300, buffer_size=350)
+    assert found["frames"] == 800  # those after 400, 500, 600, 700 and 800
+    assert len(learned) == 125
     assert [part.shape for part in learned[-1]] == [(rows, 30), (rows, 1), (rows,), (rows, 30), (rows,)]
-    assert min(found["rate"], found["rate_before"]) > 0
+    assert found["rate"] > 0
 
 
 def test_the_agent_in_plain_pytorch_moves_all_its_parts_towards_what_is_paid():
     """Action 3 of 100 is paid, in one place: the policy then takes it there, at a temperature that has fallen."""
     torch.manual_seed(0)
-    agent = plain.Agent(ours.settings("sac", lr=1e-2, gamma=0.0, target_entropy=0.2, tau=0.5))
+    agent = plain.SAC(ours.settings("sac", lr=1e-2, gamma=0.0, target_entropy=0.2, tau=0.5))
     action = torch.arange(100)[:, None]
     place = torch.ones(100, 30)
     batch = (place, action, (action[:, 0] == 3).float(), place, torch.ones(100))
@@ -155,14 +134,15 @@ def test_the_agent_in_plain_pytorch_moves_all_its_parts_towards_what_is_paid():
         agent.update(batch)
     assert agent.policy(batch[0]).softmax(-1)[:, 3].mean() > 0.5
     assert agent.log_alpha.item() < -1
-    assert all((target(batch[0]) - network(batch[0])).abs().max() < 0.1 for target, network in agent.pairs)
+    pairs = zip(agent.targets, agent.q, strict=True)
+    assert all((target(batch[0]) - q(batch[0])).abs().max() < 0.1 for target, q in pairs)
 
 
 def test_c51_in_plain_pytorch_learns_what_an_action_is_worth_now_and_a_step_ahead():
     """Action 3 of 100 is paid 1, in one place, and half of the best follows: it is worth 2 there, any other 1."""
     torch.manual_seed(0)
     config = ours.settings("c51", lr=1e-2, gamma=0.5, target_update_frames=4, epsilon_end=0.0)
-    agent, action, place = plain.Distributional(config), torch.arange(100)[:, None], torch.ones(100, 30)
+    agent, action, place = plain.C51(config), torch.arange(100)[:, None], torch.ones(100, 30)
     batch = (place, action, (action[:, 0] == 3).float(), place, torch.zeros(100))
     agent.atoms = torch.linspace(-3, 3, config.n_atoms)  # eq. (14)'s own end at 0.18
     for _ in range(300):
@@ -175,48 +155,48 @@ def test_c51_in_plain_pytorch_learns_what_an_action_is_worth_now_and_a_step_ahea
     assert values[3].item() > (agent.probabilities(agent.network, place[0]) * agent.atoms).sum(-1)[3].item()
 
 
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn", "a2c"])
+def test_stable_baselines3_has_every_setting_of_our_preset_paper(algorithm):
+    pytest.importorskip("stable_baselines3")
+    model, config = peers.make_model(peers.SB3, algorithm, worlds.make_env("numpy")), ours.settings(algorithm)
+    theirs = {
+        "lr": model.learning_rate,
+        "gamma": model.gamma,
+        "max_grad_norm": model.max_grad_norm,
+        "hidden": tuple(model.policy.net_arch),
+    }
+    if algorithm == "dqn":
+        theirs |= {
+            "buffer_size": model.buffer_size,
+            "learning_starts": model.learning_starts,
+            "batch_size": model.batch_size,
+            "frames_per_update": model.train_freq.frequency,
+            "target_update_frames": model.target_update_interval,
+            "exploration_fraction": model.exploration_fraction,
+            "epsilon_end": model.exploration_final_eps,
+        }
+        assert model.gradient_steps == 1
+        assert "Tanh" in repr(model.q_net)
+    else:
+        assert model.n_steps == config.frames_per_iteration
+        theirs |= {"gae_lambda": model.gae_lambda, "critic_coeff": model.vf_coef, "entropy_coeff": model.ent_coef}
+        assert "Tanh" in repr(model.policy)
+    if algorithm == "ppo":
+        theirs |= {"minibatch_size": model.batch_size, "epochs": model.n_epochs, "clip_epsilon": model.clip_range(1)}
+        theirs |= {"adam_eps": model.policy.optimizer.defaults["eps"]}
+    if algorithm == "a2c":
+        assert type(model.policy.optimizer).__name__.startswith("RMSprop")
+        assert not model.normalize_advantage
+        theirs |= {"rms_eps": model.policy.optimizer.defaults["eps"]}
+    assert {name: getattr(config, name) for name in theirs} == theirs
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("algorithm", [name for name in peers.SPEED_UPS if name not in peers.PLAIN])
-def test_where_the_time_goes_is_taken_of_stable_baselines3_too(algorithm, tmp_path):
+def test_stable_baselines3_is_watched_in_a_process_of_its_own(tmp_path):
     pytest.importorskip("stable_baselines3")
-    how = {"which": "numpy", "frames": 2048, "seconds": 0.5, "learning_starts": 500, "stages": True}
-    job = Job("peers.watched", {"algorithm": algorithm} | how, 1, tmp_path)  # what is timed stays wrapped
-    shares = job.result(timeout=300)["shares"]
-    job.stop()
-    assert sum(shares.values()) == pytest.approx(1)
-    assert min(shares["collection"], shares["update"], shares["buffer"]) > 0
-
-
-def test_stable_baselines3s_a2c_has_the_settings_and_the_80_frames_an_update_of_ours():
-    pytest.importorskip("stable_baselines3")
-    a2c = peers.make_model("stable_baselines3", "a2c", worlds.make_env("numpy"), 0)
-    assert (a2c.n_steps, a2c.learning_rate, a2c.gamma, a2c.gae_lambda) == (80, 7e-4, 0.99, 1.0)
-    assert (a2c.vf_coef, a2c.ent_coef, a2c.max_grad_norm, a2c.normalize_advantage) == (0.5, 0.0, 0.5, False)
-    assert (type(a2c.policy.optimizer).__name__, a2c.policy.optimizer.defaults["eps"]) == ("RMSprop", 1e-5)
-
-
-def test_stable_baselines3_is_given_the_preset_paper_with_1_and_with_16_parallel_worlds():
-    pytest.importorskip("stable_baselines3")
-    from uavnav.envs.sb3 import DroneVecEnv
-
-    env = DroneVecEnv(16, seed=0)
-    ppo = peers.make_model("stable_baselines3", "ppo", env, 0, 16)
-    assert (ppo.n_steps, ppo.batch_size, ppo.n_epochs, ppo.gae_lambda) == (128, 64, 10, 0.95)
-    assert (ppo.clip_range(1), ppo.ent_coef, ppo.vf_coef, ppo.max_grad_norm, ppo.learning_rate) == (
-        0.2,
-        0,
-        0.5,
-        0.5,
-        3e-4,
-    )
-    dqn = peers.make_model("stable_baselines3", "dqn", env, 0, 16, activation="relu")
-    assert (dqn.train_freq.frequency, dqn.gradient_steps, dqn.target_update_interval) == (1, 4, 10_000)
-    assert (dqn.learning_starts, dqn.batch_size, dqn.max_grad_norm, dqn.learning_rate) == (50_000, 32, 10, 1e-4)
-    alone = peers.make_model("stable_baselines3", "dqn", worlds.make_env("numpy"), 0, buffer_size=100)
-    assert (alone.train_freq.frequency, alone.gradient_steps, alone.target_update_interval) == (4, 1, 10_000)
-    assert "in_features=30, out_features=64" in repr(dqn.q_net)
-    assert "ReLU" in repr(dqn.q_net)
-    assert "Tanh" in repr(alone.q_net)
+    one = Measurement("training/A2C, SB3", "peers.watched", {"algorithm": "a2c", "seconds": 0.5})
+    found = jobs.measure(one, one.arguments, tmp_path)
+    assert min(found["rate"], found["startup"], found["peak"]) > 0
 
 
 @pytest.mark.slow
@@ -226,190 +206,140 @@ def test_the_benchmarks_start_without_any_peer_installed():
         "from uavnav.bench.__main__ import BY_DEFAULT, plan; print(len(plan(BY_DEFAULT, True)))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert int(result.stdout) > 20
+    assert int(result.stdout) > 15
 
 
 # -- running them -----------------------------------------------------------------------------------------------------
 
 
-def test_a_process_that_fails_does_not_end_the_one_beside_it(tmp_path):
-    kept = tmp_path / "kept"
-    code = {"which": "numpy", "seconds": 0.05}
-    one = Measurement("gymnasium/numpy", "worlds.single", [{"which": "numpy", "seconds": "soon"}, code])
-    kept.mkdir()
-    ended = []
-
-    class Watched(Job):
-        def result(self, timeout):
-            found = super().result(timeout)
-            ended.append(found)
-            return found
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "Job", Watched)
-        with pytest.raises(JobError, match="TypeError"):
-            Runner(tmp_path, print).measure(one)
-    assert [set(found) for found in ended] == [{"rate", "peak"}]
-
-
 def test_a_failed_measurement_is_named_and_the_others_go_on(tmp_path, monkeypatch):
-    def measure(self, one):
+    def measure(one, arguments, cache):
         if one.name == "world/a":
-            raise JobError("no memory")
-        return [{"1": 5.0}]
+            raise JobError("failed: no memory")
+        return {"1": 5.0}
 
     said = []
-    monkeypatch.setattr(Runner, "measure", measure)
-    results = Runner(tmp_path, said.append).run([Measurement(f"world/{name}", "", [{}], rounds=2) for name in "ab"])
+    monkeypatch.setattr(jobs, "measure", measure)
+    both = [Measurement(f"world/{name}", "", {}, rounds=2) for name in "ab"]
+    results = jobs.run(both, tmp_path, said.append)
     assert results.missing == {"world/a": "failed: no memory"}
-    assert results.sums("world/b", "1") == [5.0, 5.0]
+    assert results.rows == [(both[1], 0, {"1": 5.0}), (both[1], 1, {"1": 5.0})]
     assert len(said) == 4
 
 
 def test_caches_are_warmed_once_with_the_changed_arguments_and_that_round_is_not_kept(tmp_path, monkeypatch):
     measured = []
-
-    def measure(self, one):
-        measured.append(one.processes[0]["seconds"])
-        return [{"rate": 1.0}]
-
-    monkeypatch.setattr(Runner, "measure", measure)
-    one = Measurement("training/x", "ours.watched", [{"seconds": 5.0}], rounds=2, warm={"seconds": 0.0})
-    assert Runner(tmp_path, print).run([one]).values("training/x", "rate") == [1.0, 1.0]
-    assert measured == [0.0, 5.0, 5.0]
+    monkeypatch.setattr(jobs, "measure", lambda one, arguments, cache: measured.append(arguments) or {"rate": 1.0})
+    one = Measurement("training/x", "ours.watched", {"seconds": 5.0}, rounds=2, warm={"seconds": 0.0})
+    assert [found for _, _, found in jobs.run([one], tmp_path, print).rows] == [{"rate": 1.0}] * 2
+    assert [arguments["seconds"] for arguments in measured] == [0.0, 5.0, 5.0]
 
 
 # -- the plan and the command -----------------------------------------------------------------------------------------
 
 
+EVERY = [*bench.BY_DEFAULT, "worlds"]
+
+
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_measurement_of_the_plan_names_a_job_and_arguments_that_it_takes(quick):
-    names = bench.QUICK if quick else list(sections.SECTIONS)
-    every = bench.plan(names, quick)
-    assert len({one.name for one in every}) == len(every)
-    assert {one.name.split("/")[0] for one in every} | {"parity"} == {*names, "parity"}  # all its rows may be there
+    every = plan.plan(bench.QUICK if quick else EVERY, quick)
+    names = {one.name for one in every}
+    assert len(names) == len(every)
+    assert {one.name.split("/")[0] for one in every} == set(bench.QUICK if quick else EVERY)
     for one in every:
+        assert one.base in names | {""}
         module, function = one.job.split(".")
         signature = inspect.signature(getattr(import_module(f"uavnav.bench.{module}"), function))
-        for arguments in one.processes:
-            signature.bind(0.0, **arguments | ({"meeting": "", "copies": 2} if one.together else {}))
-            signature.bind(0.0, **arguments | one.warm)
-            how = {key: value for key, value in arguments.items() if key not in signature.parameters}
-            if module == "ours":  # what is left are settings
-                ours.settings(arguments["algorithm"], **how)
+        signature.bind(0.0, **one.arguments | one.warm)
+        how = {key: value for key, value in one.arguments.items() if key not in signature.parameters}
+        if module == "ours":  # what is left are settings
+            ours.settings(one.arguments["algorithm"], **how)
     assert all(one.rounds == 1 for one in every if quick)
 
 
-def test_a_buffer_is_measured_where_there_is_one_and_fast_where_frames_alone_make_the_policy():
-    assert [ours.has_buffer(name) for name in ("ppo", "dqn")] == [False, True]
-    assert [ours.has_fast(name) for name in ("ppo", "dqn")] == [True, False]
-    assert set(peers.SPEED_UPS) <= set(ALGORITHMS)
+def test_each_algorithm_is_measured_beside_a_peer_and_a_full_buffer_where_there_is_one():
+    names = [one.name for one in plan.plan(EVERY, False)]
+    assert set(plan.PEERS) == set(plan.MUST) == set(ALGORITHMS)
+    assert [name for name in names if name.startswith("memory/")] == ["memory/DQN", "memory/C51", "memory/SAC"]
+    assert all(f"training/{name.upper()}, {peer}" in names for name, peer in plan.PEERS.items())
 
 
 def test_the_command_measures_one_thing_in_a_process_of_its_own_and_writes_the_file(tmp_path, monkeypatch, capsys):
-    def tiny(names, quick):
-        return [
-            Measurement("gymnasium/numpy", "worlds.single", [{"which": "numpy", "seconds": 0.05}], rounds=1),
-            Measurement("training/ppo/sbx/numpy", "peers.watched", [{}], needs="sbx", rounds=1),
-        ]
-
-    monkeypatch.setattr(bench, "plan", tiny)
-    real = runner.importlib.util.find_spec
-    monkeypatch.setattr(runner.importlib.util, "find_spec", lambda name: None if name == "sbx" else real(name))
+    sbx = Measurement("training/PPO, SBX", "peers.watched", {}, needs="sbx", rounds=1)
+    monkeypatch.setattr(bench, "plan", lambda names, quick: [NUMPY, sbx])
+    real = importlib.util.find_spec
+    monkeypatch.setattr(jobs.importlib.util, "find_spec", lambda name: None if name == "sbx" else real(name))
     monkeypatch.chdir(tmp_path)
     out = Path("build/bench/quick.md")
     assert bench.main(["--quick"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
     assert "1/2 gymnasium/numpy: rate" in lines[0]
-    assert "2/2 training/ppo/sbx/numpy: SBX is not installed: pip install -e '.[bench]'" in lines[1]
+    assert "2/2 training/PPO, SBX: SBX is not installed: pip install -e '.[bench]'" in lines[1]
     assert lines[2] == f"wrote {out}"
     found = read_sections(out)
     assert not Path("docs").exists()
-    assert list(found) == ["machine", "gymnasium", "training"]
-    assert "one round each" in found["gymnasium"].splitlines()[2]
-    assert "| the NumPy world, `gymnasium.make` |" in found["gymnasium"]
+    assert list(found) == ["", "gymnasium", "training"]
+    assert "one round each" in found["gymnasium"]
+    assert "| numpy | 1 × 1 | 1 |" in found["gymnasium"]
     assert "SBX is not installed: pip install -e '.[bench]'" in found["training"]
 
 
-STUBS = {
-    "worlds.batched": lambda how: {str(batch): 1e6 for batch in how["batches"]},
-    "worlds.single": lambda how: {"rate": 1e4},
-    "worlds.vector": lambda how: {str(batch): 1e4 for batch in how["batches"]},
-    "ours.whole": lambda how: {"whole": 90.0, "frames": 10**6},
-    "ours.reach": lambda how: {"seed": how["seed"], "seconds": 20.0 + how["seed"], "frames": 200_000},
-}
-"""What each job finds; runs that are watched find the rest."""
-
-
 def stubbed(one):
-    watched = {"startup": 9.0, "rate": 2e3, "rate_before": 1e4, "whole": 600.0, "frames": 60_000}
-    watched |= {"shares": {"collection": 0.5, "update": 0.4, "other": 0.1}}
-    return [{"peak": 1.0} | (STUBS[one.job](how) if one.job in STUBS else watched) for how in one.processes]
+    """What a job could find."""
+    found = {"startup": 9.0, "rate": 2e3, "whole": 600.0, "frames": 60_000, "peak": 1.0}
+    return found if one.name.startswith("training") else {"rate": 1e4, "frames": 10**6, "peak": 1.0}
 
 
 @pytest.fixture
 def stubs(monkeypatch, tmp_path):
     """The names of what is measured, none of it really."""
     measured = []
-
-    def measure(self, one):
-        measured.append(one.name)
-        return stubbed(one)
-
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Runner, "measure", measure)
-    real = runner.importlib.util.find_spec
-    monkeypatch.setattr(runner.importlib.util, "find_spec", lambda name: name in runner.PEERS or real(name))
+    monkeypatch.setattr(jobs, "measure", lambda one, *how: measured.append(one.name) or stubbed(one))
     return measured
 
 
 @pytest.mark.parametrize(
     ("words", "written"),
     [
-        ([], ["machine", "targets", *bench.BY_DEFAULT]),
-        (["--quick"], ["machine", "targets", *bench.QUICK]),
-        (["--only", "stages"], ["machine", "stages"]),
-        (["--only", "growth"], ["growth"]),
-        (["--only", "parity"], ["parity"]),
-        (["--only", "parity", "world"], ["machine", "world", "parity"]),
+        ([], bench.BY_DEFAULT),
+        (["--quick"], bench.QUICK),
+        (["--only", "memory"], ["memory"]),
+        (["--only", "worlds", "world"], ["world", "worlds"]),
     ],
 )
 def test_every_mode_writes_its_sections_to_the_end(stubs, words, written):
     assert bench.main(words) == 0
     out = Path("build/bench/quick.md" if "--quick" in words else "docs/benchmarks.md")
-    found = read_sections(out)
-    assert list(found) == written
-    assert out.read_text().endswith("\n")
+    assert list(read_sections(out)) == ["", *written]
+    assert out.read_text().endswith("|\n")
     assert "cut short" not in out.read_text()
-    assert "not measured" not in found.get("targets", "") or "--quick" in words
-    pictures = [f"benchmarks-{name}.png" for name in ("growth", "parity") if name in written]
-    assert sorted(path.name for path in out.parent.glob("*.png")) == pictures
-    assert all(f"]({picture})" in out.read_text() for picture in pictures)
+    assert ("must be" in out.read_text().split("<!--", 1)[1]) == (words[-1:] != ["world"])
 
 
 def test_two_runs_leave_each_others_sections(stubs):
-    assert bench.main(["--only", "growth"]) == 0
-    growth = read_sections(Path("docs/benchmarks.md"))["growth"]
+    assert bench.main(["--only", "worlds"]) == 0
+    found = read_sections(Path("docs/benchmarks.md"))["worlds"]
     assert bench.main(["--only", "memory"]) == 0
-    found = read_sections(Path("docs/benchmarks.md"))
-    assert list(found) == ["machine", "memory", "growth"]
-    assert found["growth"] == growth
-    assert page.machine() in growth
+    assert list(read_sections(Path("docs/benchmarks.md"))) == ["", "memory", "worlds"]
+    assert read_sections(Path("docs/benchmarks.md"))["worlds"] == found
+    assert machine() in found
 
 
-@pytest.mark.parametrize("words", [[], ["--only", "growth"], ["--only", "fast"]])
+@pytest.mark.parametrize("words", [[], ["--only", "worlds"]])
 def test_a_run_that_is_stopped_in_its_third_measurement_writes_what_it_found_and_marks_it(
     stubs, words, monkeypatch, capsys
 ):
-    def measure(self, one):
+    def measure(one, *how):
         stubs.append(one.name)
         if len(stubs) == 3:
             os.kill(os.getpid(), signal.SIGTERM)
             time.sleep(10)
         return stubbed(one)
 
-    monkeypatch.setattr(Runner, "measure", measure)
+    monkeypatch.setattr(jobs, "measure", measure)
     before = {number: signal.getsignal(number) for number in bench.STOPS}
     try:
         assert bench.main(words) == 130
@@ -419,9 +349,8 @@ def test_a_run_that_is_stopped_in_its_third_measurement_writes_what_it_found_and
     assert len(stubs) == 3
     assert "stopped; what was found so far is in docs/benchmarks.md" in capsys.readouterr().err
     found = read_sections(Path("docs/benchmarks.md"))
-    assert found
-    assert all("cut short" in text for text in found.values())
-    assert "targets" not in found
+    assert list(found) == ["", words[-1] if words else "world"]
+    assert "cut short" in found[words[-1] if words else "world"]
 
 
 @pytest.mark.parametrize(

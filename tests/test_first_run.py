@@ -58,7 +58,7 @@ WORDS = [
     ),
     ("render random --sampled", "there is no argument --sampled"),
     ("play random --sampled", "there is no argument --sampled"),
-    ("bench --only trainig", "argument --only: trainig: choose from compile, "),
+    ("bench --only trainig", "argument --only: trainig: choose from gymnasium, "),
     ("verify --frames=3x run", "argument --frames: invalid int value: '3x'"),
 ]
 

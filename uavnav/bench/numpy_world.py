@@ -1,7 +1,7 @@
-"""The world once more, in plain NumPy: what one would write for Stable-Baselines3 with no batched core at hand.
+"""The world once more, in plain NumPy: what one would write for Stable-Baselines3 without our core.
 
-It is the yardstick of `uavnav.bench` and of other people's trainers: one drone, vectorised over the 136 squares of the
-border and the circles. `tests/test_numpy_world.py` holds it against the oracle and against `uavnav.gym.DroneGymEnv`.
+It is the yardstick of `uavnav.bench` and of other people's trainers: one drone, vectorised over the circles
+and the 136 squares of the border. `tests/test_numpy_world.py` holds it against the oracle and `DroneGymEnv`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from torch import Tensor
 
+from uavnav.envs.gym import observation_space, pick
 from uavnav.tasks.seeding import places
 from uavnav.tasks.sensing import VIEW_TOLERANCE
 from uavnav.tasks.simulator import make_task
@@ -29,10 +30,10 @@ SINE = [COSINE[degrees - 90] for degrees in range(360)]
 
 
 class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
-    """One drone that must not hit anything: spaces, reward eq14, start, end and info of `uavnav.gym.DroneGymEnv`.
+    """One drone that must not hit anything: spaces, reward eq14, start, end and info of `DroneGymEnv`.
 
-    Everything that can be hit is a box of two corners, grown by a radius: a square's radius is 0, a circle's corners
-    coincide in its centre.
+    Everything that can be hit is a box of two corners, grown by a radius: a square's radius is 0, a circle's
+    corners coincide in its centre.
 
     Raises:
         LayoutError, ValueError: a bad bank, cap, layout or action.
@@ -42,13 +43,12 @@ class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
 
     def __init__(self, layouts: str | Path | Tensor = "train", max_steps: int | None = None) -> None:
         self.world = world = World()
-        self.bank: Array = make_task(layouts, world, max_steps=max_steps).bank.cpu().numpy().astype(np.float64)
+        self.bank: Array = make_task(layouts, world, max_steps=max_steps).bank.numpy().astype(np.float64)
         self.max_steps = max_steps
-        self._low = np.tile(np.array([-1, 0, 0], dtype=np.float32), world.n_slots)
-        self.observation_space = spaces.Box(self._low, np.ones_like(self._low), dtype=np.float32)
+        self.observation_space = observation_space(world)
         self.action_space = spaces.Discrete(world.n_actions)
+        self._low = self.observation_space.low
         self._empty = np.tile(np.array([0, 0, 1], dtype=np.float32), (world.n_slots, 1))
-
         corner, k = border_squares(world), self.bank.shape[1]
         self._lower = np.concatenate([np.zeros((k, 2)), corner])
         self._upper = np.concatenate([np.zeros((k, 2)), corner + world.border])
@@ -62,10 +62,7 @@ class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
             following = int(places([first], 1, len(self.bank), "cpu"))
         else:
             following = (self._layout + 1) % len(self.bank)
-        layout = (options or {}).get("layout", following)
-        if not isinstance(layout, int | np.integer) or not 0 <= layout < len(self.bank):
-            raise ValueError(f"options layout={layout}; give a whole number from 0 to {len(self.bank) - 1}")
-        self._layout = int(layout)
+        self._layout = int(pick((options or {}).get("layout", following), (), len(self.bank)))
         circles = self.bank[self._layout]
         self._lower[: len(circles)] = self._upper[: len(circles)] = circles[:, :2]
         self._radius[: len(circles)] = circles[:, 2]
@@ -110,16 +107,18 @@ class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
         first = ahead[np.argsort(seen[ahead], kind="stable")[: world.n_slots]]
         slots = self._empty.copy()
         slots[: len(first), :2] = frame[first]
-        slots[: len(first), 2] = (seen[first] - world.drone_radius) / (world.sensor_radius - world.drone_radius)
+        reach = world.sensor_radius - world.drone_radius
+        slots[: len(first), 2] = (seen[first] - world.drone_radius) / reach
         observation = np.minimum(np.maximum(slots.reshape(-1), self._low), 1.0)
         return observation, float(distance.min())
 
     def _info(self, clearance: float) -> Info:
-        return {"layout": self._layout, "x": self.x, "y": self.y, "heading": self.heading, "clearance": clearance}
+        place = {"x": self.x, "y": self.y, "heading": self.heading}
+        return {"layout": self._layout, **place, "clearance": clearance}
 
 
 def border_squares(world: World) -> Array:
-    """Lower left corners [136, 2] px in index order: bottom and top row, then the columns without the corners."""
+    """Lower left corners [136, 2] px in index order: bottom and top row, then the columns between them."""
     side, width, height = world.border, world.width, world.height
     rows = [(x, y) for y in (0, height - side) for x in range(0, width, side)]
     columns = [(x, y) for x in (0, width - side) for y in range(side, height - side, side)]

@@ -1,43 +1,122 @@
-"""The file of benchmarks: a section each, every one with the date and the commit of its measurement."""
+"""The page of benchmarks: a section each, every one with the date and the commit of its measurement.
+
+`page.md` holds the titles and texts.
+"""
 
 from __future__ import annotations
 
+import datetime
 import importlib.metadata
-import io
 import os
 import platform
 import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
-from matplotlib.figure import Figure
+import pandas as pd
 
 from uavnav import files
-from uavnav.bench.plan import CORES
-from uavnav.bench.results import clock, when
-from uavnav.bench.sections import SECTIONS
-from uavnav.cli.benches import BY_DEFAULT
+from uavnav.bench.jobs import Results
+from uavnav.bench.plan import BATCHES, CORES
+from uavnav.bench.watch import Result
 from uavnav.tasks.world import VERSION
-from uavnav.training.provenance import processor
+from uavnav.training.provenance import git_commit, processor
 
-HEADER = """# Benchmarks
-
-Written by `uavnav bench`, on one machine, one measurement after the other, each in a fresh process. Figures
-are medians over rounds; a ratio is the median of the rounds' ratios. Machines differ and drift: compare
-ratios only."""
+TEXTS = Path(__file__).with_name("page.md")
 MARK = re.compile(r"^<!-- bench: (\w+) -->\n", flags=re.MULTILINE)
-TITLES = {
-    "machine": "The machine",
-    "targets": "What must be reached",
-    **{name: section.title for name, section in SECTIONS.items()},
+PACKAGES = ("uavnav", "torch", "torchrl", "tensordict", "numpy", "gymnasium")
+PEERS = ("stable-baselines3", "sbx-rl", "jax")
+
+
+# -- the tables -----------------------------------------------------------------------------
+
+
+HEADS = {
+    **{str(batch): f"{batch:,}" for batch in BATCHES},
+    "how": "processes × threads",
+    "rounds": "rounds",
+    "frames": "frames",
+    "startup": "start-up [s]",
+    "rate": "frames/s",
+    "whole": "1 M frames",
+    "per_seed": "per seed",
+    "times": "times",
+    "reached": "must be",
+    "peak": "peak [GB]",
 }
-PACKAGES = ("uavnav", "torch", "torchrl", "tensordict", "numpy", "gymnasium", "stable-baselines3", "sbx-rl", "jax")
+"""The columns of all tables in their order; a table has those of which something was found."""
+
+
+def frame(results: Results) -> pd.DataFrame:
+    """A row for each measurement that found something: medians over rounds, and what is known of it."""
+    records = []
+    for one, turn, found in results.rows:
+        row: Result = {"name": one.name, "turn": turn, "base": one.base, "must": one.must, "rounds": 1}
+        row |= {"how": f"{one.copies} × {one.threads}"} | found
+        if "whole" in found:
+            seeds = one.arguments.get("n_seeds", 1)
+            row |= {"rate": found["rate"] * seeds, "per_seed": found["whole"] / seeds / one.copies}
+        records.append(row | {"speed": 1 / row["per_seed"] if "per_seed" in row else row.get("rate")})
+    rows = pd.DataFrame(records)
+    rows[["must", "speed"]] = rows[["must", "speed"]].astype(float)
+    speed = rows.set_index(["name", "turn"])["speed"]
+    rows["times"] = rows["speed"] / speed.reindex(pd.MultiIndex.from_frame(rows[["base", "turn"]])).to_numpy()
+    numbers = rows.select_dtypes("number").columns
+    ways = {name: "median" if name in numbers else "first" for name in rows} | {"rounds": "sum"}
+    rows = rows.groupby("name", sort=False).agg(ways)
+    return rows.assign(reached=[reached(row) for row in rows.to_dict("records")])
+
+
+def reached(row: Mapping[Any, Any]) -> str:
+    """What must be, times at least or GB of memory at most, and whether it is."""
+    found, least = (row["times"], row["must"]) if row["base"] else (-row["peak"], -row["must"])
+    if pd.isna(found) or pd.isna(least):
+        return "-"
+    return f"{row['must']:g}: {'reached' if found >= least else '**not reached**'}"
+
+
+def show(key: str, value: Any) -> str:
+    """Three significant digits, with commas between thousands; a clock for a run; a dash for nothing."""
+    if isinstance(value, str):
+        return value
+    if pd.isna(value):
+        return "-"
+    if key in ("whole", "per_seed"):
+        return str(datetime.timedelta(seconds=round(value)))
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def sections(results: Results) -> dict[str, list[str]]:
+    """The table of each section of which something was measured, and what could not be."""
+    rows = frame(results) if results.rows else pd.DataFrame(index=pd.Index([], dtype=str))
+    found = {}
+    for name in dict.fromkeys(name.split("/")[0] for name in (*rows.index, *results.missing)):
+        found[name] = _table(rows[rows.index.str.startswith(f"{name}/")])
+        missing = [f"- `{row}`: {why}" for row, why in results.missing.items() if row.startswith(f"{name}/")]
+        if missing:
+            found[name] += ["", "Not measured:", "", *missing]
+    return found
+
+
+def _table(rows: pd.DataFrame) -> list[str]:
+    """The columns in which there is something."""
+    texts = {key: [show(key, value) for value in rows[key]] for key in HEADS if key in rows}
+    shown = {key: column for key, column in texts.items() if set(column) - {"-"}}
+    table = [["", *map(HEADS.__getitem__, shown)], ["---", *["--:"] * len(shown)]]
+    for name, *row in zip(rows.index, *shown.values(), strict=True):
+        table.append([name.split("/", 1)[1], *row])
+    return [f"| {' | '.join(row)} |" for row in table if shown]
+
+
+# -- the file -------------------------------------------------------------------------------
 
 
 def machine() -> str:
     """The machine and the versions, in a sentence."""
     versions = [f"python {platform.python_version()}", f"world {VERSION}"]
-    for name in PACKAGES:
+    for name in PACKAGES + PEERS:
         with suppress(importlib.metadata.PackageNotFoundError):
             versions.append(f"{name} {importlib.metadata.version(name)}")
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
@@ -45,42 +124,24 @@ def machine() -> str:
 
 
 def read_sections(path: Path) -> dict[str, str]:
-    """The sections of a file as they stand; none where there is no file."""
+    """The sections of a file as they stand, the text before the first as ""; none of no file."""
     if not path.is_file():
         return {}
-    _, *parts = MARK.split(path.read_text())
-    return dict(zip(parts[::2], (text.strip() for text in parts[1::2]), strict=True))
+    head, *parts = MARK.split(path.read_text())
+    return dict(zip(["", *parts[::2]], (text.strip() for text in (head, *parts[1::2])), strict=True))
 
 
-def write_sections(path: Path, sections: dict[str, list[str]], seconds: float, mark: str = "") -> None:
-    """Put sections into the file in place of the old ones; the file is whole or as it was.
+def write_sections(path: Path, tables: Mapping[str, Sequence[str]], seconds: float, mark: str = "") -> None:
+    """Put sections into the file in place of the old ones; the file is whole or as it was. Raises OSError.
 
-    The machine has a section of its own, as of the last plain run; a section that is measured apart says its own.
-
-    Args:
-        path: the file.
-        sections: the lines of each.
-        seconds: how long it took to measure them.
-        mark: what to say beside the date.
-
-    Raises:
-        OSError: it cannot be written.
+    tables: the lines below each section's text; seconds: the time of measuring; mark: said beside the date.
     """
-    now = f"{when()}{mark and f', {mark}'}"
-    apart = f"{now}, in {clock(seconds)}; {machine()}"
-    plain = {*BY_DEFAULT, "targets"}
-    fresh = {name: [f"*{now if name in plain else apart}.*", "", *lines] for name, lines in sections.items()}
-    if plain & set(sections):
-        fresh["machine"] = [f"{apart}."]
-    every = read_sections(path) | {name: "\n".join([f"## {TITLES[name]}", "", *lines]) for name, lines in fresh.items()}
-    parts = [f"<!-- bench: {name} -->\n{every[name]}" for name in TITLES if name in every]
+    texts, old = read_sections(TEXTS), read_sections(path)
+    today = datetime.datetime.now(datetime.UTC).date()
+    took, commit = show("whole", seconds), git_commit(10) or "unknown"
+    said = f"*{today}, commit {commit}{mark and f', {mark}'}, in {took}; {machine()}.*"
+    new = {name: "\n".join([texts[name], "", said, "", *lines]) for name, lines in tables.items()}
+    every = dict.fromkeys(texts, "") | old | new | {"": texts[""]}  # sections without a text stay last
+    parts = [f"<!-- bench: {name} -->\n{text}" if name else text for name, text in every.items() if text]
     path.parent.mkdir(parents=True, exist_ok=True)
-    files.write(path, ("\n\n".join([HEADER, *parts]) + "\n").encode())
-
-
-def write_figure(path: Path, figure: Figure) -> None:
-    """Write a picture; it is whole or as it was. Raises OSError."""
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=110)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    files.write(path, content.getvalue())
+    files.write(path, ("\n\n".join(parts) + "\n").encode())

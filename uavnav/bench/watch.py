@@ -1,22 +1,19 @@
-"""A run under watch: how many frames it has at which time, where its time goes, and how long a whole run would take.
+"""A run under watch: how many frames it has at which time, and how long a whole run would take.
 
 Frames are per seed, times in seconds since the process was launched.
 """
 
 from __future__ import annotations
 
-import functools
-import statistics
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterable
-from itertools import pairwise
 from typing import Any, NamedTuple
 
-from uavnav.bench.results import Result
-
+Result = dict[str, Any]
+"""What a job finds: JSON by name."""
 WHOLE = 1_000_000
 """Frames of a whole run."""
+WARM = 2
+"""Marks until the work is steady: everything is compiled."""
 
 
 class Mark(NamedTuple):
@@ -26,106 +23,34 @@ class Mark(NamedTuple):
     at: float  # [s]
 
 
-class Stages:
-    """Where the time goes: the seconds in some functions, without the seconds of other such functions inside them.
-
-    Args:
-        table: owner, name and stage of each function; the owner is a class or a module. Once wrapped, it stays so.
-    """
-
-    def __init__(self, table: Iterable[tuple[Any, str, str]]) -> None:
-        self.seconds: dict[str, float] = defaultdict(float)
-        self._inside: list[str] = []
-        self.restart()
-        for owner, name, stage in table:
-            setattr(owner, name, self._timed(getattr(owner, name), stage))
-
-    def restart(self) -> None:
-        """Forget what was timed so far."""
-        self.seconds.clear()
-        self._began = self._last = time.perf_counter()
-
-    def _timed(self, function: Callable[..., Any], stage: str) -> Callable[..., Any]:
-        @functools.wraps(function)
-        def timed(*args: Any, **kwargs: Any) -> Any:
-            self._charge()
-            self._inside.append(stage)
-            try:
-                return function(*args, **kwargs)
-            finally:
-                self._charge()
-                self._inside.pop()
-
-        return timed
-
-    def _charge(self) -> None:
-        now = time.perf_counter()
-        if self._inside:
-            self.seconds[self._inside[-1]] += now - self._last
-        self._last = now
-
-    def shares(self) -> dict[str, float]:
-        """Each stage's share of the time since the last restart."""
-        self._charge()
-        total = self._last - self._began
-        shares = {stage: seconds / total for stage, seconds in self.seconds.items()}
-        return shares | {"other": 1 - sum(shares.values())}
-
-
 class Clock:
     """Notes how far a run is, and says when the run was watched for long enough.
 
     Args:
         launched: when the process was started [s since the epoch].
-        warm: frames from which the work is steady: everything is compiled, and learning has started.
-        frames: stop there at the latest.
-        seconds: stop after so many seconds of steady work.
-        stages: timed from the first steady mark on.
+        config: our settings of the algorithm, which say how many frames come before it learns.
+        seconds: how long to watch it learn, once it is warm.
     """
 
-    def __init__(self, launched: float, warm: int, frames: int, seconds: float, stages: Stages | None = None) -> None:
-        self.launched, self.warm, self.frames, self.seconds, self.stages = launched, warm, frames, seconds, stages
+    def __init__(self, launched: float, config: Any, seconds: float) -> None:
+        self.launched, self.seconds = launched, seconds
+        self.starts = getattr(config, "learning_starts", 0)
         self.marks: list[Mark] = []
-        self._steady: list[Mark] = []
 
     def __call__(self, frames: int) -> bool:
         """Note the frames so far; whether to go on."""
-        now = Mark(frames, time.time() - self.launched)
-        self.marks.append(now)
-        if frames < self.warm:
-            return True
-        if not self._steady and self.stages is not None:
-            self.stages.restart()
-        self._steady.append(now)
-        watched = now.at - self._steady[0].at >= self.seconds
-        return len(self._steady) < 3 or (frames < self.frames and not watched)
+        if frames > self.starts:
+            self.marks.append(Mark(frames, time.time() - self.launched))
+        steady = len(self.marks) - WARM
+        return steady < 3 or self.marks[-1].at - self.marks[WARM].at < self.seconds
 
-    def result(self, starts: int, whole_starts: int) -> Result:
-        """Times as of `whole_run`, and the shares of stages where they were timed."""
-        shares = {} if self.stages is None else {"shares": self.stages.shares()}
-        return whole_run(self.marks, starts, whole_starts) | shares
+    def result(self) -> Result:
+        """Start-up until it learns, the steady rate, and the time of a run of `WHOLE` frames.
 
-
-def usual(marks: list[Mark]) -> float:
-    """Frames/s of the median interval between marks: of few marks, one may hold a compilation."""
-    return statistics.median((then.frames - now.frames) / (then.at - now.at) for now, then in pairwise(marks))
-
-
-def rate(marks: list[Mark]) -> float:
-    """Frames/s over marks; the first quarter is left out, in which things are compiled and grow warm."""
-    steady = marks[len(marks) // 4 :]
-    return (steady[-1].frames - steady[0].frames) / (steady[-1].at - steady[0].at)
-
-
-def whole_run(marks: list[Mark], starts: int, whole_starts: int) -> Result:
-    """The time and the rates of a run of `WHOLE` frames, from the marks of a shorter one.
-
-    starts: frames before learning in the run that was watched, 0 if it learns at once; whole_starts: in the whole run.
-    """
-    after = rate([mark for mark in marks if mark.frames > starts] or marks)
-    before = usual([mark for mark in marks if mark.frames <= starts]) if starts else after
-    last = marks[-1]
-    startup = last.at - min(last.frames, starts) / before - max(last.frames - starts, 0) / after
-    whole = startup + whole_starts / before + (WHOLE - whole_starts) / after
-    found = {"startup": startup, "rate": after, "whole": whole, "frames": last.frames}
-    return found | ({"rate_before": before} if starts else {})
+        The first quarter of the marks is left out of the rate: things are compiled and grow warm.
+        """
+        first, last = self.marks[max(WARM, len(self.marks) // 4)], self.marks[-1]
+        rate = (last.frames - first.frames) / (last.at - first.at)
+        startup = last.at - (last.frames - self.starts) / rate
+        whole = startup + (WHOLE - self.starts) / rate
+        return {"startup": startup, "rate": rate, "whole": whole, "frames": last.frames}

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 QUICK = ("world", "gymnasium", "training")
-BY_DEFAULT = (*QUICK, "stages", "compile", "memory", "fast")
-LONGER = ("worlds", "growth", "parity")
+BY_DEFAULT = (*QUICK, "memory")
+LONGER = ("worlds",)
 """The sections that a quick run measures, those of a plain run, and those that only `--only` chooses."""
 
 OUT = Path("docs/benchmarks.md")

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,8 +18,6 @@ from uavnav.runs.tables import RunError
 BEGIN, END = "<!-- results -->", "<!-- end of results -->"
 TEN, TIME, MEMORY = "uavnav, 10 seeds", "1 M frames", "peak [GB]"
 """A row and two columns of the tables in docs/benchmarks.md."""
-FULL = re.compile(r"^(\w+), ten seeds, each buffer full .* held at most ([\d.]+) GB together\.$", re.MULTILINE)
-"""Its line about full buffers."""
 PAGES = "docs/results.md", "docs/algorithms.md", "docs/benchmarks.md"
 
 
@@ -40,18 +37,20 @@ def choice(content: Content, benchmarks: str) -> str:
 
 
 def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
-    """The time and the memory of a million frames of ten seeds, by algorithm; none that was not measured. The memory is
-    that of full buffers where there are any.
-    """
-    found, head = {}, []
-    for line in benchmarks.splitlines():
-        cells = [cell.strip() for cell in line.strip("| ").split("|")]
-        if TIME in cells:
-            head = cells
-        elif cells[0] == TEN and head:
-            found[head[0].lower()] = cells[head.index(TIME)], cells[head.index(MEMORY)]
-    full = {name.lower(): memory for name, memory in FULL.findall(benchmarks)}
-    return {name: (time, full.get(name, memory)) for name, (time, memory) in found.items()}
+    """The time and the memory of a million frames of ten seeds, by algorithm: of full buffers where there are any."""
+    times, memory = {}, {}
+    for lines in benchmarks.split("\n\n"):
+        head, *rows = (
+            [cell.strip() for cell in line.strip("|").split("|")] for line in lines.strip().splitlines() or [""]
+        )
+        for first, *cells in rows if MEMORY in head else []:
+            algorithm, _, who = first.lower().partition(", ")
+            row = dict(zip(head[1:], cells, strict=True))
+            if TIME in row and who == TEN:
+                times[algorithm], memory[algorithm] = row[TIME], row[MEMORY]
+            elif algorithm in times and not who:  # of full buffers
+                memory[algorithm] = row[MEMORY]
+    return {name: (time, memory[name]) for name, time in times.items()}
 
 
 def between_marks(text: str, new: str, where: str = "README.md") -> str:

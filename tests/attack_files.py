@@ -32,10 +32,10 @@ from spoiling import a_folder, cut, itself, missing, put
 import uavnav
 from uavnav import evaluation, files, studies
 from uavnav.algorithms import ALGORITHMS, dqn, ppo
-from uavnav.cli import commands
+from uavnav.cli import commands, worker
 from uavnav.studies import search, tuning
 from uavnav.tasks import layouts
-from uavnav.training import worker, workers
+from uavnav.training import workers
 from uavnav.training.recorder import Interrupted
 
 # -- study files -----------------------------------------------------------------------------------------------------
@@ -289,7 +289,7 @@ def damaged(draw):
 
     told = f"{part} (seed {seed}): {how} |"
     if words == ["SHARE"]:
-        return Case(f"{told} uavnav.training.worker", _share, spoil)
+        return Case(f"{told} uavnav.cli.worker", _share, spoil)
     return command(*words, spoil=spoil, told=told, works=words[0] == "play")
 
 

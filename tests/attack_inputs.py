@@ -27,8 +27,8 @@ from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.cli import commands
 from uavnav.cli.help import of_command
-from uavnav.cli.parser import Parser
 from uavnav.cli.terminal import end_quietly
+from uavnav.errors import Parser
 from uavnav.runs import POLICY, Run
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts

@@ -17,7 +17,7 @@ from uavnav.__main__ import main
 from uavnav.cli import play
 from uavnav.cli.render import main as render_command
 from uavnav.envs.sb3 import DroneVecEnv
-from uavnav.runs import export, policies
+from uavnav.runs import policies
 from uavnav.views import render
 
 SHORT = {"ppo": {"n_steps": 16, "batch_size": 64}, "dqn": {"learning_starts": 64, "buffer_size": 1000}}
@@ -281,18 +281,16 @@ def test_a_zip_flies_in_the_window_with_its_activation(tmp_path, monkeypatch):
     assert flown[0].choice.meaning == "logits"
 
 
-@pytest.mark.parametrize("command", [render, play, export], ids=lambda command: command.__name__)
-def test_a_command_asks_for_the_activation_of_a_zip_by_its_option(command, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(("name", "out"), [("render", "a.gif"), ("play", "rows.parquet"), ("export", "a.onnx")])
+def test_a_command_asks_for_the_activation_of_a_zip_by_its_option(name, out, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
-    name = f"uavnav {command.__name__.rpartition('.')[2]}"
-    out = ["--out", {render: "a.gif", play: "rows.parquet", export: "a.onnx"}[command]]
-    assert command.main(["theirs.zip", *out]) == 2
+    assert main([name, "theirs.zip", "--out", out]) == 2
     line = "theirs.zip: its weights do not tell the activation; give --activation, one of elu, "
-    assert capsys.readouterr().err.startswith(f"{name}: {line}")
-    assert command.main(["reactive", "--activation", "tanh", *out]) == 2
+    assert capsys.readouterr().err.startswith(f"uavnav {name}: {line}")
+    assert main([name, "reactive", "--activation", "tanh", "--out", out]) == 2
     line = "--activation tanh: runs know their own; give it with a .zip\n"
-    assert capsys.readouterr().err == f"{name}: {line}"
+    assert capsys.readouterr().err == f"uavnav {name}: {line}"
 
 
 def test_the_package_unpickles_nowhere():

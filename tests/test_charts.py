@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 from figures_read import lines, switches, texts
 
+from uavnav import style
 from uavnav.report import charts
-from uavnav.views import style
 
 
 def test_a_forest_shades_the_defaults_interval_and_greys_intervals_with_0():

@@ -16,7 +16,7 @@ import uavnav
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands, help, terminal
-from uavnav.cli.parser import Parser
+from uavnav.errors import Parser
 from uavnav.runs import LOG_FOLDERS
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.world import World
@@ -48,8 +48,8 @@ def test_the_table_holds_each_module_that_is_a_command_and_each_is_of_one_kind()
         "uavnav.report.docs",
         "uavnav.report.replays",
         "uavnav.bench.jobs",
-        "uavnav.studies.flights",
-        "uavnav.training.worker",
+        "uavnav.cli.flights",
+        "uavnav.cli.worker",
     }
     assert {f"uavnav.cli.{name}" for name in commands.COMMANDS} == there - others
     assert set(commands.PARSERS) == set(commands.COMMANDS) - {"train"}

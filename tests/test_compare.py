@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from uavnav.cli import compare as command
 from uavnav.cli.compare import main
 from uavnav.evaluation import EPISODES, MAX_STEPS, header
 from uavnav.report import compare
@@ -93,7 +94,7 @@ def test_runs_of_two_worlds_are_said_in_one_line_not_to_be_of_one_measure(tmp_pa
     assert apart([ABOVE, BELOW]) == apart([fast, fast]) == ""
     end = "flew in different worlds, so their rewards are not of one measure"
     assert apart([fast, slow]) == f"fast (speed_max=6.0) and slow (speed_max=2.0) {end}"
-    monkeypatch.setattr(compare, "contend", lambda names, _: [ABOVE, BELOW, fast])
+    monkeypatch.setattr(command, "contend", lambda names, _: [ABOVE, BELOW, fast])
     assert main(["one", "other", "--json", "--out", str(tmp_path / "page.html")]) == 0
     out, err = capsys.readouterr()
     line = f"above (task=drone) and fast (task=moving) {end}"
@@ -168,7 +169,7 @@ def test_what_cannot_be_compared_is_said_in_one_line(words, said, capsys):
 
 
 def test_metrics_come_as_json(monkeypatch, capsys):
-    monkeypatch.setattr(compare, "contend", lambda names, _: [ABOVE._replace(name=name) for name in names])
+    monkeypatch.setattr(command, "contend", lambda names, _: [ABOVE._replace(name=name) for name in names])
     assert main(["one", "other", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert {row["name"] for row in rows} == {"one", "other"}
@@ -177,14 +178,14 @@ def test_metrics_come_as_json(monkeypatch, capsys):
 def test_a_page_makes_its_folder_and_where_there_can_be_none_that_is_said_before_anyone_is_read(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(compare, "contend", None)
+    monkeypatch.setattr(command, "contend", None)
     (tmp_path / "file").write_text("mine")
     for out, why in ((tmp_path / "file" / "page.html", "Not a directory"), (tmp_path, "it is a folder")):
         assert main(["one", "other", "--out", str(out)]) == 2
         assert capsys.readouterr().err == (
             f"uavnav compare: {out}: cannot be written ({why}); give a path that can be written\n"
         )
-    monkeypatch.setattr(compare, "contend", lambda names, _: [ABOVE, BELOW])
-    monkeypatch.setattr(compare, "page", lambda contenders: b"a page")
+    monkeypatch.setattr(command, "contend", lambda names, _: [ABOVE, BELOW])
+    monkeypatch.setattr(command, "page", lambda contenders: b"a page")
     assert main(["one", "other", "--out", str(tmp_path / "new" / "folder" / "page.html")]) == 0
     assert (tmp_path / "new" / "folder" / "page.html").read_bytes() == b"a page"

@@ -77,7 +77,7 @@ class Started:
                 words = (entry / "cmdline").read_bytes().decode().rstrip("\0").split("\0")
             except OSError:
                 continue
-            if words[0] == sys.executable and "uavnav.training.worker" in words and str(self.folder) in words[-1]:
+            if words[0] == sys.executable and "uavnav.cli.worker" in words and str(self.folder) in words[-1]:
                 found.append(int(entry.name))
         return found
 

@@ -14,14 +14,13 @@ import pytest
 from figures_read import switches, texts
 from PIL import Image
 
-from uavnav import stats
+from uavnav import stats, style
 from uavnav.report import arena, charts, curves, frames
 from uavnav.report.cells import BINS, EMPTY, Cell
 from uavnav.report.page import _embedded
 from uavnav.runs import paper
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks.world import World
-from uavnav.views import style
 
 FRAMES = 1000
 WIDTH = FRAMES // BINS

@@ -7,14 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uavnav import stats
+from uavnav import stats, style
 from uavnav.report import charts, curves, figures, findings, headline
 from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.studies import Studies
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.readings import SAMPLED
-from uavnav.views import style
 
 KEY = ("dqn", "sigmoid")
 NONE = Studies({}, {}, {}, {}, {}, {}, {}, [])

@@ -14,13 +14,14 @@ from pathlib import Path
 import pytest
 
 from uavnav.algorithms.ppo import PPOConfig
+from uavnav.cli import worker
 from uavnav.runs import PROGRESS, STOP, Run, progress
 from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, run
 from uavnav.studies.engines import logged
 from uavnav.studies.engines.local import Local
 from uavnav.studies.run import Study
-from uavnav.training import heartbeat, worker, workers
+from uavnav.training import heartbeat, workers
 from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.loop import train
 from uavnav.training.recorder import Recorder
@@ -355,7 +356,7 @@ def test_silence_is_measured_by_whoever_listens_whatever_the_clock_of_the_worker
 
 
 def test_the_process_of_an_evaluation_writes_its_status(tmp_path, warm):
-    words = [sys.executable, "-m", "uavnav.studies.flights", str(tmp_path / "ended"), str(tmp_path), "--quiet"]
+    words = [sys.executable, "-m", "uavnav.cli.flights", str(tmp_path / "ended"), str(tmp_path), "--quiet"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert json.loads((tmp_path / "ended").read_text()) == {"status": 2}
     assert done.stderr.startswith("uavnav evaluate: ")

@@ -67,7 +67,7 @@ def room(name):
 def test_no_two_import_each_other_not_even_by_way_of_others(of):
     above = {of(name): set() for name in MODULES}
     for name in MODULES:
-        if name != "uavnav":  # whose names are found on first use
+        if name not in ("uavnav", "uavnav.report.__main__"):  # names found on first use; a command by another name
             above[of(name)] |= {of(other) for other in imported(name)} - {of(name), "uavnav"}
     try:
         assert len([*TopologicalSorter(above).static_order()]) == len(above)

@@ -16,7 +16,6 @@ from playing import EMPTY, REACTIVE, STRAIGHT, click, drag, fly, new, opened, pl
 import uavnav
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import play
-from uavnav.cli.keys import ALIASES, KEYS, MOUSE, ROWS
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead
@@ -24,6 +23,7 @@ from uavnav.views import render
 from uavnav.views.window import game as rules
 from uavnav.views.window import hud, keys
 from uavnav.views.window.game import PACES
+from uavnav.views.window.table import ALIASES, KEYS, MOUSE, ROWS
 
 NAMES = [name for key in KEYS for name in key.names]
 

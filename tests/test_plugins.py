@@ -19,7 +19,7 @@ from safetensors.torch import load_file, save_file
 import uavnav
 from uavnav import ConfigError, PolicyError, Run, load_policy, plugins
 from uavnav.algorithms import ALGORITHMS, ppo
-from uavnav.cli import play
+from uavnav.cli import play, worker
 from uavnav.cli.evaluate import main as fly_command
 from uavnav.cli.export import main as export_command
 from uavnav.cli.render import main as render_command
@@ -27,7 +27,6 @@ from uavnav.cli.train import main as train_command
 from uavnav.cli.verify import main as verify_command
 from uavnav.runs import POLICY
 from uavnav.tasks import simulator
-from uavnav.training import worker
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 

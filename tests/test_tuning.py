@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from uavnav import studies
-from uavnav.cli import study
+from uavnav.cli import study, worker
 from uavnav.cli.study import main
 from uavnav.errors import ConfigError
 from uavnav.report.tables import markdown
@@ -21,7 +21,6 @@ from uavnav.runs import trials
 from uavnav.runs.policies import Diverged, PolicyError
 from uavnav.runs.tables import RunError, lock
 from uavnav.studies import search, tuning
-from uavnav.training import worker
 
 optuna = pytest.importorskip("optuna")
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from tied import too_long
 
-from uavnav import studies
+from uavnav import studies, style
 from uavnav.report import figures, findings, whys
 from uavnav.report.studies import WHY, WHY_LONG
-from uavnav.views import style
 
 ASKED = ("layer_norm", "init", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", "reward", "stack")
 

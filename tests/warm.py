@@ -25,7 +25,7 @@ ADDRESS = "UAVNAV_WARM"
 """The variable with the server's name, an abstract socket of Linux."""
 PATH = sys.path[1:]
 MODULES = (
-    "uavnav.training.worker",
+    "uavnav.cli.worker",
     "uavnav.cli.evaluate",
     "uavnav.views.render",
     "uavnav.report",

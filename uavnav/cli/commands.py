@@ -16,9 +16,7 @@ from pathlib import Path
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import help as texts
 from uavnav.cli.benches import BY_DEFAULT, LONGER, OUT, SCRATCH
-from uavnav.cli.keys import BANK, HELP, ROWS
-from uavnav.cli.parser import Parser, whole
-from uavnav.errors import choose_from, did_you_mean, one_line
+from uavnav.errors import Parser, choose_from, did_you_mean, one_line, whole
 from uavnav.tasks.protocol import (
     ACROSS_STEPS,
     DEFAULT_K,
@@ -31,6 +29,7 @@ from uavnav.tasks.protocol import (
     SPLITS,
     TASK_NAMES,
 )
+from uavnav.views.window.table import BANK, HELP, ROWS
 
 TASKS = ", ".join(TASK_NAMES)
 

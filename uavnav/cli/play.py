@@ -16,7 +16,6 @@ from pathlib import Path
 from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
-from uavnav.cli.keys import BANK, ROWS
 from uavnav.envs.drawing import STEPS_PER_SECOND
 from uavnav.errors import complain
 from uavnav.files import check_out
@@ -31,6 +30,7 @@ from uavnav.views.window import game as rules
 from uavnav.views.window import hud, mouse
 from uavnav.views.window.game import Game
 from uavnav.views.window.keys import press, release, release_all
+from uavnav.views.window.table import BANK, ROWS
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 try:

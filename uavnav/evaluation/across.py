@@ -17,7 +17,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from uavnav import stats
+from uavnav import stats, style
 from uavnav.evaluation import check_bounds, fly_crews, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.runs import Run, metrics, policies
@@ -29,7 +29,6 @@ from uavnav.tasks.ladders import LADDERS, Ladder, Measure
 from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.training import display, machine
-from uavnav.views import style
 
 
 class Flyer(NamedTuple):

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from rich.table import Table
 
+from uavnav import style
 from uavnav.evaluation import check_bounds, summary
 from uavnav.evaluation.across import Flyer, flyer, judged
 from uavnav.files import check_out, write
@@ -31,7 +32,6 @@ from uavnav.tasks.baselines import AnyPolicy
 from uavnav.tasks.ladders import Measure, measure_of, reached
 from uavnav.tasks.protocol import ACROSS_STEPS
 from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
-from uavnav.views import style
 
 FLOWN = "flown_in"
 """The column that names the world of a flight."""

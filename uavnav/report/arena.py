@@ -17,9 +17,9 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
+from uavnav import style
 from uavnav.stats import Array
 from uavnav.tasks.world import World
-from uavnav.views import style
 
 
 @matplotlib.rc_context(style.STYLE)

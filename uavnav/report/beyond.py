@@ -18,7 +18,7 @@ import pandas as pd
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from uavnav import stats
+from uavnav import stats, style
 from uavnav.report import frames, headline
 from uavnav.report.cells import Cell, collect, episodes_of, one_line, order
 from uavnav.report.figures import Figure
@@ -43,7 +43,6 @@ from uavnav.runs.trials import (
     winner,
 )
 from uavnav.tasks.protocol import DRAWS
-from uavnav.views import style
 
 Table = pd.DataFrame
 TextRows = list[list[str]]

@@ -18,11 +18,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
-from uavnav import stats
+from uavnav import stats, style
 from uavnav.report.frames import MEASURES
 from uavnav.runs import paper
 from uavnav.stats import Array, Interval
-from uavnav.views import style
 
 
 @matplotlib.rc_context(style.STYLE)

@@ -20,7 +20,7 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
-from uavnav import stats
+from uavnav import stats, style
 from uavnav.errors import did_you_mean, did_you_mean_run
 from uavnav.report import cells, charts, curves, tables
 from uavnav.report.cells import Cell
@@ -29,7 +29,6 @@ from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import EPISODES, MAX_STEPS, SCRIPTS, header
 from uavnav.tasks.world import World
-from uavnav.views import style
 
 if TYPE_CHECKING:
     from uavnav.tasks.baselines import AnyPolicy

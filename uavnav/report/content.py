@@ -12,6 +12,7 @@ from typing import Any
 
 import pandas as pd
 
+from uavnav import style
 from uavnav.evaluation.arena import EMPTY_ARENA
 from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys, worlds
 from uavnav.report.cells import Cell, algorithms, collect, one_line, read_as
@@ -27,7 +28,6 @@ from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
 from uavnav.training import machine
-from uavnav.views import style
 
 Place = tuple[str, str, str]
 """Study, algorithm and activation."""

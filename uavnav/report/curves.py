@@ -17,12 +17,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
-from uavnav import stats
+from uavnav import stats, style
 from uavnav.report.cells import Cell, binned, curve
 from uavnav.runs import paper
 from uavnav.runs.readings import PER_FRAME, words
 from uavnav.stats import Array, Interval
-from uavnav.views import style
 
 RESAMPLES = 1_000
 """Bootstrap draws of the band of a curve."""

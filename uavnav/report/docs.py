@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavnav import files
-from uavnav.cli.parser import Parser
+from uavnav.errors import Parser
 from uavnav.report.content import Content, gather
 from uavnav.report.page import render
 from uavnav.runs.tables import RunError

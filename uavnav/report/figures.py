@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
 from uavnav.report import arena, behaviour, charts, curves, findings, frames, studies, tables, whys
 from uavnav.report.cells import algorithms
@@ -19,10 +20,9 @@ from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
 from uavnav.runs.readings import PER_FRAME, SAMPLED, words
 from uavnav.stats import Array, Interval
+from uavnav.style import Drawn
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
-from uavnav.views import style
-from uavnav.views.style import Drawn
 
 SHOWN_LAYOUTS = (0, 1, 2)
 SHOWN_ACTIVATION = "tanh"

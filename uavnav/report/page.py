@@ -26,9 +26,9 @@ from uavnav.report.verdicts import GRADES, SEEDS, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.metrics import LAST
 from uavnav.runs.readings import LOG_CURVE, SAMPLED
+from uavnav.style import RULE, drawing, save
 from uavnav.tasks.world import World
 from uavnav.views import browser
-from uavnav.views.style import RULE, drawing, save
 
 SECTIONS = {
     "verdicts": "Verdicts",

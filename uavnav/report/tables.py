@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from uavnav import stats
+from uavnav import stats, style
 from uavnav.report.cells import Cell, Counts, counted, counts, episodes_of, one_line, show
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.frames import DIAGNOSTICS, estimates, name, per_seed_values
@@ -34,7 +34,6 @@ from uavnav.report.verdicts import (
 from uavnav.runs import paper
 from uavnav.runs.metrics import METRICS, finished, per_seed
 from uavnav.runs.readings import PER_FRAME, READINGS, SAMPLED, decimals, words
-from uavnav.views import style
 
 Rows = list[list[str]]
 NOTHING = "–"

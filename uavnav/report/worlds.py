@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from uavnav import stats
+from uavnav import stats, style
 from uavnav.report import conclusions, tables
 from uavnav.report.cells import of_worlds, order, settings_of
 from uavnav.report.discussion import (
@@ -39,7 +39,6 @@ from uavnav.runs.metrics import FIRST_COLUMNS, FLIGHTS, OWN, collided, of_flight
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Interval
 from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS
-from uavnav.views import style
 
 if TYPE_CHECKING:
     from uavnav.evaluation.scripts import Protocol

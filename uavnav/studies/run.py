@@ -466,13 +466,13 @@ class Study:
         described = workers.described(share.folder, share.config, self.checkpoint_seconds, threads=threads)
         described |= {"evaluation": work.cell.evaluation, "folder": str(Path.cwd())}
         files.write(job.file("job"), json.dumps(described).encode())
-        words = ["-m", "uavnav.training.worker", *plugins.LOADED, str(job.file("job"))]
+        words = ["-m", "uavnav.cli.worker", *plugins.LOADED, str(job.file("job"))]
         return engines.logged(words, job.file("log"))
 
     def _evaluation(self, job: Job) -> list[str]:
         cell, missing = job.work.cell, unflown(job.work.cell)
         job.work.flights = len(missing)
-        words = ["-m", "uavnav.studies.flights", str(job.file("ended")), str(cell.out), *missing[0], "--quiet"]
+        words = ["-m", "uavnav.cli.flights", str(job.file("ended")), str(cell.out), *missing[0], "--quiet"]
         words += ["--plugins", ",".join(plugins.LOADED)] if plugins.LOADED else []
         return engines.logged(words, job.file("log"))
 

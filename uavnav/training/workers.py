@@ -36,7 +36,7 @@ from uavnav.training.recorder import Interrupted, Recorder
 SILENT = "{}: its process ended without a word; the same command goes on from the last snapshot"
 NOT_SAVED = "{}: not saved, its process ended before it could be; the same command begins these seeds anew"
 POLL_SECONDS = 0.2
-CHILD = "from uavnav.training.worker import main; main([])"
+CHILD = "from uavnav.cli.worker import main; main([])"
 
 
 def split(config: TrainConfig, folder: Path, n: int) -> dict[Path, TrainConfig]:

@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.cli.keys import BANK, LEFT, RIGHT, RISE, ROWS, SINK, TILTING, TURNING
 from uavnav.envs.drawing import PILOTS, STEPS_PER_SECOND, Colour
 from uavnav.evaluation import flights
 from uavnav.runs.metrics import EPISODE_COLUMNS, FIRST_COLUMNS
@@ -32,6 +31,7 @@ from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.state import COUNTS, UP, State
 from uavnav.tasks.world import World
 from uavnav.views.render import Pilot
+from uavnav.views.window.table import BANK, LEFT, RIGHT, RISE, ROWS, SINK, TILTING, TURNING
 
 PACES = (1 / 10, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
 """How many times as fast as the simulation's own rate."""

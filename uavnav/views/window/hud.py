@@ -12,13 +12,13 @@ import torch
 from matplotlib import colormaps
 from PIL import Image, ImageDraw
 
-from uavnav.cli.keys import HELP
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, SENSED, STEPS_PER_SECOND, Ink, font, height_of
 from uavnav.runs.metrics import METRICS
 from uavnav.tasks.world import World
 from uavnav.views.window.game import PACES, Game, colour, in_3d, parts
 from uavnav.views.window.mouse import problem
+from uavnav.views.window.table import HELP
 
 MARGIN, BLOCK, FOOTER = 12, 330, 30  # [units]; a block of the panel is as wide as that
 ARENA_UNITS = 800, 600

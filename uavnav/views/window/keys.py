@@ -1,12 +1,12 @@
-"""What a key does that goes down or up, by the table of `uavnav.cli.keys`."""
+"""What a key does that goes down or up, by the table of `uavnav.views.window.table`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from uavnav.cli.keys import ALIASES, KEYS, TILTING, TURNING
 from uavnav.views.window import game as rules
 from uavnav.views.window.game import Game
+from uavnav.views.window.table import ALIASES, KEYS, TILTING, TURNING
 
 _BY_NAME = {name: key for key in KEYS for name in key.names}
 

@@ -124,9 +124,7 @@ def listened_to() -> None:
     for number in STOPS:
         signal.signal(number, _hear_nothing)  # a run hears the first signal, and then this is there again
     if not (line := sys.stdin.readline()):
-        sys.exit(
-            "uavnav.training.worker: nothing on the standard input; a run of several processes starts it by itself"
-        )
+        sys.exit("uavnav.cli.worker: nothing on the standard input; a run of several processes starts it by itself")
     described = json.loads(line)
     over = threading.Event()
     watch = threading.Thread(target=_end_with_parent, args=[over], daemon=True)

@@ -29,6 +29,7 @@ from uavnav.cli import commands
 from uavnav.cli.help import of_command
 from uavnav.cli.terminal import end_quietly
 from uavnav.errors import Parser
+from uavnav.evaluation.verify import verify
 from uavnav.runs import POLICY, Run
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
@@ -36,7 +37,6 @@ from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import TASKS, make_task
 from uavnav.training.config import PARTS, parts_of
 from uavnav.training.recorder import Interrupted
-from uavnav.training.verify import verify
 
 TYPED = (ValueError, TypeError, RunError, gymnasium.error.Error)
 """What the library may raise; ConfigError, LayoutError and PolicyError are ValueErrors."""
@@ -337,7 +337,7 @@ CALLS = [
     (uavnav.compare.contend, ["names"]),
     (lambda run="run", frames=None: verify(Run(run), frames, True), ["run", "frames"]),
     (studies.read, ["name"]),
-    (uavnav.algorithms.networks.Activation, ["name"]),
+    (uavnav.networks.Activation, ["name"]),
     (lambda policy="run", path="policy.pt2": uavnav.export.export_policy(uavnav.load_policy(policy), path), ["path"]),
 ]
 NAMED_AS_GIVEN = (
@@ -345,7 +345,7 @@ NAMED_AS_GIVEN = (
     layouts.check,
     Run,
     studies.read,
-    uavnav.algorithms.networks.Activation,
+    uavnav.networks.Activation,
     uavnav.compare.contend,
 )
 

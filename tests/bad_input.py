@@ -17,9 +17,9 @@ from uavnav import ConfigError, LayoutError, PolicyError, RunError
 from uavnav import evaluation as evaluation
 from uavnav.__main__ import main
 from uavnav.algorithms import dqn, ppo
+from uavnav.evaluation import verify as verification
 from uavnav.runs import POLICY, Run
 from uavnav.tasks import layouts
-from uavnav.training import verify as verification
 from uavnav.training.recorder import Interrupted
 from uavnav.views import render as rendering
 

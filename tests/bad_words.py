@@ -181,9 +181,7 @@ CASES = [
     ),
     argument("a box's depth", lambda f: SpaceWorld(depth=280), "depth=280", "give above 280 px", error=ConfigError),
     argument("a border", lambda f: uavnav.World(border=30), "border=30", "must divide", error=ConfigError),
-    argument(
-        "an activation", lambda f: uavnav.algorithms.networks.Activation("rleu"), "activation='rleu'", "choose from elu"
-    ),
+    argument("an activation", lambda f: uavnav.networks.Activation("rleu"), "activation='rleu'", "choose from elu"),
     argument(
         "a cap", lambda f: uavnav.DroneEnv(max_steps=0), "max_steps=0", "a whole number from 1", error=ConfigError
     ),

@@ -9,8 +9,8 @@ import yaml
 from torch import nn
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.networks import mlp
 from uavnav.evaluation import BEHAVIOUR_COLUMNS
+from uavnav.networks import mlp
 from uavnav.runs import POLICY
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.training.config import TrainConfig

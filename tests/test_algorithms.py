@@ -11,10 +11,11 @@ from PIL import Image
 from safetensors.torch import load_file
 from test_replays import as_flown, flown, recorded
 
+from uavnav.acting import ACTS, values_of
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.acting import ACTS, values_of
 from uavnav.cli.render import main as render_command
 from uavnav.evaluation import evaluate_run
+from uavnav.evaluation.verify import verify
 from uavnav.report import report
 from uavnav.runs import POLICY, export
 from uavnav.runs.metrics import MODES
@@ -23,7 +24,6 @@ from uavnav.runs.policies import load_policy
 from uavnav.tasks.rewards import BOUNDS, REWARDS, Bounds
 from uavnav.training.loop import make_collector, make_env, train
 from uavnav.training.recorder import Interrupted, Recorder
-from uavnav.training.verify import verify
 
 SMALL = {"n_seeds": 2, "n_worlds": 8, "total_frames": 640, "hidden": (16,), "lr": 1e-2, "compile": "off"}
 """Of every run here."""

@@ -13,9 +13,9 @@ from runs_by_hand import policy_bytes
 
 from uavnav import evaluation
 from uavnav.algorithms import dqn, ppo
-from uavnav.algorithms.networks import mlp
 from uavnav.evaluation import arena, evaluate_run, fly, on
 from uavnav.evaluation.values import overestimation
+from uavnav.networks import mlp
 from uavnav.runs import ARENA, VALUES
 from uavnav.runs.metrics import MODES
 from uavnav.runs.policies import load_policy

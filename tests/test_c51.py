@@ -16,13 +16,13 @@ from uavnav.algorithms.dqn import DQNConfig, make_learner, make_network
 from uavnav.errors import ConfigError
 from uavnav.evaluation import evaluate_run
 from uavnav.evaluation.squads import Squad, Squads
+from uavnav.evaluation.verify import verify
 from uavnav.runs import POLICY
 from uavnav.runs.export import export_policy
 from uavnav.runs.policies import PolicyError
 from uavnav.tasks.rewards import BOUNDS, REWARDS
 from uavnav.training.loop import make_collector, make_env
 from uavnav.training.recorder import Interrupted
-from uavnav.training.verify import verify
 
 SMALL = {"hidden": (8,), "n_atoms": 7, "activation": "relu"}
 

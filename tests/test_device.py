@@ -6,8 +6,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from uavnav.acting import Actor
 from uavnav.algorithms import a2c, dqn, ppo, replay, sac
-from uavnav.algorithms.acting import Actor
 from uavnav.envs.env import DroneEnv
 from uavnav.tasks.simulator import make_task
 from uavnav.training import probes

@@ -11,7 +11,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from uavnav.algorithms.acting import Actor
+from uavnav.acting import Actor
 from uavnav.algorithms.dqn import DQNConfig, make_network, train
 from uavnav.algorithms.replay import make_buffer
 from uavnav.envs.gym import DroneVectorEnv

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from uavnav.evaluation import evaluate_run, files_of
+from uavnav.evaluation.verify import _parting as parting
+from uavnav.evaluation.verify import _weights as weights
+from uavnav.evaluation.verify import _weights_parting as weights_parting
+from uavnav.evaluation.verify import verify
 from uavnav.runs import Run
-from uavnav.training.verify import _parting as parting
-from uavnav.training.verify import _weights as weights
-from uavnav.training.verify import _weights_parting as weights_parting
-from uavnav.training.verify import verify
 
 STUDY = """
 what: two cells of eight seeds

@@ -13,10 +13,10 @@ from test_resume import same
 import uavnav
 from uavnav import evaluation, load_policy
 from uavnav.algorithms import ppo
+from uavnav.evaluation import verify
 from uavnav.evaluation.summary import of_evaluation, of_run
 from uavnav.tasks import layouts
 from uavnav.tasks.simulator import TASKS
-from uavnav.training import verify
 
 FIELDS = {
     "moving": {"speed_max": 3.0, "sense_velocity": True},

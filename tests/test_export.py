@@ -16,10 +16,10 @@ import torch
 from torch import nn
 
 from uavnav import PolicyError, RunError, load_policy
+from uavnav.acting import HEADS
 from uavnav.algorithms import dqn, ppo
-from uavnav.algorithms.acting import HEADS
-from uavnav.algorithms.networks import ACTIVATIONS, Activation, mlp
 from uavnav.cli.export import main as export_command
+from uavnav.networks import ACTIVATIONS, Activation, mlp
 from uavnav.runs import export
 from uavnav.runs.export import export_policy
 from uavnav.runs.policies import Policy

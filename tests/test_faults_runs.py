@@ -12,9 +12,9 @@ from safetensors.torch import load_file, save_file
 
 from uavnav import ConfigError, Run, evaluation, load_policy
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
-from uavnav.algorithms.networks import mlp
 from uavnav.cli.evaluate import main as fly_command
 from uavnav.evaluation import evaluate_policy, evaluate_run, files_of, flights, header, on
+from uavnav.networks import mlp
 from uavnav.report import behaviour, cells, replays
 from uavnav.runs.export import export_policy
 from uavnav.runs.policies import Policy

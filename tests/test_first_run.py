@@ -82,7 +82,7 @@ def test_a_misspelt_word_is_one_line_that_names_the_nearest_and_status_2(words, 
 CALLS = {
     "reward='eq41'; .*did you mean eq14": lambda: uavnav.DroneEnv(reward="eq41"),
     "slots='nearst'; .*did you mean nearest": lambda: uavnav.World(slots="nearst"),
-    "activation='rleu'; .*did you mean relu": lambda: uavnav.algorithms.networks.Activation("rleu"),
+    "activation='rleu'; .*did you mean relu": lambda: uavnav.networks.Activation("rleu"),
     "layouts='trian'.*did you mean train": lambda: uavnav.layouts.load("trian"),
     "no attribute 'evaluate_polcy'.*did you mean evaluate_policy": lambda: uavnav.evaluate_polcy,
     "preset=fats; .*did you mean fast": lambda: PPOConfig(preset="fats"),

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from uavnav import evaluation
-from uavnav.algorithms.networks import mlp
 from uavnav.evaluation import evaluate_policy, flights, on
+from uavnav.networks import mlp
 from uavnav.runs.policies import Policy
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, straight_ahead

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from uavnav import graph
-from uavnav.algorithms.acting import ACTS, Actor
-from uavnav.algorithms.networks import mlp
+from uavnav.acting import ACTS, Actor
 from uavnav.errors import ConfigError
 from uavnav.graph import Graph
+from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
 
 COMMAND = """

@@ -15,6 +15,7 @@ import pytest
 
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli import worker
+from uavnav.evaluation.verify import _parting as parting
 from uavnav.runs import PROGRESS, STOP, Run, progress
 from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, run
@@ -25,7 +26,6 @@ from uavnav.training import heartbeat, workers
 from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.loop import train
 from uavnav.training.recorder import Recorder
-from uavnav.training.verify import _parting as parting
 
 CONFIG = PPOConfig(
     n_seeds=2, total_frames=2_048, frames_per_batch=256, minibatch_size=64, epochs=1, hidden=(8,), compile="off"

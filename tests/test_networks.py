@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from uavnav.algorithms.networks import ACTIVATIONS, KNOWN, Activation, AgentLinear, mlp, unit_gain
+from uavnav.networks import ACTIVATIONS, KNOWN, Activation, AgentLinear, mlp, unit_gain
 from uavnav.runs.paper import TABLES
 from uavnav.tasks.seeding import stream
 

@@ -9,8 +9,8 @@ import torch
 from browsing import RESULTS, ask
 
 from uavnav import load_policy
-from uavnav.algorithms.acting import HEADS, values_of
-from uavnav.algorithms.networks import ACTIVATIONS, KNOWN
+from uavnav.acting import HEADS, values_of
+from uavnav.networks import ACTIVATIONS, KNOWN
 from uavnav.runs import paper
 from uavnav.runs.metrics import per_episode
 from uavnav.tasks import layouts

@@ -118,7 +118,7 @@ def test_a_recipe_with_a_plugin_trains_compiled_in_two_processes(folder):
 
 
 def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monkeypatch):
-    monkeypatch.setitem(uavnav.algorithms.networks.ACTIVATIONS, "cubed", lambda x: x**3)
+    monkeypatch.setitem(uavnav.networks.ACTIVATIONS, "cubed", lambda x: x**3)
     config = ppo.PPOConfig(activation="cubed", **SHORT)
     with pytest.raises(ConfigError, match="processes=2: activation=cubed is known to this process alone"):
         ppo.train(config, out=tmp_path / "run", quiet=True, processes=2)
@@ -311,10 +311,10 @@ def test_a_plugin_that_gives_the_algorithm_of_another_plugin_to_another_module_i
 def test_a_plugin_that_gives_a_known_name_another_meaning_is_refused_and_the_name_keeps_its_own(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "takes_relu.py").write_text("from uavnav import networks\nnetworks.ACTIVATIONS['relu'] = abs\n")
-    own = uavnav.algorithms.networks.ACTIVATIONS["relu"]
+    own = uavnav.networks.ACTIVATIONS["relu"]
     with pytest.raises(ConfigError, match=r"^plugins=takes_relu: activation=relu is there already; give yours another"):
         plugins.load("takes_relu")
-    assert uavnav.algorithms.networks.ACTIVATIONS["relu"] is own
+    assert uavnav.networks.ACTIVATIONS["relu"] is own
     assert "takes_relu" not in plugins.LOADED
 
 
@@ -355,7 +355,7 @@ def test_a_policy_that_could_not_be_read_again_is_refused_before_training(where,
     monkeypatch.setattr(Other, "where", where)
     monkeypatch.setattr(Other, "what", staticmethod(what))
     monkeypatch.setattr(ppo.PPOConfig, "make", lambda config, compile: Other(config, compile))
-    line = "^algorithm=ppo: networks.. must give policy, made by uavnav.algorithms.networks.mlp"
+    line = "^algorithm=ppo: networks.. must give policy, made by uavnav.networks.mlp"
     with pytest.raises(ConfigError, match=line + says):
         ppo.train(ppo.PPOConfig(**SHORT), out=tmp_path / "run", quiet=True)
     assert not (tmp_path / "run").exists()
@@ -403,14 +403,14 @@ def test_a_module_is_imported_once_and_what_it_adds_is_known_to_all_processes(tm
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(plugins, "LOADED", {})
     for table in ("ACTIVATIONS", "KNOWN"):
-        monkeypatch.setattr(uavnav.algorithms.networks, table, dict(getattr(uavnav.algorithms.networks, table)))
-    tables = {"activation": (uavnav.algorithms.networks.ACTIVATIONS, uavnav.algorithms.networks.KNOWN)}
+        monkeypatch.setattr(uavnav.networks, table, dict(getattr(uavnav.networks, table)))
+    tables = {"activation": (uavnav.networks.ACTIVATIONS, uavnav.networks.KNOWN)}
     monkeypatch.setattr(plugins, "TABLES", tables)
     code = "from uavnav import networks\nnetworks.ACTIVATIONS['twice'] = lambda x: 2 * x\nprint('imported')\n"
     (tmp_path / "adds_one.py").write_text(code)
     plugins.load("adds_one")
     plugins.load(["adds_one", "adds_one"])
     assert {"adds_one": hashlib.sha256(code.encode()).hexdigest()} == plugins.LOADED
-    assert uavnav.algorithms.networks.KNOWN["twice"] is uavnav.algorithms.networks.ACTIVATIONS["twice"]
+    assert uavnav.networks.KNOWN["twice"] is uavnav.networks.ACTIVATIONS["twice"]
     assert " give --plugins other,more (" in plugins.missing(["adds_one", "other", "more"])
     assert plugins.missing({"adds_one": ""}) == ""

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from uavnav.algorithms.networks import ACTIVATIONS, mlp
+from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.tasks.seeding import stream
 from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.training import probes

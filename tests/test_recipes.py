@@ -137,7 +137,7 @@ from dataclasses import dataclass
 import torch
 
 from uavnav.algorithms import ALGORITHMS, Algorithm, a2c
-from uavnav.algorithms.networks import ACTIVATIONS
+from uavnav.networks import ACTIVATIONS
 from uavnav.tasks.rewards import REWARDS
 from uavnav.training.loop import train
 

@@ -13,9 +13,9 @@ from torch import nn
 
 import uavnav
 from uavnav import evaluation
-from uavnav.algorithms.networks import mlp
 from uavnav.evaluation import WATCHED_STEPS, evaluate_policy, flights, on
 from uavnav.evaluation.repeats import counted
+from uavnav.networks import mlp
 from uavnav.runs.policies import Policy, load_policy
 from uavnav.tasks import layouts, rewards, simulator
 from uavnav.tasks.simulator import EMPTY, Task, make_task

@@ -11,9 +11,9 @@ import torch
 import yaml
 from runs_by_hand import policy_bytes
 
-from uavnav.algorithms.networks import mlp
 from uavnav.envs import scalar
 from uavnav.evaluation import EPISODES
+from uavnav.networks import mlp
 from uavnav.report import replays, studies
 from uavnav.report.cells import collect
 from uavnav.report.replays import paths, record, together

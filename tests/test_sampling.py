@@ -6,10 +6,10 @@ from scipy import stats
 from tensordict import TensorDict
 from torchrl.data import ReplayBuffer
 
+from uavnav.acting import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical, values_of
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.acting import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_categorical, values_of
-from uavnav.algorithms.networks import mlp
 from uavnav.algorithms.replay import AgentSampler, AgentStorage
+from uavnav.networks import mlp
 from uavnav.tasks.chance import Chance
 from uavnav.tasks.seeding import Streams, places, stream
 from uavnav.tasks.simulator import make_task

@@ -15,19 +15,19 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from uavnav.algorithms import networks
+from uavnav import networks
 from uavnav.algorithms.c51 import C51Config
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.dqn import train as train_dqn
 from uavnav.algorithms.ppo import PPOConfig, train
 from uavnav.algorithms.sac import SACConfig
 from uavnav.errors import ConfigError
+from uavnav.evaluation.verify import verify
 from uavnav.runs import POLICY
 from uavnav.runs.policies import load_policy
 from uavnav.runs.tables import RunError
 from uavnav.training import machine
 from uavnav.training.recorder import Interrupted
-from uavnav.training.verify import verify
 from uavnav.training.workers import split, wall_seconds
 
 pytestmark = pytest.mark.usefixtures("warm_module")

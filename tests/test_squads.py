@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from uavnav.algorithms.networks import made_of, mlp, stacked
 from uavnav.evaluation import flights, on
 from uavnav.evaluation.squads import Squads
+from uavnav.networks import made_of, mlp, stacked
 from uavnav.runs.policies import Policy
 from uavnav.tasks.baselines import reactive
 from uavnav.tasks.simulator import EMPTY, make_task

@@ -12,8 +12,8 @@ from safetensors.torch import save_file
 
 from uavnav.algorithms import dqn, ppo
 from uavnav.cli.verify import main as verify_command
+from uavnav.evaluation import verify
 from uavnav.runs import POLICY, Run
-from uavnav.training import verify
 from uavnav.training.recorder import Recorder
 
 ALGORITHMS = {

@@ -24,8 +24,8 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import did_you_mean
 
 if TYPE_CHECKING:
-    from uavnav import evaluation, plugins, report, stats
-    from uavnav.algorithms import a2c, c51, dqn, networks, ppo, sac
+    from uavnav import evaluation, networks, plugins, report, stats
+    from uavnav.algorithms import a2c, c51, dqn, ppo, sac
     from uavnav.envs.env import DroneEnv
     from uavnav.errors import ConfigError
     from uavnav.evaluation import evaluate_policy
@@ -51,9 +51,9 @@ _NAMES = {
     "World": "tasks.world",
 }
 _ROOMS = {
-    "algorithms": ("acting", "networks", "replay"),
+    "algorithms": ("replay",),
     "envs": ("env", "gym", "sb3", "scalar"),
-    "evaluation": ("flights",),
+    "evaluation": ("flights", "verify"),
     "report": ("compare",),
     "runs": ("export", "metrics", "paper", "policies", "readings"),
     "tasks": (
@@ -69,14 +69,14 @@ _ROOMS = {
         "space",
         "world",
     ),
-    "training": ("config", "loggers", "verify"),
+    "training": ("config", "loggers"),
     "views": ("render",),
     "views.browser": ("playground",),
 }
 HOMES = {name: f"uavnav.{room}.{name}" for room, names in _ROOMS.items() for name in names}
 HOMES |= {name: algorithm.module for name, algorithm in ALGORITHMS.items()}
 """Modules that are also known without their folder: `uavnav.layouts` is `uavnav.tasks.layouts`."""
-_MODULES = ("bench", "evaluation", "plugins", "report", "runs", "stats")
+_MODULES = ("bench", "evaluation", "networks", "plugins", "report", "runs", "stats")
 
 _SHOWN = ("evaluation", "layouts", "networks", "plugins", "report", "rewards", "sensing", "stats")
 __all__ = sorted({*_NAMES, *ALGORITHMS, *_SHOWN})

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from uavnav.algorithms import networks
+from uavnav import networks
 from uavnav.errors import ConfigError
 from uavnav.tasks import rewards, simulator
 

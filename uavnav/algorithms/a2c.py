@@ -18,11 +18,11 @@ from tensordict import TensorDictBase
 from torch import nn
 from torchrl.objectives import A2CLoss
 
+from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.acting import Actor
-from uavnav.algorithms.networks import Init
 from uavnav.algorithms.ppo import make_actor_critic, make_advantage, make_networks
 from uavnav.errors import ConfigError
+from uavnav.networks import Init
 from uavnav.settings import key
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful

@@ -20,7 +20,7 @@ from tensordict.nn import TensorDictModule, TensorDictParams
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
-from uavnav.algorithms.acting import by_atom, dueling, values_of
+from uavnav.acting import by_atom, dueling, values_of
 from uavnav.algorithms.dqn import DQNConfig, QConfig
 from uavnav.errors import ConfigError
 from uavnav.settings import key

@@ -20,10 +20,10 @@ from torch import nn
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 
+from uavnav.acting import Actor, Values, values_of
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.acting import Actor, Values, values_of
-from uavnav.algorithms.networks import mlp
 from uavnav.algorithms.replay import Replay, ReplayConfig
+from uavnav.networks import mlp
 from uavnav.settings import key
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes

@@ -25,12 +25,12 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
+from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.acting import Actor
 from uavnav.algorithms.losses import TraceableClipPPOLoss
-from uavnav.algorithms.networks import Init, mlp
 from uavnav.algorithms.replay import AgentSampler, AgentStorage
 from uavnav.errors import ConfigError
+from uavnav.networks import Init, mlp
 from uavnav.settings import key
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes

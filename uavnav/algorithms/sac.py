@@ -24,12 +24,12 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import DiscreteSACLoss
 
+from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.acting import Actor
 from uavnav.algorithms.losses import PopulationSACLoss
-from uavnav.algorithms.networks import mlp
 from uavnav.algorithms.ppo import make_actor_critic
 from uavnav.algorithms.replay import Replay, ReplayConfig
+from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful

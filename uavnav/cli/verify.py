@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from uavnav import plugins
 from uavnav.cli import commands
 from uavnav.errors import ConfigError, complain
+from uavnav.evaluation.verify import verify
 from uavnav.runs import Run
 from uavnav.runs.policies import as_option
 from uavnav.runs.tables import RunError
 from uavnav.tasks.layouts import LayoutError
 from uavnav.training.recorder import Interrupted
-from uavnav.training.verify import verify
 
 
 def main(argv: Sequence[str] | None = None) -> int:

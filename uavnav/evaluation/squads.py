@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from uavnav.algorithms.networks import made_of, stacked
+from uavnav.networks import made_of, stacked
 from uavnav.runs.policies import Policy
 from uavnav.tasks.baselines import AnyPolicy
 

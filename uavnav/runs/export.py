@@ -20,9 +20,9 @@ from typing import Any
 import torch
 from torch import nn
 
+from uavnav.acting import Values
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.acting import Values
-from uavnav.algorithms.networks import AgentLinear
+from uavnav.networks import AgentLinear
 from uavnav.runs.policies import Policy, PolicyError
 from uavnav.runs.tables import write
 from uavnav.tasks.world import VERSION

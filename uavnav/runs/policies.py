@@ -18,10 +18,10 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from uavnav import files, plugins
+from uavnav.acting import ACTS, HEADS, SHOWN, values_of
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.acting import ACTS, HEADS, SHOWN, values_of
-from uavnav.algorithms.networks import ACTIVATIONS, mlp
 from uavnav.errors import OneLineError, choose_from
+from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.runs import MOST_SEEDS, POLICY, read_settings
 from uavnav.runs.tables import RunError
 from uavnav.tasks import tensors as safe
@@ -74,7 +74,7 @@ class Policy:
     algorithm: str
     greedy: bool
     task: Task  # that it was trained in, without the bank
-    acts: str  # in training: a name of `uavnav.algorithms.acting.ACTS`
+    acts: str  # in training: a name of `uavnav.acting.ACTS`
     head: str  # how outputs become one number an action: a name of `HEADS` there, with its numbers
     epsilon: float = 0.0  # the share of random actions, where its way to act has one
     seed: int = 0  # that it was trained with

@@ -14,9 +14,9 @@ from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_
 
 import torch
 
-from uavnav.algorithms.networks import ACTIVATIONS, Init
 from uavnav.errors import MOST_WHOLE, ConfigError, among, told, unknown, unknown_key
 from uavnav.graph import telling_line
+from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import default_folder, modern
 from uavnav.settings import key
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults

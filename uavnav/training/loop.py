@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.data import ReplayBuffer
 
-from uavnav.algorithms.acting import Actor
+from uavnav.acting import Actor
 from uavnav.envs.env import DroneEnv
 from uavnav.errors import ConfigError, told
 from uavnav.runs import Run

@@ -14,7 +14,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from uavnav.algorithms.networks import ACTIVATIONS, Activation
+from uavnav.networks import ACTIVATIONS, Activation
 from uavnav.tasks import layouts
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.seeding import stream

@@ -11,9 +11,9 @@ from safetensors.torch import save
 from torch import nn
 
 from uavnav import plugins
-from uavnav.algorithms.acting import Actor
-from uavnav.algorithms.networks import mlp
+from uavnav.acting import Actor
 from uavnav.errors import ConfigError
+from uavnav.networks import mlp
 from uavnav.tasks import tensors
 from uavnav.tasks.world import VERSION
 from uavnav.training.config import TrainConfig
@@ -21,7 +21,7 @@ from uavnav.training.config import TrainConfig
 
 def check(networks: Mapping[str, nn.Module], config: TrainConfig) -> None:
     """Raise a ConfigError where `uavnav.runs.policies` could not build the network that acts again."""
-    needed = f"algorithm={config.algorithm}: networks() must give policy, made by uavnav.algorithms.networks.mlp"
+    needed = f"algorithm={config.algorithm}: networks() must give policy, made by uavnav.networks.mlp"
     if "policy" not in networks:
         raise ConfigError(f"{needed}; it gives {', '.join(networks)}")
     own = {name: tensor.shape[1:] for name, tensor in networks["policy"].state_dict().items()}

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import jinja2
 from markupsafe import Markup
 
-from uavnav.algorithms import ALGORITHMS, networks
+from uavnav import networks
+from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError
 from uavnav.runs import POLICY, paper, policies, read_settings, run_folders
 from uavnav.runs.metrics import METRICS

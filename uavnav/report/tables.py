@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats
+from uavnav.report import headline
 from uavnav.report.cells import Cell, Counts, counted, counts, episodes_of, one_line, show
-from uavnav.report.claims import CLAIMS, PRIMARY
+from uavnav.report.claims import NAMES, PRIMARY
 from uavnav.report.frames import DIAGNOSTICS, estimates, name, per_seed_values
 from uavnav.report.studies import Cells
 from uavnav.report.verdicts import (
@@ -28,11 +29,10 @@ from uavnav.report.verdicts import (
     Finding,
     Grade,
     grade,
-    of_claim,
     p_shown,
 )
 from uavnav.runs import paper
-from uavnav.runs.metrics import METRICS, finished, per_seed
+from uavnav.runs.metrics import METRICS, MODES, finished, per_seed
 from uavnav.runs.readings import PER_FRAME, READINGS, SAMPLED, decimals, words
 from uavnav.views import style
 
@@ -59,13 +59,27 @@ def with_interval(value: float, low: float, high: float, digits: int = 2) -> str
     return shown if math.isnan(low) else f"{shown} [{number(low, digits)}, {number(high, digits)}]"
 
 
+def in_brackets(found: stats.Interval, unit: str = "", places: int | None = None) -> str:
+    """A number and its interval in plain words; the number alone where it has none. Shares and hundreds are whole."""
+    if places is None:
+        places = 0 if unit or abs(found.value) > 100 else digits(found)
+    value, low, high = (number(round(one, places) + 0.0, max(places, 0)) for one in found[:3])  # no −0
+    return value + unit if low == NOTHING else f"{value}{unit} ({low} to {high}{unit})"
+
+
+def in_words(cell: str) -> str:
+    """A cell's label in words: PPO with leaky ReLU."""
+    algorithm, _, activation = cell.partition(" ")
+    return f"{algorithm} with {NAMES.get(activation, activation)}"
+
+
 def audit_rows(findings: Sequence[Finding]) -> Rows:
     """The parts of a claim."""
     rows = [["question", "the paper", "ours, adjusted interval", "ours : the paper", "Holm's p", "seeds", "verdict"]]
     for one in findings:
         ours = effect(one) + (f" ({one.nearest})" if one.nearest else "")
         ratio = with_interval(one.ratio, one.ratio_low, one.ratio_high)
-        rows.append([one.text, number(one.paper, digits(one)), ours, ratio, p_shown(one), str(one.n), said(one)])
+        rows.append([one.text, number(one.paper, digits(one)), ours, ratio, p_shown(one.p_holm), str(one.n), said(one)])
     return rows
 
 
@@ -126,18 +140,6 @@ def _spread(found: stats.Interval) -> str:
     return f"{style.number(found.value)}{inside}"
 
 
-def overview(audits: Mapping[str, Sequence[Finding]]) -> Rows:
-    """One row a claim: its grade in the primary reading, and in the others."""
-    others = [reading for reading in audits if reading != PRIMARY]
-    rows = [["", "the paper says", "grade", "parts that replicate", *others]]
-    for claim in CLAIMS:
-        of = {reading: of_claim(found, claim.number) for reading, found in audits.items()}
-        found = grade(of[PRIMARY])
-        rest = [in_reading(of[reading]) for reading in others]
-        rows.append([str(claim.number), claim.sentence, str(found), bar(found), *rest])
-    return rows
-
-
 def operating(shares: pd.DataFrame) -> Rows:
     """How often each claim would be graded what, if we knew the truth. shares: as `operating.characteristics` gives."""
     rows = [["", "if the truth were", *GRADES[:-1]]]
@@ -164,8 +166,9 @@ def frame(found: pd.DataFrame) -> Rows:
     return [list(map(str, found.columns)), *rows]
 
 
+REWARD, GAP = ["reward", "low", "high"], ["gap", "gap_low", "gap_high"]
 MEAN, MIDDLE = ["mean", "low", "high"], ["interquartile_mean", "iqm_low", "iqm_high"]
-"""Columns of `frames.estimates`: a statistic and its interval."""
+"""Columns of `headline.gaps` and of `frames.estimates`: a number and its interval."""
 
 
 def _estimate(by_metric: pd.DataFrame, metric: str, reading: str, columns: Sequence[str] = MEAN) -> str:
@@ -352,6 +355,22 @@ def gaps(frame: pd.DataFrame) -> Rows:
     return rows
 
 
+def flights(frame: pd.DataFrame, root: str = "") -> Rows:
+    """Test flights of the rule and of each of the paper's algorithms' best cells: reward, its gap to the rule, share
+    still up. frame: of `headline.gaps`; root: of links."""
+    rows = [["test flights", "reward", "gap to the rule", "still flying at the limit"]]
+    best = [headline.best(frame, mode, algorithm) for algorithm in paper.TABLE_OF for mode in MODES]
+    known = [*frame.index[frame["who"] == headline.RULE], *(place for place in best if place is not None)]
+    for place in sorted(known, key=lambda place: -frame["reward"][place]):
+        one = frame.loc[place]
+        who = f"{in_words(one['who'])}, {one['mode']}" if one["algorithm"] else f"a hand-written rule (`{one['who']}`)"
+        value, low, high, gap, *ends = map(float, one[[*REWARD, *GAP]])
+        reward = in_brackets(stats.Interval(value, low, high, one["n"]))
+        behind = in_brackets(stats.Interval(gap, ends[0], ends[1], one["n"]))
+        rows.append([who, f"[{reward}]({root}tables/gaps.csv#L{place + 2})", behind, f"{one['up']:.0%}"])
+    return rows
+
+
 def effects(frame: pd.DataFrame) -> Rows:
     """What a setting changes, a row a setting and a column an algorithm."""
     algorithms = list(dict.fromkeys(frame["algorithm"]))
@@ -359,6 +378,25 @@ def effects(frame: pd.DataFrame) -> Rows:
     for switch, part in frame.groupby("switch", sort=False):
         digits = decimals("reward", PRIMARY)
         rows.append([str(switch), *_by_name(part, "algorithm", algorithms, digits), str(part["n"].min())])
+    return rows
+
+
+def improvement(frame: pd.DataFrame) -> Rows:
+    """How probably a seed of one cell beats one of another."""
+    rows = [["cell", "against", "seeds", "probability of more", "Holm's p"]]
+    for one in frame.to_dict("records"):
+        p = p_shown(one["p_holm"])
+        rows.append([one["a"], one["b"], f"{one['n_a']}, {one['n_b']}", number(one["probability"]), p])
+    return rows
+
+
+def whys(frame: pd.DataFrame) -> Rows:
+    """What side studies give. frame: as `whys.table` gives it."""
+    rows = [["question", "cell or difference", "measure", "mean", "seeds"]]
+    for one in frame.to_dict("records"):
+        found = stats.Interval(one["value"], one["low"], one["high"], one["n"])
+        value = with_interval(*found[:3], digits(found))
+        rows.append([one["question"], one["row"], one["metric"], value, str(found.n)])
     return rows
 
 

@@ -19,7 +19,18 @@ from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.content import gather
 from uavnav.report.page import markdown, page
 from uavnav.report.studies import of_paper
-from uavnav.report.tables import audit_rows, digits, number, operating, predictions, said, with_interval
+from uavnav.report.tables import (
+    audit_rows,
+    crossed,
+    digits,
+    latex,
+    listed,
+    number,
+    operating,
+    predictions,
+    said,
+    with_interval,
+)
 from uavnav.report.verdicts import audit
 from uavnav.runs.tables import RunError
 
@@ -48,6 +59,44 @@ def test_numbers_for_people(value, digits, shown):
 def test_an_interval_stands_in_brackets_where_there_is_one():
     assert with_interval(1.0, -2.0, 3.5, 1) == "1.0 [−2.0, 3.5]"
     assert with_interval(1.0, math.nan, math.nan, 1) == "1.0"
+
+
+def test_a_table_of_a_frame_has_formats_by_header_and_leaves_unknown_intervals_out():
+    frame = pd.DataFrame({"who": ["a", "b"], "x": [-1234.5, 0.0004], "low": [-2000.0, math.nan], "p": [0.5, math.nan]})
+    assert listed(
+        frame.assign(high=frame["low"]), {"who": "{who}", "x": "{x:.1f} [{low:.1f}, {high:.1f}]", "p": "{p:.0%}"}
+    ) == [
+        ["who", "x", "p"],
+        ["a", "−1,234.5 [−2,000.0, −2,000.0]", "50%"],
+        ["b", "0.0004", "–"],
+    ]
+
+
+def test_a_crossed_table_has_a_row_and_a_column_a_value_in_order_and_dashes_where_nothing_is_known():
+    frame = pd.DataFrame(
+        [
+            ("x", "ppo", 1.0, 0.0, 2.0, 9, "yes"),
+            ("x", "dqn", 0.5, math.nan, math.nan, 5, ""),
+            ("y", "dqn", 12.0, 1.0, 20.0, 7, ""),
+        ],
+        columns=["row", "algorithm", "value", "low", "high", "n", "flips"],
+    )
+    assert crossed(frame, "row", "algorithm", 1) == [
+        ["row", "PPO", "DQN", "seeds"],
+        ["x", "1.0 [0.0, 2.0] – flips", "0.5", "5"],
+        ["y", "–", "12.0 [1.0, 20.0]", "7"],
+    ]
+    assert crossed(frame, "row", "algorithm", None, {"dqn": "its", "other": "no"})[:2] == [
+        ["row", "its", "seeds"],
+        ["x", "0.500", "5"],
+    ]
+
+
+def test_latex_is_a_tabular_with_rules_and_escaped_signs():
+    assert latex([["a_b", "c", "%"], ["x & y", "−1", "–"]]).splitlines() == [
+        *(r"\begin{tabular}{llr}", r"\toprule", r"a\_b & c & \% \\", r"\midrule"),
+        *(r"x \& y & $-$1 & -- \\", r"\bottomrule", r"\end{tabular}"),
+    ]
 
 
 def findings_of(*verdicts):

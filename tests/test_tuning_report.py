@@ -6,7 +6,7 @@ import pytest
 from spoiling import put
 from test_studies import cell
 
-from uavnav.report import beyond
+from uavnav.report import beyond, tables
 from uavnav.report.cells import _beside_tuning
 from uavnav.report.studies import Rows, sort
 from uavnav.runs import run_folders
@@ -173,7 +173,8 @@ def test_a_difference_of_activations_has_a_value_under_each_algorithm():
     value = found.set_index(["conclusion", "algorithm"])["value"]
     assert value["tanh − relu", "ppo"] == pytest.approx(1.0)
     assert value["bounded − unbounded", "sac"] == pytest.approx(-0.5)
-    assert beyond.conclusions(found)[0] == ["reward per frame", "DQN", "PPO", "A2C", "C51", "SAC"]
+    rows = tables.crossed(found, "conclusion", "algorithm")
+    assert rows[0] == ["conclusion", "DQN", "PPO", "A2C", "C51", "SAC", "seeds"]
 
 
 def test_further_algorithms_are_those_beyond_the_papers():

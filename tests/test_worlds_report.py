@@ -10,7 +10,7 @@ from runs_by_hand import rows, two, write_run
 from uavnav import evaluate
 from uavnav.evaluate import __main__ as command
 from uavnav.evaluate.scripts import SEEDS, Protocol, rows_of_scripts
-from uavnav.report import worlds
+from uavnav.report import tables, worlds
 from uavnav.report.cells import of_worlds
 from uavnav.report.discussion import ALL, CELLS, NONE, SCATTER, VARIATION, at
 from uavnav.report.worlds import Evidence, Worlds, leaders, measured, summary
@@ -140,7 +140,7 @@ def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_ra
 
 def test_a_worlds_table_has_cells_and_scripts_and_the_figure_a_panel_a_world():
     found = made_up()
-    rows = worlds.table(summary(found), "goal")
+    rows = tables.crossed(summary(found).query("world == 'goal'"), "who", "metric", 2, worlds.LABELS)
     assert [row[0] for row in rows[1:]] == ["PPO tanh", "PPO tanh fast", "random", "straight", "reactive"]
     assert rows[0] == ["who", *worlds.MEASURES.values(), "seeds"]
     assert rows[1][1].startswith("4.20 [4.")

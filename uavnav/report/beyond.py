@@ -242,14 +242,3 @@ def carried(evidence: Rows) -> Table:
             rows.append([label, algorithm, *stats.difference(first, second)])
     found = pd.DataFrame(rows, columns=["conclusion", "algorithm", "value", "low", "high", "n"])
     return found if {*found["algorithm"]} - {*paper.TABLE_OF} else found[:0]
-
-
-def conclusions(found: Table) -> TextRows:
-    """A row a conclusion, a column an algorithm."""
-    algorithms = list(dict.fromkeys(found["algorithm"]))
-    rows = [["reward per frame", *map(str.upper, algorithms)]]
-    for label, part in found.groupby("conclusion", sort=False):
-        by = part.set_index("algorithm")
-        shown = [_shown(by, one, digits=3) for one in algorithms]
-        rows.append([str(label), *shown])
-    return rows

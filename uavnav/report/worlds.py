@@ -54,6 +54,9 @@ MEASURES = {
     "survival": "restricted mean survival [steps]",
 }
 
+LABELS = MEASURES | {name: one.label for name, one in OWN.items()}
+"""Columns of a world's table."""
+
 Key = tuple[str, str, str]
 """World (with the preset where it is not the default), algorithm and activation."""
 
@@ -269,19 +272,6 @@ def summary(found: Worlds) -> pd.DataFrame:
 def _named(key: Key) -> str:
     world, algorithm, activation = key
     return f"{algorithm.upper()} {activation}" + (" fast" if world != _place(world) else "")
-
-
-def table(found: pd.DataFrame, world: str) -> tables.Rows:
-    """A world's cells and scripts as a table. found: of `summary`."""
-    mine = found[found["world"] == world]
-    metrics = [metric for metric in (*MEASURES, *OWN) if metric in set(mine["metric"])]
-    header = ["who", *(MEASURES.get(metric) or OWN[metric].label for metric in metrics), "seeds"]
-    shown = [header]
-    for who, part in mine.groupby("who", sort=False):
-        by_metric = part.set_index("metric")[["value", "low", "high"]].reindex(metrics)  # a script is never greedy
-        numbers = [tables.with_interval(*triple) for triple in by_metric.to_numpy().tolist()]
-        shown.append([str(who), *numbers, str(part["n"].max())])
-    return shown
 
 
 def worlds_of(found: pd.DataFrame) -> list[str]:

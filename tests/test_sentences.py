@@ -1,7 +1,9 @@
 """The hand-written prose: every block holds over the committed tables, and none is shown where it does not."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -15,6 +17,7 @@ from uavnav.report.discussion import EVERY
 from uavnav.report.page import SECTIONS, linked, listed, page, plain, said
 from uavnav.report.quotes import STUDY, Quotes, Untrue, block, prose
 from uavnav.report.verdicts import audit
+from uavnav.runs import paper
 
 RESULTS = Path(__file__).parent.parent / "results"
 BLOCKS = sorted(STUDY.blocks)
@@ -114,6 +117,15 @@ def test_a_folder_of_a_few_runs_has_no_sentence_of_the_study(gathered, numbers):
             assert plain(line) not in text, name
     empty = {name: table[:0] for name, table in numbers.items()}
     assert {*prose(empty).values()} == {*prose({}).values()} == {""}
+
+
+def test_the_prose_is_of_the_study_that_answers_for_the_paper_alone_whose_runs_name_it(gathered):
+    for study, answers in (("one-world", True), ("paper", False), ("", False)):
+        main = {key: SimpleNamespace(study=study) for key in paper.TABLES}
+        whole = replace(gathered, studies=gathered.studies._replace(main=main))
+        assert whole.of_the_study == answers
+        less = replace(gathered, studies=gathered.studies._replace(main=dict([*main.items()][1:])))
+        assert not less.of_the_study
 
 
 def test_a_line_of_markdown_has_its_links_on_a_page_and_nothing_else_of_it_is_html():

@@ -58,6 +58,12 @@ class Content:
         return [" ".join(key) for key in paper.TABLES if key not in self.studies.main]
 
     @property
+    def of_the_study(self) -> bool:
+        """Whether the main study is the one that answers for the paper, and all of it."""
+        named = [studies.PLACES.get(cell.study) == "main" for cell in studies.paper_cells(self.studies.main).values()]
+        return not self.missing and all(named)
+
+    @property
     def unasked(self) -> list[int]:
         """The claims of which no run says anything."""
         found = [finding for findings in self.audits.values() for finding in findings]

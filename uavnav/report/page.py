@@ -181,9 +181,9 @@ def _embedded(svg: bytes) -> Markup:
 
 
 def said(content: Content, root: str = "") -> dict[str, str]:
-    """The study's prose by block (`quotes`), empty in the report of a folder without all of the paper's cells."""
+    """The study's prose by block (`quotes`), empty in the report of other runs."""
     found = prose(content.tables, root)
-    return dict.fromkeys(found, "") if content.missing else found
+    return found if content.of_the_study else dict.fromkeys(found, "")
 
 
 def render(template: str, content: Content, root: str = "", **more: Any) -> str:

@@ -79,7 +79,7 @@ def whole(tmp_path_factory):
         )
         behaved(run)
         trained(run, algorithm, action=9)
-    write_run(path / "short", two(0, 5.0), meta={"frames": 500}, gamma=0.9)
+    write_run(path / "short", two(0, 5.0), meta={"frames": 500, "study": "wide"}, gamma=0.9)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         gathered = gather([path])

@@ -52,6 +52,8 @@ GAPS |= {
     "gap to the rule": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
 }
 GAPS |= {"seeds above": "{above:.0%}"}
+BY_DEFAULT = {"settings": "{settings}", "activations of both": "{activations}", "seeds a cell": "{n}"}
+BY_DEFAULT |= {"PPO − DQN": "{value:.1f} [{low:.1f}, {high:.1f}]"}
 SPEEDS = {"cell": "{cell}", "seeds side by side": "{seeds}", "wall time [s] of a seed's share": "{seconds:.0f}"}
 SPEEDS |= {"machine": "{machine}"}
 IMPROVEMENT = {"cell": "{a}", "against": "{b}", "seeds": "{n_a}, {n_b}", "probability of more": "{probability:.2f}"}
@@ -312,21 +314,6 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], readings_shown: Sequenc
         by_metric = part.set_index("metric")
         shown = [_estimate(by_metric, metric, reading) for metric in only]
         rows.append([name(algorithm, activation), reading, str(by_metric["n"].max()), *shown])
-    return rows
-
-
-def by_default(frame: pd.DataFrame) -> Rows:
-    """PPO minus DQN, tuned and in the main study, and what its interval says."""
-    rows = [["settings", "activations of both", "seeds a cell", "PPO − DQN", "so"]]
-    for one in frame.to_dict("records"):
-        if math.isnan(one["value"]):
-            so = "not known: no evaluated runs of both with the same activation"
-        elif math.isnan(one["low"]):
-            so = "not known: one seed has no interval"
-        else:
-            so = "PPO above DQN" if one["low"] > 0 else "DQN above PPO" if one["high"] < 0 else "not told apart"
-        difference = with_interval(one["value"], one["low"], one["high"], 1)
-        rows.append([one["settings"], one["activations"] or NOTHING, str(one["n"]), difference, so])
     return rows
 
 

@@ -128,6 +128,7 @@ def assert_same_bits(out, alone, cells=("ppo/tanh",)):
 def test_a_cell_of_two_shares_is_the_run_that_verify_trains_again(alone):
     run = Run(alone / "ppo/tanh")
     assert run.meta["processes"] == 2
+    assert run.meta["study"] == "mine"
     assert verify(run, quiet=True).same
 
 

@@ -15,7 +15,7 @@ from figures_read import switches, texts
 from PIL import Image
 
 from uavnav import stats, style
-from uavnav.report import arena, charts, curves, frames
+from uavnav.report import arena, charts, curves
 from uavnav.report.cells import BINS, EMPTY, Cell
 from uavnav.report.page import _embedded
 from uavnav.runs import paper
@@ -78,9 +78,6 @@ BANK = np.array([[[100.0, 100.0, 50.0], [600.0, 400.0, 80.0]]] * 3)
 PATHS = flights([(400.0, 310.0), (400.0, 320.0)], [(400.0, 330.0)], [(410.0, 300.0)] * 5)
 EXAMPLES = {
     "curves": lambda: curves.curves([cell([1.0, 2.0], [3.0, 4.0])], "reward"),
-    "why": lambda: curves.why(
-        {"tanh": pd.DataFrame({"seed": [0, 1], "frame": 10, "q": [1.0, 2.0]})}, "q", "DQN: value"
-    ),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([1.0, 2.0])}, {"PPO tanh": 3.0}, "reward"),
     "behaviours": lambda: charts.behaviours(behaviours_of(["PPO tanh"], clearance=(60.0, 80.0))),
     "improvement": lambda: charts.improvement_matrix(
@@ -90,13 +87,10 @@ EXAMPLES = {
     "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS}, BANK, [0, 1], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.full((3, 4), 1 / 12)}, WORLD),
     "sensitivity": lambda: charts.sensitivity(switches(default=5.0)),
-    "power": lambda: charts.power(pd.DataFrame({"pair": ["a / b"], "seeds": [7.0]}), 8),
-    "speed": lambda: charts.speed(pd.DataFrame({"cell": ["PPO tanh"], "seconds": [360.0], "seeds": [20]})),
 }
 NOTHING = {
     "curves": lambda: curves.curves([], "reward"),
     "curves of no episode": lambda: curves.curves([cell([])], "reward"),
-    "why": lambda: curves.why({"tanh": pd.DataFrame({"seed": [0], "frame": [10]})}, "dormant", "PPO: dormant units"),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([np.nan])}, {}, "reward"),
     "behaviours": lambda: charts.behaviours(behaviours_of(["PPO tanh"], clearance=(np.nan, np.nan))),
     "behaviours of none": lambda: charts.behaviours(pd.DataFrame()),
@@ -105,8 +99,6 @@ NOTHING = {
     "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS[:0]}, BANK, [0], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.zeros((3, 4))}, WORLD),
     "sensitivity": lambda: charts.sensitivity(switches()),
-    "power": lambda: charts.power(pd.DataFrame({"pair": [], "seeds": []}), 8),
-    "speed": lambda: charts.speed(pd.DataFrame({"cell": [], "seconds": [], "seeds": []})),
 }
 
 
@@ -238,13 +230,6 @@ def test_a_cell_without_an_episode_is_said_beside_one_that_has_some():
     style.save(drawn.figure)
 
 
-def test_a_bin_that_two_seeds_reach_between_two_that_one_does_shows_its_interval():
-    rows = pd.DataFrame({"seed": [0, 0, 1, 0], "frame": [1, 2, 2, 3], "q": [1.0, 2.0, 5.0, 3.0]})
-    drawn = curves.why({"tanh": rows}, "q", "DQN: value")
-    (axes,) = drawn.figure.axes
-    assert any(isinstance(one, matplotlib.collections.LineCollection) for one in axes.collections)
-
-
 def test_two_cells_of_one_activation_differ_in_their_lines_and_an_unknown_activation_has_a_colour():
     cells = [cell([1.0], label="tanh"), cell([2.0], label="tanh (lr=1)"), cell([3.0], activation="mish")]
     first, dashed, second, third = curves.curves(cells, "reward").figure.axes[0].lines
@@ -370,29 +355,6 @@ def test_heat_maps_share_a_scale_up_to_the_largest_share_and_lie_the_right_way_u
     assert drawn.alt.endswith("PPO tanh 50 %, DQN tanh 8 %.")
 
 
-def test_why_is_a_line_an_activation_in_bins_of_frames_and_a_bound():
-    rows = pd.DataFrame({"seed": [0, 0, 1, 1], "frame": [10, 1000, 10, 1000], "q_value": [1.0, 3.0, 2.0, 4.0]})
-    bare = rows.drop(columns="q_value")
-    drawn = curves.why({"tanh": rows, "relu": bare}, "q_value", f"DQN: {frames.DIAGNOSTICS['q_value']}", bound=9.0)
-    (axes,) = drawn.figure.axes
-    line, bound = axes.lines
-    assert (line.get_xdata().tolist(), line.get_ydata().tolist()) == ([20.0, 980.0], [1.5, 3.5])
-    assert heights(axes.collections[0]) == ([1.0, 3.0], [2.0, 4.0])
-    assert list(bound.get_ydata()) == [9.0, 9.0]
-    assert "tanh, n = 2" in texts(drawn.figure)
-    assert drawn.alt == (
-        "DQN: mean of max Q in training [reward] against frames per seed; in the last bin: "
-        "tanh 3.50 (95 % interval 3.00 to 4.00; n = 2); nothing can earn more than 9.00."
-    )
-
-
-def test_of_two_lines_that_are_the_same_the_first_is_wider():
-    rows = pd.DataFrame({"seed": [0, 1], "frame": [10, 10], "dormant": [0.0, 0.0]})
-    drawn = curves.why({"tanh": rows, "sigmoid": rows}, "dormant", "DQN: dormant units")
-    tanh, sigmoid = drawn.figure.axes[0].lines
-    assert tanh.get_linewidth() >= sigmoid.get_linewidth() + 1
-
-
 def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apart():
     cells = [cell([0.0], [1.0], algorithm="dqn", activation=one) for _, one in [*paper.TABLES][:4]]
     drawn = curves.curves(cells, "reward")
@@ -402,9 +364,3 @@ def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apar
     heights = sorted(place for _, place in named.values())
     assert np.diff(heights).min() > 0.054
     assert {place for place, _ in named.values()} == {1.06}
-
-
-def test_a_seed_with_nan_in_its_progress_leaves_the_other():
-    rows = pd.DataFrame({"seed": [0, 1], "frame": [10, 10], "entropy": [np.nan, 2.0]})
-    drawn = curves.why({"tanh": rows}, "entropy", "PPO: entropy")
-    assert "tanh 2.00 (n = 1)" in drawn.alt

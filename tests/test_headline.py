@@ -8,55 +8,14 @@ import pandas as pd
 import pytest
 
 from uavnav import stats, style
-from uavnav.report import charts, curves, figures, findings, headline
+from uavnav.report import charts, curves, figures, headline
 from uavnav.report.cells import EMPTY, Cell
-from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.studies import Studies
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.readings import SAMPLED
 
 KEY = ("dqn", "sigmoid")
 NONE = Studies({}, {}, {}, {}, {}, {}, {}, [])
-
-
-def test_the_headline_names_ppo_dqn_and_the_rule_where_intervals_do_and_is_else_the_first_finding():
-    columns = ["who", "algorithm", "mode", "cap", "n", "up", "reward", "low", "high", "gap", "gap_low", "gap_high"]
-    row = ["PPO tanh", "ppo", "sampled", 10_000, 20, 0.3, 200.0, 150.0, 250.0, -228.0, -278.0, -178.0]
-    claim = CLAIMS[0]
-    part = {
-        "reading": PRIMARY,
-        "claim": 1,
-        "text": claim.parts[claim.said.part].text,
-        "n": 20,
-        "grade_of_claim": "open",
-    }
-    numbers = {"gaps": pd.DataFrame([row], columns=columns)}
-    for low, start in (
-        (0.1, "PPO beats DQN, as the paper says, but a hand-written rule"),
-        (-0.1, "A hand-written rule"),
-    ):
-        numbers["verdicts"] = pd.DataFrame([{**part, "value": 0.2, "low": low, "high": 0.3}])
-        said = findings.headline(numbers)
-        assert str(said).startswith(start)
-        assert said.number == "228 (178 to 278)"
-        assert (said.table, said.row) == ("gaps", 0)
-    numbers = {"gaps": numbers["gaps"][:0], "verdicts": numbers["verdicts"][:0]}
-    assert str(findings.headline(numbers)).startswith("DQN against PPO")
-
-
-def test_what_stands_beside_the_first_flights_names_their_limit_and_that_the_rule_stays_up_only_where_it_does():
-    columns = ["who", "algorithm", "mode", "cap", "n", "up", "reward", "gap_high"]
-    rule, policy = ("reactive", "", "scripted", 10_000, 1, 1.0, 428.0, np.nan), ("PPO tanh", "ppo", "sampled", 10_000)
-    shown = {"drones": [{"flights": [{"steps": 1000, "ended": "cut off"}, {"steps": 90, "ended": "collision"}]}]}
-    behind, level, higher = (
-        {"gaps": pd.DataFrame([rule, (*policy, 20, up, 200.0, high)], columns=columns)}
-        for up, high in ((0.3, -178.0), (0.3, 5.0), (1.0, -178.0))
-    )
-    first = "The first 1,000 steps of at most 10,000. Obstacles are new to every policy."
-    assert findings.beside_flights(behind, shown) == f"{first} The rule wins by flying on."
-    assert findings.beside_flights(level, shown) == findings.beside_flights(higher, shown) == first
-    nobody = {"gaps": behind["gaps"][:0]}
-    assert findings.beside_flights(nobody, {"drones": []}) == "Obstacles are new to every policy."
 
 
 def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():

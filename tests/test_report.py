@@ -326,7 +326,7 @@ def test_it_imports_nothing_that_trains():
 
 
 def test_what_does_not_fly_loads_no_torch():
-    modules = ("cells", "claims", "verdicts", "studies", "frames", "tables", "conclusions", "curves", "charts", "arena")
+    modules = ("cells", "claims", "verdicts", "studies", "frames", "tables", "quotes", "curves", "charts", "arena")
     modules += ("worlds",)
     assert "torch" not in imported(", ".join(f"uavnav.report.{name}" for name in modules))
 

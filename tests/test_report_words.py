@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +14,23 @@ from hypothesis import strategies as st
 from runs_by_hand import found
 from tied import first_screen, too_long
 
-from uavnav.report import conclusions, docs, frames
+from uavnav.report import docs, evidence, frames
 from uavnav.report.claims import CLAIMS, PRIMARY
 from uavnav.report.content import gather
 from uavnav.report.page import markdown, page
 from uavnav.report.studies import of_paper
-from uavnav.report.tables import audit_rows, digits, number, operating, overview, predictions, said, with_interval
+from uavnav.report.tables import (
+    audit_rows,
+    crossed,
+    digits,
+    latex,
+    listed,
+    number,
+    operating,
+    predictions,
+    said,
+    with_interval,
+)
 from uavnav.report.verdicts import audit
 from uavnav.runs.tables import RunError
 
@@ -49,6 +61,44 @@ def test_an_interval_stands_in_brackets_where_there_is_one():
     assert with_interval(1.0, math.nan, math.nan, 1) == "1.0"
 
 
+def test_a_table_of_a_frame_has_formats_by_header_and_leaves_unknown_intervals_out():
+    frame = pd.DataFrame({"who": ["a", "b"], "x": [-1234.5, 0.0004], "low": [-2000.0, math.nan], "p": [0.5, math.nan]})
+    assert listed(
+        frame.assign(high=frame["low"]), {"who": "{who}", "x": "{x:.1f} [{low:.1f}, {high:.1f}]", "p": "{p:.0%}"}
+    ) == [
+        ["who", "x", "p"],
+        ["a", "−1,234.5 [−2,000.0, −2,000.0]", "50%"],
+        ["b", "0.0004", "–"],
+    ]
+
+
+def test_a_crossed_table_has_a_row_and_a_column_a_value_in_order_and_dashes_where_nothing_is_known():
+    frame = pd.DataFrame(
+        [
+            ("x", "ppo", 1.0, 0.0, 2.0, 9, "yes"),
+            ("x", "dqn", 0.5, math.nan, math.nan, 5, ""),
+            ("y", "dqn", 12.0, 1.0, 20.0, 7, ""),
+        ],
+        columns=["row", "algorithm", "value", "low", "high", "n", "flips"],
+    )
+    assert crossed(frame, "row", "algorithm", 1) == [
+        ["row", "PPO", "DQN", "seeds"],
+        ["x", "1.0 [0.0, 2.0] – flips", "0.5", "5"],
+        ["y", "–", "12.0 [1.0, 20.0]", "7"],
+    ]
+    assert crossed(frame, "row", "algorithm", None, {"dqn": "its", "other": "no"})[:2] == [
+        ["row", "its", "seeds"],
+        ["x", "0.500", "5"],
+    ]
+
+
+def test_latex_is_a_tabular_with_rules_and_escaped_signs():
+    assert latex([["a_b", "c", "%"], ["x & y", "−1", "–"]]).splitlines() == [
+        *(r"\begin{tabular}{llr}", r"\toprule", r"a\_b & c & \% \\", r"\midrule"),
+        *(r"x \& y & $-$1 & -- \\", r"\bottomrule", r"\end{tabular}"),
+    ]
+
+
 def findings_of(*verdicts):
     """The first claims' parts have one verdict each, and all of them count; the other claims have no runs."""
     of = dict(enumerate(verdicts, start=1))
@@ -56,10 +106,11 @@ def findings_of(*verdicts):
     return [one._replace(verdict=of[one.claim], standing="counts") if one.claim in of else one for one in found]
 
 
-def test_the_overview_draws_parts_and_names_the_other_readings_grades():
+def test_the_overview_draws_parts_and_names_the_other_readings_grades(gathered):
     other = [one._replace(n=8) if one.claim == 1 else one for one in findings_of("reverses")]
     audits = {PRIMARY: findings_of("replicates", "absent"), "second": other}
-    header, first, second, third, *_, last = overview(audits)
+    rows = evidence.rows(replace(gathered, audits=audits), defaultdict(str))
+    header, first, second, third, *_, last = evidence.overview(rows)
     assert header[-1] == "second"
     assert first[2:] == ["replicates", "▰" * 12, "does not"]
     assert second[2:] == ["does not", "▱" * 9, "–"]  # of which that reading has no runs
@@ -112,35 +163,6 @@ def test_rows_of_how_often_the_rule_errs_and_of_the_papers_numbers_as_one_more_s
     tanh = next(row for row in predictions(found, PRIMARY) if row[0] == "PPO tanh")
     assert tanh[:3] == ["PPO tanh", "11", "2,727.6 [2,717.3, 2,732.7] within"]
     assert {*tanh[3:]} == {"–"}
-
-
-def test_a_sentence_counts_parts_and_says_where_the_paper_contradicts_itself_and_what_is_too_small_to_see():
-    claim, found = CLAIMS[1], [one for one in findings_of("absent") if one.claim == 2]
-    itself, small, *rest = (one._replace(verdict="reverses", standing="counts") for one in found)
-    itself, small = (
-        itself._replace(standing="the paper contradicts itself"),
-        small._replace(standing="too small to see"),
-    )
-    assert conclusions.sentence(claim, [itself, small, *rest, rest[0]._replace(verdict="replicates")]) == (
-        "Of 8 parts that count: 1 replicates, 7 reverses. The paper contradicts itself in steps: PPO with tanh better"
-        " than each other activation. Too small to see: full stops: PPO with tanh better than each other activation."
-        f" {claim.note}"
-    )
-
-
-def test_a_part_that_other_readings_decide_the_other_way_is_named_with_them():
-    turning = findings_of()[2]._replace(verdict="absent")
-    replicates = turning._replace(value=12.0, low=11.0, high=13.0, verdict="replicates")
-    audits = {"here": [turning], "last": [replicates], "greedy": [turning._replace(verdict="open")]}
-    assert conclusions.other_way(turning, audits) == "by last"
-    assert conclusions.turned([turning], audits) == (
-        "Decided the other way, with intervals in tables/verdicts.csv: turning: PPO better than DQN, means of four"
-        " activations (by last)."
-    )
-    everywhere = {reading: [replicates] for reading in ("last", "greedy")} | {"here": [turning]}
-    assert conclusions.other_way(turning, everywhere) == "by every other reading"
-    assert conclusions.turned([turning], {"here": [turning]}) == ""
-    assert conclusions.turned(findings_of(), audits | {"here": findings_of()}) == ""  # open is not turned
 
 
 def judged(content, *verdicts):

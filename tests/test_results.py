@@ -15,8 +15,8 @@ import pytest
 from tied import LINK, first_screen, too_long, untied
 
 from uavnav import stats
-from uavnav.report.claims import CLAIMS
 from uavnav.report.content import gather
+from uavnav.report.discussion import EVERY
 from uavnav.report.docs import BEGIN, END, results, summary
 from uavnav.report.operating import EQUAL, TABLES, characteristics
 from uavnav.report.page import markdown
@@ -60,7 +60,7 @@ RATIOS = [paper.TABLES["ppo", "tanh"][name] / paper.TABLES["ppo", "relu"][name] 
 def test_each_number_of_the_conclusions_is_in_the_row_of_tables_that_its_line_links_to(name):
     text = CONCLUSIONS[name]
     known = [f"{ratio:.2f}" for ratio in RATIOS]  # which a note on claim 2 says of the paper
-    claims = [number for claim in CLAIMS for number in re.findall(r"[\d,]+", claim.sentence)]
+    claims = [number for claim in EVERY for number in re.findall(r"[\d,]+", claim.sentence)]
     assert len(LINK.findall(text)) >= 20
     assert {
         line: off
@@ -70,7 +70,7 @@ def test_each_number_of_the_conclusions_is_in_the_row_of_tables_that_its_line_li
 
 
 TALLY = re.compile(r"\(\d+ of \d+\)")  # of a claim's parts: many rows
-NUMBERS = [str(claim.number) for claim in CLAIMS]
+NUMBERS = [str(claim.number) for claim in EVERY]
 
 
 def test_a_number_that_is_off_by_one_in_its_last_place_is_found():

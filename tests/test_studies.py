@@ -39,9 +39,9 @@ def episodes(*rows):
     return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
 
 
-def cell(algorithm="ppo", activation="tanh", rows=(), flown=None, n_seeds=2, wall=3600.0, **changes):
+def cell(algorithm="ppo", activation="tanh", rows=(), flown=None, n_seeds=2, wall=3600.0, study="", **changes):
     own = SETTINGS | changes
-    run = SimpleNamespace(seeds=list(range(n_seeds)), meta={"wall_seconds": wall}, frames=own["frames"])
+    run = SimpleNamespace(seeds=list(range(n_seeds)), meta={"wall_seconds": wall, "study": study}, frames=own["frames"])
     evaluation = EMPTY if flown is None else flown
     return Cell(algorithm, activation, own, [run], episodes(*rows), evaluation)
 
@@ -53,90 +53,31 @@ def grid(algorithms=("ppo", "dqn"), activations=ACTIVATIONS, **changes):
 # -- sort -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_group_with_most_of_the_papers_activations_is_the_main_study_and_a_shorter_one_the_baseline():
-    found = sort([*grid(activations=("tanh", "relu"), **SHORT), *grid()])
+def in_many(*algorithms, **changes):
+    return grid(algorithms or ("ppo", "dqn"), study="paper", **changes)
+
+
+def test_a_run_goes_where_the_study_that_its_meta_json_names_belongs():
+    found = sort(
+        [
+            *in_many(),
+            *grid(study="one-world", **IN_ONE),
+            cell(study="initial", **SHORT),
+            cell(study="initial", reward="initial", **SHORT),
+            cell("dqn", "elu", study="wide", **SHORT),
+            cell("dqn", study="tuned", preset="fast", lr=1.0, **LISTED),
+            cell("a2c", study="algorithms", n_worlds=8),
+        ]
+    )
     assert [*found.main] == [*paper.TABLES]
-    assert [*found.baseline] == [("dqn", "tanh"), ("dqn", "relu"), ("ppo", "tanh"), ("ppo", "relu")]
-    assert {one.settings["frames"] for one in found.baseline.values()} == {300_000}
-    assert (found.initial, found.switches, found.tuned, found.others) == ({}, {}, {}, [])
-
-
-def test_of_equally_many_activations_the_longer_runs_are_the_main_study_and_then_those_of_more_seeds():
-    found = sort([cell(**SHORT), cell(), cell(**LISTED, n_seeds=1)])
-    assert found.main["ppo", "tanh"].settings == SETTINGS
-    assert found.baseline["ppo", "tanh"].settings == SETTINGS | SHORT
-    assert [*found.switches] == ["world.slots=listed"]
-    assert sort([cell(**LISTED, n_seeds=3), cell()]).main["ppo", "tanh"].settings["world.slots"] == "listed"
-
-
-def test_a_million_frames_of_one_activation_are_the_main_study_beside_300000_of_two():
-    found = sort([cell("ppo", "tanh", n_seeds=20), *grid(["ppo"], ["tanh", "relu"], **SHORT)])
-    assert [(key, one.settings["frames"]) for key, one in found.main.items()] == [(("ppo", "tanh"), 1_000_000)]
-    assert [*found.baseline] == [("ppo", "tanh"), ("ppo", "relu")]
-    rounded = sort([cell(frames=1_001_472), *grid(["ppo"], frames=2_000_000, total_frames=2_000_000)])
-    assert rounded.main["ppo", "tanh"].settings["frames"] == 1_001_472
-
-
-def test_four_activations_under_another_reward_are_not_the_main_study():
-    found = sort([*grid(["ppo"], reward="initial"), cell(**SHORT)])
-    assert [*found.main] == [("ppo", "tanh")]
-    assert len(found.why["reward=initial"]) == 4
-
-
-def test_a_run_in_no_study_is_named_with_what_differs():
-    strange = cell(**LISTED, reward="initial")
-    strange.runs[0].path = "results/strange"
-    assert in_none(sort([*grid(), strange])) == [
-        "results/strange: in no study; it differs from the main one in reward=initial, world.slots=listed"
-    ]
-    assert in_none(sort(grid())) == []
-
-
-def test_a_longer_run_of_fewer_activations_is_no_baseline():
-    longer = cell(frames=2_000_000, total_frames=2_000_000)
-    found = sort([longer, *grid()])
-    assert found.baseline == {}
-    assert found.others == [longer]
-
-
-def test_activations_that_the_paper_has_not_are_in_the_main_study_behind_its_own():
-    found = sort([cell(activation="mish"), cell(activation="gelu"), *grid(["ppo"])])
-    assert [activation for _, activation in found.main] == [*ACTIVATIONS, "gelu", "mish"]
-
-
-def test_more_activations_are_shown_beside_the_papers_of_the_longest_study_that_has_some():
-    short = grid(activations=("tanh", "gelu"), **SHORT)
-    found = sort([*grid(), *short])
-    assert [*wide(found)] == [("dqn", "tanh"), ("ppo", "tanh"), ("dqn", "gelu"), ("ppo", "gelu")]
-    assert [*paper_cells(wide(found))] == [("dqn", "tanh"), ("ppo", "tanh")]
-    both = sort([*grid(), *short, cell(activation="mish")])
-    assert wide(both) is both.main
-    assert wide(sort(grid())) == {}
-
-
-def test_the_first_reward_is_a_study_of_its_own_and_asked_about_where_it_is_as_long_as_the_papers():
-    found = sort([*grid(), cell(reward="initial", **SHORT), cell("dqn", reward="initial")])
-    assert ([*found.initial], found.switches, found.others) == ([("ppo", "tanh")], {}, [])
-    assert {name: [*cells] for name, cells in found.why.items()} == {"reward=initial": [("dqn", "tanh")]}
-    assert found.of("reward=initial") == found.why["reward=initial"]
-    assert found.of("many_worlds") == found.main
+    assert {one.settings["n_worlds"] for one in found.main.values()} == {1}
+    assert [*found.many_worlds] == [*paper.TABLES, ("a2c", "tanh")]
+    assert {*found.baseline} == {("dqn", "elu"), ("ppo", "tanh")}
+    assert [*found.initial] == [("ppo", "tanh")]
+    assert [*found.tuned] == [("dqn", "tanh")]
+    assert (found.switches, found.why, found.others) == ({}, {}, [])
+    assert found.of("initial") == found.initial
     assert found.of("gamma=0.9") == {}
-
-
-@pytest.mark.parametrize(
-    ("changes", "name"),
-    [
-        ({"gamma": 0.9}, "gamma=0.9"),
-        ({"clip_epsilon": 0.4}, "clip_epsilon=0.4"),
-        ({"layer_norm": True}, "layer_norm=True"),
-        ({"init": "unit"}, "init=unit"),
-        ({"reward": "additive"}, "reward=additive"),
-    ],
-)
-def test_settings_that_may_tell_why_are_no_switches(changes, name):
-    found = sort([*grid(), cell(**changes)])
-    assert {name: [*cells] for name, cells in found.why.items()} == {name: [("ppo", "tanh")]}
-    assert found.switches == {}
 
 
 @pytest.mark.parametrize(
@@ -145,102 +86,83 @@ def test_settings_that_may_tell_why_are_no_switches(changes, name):
         (LISTED, "world.slots=listed"),
         (LISTED | SHORT, "world.slots=listed"),
         ({"reward": "additive"} | SHORT, "reward=additive"),
-        ({"init": "default"}, "init=default"),
         ({"obstacles": 4, "bank": "def"}, "obstacles=4"),
         ({"n_worlds": 1024}, "n_worlds=1,024"),
-        ({"world.version": "2"}, "world.version=2"),
+        ({"gamma": 0.9}, "gamma=0.9"),
     ],
 )
-def test_one_setting_otherwise_is_a_switch_by_its_name(changes, name):
-    found = sort([*grid(), cell(**changes), cell("dqn", "relu", **changes)])
-    assert [*found.switches] == [name]
-    assert [*found.switches[name]] == [("dqn", "relu"), ("ppo", "tanh")]
+@pytest.mark.parametrize(("study", "place"), [("sensitivity", "switches"), ("why", "why")])
+def test_a_study_of_one_setting_at_a_time_has_its_cells_by_the_setting(study, place, changes, name):
+    found = sort([*in_many(), cell(study=study, **changes), cell("dqn", "relu", study=study, **changes)])
+    assert {key: [*cells] for key, cells in getattr(found, place).items()} == {name: [("dqn", "relu"), ("ppo", "tanh")]}
     assert (len(found.main), found.baseline, found.initial, found.others) == (8, {}, {}, [])
 
 
-def test_two_settings_otherwise_another_bank_alone_and_a_twin_are_among_the_others():
-    strange = [cell(**LISTED, reward="initial"), cell(bank="def")]
-    found = sort([*grid(), *strange, cell(**SHORT), cell(**SHORT | {"exploration_fraction": 0.5})])
-    assert found.others[:2] == strange
-    assert len(found.baseline) == 1
-    assert [one.settings["exploration_fraction"] for one in found.others[2:]] == [0.5]
+def test_cells_of_such_a_study_that_change_nothing_are_the_baseline_and_those_that_change_two_are_in_none():
+    strange = cell(study="why", **LISTED, reward="initial")
+    strange.runs[0].path = "results/strange"
+    found = sort([*in_many(), strange, cell(study="why", **SHORT)])
+    assert [*found.baseline] == [("ppo", "tanh")]
+    assert in_none(found) == [
+        "results/strange: in no study; it differs from the main one in reward=initial, world.slots=listed"
+    ]
+    assert in_none(sort(in_many())) == []
 
 
-def test_the_preset_fast_is_tuned_whatever_else_it_changes():
-    found = sort([*grid(), cell(preset="fast", lr=1.0, **LISTED, **SHORT), cell("dqn", preset="fast")])
-    assert [*found.tuned] == [("dqn", "tanh"), ("ppo", "tanh")]
-    assert found.others == []
+def test_the_second_of_two_cells_for_one_place_is_among_the_others():
+    twin = cell(study="paper", lr=0.5)
+    assert sort([*in_many(), twin]).others == [twin]
 
 
-def test_where_the_main_study_is_fast_itself_a_shorter_one_is_its_baseline():
-    found = sort([*grid(["ppo"], preset="fast"), cell(preset="fast", **SHORT)])
-    assert (len(found.main), len(found.baseline), found.tuned) == (4, 1, {})
+@pytest.mark.parametrize("study", ["", "mine"])
+def test_runs_of_no_known_study_are_compared_where_most_of_an_algorithms_agree(study):
+    """Of PPO three agree and one has another rate; of DQN the cell of more seeds counts."""
+    mine = [*grid(["ppo"], ["tanh", "relu", "elu"], study=study), cell(activation="sigmoid", lr=0.5, study=study)]
+    mine += [cell("dqn", n_seeds=1, study=study), cell("dqn", "relu", lr=0.5, n_seeds=3, study=study)]
+    found = sort(mine)
+    assert [*found.main] == [("dqn", "relu"), ("ppo", "tanh"), ("ppo", "relu"), ("ppo", "elu")]
+    assert found.others == [mine[3], mine[4]]
+    assert (found.many_worlds, found.switches, found.why, found.baseline, found.tuned) == ({}, {}, {}, {}, {})
 
 
-def test_algorithms_have_their_main_study_each_by_itself():
-    """PPO's has 16 worlds and DQN's 64; a DQN with 16 is a switch of DQN's."""
-    found = sort([*grid(["ppo"], n_worlds=16), *grid(["dqn"], n_worlds=64), cell("dqn", n_worlds=16)])
-    assert len(found.main) == 8
-    assert [*found.switches] == ["n_worlds=16"]
-    both = sort([*grid(["ppo"]), *grid(["dqn"], **SHORT)])
-    assert [*both.main] == [*paper.TABLES]
-    assert both.baseline == {}
+def test_a_run_of_ones_own_beside_the_study_is_in_it_where_its_settings_are_the_same():
+    own, other = cell(activation="mish"), cell(activation="gelu", lr=0.5)
+    found = sort([*in_many(), own, other])
+    assert [activation for algorithm, activation in found.main if algorithm == "ppo"] == [*ACTIVATIONS, "mish"]
+    assert found.others == [other]
+
+
+def test_more_activations_are_shown_beside_the_papers_of_the_longest_study_that_has_some():
+    short = grid(activations=("tanh", "gelu"), study="wide", **SHORT)
+    found = sort([*in_many(), *short])
+    assert [*wide(found)] == [("dqn", "tanh"), ("ppo", "tanh"), ("dqn", "gelu"), ("ppo", "gelu")]
+    assert [*paper_cells(wide(found))] == [("dqn", "tanh"), ("ppo", "tanh")]
+    both = sort([*in_many(), *short, cell(activation="mish")])
+    assert wide(both) is both.main
+    assert wide(sort(in_many())) == {}
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.randoms(use_true_random=False))
 def test_the_order_in_which_runs_are_found_changes_nothing(random):
-    cells = [
-        *grid(),
-        *grid(activations=("tanh",), **SHORT),
-        cell(reward="initial", **SHORT),
-        cell(**LISTED),
-        cell("trpo"),
-    ]
-    cells += grid(**IN_ONE)
+    cells = [*in_many(), *grid(study="one-world", **IN_ONE), cell(study="wide", **SHORT), cell("trpo")]
+    cells += [cell(study="sensitivity", **LISTED), cell("a2c"), cell("a2c", "relu", lr=0.5)]
     shuffled = random.sample(cells, len(cells))
     assert sort(shuffled) == sort(cells)
     assert [*sort(shuffled).main] == [*sort(cells).main]
-    assert sum(len(part) for part in sort(cells)[:4]) == len(cells) - 1
-
-
-@pytest.mark.parametrize("n_seeds", [1, 40])
-def test_a_million_frames_in_one_world_are_the_main_study_and_those_in_more_stand_beside_it(n_seeds):
-    """Whatever the number of seeds, and although whole iterations of one world are fewer frames than those of 16."""
-    alone = [
-        *grid(["ppo"], n_seeds=n_seeds, **IN_ONE),
-        *grid(["dqn"], **IN_ONE | {"frames": 999_999}),
-    ]
-    beside = [*grid(["ppo"], n_worlds=16, total_frames=1_000_000), *grid(["dqn"], n_worlds=64)]
-    found = sort([*beside, *alone, *grid(["dqn"], ["tanh"], n_worlds=64, **SHORT), cell(**LISTED)])
-    assert {one.settings["n_worlds"] for one in found.main.values()} == {1}
-    assert [*found.main] == [*paper.TABLES]
-    assert [*found.many_worlds] == [*paper.TABLES]
-    assert [*found.baseline] == [("dqn", "tanh")]
-    assert [*found.switches] == ["world.slots=listed"]
-    assert found.others == []
 
 
 def test_a_study_in_one_world_that_lacks_one_of_the_papers_cells_is_not_yet_the_main_one():
-    alone = grid(**IN_ONE)
-    found = sort([*grid(), *alone[1:]])
+    alone = grid(study="one-world", **IN_ONE)
+    found = sort([*in_many(), *alone[1:]])
     assert {one.settings["n_worlds"] for one in found.main.values()} == {16}
     assert (found.many_worlds, found.others) == ({}, alone[1:])
 
 
-def test_without_a_run_in_one_world_the_study_in_many_is_the_main_one():
-    assert (len(sort(grid()).main), sort(grid()).many_worlds) == (8, {})
-    alone = sort(grid(**IN_ONE))  # nor without one in many
+def test_without_a_run_in_one_world_the_study_in_many_is_the_main_one_and_the_other_way_round():
+    assert (len(sort(in_many()).main), sort(in_many()).many_worlds) == (8, {})
+    alone = sort(grid(study="one-world", **IN_ONE))
     assert (len(alone.main), alone.many_worlds, alone.others) == (8, {}, [])
-
-
-def test_short_runs_in_one_world_are_a_switch_and_a_second_one_of_the_same_length_is_another():
-    found = sort(
-        [*grid(), cell(n_worlds=1, **SHORT), cell(n_worlds=1), *grid(**IN_ONE), cell("dqn", **IN_ONE, **LISTED)]
-    )
-    assert [*found.switches] == ["n_worlds=1"]
-    assert [*found.main] == [*paper.TABLES]
-    assert [one.settings["preset"] for one in found.others] == ["one-world", "one-world"]
 
 
 def test_no_cells_are_no_studies():
@@ -333,7 +255,7 @@ def test_flights_are_those_of_the_readings_mode_and_study():
         {"mode": ["greedy", "sampled", "sampled"], "seed": [0, 0, 1], "corridor": [0.9, 0.1, np.nan], "empty_x": 3.0}
     )
     short = table.assign(corridor=0.5)
-    studies = sort([*grid(["dqn"]), cell(*KEY, **SHORT)])
+    studies = sort([*grid(["dqn"]), cell(*KEY, study="wide", **SHORT)])
     flights = {("main", *KEY): table, ("baseline", *KEY): short}
     training, greedy = Rows(studies, PRIMARY, flights), Rows(studies, "greedy evaluation", flights)
     assert training(*KEY, "corridor").tolist() == [0.1]  # of the seed that has one

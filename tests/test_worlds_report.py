@@ -1,6 +1,5 @@
 """The report's section on worlds: what is measured of flights, what claims are given, and the sentences that follow."""
 
-import re
 import shlex
 
 import numpy as np
@@ -11,10 +10,10 @@ from runs_by_hand import rows, two, write_run
 from uavnav import evaluation
 from uavnav.cli import evaluate as command
 from uavnav.evaluation.scripts import SEEDS, Protocol, rows_of_scripts
-from uavnav.report import worlds
+from uavnav.report import tables, worlds
 from uavnav.report.cells import of_worlds
 from uavnav.report.discussion import ALL, CELLS, NONE, SCATTER, VARIATION, at
-from uavnav.report.worlds import Evidence, Worlds, measured, sentences, summary
+from uavnav.report.worlds import Evidence, Worlds, leaders, measured, summary
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.protocol import SCRIPTS
@@ -127,24 +126,21 @@ def made_up():
     return Worlds(learned, scripted, [], pd.DataFrame(), [], {}, pd.DataFrame())
 
 
-def test_the_sentences_say_who_is_ahead_where_a_rule_beats_all_and_where_random_flight_is_not_passed():
-    said = sentences(summary(made_up()))
-    assert said[0].startswith("In drone, reward per flight: PPO tanh 42.00 [")
-    assert said[0].endswith("the best script, reactive, has 20.00.")
-    assert said[1].startswith("In goal, reward per flight: PPO tanh fast 5.20 [")
-    assert said[3:] == [
-        "A scripted rule still beats every learned cell, its reward above the interval of each, in goal.",
-        "A learned cell is above every script, with its whole interval, in drone (PPO tanh).",
-        "Neither a script nor a learned cell is clearly ahead in moving.",
-        "Some learned cell is above random flight, intervals apart, in every world.",
-        "Not above random flight, or intervals overlap: DQN tanh (drone).",
-        "Some cells have runs in only some worlds: DQN tanh (drone), PPO tanh fast (goal).",
+def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_random_flight():
+    found = leaders(summary(made_up()))
+    assert found[["world", "best", "script", "ahead", "chance"]].to_numpy().tolist() == [
+        ["drone", "PPO tanh", "reactive", "a policy", "DQN tanh"],
+        ["goal", "PPO tanh fast", "reactive", "a script", ""],
+        ["moving", "PPO tanh", "reactive", "neither", ""],
     ]
+    assert worlds.ahead(found)[1][:5] == ["drone", "PPO tanh", "42.00 [40.80, 43.20]", "reactive", "20.00"]
+    alone = made_up()._replace(scripted={})
+    assert {*leaders(summary(alone))["ahead"]} == {""}
 
 
 def test_a_worlds_table_has_cells_and_scripts_and_the_figure_a_panel_a_world():
     found = made_up()
-    rows = worlds.table(summary(found), "goal")
+    rows = tables.crossed(summary(found).query("world == 'goal'"), "who", "metric", 2, worlds.LABELS)
     assert [row[0] for row in rows[1:]] == ["PPO tanh", "PPO tanh fast", "random", "straight", "reactive"]
     assert rows[0] == ["who", *worlds.MEASURES.values(), "seeds"]
     assert rows[1][1].startswith("4.20 [4.")
@@ -247,9 +243,9 @@ def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies
         f"{home}: no rows of random, reactive; write them with uavnav evaluate random reactive"
         f" --max-steps 1000 --task goal --seeds 10 --out {home}",
     ]
-    alone, _, beside = sentences(summary(found))[:3]
-    assert re.fullmatch(r"In drone, reward per flight: DQN tanh 2\.25 \[.*\]\.", alone)
-    assert re.fullmatch(r"In goal, .*\]; the best script, straight, has 4\.00\.", beside)
+    ahead = leaders(summary(found)).set_index("world")[["best", "value", "script", "scripted"]]
+    assert ahead.loc["drone"].tolist()[:3] == ["DQN tanh", 2.25, ""]
+    assert ahead.loc["goal"].tolist()[2:] == ["straight", 4.0]
     handles = worlds.draw(summary(found)).figure.legends[0].get_texts()
     assert [one.get_text() for one in handles] == ["straight"]
 

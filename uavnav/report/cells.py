@@ -78,6 +78,11 @@ class Cell:
     known: dict[str, tuple[pd.DataFrame, Counts]] = field(default_factory=dict, init=False, repr=False)  # by reading
     curves: dict[str, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)  # by column
 
+    @property
+    def study(self) -> str:
+        """The study that its first run names, if it is of one."""
+        return str(self.runs[0].meta.get("study", ""))
+
     def labelled(self, label: str) -> Cell:
         """The same under a label."""
         same = replace(self, label=label)

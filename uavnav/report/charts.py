@@ -16,11 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import MaxNLocator
 
 from uavnav import stats, style
 from uavnav.report.frames import MEASURES
-from uavnav.runs import paper
 from uavnav.stats import Array, Interval
 
 
@@ -110,34 +109,6 @@ def flights(
 
 
 @matplotlib.rc_context(style.STYLE)
-def rows_of(table: pd.DataFrame, panels: Mapping[str, str], width: float = style.WIDTH) -> style.Drawn:
-    """Means with their intervals: a row each, a panel a metric.
-
-    table: columns row, metric, value, low, high, n; panels: metric -> its axis; width: of the figure [inches].
-    """
-    rows, said = list(dict.fromkeys(table["row"])), []
-    figure, drawn = _side_by_side(len(panels), 0.34 * len(rows) + 1.3, width)
-    for axes, (metric, label) in zip(drawn, panels.items(), strict=True):
-        for one in table[table["metric"] == metric].to_dict("records"):
-            place, colour = rows.index(one["row"]), style.FIRST[not one["row"].startswith("PPO")]
-            axes.plot([one["low"], one["high"]], [place, place], color=colour, linewidth=3, solid_capstyle="butt")
-            axes.plot(one["value"], place, "o", color=colour, markersize=8)
-            found = Interval(one["value"], one["low"], one["high"], one["n"])
-            said.append(f"{one['row']}, {label} {style.said(found)}")
-        axes.set_xlabel("\n".join(textwrap.wrap(label, 60 // len(panels))))
-        axes.xaxis.set_major_locator(MaxNLocator(5 if len(panels) == 1 else 3))
-        style.name_rows(axes, rows)
-    return style.Drawn(figure, f"Mean over seeds and 95 % interval: {'; '.join(said)}.")
-
-
-def _side_by_side(n: int, height: float, width: float) -> tuple[Figure, list[Axes]]:
-    """Panels with the same rows, of such a height [inches]; in a narrow figure they stand one below the other."""
-    lines = 1 if width >= style.WIDTH else n
-    figure = Figure(figsize=(width, lines * height), layout="constrained")
-    return figure, [*figure.subplots(lines, n // lines, sharey=True, squeeze=False).ravel()]
-
-
-@matplotlib.rc_context(style.STYLE)
 def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """How the cells fly: a panel a measure, in it a row a cell: mean, 95 % interval and seeds.
 
@@ -219,6 +190,13 @@ def improvement_matrix(table: pd.DataFrame, what: str, width: float = style.WIDT
     return style.Drawn(figure, f"{title} (mean over the columns): {ranked}; {pairs}.".replace("\n", " "))
 
 
+def _side_by_side(n: int, height: float, width: float) -> tuple[Figure, list[Axes]]:
+    """Panels with the same rows, of such a height [inches]; in a narrow figure they stand one below the other."""
+    lines = 1 if width >= style.WIDTH else n
+    figure = Figure(figsize=(width, lines * height), layout="constrained")
+    return figure, [*figure.subplots(lines, n // lines, sharey=True, squeeze=False).ravel()]
+
+
 @matplotlib.rc_context(style.STYLE)
 def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Whether conclusions hold under other choices: a panel a conclusion, in it a row a switch; the default shaded.
@@ -263,101 +241,3 @@ def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     ]
     style.legend(figure, handles, 3)
     return style.Drawn(figure, f"{title}: {'; '.join(said) or f'{len(names)} choices, none of them the default'}.")
-
-
-@matplotlib.rc_context(style.STYLE)
-def power(table: pd.DataFrame, n: int, most: int = 10_000, width: float = style.WIDTH) -> style.Drawn:
-    """Seeds a cell that find the paper's difference of two cells in 80 % of studies: a row a pair, the easiest first.
-
-    table: columns pair and seeds (infinite: there is no difference; NaN: not known); n: seeds that there are; most:
-    beyond it a number is drawn as an arrow; width: of the figure [inches].
-    """
-    title = "Seeds a cell to find the paper's difference\n(80 % power, t test at 5 %)"
-    if not len(table):
-        return style.nothing(title.replace("\n", " "))
-    table = table.sort_values("seeds", kind="stable", na_position="last", ignore_index=True)
-    seeds = table["seeds"].to_numpy(dtype=np.float64)
-    finite, endless, unknown = np.isfinite(seeds), np.isposinf(seeds), np.isnan(seeds)
-    figure, axes = style.panel(title, 0.27 * len(table) + 1.7, width)
-    drawn, rows = np.minimum(seeds, most), np.arange(len(table))
-    words_look: dict[str, Any] = {"va": "center", "fontsize": 11, "zorder": 4}
-    words_look["bbox"] = {"facecolor": "white", "linewidth": 0, "pad": 1}
-    within = finite & (seeds <= n)
-    for some, colour in ((within, style.CLEAR), (finite & ~within, style.OPEN)):
-        axes.hlines(rows[some], 1, drawn[some], color=colour, linewidth=1.2, alpha=0.5)
-        for marker, beyond in (("o", seeds <= most), (">", seeds > most)):
-            axes.plot(drawn[some & beyond], rows[some & beyond], marker, color=colour, markersize=6)
-        for row in rows[some]:
-            words = f"{seeds[row]:,.0f}" if seeds[row] <= most else f"> {most:,}"
-            place = (drawn[row], row)
-            axes.annotate(words, place, (8, 0), textcoords="offset points", color=style.INK, **words_look)
-    for some, words in ((endless, "no difference seen: no number would do"), (unknown, "not known")):
-        for row in rows[some]:
-            axes.text(1.12, row, words, color=style.PALE, style="italic", **words_look)
-    axes.set(xscale="log", xlim=(1, 4 * max([*drawn[finite], n, 10])), xlabel="seeds a cell")
-    axes.xaxis.set_major_locator(LogLocator(10))
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    style.name_rows(axes, list(table["pair"]), fontsize=11)
-    axes.axvline(n, **style.DASHED, label=f"seeds that there are: {n}")
-    style.legend(figure, axes.get_legend_handles_labels()[0])
-    said = [f"no difference seen in {int(endless.sum())}"] * bool(endless.any())
-    said += [f"not known of {int(unknown.sum())}"] * bool(unknown.any())
-    if finite.any():
-        told = [f"{one:,.0f}" if one <= most else f"more than {most:,}" for one in (*seeds, np.median(seeds[finite]))]
-        first, last = (f"{table['pair'][row]} {told[row]}" for row in (0, int(finite.sum()) - 1))
-        said = [f"from {first} to {last}, median {told[-1]}", *said]
-    said.append(f"of {len(table)} pairs {int(within.sum())} need no more than the {n} that there are")
-    return style.Drawn(figure, f"{title}: {'; '.join(said)}.".replace("\n", " "))
-
-
-@matplotlib.rc_context(style.STYLE)
-def speed(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
-    """Wall time of a million frames of one seed, a row a cell, and the distance to the paper's ten hours.
-
-    table: columns cell, seconds and seeds (side by side in that run, which share its time alike), a row a run;
-    width: of the figure [inches].
-    """
-    title = "Wall time of a million frames of one seed"
-    known = table[np.isfinite(table["seconds"]) & (table["seconds"] > 0)] if len(table) else table
-    if not len(known):
-        return style.nothing(title)
-    beside = " to ".join(f"{n}" for n in dict.fromkeys([known["seeds"].min(), known["seeds"].max()]))
-    title += f":\nits share of a run of {beside} side by side"
-    groups = known.groupby("cell", sort=False)["seconds"]
-    hours = groups.mean() / 3600
-    figure, axes = style.panel(title, 0.42 * len(hours) + 1.6, width)
-    said = []
-    for row, (name, value) in enumerate(hours.items()):
-        ((colour, _),) = style.looks([style.parts(str(name))[1]])
-        axes.plot([value, paper.HOURS], [row, row], color=colour, linewidth=6, alpha=0.3, solid_capstyle="butt")
-        axes.plot(groups.get_group(name) / 3600, [row] * len(groups.get_group(name)), "o", color=colour, markersize=4)
-        axes.plot(value, row, "o", color=colour, markersize=9)
-        ratio = paper.HOURS / value
-        times = f"{_plain(ratio)} × faster" if ratio >= 1 else f"{_plain(1 / ratio)} × slower"
-        behind = {"facecolor": "white", "linewidth": 0, "pad": 1.5}
-        axes.text(np.sqrt(value * paper.HOURS), row, f"{_time(value)}: {times}", ha="center", va="center", bbox=behind)
-        said.append(f"{name} {_time(value)}")
-    axes.axvline(paper.HOURS, **style.DASHED, label=f"the paper: about {paper.HOURS:g} hours")
-    axes.set(xscale="log", xlim=(min(hours.min(), paper.HOURS) / 1.6, max(hours.max(), paper.HOURS) * 1.6))
-    ticks = {1 / 60: "1 min", 1 / 20: "3 min", 1 / 6: "10 min", 0.5: "30 min", 1.0: "1 h", 3.0: "3 h", 10.0: "10 h"}
-    low, high = axes.get_xlim()
-    few = 1 if width >= style.WIDTH else 2
-    shown = {place: words for place, words in [*ticks.items()][::few] if low <= place <= high}
-    axes.set_xticks(list(shown), list(shown.values()))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlabel("wall time (logarithmic)")
-    style.name_rows(axes, list(hours.index))
-    style.legend(figure, axes.get_legend_handles_labels()[0])
-    alt = f"{title}: {', '.join(said)}; the paper took about {paper.HOURS:g} hours."
-    return style.Drawn(figure, alt.replace("\n", " "))
-
-
-def _plain(ratio: float) -> str:
-    return f"{ratio:,.0f}" if ratio >= 10 else f"{ratio:.2g}"
-
-
-def _time(hours: float) -> str:
-    if hours * 60 < 1:
-        return f"{3600 * hours:.0f} s"
-    return f"{60 * hours:.3g} min" if hours < 1 else f"{hours:.3g} h"

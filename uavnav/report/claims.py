@@ -89,23 +89,13 @@ class Part:
         )
 
 
-class Said(NamedTuple):
-    """A plain sentence on one part of a claim, with a place for how much more or less there is; or else its text."""
-
-    part: int
-    sentence: str = ""
-    up: str = "more"  # in the claimed direction
-    down: str = "less"
-    scale: float = 1.0
-
-
 class Claim(NamedTuple):
     """A sentence of the paper and what it comes to."""
 
     number: int
     sentence: str
     parts: tuple[Part, ...]
-    said: Said = Said(0)
+    shown: int = 0  # the part that the claim's sentence is about (templates/study.md)
     equal: tuple[str, ...] = ("algorithm", "metric")
     """If nothing that the claim compares differed, terms that agree in these fields would have the same mean."""
     note: str = ""  # what else its own tables say
@@ -278,30 +268,28 @@ CLAIMS = (
         1,
         "PPO outperforms DQN in all six metrics, and PPO's weakest result surpasses DQN's best.",
         tuple(_ppo_outperforms_dqn()),
-        Said(5, "PPO earns {} reward in 1,000 frames than DQN", scale=1e3),
+        5,
         ("metric",),
     ),
     Claim(
         2,
         "PPO with tanh is best: its reward is nearly double the next, its steps and distance about twice the others'.",
         tuple(_ppo_tanh_is_best()),
-        Said(5, "PPO with tanh earns {} reward in 1,000 frames than PPO's best other activation", scale=1e3),
+        5,
         note="In its own table the steps are 1.58 and the distance 1.59 times the runner-up's.",
     ),
     Claim(
         3,
         "DQN with sigmoid is best in all six columns of its table.",
         tuple(_best("dqn", "sigmoid")),
-        Said(5, "DQN with sigmoid earns {} reward in 1,000 frames than DQN's best other activation", scale=1e3),
+        5,
         note="The six columns are the bold type of the table; the text says best overall.",
     ),
     Claim(
         4,
         "DQN with sigmoid surges between 300,000 and 600,000 steps and then falls steeply.",
         tuple(_dqn_sigmoid_surges()),
-        Said(
-            1, "DQN with sigmoid earns {} in 1,000 frames from 300,000 to 600,000 than in the last 100,000", scale=1e3
-        ),
+        1,
         ("algorithm", "activation"),
     ),
     Claim(
@@ -316,44 +304,33 @@ CLAIMS = (
                 -1,
             ),
         ),
-        Said(
-            0,
-            "In 100 frames, PPO's worst unbounded activation stops {} often than its best bounded one",
-            "less",
-            "more",
-        ),
+        0,
     ),
     Claim(
         6,
         "With PPO, sigmoid is weakest except in steps.",
         tuple(_ppo_sigmoid_is_weakest()),
-        Said(
-            4,
-            "PPO with sigmoid earns {} reward in 1,000 frames than PPO's worst other activation",
-            "less",
-            "more",
-            1000,
-        ),
+        4,
     ),
     Claim(
         7,
         "Bounded activations (sigmoid, tanh) generally beat unbounded ones (ReLU, leaky ReLU), though sigmoid is behind"
         " in PPO.",
         tuple(_bounded_beat_unbounded()),
-        Said(0, "PPO's tanh and sigmoid earn {} reward in 1,000 frames than its ReLU and leaky ReLU", scale=1e3),
+        0,
     ),
     Claim(
         8,
         "No single family of activations is universally superior: algorithm and activation interact.",
         tuple(_activations_interact()),
-        Said(1, "PPO with sigmoid earns {} reward in 1,000 frames than the mean of PPO's others", "less", "more", 1e3),
+        1,
         note="In its own tables bounded activations are ahead in both algorithms; what changes sides is sigmoid.",
     ),
     Claim(
         9,
         "DQN steers through corridors between obstacles; PPO keeps to open space.",
         tuple(_dqn_takes_corridors()),
-        Said(0, "Of 100 steps, DQN makes {} between two close obstacles than PPO", "more", "fewer", 100.0),
+        0,
         ("metric",),
         "Two parts leave out the last 40 steps before a crash. In two, the unit is the set of obstacles and not the"
         " seed, so that the answer holds for other sets; their n counts sets.",
@@ -362,7 +339,7 @@ CLAIMS = (
         10,
         "The first reward led to standing still and to trembling; the penalties of eq. (14) cure both.",
         tuple(_penalties_cure()),
-        Said(2, "Of 100 steps, PPO reverses its turn in {} under the first reward than under eq. (14)", scale=100.0),
+        2,
         ("algorithm", "activation", "metric"),
         "The runs are the shorter ones of the studies initial and baseline, tanh and ReLU; the reversals are of the"
         " watched flights on test sets.",
@@ -371,7 +348,7 @@ CLAIMS = (
         11,
         "A million steps take about ten hours.",
         tuple(_ten_hours()),
-        Said(0, "A million steps of one seed, trained beside others, take {} hours", "", ""),
+        0,
         note="It is another machine, and no claim about learning.",
     ),
 )

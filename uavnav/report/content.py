@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -56,6 +56,12 @@ class Content:
     def missing(self) -> list[str]:
         """The paper's cells that have no finished run in the main study."""
         return [" ".join(key) for key in paper.TABLES if key not in self.studies.main]
+
+    @property
+    def of_the_study(self) -> bool:
+        """Whether the main study is the one that answers for the paper, and all of it."""
+        named = [studies.PLACES.get(cell.study) == "main" for cell in studies.paper_cells(self.studies.main).values()]
+        return not self.missing and all(named)
 
     @property
     def unasked(self) -> list[int]:
@@ -111,15 +117,19 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
         baselines, unread = frames.baselines(folders)
         tuned, untuned = beyond.tuning(folders, baselines)
         survival, survived = frames.survival(sorted_cells.main, baselines)
-        numbers = _tables(sorted_cells, audits, flights) | {"whys": whys.table(evidence[PRIMARY])}
+        numbers = _tables(sorted_cells, flights) | {"whys": whys.table(evidence[PRIMARY])}
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
         numbers |= {"behaviour_by_layout": frames.flown(by_layout)}
         numbers |= {"overestimation": overestimated, "survival": survived, "predictions": predictions}
-        numbers |= {"operating": characteristics(evidence[PRIMARY], printed[PRIMARY])}
+        numbers |= {
+            "verdicts": frames.verdicts(audits),
+            "operating": characteristics(evidence[PRIMARY], printed[PRIMARY]),
+        }
         of_worlds = worlds.gather(folders)
         if of_worlds:
-            numbers |= worlds.numbers(of_worlds)
+            numbers |= worlds.numbers(of_worlds) | {"verdicts": frames.verdicts(audits, of_worlds.findings)}
+            numbers["operating"] = pd.concat([numbers["operating"], of_worlds.operating], ignore_index=True)
             left_out += of_worlds.left_out
         numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
         if sorted_cells.tuned:
@@ -205,10 +215,9 @@ def _overestimation(cells: studies.Cells) -> tuple[pd.DataFrame, list[str]]:
     return pd.concat(parts[1:] or parts, ignore_index=True)[["cell", *columns]], problems
 
 
-def _tables(all_cells: Studies, audits: Mapping[str, Sequence[Finding]], flights: Flights) -> dict[str, pd.DataFrame]:
+def _tables(all_cells: Studies, flights: Flights) -> dict[str, pd.DataFrame]:
     values, of_paper = frames.per_seed_values(all_cells.main), studies.paper_cells(all_cells.main)
     return {
-        "verdicts": frames.verdicts(audits),
         "seeds": values,
         "metrics": frames.estimates(values),
         "tuned": frames.estimates(frames.per_seed_values(all_cells.tuned)),

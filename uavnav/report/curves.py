@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 
 from uavnav import stats, style
-from uavnav.report.cells import Cell, binned, curve
+from uavnav.report.cells import Cell, curve
 from uavnav.runs import paper
 from uavnav.runs.readings import PER_FRAME, words
 from uavnav.stats import Array, Interval
@@ -138,40 +138,6 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
                 moved[below] -= lack / 2
                 moved[below + 1] += lack / 2
     return moved
-
-
-@matplotlib.rc_context(style.STYLE)
-def why(
-    progress: Mapping[str, pd.DataFrame],
-    column: str,
-    title: str,
-    bound: float | None = None,
-    width: float = style.WIDTH,
-) -> style.Drawn:
-    """A diagnostic of one algorithm's networks over training: a line an activation, with its band over seeds.
-
-    progress: activation -> rows with the columns seed, frame and, if it was kept, `column`; title: `PPO: the
-    diagnostic`; bound: the most that the world allows, drawn in; width: of the figure [inches].
-    """
-    kept = {name: rows for name, rows in progress.items() if column in rows and rows[column].notna().any()}
-    if not kept:
-        return style.nothing(title)
-    figure, axes = style.panel(title, width=width)
-    frames = max(int(rows["frame"].max()) for rows in kept.values())
-    ends: list[str] = []
-    for name, (colour, dashes) in style.coloured(kept):
-        seeds = binned(kept[name], column, frames)
-        line, thick = band(seeds), 1.8 + 1.3 * (len(kept) - 1 - len(ends))  # thicker ones are seen below others
-        _line(axes, line, colour, dashes, f"{name}, n = {seeds.shape[1]}", thick)
-        ends.append(f"{name} {_end(line)}")
-    if bound is not None:
-        axes.axhline(bound, **style.DASHED)
-        words, left = f"nothing can earn more: {style.number(bound)}", axes.get_yaxis_transform()
-        axes.annotate(words, (0.01, bound), xycoords=left, color=style.INK, fontsize=11, va="bottom")
-        ends.append(f"nothing can earn more than {style.number(bound)}")
-    axes.set_ylabel(textwrap.fill(title.rpartition(": ")[2], 36))
-    _over_training(figure, axes)
-    return style.Drawn(figure, f"{title} against frames per seed; in the last bin: {'; '.join(ends)}.")
 
 
 def band(seeds: pd.DataFrame) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""Which figures a report has: each with the section that it belongs to and a caption."""
+"""Which figures a report has: at most twelve on the study, each with its section and a caption."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import arena, behaviour, charts, curves, findings, frames, studies, tables, whys
+from uavnav.report import arena, behaviour, charts, curves, frames
 from uavnav.report.cells import algorithms
 from uavnav.report.claims import PRIMARY
-from uavnav.report.frames import DIAGNOSTICS, name
+from uavnav.report.frames import name
 from uavnav.report.headline import RULE
 from uavnav.report.studies import Cells
 from uavnav.runs import paper
@@ -54,22 +54,17 @@ def draw(
     """
     flown = {key[1:]: table for key, table in flights.items() if key[0] == "main"}
     found = [*_first(numbers["seeds"], numbers["gaps"], width), *_curves(cells, width)]
-    found += [*_metrics(numbers["seeds"], numbers["gaps"], width), *_paths(flown, width), *_places(flown, width)]
-    found += _statistics(cells, numbers, survival, width)
+    found += [_training(numbers["seeds"], numbers["gaps"], width), *_paths(flown, width), *_places(flown, width)]
+    found.append(_survival(cells, numbers["survival"], survival, width))
     if len(numbers["behaviour"]):
         sampled = numbers["behaviour"].query("mode == 'sampled'")
         drawn = charts.behaviours(sampled[["cell", "algorithm", "activation", "seed", *LOOKED_AT]], width)
         caption = "Each small dot is a seed, the bar its cell's 95 % interval; sampled flights on test sets."
         found.append(Figure("behaviour", "behaviour", drawn, caption))
-    found += [*_whys(numbers, width), *_why(cells, width)]
     if len(numbers["sensitivity"]):
         caption = "The band is the interval as decided; an interval that lies across zero from it flips a conclusion."
         found.append(Figure("sensitivity", "sensitivity", charts.sensitivity(numbers["sensitivity"], width), caption))
-    caption = (
-        f"The dashed line is the paper's {paper.HOURS:g} hours, on a machine that it does not name. The seeds of a run"
-        " train side by side and share its time alike."
-    )
-    return [*found, Figure("speed", "speed", charts.speed(numbers["speed"], width), caption)]
+    return found
 
 
 def _curves(cells: Cells, width: float) -> list[Figure]:
@@ -79,27 +74,23 @@ def _curves(cells: Cells, width: float) -> list[Figure]:
         number = paper.CURVES_OF.get(algorithm)
         beside = f", as the paper's Figure {number}" if number else ""
         dashed = "; dashed: the paper's mean" if number else ""
-        for column in ("reward", "steps"):
-            caption = (
-                f"{algorithm.upper()}{beside}: {words(column, PER_FRAME)} in each stretch of training, of all seeds and"
-                f" flights, open ones too. Line: {curves.LINES[column]}; band: its 95 % interval over seeds{dashed}."
-            )
-            found.append(Figure(f"curves-{algorithm}-{column}", "curves", curves.curves(mine, column, width), caption))
+        caption = (
+            f"{algorithm.upper()}{beside}: {words('reward', PER_FRAME)} in each stretch of training, of all seeds and"
+            f" flights, open ones too. Line: {curves.LINES['reward']}; band: its 95 % interval over seeds{dashed}."
+        )
+        found.append(Figure(f"curves-{algorithm}-reward", "curves", curves.curves(mine, "reward", width), caption))
     return found
 
 
-def _metrics(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> list[Figure]:
-    """Cells side by side in two metrics of training."""
-    rule = gaps[gaps["who"] == RULE]
-    found = []
-    for metric, own in (("reward", rule["per_frame"]), ("steps", rule["per_frame"][:0])):
-        printed = {name(*key): paper.printed(*key, metric, PRIMARY == PER_FRAME) for key in paper.TABLES}
-        caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
-        caption += f" Dashed: the hand-written rule `{RULE}` on the test sets." if len(own) else ""
-        dashed = float(own.sum()) if len(own) else np.nan
-        drawn = charts.intervals(_seeds(values, PRIMARY, metric), printed, words(metric, PRIMARY), dashed, width)
-        found.append(Figure(f"cells-{metric}", "tables", drawn, caption))
-    return found
+def _training(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
+    """Cells side by side by their reward in training."""
+    rule = gaps.loc[gaps["who"] == RULE, "per_frame"]
+    printed = {name(*key): paper.printed(*key, "reward", PRIMARY == PER_FRAME) for key in paper.TABLES}
+    caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
+    caption += f" Dashed: the hand-written rule `{RULE}` on the test sets." if len(rule) else ""
+    dashed, seeds = float(rule.sum()) if len(rule) else np.nan, _seeds(values, PRIMARY, "reward")
+    drawn = charts.intervals(seeds, printed, words("reward", PRIMARY), dashed, width)
+    return Figure("cells-reward", "tables", drawn, caption)
 
 
 def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> list[Figure]:
@@ -145,86 +136,31 @@ def _paths(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list[
 
 def _places(flown: Mapping[tuple[str, str], pd.DataFrame], width: float) -> list[Figure]:
     """Heat maps, a panel an algorithm."""
-    found = []
-    for stem, where, is_empty in (
-        ("heat", f"on {WATCHED_LAYOUTS} test sets", False),
-        ("heat-empty", "in the empty arena", True),
-    ):
-        chosen = f"mode == 'sampled' and (layout < 0) == {is_empty}"
-        sampled = {key: part for key, table in flown.items() if len(part := table.query(chosen))}
-        maps = {}
-        for algorithm in algorithms(sampled):
-            mine = [behaviour.heat(table, World()) for (which, _), table in sampled.items() if which == algorithm]
-            maps[algorithm.upper()] = np.mean(mine, axis=0)
-        if maps:
-            activations = len({activation for _, activation in flown})
-            n = frames.least_to_most((table["seed"].nunique() for table in sampled.values()), "seed")
-            caption = (
-                f"Where the drones are {where}: share of steps in each square, of every seed and activation alike"
-                f" ({activations} activations, {n} each)."
-            )
-            found.append(Figure(stem, "behaviour", arena.heat_maps(maps, World(), width), caption))
-    return found
+    chosen = "mode == 'sampled' and layout >= 0"
+    sampled = {key: part for key, table in flown.items() if len(part := table.query(chosen))}
+    maps = {}
+    for algorithm in algorithms(sampled):
+        mine = [behaviour.heat(table, World()) for (which, _), table in sampled.items() if which == algorithm]
+        maps[algorithm.upper()] = np.mean(mine, axis=0)
+    if not maps:
+        return []
+    activations = len({activation for _, activation in flown})
+    n = frames.least_to_most((table["seed"].nunique() for table in sampled.values()), "seed")
+    caption = (
+        f"Where the drones are on {WATCHED_LAYOUTS} test sets: share of steps in each square, of every seed and"
+        f" activation alike ({activations} activations, {n} each)."
+    )
+    return [Figure("heat", "behaviour", arena.heat_maps(maps, World(), width), caption)]
 
 
-def _statistics(
-    cells: Cells, numbers: Mapping[str, pd.DataFrame], survival: Mapping[str, pd.Series], width: float
-) -> list[Figure]:
-    counted = numbers["survival"].set_index("cell")["n"]
+def _survival(cells: Cells, means: pd.DataFrame, survival: Mapping[str, pd.Series], width: float) -> Figure:
+    """How long flights last; means: as `frames.survival` gives them."""
+    counted = means.set_index("cell")["n"]
     shown = [label for label in (name(*key) for key in cells) if label in survival]
     flights = {f"{label} (n = {counted[label]})": survival[label] for label in shown}
     flights |= {style.RULE: survival[RULE]} if RULE in survival else {}
-    n = min((studies.seeds(cell) for cell in cells.values()), default=0)
-    matrix = charts.improvement_matrix(numbers["improvement"], words("reward", PRIMARY), width)
-    beats = "How probably a seed of the row's cell beats one of the column's; Mann-Whitney, Holm's correction."
-    pooled = (
+    caption = (
         "Kaplan-Meier, all seeds of a cell pooled, n of them: a cap on steps censors a flight, and is no collision."
+        " Sampled."
     )
-    needed = (
-        "What it takes to find the paper's difference in reward of two activations, where seeds scatter as ours; the"
-        " line is what this study has."
-    )
-    return [
-        Figure("improvement", "statistics", matrix, beats),
-        Figure("survival", "statistics", curves.survival(flights, frames.CAP, width), f"{pooled} Sampled."),
-        Figure("power", "statistics", charts.power(numbers["power"], n, tables.MANY, width), needed),
-    ]
-
-
-def _whys(numbers: Mapping[str, pd.DataFrame], width: float) -> list[Figure]:
-    """A figure for each question that there are cells for."""
-    found, table = [], numbers["whys"]
-    for question in whys.QUESTIONS:
-        part = table[(table["question"] == question.name) & table["row"].isin([*question.rows])]
-        if len(part):
-            drawn = charts.rows_of(part, {metric: whys.in_words(metric) for metric in question.metrics}, width)
-            said = " ".join([question.text, *map(str, findings.why(numbers, question))])
-            found.append(Figure(f"whys-{question.name}", "why", drawn, said))
-    return found
-
-
-def _why(cells: Cells, width: float) -> list[Figure]:
-    found = []
-    for algorithm in algorithms(cells):
-        mine = {activation: cell for (which, activation), cell in cells.items() if which == algorithm}
-        progress = {
-            activation: pd.concat([run.progress for run in cell.runs], ignore_index=True)
-            for activation, cell in mine.items()
-        }
-        for column, label in DIAGNOSTICS.items():
-            if not any(column in one for one in progress.values()):
-                continue
-            caption = f"{algorithm.upper()}: {label}; line: mean over seeds, band: 95 % interval."
-            gammas = {cell.settings.get("gamma") for cell in mine.values()} if column == "q_value" else set()
-            bound = _most_return(*gammas) if len(gammas) == 1 else None
-            if bound is not None:
-                caption += " No reward above the dashed line can follow: it is that of flying straight on for ever."
-            drawn = curves.why(progress, column, f"{algorithm.upper()}: {label}", bound, width)
-            found.append(Figure(f"why-{algorithm}-{column.replace('_', '-')}", "why", drawn, caption))
-    return found
-
-
-def _most_return(gamma: float | None) -> float | None:
-    """The largest discounted return of the world: full speed for ever, r / (1 - gamma)."""
-    world = World()
-    return None if gamma is None else world.reward_per_pixel * (world.n_distances - 1) / (1 - gamma)
+    return Figure("survival", "statistics", curves.survival(flights, frames.CAP, width), caption)

@@ -101,10 +101,13 @@ def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
     return stats.intervals([np.frombuffer(row) for row in rows], [np.mean, stats.interquartile_mean])
 
 
-def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
-    """Every part of every claim in every reading; of a claim as a whole, its grade."""
+def verdicts(audits: Mapping[str, Sequence[Finding]], of_worlds: Sequence[Finding] = ()) -> pd.DataFrame:
+    """Every part of every claim in every reading; of a claim as a whole, its grade.
+
+    of_worlds: of the claims on other worlds, which sampled test flights alone decide.
+    """
     parts = []
-    for reading, findings in audits.items():
+    for reading, findings in [*audits.items(), *[(SAMPLED, of_worlds)] * bool(of_worlds)]:
         table = pd.DataFrame([finding._asdict() for finding in findings])
         grades = {number: str(grade(of_claim(findings, number))) for number in table["claim"].unique()}
         parts.append(table.assign(reading=reading, grade_of_claim=table["claim"].map(grades)))

@@ -69,6 +69,12 @@ def gaps(cells: Cells, baselines: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*columns, "gap", "gap_low", "gap_high", "above"])
 
 
+def best(gaps: pd.DataFrame, mode: str, algorithm: str) -> Any:
+    """Where the cell of an algorithm with the highest reward stands in a table of `gaps`; None where there is none."""
+    mine = gaps[(gaps["mode"] == mode) & (gaps["algorithm"] == algorithm)]
+    return mine["reward"].idxmax() if len(mine) else None
+
+
 def _mean(seeds: stats.Array) -> stats.Interval:
     """The mean of one number a seed [S] with Student's interval."""
     return stats.difference([seeds], []) if len(seeds) else stats.Interval(np.nan, np.nan, np.nan, 0)

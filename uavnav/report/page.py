@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import re
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,26 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from uavnav import evaluation
-from uavnav.report import arena, beyond, conclusions, findings, frames, studies, tables, whys, worlds
+from uavnav.report import (
+    arena,
+    beyond,
+    evidence,
+    frames,
+    headline,
+    studies,
+    tables,
+    whys,
+    worlds,
+)
 from uavnav.report.cells import BINS, label
-from uavnav.report.claims import CLAIMS, PRIMARY, Claim
+from uavnav.report.claims import PRIMARY
 from uavnav.report.content import Content
 from uavnav.report.figures import LOOKED_AT
+from uavnav.report.quotes import prose
 from uavnav.report.replays import paths, together
-from uavnav.report.verdicts import GRADES, SEEDS, grade, of_claim
+from uavnav.report.verdicts import GRADES, SEEDS
 from uavnav.runs import paper
-from uavnav.runs.metrics import LAST
+from uavnav.runs.metrics import LAST, MODES
 from uavnav.runs.readings import LOG_CURVE, SAMPLED
 from uavnav.style import RULE, drawing, save
 from uavnav.tasks.world import World
@@ -45,6 +55,8 @@ SECTIONS = {
 }
 WITH_WORLDS = {"worlds": "Worlds"}
 """The section of the study of that name, before the baselines, where there is one."""
+TITLE = "DQN against PPO, four activation functions: what holds of the paper"
+"""Of a report on other runs than the study's."""
 PREVIEWED = 240
 """Steps of the flights that the picture of a link shows."""
 HERE = Path(__file__).parent
@@ -65,6 +77,7 @@ _TEMPLATES = jinja2.Environment(
     autoescape=jinja2.select_autoescape(),
 )
 _INTERVAL = re.compile(r"([−\d][^\[]*|–) (\[[^\]]+, [^\]]+\])(.*)")
+_LINK = re.compile(r"\[([^\[\]]+)\]\(([^()\s]+)\)")
 _MARKDOWN = re.compile(r"`([^`]+)`|\[([^\]]+)\]\([^)]+\)")
 
 
@@ -78,13 +91,33 @@ def _cell(text: str) -> Markup:
     return Markup("").join(parts)
 
 
+def linked(text: str) -> Markup:
+    """A line of Markdown with its links."""
+    words, *links = _LINK.split(text)
+    parts = [escape(words)]
+    for shown, where, after in zip(links[::3], links[1::3], links[2::3], strict=True):
+        parts.append(Markup('<a href="{}">{}</a>{}').format(where, shown, after))
+    return Markup("").join(parts)
+
+
+def plain(text: str) -> str:
+    """A line of Markdown without its links."""
+    return _LINK.sub(r"\1", text)
+
+
+def listed(text: str) -> list[str]:
+    """The lines of a list in Markdown."""
+    return [line.removeprefix("- ") for line in text.splitlines()]
+
+
 def _json(data: Any) -> Markup:
     """Data as a page's script holds it."""
     return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 _TEMPLATES.filters |= {"json": _json, "cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
-_TEMPLATES.globals |= {"conclusions": conclusions, "evaluation": evaluation, "findings": findings, "frames": frames}
+_TEMPLATES.filters |= {"linked": linked, "plain": plain, "listed": listed}
+_TEMPLATES.globals |= {"evaluation": evaluation, "evidence": evidence, "frames": frames}
 _TEMPLATES.globals |= {"beyond": beyond, "studies": studies, "whys": whys, "worlds": worlds}
 _TEMPLATES.globals |= {
     "tables": tables,
@@ -95,7 +128,7 @@ _TEMPLATES.globals |= {
     "least_seeds": SEEDS,
     "looked_at": LOOKED_AT,
 }
-_TEMPLATES.globals |= {"decisions": DECISIONS, "kinds": GRADES}
+_TEMPLATES.globals |= {"decisions": DECISIONS, "kinds": GRADES, "TITLE": TITLE}
 
 
 def contents(content: Content, first: Path) -> dict[str, bytes]:
@@ -118,7 +151,7 @@ def contents(content: Content, first: Path) -> dict[str, bytes]:
         firsts = {drone["name"]: drone["flights"][0] for drone in flights["drones"]}
         ends = {name: one["ended"] for name, one in firsts.items() if one["steps"] <= PREVIEWED}
         collided = {name for name, ended in ends.items() if ended == "collision"}
-        title, obstacles = str(findings.headline(content.tables)), np.array(flights["layouts"][0])
+        title, obstacles = plain(said(content)["headline"] or TITLE), np.array(flights["layouts"][0])
         drawn = arena.preview(title, drones, collided, obstacles, World())
         found["preview.png"] = save(drawn)[1]
     found["report.html"] = page(content, pictures, first).encode()
@@ -157,32 +190,24 @@ def _embedded(svg: bytes) -> Markup:
     return Markup(quote(short[short.index(b"<svg") :], safe="/:;=,'()!*+$@?"))
 
 
-def render(template: str, content: Content, **more: Any) -> str:
-    """A template filled with the content, the modules that put it into words and rows (its globals), and more."""
+def said(content: Content, root: str = "") -> dict[str, str]:
+    """The study's prose by block (`quotes`), empty in the report of other runs."""
+    found = prose(content.tables, root)
+    return found if content.of_the_study else dict.fromkeys(found, "")
+
+
+def render(template: str, content: Content, root: str = "", **more: Any) -> str:
+    """A template filled with the content, the modules that make rows of it (its globals), and more; root: of links."""
+    found = said(content, root)
     return _TEMPLATES.get_template(template).render(
         more,
         content=content,
         numbers=content.tables,
         of_paper=studies.paper_cells(content.studies.main),
-        claims=[_claim(content, claim) for claim in CLAIMS],
-        grades={claim.number: grade(of_claim(content.findings, claim.number)) for claim in CLAIMS},
+        said=found,
+        claims=evidence.rows(content, found, root),
+        root=root,
     )
-
-
-def _claim(content: Content, claim: Claim) -> dict[str, Any]:
-    of = {reading: of_claim(found, claim.number) for reading, found in content.audits.items()}
-    mine = of.pop(PRIMARY)
-    return {
-        "number": claim.number,
-        "sentence": claim.sentence,
-        "note": claim.note,
-        "grade": grade(mine),
-        "text": f"{conclusions.sentence(claim, mine)} {conclusions.turned(mine, content.audits)}".strip(),
-        "said": findings.of_claim(content.tables, claim),
-        "bar": tables.bar(grade(mine)),
-        "rows": tables.audit_rows(mine),
-        "readings": [(reading, tables.in_reading(found)) for reading, found in of.items()],
-    }
 
 
 def page(content: Content, pictures: Mapping[str, Sequence[str]], first: Path) -> str:
@@ -198,7 +223,6 @@ def page(content: Content, pictures: Mapping[str, Sequence[str]], first: Path) -
         css=Markup(browser.joined(styles)),
         js=Markup(browser.joined(PLAYER)),
         folding=Markup(browser.joined([HERE / "templates" / "page.js"])),
-        conclusions_of=defaultdict(str, findings.of_sections(content.tables)),
         replays=content.replays,
         together=first_flights(content),
         version=importlib.metadata.version("uavnav"),
@@ -220,7 +244,11 @@ def _sections(content: Content) -> list[tuple[str, str]]:
 
 def first_flights(content: Content) -> dict[str, Any] | None:
     """What flies on the first screen, where at least one policy can beside the rule."""
-    shown = together(content.replays, findings.shown_first(content.tables), RULE) if content.replays else None
+    gaps = content.tables["gaps"]
+    best = [headline.best(gaps, MODES[1], algorithm) for algorithm in paper.TABLE_OF]
+    flown = gaps.loc[[place for place in best if place is not None]].sort_values("reward", ascending=False)
+    cells = {who: tables.in_words(who) for who in flown["who"]}
+    shown = together(content.replays, cells, RULE) if content.replays else None
     return shown if shown and len(shown["drones"]) > 1 else None
 
 
@@ -237,4 +265,4 @@ def markdown(content: Content) -> str:
         mine = [cell for cell in content.cells if cell.algorithm == algorithm and id(cell) not in answered]
         part, usual = label(mine)
         sections.append({"name": algorithm, "usual": usual, "table": tables.table(part, algorithm)})
-    return render("report.md", content, sections=sections, bins=BINS, root="").strip() + "\n"
+    return render("report.md", content, sections=sections, bins=BINS).strip() + "\n"

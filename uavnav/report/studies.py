@@ -1,9 +1,9 @@
-"""Which cells belong to which study, and what each reading of their rows says, as one number a seed.
+"""Which cells belong to which part of a report, and what each reading of their rows says, as one number a seed.
 
-Studies are told apart by their settings, whatever their folders are called. The study in *many worlds* is that with the
-paper's reward and its million frames, then with more than one world a seed and most of the paper's activations, frames
-and seeds; the others are named by how they differ from it. The *main* study answers for the paper: it is the same in
-one world a seed, as Stable-Baselines3 runs by default, once all the paper's cells have flown it, or else that in many.
+A run's meta.json names its study, and `PLACES` says what each study answers. The study in *many worlds* has the paper's
+reward and its million frames. The *main* study answers for the paper: it is the same in one world a seed, as
+Stable-Baselines3 runs by default, once all the paper's cells have flown it, or else that in many. Runs of no study that
+the report knows are compared with each other: those of an algorithm's most frequent settings.
 """
 
 from __future__ import annotations
@@ -25,16 +25,21 @@ from uavnav.tasks.faults import NO_FAULTS
 
 Cells = dict[Key, Cell]
 
-FOLLOWING = {"frames", "total_frames", "exploration_fraction", "bank", "compile"}
-"""Settings that a shorter study or another bank changes along with what it is named after."""
-IN_ONE_WORLD = {"n_worlds", "preset", "frames"}
-"""Settings in which the study in one world a seed differs; its frames are other whole iterations."""
+PLACES = {
+    "one-world": "main",
+    "paper": "many_worlds",
+    "algorithms": "many_worlds",
+    "wide": "baseline",
+    "initial": "initial",
+    "sensitivity": "switches",
+    "why": "why",
+    "tuned": "tuned",
+}
+"""What a study of the package answers: a field of `Studies`."""
+FOLLOWING = {"preset", "frames", "total_frames", "exploration_fraction", "bank", "compile"}
+"""Settings that a shorter study or another bank changes along with what it is about."""
 TUNED = "fast"
 """The preset of the study `tuned`."""
-WHY = {"layer_norm", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", ("init", "unit")}
-"""Settings that `whys` asks about, or one value of a setting."""
-WHY_LONG = {"reward", "stack"}
-"""The same in runs as long as the paper's."""
 AFTER = 100_000
 """Frames at the end of training, which tell what is left of a surge."""
 
@@ -81,47 +86,28 @@ def sort(cells: Sequence[Cell]) -> Studies:
     return studies
 
 
-def _usual(cells: Sequence[Cell]) -> dict[str, Any]:
-    """The settings of an algorithm's study in many worlds."""
-    groups: dict[str, list[Cell]] = {}
-    for cell in cells:
-        groups.setdefault(str(sorted(cell.settings.items(), key=str)), []).append(cell)
-
-    def rank(group: list[Cell]) -> tuple[bool, bool, bool, int, int, int]:
-        own = group[0].settings
-        of_paper = sum(cell.activation in paper.ACTIVATIONS for cell in group)
-        many = own["n_worlds"] > 1
-        return own.get("reward") == "eq14", _as_long(own), many, of_paper, own["frames"], sum(map(seeds, group))
-
-    return max(groups.values(), key=rank)[0].settings
-
-
-def _as_long(own: Mapping[str, Any]) -> bool:
-    """Whether a run is as long as the paper's."""
-    return bool(own.get("total_frames", own["frames"]) == paper.FRAMES)
+def _usual(cells: Sequence[Cell]) -> Mapping[str, Any]:
+    """An algorithm's settings in the study in many worlds, or else those of most of its cells, then of most seeds."""
+    named = [cell for cell in cells if PLACES.get(cell.study) == "many_worlds"]
+    groups = [[one for one in named or cells if one.settings == cell.settings] for cell in named or cells]
+    return max(groups, key=lambda group: (len(group), sum(map(seeds, group)), str(group[0].settings)))[0].settings
 
 
 def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | None:
-    own = cell.settings
-    changed = _changed(own, usual)
-    if own["n_worlds"] == 1 and _as_long(own) and changed <= IN_ONE_WORLD:
-        return studies.main
-    if not changed:
-        return studies.many_worlds
+    place, changed = PLACES.get(cell.study), _changed(cell.settings, usual)
+    if place in ("main", "many_worlds", "tuned"):
+        cells: Cells = getattr(studies, place)
+        return cells
+    if place is None:
+        return studies.many_worlds if not changed else None
     named = changed - FOLLOWING
-    if own.get("preset") == TUNED != usual.get("preset"):
-        return studies.tuned
-    if changed <= FOLLOWING - {"bank"} and own["frames"] < usual["frames"]:
+    if not named:
         return studies.baseline
-    if len(named) != 1:
-        return None
-    (name,) = named
-    value = show(own.get(name))
-    if name in WHY or (name, value) in WHY or (name in WHY_LONG and _as_long(own)):
-        return studies.why.setdefault(f"{name}={value}", {})
-    if (name, value) == ("reward", "initial"):
+    if place == "initial":
         return studies.initial
-    return studies.switches.setdefault(f"{name}={value}", {})
+    (name, *more) = sorted(named)
+    apart: dict[str, Cells] = studies.why if place == "why" else studies.switches
+    return None if more else apart.setdefault(f"{name}={show(cell.settings.get(name))}", {})
 
 
 def _changed(own: Mapping[str, Any], usual: Mapping[str, Any]) -> set[str]:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Mapping, Sequence
+import string
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from uavnav import stats, style
+from uavnav.algorithms import ALGORITHMS
+from uavnav.report import headline
 from uavnav.report.cells import Cell, Counts, counted, counts, episodes_of, one_line, show
-from uavnav.report.claims import CLAIMS, PRIMARY
-from uavnav.report.frames import DIAGNOSTICS, estimates, name, per_seed_values
+from uavnav.report.claims import NAMES
+from uavnav.report.frames import estimates, name, per_seed_values
 from uavnav.report.studies import Cells
 from uavnav.report.verdicts import (
     BESIDE,
@@ -28,15 +31,33 @@ from uavnav.report.verdicts import (
     Finding,
     Grade,
     grade,
-    of_claim,
     p_shown,
 )
 from uavnav.runs import paper
-from uavnav.runs.metrics import METRICS, finished, per_seed
+from uavnav.runs.metrics import METRICS, MODES, finished, per_seed
 from uavnav.runs.readings import PER_FRAME, READINGS, SAMPLED, decimals, words
 
 Rows = list[list[str]]
 NOTHING = "–"
+FLIPS = {"yes": " – flips", "sign": " – other sign", "no": "", "": ""}
+"""How a table says what `frames.sensitivity` found."""
+INTERACTIONS = {"reading": "{reading}", "metric": "{metric}", "seeds": "{n}"}
+INTERACTIONS |= {"p, change of places": "{p_ranks:.4f}", "p, raw scale": "{p_raw:.4f}"}
+SURVIVALS = {"cell": "{cell}", "seeds": "{n}", "flights": "{episodes:,}", "cut off [share]": "{cut_off:.0%}"}
+SURVIVALS |= {"mean [steps]": "{restricted_mean:.0f} [{low:.0f}, {high:.0f}]"}
+GAPS = {"who": "{who}", "acting": "{mode}", "seeds": "{n}", "flights": "{flights:,}", "up at the cap": "{up:.0%}"}
+GAPS |= {
+    "reward": "{reward:.1f} [{low:.1f}, {high:.1f}]",
+    "gap to the rule": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+}
+GAPS |= {"seeds above": "{above:.0%}"}
+BY_DEFAULT = {"settings": "{settings}", "activations of both": "{activations}", "seeds a cell": "{n}"}
+BY_DEFAULT |= {"PPO − DQN": "{value:.1f} [{low:.1f}, {high:.1f}]"}
+SPEEDS = {"cell": "{cell}", "seeds side by side": "{seeds}", "wall time [s] of a seed's share": "{seconds:.0f}"}
+SPEEDS |= {"machine": "{machine}"}
+IMPROVEMENT = {"cell": "{a}", "against": "{b}", "seeds": "{n_a}, {n_b}", "probability of more": "{probability:.2f}"}
+IMPROVEMENT |= {"Holm's p": "{p_holm:.3f}"}
+"""Columns of tables with a row a row of a frame: formats by header."""
 MANY = 10_000
 """More seeds than these are as good as never."""
 
@@ -58,13 +79,78 @@ def with_interval(value: float, low: float, high: float, digits: int = 2) -> str
     return shown if math.isnan(low) else f"{shown} [{number(low, digits)}, {number(high, digits)}]"
 
 
+def in_brackets(found: stats.Interval, unit: str = "", places: int | None = None) -> str:
+    """A number and its interval in plain words; the number alone where it has none. Shares and hundreds are whole."""
+    if places is None:
+        places = 0 if unit or abs(found.value) > 100 else digits(found)
+    value, low, high = (number(round(one, places) + 0.0, max(places, 0)) for one in found[:3])  # no −0
+    return value + unit if low == NOTHING else f"{value}{unit} ({low} to {high}{unit})"
+
+
+def in_words(cell: str) -> str:
+    """A cell's label in words: PPO with leaky ReLU."""
+    algorithm, _, activation = cell.partition(" ")
+    return f"{algorithm} with {NAMES.get(activation, activation)}"
+
+
+class _Cells(string.Formatter):
+    """Formats whose numbers look as `number` has them."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if isinstance(value, float) and format_spec.endswith("f"):
+            return number(value, int(format_spec.strip(",.f")))
+        shown = str(super().format_field(value, format_spec))
+        return NOTHING if shown == "nan%" else shown
+
+
+def listed(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
+    """A row a row; columns: formats by header, of which an interval that is not known is left out."""
+    fill = _Cells().vformat
+    records = [{str(key): value for key, value in one.items()} for one in frame.to_dict("records")]
+    found = ([fill(form, (), one) for form in columns.values()] for one in records)
+    return [list(columns), *([cell.replace(f" [{NOTHING}, {NOTHING}]", "") for cell in row] for row in found)]
+
+
+def crossed(
+    frame: pd.DataFrame, row: str, column: str, digits: int | None = 3, labels: Mapping[str, str] | None = None
+) -> Rows:
+    """A row a value of one column and a column a value of another: numbers with their intervals, and the fewest seeds.
+
+    frame: columns value, low, high and n beside; digits: three of numbers below 1 and one of others if None; labels:
+    words for the columns, in their order.
+    """
+    words = labels or {name: name.upper() if name in ALGORITHMS else name for name in frame[column].unique()}
+    names = [name for name in words if name in set(frame[column])]
+    rows = [[row, *(words[name] for name in names), "seeds"]]
+    for key, part in frame.groupby(row, sort=False):
+        known = {str(one[column]): _one(one, digits) for one in part.to_dict("records")}
+        cells = [known.get(name, NOTHING) for name in names]
+        rows.append([str(key), *cells, str(part["n"].min())])
+    return rows
+
+
+def _one(one: Mapping[Hashable, Any], digits: int | None) -> str:
+    places = (3 if abs(one["value"]) < 1 else 1) if digits is None else digits
+    return with_interval(one["value"], one["low"], one["high"], places) + FLIPS[one.get("flips", "")]
+
+
+def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
+    """A row a cell; mean over seeds and interval of some columns, by their labels. frame: a row a seed."""
+    found = [
+        {"cell": cell, "of": name, **stats.interval(part[name].to_numpy())._asdict()}
+        for cell, part in frame.groupby("cell", sort=False)
+        for name in columns
+    ]
+    return crossed(pd.DataFrame(found, columns=["cell", "of", *stats.Interval._fields]), "cell", "of", None, columns)
+
+
 def audit_rows(findings: Sequence[Finding]) -> Rows:
     """The parts of a claim."""
     rows = [["question", "the paper", "ours, adjusted interval", "ours : the paper", "Holm's p", "seeds", "verdict"]]
     for one in findings:
         ours = effect(one) + (f" ({one.nearest})" if one.nearest else "")
         ratio = with_interval(one.ratio, one.ratio_low, one.ratio_high)
-        rows.append([one.text, number(one.paper, digits(one)), ours, ratio, p_shown(one), str(one.n), said(one)])
+        rows.append([one.text, number(one.paper, digits(one)), ours, ratio, p_shown(one.p_holm), str(one.n), said(one)])
     return rows
 
 
@@ -125,18 +211,6 @@ def _spread(found: stats.Interval) -> str:
     return f"{style.number(found.value)}{inside}"
 
 
-def overview(audits: Mapping[str, Sequence[Finding]]) -> Rows:
-    """One row a claim: its grade in the primary reading, and in the others."""
-    others = [reading for reading in audits if reading != PRIMARY]
-    rows = [["", "the paper says", "grade", "parts that replicate", *others]]
-    for claim in CLAIMS:
-        of = {reading: of_claim(found, claim.number) for reading, found in audits.items()}
-        found = grade(of[PRIMARY])
-        rest = [in_reading(of[reading]) for reading in others]
-        rows.append([str(claim.number), claim.sentence, str(found), bar(found), *rest])
-    return rows
-
-
 def operating(shares: pd.DataFrame) -> Rows:
     """How often each claim would be graded what, if we knew the truth. shares: as `operating.characteristics` gives."""
     rows = [["", "if the truth were", *GRADES[:-1]]]
@@ -163,8 +237,9 @@ def frame(found: pd.DataFrame) -> Rows:
     return [list(map(str, found.columns)), *rows]
 
 
+REWARD, GAP = ["reward", "low", "high"], ["gap", "gap_low", "gap_high"]
 MEAN, MIDDLE = ["mean", "low", "high"], ["interquartile_mean", "iqm_low", "iqm_high"]
-"""Columns of `frames.estimates`: a statistic and its interval."""
+"""Columns of `headline.gaps` and of `frames.estimates`: a number and its interval."""
 
 
 def _estimate(by_metric: pd.DataFrame, metric: str, reading: str, columns: Sequence[str] = MEAN) -> str:
@@ -220,75 +295,12 @@ def _counts(part: Counts) -> list[str]:
     return [str(part.seeds), f"{part.episodes:,}", share]
 
 
-def interactions(frame: pd.DataFrame) -> Rows:
-    """The test of algorithm and activation."""
-    rows = [["reading", "metric", "seeds", "p, change of places", "p, raw scale"]]
-    for one in frame.to_dict("records"):
-        p_values = [NOTHING if math.isnan(p) else f"{p:.4f}" for p in (one["p_ranks"], one["p_raw"])]
-        rows.append([one["reading"], one["metric"], str(one["n"]), *p_values])
-    return rows
-
-
-def survivals(frame: pd.DataFrame) -> Rows:
-    """Restricted means."""
-    rows = [["cell", "seeds", "flights", "cut off [share]", "mean [steps]"]]
-    for one in frame.to_dict("records"):
-        mean = with_interval(one["restricted_mean"], one["low"], one["high"], 0)
-        rows.append([one["cell"], str(one["n"]), f"{one['episodes']:,}", f"{one['cut_off']:.0%}", mean])
-    return rows
-
-
 def powers(frame: pd.DataFrame) -> Rows:
     """Seeds that it would take."""
     rows = [["pair", "seeds there are", "seeds a cell"]]
     for one in frame.to_dict("records"):
         needed = f"> {MANY:,}" if MANY < one["seeds"] < math.inf else number(one["seeds"], 0)
         rows.append([one["pair"], str(one["n"]), needed])
-    return rows
-
-
-def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
-    """A row a cell; mean over seeds and interval of some columns, by their labels. frame: a row a seed."""
-    rows = [["cell", "seeds", *columns.values()]]
-    for cell, part in frame.groupby("cell", sort=False):
-        found = [stats.interval(part[column].to_numpy()) for column in columns]
-        shown = [with_interval(*one[:3], 3 if abs(one.value) < 1 else 1) for one in found]
-        rows.append([str(cell), str(part["seed"].nunique()), *shown])
-    return rows
-
-
-def diagnostics(frame: pd.DataFrame) -> Rows:
-    """A row a cell, a column a diagnostic."""
-    names = list(dict.fromkeys(frame["diagnostic"]))
-    rows = [["cell", "seeds", *(DIAGNOSTICS[one] for one in names)]]
-    for cell, part in frame.groupby("cell", sort=False):
-        rows.append([str(cell), str(part["n"].max()), *_by_name(part, "diagnostic", names, 3)])
-    return rows
-
-
-FLIPS = {"yes": " – flips", "sign": " – other sign", "no": "", "": ""}
-"""How a table says what `frames.sensitivity` found."""
-
-
-def _by_name(part: pd.DataFrame, column: str, names: Sequence[str], digits: int) -> list[str]:
-    """The intervals of some rows in the order of their names; a dash where a name has no row."""
-    known: dict[str, Any] = {str(one[column]): one for one in part.to_dict("records")}
-    return [
-        with_interval(known[name]["value"], known[name]["low"], known[name]["high"], digits)
-        + FLIPS[known[name].get("flips", "")]
-        if name in known
-        else NOTHING
-        for name in names
-    ]
-
-
-def sensitivities(frame: pd.DataFrame) -> Rows:
-    """A row a switch, a column a conclusion."""
-    names = list(dict.fromkeys(frame["conclusion"]))
-    rows = [["switch", *names, "seeds"]]
-    for switch, part in frame.groupby("switch", sort=False):
-        digits = decimals("reward", PRIMARY)
-        rows.append([str(switch), *_by_name(part, "conclusion", names, digits), str(part["n"].min())])
     return rows
 
 
@@ -301,21 +313,6 @@ def of_metrics(frame: pd.DataFrame, only: Sequence[str], readings_shown: Sequenc
         by_metric = part.set_index("metric")
         shown = [_estimate(by_metric, metric, reading) for metric in only]
         rows.append([name(algorithm, activation), reading, str(by_metric["n"].max()), *shown])
-    return rows
-
-
-def by_default(frame: pd.DataFrame) -> Rows:
-    """PPO minus DQN, tuned and in the main study, and what its interval says."""
-    rows = [["settings", "activations of both", "seeds a cell", "PPO − DQN", "so"]]
-    for one in frame.to_dict("records"):
-        if math.isnan(one["value"]):
-            so = "not known: no evaluated runs of both with the same activation"
-        elif math.isnan(one["low"]):
-            so = "not known: one seed has no interval"
-        else:
-            so = "PPO above DQN" if one["low"] > 0 else "DQN above PPO" if one["high"] < 0 else "not told apart"
-        difference = with_interval(one["value"], one["low"], one["high"], 1)
-        rows.append([one["settings"], one["activations"] or NOTHING, str(one["n"]), difference, so])
     return rows
 
 
@@ -339,33 +336,30 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
     return rows if found else rows[:1]
 
 
-def gaps(frame: pd.DataFrame) -> Rows:
-    """Reward of test flights and its gap to the hand-written rule's, a row a cell and mode."""
-    rows = [["who", "acting", "seeds", "flights", "up at the cap", "reward", "gap to the rule", "seeds above"]]
+def flights(frame: pd.DataFrame, root: str = "") -> Rows:
+    """Test flights of the rule and of each of the paper's algorithms' best cells: reward, its gap to the rule, share
+    still up. frame: of `headline.gaps`; root: of links."""
+    rows = [["test flights", "reward", "gap to the rule", "still flying at the limit"]]
+    best = [headline.best(frame, mode, algorithm) for algorithm in paper.TABLE_OF for mode in MODES]
+    known = [*frame.index[frame["who"] == headline.RULE], *(place for place in best if place is not None)]
+    for place in sorted(known, key=lambda place: -frame["reward"][place]):
+        one = frame.loc[place]
+        who = f"{in_words(one['who'])}, {one['mode']}" if one["algorithm"] else f"a hand-written rule (`{one['who']}`)"
+        value, low, high, gap, *ends = map(float, one[[*REWARD, *GAP]])
+        reward = in_brackets(stats.Interval(value, low, high, one["n"]))
+        behind = in_brackets(stats.Interval(gap, ends[0], ends[1], one["n"]))
+        rows.append([who, f"[{reward}]({root}tables/gaps.csv#L{place + 2})", behind, f"{one['up']:.0%}"])
+    return rows
+
+
+def whys(frame: pd.DataFrame) -> Rows:
+    """What side studies give. frame: as `whys.table` gives it."""
+    rows = [["question", "cell or difference", "measure", "mean", "seeds"]]
     for one in frame.to_dict("records"):
-        reward = with_interval(one["reward"], one["low"], one["high"], 1)
-        gap = with_interval(one["gap"], one["gap_low"], one["gap_high"], 1)
-        above = NOTHING if math.isnan(one["above"]) else f"{one['above']:.0%}"
-        up = f"{one['up']:.0%}"
-        rows.append([one["who"], one["mode"], str(one["n"]), f"{one['flights']:,}", up, reward, gap, above])
+        found = stats.Interval(one["value"], one["low"], one["high"], one["n"])
+        value = with_interval(*found[:3], digits(found))
+        rows.append([one["question"], one["row"], one["metric"], value, str(found.n)])
     return rows
-
-
-def effects(frame: pd.DataFrame) -> Rows:
-    """What a setting changes, a row a setting and a column an algorithm."""
-    algorithms = list(dict.fromkeys(frame["algorithm"]))
-    rows = [["setting", *map(str.upper, algorithms), "seeds"]]
-    for switch, part in frame.groupby("switch", sort=False):
-        digits = decimals("reward", PRIMARY)
-        rows.append([str(switch), *_by_name(part, "algorithm", algorithms, digits), str(part["n"].min())])
-    return rows
-
-
-def speeds(frame: pd.DataFrame) -> Rows:
-    """Wall times."""
-    header = ["cell", "seeds side by side", "wall time [s] of a seed's share", "machine"]
-    found = frame.to_dict("records")
-    return [header, *([one["cell"], str(one["seeds"]), number(one["seconds"], 0), one["machine"]] for one in found)]
 
 
 def facts(cells: list[Cell]) -> list[str]:
@@ -410,8 +404,6 @@ def markdown(rows: Rows) -> str:
 
 def latex(rows: Rows) -> str:
     """A tabular with booktabs' rules."""
-    escape = str.maketrans({"%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "−": "$-$", "–": "--"})
-    lines = [" & ".join(cell.translate(escape) for cell in row) + r" \\" for row in rows]
-    columns = "ll" + "r" * (len(rows[0]) - 2)
-    body = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"]
-    return "\n".join([*body, r"\end{tabular}", ""])
+    table = pd.DataFrame(rows[1:], columns=rows[0])
+    text = table.to_latex(index=False, escape=True, column_format="ll" + "r" * (len(rows[0]) - 2))
+    return text.replace("−", "$-$").replace("–", "--")

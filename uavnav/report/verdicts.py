@@ -303,8 +303,8 @@ def _needed(part: Part, found: Contrasts, effects_: Array, level: float, n: int)
     return stats.fewest(detects, SEEDS), stats.fewest(equals, SEEDS)
 
 
-def p_shown(finding: Finding) -> str:
-    """Holm's p for people: a dash where there is none."""
-    if math.isnan(finding.p_holm):
+def p_shown(p: float) -> str:
+    """A p value for people: a dash where there is none."""
+    if math.isnan(p):
         return "–"
-    return "< 0.001" if finding.p_holm < 0.001 else f"{finding.p_holm:.3f}"
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"

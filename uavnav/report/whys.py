@@ -1,6 +1,6 @@
-"""Why cells differ: questions to side studies that each change one setting, with a figure and a sentence for each.
+"""Why cells differ: questions to side studies that each change one setting; templates/study.md answers them.
 
-A question is data: rows to draw, and contrasts that answer it. To add one, add it to `QUESTIONS` and its cells to
+A question is data: rows to show, and contrasts that answer it. To add one, add it to `QUESTIONS` and its cells to
 uavnav/studies/why.yaml. Letters: S seeds of a cell.
 """
 
@@ -28,14 +28,12 @@ PAIR = ("tanh", "relu")
 
 
 class Contrast(NamedTuple):
-    """The mean of some cells minus that of others: `name` in the table, `said` in words if it is above zero, below, or
-    neither; {} is for the number. Without words it is in the table alone."""
+    """The mean of some cells minus that of others; `templates/study.md` quotes it by its name."""
 
     metric: str
     name: str
     first: tuple[Place, ...]
     second: tuple[Place, ...]
-    said: tuple[str, str, str] | None = None
 
 
 class Question(NamedTuple):
@@ -57,11 +55,11 @@ def _settings(setting: str, values: Iterable[str], usual: str, algorithms: Itera
     }
 
 
-def _ends(metric: str, setting: str, low: str, high: str, algorithm: str, more: str, neither: str) -> Contrast:
-    """The lowest value of a setting against the highest, in words where it is more (as where it is less) or neither."""
+def _ends(metric: str, setting: str, low: str, high: str, algorithm: str) -> Contrast:
+    """The lowest value of a setting against the highest."""
     first, second = ((f"{setting}={value}", algorithm, "tanh") for value in (low, high))
     name = f"{algorithm.upper()} with {setting}={low} minus with {setting}={high}"
-    return Contrast(metric, name, (first,), (second,), (more, more.replace(" more", " less"), neither))
+    return Contrast(metric, name, (first,), (second,))
 
 
 def _activations() -> Question:
@@ -77,18 +75,8 @@ def _activations() -> Question:
         pairs += [("tanh", "relu", study, f", both with {label}") for study, label in changed.items()]
         for a, b, study, how in pairs:
             name = f"{one.upper()} with {a} minus with {b}{how}"
-            said = _earns(a, b, how) if one == DQN else None
-            contrasts.append(Contrast("reward", name, ((study, one, a),), ((study, one, b),), said))
+            contrasts.append(Contrast("reward", name, ((study, one, a),), ((study, one, b),)))
     return Question("activations", "Is it boundedness, centring or scale?", ("reward",), rows, tuple(contrasts))
-
-
-def _earns(a: str, b: str, how: str) -> tuple[str, str, str]:
-    """What DQN earns with an activation against another."""
-    called = {"relu": "ReLU", "relu6": "bounded ReLU", "sigmoid_centred": "centred sigmoid"}
-    first, second = (called.get(name, name) for name in (a, b))
-    more = f"DQN earns {{}} more reward in 1,000 frames with {first} than with {second}{how}."
-    neither = f"DQN with {first} and with {second}{how} are not told apart: {{}} of reward in 1,000 frames."
-    return more, more.replace(" more", " less"), neither
 
 
 def _of_pair(labels: dict[str, str]) -> dict[str, Place]:
@@ -100,12 +88,10 @@ def _of_pair(labels: dict[str, str]) -> dict[str, Place]:
     }
 
 
-def _against_long(
-    study: str, algorithm: str, metric: str, how: str, said: tuple[str, str, str] | None = None
-) -> Contrast:
+def _against_long(study: str, algorithm: str, metric: str, how: str) -> Contrast:
     """A study against the one that changes nothing, means of the pair."""
     first, second = (tuple((one, algorithm, activation) for activation in PAIR) for one in (study, LONG))
-    return Contrast(metric, f"{algorithm.upper()} {how}", first, second, said)
+    return Contrast(metric, f"{algorithm.upper()} {how}", first, second)
 
 
 def _rewards() -> Question:
@@ -113,8 +99,7 @@ def _rewards() -> Question:
     labels = {initial: "first reward", "reward=additive": "added penalties", LONG: "eq. (14)"}
     how = "under the first reward minus under eq. (14)"
     contrasts = tuple(
-        _against_long(initial, one, metric, how, _turns(one.upper()) if metric == "turns" else None)
-        for metric, one in itertools.product(metrics, ALGORITHMS)
+        _against_long(initial, one, metric, how) for metric, one in itertools.product(metrics, ALGORITHMS)
     )
     return Question("rewards", "What do the penalties cure?", metrics, _of_pair(labels), contrasts)
 
@@ -122,23 +107,8 @@ def _rewards() -> Question:
 def _memory() -> Question:
     labels = {LONG: "one", "stack=4": "the last four"}
     how = "with the last four observations minus with one"
-    contrasts = tuple(_against_long("stack=4", one, "reward", how, _remembers(one.upper())) for one in ALGORITHMS)
+    contrasts = tuple(_against_long("stack=4", one, "reward", how) for one in ALGORITHMS)
     return Question("memory", "Does remembering help?", ("reward",), _of_pair(labels), contrasts)
-
-
-def _remembers(who: str) -> tuple[str, str, str]:
-    more = f"{who} earns {{}} more reward in 1,000 frames with its last four observations than with one."
-    neither = f"{who} with its last four observations and with one is not told apart: {{}} of reward in 1,000 frames."
-    return more, more.replace(" more", " less"), neither
-
-
-def _turns(who: str) -> tuple[str, str, str]:
-    more = f"Of 100 steps, {who} turns in {{}} more under the first reward than under eq. (14)."
-    return (
-        more,
-        more.replace(" more", " fewer"),
-        f"{who}'s turns are not told apart under both rewards: {{}} of 100 steps.",
-    )
 
 
 CLIPS, EPOCHS = ("0.05", "0.1", "0.2", "0.4", "None"), ("1", "3", "10", "20")
@@ -155,16 +125,8 @@ QUESTIONS = (
         ("clearance", "reward"),
         _settings("clip_epsilon", CLIPS, "0.2", [PPO]) | _settings("epochs", EPOCHS, "10", [PPO]),
         (
-            _ends(
-                *("clearance", "clip_epsilon", "0.05", "None", PPO),
-                "PPO keeps {} px more clearance with the narrowest clip range than with none.",
-                "PPO's clearance with the narrowest clip range and with none is not told apart: {} px.",
-            ),
-            _ends(
-                *("clearance", "epochs", "1", "20", PPO),
-                "PPO keeps {} px more clearance with one epoch a batch than with twenty.",
-                "PPO's clearance with one epoch a batch and with twenty is not told apart: {} px.",
-            ),
+            _ends("clearance", "clip_epsilon", "0.05", "None", PPO),
+            _ends("clearance", "epochs", "1", "20", PPO),
         ),
     ),
     Question(
@@ -172,14 +134,7 @@ QUESTIONS = (
         "Do immediate rewards make DQN take corridors?",
         ("corridor", "reward"),
         _settings("gamma", GAMMAS, "0.99", [DQN, PPO]),
-        tuple(
-            _ends(
-                *("corridor", "gamma", "0.9", "0.999", one),
-                f"Of 100 steps, {one.upper()} makes {{}} more in corridors with the nearest horizon than the farthest.",
-                f"{one.upper()}'s time in corridors is not seen to change with its horizon: {{}} of 100 steps.",
-            )
-            for one in (DQN, PPO)
-        ),
+        tuple(_ends("corridor", "gamma", "0.9", "0.999", one) for one in (DQN, PPO)),
     ),
     Question(
         "exploration",
@@ -187,16 +142,8 @@ QUESTIONS = (
         ("reward", "clearance"),
         _settings("epsilon_end", EPSILONS, "0.05", [DQN]) | _settings("entropy_coeff", ENTROPIES, "0.0", [PPO]),
         (
-            _ends(
-                *("reward", "epsilon_end", "0.0", "0.2", DQN),
-                "DQN earns {} more reward in 1,000 frames if no action is random in the end than if a fifth is.",
-                "DQN with no random action in the end or a fifth is not told apart: {} of reward in 1,000 frames.",
-            ),
-            _ends(
-                *("reward", "entropy_coeff", "0.001", "0.03", PPO),
-                "PPO earns {} more reward in 1,000 frames with an entropy bonus of 0.001 than of 0.03.",
-                "PPO with an entropy bonus of 0.001 or 0.03 is not told apart: {} of reward in 1,000 frames.",
-            ),
+            _ends("reward", "epsilon_end", "0.0", "0.2", DQN),
+            _ends("reward", "entropy_coeff", "0.001", "0.03", PPO),
         ),
     ),
     _rewards(),

@@ -7,7 +7,7 @@ S seeds of a cell.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,7 +18,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from uavnav import stats, style
-from uavnav.report import conclusions, tables
+from uavnav.report import tables
 from uavnav.report.cells import of_worlds, order, settings_of
 from uavnav.report.discussion import (
     ALL,
@@ -33,7 +33,7 @@ from uavnav.report.discussion import (
     slopes,
 )
 from uavnav.report.operating import characteristics
-from uavnav.report.verdicts import NO_RUNS, Finding, audit, grade, of_claim
+from uavnav.report.verdicts import Finding, audit
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import FIRST_COLUMNS, FLIGHTS, OWN, collided, of_flights
 from uavnav.runs.tables import RunError, read_table
@@ -52,6 +52,9 @@ MEASURES = {
     "collisions": FLIGHTS["collisions"],
     "survival": "restricted mean survival [steps]",
 }
+
+LABELS = MEASURES | {name: one.label for name, one in OWN.items()}
+"""Columns of a world's table."""
 
 Key = tuple[str, str, str]
 """World (with the preset where it is not the default), algorithm and activation."""
@@ -270,19 +273,6 @@ def _named(key: Key) -> str:
     return f"{algorithm.upper()} {activation}" + (" fast" if world != _place(world) else "")
 
 
-def table(found: pd.DataFrame, world: str) -> tables.Rows:
-    """A world's cells and scripts as a table. found: of `summary`."""
-    mine = found[found["world"] == world]
-    metrics = [metric for metric in (*MEASURES, *OWN) if metric in set(mine["metric"])]
-    header = ["who", *(MEASURES.get(metric) or OWN[metric].label for metric in metrics), "seeds"]
-    shown = [header]
-    for who, part in mine.groupby("who", sort=False):
-        by_metric = part.set_index("metric")[["value", "low", "high"]].reindex(metrics)  # a script is never greedy
-        numbers = [tables.with_interval(*triple) for triple in by_metric.to_numpy().tolist()]
-        shown.append([str(who), *numbers, str(part["n"].max())])
-    return shown
-
-
 def worlds_of(found: pd.DataFrame) -> list[str]:
     """The worlds of a summary, in order."""
     return [*dict.fromkeys(found["world"])]
@@ -297,60 +287,41 @@ def _rewards(found: pd.DataFrame, world: str) -> tuple[dict[str, Interval], dict
     return dict(best), {who: one for who, one in both.items() if who in SCRIPTS}
 
 
-def sentences(found: pd.DataFrame) -> list[str]:
-    """Who is ahead in each world; where a script beats every cell, which cells are above random flight where, and which
-    have no runs somewhere."""
-    said: list[str] = []
-    beaten: list[str] = []
-    passed: list[str] = []
-    chances: dict[str, bool] = {}  # worlds with random flight, and whether a cell is above it
-    neither: list[str] = []
-    lower: dict[str, list[str]] = {}  # cells that are not, and where
+def leaders(found: pd.DataFrame) -> pd.DataFrame:
+    """Who is ahead in each world, by reward per flight: columns world, best, value, low, high, script, scripted, ahead
+    and chance. found: of `summary`.
+
+    A script is ahead if it is above every policy's interval, a policy if its interval is above every script. `chance`
+    has the policies whose interval is not above random flight's.
+    """
+    rows = []
     for world in worlds_of(found):
         learned, scripts = _rewards(found, world)
-        (best, most), *others = learned.items()
-        told = [f"{best} {tables.with_interval(*most[:3])}"]
-        told += [f"{who} {tables.with_interval(*one[:3])}" for who, one in others[:1]]
-        said.append(f"In {world}, reward per flight: {', then '.join(told)}.")
-        if not scripts:
-            continue
-        rule, rules = max(scripts.items(), key=lambda item: item[1].value)
-        said[-1] = f"{said[-1][:-1]}; the best script, {rule}, has {tables.number(rules.value)}."
-        if all(rules.value > _top(one) for one in learned.values()):
-            beaten.append(world)
-        elif most.low > _top(rules):
-            passed.append(f"{world} ({best})")
-        else:
-            neither.append(world)
-        chance = scripts.get(DRAWS)
-        if chance is not None:
-            under = [who for who, one in learned.items() if one.low <= _top(chance)]
-            chances[world] = len(under) < len(learned)
-            for who in under:
-                lower.setdefault(who, []).append(world)
-    if beaten:
-        said.append(
-            "A scripted rule still beats every learned cell, its reward above the interval of each, in"
-            f" {'; '.join(beaten)}."
-        )
-    if passed:
-        said.append(f"A learned cell is above every script, with its whole interval, in {'; '.join(passed)}.")
-    if neither:
-        said.append(f"Neither a script nor a learned cell is clearly ahead in {'; '.join(neither)}.")
-    if chances:
-        above = _listed([world for world, is_above in chances.items() if is_above], chances)
-        said.append(f"{'Some' if lower else 'Every'} learned cell is above random flight, intervals apart, in {above}.")
-    if lower:
-        told = [f"{who} ({_listed(where, chances)})" for who, where in lower.items()]
-        said.append(f"Not above random flight, or intervals overlap: {', '.join(told)}.")
-    everywhere, flown = worlds_of(found), found[~found["who"].isin(SCRIPTS)].groupby("who", sort=False)["world"]
-    if told := [f"{who} ({'; '.join(own)})" for who, own in flown.unique().items() if len(own) < len(everywhere)]:
-        said.append(f"Some cells have runs in only some worlds: {', '.join(told)}.")
-    return said
+        best, most = next(iter(learned.items()))
+        none = Interval(np.nan, np.nan, np.nan, 0)
+        script, top = max(scripts.items(), key=lambda item: item[1].value, default=("", none))
+        ahead = "neither" if scripts else ""
+        if all(top.value > _top(one) for one in learned.values()):
+            ahead = "a script"
+        elif most.low > _top(top):
+            ahead = "a policy"
+        chance = scripts.get(DRAWS, none)
+        under = "; ".join(who for who, one in learned.items() if one.low <= _top(chance))
+        rows.append([world, best, *most[:3], script, top.value, ahead, under])
+    columns = ["world", "best", "value", "low", "high", "script", "scripted", "ahead", "chance"]
+    return pd.DataFrame(rows, columns=columns)
 
 
-def _listed(worlds: Sequence[str], among: Collection[str]) -> str:
-    return "every world" if len(worlds) == len(among) else "; ".join(worlds) or "no world"
+def ahead(found: pd.DataFrame) -> tables.Rows:
+    """The same as a table. found: as `leaders` gives it."""
+    rows = [
+        ["world", "best policy", "reward per flight", "best script", "its reward", "ahead", "not above random flight"]
+    ]
+    for one in found.to_dict("records"):
+        reward = tables.with_interval(one["value"], one["low"], one["high"])
+        script = one["script"] or tables.NOTHING, tables.number(one["scripted"])
+        rows.append([one["world"], one["best"], reward, *script, one["ahead"] or tables.NOTHING, one["chance"]])
+    return rows
 
 
 def _top(one: Interval) -> float:
@@ -416,32 +387,16 @@ def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn 
 def figures(found: Worlds, width: float = style.WIDTH) -> list[tuple[str, style.Drawn, str]]:
     """Names, figures and captions."""
     drawn = [("worlds-rewards", draw(summary(found), width), "Means and 95 % intervals over seeds; lines: scripts.")]
-    scripted = {name for (name, _), there in found.rungs.items() if there}
-    for name in ("density", "slalom"):
-        if (one := ladder(found, name, width)) is not None:
-            caption = f"The ladder {name}: policies trained in the paper's world, means over activations with Welch's"
-            caption += " 95 % intervals over seeds." + " Dotted and dashed: scripts." * (name in scripted)
-            drawn.append((f"worlds-{name}", one, caption))
+    if (one := ladder(found, "density", width)) is not None:
+        caption = (
+            "The density ladder: policies trained in the paper's world, means over activations with Welch's 95 %"
+            " intervals over seeds. Dotted and dashed: scripts."
+        )
+        drawn.append(("worlds-density", one, caption))
     return drawn
 
 
 def numbers(found: Worlds) -> dict[str, pd.DataFrame]:
     """The tables of a report, by the name of their CSV."""
-    verdicts = pd.DataFrame([one._asdict() for one in found.findings])
-    tables_ = {"places": summary(found), "places_verdicts": verdicts, "places_operating": found.operating}
-    return tables_ | {"places_runs": found.runs}
-
-
-def claims(found: Worlds) -> list[dict[str, object]]:
-    """Each claim with its grade, its bar, the rows of its parts and its first line in the table of verdicts.
-
-    It `waits` if the study has no runs for some of its parts, those beside the claim apart.
-    """
-    graded = []
-    for claim in DISCUSSION:
-        mine = of_claim(found.findings, claim.number)
-        came_to = grade(mine)
-        own = {"number": claim.number, "sentence": claim.sentence, "grade": came_to, "bar": tables.bar(came_to)}
-        own |= {"line": found.findings.index(mine[0]) + 2, "waits": any(one.standing == NO_RUNS for one in mine)}
-        graded.append(own | {"text": conclusions.sentence(claim, mine), "rows": tables.audit_rows(mine)})
-    return graded
+    places = summary(found)
+    return {"places": places, "leaders": leaders(places), "places_runs": found.runs}

@@ -16,8 +16,7 @@ from uavnav.runs.tables import RunError, read_csv
 TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
 """What a study that tunes writes into; in there its trials, which are no runs of their own; and winners, by trial."""
 DEFAULT = "default"
-HOW = {DEFAULT: "With default settings", TUNED: "Tuned with the same budget"}
-"""Settings of rows of a comparison, in words."""
+"""Settings of rows of a comparison, beside `TUNED`."""
 DIFFERENCE = "tuned − default"
 """Settings of a row that compares the winner with the default."""
 TABLE, IMPORTANCE = "trials.csv", "importance.csv"

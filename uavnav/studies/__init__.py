@@ -78,6 +78,8 @@ class Cell(NamedTuple):
     """`episodes`, sets of the bank `test` or of `layouts`, and `max_steps`; None: it is not flown."""
     across: tuple[str, ...] = ()
     """Ladders that it flies too, with as many sets and steps."""
+    study: str = ""
+    """The name of its study, which its `meta.json` keeps."""
 
     @property
     def flights(self) -> tuple[str, ...]:
@@ -201,7 +203,7 @@ def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None 
                     f"study {study.name}: cells stand for more than {MOST_CELLS:,} runs; give fewer values"
                 )
             try:
-                found += [_cell(one, out) for one in _combinations(several)]
+                found += [_cell(one, out)._replace(study=study.name) for one in _combinations(several)]
             except (ConfigError, LayoutError) as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
     for folder, number in Counter(cell.out for cell in found).items():

@@ -528,6 +528,7 @@ class Study:
             threads = machine.threads(work.cell.config, len(folders))
             with machine.use_threads(threads), Recorder(work.cell.out, work.cell.config) as own:
                 compiled = all(Run(folder).meta["compiled"] for folder in folders)
+                own.meta |= {"study": work.cell.study}
                 own.note(compiled=compiled, processes=len(folders))
                 _join_flights(work.cell, folders)
                 workers.join(own, folders)

@@ -1,0 +1,128 @@
+"""The numbers that hand-written prose quotes, and what each sentence takes for granted of them.
+
+`templates/study.md` is the prose on the committed results: a block is a sentence or a few. Beside each number stands
+the sign that its interval must have, and beside each comparison a check. A block that does not hold over a folder's
+tables is left out of that folder's report, so prose is never false. Over `results/` the tests hold every block: whoever
+changes a result rewrites the sentence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jinja2
+import pandas as pd
+
+from uavnav.report.claims import PRIMARY
+from uavnav.report.discussion import DISCUSSION, EVERY
+from uavnav.report.tables import in_brackets
+from uavnav.runs.readings import SAMPLED
+from uavnav.stats import Interval
+
+SIGNS = "+", "−", "0", ""
+"""An interval above zero, below it, across it, or anywhere."""
+
+
+class Untrue(ValueError):
+    """A sentence does not hold over these tables."""
+
+
+class Quotes:
+    """What the prose asks of a report's tables; root: the folder of the tables, with a slash."""
+
+    def __init__(self, numbers: Mapping[str, pd.DataFrame], root: str = "") -> None:
+        self.numbers, self.root = numbers, root
+
+    def table(self, name: str) -> pd.DataFrame:
+        """A table by the name of its CSV."""
+        if name not in self.numbers or self.numbers[name].empty:
+            raise Untrue(f"there is no table {name}")
+        return self.numbers[name]
+
+    def quote(
+        self,
+        name: str,
+        sign: str,
+        column: str = "value",
+        times: float = 1,
+        unit: str = "",
+        places: int | None = None,
+        **where: Any,
+    ) -> str:
+        """A number of the one row with these values, its interval and a link; negative ones without their sign.
+
+        places: decimals, where two significant digits of the interval are not wanted.
+        """
+        table = self.table(name)
+        chosen = pd.Series(True, index=table.index)
+        for key, value in where.items():
+            chosen &= table[key] == value
+        if chosen.sum() != 1:
+            raise Untrue(f"{name} has {chosen.sum()} rows of {where}")
+        place = int(chosen.to_numpy().argmax())
+        ends = ("low", "high") if column in ("value", "reward") else (f"{column}_low", f"{column}_high")
+        values = [float(table.iloc[place].get(one, float("nan"))) for one in (column, *ends)]
+        low, high = values[1:]
+        if sign and sign != ("+" if low > 0 else "−" if high < 0 else "0" if low <= high else None):
+            raise Untrue(f"{name}, {where}: {column} {low} to {high} is not {sign}")
+        times = -times if sign == "−" else times
+        value, low, high = (times * one for one in values)
+        found = Interval(value, min(low, high), max(low, high), 0)
+        return self.link(in_brackets(found, unit, places), name, place)
+
+    def claim(self, number: int, sign: str, column: str = "value", times: float = 1, unit: str = "") -> str:
+        """The effect, or its ratio to the paper's, of the part of a claim that its sentence is about."""
+        claim = next(one for one in EVERY if one.number == number)
+        reading, text = SAMPLED if claim in DISCUSSION else PRIMARY, claim.parts[claim.shown].text
+        return self.quote("verdicts", sign, column, times, unit, reading=reading, claim=number, text=text)
+
+    def graded(self, grade: str, *claims: int) -> str:
+        """How many claims have a grade: these and no others."""
+        table = self.table("verdicts")
+        others = table["claim"].isin([one.number for one in DISCUSSION])
+        grades = (
+            table[(table["reading"] == PRIMARY) | others]
+            .groupby("claim")["grade_of_claim"]
+            .first()
+            .str.split(" (", regex=False)
+            .str[0]
+        )
+        if (found := grades[grades == grade].index.tolist()) != [*claims]:
+            raise Untrue(f"claims {found} have the grade {grade}")
+        return str(len(found))
+
+    def check(self, holds: bool) -> str:
+        """Nothing, if something holds."""
+        if not holds:
+            raise Untrue("a comparison does not hold")
+        return ""
+
+    def link(self, words: str, name: str, row: int | None = None) -> str:
+        """Words that lead to a table, or to a row of it: its line in the CSV, after that of the header."""
+        return f"[{words}]({self.root}tables/{name}.csv{f'#L{row + 2}' if row is not None else ''})"
+
+
+_TEMPLATES = jinja2.Environment(loader=jinja2.PackageLoader("uavnav.report"), undefined=jinja2.StrictUndefined)
+STUDY = _TEMPLATES.get_template("study.md")
+
+
+def block(name: str, quotes: Quotes) -> str:
+    """A block of the prose, in Markdown.
+
+    Raises:
+        Untrue: it does not hold, or asks for a row that is not there.
+    """
+    methods = {one: getattr(quotes, one) for one in ("table", "quote", "claim", "graded", "check", "link")}
+    return "".join(STUDY.blocks[name](STUDY.new_context(methods))).strip()
+
+
+def prose(numbers: Mapping[str, pd.DataFrame], root: str = "") -> dict[str, str]:
+    """Every block by its name; one that does not hold is empty."""
+    found, quotes = {}, Quotes(numbers, root)
+    for name in STUDY.blocks:
+        try:
+            found[name] = block(name, quotes)
+        except (ValueError, LookupError):  # what a folder's tables lack, a comparison cannot ask for
+            found[name] = ""
+    return found

@@ -70,7 +70,7 @@ def test_updates_and_diagnostics_stay_on_their_device(meta, algorithm):
         loss = dqn.make_loss(policy, config)
     elif algorithm == "sac":
         policy, twins = (network.to("meta") for network in sac.make_networks(config))
-        loss = sac.make_loss(policy, twins, config).to("meta")
+        loss = sac.SACLoss(policy, twins, config).to("meta")
     else:
         policy, value = ppo.make_networks(config)
         loss = module.make_loss(policy, value, config).to("meta")

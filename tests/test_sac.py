@@ -10,7 +10,8 @@ from torch import nn
 from torchrl.objectives import DiscreteSACLoss
 
 from uavnav import graph
-from uavnav.algorithms.sac import PRESETS, SACConfig, following, make_learner, make_loss, make_networks, train
+from uavnav.algorithms.ppo import make_actor_critic
+from uavnav.algorithms.sac import PRESETS, SACConfig, SACLoss, following, make_learner, make_networks, train
 from uavnav.errors import ConfigError
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
@@ -35,7 +36,7 @@ def transitions(*shape, dtype=torch.float32, seed=0):
 def made(config, dtype=torch.float32):
     """Policy, twins and loss, with targets and temperatures that differ from where they begin."""
     policy, twins = (network.to(dtype) for network in make_networks(config))
-    loss = make_loss(policy, twins, config).to(dtype)
+    loss = SACLoss(policy, twins, config).to(dtype)
     with torch.no_grad():
         for target in loss.target_qvalue_network_params.values(True, True):
             target.mul_(0.5)
@@ -180,10 +181,10 @@ def test_the_gradient_of_3_agents_is_each_ones_own():
 def test_the_loss_is_torchrls_own_where_there_is_one_agent():
     """TorchRL's module itself, with one temperature and the same weights in its copies of the Q network."""
     config = SACConfig(hidden=[16], target_entropy=0.7)
-    _, twins, loss = made(config)
+    policy, twins, loss = made(config)
     own = copy.deepcopy(loss)
     theirs = DiscreteSACLoss(
-        loss.actor_network,
+        make_actor_critic(policy, twins)[0],
         type(loss.qvalue_network)(twins.first, in_keys=["observation"], out_keys=["action_value"]),
         action_space="categorical",
         loss_function="l2",
@@ -216,7 +217,7 @@ def test_the_temperature_takes_the_policys_entropy_to_its_target():
     """Two agents with rewards of their own: after 150 updates, each entropy is within 0.3 nat of 0.4 ln 100 = 1.84."""
     config = SACConfig(n_seeds=2, hidden=[16], lr=2e-2, tau=0.05, gamma=0.0, target_entropy=0.4, activation="relu")
     policy, twins = make_networks(config)
-    loss = make_loss(policy, twins, config)
+    loss = SACLoss(policy, twins, config)
     batch, learner, found = transitions(2, 64), make_learner(loss, config, compile=False), []
     for _ in range(6):
         learner.learn(batch[:, None].expand(2, 25, 64))

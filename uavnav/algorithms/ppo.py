@@ -27,7 +27,6 @@ from torchrl.objectives.value import GAE
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.losses import TraceableClipPPOLoss
 from uavnav.algorithms.replay import AgentSampler, AgentStorage
 from uavnav.errors import ConfigError
 from uavnav.networks import Init, mlp
@@ -130,6 +129,18 @@ def make_actor_critic(policy: nn.Module, value: nn.Module) -> tuple[Probabilisti
 def clip_bound(config: PPOConfig) -> float:
     """The most by which the ratio of probabilities may differ from 1."""
     return math.inf if config.clip_epsilon is None else config.clip_epsilon
+
+
+class TraceableClipPPOLoss(ClipPPOLoss):  # type: ignore[misc]
+    """TorchRL's own asks whether the entropy is finite, which no graph can be made of, and always clips."""
+
+    @property
+    def _clip_bounds(self) -> tuple[Tensor, Tensor]:
+        return (-self.clip_epsilon.clamp(max=1)).log1p(), self.clip_epsilon.log1p()
+
+    def _get_entropy(self, dist: Categorical, adv_shape: torch.Size) -> Tensor:
+        entropy: Tensor = dist.entropy()[..., None]  # type: ignore[no-untyped-call]
+        return entropy
 
 
 def make_loss(policy: nn.Module, value: nn.Module, config: PPOConfig) -> ClipPPOLoss:

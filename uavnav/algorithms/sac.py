@@ -19,15 +19,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictParams
 from torch import Tensor, nn
-from torchrl.objectives import DiscreteSACLoss
+from torchrl.objectives import LossModule
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.losses import PopulationSACLoss
-from uavnav.algorithms.ppo import make_actor_critic
 from uavnav.algorithms.replay import Replay, ReplayConfig
 from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
@@ -101,17 +99,61 @@ def make_networks(config: SACConfig) -> tuple[nn.Sequential, Twins]:
     return network("policy network", 0.01), Twins(network("first Q network", 1.0), network("second Q network", 1.0))
 
 
-def make_loss(policy: nn.Sequential, twins: Twins, config: SACConfig) -> DiscreteSACLoss:
-    """All three losses as TorchRL's DiscreteSACLoss, one a row [A, N]."""
-    actor, _ = make_actor_critic(policy, twins)
-    loss = PopulationSACLoss(
-        actor,
-        TensorDictModule(twins, in_keys=["observation"], out_keys=["action_value"]),
-        config.n_seeds,
-        target_entropy=config.target_entropy * math.log(config.world.n_actions),
-    )
-    loss.make_value_estimator(gamma=config.gamma)
-    return loss
+class SACLoss(LossModule):  # type: ignore[misc]
+    """All three losses, one a row: batches [A, N] of `Replay.draw`.
+
+    TorchRL's own DiscreteSACLoss has one temperature, which would tie the agents together, and draws its second Q
+    network from the global random state.
+    """
+
+    actor_network: TensorDictModule
+    actor_network_params: TensorDictParams
+    target_actor_network_params: None
+    qvalue_network: TensorDictModule
+    qvalue_network_params: TensorDictParams
+    target_qvalue_network_params: TensorDictParams
+
+    def __init__(self, policy: nn.Module, twins: Twins, config: SACConfig) -> None:
+        super().__init__()
+        for name, network in (("actor", policy), ("qvalue", twins)):
+            module = TensorDictModule(network, in_keys=["observation"], out_keys=["outputs"])
+            self.convert_to_functional(module, f"{name}_network", create_target_params=name == "qvalue")
+        self._has_update_associated["qvalue_network"] = True  # the targets follow in the learner
+        self.log_alpha = nn.Parameter(torch.zeros(config.n_seeds, 1, device=next(policy.parameters()).device))
+        self.gamma, self.target_entropy = config.gamma, config.target_entropy * math.log(config.world.n_actions)
+
+    def forward(self, batch: TensorDictBase) -> TensorDict:
+        """Transitions [A, N] -> `loss_actor`, `loss_qvalue` and `loss_alpha`, each [A, N]."""
+        following, alpha = batch["next"], self.log_alpha.detach().exp()[..., None]
+        with torch.no_grad():
+            pi, _ = self._policy(following)
+            log_pi = torch.where(pi == 0, 1e-8, pi).log()  # as TorchRL: 0 log 0 is 0
+            least = self._values(following, self.target_qvalue_network_params).amin(0)
+            value = (pi * (least - alpha * log_pi)).sum(-1, keepdim=True)
+            target = (following["reward"] + self.gamma * ~following["terminated"] * value).squeeze(-1)
+        values = self._values(batch, self.qvalue_network_params)
+        action = batch["action"].expand(values.shape[:-1])[..., None]
+        loss_qvalue = (values.gather(-1, action).squeeze(-1) - target).square().sum(0)
+        pi, log_pi = self._policy(batch)
+        least = self._values(batch, self.qvalue_network_params.detach()).amin(0)
+        loss_actor = (pi * (alpha * log_pi - least)).sum(-1)
+        entropy = -(log_pi * pi).sum(-1).detach()
+        loss_alpha = self.log_alpha * (entropy - self.target_entropy)
+        losses = {"loss_actor": loss_actor, "loss_qvalue": loss_qvalue, "loss_alpha": loss_alpha}
+        return TensorDict(losses, batch.batch_size)
+
+    def _policy(self, rows: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """pi and log pi: observations [A, N] -> [A, N, actions]."""
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            logits: Tensor = self.actor_network.module(rows["observation"])
+        log_pi = logits - logits.logsumexp(-1, keepdim=True)
+        return log_pi.softmax(-1), log_pi
+
+    def _values(self, rows: TensorDictBase, parameters: TensorDictParams) -> Tensor:
+        """Of both Q networks with these weights: observations [A, N] -> [2, A, N, actions]."""
+        with parameters.to_module(self.qvalue_network, preserve_module_state=False):
+            values: Tensor = self.qvalue_network.module(rows["observation"])
+        return values
 
 
 def following(tau: float) -> After:
@@ -124,7 +166,7 @@ def following(tau: float) -> After:
     return follow
 
 
-def make_learner(loss: DiscreteSACLoss, config: SACConfig, compile: bool) -> Learner:
+def make_learner(loss: SACLoss, config: SACConfig, compile: bool) -> Learner:
     """One Adam for all three losses, each at the weights before the step."""
     return Learner(
         loss,
@@ -144,7 +186,7 @@ class SAC:
         policy, twins = make_networks(config)
         self.policy, self.twins = policy.to(config.device), twins.to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
-        self.loss = make_loss(self.policy, self.twins, config)
+        self.loss = SACLoss(self.policy, self.twins, config)
         self.learner = make_learner(self.loss, config, compile)
         self.transitions = Replay(config)
         self.replay = self.transitions.buffer

@@ -203,7 +203,7 @@ def test_stable_baselines3_is_watched_in_a_process_of_its_own(tmp_path):
 def test_the_benchmarks_start_without_any_peer_installed():
     code = (
         "import sys; sys.modules.update({'stable_baselines3': None, 'sbx': None, 'jax': None});"
-        "from uavnav.bench.__main__ import BY_DEFAULT, plan; print(len(plan(BY_DEFAULT, True)))"
+        "from uavnav.cli.bench import BY_DEFAULT, plan; print(len(plan(BY_DEFAULT, True)))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert int(result.stdout) > 15

@@ -196,7 +196,8 @@ def test_the_command_writes_the_named_seed(run, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "uavnav.runs.export",
+        "uavnav",
+        "export",
         run.path,
         "--seed",
         "5",

@@ -26,7 +26,7 @@ ADDRESS = "UAVNAV_WARM"
 PATH = sys.path[1:]
 MODULES = (
     "uavnav.cli.worker",
-    "uavnav.cli.evaluate",
+    "uavnav.evaluation",
     "uavnav.views.render",
     "uavnav.report",
     "uavnav.runs.export",

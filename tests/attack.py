@@ -49,6 +49,8 @@ LEFT_TO_WORK = 5.0
 """Seconds given to a case whose work may be as long as it asks, before it is stopped."""
 LEFT_TO_TRAIN = 1.0
 """Seconds given to one that has begun to train."""
+DRAWS = "sets with goals are drawn for this world"
+"""What a case says that then takes minutes."""
 AT_ONCE = 2
 BLOCK = 50
 """Cases that one call of Hypothesis draws: to repeat one, its block alone is drawn."""
@@ -270,7 +272,7 @@ class Attempt:
             self.peak = max(self.peak, int(sizes.read().split()[1]) * resource.getpagesize())
         busy = max(1.0, os.getloadavg()[0] / len(os.sched_getaffinity(0)))  # others work here too
         seconds, patience = self.seconds * busy, LEFT_TO_WORK * busy if self.case.works else LEFT_TO_TRAIN
-        works = self.case.works or any(self.here.glob("**/progress.json"))
+        works = self.case.works or any(self.here.glob("**/progress.json")) or DRAWS in self._text("err")
         if self.peak > MEMORY:
             self._kill("memory")
         elif self.asked is not None:

@@ -70,7 +70,7 @@ class PPOConfig(TrainConfig):
     lr: float = at_least(3e-4, 0, "Adam's learning rate")
     frames_per_batch: int = at_least(2048, 1, "collected in an iteration, from all worlds", "frames a seed")
     minibatch_size: int = at_least(64, 2, "in a gradient step", "frames")
-    epochs: int = at_least(10, 1, "passes over an iteration's frames")
+    epochs: int = within(10, 1, 1_000, "passes over an iteration's frames")
     adam_eps: float = at_least(1e-5, 0, "Adam's ε")
     gae_lambda: float = within(0.95, 0, 1, "λ of the advantage estimate")
     clip_epsilon: float | None = within(0.2, 0, 1, "ε of eq. (2); null clips nothing")

@@ -13,7 +13,7 @@ from runs_by_hand import policy_bytes
 
 from uavnav import evaluation
 from uavnav.algorithms import dqn, ppo
-from uavnav.evaluation import arena, evaluate_run, fly, on
+from uavnav.evaluation import empty_arena, evaluate_run, fly, on
 from uavnav.evaluation.values import overestimation
 from uavnav.networks import mlp
 from uavnav.runs import ARENA, VALUES
@@ -50,24 +50,24 @@ def population(path, seeds=(0,), algorithm="dqn", mode="greedy", constant=None):
 
 
 def test_who_stands_still_in_the_empty_arena_does_so_for_500_steps_from_each_of_4_headings(tmp_path):
-    flown = arena.fly(population(tmp_path, (4, 5), constant=[(STOP, 1.0)] * 2))
+    flown = empty_arena.fly(population(tmp_path, (4, 5), constant=[(STOP, 1.0)] * 2))
     assert flown.groupby(["seed", "layout"]).size().to_dict() == {(s, h): 500 for s in (4, 5) for h in range(4)}
     assert {*flown["action"]} == {STOP}
-    assert len(arena.fly(population(tmp_path), steps=1)) == 4
+    assert len(empty_arena.fly(population(tmp_path), steps=1)) == 4
     with pytest.raises(ValueError, match="max_steps=0"):
-        arena.fly(population(tmp_path), steps=0)
+        empty_arena.fly(population(tmp_path), steps=0)
 
 
 def test_straight_flights_from_the_centre_end_at_the_four_walls(tmp_path):
-    flown = arena.fly(population(tmp_path, constant=[(FULL_SPEED, 1.0)]))
+    flown = empty_arena.fly(population(tmp_path, constant=[(FULL_SPEED, 1.0)]))
     assert flown.groupby("layout").size().tolist() == [39, 28, 39, 28]  # ceil(350 / 9), ceil(250 / 9)
 
 
 @pytest.mark.parametrize(("algorithm", "mode"), [("ppo", "sampled"), ("dqn", "greedy"), ("dqn", "sampled")])
 def test_in_the_empty_arena_seeds_do_not_see_each_other(tmp_path, algorithm, mode):
-    both = arena.fly(population(tmp_path, (4, 5), algorithm, mode), steps=40)
+    both = empty_arena.fly(population(tmp_path, (4, 5), algorithm, mode), steps=40)
     only = population(tmp_path, (5,), algorithm, mode)
-    pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), arena.fly(only, steps=40))
+    pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), empty_arena.fly(only, steps=40))
 
 
 # -- values against returns --------------------------------------------------------------------------------------------
@@ -144,7 +144,7 @@ def test_the_runs_own_protocol_leaves_them_and_another_does_not(train, config, t
     for mode in MODES:
         crew = {seed: load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
         own = empty[empty["mode"] == mode].drop(columns="mode").reset_index(drop=True)
-        assert own.to_numpy().tolist() == arena.fly(crew).to_numpy().tolist()
+        assert own.to_numpy().tolist() == empty_arena.fly(crew).to_numpy().tolist()
         if mode == "greedy" and run.algorithm == "dqn":
             pd.testing.assert_frame_equal(pd.read_parquet(run.path / VALUES), overestimation(crew, 0.99))
     assert (run.path / VALUES).exists() == (run.algorithm == "dqn")

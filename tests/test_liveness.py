@@ -21,7 +21,7 @@ from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, run
 from uavnav.studies.engines import logged
 from uavnav.studies.engines.local import Local
-from uavnav.studies.run import Study
+from uavnav.studies.run import Runner
 from uavnav.training import heartbeat, workers
 from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.loop import train
@@ -96,7 +96,7 @@ def study(tmp_path, warm):
         engines.append(engine)
         said = []
         cell = Cell(config, tmp_path / "out" / "ppo" / "tanh", evaluation)
-        failed = Study(tmp_path / "out", [cell], engine, say=said.append, **how).run()
+        failed = Runner(tmp_path / "out", [cell], engine, say=said.append, **how).run()
         return failed, said
 
     yield carry_out
@@ -219,7 +219,7 @@ def test_a_study_says_what_it_waits_for_and_does_not_wait_without_end(engine, wa
     said = []
     cell = Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
     with pytest.raises(RunError, match=f"no job has lived for 1 s, {waits}; engine=.* has . slots; the same command"):
-        Study(tmp_path / "out", [cell], engine, seeds_per_share=2, say=said.append).run()
+        Runner(tmp_path / "out", [cell], engine, seeds_per_share=2, say=said.append).run()
     assert 2 <= len(said) <= 3
     assert all(waits in line for line in said)
 
@@ -248,7 +248,7 @@ def test_a_job_that_lingers_after_its_last_words_is_ended_and_gives_its_place_fr
             self.cancelled.append(job)
 
     engine, cell = Lingers(), Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
-    carried = Study(tmp_path / "out", [cell], engine)
+    carried = Runner(tmp_path / "out", [cell], engine)
     before, now = (run.Job(run.Work(cell), None, handle=name) for name in ("before", "now"))
     carried._leaving = [(time.monotonic() - run.SILENT_SECONDS - 1, before), (time.monotonic(), now)]
     carried._end_what_lingers()
@@ -282,7 +282,7 @@ def test_a_check_of_machines_that_lasts_is_told_and_has_an_end(study, monkeypatc
     cell = Cell(CONFIG, Path("unused"), None)
     monkeypatch.setattr(run.Recorder, "__init__", lambda *anything: None)
     with pytest.raises(RunError, match="engine=queue: does not answer for 1 s; the same command goes on"):
-        Study(Path("unused"), [cell], Queue(), say=said.append)._check_engine()
+        Runner(Path("unused"), [cell], Queue(), say=said.append)._check_engine()
     assert len(said) == 3
     assert said[0] == f"engine=queue: does not answer for 0 s: {run.CHECK}"
 
@@ -295,7 +295,7 @@ def test_a_heart_that_beats_counts_as_stuck_where_frames_are_missing_and_flies_w
     monkeypatch.setattr(run.time, "monotonic", lambda: clock[0])
     engine = NeverBegins()
     cell = Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
-    carried = Study(tmp_path / "out", [cell], engine, say=lambda told: None)
+    carried = Runner(tmp_path / "out", [cell], engine, say=lambda told: None)
     job = run.Job(run.Work(cell), run.Share(tmp_path / "share.1", CONFIG))
     job.folder.mkdir()
     job.file("log").touch()
@@ -402,7 +402,7 @@ def test_a_heart_without_a_known_end_is_heard(tmp_path):
 
 
 def test_a_job_that_gets_no_further_for_four_hours_is_dead_although_its_heart_beats(tmp_path, monkeypatch):
-    study = Study(tmp_path / "out", [], Engine(), say=lambda line: None)
+    study = Runner(tmp_path / "out", [], Engine(), say=lambda line: None)
     job = run.Job(run.Work(Cell(CONFIG, tmp_path, None)), None)
     now, cancelled = [0.0], []
     monkeypatch.setattr(run.time, "monotonic", lambda: now[0])

@@ -23,7 +23,7 @@ from uavnav.report import report
 from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
 from uavnav.studies import Cell, engines, search, tuning
-from uavnav.studies.run import Study, Work, evaluated, let_go, make_banks, trained
+from uavnav.studies.run import Runner, Work, evaluated, let_go, make_banks, trained
 from uavnav.tasks import ladders, layouts
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import EMPTY, make_task
@@ -159,7 +159,7 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
 
         def train(cells: Sequence[Cell]) -> list[Work]:
             how = {"policies": own["policies"], "checkpoint_seconds": own["checkpoint_seconds"]}
-            run = Study(out.resolve(), cells, engine, own["seeds_per_share"], **how, tell=show.tell, say=show.say)
+            run = Runner(out.resolve(), cells, engine, own["seeds_per_share"], **how, tell=show.tell, say=show.say)
             show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(cells)} cells are left, into {out}")
             return run.run()
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError, told
-from uavnav.evaluation import arena, flights, values
+from uavnav.evaluation import empty_arena, flights, values
 from uavnav.evaluation.repeats import Repeats
 from uavnav.runs import ARENA, BEHAVIOUR, EVALUATION, VALUES, Run, policies
 from uavnav.runs.metrics import EPISODE_COLUMNS, MODES
@@ -224,7 +224,7 @@ def _end(seed: Tensor, state: State, terminated: Tensor) -> dict[str, Tensor]:
     return {"seed": seed, "frame": state.steps, "world": state.layout, **counts, **flags}
 
 
-def _watch(step: flights.Step, seed: Tensor, crew: Tensor) -> dict[str, Tensor]:
+def _watch(step: flights.Transition, seed: Tensor, crew: Tensor) -> dict[str, Tensor]:
     layout = step.states.layout[step.place]
     kept = layout < WATCHED_LAYOUTS
     return {"seed": seed[kept], "layout": layout[kept], "action": step.action[kept], CREW: crew[kept]}
@@ -313,7 +313,7 @@ def _halves(seeds: list[int], steps: int) -> tuple[list[int], list[int]]:
 
 def _beside(run: Run, crews: Mapping[str, Mapping[int, Policy]]) -> dict[str, pd.DataFrame]:
     """What else is kept of policies in the paper's world, by the name of its file; crews: by mode and seed."""
-    empty = [arena.fly(population).assign(mode=mode) for mode, population in crews.items()]
+    empty = [empty_arena.fly(population).assign(mode=mode) for mode, population in crews.items()]
     found = {ARENA: pd.concat(empty, ignore_index=True).astype(BEHAVIOUR_COLUMNS)}
     if ALGORITHMS[run.algorithm].shown == "Q value":
         found[VALUES] = values.overestimation(crews["greedy"], run.config["gamma"])

@@ -28,7 +28,7 @@ CHUNK = 256
 """Flights that one call of a compiled step moves at most."""
 
 
-class Step(NamedTuple):
+class Transition(NamedTuple):
     """One step of the flights that were up before it."""
 
     number: int  # counted from 1
@@ -73,7 +73,7 @@ def _draws(task: Task, seeds: Sequence[int], purpose: str) -> Iterator[Tensor | 
         yield streams.draw(task.draw, len(task.bank), device="cpu").flatten(0, 1) if task.n_draws else None
 
 
-def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool = False) -> Iterator[Step]:
+def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool = False) -> Iterator[Transition]:
     """Fly until every flight has ended by a collision or at the task's cap; stop whenever you have seen enough.
 
     Set `ended` of a flight, and it goes no further.
@@ -102,7 +102,7 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
             if task.remembers:
                 action = memory.executed_of(state)[place]
         ended = (outcome.terminated | outcome.truncated)[place]
-        yield Step(number, flight, place, action, behind, state, outcome, ended)
+        yield Transition(number, flight, place, action, behind, state, outcome, ended)
         observation, up = outcome.observation, ~ended
         if not up.all():
             sizes = [int(part.sum()) for part in torch.split(up, sizes)]

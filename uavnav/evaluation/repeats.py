@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uavnav.evaluation.flights import Step
+from uavnav.evaluation.flights import Transition
 from uavnav.tasks.state import COUNTS, State, at
 
 LONGEST = 512
@@ -37,7 +37,7 @@ class Repeats:
         self._states: list[State] = []  # of these
         self._rewards: list[Tensor] = []
 
-    def see(self, step: Step) -> tuple[Tensor, State] | None:
+    def see(self, step: Transition) -> tuple[Tensor, State] | None:
         """Take note of a step; which flights need not be flown on [C], and their state at the cap, if some are known.
 
         These flights are marked as ended.
@@ -68,7 +68,7 @@ class Repeats:
         self._states, self._rewards = [], []
         return None if at_cap is None else (circling, at_cap)
 
-    def _compare(self, step: Step, flight: Tensor, place: Tensor) -> None:
+    def _compare(self, step: Transition, flight: Tensor, place: Tensor) -> None:
         """Find flights [F] whose pose [n, F] is the one that was kept, and now and then keep the present one."""
         pose = torch.stack([getattr(step.states, name)[place].double() for name in pose_of(step.states)])
         if self._pose is None:

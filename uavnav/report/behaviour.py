@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from uavnav.evaluation import BEHAVIOUR_COLUMNS, flights
-from uavnav.evaluation.arena import EMPTY_ARENA, HEADINGS
+from uavnav.evaluation.empty_arena import EMPTY_ARENA, HEADINGS
 from uavnav.report.frames import MEASURES
 from uavnav.runs import ARENA, Run
 from uavnav.runs.metrics import MODES

@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from uavnav import style
-from uavnav.evaluation.arena import EMPTY_ARENA
+from uavnav.evaluation.empty_arena import EMPTY_ARENA
 from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys, worlds
 from uavnav.report.cells import Cell, algorithms, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, PRIMARY

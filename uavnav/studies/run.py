@@ -245,7 +245,7 @@ def make_banks(out: Path, numbers: Sequence[int]) -> None:
             layouts.save(layouts.generate(split.n, k, split.seed), path, seed=split.seed, split="train")
 
 
-class Study:
+class Runner:
     """A study that is carried out.
 
     Args:

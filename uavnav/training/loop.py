@@ -85,7 +85,9 @@ def train(
     if out is not None and not isinstance(out, (str, Path)):
         raise ConfigError(f"out={told(out)}; give a folder")
     checked("overwrite", overwrite, bool, {})
-    if checkpoint_seconds != math.inf:  # no snapshot but that of a stop
+    if tell is not None and not callable(tell):
+        raise ConfigError(f"tell={told(tell)}; give a function of frames and rewards")
+    if not (isinstance(checkpoint_seconds, float) and checkpoint_seconds == math.inf):  # else only a stop's snapshot
         checked("checkpoint_seconds", checkpoint_seconds, float, {"least": 0})
     checked("until", until, int | None, {"least": 1})
     names = loggers.chosen(logger)

@@ -28,6 +28,7 @@ from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.cli import commands
 from uavnav.cli.help import of_command
 from uavnav.cli.terminal import end_quietly
+from uavnav.envs.gym import DroneGymEnv
 from uavnav.errors import Parser
 from uavnav.evaluation.verify import verify
 from uavnav.runs import POLICY, Run
@@ -319,7 +320,8 @@ def _fields(kind):
 
 OF_ENVS = [name for name in _takes(uavnav.DroneEnv.__init__) if name not in ("self", "batch_size", "device")]
 CALLS = [
-    (_one, _takes(_one, *(name for name in OF_ENVS if name != "seeds"), "render_mode", *_fields(uavnav.World))),
+    (_one, _takes(_one, *(name for name in OF_ENVS if name != "seeds"), *_fields(uavnav.World))),
+    (DroneGymEnv, ["render_mode"]),  # of which gymnasium.make has an opinion of its own
     (_many, _takes(_many, *(name for name in OF_ENVS if name != "seeds"))),
     (_reset, ["layout", "heading"]),
     (_env, ["batch_size", *OF_ENVS]),

@@ -97,7 +97,8 @@ def evaluate_policy(
     checked("seed", seed, int, {})
     own = policy.task if isinstance(policy, Policy) else make_task(EMPTY)
     if task is not None or (world is not None and type(world) is not type(own.world)):
-        name = task or next((name for name, kind in TASKS.items() if kind.WORLD is type(world)), "drone")
+        of_world = next((name for name, kind in TASKS.items() if kind.WORLD is type(world)), "drone")
+        name = of_world if task is None else task
         own = make_task(EMPTY, world, reward, task=name, stack=own.stack, faults=own.faults)
     own = replace(own, world=own.world if world is None else world, reward=own.reward if reward is None else reward)
     if isinstance(policy, Policy) and own.observation_size != policy.task.observation_size:

@@ -26,7 +26,7 @@ import pandas as pd
 from uavnav import files, plugins
 from uavnav.errors import ConfigError
 from uavnav.evaluation import rows_across
-from uavnav.runs import ARENA, FINISHED, POLICY, STOP, VALUES, Run, progress, read_settings
+from uavnav.runs import ARENA, FINISHED, MOST_SEEDS, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.studies import Cell, engines
 from uavnav.studies.engines import Engine
@@ -277,6 +277,9 @@ class Runner:
         self.checkpoint_seconds = checkpoint_seconds
         self.per_share = seeds_per_share or engine.SEEDS_PER_SHARE
         self.policies = policies
+        for cell in cells:
+            if cell.config.n_seeds > MOST_SEEDS:
+                raise ConfigError(f"{cell.out}: n_seeds={cell.config.n_seeds}; give at most {MOST_SEEDS:,}")
         self.works = [Work(cell) for cell in cells if not (self._trained(cell) and evaluated(cell))]
         for cell in cells:
             Recorder(cell.out, cell.config)  # the folder of a finished one, too, may hold another run

@@ -198,11 +198,11 @@ def test_trials_that_fail_otherwise_are_not_told_and_come_back(tmp_path):
 
 
 def test_a_study_whose_trials_fail_counts_them_and_not_its_cells(tmp_path, capsys, monkeypatch):
-    class Full(study.Study):
+    class Full(study.Runner):
         def run(self):
             return [study.Work(work.cell, problem="the disk is full") for work in self.works[:5]]
 
-    monkeypatch.setattr(study, "Study", Full)
+    monkeypatch.setattr(study, "Runner", Full)
     (tmp_path / "small.yaml").write_text(SMALL)
     assert main([str(tmp_path / "small.yaml"), f"out={tmp_path / 'out'}"]) == 1
     assert capsys.readouterr().err == "uavnav study: 5 trials failed; the same command repeats them\n"

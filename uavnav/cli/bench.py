@@ -54,7 +54,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         kept = f"what was found so far is in {out}" if tables else "nothing was found yet"
         print(f"uavnav bench: stopped; {kept}", file=sys.stderr)
     return 130 if results.stopped else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

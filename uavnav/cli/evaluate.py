@@ -152,7 +152,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         complain("evaluate", policies.as_option(error))
         return 2
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 from uavnav import plugins
@@ -26,7 +25,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     print(f"{path}: observation [N, {policy.task.observation_size}] -> values [N, {policy.world.n_actions}]")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

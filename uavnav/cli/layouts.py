@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 from uavnav.cli import commands
@@ -39,7 +38,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         complain("layouts", error)
         return 2
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -157,7 +156,3 @@ def main(argv: list[str] | None = None) -> int:
     if lost := len(game.flights):
         print(f"{rules.counted(lost)} by hand {'was' if lost == 1 else 'were'} not saved")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 from uavnav import files, plugins
@@ -29,7 +28,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         complain("playground", f"left out: {line}")
     print(f"{arguments.out}: policies: {len(found)}; open it in a browser")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

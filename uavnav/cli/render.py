@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -52,7 +51,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{flight.pilot.title}: {told}{flight.ended and f', {flight.ended}'}")
     print(f"wrote {arguments.out}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -28,7 +28,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         complain("report", f"left out: {line}")
     print(f"the report is in {written.path}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

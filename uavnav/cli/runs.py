@@ -8,7 +8,6 @@ from __future__ import annotations
 import datetime
 import json
 import os
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -167,7 +166,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         rows.sort(key=order(arguments.sort))
     print(json.dumps(rows, indent=2) if arguments.json else table(rows))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

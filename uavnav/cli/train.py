@@ -247,7 +247,3 @@ def _next(finished: Run, names: Sequence[str]) -> str:
     root = str(run) if run.is_absolute() or run.parts[:1] in ((), ("..",)) else run.parts[0]
     compare = ["uavnav", "report", root, "--out", "report", *with_plugins]
     return f"watch it:    {shlex.join(watch)}\ncompare it:  {shlex.join(compare)}"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -32,7 +32,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     print("\n".join(verdict.lines))
     return 0 if verdict.same else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,9 +1,9 @@
 """The process of a share of a run's seeds: it trains them as a run of its own.
 
-It gets its settings as JSON. A process that started it (`shares`) gives them on the standard input and hears its
-progress as lines of JSON; the share saves and ends when that process is gone. A study (`uavnav.studies`) names a file,
-from which a share on another machine may read them; nobody listens then, and the share writes beside the file how it
-ended.
+It gets its settings as JSON. A process that started it (`training.workers`) gives them on the standard input and hears
+its progress as lines of JSON; the share saves and ends when that process is gone. A study (`uavnav.studies`) names a
+file, from which a share on another machine may read them; nobody listens then, and the share writes beside the file how
+it ended.
 """
 
 from __future__ import annotations

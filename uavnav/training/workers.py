@@ -1,7 +1,7 @@
 """A run's seeds spread over processes: each trains its share of them as a run of its own.
 
 The shares lie in `checkpoint/` below the run's folder, every one with its own snapshots, and are put together when all
-have finished. What happens in the process of a share is in `share`.
+have finished. What happens in the process of a share is in `cli.worker`.
 
 A share may be given to another machine. Its folder then gets the next name, `seeds-0-9.2` after `seeds-0-9.1`: the
 former owner, if it lives on, finds its folder gone and can no longer write.

@@ -179,7 +179,7 @@ def test_results_and_the_readmes_block_have_a_row_a_claim_with_its_grade_and_bar
     assert rows[2][0][0] == f"{'▱' * 9} does not"
     assert rows[3][0][0] == "– open"
     assert rows[11][0][0] == "– context"
-    assert rows[1][0][1] == "No finished run."  # of two cells, one a claim's, there is no mean of four
+    assert rows[1][0][1] == "Some of its runs are missing."  # of two cells, one a claim's, there is no mean of four
     assert "1 to 2 seeds of 1,000 frames" in text
     assert "**Not complete:** 2 of the paper's 8 cells have finished; dqn sigmoid," in text
     assert too_long(text) == []

@@ -148,7 +148,7 @@ def test_a_claim_without_a_sentence_shows_its_part_and_the_row(gathered):
     rows = evidence.rows(gathered, dict.fromkeys(BLOCKS, ""))
     assert [row.number for row in rows] == [claim.number for claim in CLAIMS]
     shown = {row.number: row.said for row in rows}
-    assert shown[1] == "No finished run."  # of two cells, one a claim's, there is no mean of four
+    assert shown[1] == "Some of its runs are missing."  # of two cells, one a claim's, there is no mean of four
 
 
 def test_the_papers_seven_contradictions_need_no_run_of_ours(numbers):

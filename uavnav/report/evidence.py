@@ -51,7 +51,7 @@ def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quote
     verdicts = content.tables["verdicts"]
     lines = verdicts.index[(verdicts["reading"] == decides) & (verdicts["claim"] == claim.number)]
     effect = quotes.link(tables.effect(shown), "verdicts", int(lines[claim.shown]))
-    generic = f"{shown.text}: {effect}" if shown.n else "No finished run."
+    generic = f"{shown.text}: {effect}" if shown.n else "Some of its runs are missing."
     return Row(
         claim.number,
         claim.sentence,

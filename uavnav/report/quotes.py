@@ -20,9 +20,6 @@ from uavnav.report.tables import in_brackets
 from uavnav.runs.readings import SAMPLED
 from uavnav.stats import Interval
 
-SIGNS = "+", "−", "0", ""
-"""An interval above zero, below it, across it, or anywhere."""
-
 
 class Untrue(ValueError):
     """A sentence does not hold over these tables."""
@@ -52,6 +49,7 @@ class Quotes:
     ) -> str:
         """A number of the one row with these values, its interval and a link; negative ones without their sign.
 
+        sign: of its interval: `+` above zero, `−` below it, `0` across it, and an empty one anywhere.
         places: decimals, where two significant digits of the interval are not wanted.
         """
         table = self.table(name)

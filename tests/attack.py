@@ -37,8 +37,8 @@ import warm
 
 LINE = 300
 """Characters of a line that refuses."""
-MEMORY = 3 * 2**30
-"""Bytes that a case may hold at its peak."""
+MEMORY = 3.0
+"""GiB that a case may hold at its peak."""
 ROOM = 12 * 2**30
 """Bytes of addresses that a case may take beside those that it begins with."""
 FILE = 2 * 2**30
@@ -206,8 +206,9 @@ def scratch_folder():
 class Attempt:
     """A case that is under way, in a fork."""
 
-    def __init__(self, name, case, good, scratch, seconds):
+    def __init__(self, name, case, good, scratch, seconds, memory):
         self.name, self.case, self.scratch, self.seconds = name, case, scratch / name.replace(":", "-"), seconds
+        self.memory = memory * 2**30
         self.here = self.scratch / "one" / "here"  # `..` leads nowhere else
         self.here.parent.mkdir(parents=True)
         shutil.copytree(good, self.here, symlinks=True)
@@ -260,7 +261,7 @@ class Attempt:
         self.kill_all()
         self.peak = max(self.peak, used.ru_maxrss * 1024)
         said, complained, changed = (self._text(name) for name in ("out", "err", "changed"))
-        killed = self.killed or ("memory" if self.peak > MEMORY else "")
+        killed = self.killed or ("memory" if self.peak > self.memory else "")
         if not (self.scratch / "ready").exists():
             complained += "\nTraceback of the attack itself: its input could not be made"
         shutil.rmtree(self.scratch, ignore_errors=True)
@@ -273,7 +274,7 @@ class Attempt:
         busy = max(1.0, os.getloadavg()[0] / len(os.sched_getaffinity(0)))  # others work here too
         seconds, patience = self.seconds * busy, LEFT_TO_WORK * busy if self.case.works else LEFT_TO_TRAIN
         works = self.case.works or any(self.here.glob("**/progress.json")) or DRAWS in self._text("err")
-        if self.peak > MEMORY:
+        if self.peak > self.memory:
             self._kill("memory")
         elif self.asked is not None:
             if now - self.asked > seconds:
@@ -300,7 +301,7 @@ class Attempt:
         return path.read_text(errors="backslashreplace")[: 2**20] if path.exists() else ""
 
 
-def run(named, good, seconds=SECONDS):
+def run(named, good, seconds=SECONDS, memory=MEMORY):
     """Run cases, a few at a time; yields the name of each, the case, and how it ended."""
     with scratch_folder() as scratch:
         waiting, under_way, more = iter(named), [], True
@@ -310,7 +311,7 @@ def run(named, good, seconds=SECONDS):
                     name, case = next(waiting, (None, None))
                     more = name is not None
                     if more:
-                        under_way.append(Attempt(name, case, good, scratch, seconds))
+                        under_way.append(Attempt(name, case, good, scratch, seconds, memory))
                 time.sleep(0.01)
                 for one in list(under_way):
                     if (ended := one.ended()) is not None:
@@ -333,11 +334,11 @@ def table(counts):
     return "\n".join(lines)
 
 
-def attack(kinds, each, seed, good, seconds):
+def attack(kinds, each, seed, good, seconds, memory):
     """Run so many cases of each class; returns how many of each verdict, and a line for each that failed."""
     counts, failed = {kind: Counter() for kind in kinds}, []
     for kind in kinds:
-        for name, case, ended in run(cases(kind, seed, each), good, seconds):
+        for name, case, ended in run(cases(kind, seed, each), good, seconds, memory):
             verdict, why = judge(ended)
             counts[kind][verdict] += 1
             if verdict not in GOOD:
@@ -354,6 +355,7 @@ def main():
     parser.add_argument("--case", metavar="CLASS:SEED:INDEX", help="one case again, with all that it says")
     parser.add_argument("--list", action="store_true", help="say what would be tried, and try nothing")
     parser.add_argument("--seconds", type=float, default=SECONDS, help=f"given to a case (default: {SECONDS:.0f})")
+    parser.add_argument("--memory", type=float, default=MEMORY, help=f"GiB for a case (default: {MEMORY:.0f})")
     given = parser.parse_args()
     each = -(-given.n // len(given.kinds))
     if given.list:
@@ -368,10 +370,10 @@ def main():
         if given.case:
             case = case_named(given.case)
             print(f"{case.told[:2000]!r}")
-            [(_, _, ended)] = run([(given.case, case)], good, given.seconds)
+            [(_, _, ended)] = run([(given.case, case)], good, given.seconds, given.memory)
             print(ended.said, ended.complained, f"changed: {ended.changed}", ": ".join(judge(ended)), sep="\n")
             return judge(ended)[0] not in GOOD
-        counts, failed = attack(given.kinds, each, given.seed, good, given.seconds)
+        counts, failed = attack(given.kinds, each, given.seed, good, given.seconds, given.memory)
     print(table(counts))
     return bool(failed)
 

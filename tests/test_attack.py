@@ -37,7 +37,7 @@ def attacked(*words):
 
 @pytest.fixture(scope="module")
 def outcome():
-    return attacked("--n", str(EACH * len(CLASSES)), "--seed", "0")
+    return attacked("--n", str(EACH * len(CLASSES)), "--seed", "0", "--seconds", "60")
 
 
 @pytest.mark.parametrize("kind", CLASSES)
@@ -51,7 +51,8 @@ def test_hostile_input_is_refused_in_one_line_or_accepted(kind, outcome):
 
 @pytest.fixture(scope="module")
 def planted():
-    return attacked("--class", "planted", "--n", "8", "--seconds", "5")
+    """A machine may need many seconds to hand out 4 GiB, so the bound of memory is met long before that of time."""
+    return attacked("--class", "planted", "--n", "8", "--seconds", "15", "--memory", "1")
 
 
 @pytest.mark.parametrize("verdict", ["traceback", "hang", "memory", "long line", "half-written"])

@@ -4,7 +4,7 @@ BIN := .venv/bin
 RESULTS ?= results
 ENGINE ?= engine=local
 
-.PHONY: train test study one-world initial tuned sensitivity wide why algorithms worlds tuning baselines report docs help layouts picture clean
+.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds tuning baselines report docs help layouts picture clean
 
 train: .venv/.installed
 	$(BIN)/uavnav train ppo activation=relu
@@ -28,7 +28,7 @@ test: .venv/.installed-dev
 study: .venv/.installed
 	$(BIN)/uavnav study paper out=$(RESULTS) $(ENGINE)
 
-one-world initial tuned sensitivity wide why algorithms worlds: .venv/.installed
+vectorised initial tuned sensitivity wide why algorithms worlds: .venv/.installed
 	$(BIN)/uavnav study $@ out=$(RESULTS) report=false $(ENGINE)
 
 tuning: .venv/.installed-dev # Optuna comes with what tests need
@@ -52,8 +52,8 @@ layouts: .venv/.installed # the banks that ship with the package, again
 	$(BIN)/uavnav layouts --task goal --out uavnav/tasks/banks
 
 picture: .venv/.installed # the flights in the README, and the window in docs/start.md
-	$(BIN)/python docs/film.py $(RESULTS)/ppo/sigmoid $(RESULTS)/dqn/sigmoid reactive
-	$(BIN)/python docs/window.py $(RESULTS)/ppo/relu $(RESULTS)/dqn/relu
+	$(BIN)/python docs/film.py $(RESULTS)/vectorised/ppo/sigmoid $(RESULTS)/vectorised/dqn/sigmoid reactive
+	$(BIN)/python docs/window.py $(RESULTS)/vectorised/ppo/relu $(RESULTS)/vectorised/dqn/relu
 
 clean:
 	rm -rf .venv build *.egg-info

@@ -51,7 +51,7 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
     root = Path(config.config_file_path).parent / GENERATED
     for path in sorted(path for pattern in PARTS for path in root.glob(pattern)):
         files.append(File.generated(config, REPORT + path.relative_to(root).as_posix(), abs_src_path=str(path)))
-    if live := flown(Path(config.config_file_path).parent / GENERATED):
+    if live := flown(Path(config.config_file_path).parent / GENERATED / "vectorised"):
         files.append(File.generated(config, FLY, content=live))
     return files
 
@@ -76,7 +76,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     """Links to notebooks lead to their pages, others out of docs/ become paths; a file that is missing is a warning."""
     root = Path(config.config_file_path).parent
     markdown = OF_REPORT.sub(rf"]({REPORT}\1)", markdown.replace(".ipynb)", ".md)"))
-    if FLIES in markdown and any((root / GENERATED).glob(f"*/*/{POLICY}")):
+    if FLIES in markdown and any((root / GENERATED).rglob(POLICY)):
         markdown = markdown.replace(FLIES, f" [Fly it here]({FLY}).")
 
     def path_of(link: re.Match[str]) -> str:

@@ -23,7 +23,9 @@ EVALUATION_SECONDS = 95.0
 
 def share_seconds(results: Path) -> list[float]:
     """One number a cell."""
-    metas = sorted(path for algorithm in ("ppo", "dqn") for path in (results / algorithm).glob("*/meta.json"))
+    metas = sorted(
+        path for algorithm in ("ppo", "dqn") for path in (results / "vectorised" / algorithm).glob("*/meta.json")
+    )
     return [json.loads(path.read_text())["wall_seconds"] + START_SECONDS + EVALUATION_SECONDS for path in metas]
 
 

@@ -17,7 +17,7 @@ import yaml
 from uavnav.runs.paper import TABLES
 from uavnav.runs.tables import write_table
 
-RESULTS = Path(__file__).parent.parent / "results"
+RESULTS = Path(__file__).parent.parent / "results" / "vectorised"
 
 
 def copy(cell: Path, out: Path, seeds: int) -> None:

@@ -41,7 +41,7 @@ from uavnav.training.recorder import Interrupted
 
 TYPED = (ValueError, TypeError, RunError, gymnasium.error.Error)
 """What the library may raise; ConfigError, LayoutError and PolicyError are ValueErrors."""
-SMALL = {"total_frames": 64, "n_worlds": 2, "hidden": [4], "compile": "off"}
+SMALL = {"total_frames": 64, "n_envs": 2, "hidden": [4], "compile": "off"}
 OWN = {
     "ppo": {"frames_per_batch": 64, "minibatch_size": 32, "epochs": 1},
     **{name: {"learning_starts": 16, "batch_size": 8, "buffer_size": 256} for name in ("dqn", "c51", "sac")},

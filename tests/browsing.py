@@ -134,7 +134,7 @@ def playground(tmp_path_factory):
     from uavnav.views.browser.playground import collect, page
 
     path = tmp_path_factory.mktemp("playground") / "playground.html"
-    path.write_text(page(collect([RESULTS])[0]))
+    path.write_text(page(collect([RESULTS / "vectorised"])[0]))
     return path
 
 

@@ -16,7 +16,7 @@ from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.training.config import TrainConfig
 from uavnav.training.weights import serialize
 
-CONFIG = {"preset": "paper", "total_frames": 1000, "n_worlds": 16, "reward": "eq14", "init": "default", "lr": 1e-4}
+CONFIG = {"preset": "vectorised", "total_frames": 1000, "n_envs": 16, "reward": "eq14", "init": "default", "lr": 1e-4}
 BANK = {"n": "10000", "k": "8", "split": "train", "generator_seed": "0", "sha256": "abc"}
 
 

@@ -31,7 +31,7 @@ def made_up(*shape, dtype=torch.float32, seed=0):
 
 def test_the_targets_of_5_steps_are_the_returns_by_hand_and_a_cap_bootstraps_its_own_last_observation():
     """Straight ahead at 9 px: 0.09 a step, the cap after the third; lambda = 1, so that V enters at the ends alone."""
-    a2c = A2CConfig(n_worlds=1, lr=0.0, max_steps=3).make(compile=False)
+    a2c = A2CConfig(n_envs=1, lr=0.0, max_steps=3).make(compile=False)
     env = uavnav.DroneEnv([1, 1], max_steps=3)
     batch = env.rollout(5, lambda td: td.set("action", torch.full((1, 1), 9)), break_when_any_done=False)
     assert batch["next", "truncated"].flatten().tolist() == [False, False, True, False, False]
@@ -72,7 +72,7 @@ def test_one_update_of_a_rollout_from_sb3s_own_weights_equals_sb3s_train(activat
     theirs = peers.on_policy(stable_baselines3.A2C, activation, steps=40, max_steps=12, **shared)
     config = A2CConfig(
         activation=activation,
-        n_worlds=2,
+        n_envs=2,
         n_steps=40,
         entropy_coeff=0.02,
         critic_coeff=0.7,
@@ -138,8 +138,8 @@ def test_20_updates_of_2_agents_are_those_of_torchs_rmsprop_on_the_loss_by_hand(
 
 
 def test_the_preset_paper_is_sb3s_a2c_at_16_worlds():
-    p = PRESETS["paper"]
-    assert (p.lr, p.rms_eps, p.n_steps, p.n_worlds) == (7e-4, 1e-5, 5, 16)
+    p = PRESETS["vectorised"]
+    assert (p.lr, p.rms_eps, p.n_steps, p.n_envs) == (7e-4, 1e-5, 5, 16)
     assert (p.gamma, p.gae_lambda, p.critic_coeff, p.entropy_coeff, p.max_grad_norm) == (0.99, 1.0, 0.5, 0.0, 0.5)
     assert (p.hidden, p.init, p.total_frames, p.iterations) == ((64, 64), "orthogonal", 10**6, 12_500)
 

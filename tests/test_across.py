@@ -124,7 +124,7 @@ def test_a_script_reads_distances_right_where_a_sensor_reaches_less_far(name):
 
 
 def test_scripts_are_left_out_where_a_run_chooses_among_other_turns(tmp_path):
-    small = {"total_frames": 64, "n_worlds": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
+    small = {"total_frames": 64, "n_envs": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
     run = ppo.train(ppo.PPOConfig(**small, world={"n_turns": 4}), tmp_path / "run", quiet=True)
     said = []
     found = across.across({"mine": run}, ["sticky"], 2, 20, None, True, said.append)
@@ -153,7 +153,7 @@ def test_the_first_rung_of_noise_is_the_evaluation_itself():
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    config = ppo.PPOConfig(total_frames=64, n_worlds=2, frames_per_batch=64, hidden=(8,), epochs=1, n_seeds=2)
+    config = ppo.PPOConfig(total_frames=64, n_envs=2, frames_per_batch=64, hidden=(8,), epochs=1, n_seeds=2)
     return ppo.train(config, out=tmp_path_factory.mktemp("across") / "mine", quiet=True)
 
 
@@ -172,7 +172,7 @@ def test_a_run_keeps_a_row_an_episode_and_a_figure_a_ladder_and_stays_the_run_it
 
 @pytest.mark.parametrize(("given", "caps"), [(None, (2000, 1000)), (1500, (1500, 1500))])
 def test_each_run_flies_by_the_cap_of_its_own_task_unless_one_is_given(given, caps, run, tmp_path, monkeypatch):
-    config = ppo.PPOConfig(task="goal", total_frames=64, n_worlds=2, frames_per_batch=64, hidden=(8,), epochs=1)
+    config = ppo.PPOConfig(task="goal", total_frames=64, n_envs=2, frames_per_batch=64, hidden=(8,), epochs=1)
     goal = ppo.train(config, out=tmp_path / "goal", quiet=True)
     flown, told, climb = {}, [], across.climb
 

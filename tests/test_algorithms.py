@@ -25,7 +25,7 @@ from uavnav.tasks.rewards import BOUNDS, REWARDS, Bounds
 from uavnav.training.loop import make_collector, make_env, train
 from uavnav.training.recorder import Interrupted, Recorder
 
-SMALL = {"n_seeds": 2, "n_worlds": 8, "total_frames": 640, "hidden": (16,), "lr": 1e-2, "compile": "off"}
+SMALL = {"n_seeds": 2, "n_envs": 8, "total_frames": 640, "hidden": (16,), "lr": 1e-2, "compile": "off"}
 """Of every run here."""
 TINY = {
     "ppo": {"frames_per_batch": 128, "epochs": 2},

@@ -35,7 +35,7 @@ def compared(mine, theirs):
 
 
 def label(library, n_envs):
-    return f"{LABELS[library]}, {n_envs} world{'s' if n_envs > 1 else ''}"
+    return f"{LABELS[library]}, {n_envs} environment{'s' if n_envs > 1 else ''}"
 
 
 def expected(areas):

@@ -210,14 +210,14 @@ def test_it_trains_where_the_tasks_reward_has_bounds_and_where_its_support_is_gi
     if not bounded:
         monkeypatch.delitem(BOUNDS, "goal")
     given_ = {} if bounded else {"v_min": -20, "v_max": 20}
-    words = ["train", "c51", "task=goal", "total_frames=64", "n_worlds=4", "learning_starts=8", "buffer_size=64"]
+    words = ["train", "c51", "task=goal", "total_frames=64", "n_envs=4", "learning_starts=8", "buffer_size=64"]
     words += [f"{name}={value}" for name, value in given_.items()]
     assert main([*words, "hidden=[4]", "evaluate=false", f"out={tmp_path}", "--quiet"]) == 0
     assert load_policy(tmp_path).task.reward == "goal"
 
 
 def test_the_presets_are_the_authors_numbers_dqns_fast_and_three_parts_of_rainbow():
-    p = PRESETS["paper"]
+    p = PRESETS["vectorised"]
     assert (p.n_atoms, p.lr, p.adam_eps, p.batch_size, p.epsilon_end) == (51, 2.5e-4, 0.01 / 32, 32, 0.01)
     assert (p.double, p.dueling, p.n_steps, p.target_update_frames, p.frames_per_update) == (False, False, 1, 10_000, 4)
     r = PRESETS["rainbow-lite"]
@@ -232,7 +232,7 @@ def test_the_presets_are_the_authors_numbers_dqns_fast_and_three_parts_of_rainbo
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Two seeds of rainbow-lite under a cap."""
-    settings = {"n_seeds": 2, "n_worlds": 8, "total_frames": 320, "learning_starts": 64, "frames_per_update": 8}
+    settings = {"n_seeds": 2, "n_envs": 8, "total_frames": 320, "learning_starts": 64, "frames_per_update": 8}
     settings |= {"max_steps": 12, "compile": "off", **SMALL, "preset": "rainbow-lite"}
     return train(C51Config(**settings), tmp_path_factory.mktemp("rainbow") / "run", quiet=True)
 
@@ -272,7 +272,7 @@ def test_stopped_after_160_of_320_frames_and_resumed_it_ends_the_same(run, tmp_p
 @pytest.mark.parametrize("kind", [C51Config, DQNConfig])
 def test_compiled_updates_of_a_dueling_network_from_several_steps_are_eager_ones(kind):
     """Double, three steps, caps of five: what each row says of its steps reaches the graph."""
-    small = {"n_seeds": 2, "n_worlds": 8, "total_frames": 256, "learning_starts": 64, "hidden": (16,), "lr": 1e-3}
+    small = {"n_seeds": 2, "n_envs": 8, "total_frames": 256, "learning_starts": 64, "hidden": (16,), "lr": 1e-3}
     config = kind(**small, n_steps=3, max_steps=5, double=True, dueling=True, target_update_frames=64)
     flown = make_collector(make_env(config, False), config.make(compile=False).actor, config)
     eager, compiled = (config.make(compile=compile) for compile in (False, True))

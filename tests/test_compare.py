@@ -104,10 +104,10 @@ def test_runs_of_two_worlds_are_said_in_one_line_not_to_be_of_one_measure(tmp_pa
 
 
 def test_scripts_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_papers():
-    drone, moving = "results/worlds/paper/drone/ppo/tanh", "results/worlds/paper/moving/ppo/tanh"
+    drone, moving = "results/worlds/vectorised/drone/ppo/tanh", "results/worlds/vectorised/moving/ppo/tanh"
     protocol = header("test", 2, 9)
     flown = [compare._flown("straight", protocol, None, run).place for run in (drone, moving)]
-    run, kept = contend(["results/ppo/tanh", "reactive"])
+    run, kept = contend(["results/vectorised/ppo/tanh", "reactive"])
     assert [one["task"] for one in flown] == ["drone", "moving"]
     assert apart([run, kept]) == ""
     assert "sensor_arc" not in run.place
@@ -115,13 +115,20 @@ def test_scripts_fly_in_the_world_of_the_first_run_and_kept_rows_are_of_the_pape
 
 def test_committed_runs_are_compared_without_torch():
     code = "import sys; from uavnav.cli.compare import main; main(sys.argv[1:]); sys.exit('torch' in sys.modules)"
-    words = [sys.executable, "-c", code, "results/tuned/ppo/tanh", "results/tuned/ppo/sigmoid", "reactive"]
+    words = [
+        sys.executable,
+        "-c",
+        code,
+        "results/algorithms/fast/ppo/tanh",
+        "results/algorithms/fast/ppo/sigmoid",
+        "reactive",
+    ]
     assert subprocess.run(words, capture_output=True, check=False).returncode == 0
 
 
 def test_a_scripts_rows_beside_a_run_are_those_that_it_flies():
-    _, kept = contend(["results/ppo/tanh", "reactive"])
-    flown = compare._flown("reactive", header("test", 20, MAX_STEPS), None, "results/ppo/tanh").flights
+    _, kept = contend(["results/vectorised/ppo/tanh", "reactive"])
+    flown = compare._flown("reactive", header("test", 20, MAX_STEPS), None, "results/vectorised/ppo/tanh").flights
     mine = kept.flights[kept.flights["layout"] < 20].reset_index(drop=True)
     pd.testing.assert_frame_equal(mine[flown.columns], flown)
 
@@ -136,7 +143,7 @@ def test_columns_are_named_without_the_folders_that_runs_share():
 
 
 def test_a_committed_run_is_read_and_not_flown():
-    (run,) = contend(["results/ppo/tanh"])
+    (run,) = contend(["results/vectorised/ppo/tanh"])
     assert len(run.flights) == 20 * EPISODES
     assert run.cell is not None
 
@@ -144,7 +151,7 @@ def test_a_committed_run_is_read_and_not_flown():
 def test_what_is_no_run_flies_as_the_first_run_was_flown(monkeypatch):
     short = made_up("short", [1.0, 2.0], protocol=header("test", 3, 40))
     monkeypatch.setattr(compare, "_of_run", lambda name: short)
-    file = "results/tuned/ppo/tanh/policy.safetensors"
+    file = "results/algorithms/fast/ppo/tanh/policy.safetensors"
     _, rule, policy = contend(["short", "reactive", file])
     assert rule.protocol == policy.protocol == short.protocol
     assert rule.flights["steps"].tolist() == [40] * 3
@@ -157,8 +164,11 @@ def test_what_is_no_run_flies_as_the_first_run_was_flown(monkeypatch):
     ("words", "said"),
     [
         (["reactive"], "reactive: there is nothing to compare it with; give at least two, such as reactive"),
-        (["results/ppo/tanh", "results/ppo/tanhh"], "(did you mean results/ppo/tanh?)"),
-        (["results/ppo/tanh", "reactiv"], "(did you mean reactive?)"),
+        (
+            ["results/vectorised/ppo/tanh", "results/vectorised/ppo/tanhh"],
+            "(did you mean results/vectorised/ppo/tanh?)",
+        ),
+        (["results/vectorised/ppo/tanh", "reactiv"], "(did you mean reactive?)"),
     ],
 )
 def test_what_cannot_be_compared_is_said_in_one_line(words, said, capsys):

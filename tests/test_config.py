@@ -57,7 +57,7 @@ WRONG = [
     ({"init": "xavier"}, "init=xavier; choose from default, orthogonal"),
     ({"compile": "maybe"}, "compile=maybe; choose from auto, off, on"),
     ({"device": "gpu"}, "device=gpu; choose cpu, or a device that this machine has"),
-    ({"n_worlds": 0}, "n_worlds=0; give a number of at least 1"),
+    ({"n_envs": 0}, "n_envs=0; give a number of at least 1"),
 ]
 
 
@@ -78,7 +78,7 @@ def test_a_wrong_setting_is_one_line_that_names_it(kind, settings, message):
         (PPOConfig, {"minibatch_size": 100}, "minibatch_size=100; give a divisor of frames_per_batch=2048"),
         (PPOConfig, {"batch_size": 3}, "there is no key 'batch_size'"),
         (DQNConfig, {"loss": "l1"}, "loss=l1; choose from huber, squared"),
-        (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give more than n_worlds=64"),
+        (DQNConfig, {"buffer_size": 8}, "buffer_size=8; give more than n_envs=64"),
         (DQNConfig, {"epochs": 3}, "there is no key 'epochs'"),
         (A2CConfig, {"minibatch_size": 64}, "there is no key 'minibatch_size'"),
         (SACConfig, {"tau": 1.1}, "tau=1.1; give a number of at least 0 and at most 1"),
@@ -133,21 +133,21 @@ def test_one_million_frames_are_run_in_whole_iterations():
 
 
 def test_the_preset_paper_of_ppo_is_sb3s_defaults():
-    p = PPO_PRESETS["paper"]
+    p = PPO_PRESETS["vectorised"]
     assert (p.lr, p.adam_eps, p.frames_per_batch, p.minibatch_size, p.epochs) == (3e-4, 1e-5, 2048, 64, 10)
     assert (p.gamma, p.gae_lambda, p.clip_epsilon, p.critic_coeff, p.entropy_coeff) == (0.99, 0.95, 0.2, 0.5, 0.0)
-    assert (p.max_grad_norm, p.hidden, p.init, p.n_worlds, p.total_frames) == (0.5, (64, 64), "orthogonal", 16, 10**6)
+    assert (p.max_grad_norm, p.hidden, p.init, p.n_envs, p.total_frames) == (0.5, (64, 64), "orthogonal", 16, 10**6)
 
 
 def test_the_preset_paper_of_dqn_is_sb3s_defaults_and_paper_2_3_learns_from_frame_100():
-    p = DQN_PRESETS["paper"]
+    p = DQN_PRESETS["vectorised"]
     assert (p.lr, p.adam_eps, p.buffer_size, p.learning_starts, p.batch_size) == (1e-4, 1e-8, 10**6, 50_000, 32)
     assert (p.gamma, p.frames_per_update, p.target_update_frames, p.loss) == (0.99, 4, 10_000, "huber")
     assert (p.epsilon_start, p.epsilon_end, p.exploration_fraction, p.max_grad_norm) == (1.0, 0.05, 0.1, 10.0)
-    assert (p.hidden, p.init, p.n_worlds, p.total_frames) == ((64, 64), "default", 64, 10**6)
-    newer = DQN_PRESETS["paper-2.3"]
+    assert (p.hidden, p.init, p.n_envs, p.total_frames) == ((64, 64), "default", 64, 10**6)
+    newer = DQN_PRESETS["vectorised-2.3"]
     assert {key: value for key, value in vars(newer).items() if vars(p)[key] != value} == {
-        "preset": "paper-2.3",
+        "preset": "vectorised-2.3",
         "learning_starts": 100,
     }
 
@@ -171,15 +171,15 @@ def test_each_preset_bears_its_own_name_and_no_other_name_is_taken(kind, presets
 
 def test_a_preset_named_in_python_sets_its_values_and_a_given_one_goes_before():
     assert PPOConfig(preset="fast") == PPO_PRESETS["fast"]
-    assert PPOConfig(preset="fast").n_worlds == 128
-    assert PPOConfig(preset="fast", n_worlds=64).n_worlds == 64
-    assert DQNConfig(preset="paper-2.3").learning_starts == 100
+    assert PPOConfig(preset="fast").n_envs == 128
+    assert PPOConfig(preset="fast", n_envs=64).n_envs == 64
+    assert DQNConfig(preset="vectorised-2.3").learning_starts == 100
     assert dataclasses.replace(PPO_PRESETS["fast"], lr=0.5).beyond_preset() == {"lr": 0.5}
     assert pickle.loads(pickle.dumps(PPO_PRESETS["fast"])) == PPO_PRESETS["fast"]
 
 
 def test_what_a_run_changes_of_its_preset_is_named_but_for_what_every_table_says():
-    changed = PPOConfig(lr=1e-3, hidden=[32], n_worlds=32, activation="relu", seed=3)
+    changed = PPOConfig(lr=1e-3, hidden=[32], n_envs=32, activation="relu", seed=3)
     assert changed.beyond_preset() == {"lr": 1e-3, "hidden": [32]}
     elsewhere = PPOConfig(world={"sensor_arc": 90, "slots": "listed"}, reward="initial")
     assert elsewhere.beyond_preset() == {"reward": "initial", "world.sensor_arc": 90.0, "world.slots": "listed"}

@@ -97,11 +97,11 @@ def unspecified(monkeypatch):
 def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(unspecified):
     """What an iteration does but for TorchRL's buffer, and the recorder, which takes numbers to the CPU."""
     config = ppo.PPOConfig(n_seeds=2, frames_per_batch=128, minibatch_size=64, epochs=1)
-    env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds, task=config.make_task())
+    env = DroneEnv([2, config.n_envs], device="meta", seeds=config.seeds, task=config.make_task())
     policy, value = ppo.make_networks(config)
     loss = ppo.make_loss(policy, value, config).to("meta")
     batch = collected(env, Actor(policy, config.seeds, ppo.HOW.acts, ppo.HOW.head, compile=False), 8)
-    assert batch.shape == (2, config.n_worlds, 8)
+    assert batch.shape == (2, config.n_envs, 8)
     ppo.estimate(batch, loss, ppo.make_advantage(config.gamma, config.gae_lambda))
     losses = ppo.make_learner(loss, config, compile=False).step(ppo.rows(batch).transpose(0, 1))
     moved = ppo.diagnostics(batch, loss, config.clip_epsilon)
@@ -113,7 +113,7 @@ def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(unspecified):
 def test_two_iterations_of_a2c_collect_and_learn_on_one_device(unspecified):
     config = a2c.A2CConfig(n_seeds=2)
     object.__setattr__(config, "device", "meta")  # as a configuration it is refused, for it has no numbers
-    env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds, task=config.make_task())
+    env = DroneEnv([2, config.n_envs], device="meta", seeds=config.seeds, task=config.make_task())
     trainee = config.make(compile=False)
     for frames in (80, 2 * a2c.LOG_FRAMES):
         batch = collected(env, trainee.actor, 5)
@@ -125,9 +125,9 @@ def test_two_iterations_of_a2c_collect_and_learn_on_one_device(unspecified):
 
 def test_dqn_acts_on_one_device_whose_epsilon_too_lies_there(unspecified):
     config = dqn.DQNConfig(n_seeds=2)
-    env = DroneEnv([2, config.n_worlds], device="meta", seeds=config.seeds, task=config.make_task())
+    env = DroneEnv([2, config.n_envs], device="meta", seeds=config.seeds, task=config.make_task())
     network = dqn.make_network(config).to("meta")
     actor = Actor(network, config.seeds, "epsilon-greedy", config.head, compile=False, epsilon=config.epsilon)
     batch = collected(env, actor, 1)
     assert {value.device.type for value in (actor.epsilon, *batch.values(True, True))} == {"meta"}
-    assert replay.rows(batch, config).batch_size == (config.n_worlds, 2)
+    assert replay.rows(batch, config).batch_size == (config.n_envs, 2)

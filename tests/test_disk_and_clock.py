@@ -27,7 +27,7 @@ from uavnav.training.workers import wall_seconds
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 
-SMALL = {"total_frames": 256, "n_worlds": 2, "hidden": [4], "compile": "off", "n_seeds": 2}
+SMALL = {"total_frames": 256, "n_envs": 2, "hidden": [4], "compile": "off", "n_seeds": 2}
 SMALL |= {"frames_per_batch": 64, "minibatch_size": 32, "epochs": 1}
 WORDS = [f"{key}={value}".replace(" ", "") for key, value in SMALL.items()]
 HOUR = 3600.0

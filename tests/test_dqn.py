@@ -133,7 +133,7 @@ def test_rows_keep_agent_and_world_together():
 
 
 def test_20_updates_of_seed_1_among_3_are_those_of_seed_1_alone(tmp_path):
-    settings = {"total_frames": 144, "learning_starts": 64, "n_worlds": 16, "target_update_frames": 32}
+    settings = {"total_frames": 144, "learning_starts": 64, "n_envs": 16, "target_update_frames": 32}
     settings |= {"lr": 1e-2, "compile": "off"}
     among = train(DQNConfig(n_seeds=3, **settings), out=tmp_path / "three", quiet=True)
     alone = train(DQNConfig(seed=1, **settings), out=tmp_path / "one", quiet=True)
@@ -150,7 +150,7 @@ def test_20_updates_of_seed_1_among_3_are_those_of_seed_1_alone(tmp_path):
 def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s(activation, cap):
     """Buffer, target, loss, clipping and Adam: the weights after SB3's train() within 1e-5 of ours.
 
-    Six steps of 16 worlds, of which the fifth and the sixth are followed by a round. Huber's slope is at most 1, so no
+    Six steps of 16 environments; a round follows the fifth and the sixth. Huber's slope is at most 1, so no
     reward takes these networks' gradients to the default cap of 10: a cap among their norms clips some of the updates
     and leaves others alone.
     """
@@ -167,7 +167,7 @@ def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s(acti
         activation=activation,
         max_grad_norm=cap,
         lr=1e-3,
-        n_worlds=16,
+        n_envs=16,
         total_frames=96,
         learning_starts=64,
         max_steps=1000,
@@ -237,13 +237,13 @@ def test_epsilon_falls_from_1_to_5_percent_over_a_tenth_of_the_frames_once_learn
     assert config.epsilon(50_000) == pytest.approx(0.525)
     assert config.epsilon(75_000) == pytest.approx(0.2875)
     assert config.epsilon(100_000) == config.epsilon(1_000_000) == pytest.approx(0.05)
-    assert PRESETS["paper-2.3"].epsilon(50_000) == pytest.approx(0.525)
-    assert PRESETS["paper-2.3"].epsilon(1_000) == pytest.approx(0.9905)
+    assert PRESETS["vectorised-2.3"].epsilon(50_000) == pytest.approx(0.525)
+    assert PRESETS["vectorised-2.3"].epsilon(1_000) == pytest.approx(0.9905)
 
 
 def test_before_learning_starts_every_action_is_random_and_no_weight_moves(tmp_path):
     run = train(
-        DQNConfig(total_frames=4_000, learning_starts=4_000, n_worlds=16, compile="off"), out=tmp_path / "r", quiet=True
+        DQNConfig(total_frames=4_000, learning_starts=4_000, n_envs=16, compile="off"), out=tmp_path / "r", quiet=True
     )
     counts = run.episodes.sum()
     assert abs(counts.turns / counts.steps - 0.9) < 0.02
@@ -253,8 +253,8 @@ def test_before_learning_starts_every_action_is_random_and_no_weight_moves(tmp_p
 
 
 def test_the_target_is_copied_every_64_frames(tmp_path, monkeypatch):
-    """At 16 worlds: after steps 4, 8 and 12, and what was copied are the weights of that moment."""
-    settings = {"learning_starts": 16, "target_update_frames": 64, "n_worlds": 16}
+    """At 16 environments: after steps 4, 8 and 12, and what was copied are the weights of that moment."""
+    settings = {"learning_starts": 16, "target_update_frames": 64, "n_envs": 16}
     config = DQNConfig(total_frames=16 * 13, lr=1e-2, compile="off", **settings)
     kept = {}
     monkeypatch.setattr(
@@ -279,11 +279,11 @@ def test_the_target_is_copied_every_64_frames(tmp_path, monkeypatch):
 def test_sixteen_updates_follow_each_step_of_64_worlds_and_four_of_16():
     assert DQNConfig().updates_per_step == 16
     assert DQNConfig().iterations * 16 == 250_000
-    assert DQNConfig(n_worlds=16).updates_per_step == 4
-    assert DQNConfig(n_worlds=1).updates_per_step == 1
-    assert DQNConfig(n_worlds=1).steps_between_updates == 4
-    with pytest.raises(ConfigError, match=r"n_worlds=6; give a multiple or a divisor of frames_per_update=4"):
-        DQNConfig(n_worlds=6)
+    assert DQNConfig(n_envs=16).updates_per_step == 4
+    assert DQNConfig(n_envs=1).updates_per_step == 1
+    assert DQNConfig(n_envs=1).steps_between_updates == 4
+    with pytest.raises(ConfigError, match=r"n_envs=6; give a multiple or a divisor of frames_per_update=4"):
+        DQNConfig(n_envs=6)
 
 
 def test_explored_actions_of_a_seed_do_not_depend_on_the_other_seeds():

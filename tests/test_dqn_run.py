@@ -24,7 +24,7 @@ SWITCHES = {"slots": "listed", "padding": "zeros"}
 WATCHED = DQNConfig(
     seed=3,
     n_seeds=2,
-    n_worlds=16,
+    n_envs=16,
     total_frames=640,
     learning_starts=256,
     batch_size=8,
@@ -45,7 +45,7 @@ WATCHED = DQNConfig(
     compile="off",
     world=SWITCHES,
 )
-"""40 steps of 16 worlds, of which the last 24 are each followed by 4 updates, and no default that matters."""
+"""40 steps of 16 environments, of which the last 24 are each followed by 4 updates, and no default that matters."""
 
 
 def watch(config, folder):
@@ -92,7 +92,7 @@ def test_each_step_of_16_worlds_after_frame_256_is_followed_by_4_updates_of_8_ro
 
 
 def test_each_4th_step_of_a_single_world_after_frame_10_is_followed_by_one_update(tmp_path):
-    settings = {"n_worlds": 1, "total_frames": 24, "learning_starts": 10, "batch_size": 8, "compile": "off"}
+    settings = {"n_envs": 1, "total_frames": 24, "learning_starts": 10, "batch_size": 8, "compile": "off"}
     seen = watch(DQNConfig(**settings), tmp_path / "run")
     assert [4 * turn for turn, learned in enumerate(seen.learned, start=1) if learned] == [12, 16, 20, 24]
     assert sum(seen.learned) == 4
@@ -206,7 +206,7 @@ def test_the_run_flew_in_the_world_that_its_settings_and_its_cap_describe(watche
 
 def test_half_of_4000_actions_at_epsilon_one_half_are_explored_and_q_value_is_the_mean_of_the_best(tmp_path):
     config = DQNConfig(
-        n_worlds=16,
+        n_envs=16,
         total_frames=4_000,
         learning_starts=0,
         frames_per_update=800,
@@ -232,7 +232,7 @@ def test_half_of_4000_actions_at_epsilon_one_half_are_explored_and_q_value_is_th
 
 
 def test_a_buffer_of_48_keeps_the_newest_48_of_80_frames(tmp_path):
-    settings = {"total_frames": 80, "learning_starts": 16, "batch_size": 4, "n_worlds": 16, "max_steps": 1000}
+    settings = {"total_frames": 80, "learning_starts": 16, "batch_size": 4, "n_envs": 16, "max_steps": 1000}
     settings |= {"lr": 0.0, "compile": "off"}
     ring, everything = (
         watch(DQNConfig(buffer_size=size, **settings), tmp_path / str(size)).buffer[:] for size in (48, 80)
@@ -244,11 +244,11 @@ def test_a_buffer_of_48_keeps_the_newest_48_of_80_frames(tmp_path):
 
 @pytest.mark.parametrize("size", [400, 88])
 def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_them_holds(tmp_path, size):
-    """25 steps of 16 worlds in which nothing is learned: the two runs fly alike, one of them under a cap out of reach.
+    """25 steps of 16 environments, nothing is learned: the two runs fly alike, one of them under a cap out of reach.
 
     A buffer of 88 rows is full after five and a half steps, so that later ones lie across its end.
     """
-    settings = {"n_seeds": 2, "n_worlds": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
+    settings = {"n_seeds": 2, "n_envs": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
     config = DQNConfig(**settings, buffer_size=size, compile="off")
     lean = watch(config, tmp_path / "lean")
     full = watch(replace(config, max_steps=10_000, buffer_size=400), tmp_path / "full")
@@ -274,11 +274,11 @@ def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_
 def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_or_cap_and_bootstrap_where_no_collision_was(
     tmp_path, cap
 ):
-    """25 steps of 16 worlds in which nothing is learned, and every world's flight once more by a slow loop.
+    """25 steps of 16 environments in which nothing is learned, and every world's flight once more by a slow loop.
 
     A cap has an observation of its own, after as many steps as there were.
     """
-    settings = {"n_seeds": 2, "n_worlds": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
+    settings = {"n_seeds": 2, "n_envs": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
     seen = watch(DQNConfig(**settings, n_steps=3, gamma=0.5, max_steps=cap, compile="off"), tmp_path / "run")
     stored = seen.buffer[:]
     assert len(seen.minibatches) == 22 * 4  # the first step after frame 48

@@ -30,7 +30,7 @@ pytestmark = pytest.mark.parametrize("task", TASKS)
 
 def test_a_run_of_two_seeds_stopped_and_resumed_ends_the_same_is_evaluated_and_verified(task, tmp_path):
     given = {"task": task, "world": FIELDS.get(task, {}), "layouts": "validation", "n_seeds": 2, "max_steps": 9}
-    config = ppo.PPOConfig(**given, total_frames=128, n_worlds=2, frames_per_batch=64, hidden=(8,), epochs=1)
+    config = ppo.PPOConfig(**given, total_frames=128, n_envs=2, frames_per_batch=64, hidden=(8,), epochs=1)
     with pytest.raises(uavnav.RunError):
         ppo.train(config, out=tmp_path / "run", quiet=True, until=64)
     run, whole = (ppo.train(config, out=tmp_path / name, quiet=True) for name in ("run", "whole"))

@@ -30,7 +30,7 @@ from uavnav.views.render import Pilot
 from uavnav.views.window import game as rules
 
 ALL = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
-HOW = {"stack": 2, "faults": ALL, "hidden": (8,), "n_seeds": 2, "n_worlds": 4, "compile": "off", "max_steps": 40}
+HOW = {"stack": 2, "faults": ALL, "hidden": (8,), "n_seeds": 2, "n_envs": 4, "compile": "off", "max_steps": 40}
 CONFIGS = {
     "ppo": ppo.PPOConfig(total_frames=512, frames_per_batch=128, minibatch_size=64, epochs=1, **HOW),
     "dqn": dqn.DQNConfig(total_frames=512, learning_starts=64, frames_per_update=16, buffer_size=128, **HOW),

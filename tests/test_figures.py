@@ -43,7 +43,7 @@ def cell(*seeds, algorithm="ppo", activation="tanh", label=""):
     ]
     episodes = pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
     runs = [SimpleNamespace(seeds=list(range(len(seeds))))]
-    return Cell(algorithm, activation, {"frames": FRAMES, "n_worlds": 1}, runs, episodes, EMPTY, label)
+    return Cell(algorithm, activation, {"frames": FRAMES, "n_envs": 1}, runs, episodes, EMPTY, label)
 
 
 def heights(band):

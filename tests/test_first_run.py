@@ -113,8 +113,8 @@ def test_the_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_d
     assert found == pytest.approx(8, rel=0.01)
     text = (PACKAGE.parent / "docs" / "performance.md").read_text()
     assert re.search(r"200,000 frames of PPO\b[^.]*\b15 s\b", text)
-    run = uavnav.Run(PACKAGE.parent / "results" / "tuned" / "ppo" / "tanh")
-    rate = run.progress["frames_per_second"].mean()
+    run = uavnav.Run(PACKAGE.parent / "results" / "algorithms" / "fast" / "ppo" / "tanh")
+    rate = run.frames / run.meta["wall_seconds"]
     found = display.seconds(PPOConfig(preset="fast", n_seeds=5), run.frames, processes=2, compiled=True)
     assert found == pytest.approx(run.frames / rate, rel=0.2)
 
@@ -122,7 +122,7 @@ def test_the_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_d
 def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_long_it_still_takes(monkeypatch, capsys):
     clock = [0.0]
     monkeypatch.setattr(display.time, "monotonic", lambda: clock[0])
-    config = DQNConfig(n_worlds=32, learning_starts=1000, total_frames=80_000)
+    config = DQNConfig(n_envs=32, learning_starts=1000, total_frames=80_000)
     with display.Display(config, quiet=False) as shown:
         shown.begin(Path("run"), {"compiled": False, "threads": 1})
         for clock[0], frames in [(0.0, 500), (9.0, 1000), (13.0, 3000), (14.0, 6000), (20.0, 9000)]:
@@ -131,9 +131,7 @@ def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_l
     assert lines == ["about 70 s more at this rate"]  # 1,000 frames/s from frame 1,000 on, and 74,000 are left
 
 
-@pytest.mark.parametrize(
-    "given", [{"epochs": 3}, {"n_worlds": 32}, {"hidden": (256, 256)}, {"preset": "fast", "lr": 1}]
-)
+@pytest.mark.parametrize("given", [{"epochs": 3}, {"n_envs": 32}, {"hidden": (256, 256)}, {"preset": "fast", "lr": 1}])
 def test_there_is_no_estimate_of_what_was_not_measured(given, tmp_path):
     config = PPOConfig(**given)
     assert display.seconds(config, 1_000_000, processes=1, compiled=True) is None
@@ -145,7 +143,8 @@ def test_a_run_says_what_it_does_how_and_about_how_long():
     facts = {"compiled": True, "processes": 2, "threads": 1}
     what, how = display.opening(PPOConfig(n_seeds=10, seed=5), 1_001_472, Path("runs/ppo/tanh"), facts)
     assert what == (
-        "ppo tanh, preset paper: 10 seeds (5 to 14), 1,001,472 frames each in 16 parallel worlds, into runs/ppo/tanh"
+        "ppo tanh, preset vectorised: 10 seeds (5 to 14), 1,001,472 frames each in 16 parallel environments,"
+        " into runs/ppo/tanh"
     )
     assert how == (
         "compiled (takes 3 s, or 15 to 30 s the first time), 2 processes of 1 thread: about 3 min on the two cores of"
@@ -159,11 +158,11 @@ def test_a_run_says_what_it_does_how_and_about_how_long():
         (DQNConfig, {}, 50_000),
         (SACConfig, {}, 20_000),
         (DQNConfig, {"learning_starts": 0, "n_steps": 5}, 320),
-        (C51Config, {"preset": "one-world"}, 50_000),
+        (C51Config, {"preset": "paper"}, 50_000),
     ],
 )
 def test_a_run_that_ends_before_its_first_update_says_so(kind, given, before, tmp_path):
-    facts, beyond = {"compiled": True, "threads": 1}, before + kind(**given).n_worlds
+    facts, beyond = {"compiled": True, "threads": 1}, before + kind(**given).n_envs
     for total, words in ((before - 65, f", too few to learn (updates begin after {before:,}), into"), (beyond, "")):
         what, _ = display.opening(kind(**given, total_frames=total), 10, tmp_path, facts)
         assert words in what
@@ -174,7 +173,7 @@ def test_a_run_that_ends_before_its_first_update_says_so(kind, given, before, tm
 @pytest.mark.parametrize("processes", [1, 2])
 @pytest.mark.parametrize("quiet", [False, True])
 def test_training_opens_with_these_lines_unless_it_is_quiet(processes, quiet, tmp_path, capfd):
-    config = PPOConfig(n_seeds=2, total_frames=512, n_worlds=4, frames_per_batch=512, epochs=1, compile="off")
+    config = PPOConfig(n_seeds=2, total_frames=512, n_envs=4, frames_per_batch=512, epochs=1, compile="off")
     uavnav.ppo.train(config, out=tmp_path / "run", quiet=quiet, processes=processes)
     out, err = capfd.readouterr()
     assert err == ""
@@ -183,7 +182,7 @@ def test_training_opens_with_these_lines_unless_it_is_quiet(processes, quiet, tm
     else:
         first, second = out.splitlines()[:2]
         assert first == (
-            "ppo tanh, preset paper: 2 seeds (0 to 1), 512 frames each in 4 parallel worlds, into "
+            "ppo tanh, preset vectorised: 2 seeds (0 to 1), 512 frames each in 4 parallel environments, into "
             + str(tmp_path / "run")
         )
         assert second.startswith(f"not compiled, {processes} process{'es' if processes > 1 else ''} of 1 thread: ")

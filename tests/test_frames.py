@@ -184,15 +184,15 @@ def test_an_unclear_conclusion_cannot_be_flipped_and_one_seed_neither():
 
 def test_an_algorithm_that_a_switch_does_not_touch_is_taken_as_decided():
     base = cells(ppo_tanh=50, ppo_relu=30, dqn_tanh=-5, dqn_relu=-7)
-    found = frames.sensitivity(studies(base, n_worlds__1=cells(dqn_tanh=99, dqn_relu=77)))
+    found = frames.sensitivity(studies(base, n_envs__1=cells(dqn_tanh=99, dqn_relu=77)))
     values = found.set_index(["switch", "conclusion"])["value"]
     assert values["default", "PPO above DQN"] == pytest.approx(0.46)
-    assert values["n_worlds=1", "PPO above DQN"] == pytest.approx(0.40 - 0.88)
-    assert values["n_worlds=1", "DQN: tanh above ReLU"] == pytest.approx(0.22)
-    assert ("n_worlds=1", "PPO: tanh above ReLU") not in values  # nothing of it was changed
+    assert values["n_envs=1", "PPO above DQN"] == pytest.approx(0.40 - 0.88)
+    assert values["n_envs=1", "DQN: tanh above ReLU"] == pytest.approx(0.22)
+    assert ("n_envs=1", "PPO: tanh above ReLU") not in values  # nothing of it was changed
     by = flips(found)
-    assert by["n_worlds=1", "PPO above DQN"] == "yes"
-    assert by["n_worlds=1", "DQN: tanh above ReLU"] == "no"
+    assert by["n_envs=1", "PPO above DQN"] == "yes"
+    assert by["n_envs=1", "DQN: tanh above ReLU"] == "no"
 
 
 def test_without_a_study_as_decided_nothing_is_compared():

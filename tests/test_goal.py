@@ -259,7 +259,7 @@ def test_a_picture_shows_the_goal_in_its_colour():
 
 
 def test_a_run_trains_and_is_evaluated_with_four_metrics_more(tmp_path, bank):
-    config = ppo.PPOConfig(task="goal", layouts="validation", total_frames=64, n_worlds=1, frames_per_batch=64,
+    config = ppo.PPOConfig(task="goal", layouts="validation", total_frames=64, n_envs=1, frames_per_batch=64,
                            hidden=(8,), epochs=1)  # fmt: skip
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     with safe_open(run.path / "policy.safetensors", framework="pt") as file:

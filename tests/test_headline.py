@@ -44,7 +44,7 @@ def cell(*seeds, frames=1_000_000, flown=EMPTY, key=KEY):
     ]
     episodes = pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
     runs = [SimpleNamespace(seeds=list(range(len(seeds))))]
-    return Cell(*key, {"frames": frames, "n_worlds": 1}, runs, episodes, flown)
+    return Cell(*key, {"frames": frames, "n_envs": 1}, runs, episodes, flown)
 
 
 RULE = flights((0, 0, 100, 40.0, True), (0, 1, 100, 60.0, True))
@@ -95,8 +95,10 @@ def test_an_effect_is_the_setting_minus_as_decided_over_the_activations_of_both(
     assert (row["switch"], row["algorithm"], row["frames"], row["n"]) == ("n_steps=5", "dqn", 1_000_000, 2)
     assert (row["value"], row["low"], row["high"]) == pytest.approx(expected[:3])
     assert row["value"] == pytest.approx(0.007)
-    both = headline.effects(NONE._replace(main=usual, many_worlds={("dqn", "tanh"): of(0.0, 0.0)}))
-    assert both[["switch", "algorithm", "value"]].to_numpy().tolist() == [["many worlds", "dqn", pytest.approx(-0.001)]]
+    both = headline.effects(NONE._replace(main=usual, vectorised={("dqn", "tanh"): of(0.0, 0.0)}))
+    assert both[["switch", "algorithm", "value"]].to_numpy().tolist() == [
+        ["many environments", "dqn", pytest.approx(-0.001)]
+    ]
     assert headline.effects(NONE).empty
 
 

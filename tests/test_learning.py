@@ -13,18 +13,18 @@ MAX_STEPS = 500
 
 PPO_SETTINGS = {
     "n_seeds": 2,
-    "n_worlds": 64,
+    "n_envs": 64,
     "total_frames": 80_000,
     "minibatch_size": 256,
     "epochs": 4,
     "lr": 1e-3,
     "compile": "off",
 }
-A2C_SETTINGS = {"n_seeds": 2, "n_worlds": 64, "total_frames": 80_000, "lr": 2e-3, "compile": "off"}
+A2C_SETTINGS = {"n_seeds": 2, "n_envs": 64, "total_frames": 80_000, "lr": 2e-3, "compile": "off"}
 DQN_SETTINGS = {
     "activation": "relu",
     "n_seeds": 2,
-    "n_worlds": 32,
+    "n_envs": 32,
     "total_frames": 60_000,
     "learning_starts": 2_000,
     "frames_per_update": 16,
@@ -37,7 +37,7 @@ DQN_SETTINGS = {
 SAC_SETTINGS = {
     "activation": "relu",
     "n_seeds": 2,
-    "n_worlds": 64,
+    "n_envs": 64,
     "total_frames": 40_000,
     "learning_starts": 2_000,
     "frames_per_update": 16,

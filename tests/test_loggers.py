@@ -120,7 +120,7 @@ def expected(run):
     found = {}
     for row in run.progress.to_dict("records"):
         ended = run.episodes.query("(terminated or truncated) and seed == @row['seed'] and frame <= @row['frame']")
-        last = ended.sort_values(["frame", "world"], kind="stable")["reward"].tail(LAST)
+        last = ended.sort_values(["frame", "env"], kind="stable")["reward"].tail(LAST)
         for column, value in {**row, "reward": last.mean()}.items():
             if column not in ("seed", "frame") and np.isfinite(value):
                 found[column, row["seed"], row["frame"]] = value

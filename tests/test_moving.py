@@ -269,7 +269,7 @@ def test_a_saved_environment_goes_on_with_its_obstacles_where_they_were():
 
 
 def test_obstacles_that_move_are_never_counted_as_going_round(tmp_path):
-    config = ppo.PPOConfig(task="moving", total_frames=64, n_worlds=1, frames_per_batch=64, hidden=(8,), epochs=1)
+    config = ppo.PPOConfig(task="moving", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1)
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     policy = load_policy(run.path)
     assert not evaluation._repeatable(policy, policy.task)

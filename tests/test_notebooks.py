@@ -94,7 +94,7 @@ def test_a_notebook_runs_in_an_empty_folder(name, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not list(RESULTS.glob("*/*/config.yaml")), reason="there is no folder results/ with runs")
+@pytest.mark.skipif(not list(RESULTS.rglob("config.yaml")), reason="there is no folder results/ with runs")
 def test_the_third_notebook_reads_the_committed_study():
     before = sorted(FOLDER.rglob("*"))
     text, pictures = execute("3-compare-and-conclude", FOLDER)

@@ -1,4 +1,4 @@
-"""What one world a seed changes beside the mean, on made-up studies with known scatter, open flights and order."""
+"""What one environment a seed changes beside the mean, on made-up studies of known scatter, open flights, order."""
 
 from types import SimpleNamespace
 
@@ -17,7 +17,7 @@ FRAMES = 1_000_000
 NONE = Studies({}, {}, {}, {}, {}, {}, {}, [])
 
 
-def study(n_worlds=1, **cells):
+def study(n_envs=1, **cells):
     """Cells of DQN, an activation each, from (reward in the last 100,000 frames, steps of each open flight) a seed.
 
     Whatever is not open is one flight of all frames until then; each open flight earns nothing.
@@ -27,17 +27,17 @@ def study(n_worlds=1, **cells):
         rows = []
         for seed, (reward, *flights) in enumerate(seeds):
             rows.append((seed, FRAMES - 100_000, 0, 0, 800_000, 0, 0, 0, 0, -10.0, True, False))
-            rows.append((seed, FRAMES, 0, 0, 100_000 // n_worlds, 0, 0, 0, 0, reward - 10, True, False))
+            rows.append((seed, FRAMES, 0, 0, 100_000 // n_envs, 0, 0, 0, 0, reward - 10, True, False))
             rows += [(seed, FRAMES, 0, 0, steps, 0, 0, 0, 0, 0.0, False, False) for steps in flights]
         episodes = pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
         runs = [SimpleNamespace(seeds=list(range(len(seeds))))]
-        settings = {"frames": FRAMES, "n_worlds": n_worlds}
+        settings = {"frames": FRAMES, "n_envs": n_envs}
         made["dqn", activation] = Cell("dqn", activation, settings, runs, episodes, EMPTY)
     return made
 
 
 def worlds(one, many):
-    return headline.worlds(NONE._replace(main=one, many_worlds=many)).set_index("measure")
+    return headline.worlds(NONE._replace(main=one, vectorised=many)).set_index("measure")
 
 
 def spread(middle, half):

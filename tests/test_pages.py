@@ -70,11 +70,11 @@ def test_the_table_beside_sb3_holds_both_defaults(algorithm):
 
 
 SHORT = {
-    "ppo": {"n_worlds": 2, "frames_per_batch": 64, "total_frames": 64, "entropy_coeff": 0.01},
-    "a2c": {"n_worlds": 2, "total_frames": 64, "entropy_coeff": 0.01},
-    "dqn": {"n_worlds": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
-    "sac": {"n_worlds": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
-    "c51": {"n_worlds": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
+    "ppo": {"n_envs": 2, "frames_per_batch": 64, "total_frames": 64, "entropy_coeff": 0.01},
+    "a2c": {"n_envs": 2, "total_frames": 64, "entropy_coeff": 0.01},
+    "dqn": {"n_envs": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
+    "sac": {"n_envs": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
+    "c51": {"n_envs": 4, "total_frames": 64, "learning_starts": 8, "buffer_size": 64},
 }
 
 

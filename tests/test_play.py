@@ -187,7 +187,7 @@ def test_nine_px_a_step_by_hand_is_the_row_that_straight_ahead_has_in_an_evaluat
     (row,) = game.flights
     (expected,) = uavnav.evaluate_policy(straight_ahead, EMPTY[:1], 1, seed=7).to_dict("records")
     assert list(row) == list(EPISODE_COLUMNS)
-    assert row == expected | {"world": 2, "layout": 2, "reward": pytest.approx(27 * 0.09 - 10)}
+    assert row == expected | {"env": 2, "layout": 2, "reward": pytest.approx(27 * 0.09 - 10)}
 
 
 def test_a_watched_policy_flies_as_it_does_in_a_film(run):
@@ -273,7 +273,7 @@ def test_one_saved_flight_is_1_flight_and_flights_under_another_cap_leave_the_fi
         (["runs/ppo/relu"], "runs"),
         (["runs/ppo-fast/relu", "other/first"], "runs"),
         (["runs/first"], "runs"),
-        (["results/obstacles-4/dqn/tanh"], "results"),
+        (["results/sensitivity/obstacles-4/dqn/tanh"], "results"),
         (["reactive", "theirs.zip", "runs/first"], "runs"),
         (["ppo/relu"], "."),
         (["../runs/ppo/relu"], "../runs"),

@@ -135,7 +135,7 @@ def test_the_command_opens_its_window_obeys_and_closes(run, window, tmp_path, ca
 
 
 def test_the_command_told_after_training_in_3d_opens_its_window(window, tmp_path, capsys):
-    config = ppo.PPOConfig(task="space", total_frames=64, n_worlds=1, frames_per_batch=64, hidden=(8,), epochs=1)
+    config = ppo.PPOConfig(task="space", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1)
     run = ppo.train(config, out=tmp_path / "my run", quiet=True)
     program, command, *words = shlex.split(train._next(run, []).splitlines()[0].removeprefix("watch it: "))
     assert (program, command) == ("uavnav", "play")

@@ -163,8 +163,8 @@ def committed():
     """Flights of the eight cells, six each, and two that scripts fly: [set, actions]; and the rows of the cells'."""
     flights, rows = [], []
     for cell in CELLS:
-        steps = pd.read_parquet(RESULTS / cell / "behaviour.parquet")
-        episodes = pd.read_parquet(RESULTS / cell / "evaluation.parquet")
+        steps = pd.read_parquet(RESULTS / "vectorised" / cell / "behaviour.parquet")
+        episodes = pd.read_parquet(RESULTS / "vectorised" / cell / "evaluation.parquet")
         for mode, seed in (("greedy", 0), ("sampled", 1)):
             watched, flown = (one[(one["mode"] == mode) & (one["seed"] == seed)] for one in (steps, episodes))
             for place in range(3):
@@ -246,7 +246,7 @@ def test_policies_choose_as_in_python_in_999_of_1000_poses_and_the_rule_in_all(c
     found = chrome.execute_script(CHOSEN, seen.double().tolist(), uniforms.double().tolist())
     assert [key for key, *_ in found] == [f"{cell.replace('/', '-')}-0" for cell in CELLS]
     for cell, (_, values, greedy, sampled, flown) in zip(CELLS, found, strict=True):
-        policy = load_policy(RESULTS / cell, 0, greedy=False)
+        policy = load_policy(RESULTS / "vectorised" / cell, 0, greedy=False)
         expected = policy.values(seen)
         numbers = uniforms[: len(policy.draw((1,)))]
         assert (unpacked(values, 200, 100) - expected[:200]).abs().max() <= CLOSE

@@ -53,7 +53,7 @@ def folder(tmp_path_factory):
     (folder / "my_study.py").write_text(code)
     words = ["reinforce", "plugins=my_study", *WORDS, "evaluate=false"]
     said = python(folder, "-m", "uavnav", "train", *words)
-    assert "reinforce hardswish, preset paper: 2 seeds (0 to 1), 1,024 frames each" in said
+    assert "reinforce hardswish, preset vectorised: 2 seeds (0 to 1), 1,024 frames each" in said
     return folder
 
 

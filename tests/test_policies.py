@@ -137,9 +137,9 @@ def test_every_committed_policy_loads_whatever_version_wrote_its_header():
 
 
 def test_a_committed_run_with_random_headings_comes_back_with_that_world():
-    config = uavnav.Run(RESULTS / "heading" / "ppo" / "relu").config
+    config = uavnav.Run(RESULTS / "sensitivity" / "heading" / "ppo" / "relu").config
     assert uavnav.World(**config["world"]) == uavnav.World(start_heading="random")
-    assert uavnav.load_policy(RESULTS / "ppo" / "relu").world == uavnav.World()
+    assert uavnav.load_policy(RESULTS / "vectorised" / "ppo" / "relu").world == uavnav.World()
 
 
 def test_a_policy_comes_back_with_the_world_reward_and_cap_that_it_was_trained_in(tmp_path):

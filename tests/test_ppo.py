@@ -132,7 +132,7 @@ def test_the_gradient_of_3_agents_is_each_ones_own():
 
 
 def test_20_updates_of_seed_1_among_3_are_those_of_seed_1_alone(tmp_path):
-    settings = {"total_frames": 128, "frames_per_batch": 128, "epochs": 10, "n_worlds": 8, "compile": "off"}
+    settings = {"total_frames": 128, "frames_per_batch": 128, "epochs": 10, "n_envs": 8, "compile": "off"}
     among = train(PPOConfig(n_seeds=3, **settings), out=tmp_path / "three", quiet=True)
     alone = train(PPOConfig(seed=1, **settings), out=tmp_path / "one", quiet=True)
     observation = torch.rand(50, 30)
@@ -177,7 +177,7 @@ def test_12_minibatches_of_a_rollout_in_the_same_order_equal_sb3s_train(activati
     theirs = peers.on_policy(stable_baselines3.PPO, activation, steps=64, max_steps=24, **shared)
     config = PPOConfig(
         activation=activation,
-        n_worlds=2,
+        n_envs=2,
         frames_per_batch=128,
         minibatch_size=32,
         epochs=3,
@@ -220,7 +220,7 @@ def test_12_minibatches_of_a_rollout_in_the_same_order_equal_sb3s_train(activati
 
 
 def test_train_takes_one_thread_and_gives_its_callers_3_back(tmp_path):
-    config = PPOConfig(total_frames=128, frames_per_batch=64, n_worlds=2, epochs=1, compile="off")
+    config = PPOConfig(total_frames=128, frames_per_batch=64, n_envs=2, epochs=1, compile="off")
     try:
         torch.set_num_threads(3)
         with pytest.raises(Interrupted):

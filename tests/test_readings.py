@@ -17,7 +17,12 @@ from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric, per_seed
 from uavnav.runs.readings import LOG_CURVE, PER_FRAME, READINGS, decimals, log_curve, per_frame, within, words
 
 RESULTS = Path(__file__).parent.parent / "results"
-COMMITTED = ("dqn/sigmoid", "ppo/tanh", "one-world/dqn/relu", "one-world/ppo/tanh", "tuned/dqn/tanh")
+COMMITTED = (
+    "vectorised/dqn/sigmoid",
+    "vectorised/ppo/tanh",
+    "paper/ppo/tanh",
+    "algorithms/fast/dqn/tanh",
+)
 SIX = {"stops": 100, "full_stops": 100, "turns": 100, "speed": 1}
 """The ratios, and what they are times."""
 
@@ -65,7 +70,7 @@ def slow_log(rows, frames, unit, every):
         while place < len(ended) and ended[place]["frame"] == time:
             now.append(ended[place])
             place += 1
-        for row in sorted(now, key=lambda row: row["world"]):
+        for row in sorted(now, key=lambda row: row.get("env", 0)):
             own = {name: row[name] for name in ("steps", "distance", "reward")}
             own["speed"] = row["distance"] / row["steps"]
             buffer.append(own | {name: 100 * row[name] / row["steps"] for name in ("stops", "full_stops", "turns")})
@@ -78,13 +83,13 @@ def slow_log(rows, frames, unit, every):
     return entries
 
 
-def slow_within(rows, column, windows, n_worlds, collision):
+def slow_within(rows, column, windows, n_envs, collision):
     """One seed's, by each flight's overlap with each window."""
     found = []
     for low, high in windows:
         total = 0.0
         for row in rows:
-            end, begin = row["frame"], row["frame"] - row["steps"] * n_worlds
+            end, begin = row["frame"], row["frame"] - row["steps"] * n_envs
             at_end = collision if row["terminated"] else 0.0
             shared = max(0, min(high, end) - max(low, begin))
             total += (row[column] - at_end) * shared / (end - begin)
@@ -105,7 +110,7 @@ def mean_of(entries):
     return {name: math.fsum(one[name] for one in entries) / len(entries) if entries else math.nan for name in METRICS}
 
 
-def compare_with_loops(table, frames, n_worlds, rhythms, windows):
+def compare_with_loops(table, frames, n_envs, rhythms, windows):
     """Everything of a table of episodes, in both ways."""
     by_seed = {seed: part.to_dict("records") for seed, part in table.groupby("seed")}
     assert_equal(per_frame(table, frames), {seed: slow_per_frame(rows, frames) for seed, rows in by_seed.items()})
@@ -114,8 +119,8 @@ def compare_with_loops(table, frames, n_worlds, rhythms, windows):
         logs = {seed: mean_of(slow_log(rows, frames, unit, every)) for seed, rows in by_seed.items() if seed in ended}
         assert_equal(log_curve(table, frames, unit, every), logs)
     for column, collision in (("reward", -10.0), ("distance", 0.0), ("terminated", 1.0)):
-        slow = {seed: slow_within(rows, column, windows, n_worlds, collision) for seed, rows in by_seed.items()}
-        assert_equal(within(table, column, windows, n_worlds, collision), slow)
+        slow = {seed: slow_within(rows, column, windows, n_envs, collision) for seed, rows in by_seed.items()}
+        assert_equal(within(table, column, windows, n_envs, collision), slow)
 
 
 @pytest.mark.parametrize("name", COMMITTED)
@@ -123,44 +128,44 @@ def test_committed_runs_read_the_same_by_plain_loops(name):
     run = Run(RESULTS / name)
     windows = [(0, 100_000), (30_000.5, 70_000), (run.frames - 100_000, run.frames)]
     rhythm = ALGORITHMS[run.algorithm].rhythm(run.config)
-    compare_with_loops(run.episodes, run.frames, run.config["n_worlds"], [rhythm], windows)
+    compare_with_loops(run.episodes, run.frames, run.config["n_envs"], [rhythm], windows)
 
 
 @st.composite
 def runs(draw):
     """Episodes, frames and worlds: flights fill all frames of every world; the last may be open, others may be cut."""
-    n_worlds, length = draw(st.integers(1, 3)), draw(st.integers(1, 40))
+    n_envs, length = draw(st.integers(1, 3)), draw(st.integers(1, 40))
     rows = []
     for seed in range(draw(st.integers(1, 3))):
-        for world in range(n_worlds):
+        for world in range(n_envs):
             done = 0
             while done < length:
                 steps = draw(st.integers(1, length - done))
                 done += steps
                 ends = draw(st.sampled_from([CRASH, CAP, OPEN] if done == length else [CRASH, CAP]))
                 reward = draw(st.floats(-20, 100, allow_subnormal=False))
-                rows.append((seed, done * n_worlds, world, steps, draw(st.integers(0, 9 * steps)), reward, *ends))
-    return episodes(*draw(st.permutations(rows))), length * n_worlds, n_worlds
+                rows.append((seed, done * n_envs, world, steps, draw(st.integers(0, 9 * steps)), reward, *ends))
+    return episodes(*draw(st.permutations(rows))), length * n_envs, n_envs
 
 
 @settings(max_examples=60, deadline=None)
 @given(runs(), st.integers(1, 7), st.lists(st.integers(0, 120), min_size=2, max_size=5, unique=True))
 def test_made_up_runs_read_the_same_by_plain_loops(run, every, edges):
-    table, frames, n_worlds = run
+    table, frames, n_envs = run
     edges = sorted(edges)
     windows = [*itertools.pairwise(edges), (edges[0], edges[-1])]
-    compare_with_loops(table, frames, n_worlds, [("episodes", every), ("frames", every)], windows)
+    compare_with_loops(table, frames, n_envs, [("episodes", every), ("frames", every)], windows)
 
 
 @settings(max_examples=60, deadline=None)
 @given(runs(), st.lists(st.floats(0.5, 119.5), max_size=5, unique=True))
 def test_windows_add_up_to_the_whole_whatever_their_edges(run, inner):
-    table, frames, n_worlds = run
+    table, frames, n_envs = run
     edges = [0, *sorted(edge for edge in inner if edge < frames), frames]
     widths = np.diff(edges)
-    found = within(table, "reward", [*itertools.pairwise(edges)], n_worlds, -10.0)
+    found = within(table, "reward", [*itertools.pairwise(edges)], n_envs, -10.0)
     np.testing.assert_allclose((found * widths).sum(axis=1), table.groupby("seed")["reward"].sum(), atol=1e-9)
-    whole = within(table, "reward", [(0, frames)], n_worlds, -10.0)[0]
+    whole = within(table, "reward", [(0, frames)], n_envs, -10.0)[0]
     np.testing.assert_allclose(whole, per_frame(table, frames)["reward"], atol=1e-12)
 
 
@@ -208,7 +213,7 @@ def test_flights_that_end_in_one_step_of_parallel_worlds_are_all_in_the_mean_bef
     """Six end at frame 6, in the order of their worlds: the entry after the fourth holds the fifth and sixth too."""
     table = episodes(*((0, 6, world, 1, 0, float(world), *CRASH) for world in (5, 4, 3, 2, 1, 0)))
     assert log_curve(table, 6, "episodes", 4)["reward"].tolist() == [2.5]
-    one_by_one = table.assign(frame=table["world"] + 1)
+    one_by_one = table.assign(frame=table["env"] + 1)
     assert log_curve(one_by_one, 6, "episodes", 4)["reward"].tolist() == [1.5]
 
 
@@ -255,13 +260,13 @@ def test_the_papers_reward_per_frame_is_reward_over_steps_and_its_speed_distance
 def test_the_rhythm_of_a_log_is_the_algorithms_own_and_unknown_where_a_setting_is_missing():
     assert ALGORITHMS["dqn"].rhythm({}) == ("episodes", 4)
     assert ALGORITHMS["ppo"].rhythm({"frames_per_batch": 2048}) == ("frames", 2048)
-    assert ALGORITHMS["a2c"].rhythm({"n_steps": 5, "n_worlds": 16}) == ("frames", 8000)
+    assert ALGORITHMS["a2c"].rhythm({"n_steps": 5, "n_envs": 16}) == ("frames", 8000)
     assert ALGORITHMS["ppo"].rhythm({}) is None
     assert ALGORITHMS["ppo"].rhythm({"frames_per_batch": "many"}) is None
     assert ALGORITHMS["ppo"]._replace(logs=()).rhythm({}) is None
 
 
-def learned(algorithm, n_worlds):
+def learned(algorithm, n_envs):
     """Stable-Baselines3 learns for 10,000 frames: all that its logger held at each dump, and the episodes that ended.
 
     The episodes are those of the infos, from which it fills its own buffer.
@@ -291,21 +296,21 @@ def learned(algorithm, n_worlds):
             return True
 
     own = {
-        "ppo": {"n_steps": 256 // n_worlds, "batch_size": 256, "n_epochs": 1},
+        "ppo": {"n_steps": 256 // n_envs, "batch_size": 256, "n_epochs": 1},
         "dqn": {"learning_starts": 5_000, "train_freq": 64, "buffer_size": 10_000},
         "a2c": {"n_steps": 2},
     }[algorithm]
-    worlds = DummyVecEnv([lambda: Monitor(make_env("numpy"))] * n_worlds)
+    worlds = DummyVecEnv([lambda: Monitor(make_env("numpy"))] * n_envs)
     model = getattr(sb3, algorithm.upper())("MlpPolicy", worlds, seed=1, device="cpu", **own)
     model.set_logger(Logger(None, [Held()]))
     model.learn(10_000, Watch())
     return held, episodes(*rows), model.num_timesteps
 
 
-@pytest.mark.parametrize(("algorithm", "n_worlds"), [("ppo", 1), ("ppo", 4), ("dqn", 1), ("dqn", 4), ("a2c", 4)])
-def test_the_log_curve_is_the_mean_of_what_stable_baselines3s_logger_holds(algorithm, n_worlds):
-    held, table, frames = learned(algorithm, n_worlds)
-    unit, every = ALGORITHMS[algorithm].rhythm({"frames_per_batch": 256, "n_steps": 2, "n_worlds": n_worlds})
+@pytest.mark.parametrize(("algorithm", "n_envs"), [("ppo", 1), ("ppo", 4), ("dqn", 1), ("dqn", 4), ("a2c", 4)])
+def test_the_log_curve_is_the_mean_of_what_stable_baselines3s_logger_holds(algorithm, n_envs):
+    held, table, frames = learned(algorithm, n_envs)
+    unit, every = ALGORITHMS[algorithm].rhythm({"frames_per_batch": 256, "n_steps": 2, "n_envs": n_envs})
     logged = {
         name: [one[key] for one in held if key in one]
         for name, key in (("reward", "rollout/ep_rew_mean"), ("steps", "rollout/ep_len_mean"))

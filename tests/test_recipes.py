@@ -68,11 +68,11 @@ def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, 
         "log curve",
         "all training",
         {
-            "ppo": "16 parallel worlds",
-            "dqn": "64 parallel worlds",
-            "a2c": "16 parallel worlds",
-            "sac": "64 parallel worlds",
-            "c51": "64 parallel worlds",
+            "ppo": "16 parallel environments",
+            "dqn": "64 parallel environments",
+            "a2c": "16 parallel environments",
+            "sac": "64 parallel environments",
+            "c51": "64 parallel environments",
         }[algorithm],
         "2 seeds",
     ):
@@ -200,14 +200,14 @@ def test_the_recipe_a2c_is_uavnav_train_a2c_bit_for_bit(recipe, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", ["--cfg job preset=paper-2.3 activation=relu", "preset=paper-2.3 -c job activation=relu"]
+    "words", ["--cfg job preset=vectorised-2.3 activation=relu", "preset=vectorised-2.3 -c job activation=relu"]
 )
 def test_cfg_job_shows_every_setting_and_trains_nothing(recipe, tmp_path, words):
     status, out, _ = recipe("dqn", *words.split())
     assert status == 0
     shown = yaml.safe_load(out)
     assert shown["learning_starts"] == 100
-    assert shown["preset"] == "paper-2.3"
+    assert shown["preset"] == "vectorised-2.3"
     assert shown["activation"] == "relu"
     assert shown["total_frames"] == 1_000_000
     assert not list(tmp_path.iterdir())
@@ -217,7 +217,7 @@ WRONG = {
     "activation=rleu": "activation=rleu; choose from elu, .* (did you mean relu?)",
     "activatoin=relu": "there is no key 'activatoin'; choose from 57, such as activation (did you mean activation?)",
     "+speed=3": "there is no key 'speed'; choose from ",
-    "preset=papr": "preset=papr; choose from fast, one-world, paper (did you mean paper?)",
+    "preset=papr": "preset=papr; choose from fast, paper, vectorised (did you mean paper?)",
     "total_frames=1.5": "total_frames=1.5; give a whole number",
     "n_seeds=two": "n_seeds=two; give a whole number",
     "n_seeds=0": "n_seeds=0; give a number of at least 1",

@@ -137,7 +137,7 @@ def test_among_flights_that_collide_the_one_that_goes_round_is_counted_and_no_ro
 @pytest.mark.slow
 @pytest.mark.compiled
 def test_trained_policies_that_circle_have_the_rows_of_flying_it_all(monkeypatch):
-    population = {seed: load_policy(RESULTS / "ppo" / "relu", seed) for seed in (1, 2)}
+    population = {seed: load_policy(RESULTS / "vectorised" / "ppo" / "relu", seed) for seed in (1, 2)}
     one, other = both(population, on(make_task(EMPTY), "test", 20, 4_000), monkeypatch)
     assert one.episodes.truncated.sum() >= 1
     assert_same(one, other)

@@ -48,7 +48,7 @@ def write_run(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs=30, 
     path.mkdir(parents=True)
     settings = {"seed": seed, "n_seeds": n_seeds, "hidden": (8,)} | changes
     (path / POLICY).write_bytes(policy_bytes(network, algorithm, epsilon=0.2, **settings))
-    facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "n_worlds": 16}
+    facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "n_envs": 16}
     (path / "config.yaml").write_text(yaml.safe_dump(facts | changes))
     (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}}))
     counts = [(seed, 10, 0, 0, 10, 0, 0, 0, 90, -10.0, True, False)]

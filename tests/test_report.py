@@ -124,7 +124,7 @@ def test_runs_of_other_seeds_are_merged_and_of_another_setting_labelled(results)
     assert merged[-1] == "−8.00 [−10.00, −6.00]"
     assert found(text, "tanh (lr=0.5)", "all training episodes")[0][-1] == "−1.00"
     assert found(text, "tanh (reward=initial)", "all training episodes")[0][-1] == "−2.00"
-    usual = "preset=paper, frames=1,000, n_worlds=16, obstacles=8, reward=eq14, init=default"
+    usual = "preset=vectorised, frames=1,000, n_envs=16, obstacles=8, reward=eq14, init=default"
     assert f"Unless a row says otherwise: {usual}, lr=0.0001 (" in text  # dqn, where lr differs
     assert f"Unless a row says otherwise: {usual} (" in text  # ppo, where nothing does
 
@@ -164,10 +164,10 @@ def test_a_run_without_a_policy_is_named_once_and_its_rows_count(results):
 def test_broken_unfinished_and_foreign_folders_are_named_on_stderr_and_in_the_report(results, capsys):
     (write_run(results / "broken", two(0, 1.0), lr=1.0) / "episodes.parquet").write_bytes(b"PAR1")
     (write_run(results / "half", two(0, 1.0), lr=2.0) / "meta.json").write_text('{"status": "running"}')
-    write_run(results / "columns", two(0, 1.0).drop(columns="turns"), lr=3.0)
+    write_run(results / "columns", two(0, 1.0).drop(columns="steps"), lr=3.0)
     write_run(results / "seeds", two(7, 1.0), lr=4.0, seed=0)
     write_run(results / "table", two(0, 1.0), lr=5.0, meta={"bank": None})
-    write_run(results / "worlds", two(0, 1.0), lr=6.0, n_worlds=0)
+    write_run(results / "worlds", two(0, 1.0), lr=6.0, n_envs=0)
     (results / "thesis").mkdir()
     (results / "thesis" / "config.yaml").write_text("title: a thesis")
     (results / ".hydra").mkdir()
@@ -268,7 +268,7 @@ def test_curves_are_reward_per_frame_in_a_25th_of_the_frames_and_a_seed_in_one_l
     first = (width, 20, 0, 0, 0, 0, 30.0)  # 40 spread over the bin, and -10
     rest = (1000, 480, 0, 0, 0, 0, 480.0, False, False)
     other = (1000, 500, 0, 0, 0, 0, 0.0, False, False)
-    write_run(tmp_path / "run", rows(0, first, rest, other), rows(1, other, other), n_worlds=2)
+    write_run(tmp_path / "run", rows(0, first, rest, other), rows(1, other, other), n_envs=2)
     (cell,), _ = collect([tmp_path])
     found = curve(cell, "reward")
     assert found.index.tolist() == [(place + 0.5) * width for place in range(BINS)]
@@ -331,9 +331,9 @@ def test_what_does_not_fly_loads_no_torch():
     assert "torch" not in imported(", ".join(f"uavnav.report.{name}" for name in modules))
 
 
-def test_runs_from_before_a_column_was_added_are_read_beside_those_that_have_it(results, monkeypatch):
+def test_runs_that_leave_out_what_a_metric_counts_are_read_beside_those_that_have_it(results, monkeypatch):
     write_run(results / "new", two(0, 1.0).assign(near=3), activation="sigmoid")
-    write_run(results / "columns", two(0, 1.0).drop(columns="turns"), lr=3.0)
+    write_run(results / "columns", two(0, 1.0).drop(columns="steps"), lr=3.0)
     monkeypatch.setitem(EPISODE_COLUMNS, "near", "int64")
     monkeypatch.setitem(METRICS, "near", Metric("near misses", "near"))
     content = gather([results])
@@ -347,22 +347,20 @@ def test_runs_from_before_a_column_was_added_are_read_beside_those_that_have_it(
 # -- settings ----------------------------------------------------------------------------------------------------------
 
 
-def test_fields_of_the_world_are_the_same_setting_in_the_old_and_the_new_layout(tmp_path):
-    flat = {"slots": "nearest", "padding": "far", "start_heading": "up"}
-    nested = {"task": "drone", "world": {"sensor_radius": 120, "slots": "nearest"}}
-    for seed, changes in enumerate((flat, nested, {})):
+def test_fields_of_the_world_that_are_named_are_those_that_are_not(tmp_path):
+    for seed, changes in enumerate(({"task": "drone", "world": {"sensor_radius": 120, "slots": "nearest"}}, {})):
         write_run(tmp_path / str(seed), two(seed, -1.0), seed=seed, **changes)
     ((cell,), _) = collect([tmp_path])
-    assert len(cell.runs) == 3
+    assert len(cell.runs) == 2
     assert cell.settings["task"] == "drone"
     assert cell.settings["world.sensor_radius"] == 120.0
     assert {"slots", "padding", "start_heading", "world"} & {*cell.settings} == set()
 
 
-def test_a_field_of_the_world_otherwise_is_labelled_whatever_the_layout(tmp_path):
+def test_a_field_of_the_world_otherwise_is_labelled(tmp_path):
     write_run(tmp_path / "usual", two(0, -1.0), two(1, -1.0))
-    write_run(tmp_path / "old", two(0, -1.0), slots="listed")
-    write_run(tmp_path / "new", two(1, -1.0), seed=1, world={"slots": "listed"})
+    for seed in (0, 1):
+        write_run(tmp_path / f"listed{seed}", two(seed, -1.0), seed=seed, world={"slots": "listed"})
     write_run(tmp_path / "arc", two(0, -1.0), world={"sensor_arc": 360})
     text = said(tmp_path)
     assert found(text, "tanh (world.slots=listed)", PRIMARY)[0][0] == "2"

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("little_garbage", "warm_module")
 def test_a_panel_holds_a_line_an_activation_with_n_and_the_papers_mean_dashed_in_its_colour(tmp_path):
     axes = Figure().subplots()
     seeds = (rows(seed, (1000, 1000, 0, 0, 0, 0, reward, False, False)) for seed, reward in enumerate((-6e3, -8e3)))
-    write_run(tmp_path / "run", *seeds, n_worlds=1)
+    write_run(tmp_path / "run", *seeds, n_envs=1)
     cells, _ = collect([tmp_path])
     plot(axes, label(cells)[0], "reward")
     line, dashed = axes.lines

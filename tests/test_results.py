@@ -6,12 +6,17 @@ And how the rule of verdicts fares where seeds scatter as those of the rows do.
 import functools
 import io
 import itertools
+import json
 import re
+from collections import defaultdict
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from safetensors.numpy import load_file
 from tied import LINK, first_screen, too_long, untied
 
 from uavnav import stats
@@ -28,7 +33,7 @@ ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "results"
 
 
-@pytest.mark.parametrize(("folder", "seeds"), [("", range(20)), ("paper-one-world", range(100, 140))])
+@pytest.mark.parametrize(("folder", "seeds"), [("vectorised", range(20)), ("paper", range(100, 140))])
 @pytest.mark.parametrize(("algorithm", "activation"), paper.TABLES)
 def test_each_cell_has_its_seeds_of_a_million_frames_of_a_preset_and_was_evaluated_on_200_sets(
     algorithm, activation, folder, seeds
@@ -42,13 +47,33 @@ def test_each_cell_has_its_seeds_of_a_million_frames_of_a_preset_and_was_evaluat
 
 
 def test_training_the_study_took_70_minutes_as_the_readme_says():
-    took = sum(Run(RESULTS / algorithm / activation).meta["wall_seconds"] for algorithm, activation in paper.TABLES)
+    took = sum(Run(RESULTS / "vectorised" / Path(*cell)).meta["wall_seconds"] for cell in paper.TABLES)
     assert took / 60 == pytest.approx(70, abs=1)
     assert "20 seeds each: 70 minutes of training on two cores" in (ROOT / "README.md").read_text()
 
 
-def test_all_that_is_committed_of_results_takes_less_than_100_mb():
-    assert sum(path.stat().st_size for path in RESULTS.rglob("*") if path.is_file()) < 100e6
+def test_all_that_is_committed_of_results_takes_less_than_60_mb():
+    assert sum(path.stat().st_size for path in RESULTS.rglob("*") if path.is_file()) < 60e6
+
+
+def test_rows_and_weights_are_those_that_the_runs_wrote_before_the_folders_were_put_in_order():
+    """Checksums of each column of each table, and of each tensor, made from the files as they lay there before."""
+    found: dict[str, Any] = defaultdict(sha256)
+
+    def note(path: Path, name: str, values: np.ndarray) -> None:
+        place = path.relative_to(RESULTS)
+        kind = f"{place.parts[0]} {re.split('[-.]', place.name)[0]}"
+        content = "\n".join(map(str, values)).encode() if values.dtype == object else values.tobytes()
+        found[kind].update(f"{place} {name} {values.dtype} {values.shape}\n".encode() + content)
+
+    for path in sorted(RESULTS.rglob("*.parquet")):
+        for name, column in pd.read_parquet(path).items():
+            note(path, name, column.to_numpy())
+    for path in sorted(RESULTS.rglob("policy.safetensors")):
+        for name, tensor in sorted(load_file(path).items()):
+            note(path, name, tensor)
+    sums = json.loads((ROOT / "tests" / "results.json").read_text())
+    assert {kind: one.hexdigest() for kind, one in found.items()} == sums
 
 
 README = (ROOT / "README.md").read_text().partition(BEGIN)[2].partition(END)[0]
@@ -153,8 +178,8 @@ def test_the_means_of_cells_and_the_counts_that_the_decisions_quote_are_those_of
 
 @pytest.fixture(scope="module")
 def seeds():
-    """The study in many worlds a seed, per frame: a row a seed."""
-    runs = {cell: Run(RESULTS / "/".join(cell)) for cell in paper.TABLES}
+    """The study in many environments a seed, per frame: a row a seed."""
+    runs = {cell: Run(RESULTS / "vectorised" / Path(*cell)) for cell in paper.TABLES}
     return {cell: per_frame(run.episodes, run.frames) for cell, run in runs.items()}
 
 

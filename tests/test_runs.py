@@ -78,11 +78,11 @@ def test_every_world_step_belongs_to_exactly_one_episode_row(trained):
     assert dict(episodes.dtypes.astype(str)) == EPISODE_COLUMNS
     assert episodes.groupby("seed").steps.sum().tolist() == [1024, 1024]
     still_open = episodes[~episodes.terminated & ~episodes.truncated]
-    assert (still_open.groupby("seed").size() <= config.n_worlds).all()
+    assert (still_open.groupby("seed").size() <= config.n_envs).all()
     assert (still_open.frame == 1024).all()
-    for (_, _), rows in episodes.groupby(["seed", "world"]):
+    for (_, _), rows in episodes.groupby(["seed", "env"]):
         ends = rows.sort_values("frame")
-        assert (ends.frame.diff().fillna(ends.frame.iloc[0]) == ends.steps * config.n_worlds).all()
+        assert (ends.frame.diff().fillna(ends.frame.iloc[0]) == ends.steps * config.n_envs).all()
         assert (ends.layout.diff().dropna() == 1).all() or (ends.layout.diff() < -9000).any()
 
 
@@ -169,7 +169,7 @@ def test_a_bank_is_the_same_setting_by_any_path_finished_or_not_and_another_bank
     shutil.copy("bank", "copy")
 
     def train(bank, **more):
-        how = {"total_frames": 256, "frames_per_batch": 64, "minibatch_size": 32, "n_worlds": 4, "compile": "off"}
+        how = {"total_frames": 256, "frames_per_batch": 64, "minibatch_size": 32, "n_envs": 4, "compile": "off"}
         return ppo.train(ppo.PPOConfig(layouts=str(bank), **how), tmp_path / "run", quiet=True, **more)
 
     with pytest.raises(Interrupted):
@@ -268,4 +268,4 @@ def test_missing_parts_of_a_run_are_named(trained, tmp_path):
 
 def test_runs_go_to_a_folder_of_their_algorithm_preset_and_activation():
     assert ppo.PPOConfig(activation="relu").folder == Path("runs/ppo/relu")
-    assert dqn.PRESETS["paper-2.3"].folder == Path("runs/dqn-paper-2.3/tanh")
+    assert dqn.PRESETS["vectorised-2.3"].folder == Path("runs/dqn-vectorised-2.3/tanh")

@@ -107,7 +107,7 @@ def test_the_list_is_a_line_a_run_sorted_as_asked_and_json_holds_the_same(tmp_pa
     monkeypatch.setattr("time.time", lambda: NOW)
     write(tmp_path / "runs" / "b", "finished", activation="tanh", n_seeds=1)
     write(tmp_path / "runs" / "c", "running", PROGRESS | {"at": NOW}, algorithm="dqn")
-    write(tmp_path / "results" / "a", "interrupted", preset="paper")
+    write(tmp_path / "results" / "a", "interrupted", preset="vectorised")
     write(tmp_path / "results" / "a" / "checkpoint", "finished")
     assert main(["runs"]) == 0
     out, err = capsys.readouterr()
@@ -117,7 +117,20 @@ def test_the_list_is_a_line_a_run_sorted_as_asked_and_json_holds_the_same(tmp_pa
     assert lines[1][1:] == ["ppo", "tanh", "drone", "fast", "3", "401,408", "finished", "2", "min"]
     shown = "dqn relu drone fast 3 to 4 100,000 of 400,000 running, 2.0k frames/s, 2 min left 60 min"
     assert lines[2][1:] == shown.split()
-    assert lines[3][1:] == ["ppo", "relu", "drone", "paper", "3", "to", "4", "of", "400,000", "stopped", "60", "min"]
+    assert lines[3][1:] == [
+        "ppo",
+        "relu",
+        "drone",
+        "vectorised",
+        "3",
+        "to",
+        "4",
+        "of",
+        "400,000",
+        "stopped",
+        "60",
+        "min",
+    ]
     assert main(["runs", "runs", "results", "--sort", "frames", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [(one["run"], one["frames"]) for one in rows] == [

@@ -233,23 +233,23 @@ def test_the_temperature_takes_the_policys_entropy_to_its_target():
 
 
 def test_the_preset_paper_is_cleanrls_at_64_worlds_with_sb3s_soft_targets():
-    p = PRESETS["paper"]
+    p = PRESETS["vectorised"]
     assert (p.lr, p.adam_eps, p.buffer_size, p.learning_starts, p.batch_size) == (3e-4, 1e-4, 10**6, 20_000, 64)
     assert (p.gamma, p.frames_per_update, p.target_entropy, p.tau) == (0.99, 4, 0.89, 0.005)
-    assert (p.max_grad_norm, p.hidden, p.init, p.n_worlds, p.total_frames) == (None, (64, 64), "default", 64, 10**6)
+    assert (p.max_grad_norm, p.hidden, p.init, p.n_envs, p.total_frames) == (None, (64, 64), "default", 64, 10**6)
 
 
 def test_its_buffer_and_rounds_of_updates_are_checked_as_dqns():
-    with pytest.raises(ConfigError, match=r"n_worlds=6; give a multiple or a divisor of frames_per_update=4"):
-        SACConfig(n_worlds=6)
-    with pytest.raises(ConfigError, match=r"buffer_size=8; give more than n_worlds=64"):
+    with pytest.raises(ConfigError, match=r"n_envs=6; give a multiple or a divisor of frames_per_update=4"):
+        SACConfig(n_envs=6)
+    with pytest.raises(ConfigError, match=r"buffer_size=8; give more than n_envs=64"):
         SACConfig(buffer_size=8)
-    assert (SACConfig(n_worlds=1).frames_per_iteration, SACConfig().frames_per_iteration) == (4, 64)
+    assert (SACConfig(n_envs=1).frames_per_iteration, SACConfig().frames_per_iteration) == (4, 64)
     assert (SACConfig().updates_per_step, SACConfig(max_steps=9).keeps_next_observations) == (16, True)
 
 
 def test_the_untrained_policy_acts_almost_at_random_and_no_weight_moves_before_learning_starts(tmp_path):
-    config = SACConfig(total_frames=4_000, learning_starts=4_000, n_worlds=16, n_seeds=2, compile="off")
+    config = SACConfig(total_frames=4_000, learning_starts=4_000, n_envs=16, n_seeds=2, compile="off")
     run = train(config, out=tmp_path / "run", quiet=True)
     counts = run.episodes.sum()
     assert abs(counts.turns / counts.steps - 0.9) < 0.03

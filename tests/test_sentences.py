@@ -128,7 +128,7 @@ def test_a_folder_of_a_few_runs_has_no_sentence_of_the_study(gathered, numbers):
 
 
 def test_the_prose_is_of_the_study_that_answers_for_the_paper_alone_whose_runs_name_it(gathered):
-    for study, answers in (("one-world", True), ("paper", False), ("", False)):
+    for study, answers in (("paper", True), ("vectorised", False), ("", False)):
         main = {key: SimpleNamespace(study=study) for key in paper.TABLES}
         whole = replace(gathered, studies=gathered.studies._replace(main=main))
         assert whole.of_the_study == answers

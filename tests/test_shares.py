@@ -89,7 +89,7 @@ def test_its_rows_are_in_the_order_in_which_one_process_would_have_noted_them(sp
     run, _ = spread_run
     whole = train(PPOConfig(n_seeds=3, **SMALL), tmp_path / "whole", quiet=True)
     n = len(whole.episodes[whole.episodes["frame"] <= 256])  # until the first update they fly alike
-    columns = ["seed", "frame", "world", "layout"]
+    columns = ["seed", "frame", "env", "layout"]
     pd.testing.assert_frame_equal(run.episodes[columns][:n], whole.episodes[columns][:n])
     assert run.progress["seed"].tolist() == whole.progress["seed"].tolist()
     assert run.progress["frame"].tolist() == whole.progress["frame"].tolist()

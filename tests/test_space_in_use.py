@@ -45,7 +45,7 @@ def test_a_pose_that_comes_again_has_the_same_place_yaw_and_pitch():
 
 
 def test_a_flight_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_were_flown(tmp_path):
-    config = ppo.PPOConfig(task="space", total_frames=64, n_worlds=1, frames_per_batch=64, hidden=(8,), epochs=1)
+    config = ppo.PPOConfig(task="space", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1)
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     greedy = load_policy(run.path, greedy=True)
     task = evaluation.on(greedy.task, "test", 10, 2000)
@@ -69,7 +69,7 @@ def test_each_kind_of_algorithm_takes_the_size_of_the_observation_from_the_task(
         "task": "space-moving",
         "world": SENSED,
         "total_frames": 128,
-        "n_worlds": 4,
+        "n_envs": 4,
         "hidden": (8,),
         "max_steps": 9,
     }

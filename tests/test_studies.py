@@ -16,16 +16,16 @@ from uavnav.runs import paper
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.readings import ALL, LOG_CURVE, PER_FRAME, TOTALS
 
-SETTINGS = {"preset": "paper", "total_frames": 1_000_000, "frames": 1_000_000, "exploration_fraction": 0.1}
+SETTINGS = {"preset": "vectorised", "total_frames": 1_000_000, "frames": 1_000_000, "exploration_fraction": 0.1}
 SETTINGS |= {
-    "n_worlds": 16,
+    "n_envs": 16,
     "bank": "abc",
     "obstacles": 8,
     "reward": "eq14",
     "world.slots": "nearest",
     "world.version": "1",
 }
-IN_ONE = {"preset": "one-world", "n_worlds": 1}
+IN_ONE = {"preset": "paper", "n_envs": 1}
 SHORT = {"total_frames": 300_000, "frames": 300_000, "exploration_fraction": 1 / 3}
 LISTED = {"world.slots": "listed"}
 ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
@@ -54,24 +54,24 @@ def grid(algorithms=("ppo", "dqn"), activations=ACTIVATIONS, **changes):
 
 
 def in_many(*algorithms, **changes):
-    return grid(algorithms or ("ppo", "dqn"), study="paper", **changes)
+    return grid(algorithms or ("ppo", "dqn"), study="vectorised", **changes)
 
 
 def test_a_run_goes_where_the_study_that_its_meta_json_names_belongs():
     found = sort(
         [
             *in_many(),
-            *grid(study="one-world", **IN_ONE),
+            *grid(study="paper", **IN_ONE),
             cell(study="initial", **SHORT),
             cell(study="initial", reward="initial", **SHORT),
             cell("dqn", "elu", study="wide", **SHORT),
             cell("dqn", study="tuned", preset="fast", lr=1.0, **LISTED),
-            cell("a2c", study="algorithms", n_worlds=8),
+            cell("a2c", study="algorithms", n_envs=8),
         ]
     )
     assert [*found.main] == [*paper.TABLES]
-    assert {one.settings["n_worlds"] for one in found.main.values()} == {1}
-    assert [*found.many_worlds] == [*paper.TABLES, ("a2c", "tanh")]
+    assert {one.settings["n_envs"] for one in found.main.values()} == {1}
+    assert [*found.vectorised] == [*paper.TABLES, ("a2c", "tanh")]
     assert {*found.baseline} == {("dqn", "elu"), ("ppo", "tanh")}
     assert [*found.initial] == [("ppo", "tanh")]
     assert [*found.tuned] == [("dqn", "tanh")]
@@ -87,7 +87,7 @@ def test_a_run_goes_where_the_study_that_its_meta_json_names_belongs():
         (LISTED | SHORT, "world.slots=listed"),
         ({"reward": "additive"} | SHORT, "reward=additive"),
         ({"obstacles": 4, "bank": "def"}, "obstacles=4"),
-        ({"n_worlds": 1024}, "n_worlds=1,024"),
+        ({"n_envs": 1024}, "n_envs=1,024"),
         ({"gamma": 0.9}, "gamma=0.9"),
     ],
 )
@@ -110,7 +110,7 @@ def test_cells_of_such_a_study_that_change_nothing_are_the_baseline_and_those_th
 
 
 def test_the_second_of_two_cells_for_one_place_is_among_the_others():
-    twin = cell(study="paper", lr=0.5)
+    twin = cell(study="vectorised", lr=0.5)
     assert sort([*in_many(), twin]).others == [twin]
 
 
@@ -122,7 +122,7 @@ def test_runs_of_no_known_study_are_compared_where_most_of_an_algorithms_agree(s
     found = sort(mine)
     assert [*found.main] == [("dqn", "relu"), ("ppo", "tanh"), ("ppo", "relu"), ("ppo", "elu")]
     assert found.others == [mine[3], mine[4]]
-    assert (found.many_worlds, found.switches, found.why, found.baseline, found.tuned) == ({}, {}, {}, {}, {})
+    assert (found.vectorised, found.switches, found.why, found.baseline, found.tuned) == ({}, {}, {}, {}, {})
 
 
 def test_a_run_of_ones_own_beside_the_study_is_in_it_where_its_settings_are_the_same():
@@ -145,7 +145,7 @@ def test_more_activations_are_shown_beside_the_papers_of_the_longest_study_that_
 @settings(max_examples=30, deadline=None)
 @given(st.randoms(use_true_random=False))
 def test_the_order_in_which_runs_are_found_changes_nothing(random):
-    cells = [*in_many(), *grid(study="one-world", **IN_ONE), cell(study="wide", **SHORT), cell("trpo")]
+    cells = [*in_many(), *grid(study="paper", **IN_ONE), cell(study="wide", **SHORT), cell("trpo")]
     cells += [cell(study="sensitivity", **LISTED), cell("a2c"), cell("a2c", "relu", lr=0.5)]
     shuffled = random.sample(cells, len(cells))
     assert sort(shuffled) == sort(cells)
@@ -153,16 +153,16 @@ def test_the_order_in_which_runs_are_found_changes_nothing(random):
 
 
 def test_a_study_in_one_world_that_lacks_one_of_the_papers_cells_is_not_yet_the_main_one():
-    alone = grid(study="one-world", **IN_ONE)
+    alone = grid(study="paper", **IN_ONE)
     found = sort([*in_many(), *alone[1:]])
-    assert {one.settings["n_worlds"] for one in found.main.values()} == {16}
-    assert (found.many_worlds, found.others) == ({}, alone[1:])
+    assert {one.settings["n_envs"] for one in found.main.values()} == {16}
+    assert (found.vectorised, found.others) == ({}, alone[1:])
 
 
 def test_without_a_run_in_one_world_the_study_in_many_is_the_main_one_and_the_other_way_round():
-    assert (len(sort(in_many()).main), sort(in_many()).many_worlds) == (8, {})
-    alone = sort(grid(study="one-world", **IN_ONE))
-    assert (len(alone.main), alone.many_worlds, alone.others) == (8, {}, [])
+    assert (len(sort(in_many()).main), sort(in_many()).vectorised) == (8, {})
+    alone = sort(grid(study="paper", **IN_ONE))
+    assert (len(alone.main), alone.vectorised, alone.others) == (8, {}, [])
 
 
 def test_no_cells_are_no_studies():
@@ -227,7 +227,7 @@ def test_what_is_not_there_has_no_seeds():
 def test_a_flight_counts_in_the_frames_that_it_lasted_and_its_collision_at_its_end():
     """It earns 1 a frame to frame 300,000, where it collides, and 2 a frame from there on, up in the air at the end."""
     first = (0, 300_000, 300_000, 0, 0, 9, 300_000.0 - 10)
-    evidence = rows_of(cell(*KEY, n_worlds=1, rows=[first, (0, 1_000_000, 700_000, 0, 0, 9, 1.4e6, False, False)]))
+    evidence = rows_of(cell(*KEY, n_envs=1, rows=[first, (0, 1_000_000, 700_000, 0, 0, 9, 1.4e6, False, False)]))
     assert evidence(*KEY, "reward_before").tolist() == pytest.approx([1 - 10 / 300_000])
     assert evidence(*KEY, "reward_surge").tolist() == pytest.approx([2])
     assert evidence(*KEY, "reward_after").tolist() == pytest.approx([2])
@@ -235,7 +235,7 @@ def test_a_flight_counts_in_the_frames_that_it_lasted_and_its_collision_at_its_e
 
 def test_frame_300000_is_before_the_surge_and_300001_in_it():
     for end, before, surge in ((300_000, -10, 0), (300_001, 0, -10)):
-        evidence = rows_of(cell(*KEY, n_worlds=1, rows=[(0, end, end, 0, 0, 9, -10.0)]))
+        evidence = rows_of(cell(*KEY, n_envs=1, rows=[(0, end, end, 0, 0, 9, -10.0)]))
         assert 300_000 * evidence(*KEY, "reward_before") == pytest.approx(before)
         assert 300_000 * evidence(*KEY, "reward_surge") == pytest.approx(surge)
 

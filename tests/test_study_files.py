@@ -107,7 +107,7 @@ def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_ea
         (),
         ("density", "slalom"),
     }
-    tuned = {(one.config.algorithm, one.config.preset) for one in found if one.config.preset != "paper"}
+    tuned = {(one.config.algorithm, one.config.preset) for one in found if one.config.preset != "vectorised"}
     assert tuned == {("ppo", "fast"), ("dqn", "fast")}
 
 
@@ -238,7 +238,7 @@ def test_what_is_no_study_file_is_refused_in_one_line_before_anything_is_written
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["papr"], "papr: there is no such study; choose from algorithms, initial, one-world, paper"),
+        (["papr"], "papr: there is no such study; choose from algorithms, initial, paper, sensitivity"),
         (["paper", "engine=cloud"], "engine=cloud; choose from local, ray, slurm"),
         (["paper", "sede=3"], "there is no key 'sede'; choose from"),
         (["paper", "seeds=many"], "seeds=many; give a whole number"),
@@ -330,7 +330,7 @@ def test_a_cell_of_which_a_setting_is_wrong_is_refused():
 
 
 def test_a_finished_run_of_other_settings_does_not_count_as_a_cell(tmp_path, capsys):
-    config = {"hidden": [4], "total_frames": 64, "frames_per_batch": 64, "epochs": 1, "n_worlds": 2}
+    config = {"hidden": [4], "total_frames": 64, "frames_per_batch": 64, "epochs": 1, "n_envs": 2}
     ppo.train(ppo.PPOConfig(**config), out=tmp_path / "out" / "ppo" / "tanh", quiet=True)
     cell = {"algorithm": "ppo", "evaluate": False, **config, "hidden": [[4]]}
     name = written(tmp_path, yaml.safe_dump({"cells": [cell | {"lr": 0.5}]}))

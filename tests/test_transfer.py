@@ -18,7 +18,7 @@ from uavnav.tasks.baselines import reactive
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.simulator import EMPTY, make_task
 
-SMALL = {"total_frames": 64, "n_worlds": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
+SMALL = {"total_frames": 64, "n_envs": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
 RUNS = {
     "paper": {"n_seeds": 2},
     "moving": {"task": "moving", "world": {"speed_max": 3.0}},
@@ -138,7 +138,7 @@ def test_sensed_velocities_stay_shares_of_the_greatest_speed_in_training(tmp_pat
 
 
 def test_a_policy_flies_in_another_world_of_the_same_observations_and_a_script_in_any():
-    policy = uavnav.load_policy(Path(uavnav.__file__).parents[1] / "results" / "ppo" / "tanh", seed=3)
+    policy = uavnav.load_policy(Path(uavnav.__file__).parents[1] / "results" / "vectorised" / "ppo" / "tanh", seed=3)
     fast = MovingWorld(speed_min=6.0, speed_max=6.0)
     flown = {"episodes": 20, "max_steps": 300}
     still, moving = (uavnav.evaluate_policy(policy, world=world, **flown) for world in (None, fast))

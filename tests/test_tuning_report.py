@@ -129,7 +129,7 @@ def rows(value):
 
     class Made(Rows):
         def __call__(self, algorithm, activation, metric, study="main"):
-            assert (metric, study) == ("reward", "many_worlds")
+            assert (metric, study) == ("reward", "vectorised")
             there = (algorithm, activation) in self.studies.of(study)
             return value(algorithm, activation) + np.array([-0.01, 0.0, 0.01]) if there else np.empty(0)
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from uavnav.tasks.layouts import LayoutError
     from uavnav.tasks.world import World
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _NAMES = {
     "ConfigError": "errors",

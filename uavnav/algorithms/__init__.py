@@ -18,7 +18,6 @@ class Algorithm(NamedTuple):
     values: str  # what its outputs are, for people
     shown: str  # what a picture shows of them: a name of `acting.SHOWN`
     head: str = "direct"  # how outputs become one number an action: a name of `acting.HEADS`
-    came_later: Mapping[str, Any] = {}  # settings that older runs do not name, as those were run
     logs: tuple[str | int, ...] = ()  # Stable-Baselines3 does: `frames` or `episodes`, then factors of how many apart
 
     @property
@@ -72,7 +71,6 @@ BUILT_IN = {
         "epsilon-greedy",
         "Q values",
         "Q value",
-        came_later={"n_steps": 1, "dueling": False},
         logs=("episodes", 4),
     ),
     "a2c": Algorithm(
@@ -80,7 +78,7 @@ BUILT_IN = {
         "categorical",
         "logits",
         "probability",
-        logs=("frames", 100, "n_steps", "n_worlds"),
+        logs=("frames", 100, "n_steps", "n_envs"),
     ),
     "c51": Algorithm(
         "uavnav.algorithms.c51",

@@ -4,7 +4,7 @@
     L_value  = (V(s) - V_target)^2
 
 Networks and advantages are PPO's; the settings and RMSprop are those of Stable-Baselines3's A2C.
-Letters: A agents, W worlds an agent, T steps of a rollout.
+Letters: A agents, W environments an agent, T steps of a rollout.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class A2CConfig(TrainConfig):
 
     algorithm: ClassVar[str] = "a2c"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "paper": {},
+        "vectorised": {},
+        "paper": {"n_envs": 1},  # as SB3 runs by default
         "fast": {  # the best of 40 settings after 200,000 frames, on the bank `validation`: results/tuning
             "total_frames": 200_000,
             "n_steps": 3,
@@ -73,7 +74,7 @@ class A2CConfig(TrainConfig):
 
     @property
     def frames_per_iteration(self) -> int:
-        return self.n_steps * self.n_worlds
+        return self.n_steps * self.n_envs
 
     def make(self, compile: bool) -> A2C:
         return A2C(self, compile)

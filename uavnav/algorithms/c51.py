@@ -37,8 +37,8 @@ class C51Config(QConfig):
 
     algorithm: ClassVar[str] = "c51"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "paper": {},
-        "one-world": {"n_worlds": 1},
+        "vectorised": {},
+        "paper": {"n_envs": 1},
         "fast": DQNConfig.PRESETS["fast"],
         "rainbow-lite": {"double": True, "dueling": True, "n_steps": 5},
     }

@@ -5,7 +5,7 @@
 over transitions (s, a, R, s') drawn uniformly from the buffer, with SB3's Huber loss in place of the square by default.
 theta- is a copy of theta, renewed every so many frames; where an episode terminated at s' the target is R alone.
 
-Letters: A agents, one a seed, that learn side by side and independently of each other; W worlds an agent.
+Letters: A agents, one a seed, that learn side by side and independently of each other; W environments an agent.
 """
 
 from __future__ import annotations
@@ -87,8 +87,8 @@ class QConfig(ReplayConfig):
 
     @property
     def frames_between_targets(self) -> int:
-        """Frames per seed from one copy of theta to the next, whole steps of all worlds."""
-        return max(self.target_update_frames // self.n_worlds, 1) * self.n_worlds
+        """Frames per seed from one copy of theta to the next, whole steps of all environments."""
+        return max(self.target_update_frames // self.n_envs, 1) * self.n_envs
 
     def epsilon(self, frames: int) -> float:
         """The share of random actions after so many frames: all, until learning starts, then a linear fall."""
@@ -105,12 +105,12 @@ class DQNConfig(QConfig):
 
     algorithm: ClassVar[str] = "dqn"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "paper": {},
-        "one-world": {"n_worlds": 1},  # as SB3 runs by default
-        "paper-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
+        "vectorised": {},
+        "paper": {"n_envs": 1},  # as SB3 runs by default
+        "vectorised-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
         "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/performance.md
             "total_frames": 400_000,
-            "n_worlds": 128,
+            "n_envs": 128,
             "learning_starts": 10_000,
             "batch_size": 128,
             "frames_per_update": 8,
@@ -125,8 +125,8 @@ class DQNConfig(QConfig):
         },
     }
     MICROSECONDS: ClassVar[dict[tuple[str, bool], tuple[float, float]]] = {
-        ("paper", True): (30.0, 26.2),
-        ("paper", False): (373.5, 26.2),
+        ("vectorised", True): (30.0, 26.2),
+        ("vectorised", False): (373.5, 26.2),
     }
 
     loss: Literal["huber", "squared"] = key("huber", "Stable-Baselines3's, or squared as in eq. (1)")

@@ -5,7 +5,7 @@
     L_value = (V(s) - V_target)^2                                                                  eq. (4)
 
 Everything has a leading axis of agents A, one a seed, that learn side by side and independently of each other.
-Letters: A agents, W worlds an agent, T steps of a rollout.
+Letters: A agents, W environments an agent, T steps of a rollout.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class PPOConfig(TrainConfig):
 
     algorithm: ClassVar[str] = "ppo"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "paper": {},
-        "one-world": {"n_worlds": 1},  # as SB3 runs by default
+        "vectorised": {},
+        "paper": {"n_envs": 1},  # as SB3 runs by default
         "fast": {  # a good drone soon: few, large steps of both collection and learning
             "total_frames": 400_000,
-            "n_worlds": 128,
+            "n_envs": 128,
             "frames_per_batch": 4096,
             "minibatch_size": 512,
             "epochs": 8,
@@ -62,13 +62,13 @@ class PPOConfig(TrainConfig):
         },
     }
     MICROSECONDS: ClassVar[dict[tuple[str, bool], tuple[float, float]]] = {
-        ("paper", True): (24.7, 25.9),
-        ("paper", False): (338.4, 25.9),
+        ("vectorised", True): (24.7, 25.9),
+        ("vectorised", False): (338.4, 25.9),
         ("fast", True): (4.6, 35.4),
     }
 
     lr: float = at_least(3e-4, 0, "Adam's learning rate")
-    frames_per_batch: int = at_least(2048, 1, "collected in an iteration, from all worlds", "frames a seed")
+    frames_per_batch: int = at_least(2048, 1, "collected in an iteration, from all environments", "frames a seed")
     minibatch_size: int = at_least(64, 2, "in a gradient step", "frames")
     epochs: int = within(10, 1, 1_000, "passes over an iteration's frames")
     adam_eps: float = at_least(1e-5, 0, "Adam's ε")

@@ -3,7 +3,7 @@
 Every agent draws rows of its own, from its own generator. TorchRL's own samplers draw from one global stream, which
 would tie the agents of a population together.
 
-Letters: A agents, one a seed; W worlds an agent; T steps; M minibatches of N transitions.
+Letters: A agents, one a seed; W environments an agent; T steps; M minibatches of N transitions.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FRAME_BYTES = 14
 class ReplayConfig(TrainConfig):
     """What learning from replay needs, whatever its loss."""
 
-    n_worlds: int = at_least(64, 1)
+    n_envs: int = at_least(64, 1)
     buffer_size: int = at_least(1_000_000, 1, "the newest so many are kept", "frames a seed")
     learning_starts: int = at_least(50_000, 0, "of uniformly random actions, without updates", "frames a seed")
     batch_size: int = at_least(32, 1, "in a gradient step", "transitions")
@@ -41,14 +41,14 @@ class ReplayConfig(TrainConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.n_worlds % self.frames_per_update and self.frames_per_update % self.n_worlds:
+        if self.n_envs % self.frames_per_update and self.frames_per_update % self.n_envs:
             raise ConfigError(
-                f"n_worlds={self.n_worlds}; give a multiple or a divisor of frames_per_update={self.frames_per_update}"
+                f"n_envs={self.n_envs}; give a multiple or a divisor of frames_per_update={self.frames_per_update}"
             )
-        if self.buffer_size <= self.steps_in_target * self.n_worlds:
-            least = "n_worlds" if self.steps_in_target == 1 else "n_steps x n_worlds"
+        if self.buffer_size <= self.steps_in_target * self.n_envs:
+            least = "n_envs" if self.steps_in_target == 1 else "n_steps x n_envs"
             raise ConfigError(
-                f"buffer_size={self.buffer_size}; give more than {least}={self.steps_in_target * self.n_worlds}"
+                f"buffer_size={self.buffer_size}; give more than {least}={self.steps_in_target * self.n_envs}"
             )
 
     def check_machine(self) -> None:
@@ -79,21 +79,21 @@ class ReplayConfig(TrainConfig):
 
     @property
     def frames_per_iteration(self) -> int:
-        return self.n_worlds * self.steps_between_updates
+        return self.n_envs * self.steps_between_updates
 
     @property
     def frames_before_learning(self) -> int:
-        return max(self.learning_starts, self.steps_in_target * self.n_worlds)  # a row has its successors
+        return max(self.learning_starts, self.steps_in_target * self.n_envs)  # a row has its successors
 
     @property
     def steps_between_updates(self) -> int:
         """Steps of all worlds from one round of gradient steps to the next."""
-        return max(self.frames_per_update // self.n_worlds, 1)
+        return max(self.frames_per_update // self.n_envs, 1)
 
     @property
     def updates_per_step(self) -> int:
         """Gradient steps in such a round."""
-        return max(self.n_worlds // self.frames_per_update, 1)
+        return max(self.n_envs // self.frames_per_update, 1)
 
     @property
     def frames_between_rows(self) -> int:
@@ -162,7 +162,7 @@ def make_sampler(config: ReplayConfig) -> AgentSampler:
     These are the next n - 1, and the n-th too where no row has its own s'.
     """
     last = config.steps_in_target + (not config.keeps_next_observations)
-    successors = [n * config.n_worlds for n in range(1, last)]
+    successors = [n * config.n_envs for n in range(1, last)]
     return AgentSampler(config.seeds, "replay", replace=True, successors=successors)
 
 

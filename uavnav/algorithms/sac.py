@@ -8,7 +8,7 @@
 over transitions (s, a, R, s') drawn uniformly from DQN's buffer. Both Q- follow their Q softly after each step; where
 an episode terminated at s', y is R alone. The temperature alpha keeps the policy's entropy H near its target.
 
-Letters: A agents, one a seed, that learn side by side and independently of each other; W worlds an agent; N rows.
+Letters: A agents, one a seed, that learn side by side and independently of each other; W environments an agent; N rows.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class SACConfig(ReplayConfig):
     COPIES: ClassVar[int] = 11  # a policy, two Q networks, and the targets of these
     algorithm: ClassVar[str] = "sac"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "paper": {},  # CleanRL's sac_atari.py; what is not from there says so below
-        "one-world": {"n_worlds": 1},  # as CleanRL and SB3 run by default
+        "vectorised": {},  # CleanRL's sac_atari.py; what is not from there says so below
+        "paper": {"n_envs": 1},  # as CleanRL and SB3 run by default
         "fast": {  # the best of 40 settings after 200,000 frames, on the bank `validation`: results/tuning
             "total_frames": 200_000,
             "hidden": (32, 32),

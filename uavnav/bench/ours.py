@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 
 def settings(algorithm: str, **changed: Any) -> Any:
-    """An algorithm's configuration: the preset `paper`, and what differs from it."""
-    return ALGORITHMS[algorithm].config(preset="paper", **changed)
+    """An algorithm's configuration: the preset `vectorised`, and what differs from it."""
+    return ALGORITHMS[algorithm].config(preset="vectorised", **changed)
 
 
 def train(algorithm: str, config: Any, **how: Any) -> Run:

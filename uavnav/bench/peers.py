@@ -13,7 +13,7 @@ SB3, SBX = "stable_baselines3", "sbx"
 
 
 def make_model(library: str, algorithm: str, env: Any, **beyond: Any) -> Any:
-    """The model of a library with the preset `paper`, for one environment; `beyond` is what differs from it.
+    """The model of a library with the preset `vectorised`, for one environment; `beyond` is what differs from it.
 
     The preset has the libraries' own settings but for those named here.
     """

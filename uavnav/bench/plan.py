@@ -80,7 +80,7 @@ def training(algorithm: str) -> Iterator[Measurement]:
 def memory() -> Iterator[Measurement]:
     """Ten seeds until their buffers are full, in many environments to be quick, and a few updates."""
     n_envs = WHOLE // 625
-    run: Result = {"n_seeds": 10, "total_frames": WHOLE, "n_worlds": n_envs}
+    run: Result = {"n_seeds": 10, "total_frames": WHOLE, "n_envs": n_envs}
     run |= {"frames_per_update": n_envs, "learning_starts": 4 * n_envs}
     for algorithm in (name for name in ALGORITHMS if hasattr(ours.settings(name), "buffer_size")):
         arguments = run | {"algorithm": algorithm}

@@ -110,7 +110,7 @@ def overview() -> str:
 
 # -- train -----------------------------------------------------------------------------------------------------------
 
-USUAL = {"preset": "paper", "activation": "tanh"}
+USUAL = {"preset": "vectorised", "activation": "tanh"}
 """What names the default folder of a run, where it is not given."""
 
 
@@ -269,8 +269,9 @@ def _play(parser: Parser) -> None:
 def _playground(parser: Parser) -> None:
     parser.epilog = "example: uavnav playground runs --out playground.html"
     of = "a run, or runs with policies up to two folders below"
+    usual = "results/vectorised"
     parser.add_argument(
-        "folders", nargs="*", type=Path, default=[Path("results")], metavar="FOLDER", help=f"{of} (default: results)"
+        "folders", nargs="*", type=Path, default=[Path(usual)], metavar="FOLDER", help=f"{of} (default: {usual})"
     )
     parser.add_argument(
         "--out", type=Path, default=Path("playground.html"), metavar="FILE", help="the page (default: playground.html)"

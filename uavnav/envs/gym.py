@@ -203,8 +203,8 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
 class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]], Any]):
     """A batch of drones, each as in `DroneGymEnv`; when an episode ends, the next one starts in the same step.
 
-    `reset(seed=s)` turns the rows into the parallel worlds of seed s, each with its own first layout; a list gives each
-    row its own seed. `reset(options={"layout": ...})` takes one index, or one index per row. When an episode ends,
+    `reset(seed=s)` makes the rows the parallel environments of seed s, each with its own first layout; a list gives
+    each row its own seed. `reset(options={"layout": ...})` takes one index, or one index per row. When an episode ends,
     `step` returns the next episode's first observation, and `final_obs` and `final_info` of the info describe the last
     state of the ended episode. `obstacles` and `velocities` have an axis more than one drone's: [num_envs, k, 3 or 2].
     """

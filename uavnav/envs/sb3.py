@@ -33,7 +33,7 @@ class DroneVecEnv(VecEnv):  # type: ignore[misc]
         self._seed = seed
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Make the rows the parallel worlds of this seed, from the next reset on."""
+        """Make the rows the parallel environments of this seed, from the next reset on."""
         self._seed = seed
         return [seed] * self.num_envs
 

@@ -85,7 +85,7 @@ def evaluate_policy(
         task: a name of `uavnav.simulator.TASKS`; by default the policy's, or the one that has such a world.
 
     Returns:
-        A row an episode, the columns of `metrics.EPISODE_COLUMNS` (`frame` is the step of its end, `world` its row).
+        A row an episode, the columns of `metrics.EPISODE_COLUMNS` (`frame` is the step of its end, `env` its row).
 
     Raises:
         LayoutError: the bank cannot be read.
@@ -222,7 +222,7 @@ def _repeatable(policy: AnyPolicy, task: Task) -> bool:
 def _end(seed: Tensor, state: State, terminated: Tensor) -> dict[str, Tensor]:
     counts = {name: getattr(state, name) for name in ("layout", *COUNTS)}
     flags = {"terminated": terminated, "truncated": ~terminated}
-    return {"seed": seed, "frame": state.steps, "world": state.layout, **counts, **flags}
+    return {"seed": seed, "frame": state.steps, "env": state.layout, **counts, **flags}
 
 
 def _watch(step: flights.Transition, seed: Tensor, crew: Tensor) -> dict[str, Tensor]:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from uavnav.evaluation import EPISODES, MAX_STEPS, header, protocol_name
-from uavnav.runs.metrics import FIRST_COLUMNS
+from uavnav.runs.metrics import EVALUATED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.protocol import DRAWS, SCRIPTS
@@ -70,7 +70,7 @@ def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[s
         folder = next(folder for folder in folders if rule not in missing(folder, protocol))
         path, again = folder / protocol.file(rule), _command([rule], folder, protocol)
         try:
-            rows = read_table(path, FIRST_COLUMNS, again)
+            rows = read_table(path, EVALUATED, again)
             if rows.attrs != (wanted := header(*protocol)):
                 differs = [key for key in rows.attrs | wanted if rows.attrs.get(key) != wanted.get(key)]
                 there, asked = (_shown({key: said.get(key) for key in differs}) for said in (rows.attrs, wanted))

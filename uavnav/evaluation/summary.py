@@ -42,7 +42,7 @@ def of_run(run: Run) -> Table:
     """The six metrics of a finished run, per frame, by the log curve and per episode, beside the paper's row."""
     config = run.config
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
-    worlds = f"{config['n_worlds']} parallel world{'' if config['n_worlds'] == 1 else 's'}"
+    worlds = f"{config['n_envs']} parallel environment{'' if config['n_envs'] == 1 else 's'}"
     changes = [f"{name}={value}" for name, value in run.meta.get("beyond_preset", {}).items()]
     ends = "collision or goal" if config.get("task") == "goal" else "collision"
     preset = " with ".join([f"preset {config['preset']}", *([", ".join(changes)] if changes else [])])

@@ -108,8 +108,9 @@ def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
     rows = min(len(there), len(here))
     if not rows:  # a table without rows need not have columns
         return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
-    if list(there.columns) != list(here.columns):
+    if not {*there} <= {*here}:
         return f"  {name}: other columns"
+    here = here[list(there)]  # a folder may leave out what nobody reads
     equal = (there[:rows] == here[:rows]) | (there[:rows].isna() & here[:rows].isna())
     wrong = ~equal.all(axis=1)
     if wrong.any():

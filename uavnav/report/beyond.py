@@ -220,16 +220,16 @@ def pairs(found: Table, rule: float, width: float = style.WIDTH) -> style.Drawn:
 
 
 def further(studies: Studies) -> Cells:
-    """The cells in many worlds of algorithms beyond the paper's."""
-    return {key: cell for key, cell in studies.of("many_worlds").items() if key[0] not in paper.TABLE_OF}
+    """The cells in many environments of algorithms beyond the paper's."""
+    return {key: cell for key, cell in studies.of("vectorised").items() if key[0] not in paper.TABLE_OF}
 
 
 def carried(evidence: Rows) -> Table:
-    """What is said of activations, algorithm by algorithm, in many worlds: columns conclusion, algorithm, value, ...
+    """What is said of activations, by algorithm, in many environments: columns conclusion, algorithm, value, ...
 
     None unless an algorithm beyond the paper's has runs with the activations that some conclusion asks for.
     """
-    study = "many_worlds"
+    study = "vectorised"
     there = sorted(evidence.studies.of(study), key=order)
     algorithms = list(dict.fromkeys(algorithm for algorithm, _ in there))
     rows = []

@@ -41,12 +41,10 @@ TASK = "drone"
 """The task of a run that names none."""
 PARTS = {"world": World, "faults": Faults}
 """The tables of a configuration: a field is a setting of its own."""
-ONCE_FLAT = ("slots", "padding", "start_heading")
-"""Fields of `World` that older configurations hold beside `world` and not in it."""
 WORLDS = "worlds"
 """The folder, in a report's, of the study of that name, which `report.worlds` reads."""
 NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
-NAMED = ("preset", "frames", "n_worlds", "obstacles", "reward", "init")
+NAMED = ("preset", "frames", "n_envs", "obstacles", "reward", "init")
 """Settings that every section names; it names others where cells differ in them or from their preset."""
 EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)
 OF_ENDED = (LOG_CURVE, ALL, TOTALS, LAST_EPISODES)
@@ -139,8 +137,8 @@ def read(path: Path) -> Cell:
         RunError: it is missing, damaged, not finished, or lacks what a report needs.
     """
     run = Run(path)
-    if "n_worlds" not in run.config:
-        raise RunError(f"{path / 'config.yaml'}: does not say in how many worlds; not a run of this package")
+    if "n_envs" not in run.config:
+        raise RunError(f"{path / 'config.yaml'}: does not say in how many environments; not a run of this package")
     for key in ("bank", "versions", "beyond_preset"):
         run.meta.setdefault(key, {})
     evaluation = run.evaluation()
@@ -171,9 +169,7 @@ def settings_of(run: Run) -> dict[str, Any]:
     A field of the world is `world.<field>`; whatever a run of the task `drone` does not name is a default of `World`. A
     bank is its checksum, whatever path led to it.
     """
-    later = ALGORITHMS[run.algorithm].came_later if run.algorithm in ALGORITHMS else {}
-    config = _flat({"task": TASK, "layouts": "train", "stack": 1, "faults": asdict(NO_FAULTS)})
-    config |= {**later, **_flat(run.config)}
+    config = _flat({"task": TASK, "layouts": "train", "stack": 1, "faults": asdict(NO_FAULTS)}) | _flat(run.config)
     if config["task"] == TASK:
         config = _flat({"world": asdict(World())}) | config
     bank, layouts = run.meta["bank"], str(config.pop("layouts"))
@@ -187,12 +183,10 @@ def settings_of(run: Run) -> dict[str, Any]:
 
 
 def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration with the fields of its tables as `world.<field>`; so are the three of older ones."""
+    """A configuration with the fields of its tables as `world.<field>`."""
     rest = dict(config)
-    older = {name: rest.pop(name) for name in ONCE_FLAT if name in rest}
     for part, kind in PARTS.items():
         own = rest.pop(part) if isinstance(rest.get(part), dict) else {}
-        own = older | own if part == "world" else own
         rest |= {f"{part}.{name}": _as_field(getattr(kind, name, None), value) for name, value in own.items()}
     return rest
 
@@ -315,7 +309,7 @@ def windowed(cell: Cell, column: str, windows: Sequence[tuple[float, float]]) ->
     """A column of training per frame in windows of frames: a row a seed, a column a window (`readings.within`)."""
     own = cell.settings
     at_end = {"reward": own.get("world.collision_reward", World.collision_reward), "terminated": 1.0}
-    return within(cell.episodes, column, windows, own["n_worlds"], at_end.get(column, 0.0))
+    return within(cell.episodes, column, windows, own["n_envs"], at_end.get(column, 0.0))
 
 
 def curve(cell: Cell, column: str) -> pd.DataFrame:

@@ -25,7 +25,7 @@ from uavnav.errors import did_you_mean, did_you_mean_run
 from uavnav.report import cells, charts, curves, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
-from uavnav.runs.metrics import FIRST_COLUMNS, METRICS, per_seed
+from uavnav.runs.metrics import EVALUATED, METRICS, per_seed
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import EPISODES, MAX_STEPS, SCRIPTS, header
 from uavnav.tasks.world import World
@@ -99,7 +99,7 @@ def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | No
         return None
     files = (folder / "baselines" / f"{name}.parquet" for folder in path.absolute().parents)
     found = next((file for file in files if file.exists()), None)
-    return read_table(found, FIRST_COLUMNS, "evaluate it again") if found is not None else None
+    return read_table(found, EVALUATED, "evaluate it again") if found is not None else None
 
 
 def _place(task: str, reward: str, world: Mapping[str, Any]) -> dict[str, Any]:

@@ -232,7 +232,7 @@ def _tables(all_cells: Studies, flights: Flights) -> dict[str, pd.DataFrame]:
         "worlds": headline.worlds(all_cells),
         "peaks": headline.peaks(of_paper),
         "by_default": frames.by_default(all_cells),
-        "many_worlds": frames.estimates(frames.per_seed_values(studies.paper_cells(all_cells.many_worlds))),
+        "vectorised": frames.estimates(frames.per_seed_values(studies.paper_cells(all_cells.vectorised))),
         "wide": frames.estimates(frames.per_seed_values(studies.wide(all_cells))),
         "speed": frames.speed(of_paper),
     }

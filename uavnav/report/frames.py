@@ -22,7 +22,7 @@ from uavnav.report.claims import PRIMARY, Evidence, long
 from uavnav.report.studies import TUNED, Cells, Studies, hours, paper_cells, timed
 from uavnav.report.verdicts import Finding, grade, of_claim
 from uavnav.runs import paper
-from uavnav.runs.metrics import FIRST_COLUMNS
+from uavnav.runs.metrics import EVALUATED
 from uavnav.runs.readings import PER_FRAME, SAMPLED
 from uavnav.runs.tables import RunError, read_csv, read_table
 
@@ -284,7 +284,7 @@ def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[st
     found, left_out = {}, []
     for path in (path for folder in folders for path in sorted((folder / "baselines").glob("*.parquet"))):
         try:
-            found[path.stem] = read_table(path, FIRST_COLUMNS, "evaluate it again")
+            found[path.stem] = read_table(path, EVALUATED, "evaluate it again")
         except RunError as error:
             left_out.append(str(error))
     return found, left_out
@@ -296,8 +296,8 @@ def total_frames(cells: Cells) -> str:
 
 
 def worlds(cells: Cells) -> str:
-    """How many parallel worlds a seed has: one number, or from ... to ..."""
-    return least_to_most(cell.settings["n_worlds"] for cell in cells.values())
+    """How many parallel environments a seed has: one number, or from ... to ..."""
+    return least_to_most(cell.settings["n_envs"] for cell in cells.values())
 
 
 def least_to_most(counts: Iterable[int], noun: str = "") -> str:

@@ -22,18 +22,18 @@ from uavnav.runs.readings import EVALUATIONS
 
 RULE = "reactive"
 """The scripted policy that everything learned is held against: `uavnav.tasks.baselines.reactive`."""
-MANY_WORLDS = "many worlds"
-"""The setting in which the study in many worlds differs from that in one."""
+VECTORISED = "many environments"
+"""The setting in which the study in many environments differs from that in one."""
 EVERY = "all cells"
 NUMBERS = ["value", "low", "high", "n"]
 
 
 def cells(studies: Studies) -> pd.DataFrame:
     """How large each study is: columns study, algorithm, activation, seeds, frames (of a seed), worlds (of a seed)."""
-    named = {"main": studies.main, MANY_WORLDS: studies.many_worlds, "baseline": studies.baseline}
+    named = {"main": studies.main, VECTORISED: studies.vectorised, "baseline": studies.baseline}
     named |= {"initial": studies.initial, **studies.switches, "tuned": studies.tuned}
     rows = [
-        [study, *key, seeds(cell), cell.settings["frames"], cell.settings["n_worlds"]]
+        [study, *key, seeds(cell), cell.settings["frames"], cell.settings["n_envs"]]
         for study, found in named.items()
         for key, cell in (paper_cells(found) if study == "main" else found).items()
     ]
@@ -96,10 +96,10 @@ def _to_rule(flights: pd.DataFrame, rule: pd.DataFrame) -> stats.Array:
 def effects(studies: Studies) -> pd.DataFrame:
     """What a setting changes in an algorithm's reward per frame: columns switch, algorithm, frames, and `NUMBERS`.
 
-    The mean over the activations that both studies have, minus that as decided; many worlds minus one. frames: a seed.
+    The mean over the activations that both have, minus that as decided; many environments minus one. frames: a seed.
     """
     pairs = [(switch, cells, studies.baseline) for switch, cells in studies.switches.items()]
-    pairs.append((MANY_WORLDS, paper_cells(studies.many_worlds), paper_cells(studies.main)))
+    pairs.append((VECTORISED, paper_cells(studies.vectorised), paper_cells(studies.main)))
     rows = []
     for switch, changed, usual in pairs:
         shared = [key for key in changed if key in usual]
@@ -112,7 +112,7 @@ def effects(studies: Studies) -> pd.DataFrame:
 
 
 def worlds(studies: Studies) -> pd.DataFrame:
-    """What one world a seed changes beside the mean, against many: columns measure, algorithm, and `NUMBERS`.
+    """What one environment a seed changes beside the mean, against many: columns measure, algorithm, and `NUMBERS`.
 
     One minus many, mean over the activations that both studies have, with Welch's interval over seeds:
 
@@ -122,7 +122,7 @@ def worlds(studies: Studies) -> pd.DataFrame:
 
     order: Spearman's correlation, one against many, of the activations' mean rewards per frame.
     """
-    one, many = paper_cells(studies.main), paper_cells(studies.many_worlds)
+    one, many = paper_cells(studies.main), paper_cells(studies.vectorised)
     shared, rows = [key for key in one if key in many], []
     for algorithm in dict.fromkeys(which for which, _ in shared):
         pairs = [[cells[key] for key in shared if key[0] == algorithm] for cells in (one, many)]

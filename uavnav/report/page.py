@@ -260,7 +260,8 @@ def _table_name(algorithm: str) -> str:
 def markdown(content: Content) -> str:
     """report.md: the verdicts, the tables in every reading, how the runs were made."""
     sections = []
-    answered = {id(cell) for cells in content.studies.why.values() for cell in cells.values()}  # by a question each
+    questions = (*content.studies.why.values(), *content.studies.switches.values())  # each has a table of its own
+    answered = {id(cell) for cells in questions for cell in cells.values()}
     for algorithm in content.paper_tables:
         mine = [cell for cell in content.cells if cell.algorithm == algorithm and id(cell) not in answered]
         part, usual = label(mine)

@@ -1,7 +1,7 @@
 """Which cells belong to which part of a report, and what each reading of their rows says, as one number a seed.
 
-A run's meta.json names its study, and `PLACES` says what each study answers. The study in *many worlds* has the paper's
-reward and its million frames. The *main* study answers for the paper: it is the same in one world a seed, as
+A run's meta.json names its study, and `PLACES` says what each study answers. The study `vectorised` has the paper's
+reward and its million frames. The *main* study answers for the paper: it is the same in one environment a seed, as
 Stable-Baselines3 runs by default, once all the paper's cells have flown it, or else that in many. Runs of no study that
 the report knows are compared with each other: those of an algorithm's most frequent settings.
 """
@@ -26,9 +26,9 @@ from uavnav.tasks.faults import NO_FAULTS
 Cells = dict[Key, Cell]
 
 PLACES = {
-    "one-world": "main",
-    "paper": "many_worlds",
-    "algorithms": "many_worlds",
+    "paper": "main",
+    "vectorised": "vectorised",
+    "algorithms": "vectorised",
     "wide": "baseline",
     "initial": "initial",
     "sensitivity": "switches",
@@ -48,8 +48,8 @@ class Studies(NamedTuple):
     """All cells of a report."""
 
     main: Cells  # the paper's comparison, and further activations at the same settings
-    many_worlds: Cells  # the same in more worlds a seed, where the main study is in one; else none
-    baseline: Cells  # in many worlds for fewer frames, what the next two are held against
+    vectorised: Cells  # the same in more environments a seed, where the main study is in one; else none
+    baseline: Cells  # in many environments for fewer frames, what the next two are held against
     initial: Cells  # under the first reward
     switches: dict[str, Cells]  # one setting that the paper leaves open otherwise, by `name=value`
     why: dict[str, Cells]  # one setting otherwise that may tell why cells differ (`whys`), by `name=value`
@@ -58,8 +58,8 @@ class Studies(NamedTuple):
 
     def of(self, name: str) -> Cells:
         """One of those that claims and questions ask, by its name; none where there is no such."""
-        many = self.many_worlds or self.main
-        named = {"main": self.main, "many_worlds": many, "baseline": self.baseline, "initial": self.initial}
+        many = self.vectorised or self.main
+        named = {"main": self.main, "vectorised": many, "baseline": self.baseline, "initial": self.initial}
         return named.get(name) or self.why.get(name, {})
 
 
@@ -75,10 +75,10 @@ def sort(cells: Sequence[Cell]) -> Studies:
                 studies.others.append(cell)
             else:
                 place[algorithm, cell.activation] = cell
-    missing = studies.many_worlds.keys() - studies.main.keys()
+    missing = studies.vectorised.keys() - studies.main.keys()
     if missing & paper.TABLES.keys():
         studies.others.extend(studies.main.values())
-        studies = studies._replace(main=studies.many_worlds, many_worlds={})
+        studies = studies._replace(main=studies.vectorised, vectorised={})
     for cells_of in (*studies[:4], studies.tuned, *studies.switches.values(), *studies.why.values()):
         in_order = sorted(cells_of.items(), key=lambda item: order(item[0]))
         cells_of.clear()
@@ -87,19 +87,19 @@ def sort(cells: Sequence[Cell]) -> Studies:
 
 
 def _usual(cells: Sequence[Cell]) -> Mapping[str, Any]:
-    """An algorithm's settings in the study in many worlds, or else those of most of its cells, then of most seeds."""
-    named = [cell for cell in cells if PLACES.get(cell.study) == "many_worlds"]
+    """An algorithm's settings in the study `vectorised`, or else those of most of its cells, then of most seeds."""
+    named = [cell for cell in cells if PLACES.get(cell.study) == "vectorised"]
     groups = [[one for one in named or cells if one.settings == cell.settings] for cell in named or cells]
     return max(groups, key=lambda group: (len(group), sum(map(seeds, group)), str(group[0].settings)))[0].settings
 
 
 def _place(studies: Studies, cell: Cell, usual: Mapping[str, Any]) -> Cells | None:
     place, changed = PLACES.get(cell.study), _changed(cell.settings, usual)
-    if place in ("main", "many_worlds", "tuned"):
+    if place in ("main", "vectorised", "tuned"):
         cells: Cells = getattr(studies, place)
         return cells
     if place is None:
-        return studies.many_worlds if not changed else None
+        return studies.vectorised if not changed else None
     named = changed - FOLLOWING
     if not named:
         return studies.baseline
@@ -116,7 +116,7 @@ def _changed(own: Mapping[str, Any], usual: Mapping[str, Any]) -> set[str]:
 
 def in_none(studies: Studies) -> list[str]:
     """One line for each run that is in no study, with how its settings differ from the main study's."""
-    lines, usual = [], studies.main | studies.many_worlds
+    lines, usual = [], studies.main | studies.vectorised
     for cell in studies.others:
         nearest = next(one.settings for key, one in usual.items() if key[0] == cell.algorithm)
         changes = sorted(_changed(cell.settings, nearest))
@@ -138,7 +138,7 @@ def elsewhere(cells: Sequence[Cell]) -> list[Cell]:
 
 
 def wide(studies: Studies) -> Cells:
-    """All cells of the first study with activations beyond the paper's: the main one, many worlds, or the baseline."""
+    """All cells of the first study with activations beyond the paper's: the main one, `vectorised`, or the baseline."""
     return next((cells for cells in studies[:3] if len(paper_cells(cells)) < len(cells)), {})
 
 

@@ -21,7 +21,7 @@ from uavnav.runs.readings import words
 Place = tuple[str, str, str]
 """Study, algorithm and activation, as `Evidence` takes them."""
 PPO, DQN = ALGORITHMS
-SHORT, LONG = "baseline", "many_worlds"
+SHORT, LONG = "baseline", "vectorised"
 """Studies that change nothing, of fewer and of as many frames as the paper's."""
 PAIR = ("tanh", "relu")
 """Activations of the studies that are as long as the paper's."""

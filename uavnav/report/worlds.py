@@ -35,7 +35,7 @@ from uavnav.report.discussion import (
 from uavnav.report.operating import characteristics
 from uavnav.report.verdicts import Finding, audit
 from uavnav.runs import Run, run_folders
-from uavnav.runs.metrics import FIRST_COLUMNS, FLIGHTS, OWN, collided, of_flights
+from uavnav.runs.metrics import EVALUATED, FLIGHTS, OWN, collided, of_flights
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Interval
 from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from uavnav.evaluation.scripts import Protocol
 
 MODE = "sampled"
-DEFAULT, TUNED = "paper", "fast"
+DEFAULT, TUNED = "vectorised", "fast"
 """The presets of the study; a world's name says the second."""
 MEASURES = {
     "reward": "reward per flight",
@@ -170,7 +170,7 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     name, _ = files_of(sets, EPISODES, cap)
     if not (run.path / name).exists():
         raise RunError(f"{run.path}: has no {name}; give its study again")
-    rows = read_table(run.path / name, FIRST_COLUMNS | {"mode": "object"}, "evaluate the run again")
+    rows = read_table(run.path / name, EVALUATED | {"distance": "int64", "mode": "object"}, "evaluate the run again")
     table = measured(rows[rows["mode"] == MODE], cap)
     if len(greedy := rows[rows["mode"] == "greedy"]):
         table["greedy"] = greedy.groupby("seed")["reward"].mean()

@@ -29,7 +29,7 @@ from pydantic import Field
 
 from uavnav import files
 from uavnav.files import Facts
-from uavnav.runs.metrics import FIRST_COLUMNS
+from uavnav.runs.metrics import EVALUATED, TRAINED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.runs.trials import TRIALS, TUNING
 from uavnav.tasks.protocol import CAPS, EPISODES
@@ -65,8 +65,8 @@ class Config(Facts):
     seed: Annotated[int, Field(ge=0, lt=2**31)]
     n_seeds: Annotated[int, Field(ge=1, le=MOST_SEEDS)]
     total_frames: Annotated[Count, Field(ge=1)] = 1
-    n_worlds: Annotated[Count, Field(ge=1)] = 1
-    preset: Name = "paper"
+    n_envs: Annotated[Count, Field(ge=1)] = 1
+    preset: Name = "vectorised"
     task: Name = "drone"
     reward: Name = "eq14"
     layouts: str = "train"
@@ -129,9 +129,8 @@ class Run:
         if self.meta.get("frames") is None:
             raise RunError(f"{self.path / 'meta.json'}: not a run's, its frames=None; give a run's folder")
         self.algorithm: str = self.config.pop("algorithm")
-        self.config = modern(self.config)
         if rows:
-            self.episodes = self._table("episodes.parquet", FIRST_COLUMNS)
+            self.episodes = self._table("episodes.parquet", TRAINED)
         self.progress = self._table("progress.parquet", {"seed": "int64", "frame": "int64"})
 
     @property
@@ -154,7 +153,7 @@ class Run:
     def evaluation(self) -> pd.DataFrame | None:
         """The rows of the first of `evaluations`, with their mode; None where it was not evaluated."""
         there = self.evaluations()
-        return self._table(there[0].name, FIRST_COLUMNS | {"mode": "object"}) if there else None
+        return self._table(there[0].name, EVALUATED | {"mode": "object"}) if there else None
 
     def behaviour_file(self) -> Path:
         """The watched steps that belong to `evaluation`."""
@@ -173,7 +172,7 @@ def own_evaluation(task: str) -> str:
 
 def default_folder(algorithm: str, preset: str, activation: str) -> Path:
     """runs/<algorithm>[-<preset>]/<activation>, below the current directory."""
-    return Path("runs") / (algorithm if preset == "paper" else f"{algorithm}-{preset}") / activation
+    return Path("runs") / (algorithm if preset == "vectorised" else f"{algorithm}-{preset}") / activation
 
 
 def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str, Any]:
@@ -187,6 +186,8 @@ def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str,
         raise RunError(f"{path}: missing or damaged; {instead}") from error
     if not isinstance(said, dict):
         raise RunError(f"{path}: not a run's {what}; {instead}")
+    if "n_worlds" in said:
+        raise RunError(f"{path}: written by uavnav 0.1, which reads it; train it again, or install that version")
     try:
         files.facts(kind, said)
     except ValueError as error:
@@ -206,16 +207,6 @@ def progress(folder: Path) -> dict[str, float]:
 def heard(told: Mapping[str, float], now: float) -> bool:
     """Whether a run that said this runs: by a clock that was set back, one that was killed may speak of the future."""
     return bool(told) and abs(now - told["at"]) < SILENCE
-
-
-def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's settings as they are written today.
-
-    Three fields of the world once lay beside the others, and no network had LayerNorm.
-    """
-    moved = {name: settings[name] for name in ("slots", "padding", "start_heading") if name in settings}
-    there = {key: value for key, value in settings.items() if key not in moved}
-    return {"layer_norm": False} | there | ({"world": moved} if moved else {})
 
 
 def run_folders(folder: Path) -> tuple[list[Path], list[str]]:

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-FIRST_COLUMNS = {
+EPISODE_COLUMNS = {
     "seed": "int64",
     "frame": "int64",  # frames of its seed at the end of the episode
-    "world": "int64",  # index of the parallel world
-    "layout": "int64",  # index of the obstacle set in the bank
+    "env": "int64",  # index of the parallel environment
+    "layout": "int64",  # index in the layout file
     "steps": "int64",
     "stops": "int64",
     "full_stops": "int64",
@@ -26,9 +26,12 @@ FIRST_COLUMNS = {
     "terminated": "bool",
     "truncated": "bool",
 }
-"""Columns that every run has."""
-EPISODE_COLUMNS: dict[str, str] = FIRST_COLUMNS | {}
-"""`FIRST_COLUMNS` and later columns; metrics of a column that an older run lacks are NaN."""
+"""Columns that training and evaluation write; a metric of a column that a table lacks is NaN."""
+TRAINED, EVALUATED = (
+    {name: EPISODE_COLUMNS[name] for name in ("seed", place, "steps", "reward", "terminated", "truncated")}
+    for place in ("frame", "layout")
+)
+"""Columns without which a table of training episodes, or of evaluated ones, is none."""
 
 MODES = ("greedy", "sampled")
 """How a policy is evaluated: always the best action, or as at the end of training (sampled DQN: epsilon = 0.05)."""
@@ -138,7 +141,7 @@ def finished(episodes: pd.DataFrame) -> pd.DataFrame:
 def in_order(episodes: pd.DataFrame) -> pd.DataFrame:
     """The episodes that ended, those of each seed together and in order of time; a table that is so as it is."""
     ended = np.flatnonzero(episodes["terminated"] | episodes["truncated"])
-    keys = [episodes[name].to_numpy()[ended] for name in ("world", "frame", "seed")]
+    keys = [episodes[name].to_numpy()[ended] for name in ("env", "frame", "seed") if name in episodes]
     is_later = np.ones(max(len(ended) - 1, 0), dtype=bool)
     for change in map(np.diff, keys):
         is_later = (change > 0) | ((change == 0) & is_later)

@@ -1,7 +1,7 @@
 """The readings: all that the paper's tables may have averaged over (decision 12), from the rows of a run.
 
 A reading is a table with a row a seed and a column a metric of `metrics.METRICS`. Frames are per seed. A flight of s
-steps in one of W parallel worlds that ended at frame f lasted from f - s W to f.
+steps in one of W parallel environments that ended at frame f lasted from f - s W to f.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.
     """The mean over a run's log of Stable-Baselines3's `rollout/ep_rew_mean`, and of each other metric likewise.
 
     An entry of the log is the mean of the last 100 episodes that have ended by then; ratios are means of the episodes'
-    ratios. There is no entry before the first episode has ended. Episodes that end in one step of parallel worlds are
+    ratios. There is no entry before the first episode has ended. Episodes that end in one step of all environments are
     all in the mean before any is counted. A seed without an entry has NaN.
 
     frames: that each seed had; unit, every: it logs every so many `frames` per seed or finished `episodes`.
@@ -84,7 +84,7 @@ def within(
     episodes: pd.DataFrame,
     column: str,
     windows: Sequence[tuple[float, float]],
-    n_worlds: int,
+    n_envs: int,
     collision: float = 0.0,
 ) -> pd.DataFrame:
     """A column's sum per frame in windows [low, high) of frames: a row a seed, a column a window.
@@ -96,7 +96,7 @@ def within(
     owner, seeds = pd.factorize(episodes["seed"], sort=True)
     steps, end, total = (episodes[name].to_numpy(np.float64) for name in ("steps", "frame", column))
     at_end = collision * episodes["terminated"].to_numpy(np.float64)
-    first = np.searchsorted(edges, end - steps * n_worlds, side="right")  # edges that a flight begins behind
+    first = np.searchsorted(edges, end - steps * n_envs, side="right")  # edges that a flight begins behind
     behind = np.searchsorted(edges, end)  # and those that it ends behind
     size = len(seeds), len(edges) + 1
     whole = first == behind  # between two edges
@@ -104,7 +104,7 @@ def within(
     before = sums.cumsum(1)[:, :-1].astype(np.float64)  # of no flights, bincount counts in int64
     owner, steps, end, total, at_end = (column[~whole] for column in (owner, steps, end, total, at_end))
     for index, edge in enumerate(edges):
-        flown = np.clip((edge - end) / (steps * n_worlds) + 1, 0, 1)  # the part of each flight before the edge
+        flown = np.clip((edge - end) / (steps * n_envs) + 1, 0, 1)  # the part of each flight before the edge
         earned = (total - at_end) * flown + at_end * (end <= edge)
         before[:, index] += np.bincount(owner, earned, len(seeds))
     low, high = place.reshape(-1, 2).T

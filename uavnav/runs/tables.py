@@ -18,7 +18,7 @@ from filelock import FileLock, Timeout
 
 from uavnav import files
 from uavnav.errors import OneLineError
-from uavnav.runs.metrics import LAST, finished
+from uavnav.runs.metrics import EPISODE_COLUMNS, LAST, in_order
 
 Columns = dict[str, np.ndarray[Any, Any]]
 
@@ -66,7 +66,7 @@ def records(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFrame:
-    """Read a Parquet file that has at least these columns; columns: name -> dtype.
+    """Read a Parquet file that has at least these columns; columns: name -> dtype. Those of episodes must be as usual.
 
     again: how to write the file again, for the error message.
 
@@ -79,7 +79,7 @@ def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFra
         table.attrs |= _attrs(plain.schema.metadata or {})
     except (OSError, ValueError) as error:
         raise RunError(f"{path}: missing or damaged; {again}") from error
-    for column, kind in columns.items():
+    for column, kind in ({name: EPISODE_COLUMNS[name] for name in table if name in EPISODE_COLUMNS} | columns).items():
         if str(table.dtypes.get(column)) != kind:
             raise RunError(f"{path}: its columns are not a run's, {column} is no {kind}; {again}")
     return table
@@ -200,7 +200,7 @@ def with_reward(progress: pd.DataFrame, episodes: pd.DataFrame) -> Columns:
     """The columns of progress, and `reward`: the mean over the seed's last 100 finished episodes (NaN: none yet)."""
     reward = np.full(len(progress), np.nan)
     if len(episodes):
-        of_seed = dict(list(finished(episodes).sort_values(["frame", "world"], kind="stable").groupby("seed")))
+        of_seed = dict(list(in_order(episodes).groupby("seed")))
         for seed in progress["seed"].unique():
             ended = of_seed.get(seed, episodes[:0])
             means = ended["reward"].rolling(LAST, min_periods=1).mean()

@@ -61,8 +61,8 @@ class Plan(NamedTuple):
         return self.said["ranges"][self.said["space"][algorithm][setting]]
 
     def defaults(self, algorithm: str) -> Settings:
-        """What the searched settings are in the preset `paper`."""
-        usual = ALGORITHMS[algorithm].presets["paper"]
+        """What the searched settings are in the preset `vectorised`."""
+        usual = ALGORITHMS[algorithm].presets["vectorised"]
         return {name: _short(name, getattr(usual, name, None)) for name in self.said["space"][algorithm]}
 
     def cell(self, algorithm: str, settings: Mapping[str, Any], folder: str, usual: Mapping[str, Any]) -> Cell:

@@ -17,7 +17,7 @@ import torch
 from uavnav.errors import MOST_WHOLE, ConfigError, among, told, unknown, unknown_key
 from uavnav.graph import telling_line
 from uavnav.networks import ACTIVATIONS, Init
-from uavnav.runs import default_folder, modern
+from uavnav.runs import default_folder
 from uavnav.settings import key
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
@@ -57,7 +57,7 @@ class TrainConfig:
         ConfigError: a value has the wrong type, is out of range, or is not among the choices.
     """
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}}
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"vectorised": {}}
     """What each preset sets, where it is not given, instead of the defaults."""
     MICROSECONDS: ClassVar[Mapping[tuple[str, bool], tuple[float, float]]] = {}
     """What a frame takes, by preset and compiled or not: a part that all seeds of a process share, and one a seed.
@@ -70,12 +70,12 @@ class TrainConfig:
     algorithm: ClassVar[str]
     """Its name in `uavnav.algorithms.ALGORITHMS`."""
 
-    preset: str = key("paper", "which table of settings to start from")
+    preset: str = key("vectorised", "which table of settings to start from")
     activation: str = one_of("tanh", ACTIVATIONS, "of the hidden layers")
     seed: int = within(0, 0, 2**31 - 1, "the first of the seeds")
     n_seeds: int = at_least(1, 1, "trained side by side, their seeds counted from the first", "agents")
     total_frames: int = at_least(1_000_000, 1, "as many, in whole iterations", "frames a seed")
-    n_worlds: int = at_least(16, 1, "that fly side by side", "worlds a seed")
+    n_envs: int = at_least(16, 1, "that fly side by side", "environments a seed")
     hidden: tuple[int, ...] = key((64, 64), "of each hidden layer", "units")
     lr: float = at_least(3e-4, 0, "learning rate")
     gamma: float = within(0.99, 0, 1, "discount of a step")
@@ -120,9 +120,9 @@ class TrainConfig:
             check_reward(self.reward, self.world)
         except ValueError as error:
             raise ConfigError(str(error)) from error
-        if self.frames_per_iteration % self.n_worlds:
+        if self.frames_per_iteration % self.n_envs:
             raise ConfigError(
-                f"n_worlds={self.n_worlds}; give a divisor of the {self.frames_per_iteration} frames of an iteration"
+                f"n_envs={self.n_envs}; give a divisor of the {self.frames_per_iteration} frames of an iteration"
             )
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError(f"hidden={told(list(self.hidden))}; give at least one layer, each of at least 1 unit")
@@ -153,8 +153,8 @@ class TrainConfig:
     @classmethod
     def as_run(cls, mapping: Mapping[str, Any]) -> dict[str, Any]:
         """The settings in a run's config.yaml; what came later than the run is as a run had it then: the default."""
-        default = plain(cls(preset="paper"))
-        there = {key: value for key, value in modern(mapping).items() if key != "algorithm"}
+        default = plain(cls(preset="vectorised"))
+        there = {key: value for key, value in mapping.items() if key != "algorithm"}
         for name, kind in parts_of(there.get("task", "drone")).items():
             there[name] = asdict(kind()) | dict(there.get(name, {}))
         return default | there
@@ -166,7 +166,7 @@ class TrainConfig:
 
     def beyond_preset(self) -> dict[str, Any]:
         """The settings in which this configuration differs from its preset, apart from what every table names."""
-        named = ("preset", "activation", "seed", "n_seeds", "total_frames", "n_worlds", "device", "compile")
+        named = ("preset", "activation", "seed", "n_seeds", "total_frames", "n_envs", "device", "compile")
         mine, theirs = _flat(plain(self)), _flat(self.usual(self.preset, self.task))
         theirs["task"] = TrainConfig.task
         return {name: value for name, value in mine.items() if name not in named and value != theirs[name]}
@@ -182,7 +182,7 @@ class TrainConfig:
         named = f"hidden={list(self.hidden)}, n_seeds={self.n_seeds}: networks of {self.n_outputs:,} outputs"
         self.check_memory(named, 4 * self.COPIES * weights, "smaller networks or fewer seeds")
         steps = self.n_seeds * self.frames_per_iteration
-        named = f"n_seeds={self.n_seeds}, n_worlds={self.n_worlds}: the {steps:,} frames of an iteration"
+        named = f"n_seeds={self.n_seeds}, n_envs={self.n_envs}: the {steps:,} frames of an iteration"
         needed = steps * (2 * 4 * self.observation_size + STEP_BYTES)
         self.check_memory(named, needed, "fewer frames an iteration, worlds or seeds")
         self.check_memory(f"n_seeds={self.n_seeds}: their orders of a bank", SEED_BYTES * self.n_seeds, "fewer seeds")
@@ -191,7 +191,7 @@ class TrainConfig:
         if self.stack > 1 or self.faults.late:
             kept = max(self.stack, self.faults.late) * self.world.observation_size
             named = f"stack={self.stack}, faults.late={self.faults.late}: the observations that worlds remember"
-            self.check_memory(named, 4 * self.n_seeds * self.n_worlds * kept, "fewer of them, worlds or seeds")
+            self.check_memory(named, 4 * self.n_seeds * self.n_envs * kept, "fewer of them, worlds or seeds")
         rows = self.frames // max(self.frames_between_rows, self.frames_per_iteration)
         named = f"total_frames={self.total_frames}: its {rows:,} rows of progress a seed"
         needed = rows * (ROW_BYTES + self.n_seeds * 8 * ROW_COLUMNS)
@@ -214,7 +214,7 @@ class TrainConfig:
     @property
     def frames_per_iteration(self) -> int:
         """Collected per seed between two calls of `learn`: here a step of all worlds."""
-        return self.n_worlds
+        return self.n_envs
 
     @property
     def frames_between_rows(self) -> int:

@@ -119,7 +119,7 @@ def opening(config: TrainConfig, frames: int, path: Path, facts: Mapping[str, An
     """What a run does and where it goes; how, and about how long it takes. Arguments as of `Display.begin`."""
     first, last = config.seeds[0], config.seeds[-1]
     seeds, each = (f"seed {first}", "") if first == last else (f"{config.n_seeds} seeds ({first} to {last})", " each")
-    worlds = f"{config.n_worlds} parallel world{'' if config.n_worlds == 1 else 's'}"
+    worlds = f"{config.n_envs} parallel environment{'' if config.n_envs == 1 else 's'}"
     who = f"{config.algorithm} {config.activation}, preset {config.preset}"
     what = f"{who}: {seeds}, {frames:,} frames{each} in {worlds}"
     if config.frames <= (before := config.frames_before_learning):
@@ -136,7 +136,7 @@ def seconds(config: TrainConfig, frames: int, processes: int, compiled: bool) ->
     """How long training takes, as measured with these presets on two cores; None for what was not measured."""
     usual = type(config)(preset=config.preset, n_seeds=config.n_seeds)
     known = config.MICROSECONDS.get((config.preset, compiled))
-    other = (config.n_worlds, config.device) != (usual.n_worlds, usual.device)
+    other = (config.n_envs, config.device) != (usual.n_envs, usual.device)
     if known is None or other or config.beyond_preset():
         return None
     shared, each = known

@@ -33,7 +33,7 @@ Row = Mapping[str, Tensor | float]
 
 
 class Trainee(Protocol):
-    """What the loop needs of an algorithm: all seeds' agents, A of them, in W worlds each."""
+    """What the loop needs of an algorithm: all seeds' agents, A of them, in W environments each."""
 
     actor: Actor
     parts: Mapping[str, Stateful]
@@ -157,8 +157,8 @@ def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> 
 
 
 def make_env(config: TrainConfig, compile: bool) -> DroneEnv:
-    """The environment of a run: [n_seeds, n_worlds] rows of its task."""
-    shape = [config.n_seeds, config.n_worlds]
+    """The environment of a run: [n_seeds, n_envs] rows of its task."""
+    shape = [config.n_seeds, config.n_envs]
     env = DroneEnv(shape, device=config.device, seeds=config.seeds, task=config.make_task())
     return env.compile() if compile else env
 

@@ -395,25 +395,25 @@ class Recorder:
         following: the ("next", ...) part of collected steps [A, W, T]; frame: per seed, before the batch.
         """
         done = following["done"].squeeze(-1)
-        agent, world, time_step = (index.cpu() for index in done.nonzero(as_tuple=True))
+        agent, env, time_step = (index.cpu() for index in done.nonzero(as_tuple=True))
         if not len(agent):
             return
-        n_worlds = done.shape[1]
-        order = torch.argsort(time_step * n_worlds + world, stable=True)
-        agent, world, time_step = agent[order], world[order], time_step[order]
-        ended = following[agent, world, time_step]
+        n_envs = done.shape[1]
+        order = torch.argsort(time_step * n_envs + env, stable=True)
+        agent, env, time_step = agent[order], env[order], time_step[order]
+        ended = following[agent, env, time_step]
         flags = {name: ended[name].squeeze(-1) for name in ("terminated", "truncated")}
         counts = {name: ended["episode", name] for name in ("layout", *COUNTS)}
-        self._append_episodes(agent, frame=frame + (time_step + 1) * n_worlds, world=world, **counts, **flags)
+        self._append_episodes(agent, frame=frame + (time_step + 1) * n_envs, env=env, **counts, **flags)
         for seed_index, reward in zip(agent.tolist(), ended["episode", "reward"].tolist(), strict=True):
             self._recent[seed_index].append(reward)
 
     def add_open_episodes(self, state: State, frame: int) -> None:
         """Keep the episodes that the end of training cut off: rows with neither flag."""
-        agent, world = (index.cpu() for index in (state.steps > 0).nonzero(as_tuple=True))
+        agent, env = (index.cpu() for index in (state.steps > 0).nonzero(as_tuple=True))
         flags = dict.fromkeys(("terminated", "truncated"), torch.zeros(len(agent), dtype=torch.bool))
-        counts = {name: getattr(state, name)[agent, world] for name in ("layout", *COUNTS)}
-        self._append_episodes(agent, frame=torch.full_like(agent, frame), world=world, **counts, **flags)
+        counts = {name: getattr(state, name)[agent, env] for name in ("layout", *COUNTS)}
+        self._append_episodes(agent, frame=torch.full_like(agent, frame), env=env, **counts, **flags)
 
     def _append_episodes(self, agent: Tensor, **columns: Tensor) -> None:
         columns["seed"] = agent + self.config.seed

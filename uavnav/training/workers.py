@@ -238,8 +238,8 @@ def _in_order(episodes: list[pd.DataFrame]) -> pd.DataFrame:
         return episodes[0]
     table = pd.concat(there, ignore_index=True)
     open_at_the_end = ~(table["terminated"] | table["truncated"])
-    ended = table[~open_at_the_end].sort_values(["frame", "world", "seed"], kind="stable")
-    return pd.concat([ended, table[open_at_the_end].sort_values(["seed", "world"])], ignore_index=True)
+    ended = table[~open_at_the_end].sort_values(["frame", "env", "seed"], kind="stable")
+    return pd.concat([ended, table[open_at_the_end].sort_values(["seed", "env"])], ignore_index=True)
 
 
 def _by_frame(progress: list[pd.DataFrame]) -> pd.DataFrame:

@@ -19,7 +19,7 @@ from torch import Tensor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.envs.drawing import PILOTS, STEPS_PER_SECOND, Colour
 from uavnav.evaluation import flights
-from uavnav.runs.metrics import EPISODE_COLUMNS, FIRST_COLUMNS
+from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.policies import Policy
 from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.tasks import layouts as banks
@@ -235,7 +235,7 @@ def _landed(game: Game, collided: bool) -> Game:
     if game.own or game.split != "test" or type(game.task) is not Task:
         return replace(game, message="Flights of the test sets alone can be kept")
     steps, counts = int(game.state.steps), {name: getattr(game.state, name).item() for name in COUNTS}
-    place = {"seed": game.person, "frame": steps, "world": game.index, "layout": game.index}
+    place = {"seed": game.person, "frame": steps, "env": game.index, "layout": game.index}
     row = place | counts | {"terminated": collided, "truncated": not collided}
     game = replace(game, flights=(*game.flights, row), warned=False)
     return replace(game, message=unsaved(game))
@@ -349,7 +349,7 @@ def read_rows(path: Path) -> pd.DataFrame | None:
     Raises:
         RunError: it is another table, or damaged.
     """
-    return read_table(path, FIRST_COLUMNS, "move it away, or give another --out") if path.exists() else None
+    return read_table(path, EVALUATED, "move it away, or give another --out") if path.exists() else None
 
 
 def show_help(game: Game) -> Game:

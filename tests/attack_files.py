@@ -3,7 +3,6 @@
 import contextlib
 import hashlib
 import json
-import os
 import random
 from pathlib import Path
 
@@ -26,8 +25,8 @@ from attack_inputs import (
     texts,
     word,
 )
+from bad_input import a_folder, a_pipe, cut, endless, itself, missing, put
 from hypothesis import strategies as st
-from spoiling import a_folder, cut, itself, missing, put
 
 import uavnav
 from uavnav import evaluation, files, studies
@@ -165,16 +164,6 @@ READERS |= {POLICY: FLOWN, "model.zip": FLOWN, "study.yaml": [[*STUDY, "--status
 SEEDED = st.integers(0, 2**32)
 
 
-def fifo(path):
-    missing(path)
-    os.mkfifo(path)
-
-
-def zeros(path):
-    missing(path)
-    path.symlink_to("/dev/zero")
-
-
 def flip(path, chance):
     content = bytearray(path.read_bytes())
     if content:
@@ -261,8 +250,8 @@ DAMAGES = {
     "cut": lambda path, chance: cut(chance.random())(path),
     "flipped": flip,
     "doubled": lambda path, chance: put(path, path.read_bytes() * 2),
-    "a pipe": lambda path, chance: fifo(path),
-    "endless": lambda path, chance: zeros(path),
+    "a pipe": lambda path, chance: a_pipe(path),
+    "endless": lambda path, chance: endless(path),
     "a folder": lambda path, chance: a_folder(path),
     "a link to itself": lambda path, chance: itself(path),
     "text": lambda path, chance: put(path, chance.choice(RAW).encode(errors="surrogatepass")),

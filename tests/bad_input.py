@@ -1,27 +1,304 @@
 """Bad input gets one line that names what is wrong and what would be right, a typed exception in the library, a
-non-zero status on the command line, and nothing half-written: how a case of it is written, and tried both ways.
+non-zero status on the command line, and nothing half-written.
+
+One table of cases: how each spoils a part of a good folder, what is called then, and what must be answered. Other tests
+spoil their files in the same ways.
 """
 
-import contextlib
+import itertools
+import json
+import math
+import os
+import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest import mock
 
+import gymnasium
 import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
-from spoiling import nothing
+import torch
+from filelock import FileLock
+from safetensors import safe_open
+from safetensors.torch import save_file
 
 import uavnav
-from uavnav import ConfigError, LayoutError, PolicyError, RunError
-from uavnav import evaluation as evaluation
-from uavnav.__main__ import main
-from uavnav.algorithms import dqn, ppo
+from uavnav import ConfigError, LayoutError, PolicyError, RunError, evaluation
+from uavnav.algorithms import ALGORITHMS, dqn, ppo
 from uavnav.evaluation import verify as verification
 from uavnav.runs import POLICY, Run
+from uavnav.runs.policies import Diverged
 from uavnav.tasks import layouts
+from uavnav.tasks.space import SpaceWorld
+from uavnav.training import provenance
 from uavnav.training.recorder import Interrupted
 from uavnav.views import render as rendering
+
+# -- ways to spoil a file or a folder, each a function of its path ---------------------------------------------------
+
+
+def nothing(path):
+    """The call alone is wrong."""
+
+
+def missing(path):
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def a_folder(path):
+    missing(path)
+    path.mkdir()
+
+
+def a_file(path):
+    missing(path)
+    path.write_text("x")
+
+
+def itself(path):
+    missing(path)
+    path.symlink_to(path)
+
+
+def a_pipe(path):
+    """Which nobody writes into: whoever opens it as a file waits."""
+    missing(path)
+    os.mkfifo(path)
+
+
+def endless(path):
+    missing(path)
+    path.symlink_to("/dev/full")  # which reads as zeros
+
+
+def large(path):
+    """A file without end for whoever reads all of it, which takes no room."""
+    os.truncate(path, 2**40)
+
+
+YAML_BOMB = "a: &a [x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n" for before, name in itertools.pairwise("abcdefghijkl")
+)
+"""Some hundred bytes for 2 * 9^11 words."""
+
+
+def unfolding(path):
+    """A table of 10^7 rows in each of 50 columns, in some kilobytes."""
+    nulls = pa.nulls(10**7)
+    pq.write_table(pa.table({f"column {index}": nulls for index in range(50)}), path)
+    assert path.stat().st_size < 2**20
+
+
+def columns(**content):
+    """A table with other columns, each of one row."""
+    return lambda path: pq.write_table(pa.table({name: [value] for name, value in content.items()}), path)
+
+
+def lying(**entry):
+    """A safetensors header that says something else of its first tensor, or of its whole."""
+
+    def spoil(path):
+        content = path.read_bytes()
+        size = int.from_bytes(content[:8], "little")
+        header = json.loads(content[8 : 8 + size])
+        first = next(name for name in header if name != "__metadata__")
+        text = json.dumps(header | {first: header[first] | entry}).encode()
+        put(path, len(text).to_bytes(8, "little") + text + content[8 + size :])
+
+    return spoil
+
+
+def headed(text):
+    """A safetensors file of nothing but a header."""
+    return lambda path: put(path, len(text).to_bytes(8, "little") + text.encode())
+
+
+def written(content):
+    return lambda path: put(path, content)
+
+
+def put(path, content):
+    """Write a file, whatever there was."""
+    if isinstance(content, str):
+        content = content.encode()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+
+
+def cut(share):
+    def spoil(path):
+        content = path.read_bytes()
+        put(path, content[: int(len(content) * share)])
+
+    return spoil
+
+
+def cut_before(word):
+    """Cut where a word begins."""
+    return lambda path: put(path, path.read_text().partition(word)[0])
+
+
+def added(text):
+    return lambda path: put(path, path.read_text() + text)
+
+
+def flipped(position):
+    def spoil(path):
+        content = bytearray(path.read_bytes())
+        content[position] ^= 1
+        put(path, content)
+
+    return spoil
+
+
+def replaced(old, new):
+    def spoil(path):
+        content = path.read_text()
+        assert old in content
+        path.write_text(content.replace(old, new, 1))
+
+    return spoil
+
+
+class Bomb:
+    def __reduce__(self):
+        return os.mkdir, ("a pickle was executed",)
+
+
+def pickled(path):
+    put(path, pickle.dumps(Bomb()))
+
+
+def torch_saved(path):
+    torch.save({"obstacles": torch.zeros(2, 3), "policy": Bomb()}, path)
+
+
+def tensors(change, header=lambda old: old):
+    """Rewrite a safetensors file with other tensors, or another header."""
+
+    def spoil(path):
+        with safe_open(path, framework="pt") as file:
+            kept = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            old = file.metadata()
+        change(kept)
+        save_file({name: value.contiguous() for name, value in kept.items()}, path, metadata=header(old))
+
+    return spoil
+
+
+def obstacles(change=lambda bank: bank, **header):
+    def rewrite(kept):
+        kept["obstacles"] = change(kept["obstacles"])
+
+    return tensors(rewrite, lambda old: old | header)
+
+
+def entry(row, column, value):
+    def change(bank):
+        bank[1, row, column] = value
+        return bank
+
+    return change
+
+
+def consistent(path):
+    """Another obstacle, and the checksum that belongs to it."""
+    bank = entry(2, 2, 77.0)(layouts.load(path))
+    layouts.save(bank, path, seed=0, split="train")
+
+
+def facts(**changes):
+    """Other facts in a policy's header; ... deletes one."""
+
+    def header(old):
+        inner = json.loads(old["uavnav"]) | changes
+        return {"uavnav": json.dumps({key: value for key, value in inner.items() if value is not ...})}
+
+    return tensors(lambda kept: None, header)
+
+
+def header(content):
+    return tensors(lambda kept: None, lambda old: None if content is None else {"uavnav": content})
+
+
+def tensor(name, change):
+    def rewrite(kept):
+        value = change(kept.pop(name))
+        if value is not None:
+            kept[name] = value
+
+    return tensors(rewrite)
+
+
+def widened(value):
+    return torch.cat([value, value[:, :1]], 1)
+
+
+def to_nan(value):
+    value[0, 0, 0] = math.nan
+    return value
+
+
+def meta(**changes):
+    def spoil(path):
+        content = json.loads(path.read_text()) | changes
+        path.write_text(json.dumps({key: value for key, value in content.items() if value is not ...}))
+
+    return spoil
+
+
+def table(change):
+    def spoil(path):
+        change(pd.read_parquet(path)).to_parquet(path, index=False)
+
+    return spoil
+
+
+def in_use(path):
+    path.mkdir(exist_ok=True)
+    return FileLock(path / ".lock")
+
+
+def read_only(path):
+    """As `chmod a-w` does for all but root."""
+    return mock.patch.object(os, "access", return_value=False)
+
+
+def newer_torch(path):
+    facts = provenance.facts()
+    facts["versions"]["torch"] = "9.9.9"
+    return mock.patch.object(provenance, "facts", return_value=facts)
+
+
+def reseeded(path):
+    replaced("\nseed: 0\n", "\nseed: 7\n")(path.parent / "config.yaml")
+
+
+def replay_gone(path):
+    for chunk in path.glob("replay-*"):
+        chunk.unlink()
+
+
+def status(word):
+    return lambda path: meta(status=word)(path / "meta.json")
+
+
+def snapshots(spoil):
+    def each(path):
+        found = sorted(path.glob("state-*"))
+        assert found
+        for state in found:
+            spoil(state)
+
+    return each
+
+
+# -- how a case is written ----------------------------------------------------------------------------------------
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 PPO = {
@@ -88,6 +365,7 @@ def words(settings):
 EVALUATE = ["evaluate", "{}/run", "--episodes", "2", "--max-steps", "5"]
 VERIFY = ["verify", "{}/run"]
 RENDER = ["render", "{}/policy", "--out", "{}/flight.png", "--steps", "2"]
+SHOWS = ("render", "play")
 NEW_BANK = ["layouts", "--out", "{}/new"]
 REPORT = ["report", "{}/run"]
 
@@ -157,9 +435,14 @@ def policy(
     return Case(f"policy: {name}", part, spoil, load, error, "{}/" + part + ": " + wrong, right, command)
 
 
-def run(part, name, spoil, wrong, right, call=read, command=EVALUATE, error=RunError):
+READS, VERIFIES = (read, EVALUATE), (verify, VERIFY)
+EVALUATES, REPORTS = (evaluate, EVALUATE), (read_evaluation, REPORT)
+
+
+def run(part, name, spoil, wrong, right, by=READS, error=RunError):
+    """A run of which a part is spoilt, told by a call and its command."""
     part = f"run/{part}".rstrip("/")
-    return Case(f"{part}: {name}", part, spoil, call, error, "{}/" + part + ": " + wrong, right, command)
+    return Case(f"{part}: {name}", part, spoil, by[0], error, "{}/" + part + ": " + wrong, right, by[1])
 
 
 def out(name, part, spoil, wrong, right, target="run", overwrite=False, **settings):
@@ -195,6 +478,11 @@ def argument(name, call, wrong, right, *command, error=ValueError):
     return Case(f"argument: {name}", "thesis", nothing, call, error, wrong, right, list(command))
 
 
+def misused(name, call, wrong, right):
+    """An argument that is a setting, wrong in the library alone."""
+    return argument(name, call, wrong, right, error=ConfigError)
+
+
 GOOD_BANK, READABLE = "make one with uavnav layouts", "{}/bank: not a readable bank"
 SHAPE, ANEW, FOLDER = "a bank has the shape [n > 0, k, 3]", "generate it anew", "that can be written"
 WHOLE, NUMBER, FILE, OVERWRITE = "give a whole number", "give a number", "or a file's path", "overwrite=true"
@@ -202,57 +490,589 @@ HEADER, RUN = "its tensors do not fit its header", "give a run's folder"
 DAMAGED, NO_RUN, EMPTY = "missing or damaged", "config.yaml: not a run's", "give a new or empty folder"
 EXECUTED = "mkdir executed"
 LONG = "x" * 300  # more than a file's name may have
+KNOWN = ", ".join(sorted(ALGORITHMS))
 
-
-# -- trying --------------------------------------------------------------------------------------------------------
-
-
-def said(case, folder, text):
-    """One line with both fragments."""
-    assert "\n" not in text
-    for fragment in (case.wrong, case.right):
-        assert fragment.replace("{}", str(folder)) in text, text
-
-
-@contextlib.contextmanager
-def spoilt(case, folder):
-    """Within, the folder is spoilt, and it must stay just so."""
-    held = case.spoil(folder / case.part)
-    with held or contextlib.nullcontext():
-        before = tree(folder)
-        yield
-        after = tree(folder)
-    if case.name.startswith("half"):  # meta.json tells when the run was last tried
-        before.pop("half/meta.json"), after.pop("half/meta.json")
-    assert after == before
-
-
-def by_name(cases):
-    return [pytest.param(case, id=case.name) for case in cases]
-
-
-COMMANDS = ("layouts", "evaluate", "verify", "render", "report", "play")
-
-
-def in_the_library(case, folder):
-    """The call is answered with one line of a typed exception, and nothing changes."""
-    with spoilt(case, folder), pytest.raises(case.error) as refused:
-        case.call(folder)
-    assert type(refused.value) is case.error
-    said(case, folder, str(refused.value))
-
-
-def on_the_command_line(case, folder, capfd):
-    """The command is answered with one line and a status, and nothing changes."""
-    program, *arguments = [word.replace("{}", str(folder)) for word in case.command]
-    with spoilt(case, folder):
-        try:
-            status = main([program, *arguments] if program in COMMANDS else ["train", program, *arguments])
-        except SystemExit as stop:
-            status = stop.code
-    printed, complained = capfd.readouterr()
-    assert status == 2
-    assert printed == ""
-    assert complained.startswith(f"uavnav {program if program in COMMANDS else 'train'}: ")
-    assert complained.endswith("\n")
-    said(case, folder, complained[:-1])
+CASES = [
+    # a bank that is read
+    bank("missing", missing, "{}/bank", FILE),
+    bank("a folder", a_folder, "{}/bank", FILE),
+    bank("below a file", nothing, "{}/policy/bank", FILE, part="policy/bank"),
+    bank("a link to itself", itself, "{}/bank", FILE),
+    bank("a pipe", a_pipe, "{}/bank", FILE),
+    bank("without end", endless, "{}/bank", FILE),
+    bank("of 2^40 bytes", large, READABLE),
+    bank("a header of brackets", headed("[" * 50_000), READABLE),
+    bank("a shape beyond its bytes", lying(shape=[10**9, 10**9]), READABLE),
+    bank("a shape beyond any number", lying(shape=[2**40, 2**40]), READABLE),
+    bank("no axes", obstacles(lambda b: b[0, 0, 0]), "not []", SHAPE),
+    bank("a width in words", obstacles(width='"wide"'), "{}/bank", ANEW),
+    bank("a width of 2,000 digits", obstacles(width="9" * 2000), "{}/bank: its header does not say", ANEW),
+    bank("a seed of 5,000 digits", obstacles(generator_seed="9" * 5000), "{}/bank: is not what seed 999", ANEW),
+    bank("empty", written(b""), READABLE),
+    bank("cut in the data", cut(0.9), READABLE),
+    bank("cut in the header", cut(0.05), READABLE),
+    bank("five bytes", written(b"\x08\0\0\0\0"), READABLE),
+    bank("a header of 2^60 bytes", written(b"\0" * 7 + b"\x10" + b"x" * 90), READABLE),
+    bank("longer than it says", lambda path: put(path, path.read_bytes() + b"more"), READABLE),
+    bank("a table of text", written("x,y,radius\n1,2,30\n" * 9), READABLE),
+    bank("a pickle", pickled, READABLE),
+    bank("a file of torch.save", torch_saved, READABLE),
+    bank("a flipped bit in the header", flipped(8), READABLE),
+    bank("a flipped bit in the data", flipped(-4), "{}/bank: the checksum does not match", ANEW),
+    bank("no header", header(None), "{}/bank: made for world version None", ANEW),
+    bank("another world version", obstacles(world_version="0"), "version 0, this is 1", ANEW),
+    bank("no checksum", obstacles(sha256=""), "{}/bank: the checksum does not match", ANEW),
+    bank("another n in the header", obstacles(n="21"), "{}/bank: its header says n=21, k=4,", "not n=20, k=4"),
+    bank("no k in the header", obstacles(k=""), "{}/bank: its header says n=20, k=,", "not n=20, k=4"),
+    bank("other tensors", tensors(lambda kept: kept.update(a=kept.pop("obstacles"))), "no tensor `obstacles`"),
+    bank("float64", obstacles(lambda b: b.double()), "not float64", "{}/bank: a bank holds float32"),
+    bank("whole numbers", obstacles(lambda b: b.long()), "not int64", "{}/bank: a bank holds float32"),
+    bank("two axes", obstacles(lambda b: b[0]), "not [4, 3]", SHAPE),
+    bank("two columns", obstacles(lambda b: b[..., :2]), "not [20, 4, 2]", SHAPE),
+    bank("no sets", obstacles(lambda b: b[:0]), "not [0, 4, 3]", SHAPE),
+    bank("nan", obstacles(entry(2, 0, math.nan)), "{}/bank: obstacle 2 of set 1 is not finite", ANEW),
+    bank("an infinite radius", obstacles(entry(0, 2, math.inf)), "obstacle 0 of set 1 is not finite", ANEW),
+    bank("a radius of 29.9", obstacles(entry(3, 2, 29.9)), "obstacle 3 of set 1 has a radius", "30 ... 100 px"),
+    bank("a radius of 101", obstacles(entry(3, 2, 101.0)), "obstacle 3 of set 1 has a radius", "30 ... 100 px"),
+    bank("on the start", obstacles(entry(0, slice(2), 400.0)), "obstacle 0 of set 1", "nearer than 50 px to the start"),
+    bank("doctored with its checksum", consistent, "{}/bank: is not what seed 0 generates", ANEW),
+    bank("a seed in words", obstacles(generator_seed="seven"), "{}/bank: is not what seed seven generates", ANEW),
+    bank_for(
+        "a run",
+        lambda f: train_ppo(f, "new", layouts=str(f / "bank")),
+        READABLE,
+        GOOD_BANK,
+        ["ppo", "layouts={}/bank", "out={}/new"],
+        cut(0.9),
+    ),
+    bank_for("an environment", lambda f: uavnav.DroneEnv([2], f / "bank"), "checksum", ANEW, spoil=flipped(-4)),
+    bank_for("Gymnasium", lambda f: gymnasium.make(DRONE, layouts=f / "bank"), READABLE, GOOD_BANK, spoil=cut(0)),
+    bank_for("an evaluation", lambda f: evaluate(f, layouts="tset"), "'tset'", FILE, [*EVALUATE, "--layouts", "tset"]),
+    bank_for("a baseline", lambda f: fly(f, layouts="x" * 300), "xxx", FILE, ["evaluate", "random", "--layouts", LONG]),
+    bank_for("a picture", lambda f: layouts.load("tset"), "'tset'", FILE, [*RENDER, "--layouts", "tset"]),
+    # a bank that is made
+    bank_for("-1 sets", lambda f: layouts.generate(-1), "n=-1", "at least 0", [*NEW_BANK, "--n", "-1"]),
+    bank_for("-1 obstacles", lambda f: layouts.generate(1, -1), "k=-1", "at least 0", [*NEW_BANK, "--k", "-1"]),
+    bank_for(
+        "seed -1",
+        lambda f: layouts.generate(1, 1, -1),
+        "seed=-1",
+        "at least 0",
+        [*NEW_BANK, "--seed=-1", "--split=test"],
+    ),
+    bank_for(
+        "a trillion", lambda f: layouts.generate(10**12), "n=1000000000000", "at most", [*NEW_BANK, "--n", str(10**12)]
+    ),
+    bank_for("half a set", lambda f: layouts.generate(1.5), "n=1.5", "whole numbers"),
+    bank_for("sets in words", lambda f: layouts.generate("2"), "n=2", "whole numbers"),
+    bank_for("a list", lambda f: layouts.load(["test"]), "layouts=['test']", FILE),
+    bank_for("nothing", lambda f: layouts.load(None), "layouts=None", FILE),
+    bank_for("a NUL byte", lambda f: layouts.load("a\0b"), "no such bank", FILE),
+    bank_for("a world that is none", lambda f: layouts.load("test", 3), "world=3", "give a World"),
+    bank_for("no tensor", lambda f: layouts.validate([1]), "[1]: is no bank", "give a tensor"),
+    bank_for(
+        "a rung of 5,000 digits",
+        lambda f: layouts.load(f"density-{'9' * 5000}/test"),
+        "no such bank",
+        "give fewer digits",
+        [*RENDER, "--layouts", f"density-{'9' * 5000}/test"],
+    ),
+    bank_for("a huge rung", lambda f: layouts.load("density-99999999/test"), "k=99999999", "at most 20,000,000"),
+    bank_for("no set", lambda f: save_bank(f / "new", 0), "not [0, 8, 3]", "n > 0", [*NEW_BANK, "--n", "0"]),
+    bank_for(
+        "a folder below a file",
+        lambda f: save_bank(f / "policy" / "x"),
+        "{}/policy/",
+        FOLDER,
+        ["layouts", "--out={}/policy", "--n=1"],
+    ),
+    bank_for(
+        "in /proc", lambda f: save_bank("/proc/no/x"), "/proc/no/", FOLDER, ["layouts", "--out=/proc/no", "--n=1"]
+    ),
+    bank_for("onto a folder", lambda f: save_bank(f / "thesis"), "{}/thesis: cannot be written", FOLDER),
+    word("one seed for both banks", "--seed 3", "give --split", *NEW_BANK, "--seed", "3"),
+    # a policy
+    policy("missing", missing, "no policy.safetensors there", "give the folder of a finished run"),
+    policy("of a folder without", nothing, "no policy.safetensors there", "give the folder", part="thesis"),
+    policy("of a half-finished run", nothing, "no policy.safetensors there", "give the folder", part="half"),
+    policy("a pipe", a_pipe, "no policy.safetensors there", "give the folder of a finished run"),
+    policy("of 2^40 bytes", large),
+    policy("a header of brackets", headed("[" * 50_000)),
+    policy("facts of brackets", header("[" * 50_000)),
+    policy("a shape beyond its bytes", lying(shape=[10**9, 10**9])),
+    policy("a tensor without axes", tensor("policy.0.bias", lambda t: t[0, 0, 0]), HEADER),
+    policy("a tensor of whole numbers", tensor("policy.0.bias", lambda t: t.long()), HEADER),
+    policy("hidden a million million", facts(hidden=[10**12]), HEADER),
+    policy("a hundred layers and one", facts(hidden=[8] * 101)),
+    policy("seeds without end", facts(seeds=[0] * (2**20 + 1))),
+    policy("epsilon not a number", facts(epsilon=math.nan)),
+    policy("stack in words", facts(stack="two")),
+    policy("empty", written(b"")),
+    policy("cut in the data", cut(0.9)),
+    policy("cut in the header", cut(0.02)),
+    policy("a pickle", pickled),
+    policy("a file of torch.save", torch_saved),
+    policy("a bank", lambda path: put(path, path.with_name("bank").read_bytes())),
+    policy("no header", header(None)),
+    policy("a header that is not JSON", header("{")),
+    policy("a header that is a list", header("[1]")),
+    policy("no seeds in the header", facts(seeds=...)),
+    policy("seeds a number", facts(seeds=4)),
+    policy("seeds words", facts(seeds="01")),
+    policy("no seed", facts(seeds=[]), "holds no seed"),
+    policy("a seed too many", facts(seeds=[0, 1, 2]), HEADER),
+    policy("hidden a number", facts(hidden=8)),
+    policy("hidden words", facts(hidden="8"), "not a readable policy file (hidden=8)"),
+    policy("hidden a fraction", facts(hidden=[8.5]), "not a readable policy file (hidden.0=8.5)"),
+    policy("hidden negative", facts(hidden=[-8]), "not a readable policy file (hidden.0=-8)"),
+    policy("another hidden", facts(hidden=[9]), HEADER),
+    policy("too many layers", facts(hidden=[8, 8]), HEADER),
+    policy("activation a list", facts(activation=["relu"])),
+    policy("an unknown activation", facts(activation="rleu"), "unknown activation 'rleu'", "choose from elu, gelu"),
+    policy("an unknown algorithm", facts(algorithm="trpo"), "unknown algorithm 'trpo'", f"choose from {KNOWN}"),
+    policy("an unknown reward", facts(reward="eq15"), "unknown reward 'eq15'", "additive, eq14, goal, initial"),
+    policy("epsilon a word", facts(epsilon="small")),
+    policy("an unknown switch", facts(world={"gravity": 9.81})),
+    policy("an unknown task", facts(task="dron"), "unknown task 'dron'", "(did you mean drone?)"),
+    policy("an unknown way to act", facts(acts="beta"), "unknown way to act 'beta'", "choose from categorical"),
+    policy("an unknown head", facts(head="quantiles 9"), "unknown head 'quantiles'", "choose from direct, d"),
+    policy("a plugin's reward", facts(reward="mine", plugins=["my"]), "unknown reward 'mine'", "give --plugins my "),
+    policy("plugins a number", facts(plugins=3)),
+    policy("a world that is a list", facts(world=[90])),
+    policy("a cap of 0", facts(max_steps=0), "not a readable policy file (max_steps=0"),
+    policy("a cap in words", facts(max_steps="never"), "not a readable policy file (max_steps=never"),
+    policy("a wrong switch", facts(world={"slots": "first"}), "not a readable policy file (slots='first'"),
+    policy("another world version", facts(world_version="0"), "trained in world version 0", "this is 1"),
+    policy("a tensor missing", tensor("policy.0.bias", lambda t: None), HEADER),
+    policy("a tensor cut", tensor("policy.2.weight", lambda t: t[:, :7]), HEADER),
+    policy("a tensor flat", tensor("policy.0.weight", torch.flatten), HEADER),
+    policy("31 inputs", tensor("policy.0.weight", widened), "sees 31 numbers", "not 30 and 100"),
+    policy(
+        "nan", tensor("policy.2.weight", to_nan), "policy.2.weight of seed 0 is not finite", "lower lr", error=Diverged
+    ),
+    policy("another seed", nothing, "seed=7 is not there", "choose from 0 ... 1", seed=7),
+    # a run
+    run("", "missing", missing, "no such run folder", RUN),
+    run("", "a file", a_file, "no such run folder", RUN),
+    Case(
+        "run: too long a name",
+        "run",
+        nothing,
+        lambda f: Run(LONG),
+        RunError,
+        LONG[:50] + "x…x",
+        RUN,
+        ["evaluate", LONG],
+    ),
+    run("config.yaml", "missing", missing, DAMAGED, RUN),
+    run("config.yaml", "empty", written(""), "not a run's configuration", RUN),
+    run("config.yaml", "a list", written("[1, 2]"), "not a run's configuration", RUN),
+    run("config.yaml", "a word", written("tanh"), "not a run's configuration", RUN),
+    run("config.yaml", "a syntax error", written("[1"), DAMAGED, RUN),
+    run("config.yaml", "not text", written(b"\xff\xfe\x00"), DAMAGED, RUN),
+    run("config.yaml", "a date that is none", written("seed: 2001-13-45"), DAMAGED, RUN),
+    run("config.yaml", "a thousand brackets", written("[" * 1000), DAMAGED, RUN),
+    run("config.yaml", "a command", written(f"!!python/object/apply:os.system ['{EXECUTED}']"), DAMAGED, RUN),
+    run(
+        "config.yaml", "a command below", written(f"seed: !!python/object/apply:os.system ['{EXECUTED}']"), DAMAGED, RUN
+    ),
+    run("config.yaml", "a bomb of aliases", written(YAML_BOMB), DAMAGED, RUN),
+    run("config.yaml", "a number of 2,000 digits", written("seed: 0x" + "f" * 2000), DAMAGED, RUN),
+    *(
+        run(part, how, spoil, DAMAGED, right)
+        for part, right in (("config.yaml", RUN), ("meta.json", RUN), ("episodes.parquet", OVERWRITE))
+        for how, spoil in (("a pipe", a_pipe), ("without end", endless), ("of 2^40 bytes", large))
+    ),
+    run(
+        "config.yaml",
+        "a million millions of seeds",
+        replaced("n_seeds: 2", "n_seeds: 1000000000000"),
+        "not a run's, its n_seeds=1",
+        RUN,
+    ),
+    run(
+        "config.yaml",
+        "a world that is a number",
+        replaced("world:\n", "world: 3\nmore:\n"),
+        "not a run's, its world=3",
+        RUN,
+    ),
+    run("config.yaml", "no algorithm", replaced("algorithm: ppo\n", ""), "not a run's, its algorithm=None", RUN),
+    run("config.yaml", "no seed", replaced("\nseed: 0\n", "\n"), "not a run's, its seed=None", RUN),
+    run("config.yaml", "a seed in words", replaced("\nseed: 0\n", "\nseed: zero\n"), "not a run's, its seed=zero", RUN),
+    run("config.yaml", "no seeds", replaced("n_seeds: 2", "n_seeds: 0"), "not a run's, its n_seeds=0", RUN),
+    run("config.yaml", "cut within a key", cut_before("_radius_max"), DAMAGED, RUN),
+    run("config.yaml", "another algorithm", replaced(": ppo", ": td3"), "algorithm=td3; ", "choose from", VERIFIES),
+    run(
+        "config.yaml",
+        "dqn's keys",
+        replaced(": ppo", ": dqn"),
+        "there is no key 'frames_per_batch'",
+        "choose from",
+        VERIFIES,
+        ConfigError,
+    ),
+    run(
+        "config.yaml", "an unknown key", added("speed: 3\n"), "there is no key 'speed'", "choose", VERIFIES, ConfigError
+    ),
+    run("config.yaml", "a key that is a number", added("3: 3\n"), "not a run's, its 3=3", RUN, VERIFIES),
+    run("config.yaml", "a wrong value", replaced("gamma: 0.99", "gamma: 9"), "not a run's, its gamma=9", RUN, VERIFIES),
+    Case(
+        "run/config.yaml: a bank that is gone",
+        "run/config.yaml",
+        replaced("layouts: train", "layouts: tset"),
+        verify,
+        LayoutError,
+        "layouts='tset': no such bank",
+        FILE,
+        VERIFY,
+    ),
+    run("meta.json", "missing", missing, DAMAGED, RUN),
+    run("meta.json", "empty", written(""), DAMAGED, RUN),
+    run("meta.json", "cut", cut(0.5), DAMAGED, RUN),
+    run("meta.json", "not text", written(b"\xff\xfe\x00"), DAMAGED, RUN),
+    run("meta.json", "many brackets", written("[" * 100_000), DAMAGED, RUN),
+    run("meta.json", "a list", written("[1]"), "not a run's facts", RUN),
+    run("meta.json", "no frames", meta(frames=...), "not a run's, its frames=None", RUN),
+    run("meta.json", "frames in words", meta(frames="many"), "not a run's, its frames=many", RUN),
+    run("meta.json", "versions a list", meta(versions=[1]), "not a run's, its versions=[1]", RUN),
+    run("meta.json", "plugins a number", meta(plugins=3), "not a run's, its plugins=3", RUN),
+    run("meta.json", "threads beyond any machine", meta(threads=10**18), "not a run's, its threads=1000000", RUN),
+    run("meta.json", "compiled in words", meta(compiled="yes"), "not a run's, its compiled=yes", RUN),
+    run("meta.json", "a number of 1,000 digits", meta(frames=10**999), DAMAGED, RUN),
+    run("", "under way", status("running"), "the run is not finished", "give the same command again"),
+    *(
+        run(f"{name}.parquet", how, spoil, wrong, OVERWRITE)
+        for name in ("episodes", "progress")
+        for how, spoil, wrong in (
+            ("missing", missing, DAMAGED),
+            ("a folder", a_folder, DAMAGED),
+            ("empty", written(b""), DAMAGED),
+            ("cut", cut(0.7), DAMAGED),
+            ("text", written("seed,frame\n0,1\n"), DAMAGED),
+            ("a pickle", pickled, DAMAGED),
+            ("one that unfolds", unfolding, DAMAGED),
+            ("lists in a column", columns(seed=[1]), DAMAGED),
+            ("structures in a column", columns(seed={"seed": 1}), DAMAGED),
+            ("other columns", table(lambda t: t.rename(columns={"frame": "time"})), "its columns are not"),
+            ("words for numbers", table(lambda t: t.astype({"seed": str})), "its columns are not"),
+        )
+    ),
+    Case(
+        "run/policy.safetensors: missing",
+        "run/policy.safetensors",
+        missing,
+        evaluate,
+        PolicyError,
+        "{}/run: no policy.safetensors there",
+        "give the folder of a finished run",
+        EVALUATE,
+    ),
+    run("policy.safetensors", "cut", cut(0.5), "not a readable policy", "of a finished run", EVALUATES, PolicyError),
+    run("policy.safetensors", "a pipe before a repeat", a_pipe, DAMAGED, OVERWRITE, VERIFIES),
+    run("policy.safetensors", "cut before a repeat", cut(0.5), DAMAGED, OVERWRITE, VERIFIES),
+    *(
+        run("evaluation.parquet", how, spoil, wrong, "evaluate the run again", REPORTS)
+        for how, spoil, wrong in (
+            ("cut", cut(0.7), DAMAGED),
+            ("no modes", table(lambda t: t.drop(columns="mode")), "its columns are not"),
+            ("rewards in words", table(lambda t: t.astype({"reward": str})), "its columns are not"),
+        )
+    ),
+    # where a run is to go
+    out("a file", "run", a_file, "out={}/run: is a file", "give a folder"),
+    out("below a file", "thesis", nothing, "{}/policy is not", FOLDER, target="policy/run"),
+    out("in /proc", "thesis", nothing, "out=/proc/nowhere/run: ", FOLDER, target="/proc/nowhere/run"),
+    out("too long a name", "thesis", nothing, "xxx: cannot be written", FOLDER, target=LONG),
+    out("in a folder that is read-only", "thesis", read_only, "{} is not", FOLDER, target="new"),
+    out(
+        "among other files",
+        "thesis",
+        nothing,
+        "out={}/thesis: holds other files",
+        "give a new or empty",
+        target="thesis",
+    ),
+    out("over other files", "thesis", nothing, "holds other files", "give a new or empty", "thesis", overwrite=True),
+    out("over another program's", "thesis/config.yaml", written("kind: Pod"), NO_RUN, EMPTY, "thesis", overwrite=True),
+    out("over another's run", "thesis/config.yaml", written("algorithm: td3"), NO_RUN, EMPTY, "thesis", overwrite=True),
+    out(
+        "over a damaged config", "run/config.yaml", written("[1"), "{}/run/config.yaml: " + DAMAGED, "", overwrite=True
+    ),
+    out("a config of keys that are numbers", "run/config.yaml", added("1: 2\n"), NO_RUN + ", its 1=1", EMPTY),
+    out("another learning rate", "run", nothing, "holds a run with lr=0.0003, not 0.1", OVERWRITE, lr=0.1),
+    out("another network", "run", nothing, "holds a run with hidden=[8], not [9]", OVERWRITE, hidden=[9]),
+    out("another algorithm's", "run/config.yaml", replaced(": ppo", ": dqn"), "algorithm=dqn, not ppo", OVERWRITE),
+    out("finished, a table gone", "run/episodes.parquet", missing, "{}/run/episodes.parquet: missing", OVERWRITE),
+    out("facts cut", "run/meta.json", cut(0.5), "{}/run/meta.json: " + DAMAGED, RUN),
+    out("in use", "new", in_use, "another process is writing this run", "wait for it", target="new"),
+    out("in use, to be overwritten", "run", in_use, "another process is writing", "wait for it", overwrite=True),
+    out("a folder for a lock", "run/.lock", Path.mkdir, "out={}/run: cannot be written", FOLDER, overwrite=True),
+    Case(
+        "out: another bank than before",
+        "run/meta.json",
+        meta(bank={"sha256": "0" * 64}),
+        train_ppo,
+        RunError,
+        "the bank layouts=train has changed",
+        OVERWRITE,
+        ["ppo", *words(PPO), "out={}/run"],
+    ),
+    # a run that was interrupted
+    half("every snapshot cut", snapshots(cut(0.9)), "damaged, its checksum does not match", OVERWRITE),
+    half("every snapshot flipped", snapshots(flipped(-4)), "damaged, its checksum does not match", OVERWRITE),
+    half("every snapshot empty", snapshots(written(b"")), "damaged, its checksum does not match", OVERWRITE),
+    half("its replay gone", replay_gone, "missing or not readable", OVERWRITE),
+    half("of another version of torch", newer_torch, "saved with version of torch=", OVERWRITE),
+    half("another seed", nothing, "holds a run with seed=0, not 7", OVERWRITE, seed=7),
+    half("another seed everywhere", reseeded, "saved with seed=0, not 7", OVERWRITE, seed=7),
+    Case(
+        "half: read",
+        "half",
+        nothing,
+        lambda f: Run(f / "half"),
+        RunError,
+        "{}/half: the run is not finished",
+        "same command",
+        ["verify", "{}/half"],
+    ),
+    # a configuration
+    config({"activatoin": "relu"}, "did you mean activation?", "there is no key 'activatoin'"),
+    config({"batch_size": 3}, "choose from", "there is no key 'batch_size'"),
+    config({"epochs": 3}, "choose from", "there is no key 'epochs'", "dqn"),
+    config({"preset": "papr"}, "did you mean paper?"),
+    config({"activation": "rleu"}, "choose from elu, gelu"),
+    config({"activation": 3}, "give a name"),
+    config({"activation": None}, "give a name"),
+    config({"layouts": 3}, "give a name"),
+    config({"reward": "eq15"}, "choose from additive, eq14, goal, initial"),
+    config({"world": {"slots": "first"}}, "choose from listed, nearest"),
+    config({"world": {"padding": "ones"}}, "choose from far, zeros"),
+    config({"world": {"start_heading": "down"}}, "choose from random, up"),
+    config({"world": {"sensor_arc": 0}}, "above 0", "world.sensor_arc=0; "),
+    config({"world": {"sensor_arc": 361}}, "at most 360", "world.sensor_arc=361; "),
+    config({"world": {"sensor_arc": "wide"}}, NUMBER),
+    config({"world": {"n_slots": 2.5}}, WHOLE),
+    config({"world": {"border": 30}}, "must divide width=800", "world.border=30 "),
+    config({"world": {"slotz": "nearest"}}, "did you mean world.slots?", "there is no key 'world.slotz'"),
+    config({"world": 3}, "such as world.sensor_arc=90"),
+    config({"task": "dron"}, "choose from drone, goal, moving, space, space-moving (did you mean drone?)"),
+    config({"slots": "listed"}, "did you mean world.slots?", "there is no key 'slots'"),
+    config({"init": "xavier"}, "choose from default, orthogonal"),
+    config({"compile": "maybe"}, "choose from auto, off, on"),
+    config({"loss": "l1"}, "choose from huber, squared", algorithm="dqn"),
+    config({"device": "gpu"}, "choose cpu"),
+    config({"device": "meta"}, "choose cpu"),
+    config({"device": "cuda:99"}, "choose cpu"),
+    config({"n_seeds": 0}, "at least 1"),
+    config({"n_seeds": "two"}, WHOLE),
+    config({"n_seeds": True}, WHOLE),
+    config({"n_seeds": None}, WHOLE),
+    config({"seed": -1}, "at least 0"),
+    config({"seed": 1.5}, WHOLE),
+    config({"seed": 2**31}, "at most 2147483647"),
+    config({"total_frames": 0}, "at least 1"),
+    config({"total_frames": 0.5}, WHOLE),
+    config({"total_frames": math.inf}, WHOLE),
+    config({"total_frames": math.nan}, WHOLE),
+    config({"max_steps": 0}, "at least 1"),
+    config({"max_steps": "never"}, WHOLE),
+    config({"lr": -1.0}, "at least 0"),
+    config({"lr": "fast"}, NUMBER),
+    config({"lr": True}, NUMBER),
+    config({"lr": math.nan}, NUMBER),
+    config({"lr": math.inf}, NUMBER),
+    config({"gamma": 1.1}, "at most 1"),
+    config({"epsilon_end": 2.0}, "at most 1", algorithm="dqn"),
+    config({"hidden": 64}, "such as [64,64]"),
+    config({"hidden": []}, "at least one layer"),
+    config({"hidden": [64, 0]}, "at least 1 unit"),
+    config({"hidden": [64, "x"]}, WHOLE, "hidden=x; "),
+    config({"hidden": [8.5]}, WHOLE, "hidden=8.5; "),
+    config({"n_envs": 7}, "give a divisor of the 2048 frames of an iteration"),
+    config({"n_envs": 6}, "give a multiple or a divisor of frames_per_update=4", algorithm="dqn"),
+    config({"minibatch_size": 100}, "give a divisor of frames_per_batch=2048"),
+    config({"minibatch_size": 1}, "at least 2"),
+    config({"buffer_size": 8}, "give more than n_envs=64", algorithm="dqn"),
+    word("overwrite", "overwrite=2; ", "choose from false, true", "ppo", "overwrite=2"),
+    word("evaluate", "evaluate=maybe; ", "choose from false, true", "dqn", "evaluate=maybe"),
+    word("checkpoint_seconds", "checkpoint_seconds=-1; ", "at least 0", "ppo", "checkpoint_seconds=-1"),
+    word("a plugin", "plugins=nowhere: is no module in ", "without .py", "ppo", "plugins=nowhere"),
+    word("a plugin's file", "plugins=thesis.py: ", "without .py", "ppo", "plugins=thesis.py"),
+    word("a plugin of a run", "--plugins nowhere: ", "without .py", *EVALUATE, "--plugins", "nowhere"),
+    word("an algorithm", f"algorithm=poo; choose from {KNOWN}", "did you mean ppo?", "poo"),
+    word("no algorithm", "algorithm=; ", f"choose from {KNOWN}", "activation=relu"),
+    word("a key without a value", "'relu'", "", "ppo", "relu"),
+    word("a sweep with one wrong", "activation=rleu; ", "did you mean relu?", "ppo", "-m", "activation=relu,rleu"),
+    word(
+        "a sweep in one folder",
+        "out=new: two runs of the sweep",
+        "name what differs",
+        "ppo",
+        "-m",
+        "seed=1,2",
+        "out=new",
+    ),
+    # what is no number, no name, too large or too deep
+    *(config({key: value}, WHOLE) for key in ("seed", "n_seeds", "n_envs") for value in ([1], "")),
+    *(config({key: 2**64}, "at most 9,007,199,254,740,992") for key in ("n_seeds", "total_frames", "minibatch_size")),
+    *(config({key: [1]}, "choose from") for key in ("preset", "compile")),
+    *(config({key: [1]}, "give a name") for key in ("task", "reward", "activation")),
+    config({"lr": 10**400}, NUMBER, "lr="),
+    config({"hidden": [1] * 101}, "give at most 100", "hidden: 101 layers"),
+    config({"device": "hpu"}, "choose cpu"),
+    config({"critic_coeff": 0.0}, "give a number above 0", "critic_coeff=0: "),
+    config({"world": {"width": 10**7}}, "at most 1,000,000"),
+    config({"world": {"slots": []}}, "choose from"),
+    misused("a world's width", lambda f: uavnav.World(width=10**400), "width=1", "at most 1,000,000"),
+    misused("a world's slots", lambda f: uavnav.World(slots=[]), "slots=[]", "choose from"),
+    misused("a task", lambda f: uavnav.DroneEnv(task=[]), "task=[]", "choose from"),
+    misused("a run of nothing", lambda f: ppo.train(None, f / "new"), "config=None", "PPOConfig()"),
+    misused("seconds", lambda f: ppo.train(ppo.PPOConfig(), f / "new", checkpoint_seconds=[]), "=[]", NUMBER),
+    misused("until 0", lambda f: ppo.train(ppo.PPOConfig(), f / "new", until=0), "until=0", "at least 1"),
+    misused("a shape", lambda f: uavnav.DroneEnv(3), "batch_size=3", "whole numbers"),
+    misused("a large shape", lambda f: uavnav.DroneEnv([10**7, 9]), "batch_size", "at most"),
+    misused("seeds in words", lambda f: uavnav.DroneEnv([2], seeds="ab"), "seeds=ab", "whole"),
+    misused("a device", lambda f: uavnav.DroneEnv(device="gpu"), "device=gpu", "choose cpu"),
+    misused("options", lambda f: uavnav.gym.DroneGymEnv("test").reset(options=[3]), "[3]", "map"),
+    misused("a policy", lambda f: uavnav.evaluate_policy(3), "policy=3", "load_policy"),
+    word("an empty list", "--frames=--: ", "give a value", *VERIFY, "--frames=--"),
+    word("a picture of a line break", "a\\nb: ", "choose an .mp4", "render", "random", "--out", "a\nb"),
+    word("a huge cap", "max_steps=2147483648", "at most 1,000,000", "evaluate", "random", "--max-steps=2147483648"),
+    word("a line break", "seed=1\\n2", "cannot be read", "ppo", "seed=1\n2"),
+    word("5,000 digits", "cannot be read", "give a shorter one", "ppo", f"seed={'9' * 5000}"),
+    word("500 brackets", "cannot be read", "give a shorter one", "ppo", f"seed={'[' * 500}{']' * 500}"),
+    word("a preset that is a number", "preset=3", "choose from", "ppo", "preset=3"),
+    word("a long preset", "preset=xxx", "choose from fast", "ppo", f"preset={'x' * 300}"),
+    word("a sweep of a billion", "the sweep is too long", "at most 1,000", "ppo", "-m", "seed=range(0,1000000000)"),
+    word("a sweep of nothing", "it is no range", "range(start,stop,step)", "ppo", "-m", "seed=range(0,9,0)"),
+    word(
+        "a sweep of 10,000",
+        "has 10,000 runs",
+        "at most 1,000",
+        "ppo",
+        "-m",
+        "seed=range(0,100)",
+        "n_seeds=range(1,101)",
+    ),
+    word("out left out", "~out: ", "give out=", "ppo", "out=new", "~out"),
+    word("out a list", "out=[1]", "give a folder", "ppo", "out=[1]"),
+    word("out of a NUL byte", "no folder can have such a name", "give another", "ppo", 'out="\0"'),
+    word(
+        "rows beyond memory", "rows of progress a seed", "give fewer frames", "ppo", "total_frames=1e15", "compile=off"
+    ),
+    word("a batch beyond memory", "of a batch would take", "give", "dqn", "batch_size=1e12", "compile=off"),
+    word("seeds beyond memory", "would take at least", "fewer seeds", "ppo", "n_seeds=1e15", "compile=off"),
+    word("an integer beyond 2^53", "is too large", "give at most", *VERIFY, "--frames", str(2**64)),
+    word("5,000 digits of frames", "invalid int value", "--help", *VERIFY, "--frames", "9" * 5000),
+    word("a million seeds of a script", "--seeds 1000000", "at most 1,000", "evaluate", "random", "--seeds=1000000"),
+    word("a billion steps", "--steps 1000000000", "at most 100,000", *RENDER, "--steps", "1000000000"),
+    # arguments
+    argument(
+        "0 episodes", lambda f: fly(f, episodes=0), "episodes=0", "1 to 1000", "evaluate", "random", "--episodes=0"
+    ),
+    argument(
+        "1001 episodes", lambda f: fly(f, episodes=1001), "=1001", "1 to 1000", "evaluate", "random", "--episodes=1001"
+    ),
+    argument(
+        "0 steps", lambda f: fly(f, max_steps=0), "max_steps=0", "at least 1", "evaluate", "random", "--max-steps=0"
+    ),
+    argument("0 seeds of a script", None, "--seeds 0", "at least 1", "evaluate", "random", "--seeds=0"),
+    argument("seeds of a rule", None, "--seeds 2", "only random has several", "evaluate", "reactive", "--seeds=2"),
+    misused("a reward", lambda f: fly(f, reward="eq15"), "reward='eq15'", "choose from eq14"),
+    misused("a slot order", lambda f: uavnav.World(slots="first"), "slots='first'", "choose from nearest, listed"),
+    misused("a box's depth", lambda f: SpaceWorld(depth=280), "depth=280", "give above 280 px"),
+    misused("a border", lambda f: uavnav.World(border=30), "border=30", "must divide"),
+    argument("an activation", lambda f: uavnav.networks.Activation("rleu"), "activation='rleu'", "did you mean relu"),
+    misused("a cap", lambda f: uavnav.DroneEnv(max_steps=0), "max_steps=0", "a whole number from 1"),
+    misused("a cap in half steps", lambda f: uavnav.DroneEnv(max_steps=1.5), "max_steps=1.5", "a whole number from 1"),
+    argument("seeds", lambda f: uavnav.DroneEnv([3], seeds=[1, 2]), "2 seeds for batch_size [3]", "one per agent"),
+    argument("a drone's action", lambda f: gym_env().step(100), "action=100", "from 0 to 99"),
+    argument("a drone's layout", lambda f: gym_env(layout=1000), "layout=1000", "from 0 to 999"),
+    argument("no drone", lambda f: uavnav.gym.DroneVectorEnv(0), "num_envs=0", "at least 1"),
+    argument("a screen", lambda f: uavnav.gym.DroneGymEnv(render_mode="human"), "'human'", "choose None or rgb_array"),
+    argument(
+        "a picture's kind", lambda f: save_picture(f / "x.bmp"), "x.bmp", ".gif or .png", *RENDER, "--out", "x.bmp"
+    ),
+    argument(
+        "a picture's folder",
+        lambda f: save_picture(f / "no/x.png"),
+        "no/x.png",
+        "a path that can be written",
+        *RENDER,
+        "--out",
+        "{}/no/x.png",
+    ),
+    word("a repeat's frames", "--frames 0", "at least 1", *VERIFY, "--frames", "0"),
+    # words of other commands
+    word(
+        "a word of --split",
+        "argument --split: trian: choose from all, test",
+        "did you mean train?",
+        *["layouts", "--split", "trian"],
+    ),
+    word("an argument", "there is no argument --slpit", "did you mean --split?", *["layouts", "--slpit", "train"]),
+    word(
+        "a bank",
+        "layouts='tset': no such bank; choose from train",
+        "did you mean test?",
+        *["layouts", "--check", "tset"],
+    ),
+    word("a script", "reactiv: no such run folder; give a run's", "did you mean reactive?", "evaluate", "reactiv"),
+    word(
+        "--acros",
+        "there is no argument --acros",
+        "did you mean --across?",
+        *["evaluate", "random", "--acros", "density"],
+    ),
+    word(
+        "--epsiodes", "no argument --epsiodes", "did you mean --episodes?", *["evaluate", "random", "--epsiodes", "3"]
+    ),
+    word("a number", "argument --frames: invalid int value: '3x'", "", *VERIFY, "--frames=3x"),
+    *(word(f"a script to {one}", "reactiv: no policy", "did you mean reactive?", one, "reactiv") for one in SHOWS),
+    *(word(f"--sampled to {one}", "no argument --sampled", "", one, "random", "--sampled") for one in SHOWS),
+    *(word(f"a layout of {n}", f"--layout {n}", "choose from 0 to 999", *RENDER, f"--layout={n}") for n in (1000, -1)),
+    *(
+        word(f"a picture of {key} 0", f"--{key}", "give", *RENDER, f"--{key}=0")
+        for key in ("steps", "every", "speed", "width")
+    ),
+    word(
+        "a picture's suffix", "x.gfi: choose an .mp4, .gif or .png file", "did you mean .gif?", *RENDER, "--out=x.gfi"
+    ),
+    word("a slow film", "0.0003 pictures per second", "0.01 at least", *RENDER, "--out=x.gif", "--every=100000"),
+    word("a fast film", "60 pictures per second", "50 at most: draw fewer", *RENDER, "--out=x.gif", "--speed=2"),
+    word("an activation of a run", "--activation tanh: runs know", "with a .zip", *RENDER, "--activation=tanh"),
+    word("a second pilot", "nowhere: no policy.safetensors there", "give the folder", *RENDER, "nowhere"),
+    word("faults", "--faults noise=-1: noise=-1.0", "at least 0", *RENDER, "--faults", "noise=-1"),
+    word(
+        "a picture in no folder", "/nowhere/x.png: cannot be", "is no folder /nowhere", *RENDER, "--out=/nowhere/x.png"
+    ),
+    word("a picture in /proc", "/proc/x.png: cannot be written", "", *RENDER, "--out=/proc/x.png"),
+    word("a run to play", "nowhere: no policy.safetensors there", "give the folder", "play", "nowhere"),
+    word("a seed to play", "seed=9 is not there", "choose from", "play", "{}/policy", "--seed", "9"),
+    word("a layout to play", "--layout 1000", "choose from 0 to 999", "play", "--layout", "1000"),
+    word("a bank to play", "nowhere", "no such bank", "play", "--layouts", "nowhere"),
+    word("a cap to play", "--max-steps 0", "give at least 1", "play", "--max-steps", "0"),
+    word("an activation to play", "--activation tanh: runs know", "with a .zip", "play", "--activation", "tanh"),
+    word("rows below a file", "policy/human.parquet", "cannot be written", "play", "--out", "policy/human.parquet"),
+    word("rows onto a folder", ".: cannot be written", "", "play", "--out", "."),
+    word("rows onto a text", "chapter.txt: missing or damaged", "move it away", "play", "--out", "thesis/chapter.txt"),
+    word("rows in /proc", "/proc/x/human.parquet", "cannot be written (", "play", "--out", "/proc/x/human.parquet"),
+    word("a bank below a file", "policy/own: cannot be written", "Not a directory", "play", "--bank", "policy/own"),
+    word("a section", "argument --only: trainig: choose from", "did you mean training?", "bench", "--only", "trainig"),
+    word("no section", "--only", "expected at least one argument", "bench", "--only"),
+    word("a section and --quik", "there is no argument --quik", "did you mean --quick?", "bench", "--quik"),
+    word("a page onto a folder", ".: cannot be written", "is a folder", "bench", "--out", "."),
+    # names spelt wrongly in Python
+    misused("a reward spelt wrongly", lambda f: uavnav.DroneEnv(reward="eq41"), "reward='eq41'", "did you mean eq14"),
+    misused("slots spelt wrongly", lambda f: uavnav.World(slots="nearst"), "slots='nearst'", "did you mean nearest"),
+    misused("a preset spelt wrongly", lambda f: ppo.PPOConfig(preset="fats"), "preset=fats", "did you mean fast"),
+    bank_for("spelt wrongly", lambda f: layouts.load("trian"), "layouts='trian'", "did you mean train"),
+    argument(
+        "a name",
+        lambda f: uavnav.evaluate_polcy,
+        "no attribute 'evaluate_polcy'",
+        "did you mean evaluate_policy",
+        error=AttributeError,
+    ),
+]

@@ -129,13 +129,15 @@ def ask(browser, words):
 
 
 @pytest.fixture(scope="session")
-def playground(tmp_path_factory):
+def playground(once):
     """The playground of the committed cells, in a folder of its own."""
-    from uavnav.views.browser.playground import collect, page
 
-    path = tmp_path_factory.mktemp("playground") / "playground.html"
-    path.write_text(page(collect([RESULTS / "vectorised"])[0]))
-    return path
+    def make(folder):
+        from uavnav.views.browser.playground import collect, page
+
+        (folder / "playground.html").write_text(page(collect([RESULTS / "vectorised"])[0]))
+
+    return once("playground", make) / "playground.html"
 
 
 @pytest.fixture(scope="module")

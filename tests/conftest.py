@@ -1,11 +1,13 @@
 import functools
 import gc
+import shutil
 import signal
 import subprocess
 import sys
 
 import pytest
 from browsing import chrome, opened, playground  # noqa: F401 - a browser and a page in it, for all modules of tests
+from filelock import FileLock
 from warm import Popen
 
 import uavnav  # noqa: F401 - before PyTorch, whose threads then wait without spinning
@@ -65,10 +67,48 @@ warm_module = pytest.fixture(scope="module")(warmed)
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Reports without figures, and with replays of 50 steps instead of 1,000: both take most of their time."""
+    """Reports without figures, and with replays of 50 steps instead of 1,000: both take most of the time."""
+    from uavnav.report import replays
+
     for figures in ("figures.draw", "beyond.figures", "content._of_worlds"):
         monkeypatch.setattr(f"uavnav.report.{figures}", lambda *anything: [])
-    monkeypatch.setattr("uavnav.report.replays.record.__defaults__", (3, 3, 50))
+    monkeypatch.setattr(replays.record, "__defaults__", (3, 3, 50))
+    monkeypatch.setattr(replays, "record_apart", replays.record)
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory, request):
+    """`once(name, make)`: a folder that `make(folder)` fills, once for all processes of this run of pytest."""
+    root = tmp_path_factory.getbasetemp()
+    root = root.parent if hasattr(request.config, "workerinput") else root
+
+    def filled(name, make):
+        folder = root / name
+        with FileLock(f"{folder}.lock"):
+            if not (folder / ".made").exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                make(folder)
+                (folder / ".made").touch()
+        return folder
+
+    return filled
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory):
+    """`trained(algorithm)`: a finished run of 256 frames, the same for all tests, and not to be changed."""
+    from uavnav.algorithms import ALGORITHMS
+    from uavnav.training.loop import train
+
+    more = {"ppo": {"frames_per_batch": 256}, "dqn": {"epsilon_end": 0.5}, "c51": {"epsilon_end": 0.5}}
+
+    @functools.cache
+    def run(algorithm):
+        config = ALGORITHMS[algorithm].config(total_frames=256, compile="off", **more.get(algorithm, {}))
+        return train(config, tmp_path_factory.mktemp(algorithm) / "run", quiet=True)
+
+    return run
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 ALL = {str(path.relative_to(ROOT)): path.read_text() for path in [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]}
 MINE = ("start", "world", "faults", *ALGORITHMS, "extending")
-PAGES = {name: ALL[f"docs/{name}.md"] for name in (*MINE, "troubleshooting")}
+PAGES = {name: ALL[f"docs/{name}.md"] for name in MINE}
 CONFIGS = {name: one.config for name, one in ALGORITHMS.items()}
 """Of each algorithm: every one of the table has its page."""
 

@@ -4,13 +4,11 @@ import contextlib
 
 import pytest
 
-from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import play
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.simulator import make_task
 from uavnav.tasks.world import World
-from uavnav.training.loop import train
 from uavnav.views.render import Pilot
 from uavnav.views.window import game as rules
 from uavnav.views.window import hud, keys
@@ -74,10 +72,3 @@ def drag(x, y, to_x, to_y):
     pygame.event.post(click(pygame.MOUSEBUTTONDOWN, x, y))
     pygame.event.post(click(pygame.MOUSEMOTION, to_x, to_y))
     pygame.event.post(click(pygame.MOUSEBUTTONUP, to_x, to_y))
-
-
-def trained(folder, algorithm="ppo"):
-    """A finished run of 256 frames."""
-    more = {"ppo": {"frames_per_batch": 256}, "dqn": {"epsilon_end": 0.5}, "c51": {"epsilon_end": 0.5}}
-    config = ALGORITHMS[algorithm].config(total_frames=256, compile="off", **more.get(algorithm, {}))
-    return train(config, folder / "run", quiet=True)

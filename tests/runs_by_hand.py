@@ -90,3 +90,31 @@ def trained(path, algorithm, action):
         network[-1].weight.zero_()
         network[-1].bias[:, 0, action] = 50.0
     (path / POLICY).write_bytes(policy_bytes(network, algorithm, seed=0, n_seeds=2, hidden=(4,)))
+
+
+def _always(network, agent, action):
+    """Make one agent prefer an action by far, and whatever it sees."""
+    with torch.no_grad():
+        network[-1].weight[agent] = 0.0
+        network[-1].bias[agent] = torch.arange(100.0) / 100
+        network[-1].bias[agent, 0, action] = 50.0
+
+
+def write_policies(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs=30, **changes):
+    """A finished run of `n_seeds` random networks; `prefer` names the action of those that know but one."""
+    generators = [torch.Generator().manual_seed(one) for one in range(seed, seed + n_seeds)]
+    network = mlp([n_inputs, 8, 100], "tanh", generators, "default")
+    with torch.no_grad():
+        network[-1].weight.mul_(8.0)  # so that values differ, from action to action and from step to step
+    for agent, action in prefer:
+        _always(network, agent, action)
+    path.mkdir(parents=True)
+    settings = {"seed": seed, "n_seeds": n_seeds, "hidden": (8,)} | changes
+    (path / POLICY).write_bytes(policy_bytes(network, algorithm, epsilon=0.2, **settings))
+    facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "n_envs": 16}
+    (path / "config.yaml").write_text(yaml.safe_dump(facts | changes))
+    (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}}))
+    counts = [(seed, 10, 0, 0, 10, 0, 0, 0, 90, -10.0, True, False)]
+    pd.DataFrame(counts, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
+    pd.DataFrame({"seed": [seed], "frame": [100]}).to_parquet(path / "progress.parquet")
+    return path

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 import torch
 from PIL import Image
+from replaying import as_flown, few_sets, flown, recorded
 from safetensors.torch import load_file
-from test_replays import as_flown, flown, recorded
 
 from uavnav.acting import ACTS, values_of
 from uavnav.algorithms import ALGORITHMS
@@ -262,10 +262,9 @@ def test_verify_repeats_it_bit_for_bit(algorithm, run):
     assert verdict.same, verdict.lines
 
 
-def test_a_page_replays_its_flights_as_they_are_flown_one_by_one(algorithm, run, monkeypatch):
-    for module in ("uavnav.report.replays", "test_replays"):
-        monkeypatch.setattr(f"{module}.EPISODES", 30)  # of 200 sets, which take most of the time
-    data = recorded(run.path.parent, n_seeds=1, n_layouts=2)
+def test_a_page_replays_its_flights_as_they_are_flown_one_by_one(algorithm, run):
+    with few_sets():
+        data = recorded(run.path.parent, n_seeds=1, n_layouts=2)
     (cell,) = data["cells"]
     assert cell["values"] == ALGORITHMS[algorithm].shown
     expected = flown(run.path, 0, 2)

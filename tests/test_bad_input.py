@@ -1,7 +1,4 @@
-"""Every case of bad input, in the library and on the command line; and what a process and a full disk leave.
-
-`bad_input` says how a case is written and tried; the cases are in `bad_banks`, `bad_runs` and `bad_words`.
-"""
+"""Every case of the table `bad_input`, in the library and on the command line; and what a full disk leaves."""
 
 import contextlib
 import errno
@@ -14,31 +11,35 @@ import tempfile
 from pathlib import Path
 from unittest import mock
 
-import bad_banks
-import bad_runs
-import bad_words
 import pytest
 from bad_input import (
+    CASES,
     DQN,
     RECIPES,
-    by_name,
+    YAML_BOMB,
+    a_folder,
+    a_pipe,
+    endless,
     evaluate,
-    in_the_library,
+    itself,
+    large,
     make_good,
-    on_the_command_line,
+    put,
+    replaced,
     save_bank,
     save_picture,
     tree,
+    unfolding,
+    written,
 )
-from spoiling import YAML_BOMB, a_folder, a_pipe, endless, itself, large, put, replaced, unfolding, written
 
 from uavnav import LayoutError, RunError, runs
 from uavnav.__main__ import main
 from uavnav.algorithms import dqn
+from uavnav.cli import commands
 from uavnav.report.cells import collect
 from uavnav.runs import POLICY
-
-CASES = [*bad_banks.CASES, *bad_runs.CASES, *bad_words.CASES]
+from uavnav.views import render
 
 
 @pytest.fixture(scope="module")
@@ -59,14 +60,53 @@ def test_each_case_has_a_name_of_its_own():
     assert len({case.name for case in CASES}) == len(CASES)
 
 
-@pytest.mark.parametrize("case", by_name(case for case in CASES if case.call))
+def said(case, folder, text):
+    """One line with both fragments."""
+    assert "\n" not in text
+    for fragment in (case.wrong, case.right):
+        assert fragment.replace("{}", str(folder)) in text, text
+
+
+@contextlib.contextmanager
+def spoilt(case, folder):
+    """Within, the folder is spoilt, and it must stay just so."""
+    held = case.spoil(folder / case.part)
+    with held or contextlib.nullcontext():
+        before = tree(folder)
+        yield
+        after = tree(folder)
+    if case.name.startswith("half"):  # meta.json tells when the run was last tried
+        before.pop("half/meta.json"), after.pop("half/meta.json")
+    assert after == before
+
+
+@pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in CASES if case.call])
 def test_in_the_library_it_is_one_line_of_a_typed_exception_and_nothing_changes(case, folder):
-    in_the_library(case, folder)
+    with spoilt(case, folder), pytest.raises(case.error) as refused:
+        case.call(folder)
+    assert type(refused.value) is case.error
+    said(case, folder, str(refused.value))
 
 
-@pytest.mark.parametrize("case", by_name(case for case in CASES if case.command))
-def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, folder, capfd):
-    on_the_command_line(case, folder, capfd)
+@pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in CASES if case.command])
+def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, folder, capfd, monkeypatch):
+    monkeypatch.setattr(render, "fly", None)  # nobody flies
+    program, *arguments = [word.replace("{}", str(folder)) for word in case.command]
+    if program not in commands.COMMANDS:
+        program, arguments = "train", [program, *arguments]
+    if program == "play":
+        pytest.importorskip("pygame")
+    with spoilt(case, folder):
+        try:
+            status = main([program, *arguments])
+        except SystemExit as stop:
+            status = stop.code
+    printed, complained = capfd.readouterr()
+    assert status == 2
+    assert printed == ""
+    assert complained.startswith(f"uavnav {program}: ")
+    assert complained.endswith("\n")
+    said(case, folder, complained[:-1])
 
 
 @pytest.mark.usefixtures("warm")

@@ -11,10 +11,9 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-import torch
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.bench import jobs, ours, peers, plain, plan, worlds
+from uavnav.bench import BY_DEFAULT, LONGER, QUICK, jobs, plan, training, worlds
 from uavnav.bench.jobs import JobError
 from uavnav.bench.page import machine, read_sections
 from uavnav.bench.plan import Measurement
@@ -104,61 +103,16 @@ def test_of_two_processes_that_meet_the_first_waits_for_the_second(tmp_path):
     ],
 )
 def test_a_watched_run_of_ours_is_stopped_and_names_its_rate(algorithm, more):
-    found = ours.watched(0.0, algorithm, 0.0, compile="off", **more)
+    found = training.ours(0.0, algorithm, 0.0, compile="off", **more)
     assert found["frames"] <= 40_000
     assert found["rate"] > 0
     assert found["how"] == "1 × 1"
 
 
-@pytest.mark.parametrize(("algorithm", "rows"), [("sac", 64), ("c51", 32)])
-def test_a_peer_in_plain_pytorch_is_watched_for_five_looks_once_it_learns(algorithm, rows, monkeypatch):
-    learned = []
-    kind = plain.AGENTS[algorithm]
-    update = kind.update
-    monkeypatch.setattr(kind, "update", lambda agent, batch: learned.append(batch) or update(agent, batch))
-    found = plain.watched(0.0, algorithm, 0.0, learning_starts=300, buffer_size=350)
-    assert found["frames"] == 800  # those after 400, 500, 600, 700 and 800
-    assert len(learned) == 125
-    assert [part.shape for part in learned[-1]] == [(rows, 30), (rows, 1), (rows,), (rows, 30), (rows,)]
-    assert found["rate"] > 0
-
-
-def test_the_agent_in_plain_pytorch_moves_all_its_parts_towards_what_is_paid():
-    """Action 3 of 100 is paid, in one place: the policy then takes it there, at a temperature that has fallen."""
-    torch.manual_seed(0)
-    agent = plain.SAC(ours.settings("sac", lr=1e-2, gamma=0.0, target_entropy=0.2, tau=0.5))
-    action = torch.arange(100)[:, None]
-    place = torch.ones(100, 30)
-    batch = (place, action, (action[:, 0] == 3).float(), place, torch.ones(100))
-    for _ in range(200):
-        agent.update(batch)
-    assert agent.policy(batch[0]).softmax(-1)[:, 3].mean() > 0.5
-    assert agent.log_alpha.item() < -1
-    pairs = zip(agent.targets, agent.q, strict=True)
-    assert all((target(batch[0]) - q(batch[0])).abs().max() < 0.1 for target, q in pairs)
-
-
-def test_c51_in_plain_pytorch_learns_what_an_action_is_worth_now_and_a_step_ahead():
-    """Action 3 of 100 is paid 1, in one place, and half of the best follows: it is worth 2 there, any other 1."""
-    torch.manual_seed(0)
-    config = ours.settings("c51", lr=1e-2, gamma=0.5, target_update_frames=4, epsilon_end=0.0)
-    agent, action, place = plain.C51(config), torch.arange(100)[:, None], torch.ones(100, 30)
-    batch = (place, action, (action[:, 0] == 3).float(), place, torch.zeros(100))
-    agent.atoms = torch.linspace(-3, 3, config.n_atoms)  # eq. (14)'s own end at 0.18
-    for _ in range(300):
-        agent.update(batch)
-    values = (agent.probabilities(agent.network, place[0]) * agent.atoms).sum(-1)
-    assert values[3].item() == pytest.approx(2, abs=0.1)
-    assert values[[0, 50, 99]].tolist() == pytest.approx([1] * 3, abs=0.1)
-    assert agent.act(place[0].numpy()) == 3
-    agent.update((*batch[:4], torch.ones(100)))  # where the episode ends, the reward alone counts
-    assert values[3].item() > (agent.probabilities(agent.network, place[0]) * agent.atoms).sum(-1)[3].item()
-
-
 @pytest.mark.parametrize("algorithm", ["ppo", "dqn", "a2c"])
 def test_stable_baselines3_has_every_setting_of_our_preset_paper(algorithm):
     pytest.importorskip("stable_baselines3")
-    model, config = peers.make_model(peers.SB3, algorithm, worlds.make_env("numpy")), ours.settings(algorithm)
+    model, config = training.make_model(training.SB3, algorithm, worlds.make_env("numpy")), training.settings(algorithm)
     theirs = {
         "lr": model.learning_rate,
         "gamma": model.gamma,
@@ -194,7 +148,7 @@ def test_stable_baselines3_has_every_setting_of_our_preset_paper(algorithm):
 @pytest.mark.slow
 def test_stable_baselines3_is_watched_in_a_process_of_its_own(tmp_path):
     pytest.importorskip("stable_baselines3")
-    one = Measurement("training/A2C, SB3", "peers.watched", {"algorithm": "a2c", "seconds": 0.5})
+    one = Measurement("training/A2C, SB3", "training.peer", {"algorithm": "a2c", "seconds": 0.5})
     found = jobs.measure(one, one.arguments, tmp_path)
     assert min(found["rate"], found["startup"], found["peak"]) > 0
 
@@ -230,7 +184,7 @@ def test_a_failed_measurement_is_named_and_the_others_go_on(tmp_path, monkeypatc
 def test_caches_are_warmed_once_with_the_changed_arguments_and_that_round_is_not_kept(tmp_path, monkeypatch):
     measured = []
     monkeypatch.setattr(jobs, "measure", lambda one, arguments, cache: measured.append(arguments) or {"rate": 1.0})
-    one = Measurement("training/x", "ours.watched", {"seconds": 5.0}, rounds=2, warm={"seconds": 0.0})
+    one = Measurement("training/x", "training.ours", {"seconds": 5.0}, rounds=2, warm={"seconds": 0.0})
     assert [found for _, _, found in jobs.run([one], tmp_path, print).rows] == [{"rate": 1.0}] * 2
     assert [arguments["seconds"] for arguments in measured] == [0.0, 5.0, 5.0]
 
@@ -238,35 +192,35 @@ def test_caches_are_warmed_once_with_the_changed_arguments_and_that_round_is_not
 # -- the plan and the command -----------------------------------------------------------------------------------------
 
 
-EVERY = [*bench.BY_DEFAULT, "worlds"]
+EVERY = [*BY_DEFAULT, *LONGER]
 
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_measurement_of_the_plan_names_a_job_and_arguments_that_it_takes(quick):
-    every = plan.plan(bench.QUICK if quick else EVERY, quick)
+    every = plan.plan(QUICK if quick else EVERY, quick)
     names = {one.name for one in every}
     assert len(names) == len(every)
-    assert {one.name.split("/")[0] for one in every} == set(bench.QUICK if quick else EVERY)
+    assert {one.name.split("/")[0] for one in every} == set(QUICK if quick else EVERY)
     for one in every:
         assert one.base in names | {""}
         module, function = one.job.split(".")
         signature = inspect.signature(getattr(import_module(f"uavnav.bench.{module}"), function))
         signature.bind(0.0, **one.arguments | one.warm)
         how = {key: value for key, value in one.arguments.items() if key not in signature.parameters}
-        if module == "ours":  # what is left are settings
-            ours.settings(one.arguments["algorithm"], **how)
+        if how:  # settings
+            training.settings(one.arguments["algorithm"], **how)
     assert all(one.rounds == 1 for one in every if quick)
 
 
-def test_each_algorithm_is_measured_beside_a_peer_and_a_full_buffer_where_there_is_one():
+def test_each_algorithm_is_measured_beside_sb3s_if_there_is_one_and_with_a_full_buffer_if_there_is_one():
     names = [one.name for one in plan.plan(EVERY, False)]
-    assert set(plan.PEERS) == set(plan.MUST) == set(ALGORITHMS)
     assert [name for name in names if name.startswith("memory/")] == ["memory/DQN", "memory/C51", "memory/SAC"]
-    assert all(f"training/{name.upper()}, {peer}" in names for name, peer in plan.PEERS.items())
+    assert [name for name in names if name.endswith(", SB3")] == [f"training/{name.upper()}, SB3" for name in plan.MUST]
+    assert all(f"training/{name.upper()}, uavnav, 1 seed" in names for name in ALGORITHMS)
 
 
 def test_the_command_measures_one_thing_in_a_process_of_its_own_and_writes_the_file(tmp_path, monkeypatch, capsys):
-    sbx = Measurement("training/PPO, SBX", "peers.watched", {}, needs="sbx", rounds=1)
+    sbx = Measurement("training/PPO, SBX", "training.peer", {}, needs="sbx", rounds=1)
     monkeypatch.setattr(bench, "plan", lambda names, quick: [NUMPY, sbx])
     real = importlib.util.find_spec
     monkeypatch.setattr(jobs.importlib.util, "find_spec", lambda name: None if name == "sbx" else real(name))
@@ -304,8 +258,8 @@ def stubs(monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("words", "written"),
     [
-        ([], bench.BY_DEFAULT),
-        (["--quick"], bench.QUICK),
+        ([], BY_DEFAULT),
+        (["--quick"], QUICK),
         (["--only", "memory"], ["memory"]),
         (["--only", "worlds", "world"], ["world", "worlds"]),
     ],
@@ -351,25 +305,3 @@ def test_a_run_that_is_stopped_in_its_third_measurement_writes_what_it_found_and
     found = read_sections(Path("docs/benchmarks.md"))
     assert list(found) == ["", words[-1] if words else "world"]
     assert "cut short" in found[words[-1] if words else "world"]
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--only", "wrld"], "(did you mean world?)"),
-        (["--only"], "expected at least one argument"),
-        (["--quik"], "--quik"),
-        (["--out", "."], "is a folder"),
-    ],
-)
-def test_each_of_4_bad_arguments_ends_in_one_line_and_status_2(words, says, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    try:
-        status = bench.main(words)
-    except SystemExit as stop:
-        status = stop.code
-    errors = capsys.readouterr().err
-    assert status == 2
-    assert errors.startswith("uavnav bench: ")
-    assert errors.count("\n") == 1
-    assert says in errors

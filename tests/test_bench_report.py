@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import pytest
 
 from uavnav import files
-from uavnav.bench import page, watch
+from uavnav.bench import page, training
 from uavnav.bench.jobs import Measurement, Results
 from uavnav.bench.page import read_sections, write_sections
-from uavnav.bench.watch import Clock, Mark
+from uavnav.bench.training import Clock
 
 
 def watched(marks, starts=0):
     clock = Clock(0.0, SimpleNamespace(learning_starts=starts), 1.0)
-    clock.marks = [Mark(*mark) for mark in marks]
+    clock.marks = [*marks]
     return clock.result()
 
 
@@ -37,10 +37,10 @@ def test_20_s_until_50_000_frames_fill_a_buffer_are_start_up_and_950_000_frames_
 
 def test_the_clock_stops_after_2_steady_seconds_but_never_before_3_steady_marks_of_learning(monkeypatch):
     now = itertools.count(100.0)
-    monkeypatch.setattr(watch.time, "time", lambda: next(now))
+    monkeypatch.setattr(training.time, "time", lambda: next(now))
     slow = Clock(100.0, SimpleNamespace(learning_starts=50), seconds=2.0)
     assert [slow(frames) for frames in (20, 50, 60, 70, 80, 90, 100)] == [True] * 6 + [False]
-    assert slow.marks[0] == Mark(60, 0.0)
+    assert slow.marks[0] == (60, 0.0)
     short = Clock(100.0, SimpleNamespace(), seconds=0.0)
     assert [short(frames) for frames in (1, 2, 3, 4, 5)] == [True] * 4 + [False]
 

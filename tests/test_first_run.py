@@ -1,4 +1,4 @@
-"""What one meets first: names spelt wrongly, what a run says, and no warnings."""
+"""What one meets first: what a run says, and no warnings."""
 
 import importlib
 import json
@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import uavnav
-from uavnav.__main__ import main
 from uavnav.algorithms.c51 import C51Config
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PPOConfig
@@ -31,68 +30,6 @@ def python(*words, cwd, **environment):
         text=True,
         check=False,
     )
-
-
-# -- names spelt wrongly ---------------------------------------------------------------------------------------------
-
-WORDS = [
-    (
-        "layouts --split trian",
-        "argument --split: trian: choose from all, test, train, validation (did you mean train?)",
-    ),
-    ("layouts --slpit train", "there is no argument --slpit (did you mean --split?)"),
-    (
-        "layouts --check tset",
-        "layouts='tset': no such bank; choose from train, validation, test or a file's path (did you mean test?)",
-    ),
-    ("evaluate reactiv", "reactiv: no such run folder; give a run's folder (did you mean reactive?)"),
-    ("evaluate random --acros density", "there is no argument --acros (did you mean --across?)"),
-    ("evaluate random --epsiodes 3", "there is no argument --epsiodes (did you mean --episodes?)"),
-    (
-        "render reactiv",
-        "reactiv: no policy.safetensors there; give the folder of a finished run (did you mean reactive?)",
-    ),
-    (
-        "play reactiv",
-        "reactiv: no policy.safetensors there; give the folder of a finished run (did you mean reactive?)",
-    ),
-    ("render random --sampled", "there is no argument --sampled"),
-    ("play random --sampled", "there is no argument --sampled"),
-    ("bench --only trainig", "argument --only: trainig: choose from gymnasium, "),
-    ("verify --frames=3x run", "argument --frames: invalid int value: '3x'"),
-]
-
-
-@pytest.mark.parametrize(("words", "message"), WORDS)
-def test_a_misspelt_word_is_one_line_that_names_the_nearest_and_status_2(words, message, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    name, *rest = words.split()
-    try:
-        status = main([name, *rest])
-    except SystemExit as stop:
-        status = stop.code
-    out, err = capsys.readouterr()
-    assert (status, out) == (2, "")
-    assert err.startswith(f"uavnav {name}: {message}")
-    assert err.count("\n") == 1
-    assert "training" in err or "trainig" not in words
-    assert not list(tmp_path.iterdir())
-
-
-CALLS = {
-    "reward='eq41'; .*did you mean eq14": lambda: uavnav.DroneEnv(reward="eq41"),
-    "slots='nearst'; .*did you mean nearest": lambda: uavnav.World(slots="nearst"),
-    "activation='rleu'; .*did you mean relu": lambda: uavnav.networks.Activation("rleu"),
-    "layouts='trian'.*did you mean train": lambda: uavnav.layouts.load("trian"),
-    "no attribute 'evaluate_polcy'.*did you mean evaluate_policy": lambda: uavnav.evaluate_polcy,
-    "preset=fats; .*did you mean fast": lambda: PPOConfig(preset="fats"),
-}
-
-
-@pytest.mark.parametrize("message", CALLS)
-def test_a_misspelt_name_in_python_is_answered_with_the_nearest(message):
-    with pytest.raises((ValueError, AttributeError), match=message):
-        CALLS[message]()
 
 
 # -- what a run says -------------------------------------------------------------------------------------------------

@@ -40,17 +40,20 @@ RESULTS = Path(__file__).parent.parent / "results"
 SMALL = {"total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory, warm_module):
+def make_page(folder):
     """The page of two small cells, their runs evaluated on six sets of obstacles."""
-    folder = tmp_path_factory.mktemp("page")
     for algorithm, train, config in (
         ("ppo", ppo.train, ppo.PPOConfig(frames_per_batch=512, epochs=2, **SMALL)),
         ("dqn", dqn.train, dqn.DQNConfig(learning_starts=256, frames_per_update=16, **SMALL)),
     ):
         run = train(config, out=folder / "runs" / algorithm / "tanh", quiet=True)
         evaluate_run(run, episodes=6, max_steps=200)
-    return report([folder / "runs"], folder / "report").path
+    report([folder / "runs"], folder / "report")
+
+
+@pytest.fixture(scope="module")
+def page(once, warm_module):
+    return once("page", make_page) / "report" / "report.html"
 
 
 @pytest.fixture

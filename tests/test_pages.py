@@ -1,4 +1,4 @@
-"""The pages say what the code says: tables, names, symbols and error lines are compared with it."""
+"""The pages say what the code says: tables, names and symbols are compared with it."""
 
 import ast
 import dataclasses
@@ -13,6 +13,7 @@ from pages import ALL, CONFIGS, MINE, PAGES, ROOT, blocks, code, table
 import uavnav
 from uavnav import runs
 from uavnav.cli import help
+from uavnav.report.page import DECISIONS
 from uavnav.runs import metrics
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import SPLITS
@@ -194,55 +195,26 @@ def test_the_tables_of_the_world_hold_every_bank_and_every_field_of_a_step():
     assert held == [f"Step.{name}" for name in Step._fields]
 
 
-# -- error lines ------------------------------------------------------------------------------------------------------
-
-
-def message(node):
-    """A string of the source, with … for what it is filled with; hints of the nearest choice are left out."""
-    if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        return node.value.replace("{}", "…").strip()
-    if isinstance(node, ast.JoinedStr):
-        hints = {"choose_from": "choose from …", "did_you_mean": ""}
-        parts = []
-        for part in node.values:
-            called = getattr(getattr(getattr(part, "value", None), "func", None), "id", "")
-            parts.append(part.value if isinstance(part, ast.Constant) else hints.get(called, "…"))
-        return re.sub("…+", "…", "".join(parts)).strip()
-    return None
-
-
-def says(line, message):
-    """Whether a line of the page is one that the message can become: `…` may be more words on the page."""
-    return re.fullmatch(".*".join(map(re.escape, message.split("…"))), line) is not None
-
-
-def telling(message):
-    return message is not None and len(re.findall(r"[a-z]", message)) >= 7
-
-
-def sources():
-    for path in (ROOT / "uavnav").rglob("*.py"):
-        yield from ast.walk(ast.parse(path.read_text()))
-
-
-def on_the_page():
-    lines = re.findall(r"^\| (`{1,2})(.+?)\1 \| (.+) \| (.+) \|$", PAGES["troubleshooting"], flags=re.MULTILINE)
-    return [line for _, line, _, _ in lines]
-
-
-def test_every_error_line_of_the_page_is_in_the_source():
-    there = {message(node) for node in sources()}
-    assert len(on_the_page()) >= 100
-    gone = [
-        line
-        for line in on_the_page()
-        if line not in there and not any(says(line, one) for one in there if telling(one))
-    ]
-    assert not gone
-    assert len(set(on_the_page())) == len(on_the_page())
-
-
 def test_whoever_chooses_an_algorithm_finds_each_in_the_table():
     (head,) = [line for line in ALL["docs/algorithms.md"].splitlines() if line.startswith("| algorithm | policy |")]
     rows = table(ALL["docs/algorithms.md"], head)
     assert sorted(re.search(r"\((\w+)\.md\)", row[0])[1] for row in rows) == sorted(CONFIGS)
+
+
+@pytest.mark.parametrize("snippet", blocks(ALL["README.md"], "python"))
+def test_each_snippet_of_the_readme_runs(snippet, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(snippet, "README.md", "exec"), {})
+
+
+def test_every_file_that_the_readme_links_to_exists():
+    for target in re.findall(r"\]\(([^)#:]+)\)", ALL["README.md"]):
+        assert (ROOT / target).is_file(), target
+
+
+def test_the_table_of_the_decisions_is_the_modules_row_by_row():
+    lines = ALL["docs/decisions.md"].splitlines()
+    header, *decisions = (f"| {' | '.join(decision)} |" for decision in DECISIONS)
+    begin = lines.index(header)
+    assert lines[begin + 2 : begin + 3 + len(decisions)] == [*decisions, ""]
+    assert [number for number, *_ in DECISIONS[1:]] == [str(number) for number in range(1, 17)]

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from playing import EMPTY, REACTIVE, STRAIGHT, click, drag, fly, new, opened, place, press, pygame, trained
+from playing import EMPTY, REACTIVE, STRAIGHT, click, drag, fly, new, opened, place, press, pygame
 
 import uavnav
 from uavnav.algorithms import ALGORITHMS
@@ -35,8 +35,8 @@ def window(monkeypatch):
 
 
 @pytest.fixture(scope="module", params=list(ALGORITHMS))
-def run(request, tmp_path_factory):
-    return trained(tmp_path_factory.mktemp("play"), request.param)
+def run(request, trained):
+    return trained(request.param)
 
 
 # -- keys ------------------------------------------------------------------------------------------------------------

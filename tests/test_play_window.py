@@ -5,7 +5,7 @@ import shlex
 import numpy as np
 import pandas as pd
 import pytest
-from playing import STRAIGHT, WORLD, fly, new, opened, press, pygame, trained
+from playing import STRAIGHT, WORLD, fly, new, opened, press, pygame
 
 from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.cli import play, train
@@ -26,8 +26,8 @@ def window(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def run(request, tmp_path_factory):
-    return trained(tmp_path_factory.mktemp("play"), getattr(request, "param", "ppo"))
+def run(request, trained):
+    return trained(getattr(request, "param", "ppo"))
 
 
 of_every_algorithm = pytest.mark.parametrize("run", ALGORITHMS, indirect=True)
@@ -194,29 +194,3 @@ def test_without_a_screen_it_is_one_line_and_status_2(driver, capsys, monkeypatc
     printed, err = capsys.readouterr()
     assert (printed, err.count("\n")) == ("", 1)
     assert "no window can be opened" in err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nowhere"], "no policy.safetensors there"),
-        (["RUN", "--seed", "9"], "seed=9 is not there"),
-        (["--layout", "1000"], "--layout 1000: choose from 0 to 999"),
-        (["--layouts", "nowhere"], "no such bank"),
-        (["--max-steps", "0"], "--max-steps 0: give at least 1"),
-        (["--out", "file/human.parquet"], "file/human.parquet: cannot be written"),
-        (["--out", "."], ".: cannot be written"),
-        (["--out", "file"], "file: missing or damaged; move it away"),
-        (["--bank", "file/own.safetensors"], "file/own.safetensors: cannot be written (Not a directory)"),
-        (["--out", "/proc/x/human.parquet"], "/proc/x/human.parquet: cannot be written ("),
-        (["--activation", "tanh"], "--activation tanh: runs know their own; give it with a .zip"),
-    ],
-)
-def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").write_text("no table")
-    assert play.main([str(run.path) if word == "RUN" else word for word in arguments]) == 2
-    printed, err = capsys.readouterr()
-    assert message in err
-    assert err.startswith("uavnav play: ")
-    assert (printed, err.count("\n")) == ("", 1)

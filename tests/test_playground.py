@@ -1,4 +1,4 @@
-"""The playground's world and policies, in a real browser through the page's own code, against Python's."""
+"""The playground's worlds, policies, rules and sets, in a real browser by the page's own code, against Python's."""
 
 import base64
 
@@ -13,8 +13,8 @@ from uavnav.acting import HEADS, values_of
 from uavnav.networks import ACTIVATIONS, KNOWN
 from uavnav.runs import paper
 from uavnav.runs.metrics import per_episode
-from uavnav.tasks import layouts
-from uavnav.tasks.baselines import BASELINES
+from uavnav.tasks import goal, layouts, slalom
+from uavnav.tasks.baselines import BASELINES, dodge, towards_goal
 from uavnav.tasks.dynamics import COSINE, SINE, decode
 from uavnav.tasks.sensing import sense
 from uavnav.tasks.simulator import make_task
@@ -26,6 +26,7 @@ pytestmark = pytest.mark.slow
 CELLS = [f"{algorithm}/{activation}" for algorithm in ("ppo", "dqn") for activation in paper.ACTIVATIONS]
 POSES, SETS = 2000, 40
 CLOSE = 1e-4
+FAULTS = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
 PACKED = """
 const packed = (numbers) => {
   const bytes = new Uint8Array(Float32Array.from(numbers).buffer);
@@ -304,3 +305,91 @@ def test_sets_of_obstacles_leave_the_start_free_and_are_spread_as_pythons(chrome
     assert ask(chrome, "generate(playground.world, 16, 5).slice(0, 8)") == ask(
         chrome, "generate(playground.world, 8, 5)"
     )
+
+
+# -- other worlds ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["drone", "moving", "goal"])
+def test_with_the_same_random_numbers_faults_do_what_they_do_in_python(chrome, opened, name):
+    task = make_task("test", task=name, faults=FAULTS)
+    task, random = task.with_bank(task.bank[:20]), torch.Generator().manual_seed(5)
+    actions = torch.randint(100, (20, 60), generator=random)
+    draws = task.draw(20 * 61, random).unflatten(0, (20, 61))
+    seen, poses, _, ends = in_python(task, torch.arange(20), actions, draws)
+    last = torch.where(ends.any(1), ends.int().argmax(1) + 1, 60).tolist()
+    flights = [[n, actions[n, :end].tolist(), draws[n].double().tolist()] for n, end in enumerate(last)]
+    found = chrome.execute_script(FLOWN, name, flights, sets_of(task), FAULTS)
+    for n, (end, (mine, sensed, _)) in enumerate(zip(last, found, strict=True)):
+        assert (unpacked(mine, end, 8) - poses[n, :end]).abs().max() <= CLOSE
+        here, there = unpacked(sensed, end + 1, seen.shape[-1]), seen[n, : end + 1]
+        assert torch.allclose(in_order(here), in_order(there), rtol=0, atol=CLOSE)
+    assert sum(last) > 500
+    without = in_python(make_task(task.bank, task=name), torch.arange(20), actions)[0]
+    differ = (without[:, :20] - seen[:, :20]).abs().amax((1, 2)) > 0.01
+    assert differ.sum() >= 15  # negative control: without faults other things are seen
+
+
+@pytest.mark.parametrize(("rule", "expected"), [("moving", dodge), ("goal", towards_goal)])
+def test_the_rules_of_other_worlds_choose_as_in_python_in_999_of_1000_poses(chrome, opened, rule, expected):
+    task, random = make_task("test", task=rule), torch.Generator().manual_seed(2)
+    x, y = (torch.rand(2000, generator=random) * (side - 100) + 50 for side in (800, 600))
+    heading, steps = (torch.randint(n, (2000,), generator=random) for n in (360, 1000))
+    state = task.place(torch.arange(2000) % 1000, heading)._replace(x=x, y=y, steps=steps)
+    seen = task.observe(state)[0]
+    words = "const [name, seen] = arguments, { world, rules } = playground.data.tasks[name];"
+    words += "return seen.map((one) => RULES[name](world, Float32Array.from(one), rules));"
+    mine = torch.tensor(chrome.execute_script(words, rule, seen.double().tolist()))
+    assert (mine == expected(seen)).float().mean() >= 0.999
+    assert len(mine.unique()) >= 10
+
+
+def made(browser, world, n, **scene):
+    """The sets 0 to n - 1 of a world."""
+    words = "const [name, n, scene] = arguments; const task = new TASKS[name](playground.data.tasks[name]);"
+    words += "return Array.from({ length: n }, (_, set) => task.generate({ ...scene, set }));"
+    return browser.execute_script(words, world, n, scene)
+
+
+@pytest.mark.parametrize("gap", [70, 160])
+def test_each_column_of_a_slalom_has_one_gap_and_is_closed_elsewhere(chrome, opened, gap):
+    middles = []
+    for made_set in made(chrome, "slalom", 100, gap=gap):
+        circles = np.array(made_set["circles"])
+        assert {*circles[:, 2]} == {slalom.RADIUS}
+        assert {*circles[:, 0]} == {*slalom.COLUMNS}
+        for x in slalom.COLUMNS:
+            y = np.sort(circles[circles[:, 0] == x, 1])
+            between = np.diff(y) - 2 * slalom.RADIUS
+            assert np.sort(between)[-1] == pytest.approx(gap, abs=1e-3)
+            assert np.sort(between)[:-1].max() < 60  # closed to a drone
+            assert (y[0], y[-1]) == (pytest.approx(0, abs=60), pytest.approx(600, abs=60))
+            middles.append(y[between.argmax()] + slalom.RADIUS + gap / 2)
+    low, high = 60 + gap / 2, 540 - gap / 2
+    assert min(middles) >= low
+    assert max(middles) <= high
+    assert np.std(middles) == pytest.approx((high - low) / np.sqrt(12), rel=0.1)
+
+
+def test_obstacles_that_move_are_those_of_the_papers_world_with_uniform_speeds_in_all_directions(chrome, opened):
+    standing, moving = made(chrome, "drone", 200, k=8), made(chrome, "moving", 200, k=8)
+    circles = np.array([one["circles"] for one in moving])
+    assert np.array_equal(circles[..., :3], [one["circles"] for one in standing])
+    speed = np.hypot(circles[..., 3], circles[..., 4]).ravel()
+    assert speed.max() <= 2
+    assert (speed.mean(), speed.std()) == (pytest.approx(1, abs=0.05), pytest.approx(2 / np.sqrt(12), abs=0.03))
+    assert np.abs(circles[..., 3:].mean((0, 1))).max() < 0.1
+    halved = ask(chrome, "withVelocities(generate(playground.world, 8, 5), 0, 1, 5)")
+    assert np.allclose(2 * np.array(halved)[:, 3:], circles[5][:, 3:], atol=1e-6)
+
+
+def test_every_goal_has_room_around_it_and_can_be_reached_also_among_20_obstacles(chrome, opened):
+    for k, n in ((8, 30), (20, 5)):
+        for one_set in made(chrome, "goal", n, k=k):
+            place = np.array(one_set["goal"])
+            circles = np.array(one_set["circles"], dtype=np.float32)
+            assert len(circles) <= k
+            goal.validate(torch.tensor([[*circles.tolist(), [*place.tolist(), 0.0]]]))
+            lengths = goal.shortest_ways(circles, goal.GoalWorld())
+            grid = np.stack(np.meshgrid(*(5 * np.arange(n) for n in lengths.shape), indexing="ij"), -1)
+            assert np.isfinite(lengths[np.hypot(*np.moveaxis(grid - place, -1, 0)) <= 40]).any()

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from test_replays import write_run
+from runs_by_hand import write_policies
 
 from uavnav import load_policy
 from uavnav.__main__ import main
@@ -25,9 +25,9 @@ def on(page):
 
 
 def test_a_page_holds_the_three_lowest_seeds_of_each_run_with_their_weights_as_they_are(tmp_path, capsys):
-    write_run(tmp_path / "runs" / "dqn" / "tanh", "dqn", seed=4, n_seeds=5)
-    write_run(tmp_path / "runs" / "ppo" / "tanh", seed=0, n_seeds=1)
-    write_run(tmp_path / "runs" / "deep" / "ppo" / "tanh", seed=0, n_seeds=1)
+    write_policies(tmp_path / "runs" / "dqn" / "tanh", "dqn", seed=4, n_seeds=5)
+    write_policies(tmp_path / "runs" / "ppo" / "tanh", seed=0, n_seeds=1)
+    write_policies(tmp_path / "runs" / "deep" / "ppo" / "tanh", seed=0, n_seeds=1)
     status, out, err = told([tmp_path / "runs", "--out", tmp_path / "new" / "page.html"], capsys)
     assert (status, err) == (0, "")
     assert out == f"{tmp_path / 'new' / 'page.html'}: policies: 4; open it in a browser\n"
@@ -42,7 +42,7 @@ def test_a_page_holds_the_three_lowest_seeds_of_each_run_with_their_weights_as_t
 
 def test_runs_of_one_algorithm_and_activation_are_told_apart_by_their_folders(tmp_path):
     for name in ("a", "b"):
-        write_run(tmp_path / name, n_seeds=1)
+        write_policies(tmp_path / name, n_seeds=1)
     found, _ = collect([tmp_path / "a", tmp_path / "b", tmp_path / "a"])
     parts = tmp_path.parts[-2:]
     assert [one["key"] for one in found] == ["-".join([*parts, name, "ppo", "tanh", "0"]) for name in ("a", "b")]
@@ -50,8 +50,8 @@ def test_runs_of_one_algorithm_and_activation_are_told_apart_by_their_folders(tm
 
 
 def test_a_policy_of_another_world_is_left_out_in_a_line(tmp_path, capsys):
-    write_run(tmp_path / "here", n_seeds=1)
-    write_run(tmp_path / "there", n_seeds=1, world={"sensor_arc": 90.0})
+    write_policies(tmp_path / "here", n_seeds=1)
+    write_policies(tmp_path / "there", n_seeds=1, world={"sensor_arc": 90.0})
     status, out, err = told([tmp_path, "--out", tmp_path / "page.html"], capsys)
     assert status == 0
     assert out.endswith(": policies: 1; open it in a browser\n")
@@ -62,10 +62,10 @@ def test_a_policy_of_another_world_is_left_out_in_a_line(tmp_path, capsys):
 
 
 def test_policies_trained_with_faults_or_in_other_worlds_of_two_dimensions_are_on_the_page_and_stacks_are_not(tmp_path):
-    write_run(tmp_path / "late", n_seeds=1, faults={"late": 2})
-    write_run(tmp_path / "moving", n_seeds=1, task="moving", world={"speed_max": 4.0})
-    write_run(tmp_path / "sensing", n_seeds=1, n_inputs=50, task="moving", world={"sense_velocity": True})
-    write_run(tmp_path / "stacked", n_seeds=1, n_inputs=120, stack=4)
+    write_policies(tmp_path / "late", n_seeds=1, faults={"late": 2})
+    write_policies(tmp_path / "moving", n_seeds=1, task="moving", world={"speed_max": 4.0})
+    write_policies(tmp_path / "sensing", n_seeds=1, n_inputs=50, task="moving", world={"sense_velocity": True})
+    write_policies(tmp_path / "stacked", n_seeds=1, n_inputs=120, stack=4)
     found, left_out = collect([tmp_path])
     assert [one["key"].split("-")[-4] for one in found] == ["late", "moving"]
     assert found[1]["title"].startswith("PPO tanh, seed 0 with moving obstacles (")
@@ -81,15 +81,18 @@ def test_policies_trained_with_faults_or_in_other_worlds_of_two_dimensions_are_o
         (lambda root: None, "there is no such folder; give a folder that holds runs"),
         (lambda root: root.mkdir(), "holds no run; give a folder that does"),
         (
-            lambda root: write_run(root / "run").joinpath("policy.safetensors").unlink(),
+            lambda root: write_policies(root / "run").joinpath("policy.safetensors").unlink(),
             "no policy that the page can fly",
         ),
         (
-            lambda root: write_run(root / "run").joinpath("policy.safetensors").write_bytes(b"no"),
+            lambda root: write_policies(root / "run").joinpath("policy.safetensors").write_bytes(b"no"),
             "not a readable policy",
         ),
-        (lambda root: write_run(root / "run", world={"slots": "listed"}), "trained in another world"),
-        (lambda root: [write_run(root / str(n), n_seeds=1) for n in range(MOST + 1)], f"a page holds at most {MOST}"),
+        (lambda root: write_policies(root / "run", world={"slots": "listed"}), "trained in another world"),
+        (
+            lambda root: [write_policies(root / str(n), n_seeds=1) for n in range(MOST + 1)],
+            f"a page holds at most {MOST}",
+        ),
     ],
 )
 def test_what_is_no_folder_of_policies_is_one_line_and_no_page(make, line, tmp_path, capsys):

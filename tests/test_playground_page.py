@@ -22,14 +22,16 @@ from browsing import (
     visit,
     wait,
 )
+from runs_by_hand import write_policies
 from selenium import webdriver
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
 from uavnav.runs import paper
 from uavnav.runs.metrics import METRICS, per_episode
+from uavnav.tasks import goal
 from uavnav.tasks.state import COUNTS
-from uavnav.views.browser.playground import SETTINGS
+from uavnav.views.browser.playground import SETTINGS, WORLDS, collect, page
 
 pytestmark = pytest.mark.slow
 
@@ -311,3 +313,167 @@ def test_one_file_below_3_mb_holds_three_seeds_of_each_cell_and_what_it_is(opene
     assert [one["key"] for one in json.loads(text.split('id="data">')[1].split("</script>")[0])["policies"]] == [
         f"{cell.replace('/', '-')}-{seed}" for cell in CELLS for seed in (0, 1, 2)
     ]
+
+
+# -- other worlds ---------------------------------------------------------------------------------------------------
+
+
+def slide(browser, name, value):
+    words = "const one = document.getElementById(arguments[0]); one.value = arguments[1];"
+    browser.execute_script(f"{words} one.dispatchEvent(new Event('input'))", name, value)
+
+
+def states(browser):
+    return [cell.text for cell in find(browser, ".state td")]
+
+
+def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
+    choice = Select(one(browser, "#world"))
+    assert [option.text for option in choice.options] == [world["title"] for world in WORLDS.values()]
+    shown = {"drone": {"k"}, "slalom": {"gap"}, "moving": {"k", "pace"}, "goal": {"k"}}
+    for name, sliders in shown.items():
+        choice.select_by_value(name)
+        assert {s for s in ("k", "gap", "pace") if one(browser, f"#{s}").is_displayed()} == sliders
+        steps(browser, 1)
+        assert states(browser) == ["flying", *(["cannot fly"] * 2 if name == "goal" else ["flying"] * 2), "flying"]
+        assert one(browser, "#told").text.startswith(WORLDS[name]["told"])
+    assert one(browser, "#told").text.endswith("No network here has learned that: you and the rule fly.")
+    assert ask(browser, "playground.scene.focus") == 1  # a drone that can fly
+    options = Select(one(browser, "#pilot")).options
+    assert {option.text for option in options if option.is_enabled()} == {"you", "the rule", "nobody"}
+    choice.select_by_value("drone")
+    assert ask(browser, "playground.race.flying().length") == 4
+
+
+def test_the_rule_reaches_its_goal_and_the_page_says_so(browser, opened):
+    visit(browser, opened, "#world=goal&pilots=nobody~nobody~nobody~rule&focus=4")
+    steps(browser, 1000)
+    assert states(browser)[3] == "arrived"
+    assert one(browser, "#banner").text.startswith("The race is over.")
+    assert "4, Rule scripted: arrived" in one(browser, "#status").get_property("textContent")
+    assert one(browser, "#sensor").get_attribute("aria-label").endswith(" px")
+    visit(browser, opened, "#world=goal&pilots=you~nobody~nobody~nobody")
+    steps(browser, 1000)
+    assert states(browser)[0] == "too late"
+
+
+def test_networks_trained_with_faults_say_so(tmp_path):
+    write_policies(tmp_path / "plain", n_seeds=1)
+    write_policies(tmp_path / "faulty", n_seeds=1, faults={"noise": 5.0, "late": 2})
+    faulty, plain = sorted(collect([tmp_path])[0], key=lambda one: "noise" not in one["title"])
+    assert "seed 0 with noise=5, late=2 (" in faulty["title"]
+    assert faulty["told"].startswith("100 frames of training with noise=5, late=2; ")
+    assert " with " not in plain["title"] + plain["told"]
+
+
+def test_a_page_of_networks_trained_for_goals_begins_there_and_they_fly_there_alone(chrome, tmp_path):
+    write_policies(tmp_path / "ppo" / "tanh", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, 9)])
+    path = tmp_path / "playground.html"
+    path.write_text(page(collect([tmp_path])[0]))
+    visit(chrome, path)
+    assert ask(chrome, "playground.scene.world") == "goal"
+    steps(chrome, 1)
+    assert states(chrome) == ["flying", "flying", "", "flying"]
+    assert ask(chrome, "playground.race.drones[1].state.y") == 309  # nine pixels up, as it learned
+    assert "No network" not in one(chrome, "#told").text
+    Select(one(chrome, "#world")).select_by_value("drone")
+    steps(chrome, 1)
+    assert states(chrome) == ["flying", "cannot fly", "", "flying"]
+    link = ask(chrome, "writeLink(playground.scene, playground.data.settings)")
+    visit(chrome, path, f"#{link}")
+    assert ask(chrome, "playground.scene.world") == "drone"
+
+
+def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_draws(browser, opened):
+    visit(browser, opened, "#world=moving&pace=4&pilots=you~nobody~nobody~nobody&focus=1")
+    first = ask(browser, "playground.race.obstaclesAt(1)")
+    steps(browser, 20)
+    later = ask(browser, "playground.race.obstaclesAt(1)")
+    assert ask(browser, "playground.race.task.obstacles(playground.race.set, 20)") == later
+    assert sum(a != b for a, b in zip(first, later, strict=True)) >= 7
+    assert ask(browser, "playground.race.obstaclesAt(0.5)") != later
+    one(browser, "#draw").click()
+    assert ask(browser, "playground.race.steps") == 0
+    one(browser, "#add").click()
+    assert len(ask(browser, "playground.race.circles")) == 9
+    one(browser, "#play").click()
+    assert not ask(browser, "playground.stage.drawing")
+    wait(browser, lambda: ask(browser, "playground.race.steps") > 1)
+    one(browser, "#play").click()
+    drawn = ask(browser, "playground.race.set")
+    wait(browser, lambda: "circles=" in browser.current_url)
+    visit(browser, opened, f"#{browser.current_url.partition('#')[2]}")
+    for mine, other in zip(ask(browser, "playground.race.set.circles"), drawn["circles"], strict=True):
+        assert mine == pytest.approx(other, abs=0.06)
+
+
+def test_a_drone_that_nobody_flew_senses_obstacles_where_they_are_once_it_is_handed_over(browser, opened):
+    visit(browser, opened, "#world=moving&pace=4&pilots=rule~nobody~nobody~nobody&set=3")
+    steps(browser, 25)
+    browser.execute_script("playground.handTo(1, 'rule')")
+    expected = "playground.race.task.obstacles(playground.race.set, playground.race.steps)"
+    near = f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)"  # px, at the start
+    waited, clearance = ask(browser, "(({ state, clearance }) => [state, clearance])(playground.race.drones[1])")
+    assert (waited["steps"], waited["waited"], waited["x"], waited["y"]) == (0, 25, 400, 300)
+    assert clearance == pytest.approx(ask(browser, near), abs=1e-3)
+    assert clearance != pytest.approx(ask(browser, near.replace("playground.race.steps", "0")), abs=1)
+    steps(browser, 1)
+    assert ask(browser, "playground.race.drones.map(({ state }) => state.steps)") == [26, 1, 0, 0]
+
+
+def test_an_edited_obstacle_leaves_what_sticks_as_it_is(browser, opened):
+    visit(browser, opened, "#sticky=0.5&pilots=rule~nobody~nobody~nobody")
+    steps(browser, 3)
+    before = ask(browser, "playground.race.drones[0].state.executed")
+    browser.execute_script("playground.edit([])")
+    assert ask(browser, "playground.race.drones[0].state.executed") == before == 9
+
+
+def test_a_circle_stays_off_the_goal_in_a_drawing_and_in_a_link(browser, opened):
+    visit(browser, opened, "#world=goal&set=5")
+    assert ask(browser, "playground.focus") == 0  # the first that can fly
+    goal_x, goal_y = ask(browser, "playground.race.set.goal")
+    for at in ((goal_x, goal_y), (goal_x + 30, goal_y), (400, 300), (0, 0), (800, 600)):
+        placed = "allowed(playground.world, [...arguments, 100], playground.race.free)"
+        x, y, radius = browser.execute_script(f"return {placed}", *at)
+        assert np.hypot(x - goal_x, y - goal_y) - radius >= goal.ROOM
+        assert np.hypot(x - 400, y - 300) - radius >= 50
+        assert 0 <= x <= 800
+        assert 0 <= y <= 600
+    for at, words in ((f"{goal_x:.1f}_{goal_y:.1f}", "circles"), (f"{x:.1f}_{y:.1f}", "")):
+        visit(browser, opened, f"#world=goal&set=5&circles={at}_100")
+        assert one(browser, "#notice").text.endswith(f": {words}." if words else "")
+        assert bool(ask(browser, "playground.scene.circles")) != bool(words)
+
+
+def test_faults_are_sliders_in_a_link_and_change_the_flights(browser, opened):
+    ends = []
+    for value in (0, 0.5, 0):
+        slide(browser, "sticky", value)
+        steps(browser, 40)
+        ends.append(ask(browser, "playground.race.drones.map(({ state }) => [state.x, state.y])"))
+    assert ends[0] == ends[2] != ends[1]
+    for name, value in (("noise", 5), ("lost", 0.1), ("late", 2)):
+        slide(browser, name, value)
+    assert one(browser, "#faults-now").text == "noise 5, lost 0.1, late 2"
+    wait(browser, lambda: "#noise=5&lost=0.1&late=2&set=" in browser.current_url)
+    steps(browser, 5)
+    assert ask(browser, "playground.race.drones[1].state.seen.length") == 3
+
+
+def test_a_link_restores_another_world_with_its_settings(browser, opened):
+    scenes = (
+        "world=slalom&gap=90&sticky=0.25&set=4&k=8",
+        "world=moving&pace=5.5&set=1&k=3",
+        "world=goal&noise=2&set=9&k=12",
+    )
+    for scene in scenes:
+        link = f"{scene}&pilots=you~ppo-relu-1~nobody~rule&focus=4&speed=2&greedy=no&seed=7"
+        visit(browser, opened, f"#{link}")
+        assert not one(browser, "#notice").is_displayed()
+        found = ask(browser, "playground.scene")
+        for part in scene.split("&"):
+            name, _, value = part.partition("=")
+            assert str(found[name]) == value
+        assert ask(browser, "writeLink(playground.scene, playground.data.settings)") == link
+    assert {*SETTINGS} <= {*found}

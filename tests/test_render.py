@@ -11,7 +11,6 @@ import torch
 from PIL import Image, ImageDraw
 
 import uavnav
-from uavnav.algorithms import ppo
 from uavnav.cli.render import main as render_command
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
@@ -194,9 +193,8 @@ def test_a_suffix_may_be_in_capitals(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    config = ppo.PPOConfig(total_frames=256, frames_per_batch=256, compile="off")
-    return ppo.train(config, out=tmp_path_factory.mktemp("render") / "run", quiet=True)
+def run(trained):
+    return trained("ppo")
 
 
 def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third_step(run, tmp_path, capsys):
@@ -275,42 +273,6 @@ def test_the_caption_and_the_printed_line_say_greedy_or_sampled_and_sampled_is_t
     assert first.startswith(f"{name}, {mode}: 2 steps, ")
     assert second.startswith("straight: 2 steps, 18 px, ")
     assert [word for word in captions if not word.startswith("step ")] == [name, mode, "straight"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nowhere"], "no policy.safetensors there"),
-        (["RUN", "nowhere"], "no policy.safetensors there"),
-        (["RUN", "--out", "flight.bmp"], "choose an .mp4, .gif or .png file"),
-        (["RUN", "--out", "x.gfi"], "x.gfi: choose an .mp4, .gif or .png file (did you mean .gif?)"),
-        (["RUN", "--every", "100000"], "0.0003 pictures per second, a film shows 0.01 at least"),
-        (["RUN", "--activation", "tanh"], "--activation tanh: runs know their own; give it with a .zip"),
-        (["RUN", "--layout", "1000"], "--layout 1000: choose from 0 to 999"),
-        (["RUN", "--layout", "-1"], "--layout -1: choose from 0 to 999"),
-        (["RUN", "--steps", "0"], "at least 1"),
-        (["RUN", "--every", "0"], "at least 1"),
-        (["RUN", "--speed", "0"], "--speed 0: give 0.1 to 100"),
-        (["RUN", "--speed", "2"], "60 pictures per second, a GIF shows 50 at most: draw fewer"),
-        (["RUN", "--width", "100"], "--width 100: give 160 to 3840"),
-        (["RUN", "--seed", "9"], "seed=9 is not there"),
-        (["RUN", "--layouts", "nowhere"], "no such bank"),
-        (["RUN", "--faults", "noise=-1"], "--faults noise=-1: noise=-1.0; give a number of at least 0"),
-        (
-            ["RUN", "--out", "/nowhere/flight.png"],
-            "/nowhere/flight.png: cannot be written (there is no folder /nowhere)",
-        ),
-        (["RUN", "--out", "/proc/flight.png"], "/proc/flight.png: cannot be written ("),
-    ],
-)
-def test_a_wrong_word_is_one_line_and_status_2(run, arguments, message, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(render, "fly", None)  # nobody flies
-    assert render_command([str(run.path) if word == "RUN" else word for word in arguments]) == 2
-    printed, err = capsys.readouterr()
-    assert message in err
-    assert (printed, err.count("\n")) == ("", 1)
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_run_that_is_spelt_wrongly_is_the_nearest_folder_beside_it(run, capsys):

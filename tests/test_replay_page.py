@@ -7,12 +7,13 @@ from types import SimpleNamespace as State3D
 import pytest
 import torch
 from browsing import WIDE, ask, complaints, forget, one, requested, visit, wait
+from replaying import STRAIGHT
+from runs_by_hand import rows, write_policies
 from selenium.webdriver.support.ui import Select
-from test_compare import made_up
-from test_replays import STRAIGHT, write_run
 
+from uavnav.evaluation import EPISODES, MAX_STEPS, header
 from uavnav.report import cells, replays
-from uavnav.report.compare import page
+from uavnav.report.compare import Contender, page
 from uavnav.tasks import layouts
 from uavnav.tasks.moving import MovingWorld, motion
 from uavnav.tasks.space import SpaceMovingWorld, to_body
@@ -21,6 +22,8 @@ pytestmark = pytest.mark.slow
 
 ABOVE = torch.tensor([[[400.0, 520.0, 180.0]]])
 """A bank of one goal straight ahead and no circle."""
+FLIGHT = (10, 10, 1, 0, 2, 50, 1.0)
+"""Of `rows`."""
 PICTURE = "document.querySelector('.replay-arena canvas').toDataURL()"
 
 
@@ -28,11 +31,12 @@ PICTURE = "document.querySelector('.replay-arena canvas').toDataURL()"
 def compared(tmp_path_factory):
     """A page with a run among moving obstacles and one that flies straight to its goal."""
     folder = tmp_path_factory.mktemp("compared")
-    write_run(folder / "moving", task="moving", n_seeds=1, prefer=[(0, 0)])
-    write_run(folder / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
-    write_run(folder / "box", task="space-moving", n_seeds=1, n_inputs=40)
+    write_policies(folder / "moving", task="moving", n_seeds=1, prefer=[(0, 0)])
+    write_policies(folder / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
+    write_policies(folder / "box", task="space-moving", n_seeds=1, n_inputs=40)
+    protocol = header("test", EPISODES, MAX_STEPS)
     contenders = [
-        made_up(name, [1.0, 2.0])._replace(cell=cells.read(folder / name), name=name)
+        Contender(name, rows(0, FLIGHT, FLIGHT), protocol, {"task": "drone"}, cells.read(folder / name))
         for name in ("moving", "goal", "box")
     ]
     with pytest.MonkeyPatch.context() as patch:

@@ -1,143 +1,37 @@
 """Recorded flights of policies written by hand: what a page holds is what a slow flight, one by one, gives."""
 
-import base64
-import json
-import zlib
-
 import numpy as np
-import pandas as pd
 import pytest
 import torch
-import yaml
-from runs_by_hand import policy_bytes
+from replaying import MAX_STEPS, STAY, STRAIGHT, as_flown, few_sets, flown, recorded, unpack
+from runs_by_hand import write_policies
 
-from uavnav.envs import scalar
-from uavnav.evaluation import EPISODES
-from uavnav.networks import mlp
 from uavnav.report import replays, studies
 from uavnav.report.cells import collect
 from uavnav.report.replays import paths, record, together
 from uavnav.runs import POLICY
-from uavnav.runs.metrics import EPISODE_COLUMNS
-from uavnav.runs.policies import load_policy
 from uavnav.tasks import layouts, space
 from uavnav.tasks.sensing import sense
 from uavnav.tasks.simulator import Goal, make_task
 from uavnav.tasks.world import World
 
-STRAIGHT, STAY = 9, 0  # actions
-MAX_STEPS = 60
 
-
-def always(network, agent, action):
-    """Make one agent prefer an action by far, and whatever it sees."""
-    with torch.no_grad():
-        network[-1].weight[agent] = 0.0
-        network[-1].bias[agent] = torch.arange(100.0) / 100
-        network[-1].bias[agent, 0, action] = 50.0
-
-
-def write_run(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs=30, **changes):
-    """A finished run of `n_seeds` random networks; `prefer` names the action of those that know but one."""
-    generators = [torch.Generator().manual_seed(one) for one in range(seed, seed + n_seeds)]
-    network = mlp([n_inputs, 8, 100], "tanh", generators, "default")
-    with torch.no_grad():
-        network[-1].weight.mul_(8.0)  # so that values differ, from action to action and from step to step
-    for agent, action in prefer:
-        always(network, agent, action)
-    path.mkdir(parents=True)
-    settings = {"seed": seed, "n_seeds": n_seeds, "hidden": (8,)} | changes
-    (path / POLICY).write_bytes(policy_bytes(network, algorithm, epsilon=0.2, **settings))
-    facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "n_envs": 16}
-    (path / "config.yaml").write_text(yaml.safe_dump(facts | changes))
-    (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}}))
-    counts = [(seed, 10, 0, 0, 10, 0, 0, 0, 90, -10.0, True, False)]
-    pd.DataFrame(counts, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
-    pd.DataFrame({"seed": [seed], "frame": [100]}).to_parquet(path / "progress.parquet")
-    return path
-
-
-def recorded(folder, **counts):
-    """The dict of a folder's runs, as a page reads it: out of text."""
-    return json.loads(json.dumps(record(collect([folder])[0], max_steps=MAX_STEPS, **counts)))
-
-
-def unpack(flight, fields):
-    """What the player does: each field as [steps (+ 1), columns]."""
-    content, found = zlib.decompress(base64.b64decode(flight["bytes"])), {}
-    for field in fields:
-        rows = flight["steps"] + (not field["chosen"])
-        kind = np.dtype(field["type"]).newbyteorder("<")
-        part, content = np.split(np.frombuffer(content, np.uint8), [rows * field["columns"] * kind.itemsize])
-        found[field["name"]] = part.view(kind).reshape(field["columns"], rows).T * field["unit"]
-    assert not len(content)
-    return found
-
-
-def flown(path, seed, n_layouts):
-    """The same flights, each drone in plain numbers and beside those of all 200 sets, as an evaluation flies them.
-
-    Lists of poses and of choices, a set of obstacles.
-    """
-    policy = load_policy(path, seed, greedy=False)
-    generator = torch.Generator().manual_seed(seed)
-    task = policy.task.on(layouts.load("test")[:EPISODES], MAX_STEPS)
-    drones = [scalar.fly(task) for _ in range(EPISODES)]
-    seen = {layout: drone.start(layout, 90) for layout, drone in enumerate(drones)}
-    poses, choices = ({place: [] for place in range(EPISODES)} for _ in range(2))
-    ended, total = {}, [0.0] * EPISODES
-
-    def note(layout, observation):
-        drone = drones[layout]
-        numbers = (drone.x, drone.y, drone.heading, drone.clearance, total[layout])
-        poses[layout].append((*numbers, *observation.reshape(10, 3).T.flatten()))
-
-    for layout, observation in seen.items():
-        note(layout, observation)
-    while seen:
-        observations = torch.tensor(np.stack(list(seen.values())))
-        values = policy.values(observations)
-        values = values.softmax(-1) if policy.acts == "categorical" else values
-        actions = policy(observations, generator)
-        for layout, action, row in zip(list(seen), actions.tolist(), values.numpy(), strict=True):
-            choices[layout].append((action, *row))
-            seen[layout], reward, collided, capped = drones[layout].step(action)
-            total[layout] += reward
-            note(layout, seen[layout])
-            if collided or capped:
-                ended[layout] = "collision" if collided else "cut off"
-                del seen[layout]
-    return {place: (np.array(poses[place]), np.array(choices[place]), ended[place]) for place in range(n_layouts)}
+@pytest.fixture(scope="module", autouse=True)
+def _few_sets():
+    with few_sets():
+        yield
 
 
 @pytest.fixture(scope="module", params=["ppo", "dqn"])
 def run(request, tmp_path_factory):
     """Seed 4 flies by a random network, seed 5 straight on, seed 6 not at all."""
     folder = tmp_path_factory.mktemp("replays") / request.param
-    return write_run(folder / "run", request.param, seed=4, prefer=[(1, STRAIGHT), (2, STAY)])
+    return write_policies(folder / "run", request.param, seed=4, prefer=[(1, STRAIGHT), (2, STAY)])
 
 
 @pytest.fixture(scope="module")
 def data(run):
     return recorded(run.parent)
-
-
-def as_flown(flight, fields, poses, choices, ended):
-    """Compare a flight of a page with one in plain numbers: the poses, the actions, and the values behind them."""
-    found = unpack(flight, fields)
-    assert flight["steps"] == len(choices) == len(poses) - 1
-    assert flight["ended"] == ended
-    kept = np.hstack([found[name] for name in ("x", "y", "heading", "clearance", "reward")])
-    tolerance = np.array([0.05, 0.05, 0, 0.05, 1e-4]) + 1e-4
-    assert (np.abs(kept - poses[:, :5]) <= tolerance).all()
-    assert np.abs(found["right"] - poses[:, 5:15]).max() <= 0.5 / 127 + 1e-4
-    assert np.abs(found["forward"] - poses[:, 15:25]).max() <= 0.5 / 255 + 1e-4
-    assert np.abs(found["proximity"] - poses[:, 25:]).max() <= 0.5 / 255 + 1e-4
-    assert flight["reward"] == pytest.approx(poses[-1, 4], abs=0.006)
-    assert (found["action"][:, 0] == choices[:, 0]).all()
-    span = found["high"] - found["low"]
-    assert (span > 0).all()
-    assert (np.abs(found["low"] + found["value"] * span - choices[:, 1:]) <= (0.5 / 63) * span + 1e-5).all()
 
 
 def test_poses_are_within_half_a_tenth_of_a_pixel_of_a_slow_flight_and_values_within_half_of_a_63rd_of_their_range(
@@ -172,7 +66,7 @@ def test_values_are_probabilities_of_ppo_and_q_of_dqn(run, data):
 
 
 def test_straight_on_is_nine_pixels_a_step_upwards_and_staying_is_cut_off(tmp_path):
-    write_run(tmp_path / "run", prefer=[(0, STRAIGHT), (1, STAY)], n_seeds=2)
+    write_policies(tmp_path / "run", prefer=[(0, STRAIGHT), (1, STAY)], n_seeds=2)
     data = recorded(tmp_path, n_layouts=1)
     straight, stay = data["cells"][0]["flights"]
     found = unpack(straight, data["fields"])
@@ -201,8 +95,8 @@ def test_1000_steps_take_less_than_150_kb_of_text(run, data):
 
 def test_policies_that_cannot_be_loaded_are_named_and_the_next_seeds_fly(tmp_path):
     for seed in (0, 1, 2, 3):
-        write_run(tmp_path / f"run-{seed}", seed=seed, n_seeds=1, prefer=[(0, STRAIGHT)])
-    write_run(tmp_path / "other", "dqn", n_seeds=2)
+        write_policies(tmp_path / f"run-{seed}", seed=seed, n_seeds=1, prefer=[(0, STRAIGHT)])
+    write_policies(tmp_path / "other", "dqn", n_seeds=2)
     (tmp_path / "run-0" / POLICY).write_bytes(b"no policy")
     (tmp_path / "run-2" / POLICY).unlink()
     (tmp_path / "other" / POLICY).unlink()
@@ -216,16 +110,16 @@ def test_policies_that_cannot_be_loaded_are_named_and_the_next_seeds_fly(tmp_pat
 
 
 def test_a_seed_flies_the_same_whatever_the_others_are(tmp_path):
-    write_run(tmp_path / "two" / "run", seed=4, n_seeds=2)
+    write_policies(tmp_path / "two" / "run", seed=4, n_seeds=2)
     (two,) = recorded(tmp_path / "two", n_layouts=2)["cells"]
     (one,) = recorded(tmp_path / "two", n_layouts=2, n_seeds=1)["cells"]
     assert one["flights"] == two["flights"][:2]
 
 
 def test_each_of_3_cells_flies_in_a_batch_as_it_flies_alone(tmp_path):
-    write_run(tmp_path / "a", seed=4, n_seeds=2)
-    write_run(tmp_path / "b", seed=4, n_seeds=2, reward="initial")
-    write_run(tmp_path / "c", "dqn", seed=5, n_seeds=2)
+    write_policies(tmp_path / "a", seed=4, n_seeds=2)
+    write_policies(tmp_path / "b", seed=4, n_seeds=2, reward="initial")
+    write_policies(tmp_path / "c", "dqn", seed=5, n_seeds=2)
     cells = [collect([tmp_path / name])[0][0] for name in "abc"]  # the first and the last are of one world and reward
     together = record(cells, n_seeds=2, n_layouts=2, max_steps=MAX_STEPS)["cells"]
     alone = [record([cell], n_seeds=2, n_layouts=2, max_steps=MAX_STEPS)["cells"][0] for cell in cells]
@@ -234,7 +128,7 @@ def test_each_of_3_cells_flies_in_a_batch_as_it_flies_alone(tmp_path):
 
 
 def test_a_random_start_heading_is_that_of_the_set_of_obstacles(tmp_path):
-    write_run(tmp_path / "run", n_seeds=2, world={"start_heading": "random", "slots": "listed"})
+    write_policies(tmp_path / "run", n_seeds=2, world={"start_heading": "random", "slots": "listed"})
     data = recorded(tmp_path, n_layouts=3)
     first = [unpack(flight, data["fields"])["heading"][0, 0] for flight in data["cells"][0]["flights"]]
     assert first[:3] == first[3:]
@@ -242,8 +136,8 @@ def test_a_random_start_heading_is_that_of_the_set_of_obstacles(tmp_path):
 
 
 def test_obstacles_that_move_are_where_they_were_at_each_step_whether_or_not_velocities_are_sensed(tmp_path):
-    write_run(tmp_path / "plain", task="moving", n_seeds=1, world={"speed_max": 4.0})
-    write_run(
+    write_policies(tmp_path / "plain", task="moving", n_seeds=1, world={"speed_max": 4.0})
+    write_policies(
         tmp_path / "sensed", task="moving", n_seeds=1, world={"speed_max": 4.0, "sense_velocity": True}, n_inputs=50
     )
     data = recorded(tmp_path, n_layouts=2)
@@ -267,7 +161,7 @@ def test_obstacles_that_move_are_where_they_were_at_each_step_whether_or_not_vel
 @pytest.mark.parametrize(("task", "n_inputs"), [("space", 40), ("space-moving", 40), ("space-moving", 70)])
 def test_in_3d_a_drone_is_sensed_and_clear_as_where_its_poses_say(tmp_path, task, n_inputs):
     world = {"sense_velocity": True} if n_inputs == 70 else {}
-    write_run(tmp_path / "run", task=task, world=world, n_seeds=1, n_inputs=n_inputs)
+    write_policies(tmp_path / "run", task=task, world=world, n_seeds=1, n_inputs=n_inputs)
     (cell,) = recorded(tmp_path, n_layouts=2)["cells"]
     place = cell["place"]
     own = make_task("test", place["world"], task=task)
@@ -286,8 +180,8 @@ def test_in_3d_a_drone_is_sensed_and_clear_as_where_its_poses_say(tmp_path, task
 
 
 def test_a_flight_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_so(tmp_path, monkeypatch):
-    write_run(tmp_path / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
-    write_run(tmp_path / "late", stack=2, faults={"late": 1}, n_seeds=1, n_inputs=60)
+    write_policies(tmp_path / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
+    write_policies(tmp_path / "late", stack=2, faults={"late": 1}, n_seeds=1, n_inputs=60)
     above = torch.tensor([[[400.0, 520.0, 180.0]]])
     monkeypatch.setattr(
         replays, "_bank", lambda task, sets="test": above if isinstance(task, Goal) else layouts.load("test")
@@ -301,9 +195,9 @@ def test_a_flight_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_so
 
 
 def test_a_run_trained_on_a_rung_is_shown_on_the_rungs_own_test_sets(tmp_path):
-    write_run(tmp_path / "paper", n_seeds=1)
+    write_policies(tmp_path / "paper", n_seeds=1)
     for rung in ("slalom-100", "density-20"):
-        write_run(tmp_path / rung, n_seeds=2, layouts=f"{rung}/train")
+        write_policies(tmp_path / rung, n_seeds=2, layouts=f"{rung}/train")
     data = recorded(tmp_path, n_layouts=2)
     found = {cell["place"]["title"] if "place" in cell else "": cell for cell in data["cells"]}
     assert {*found} == {"", "slalom-100", "density-20"}
@@ -320,7 +214,7 @@ def test_a_run_trained_on_a_rung_is_shown_on_the_rungs_own_test_sets(tmp_path):
 
 
 def test_a_world_that_the_player_does_not_draw_is_named_with_what_draws_it(tmp_path, monkeypatch):
-    path = write_run(tmp_path / "run", task="moving", n_seeds=1)
+    path = write_policies(tmp_path / "run", task="moving", n_seeds=1)
     monkeypatch.delitem(replays.TITLES, "moving")
     data = recorded(tmp_path, n_layouts=1)
     assert data["cells"] == []
@@ -328,10 +222,10 @@ def test_a_world_that_the_player_does_not_draw_is_named_with_what_draws_it(tmp_p
 
 
 def test_a_report_records_cells_of_other_worlds_beside_the_papers(tmp_path):
-    write_run(tmp_path / "here", n_seeds=1)
-    write_run(tmp_path / "moving", task="moving", n_seeds=1)
-    write_run(tmp_path / "noise", faults={"noise": 5.0}, n_seeds=1)
-    (write_run(tmp_path / "rows alone", task="goal", n_seeds=1) / POLICY).unlink()
+    write_policies(tmp_path / "here", n_seeds=1)
+    write_policies(tmp_path / "moving", task="moving", n_seeds=1)
+    write_policies(tmp_path / "noise", faults={"noise": 5.0}, n_seeds=1)
+    (write_policies(tmp_path / "rows alone", task="goal", n_seeds=1) / POLICY).unlink()
     cells, _ = collect([tmp_path])
     found = {cell.runs[0].path.name for cell in studies.elsewhere(cells)}
     assert found == {"moving", "noise"}

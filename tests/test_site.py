@@ -1,6 +1,5 @@
 """The site builds, and what its pages show runs: commands one after the other, snippets as they are."""
 
-import dataclasses
 import importlib
 import importlib.util
 import json
@@ -11,22 +10,21 @@ import subprocess
 import sys
 import tomllib
 from importlib.util import find_spec
-from itertools import product
 from pathlib import Path
 
 import pytest
 import torch
 import yaml
-from pages import ALL, CONFIGS, DOCS, MINE, PAGES, ROOT, blocks
+from pages import ALL, DOCS, MINE, PAGES, ROOT, blocks
 
 import uavnav
 from uavnav import networks
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
-from uavnav.cli import commands, help, play
+from uavnav.cli import play
+from uavnav.report import compare
 from uavnav.runs import metrics
 from uavnav.tasks import rewards, simulator
-from uavnav.tasks.faults import NAMES
 from uavnav.training import machine
 
 NAVIGATION = (ROOT / "mkdocs.yml").read_text()
@@ -34,16 +32,19 @@ NAVIGATION = (ROOT / "mkdocs.yml").read_text()
 # -- the site ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    if any(find_spec(name) is None for name in ("mkdocs", "material", "mkdocstrings", "latex2mathml")):
-        pytest.skip("mkdocs is not installed: pip install -e '.[docs]'")
-    folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+def build(folder):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder / "site")]
     offline = {"http_proxy": "http://127.0.0.1:9", "https_proxy": "http://127.0.0.1:9"}
     environment = {**os.environ, **offline, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr  # --quiet would not count warnings
+
+
+@pytest.fixture(scope="module")
+def site(once):
+    if any(find_spec(name) is None for name in ("mkdocs", "material", "mkdocstrings", "latex2mathml")):
+        pytest.skip("mkdocs is not installed: pip install -e '.[docs]'")
+    folder = once("site", build) / "site"
     return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*.html")}
 
 
@@ -185,7 +186,7 @@ EXEMPT = {
     "source .venv/bin/activate": "changes the reader's own shell",
     "pip install -e '.[play]'": "needs a package index: .ci/run installs",
 }
-"""Commands that are understood and not run, and why."""
+"""Commands that are not run, and why."""
 
 
 def as_uavnav(words):
@@ -194,47 +195,16 @@ def as_uavnav(words):
     return ["uavnav", "train", recipe[1], *words[2:]] if recipe else words
 
 
-def parse_train(words):
-    """Every combination of a sweep is a configuration, and the other keys are the command's own."""
-    given = commands.parse("train", words)
-    pairs = [word.partition("=")[::2] for word in given.settings]
-    kind = CONFIGS[given.algorithm]
-    names = {field.name for field in dataclasses.fields(kind)}
-    names |= {f"world.{one.name}" for kind in simulator.TASKS.values() for one in dataclasses.fields(kind.WORLD)}
-    names |= {f"faults.{name}" for name in NAMES}
-    for key, _ in pairs:
-        assert key in names | {line.name for line in help.of_command()}, key
-    mine = {key: value.split(",") if given.multirun else [value] for key, value in pairs if key in names}
-    for values in product(*mine.values()):
-        kind.from_mapping(nested({key: yaml.safe_load(value) for key, value in zip(mine, values, strict=True)}))
-
-
-def nested(settings):
-    """`world.sensor_arc=90` of a command line, as a configuration is given it."""
-    found = {}
-    for key, value in settings.items():
-        group, _, name = key.rpartition(".")
-        (found.setdefault(group, {}) if group else found)[name] = value
-    return found
-
-
-@pytest.mark.parametrize(("page", "command"), COMMANDS, ids=[command for _, command in COMMANDS])
-def test_every_command_that_a_page_shows_is_understood(page, command, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    words = as_uavnav(shlex.split(command))
-    if words[:2] == ["uavnav", "train"]:
-        parse_train(words[2:])
-    elif words[0] == "uavnav":
-        if words[1:]:
-            commands.parse(words[1], words[2:])
-    elif words[0] == "make":
-        targets = re.findall(r"^([\w -]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-        assert words[1] in " ".join(targets).split()
-    elif words[:2] == ["pip", "install"]:
-        extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-        assert {*re.findall(r"\[(.*)\]", command)} <= {*extras}
-    else:
-        assert command in EXEMPT
+def test_every_make_target_and_every_extra_that_a_page_shows_exists():
+    """The other commands run, see below."""
+    targets = re.findall(r"^([\w -]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for _, command in COMMANDS:
+        words = shlex.split(command)
+        if words[0] == "make":
+            assert words[1] in " ".join(targets).split()
+        elif words[:2] == ["pip", "install"]:
+            assert {*re.findall(r"\[(.*)\]", command)} <= {*extras}
 
 
 TINY = {
@@ -252,14 +222,14 @@ PRESUMED = {"docs/bridges.md": ["uavnav train ppo"]}
 
 
 @pytest.fixture
-def carry_out(tmp_path, monkeypatch):
+def carry_out(tmp_path, monkeypatch, undrawn):
     """Runs a line in an empty folder, in this process, with tiny settings and a window that closes: its status."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.delenv("WANDB_MODE", raising=False)
     monkeypatch.setattr(machine, "cores", lambda: 1)  # no further processes
-    for figures in ("figures.draw", "beyond.figures", "content._of_worlds"):  # drawn in test_figures.py
-        monkeypatch.setattr(f"uavnav.report.{figures}", lambda *anything: [])
+    monkeypatch.setattr(compare, "EPISODES", 2)  # what it flies itself
+    monkeypatch.setattr(compare, "MAX_STEPS", 20)
     show = play.show
     monkeypatch.setattr(play, "show", lambda game: (show(game), close_the_window()))
 

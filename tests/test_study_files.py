@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from spoiling import a_folder, a_pipe, endless, itself, large, put
+from bad_input import a_folder, a_pipe, endless, itself, large, put
 
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS, ppo

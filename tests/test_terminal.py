@@ -77,7 +77,6 @@ def test_a_command_that_nobody_reads_ends_with_141_as_by_sigpipe_and_leaves_no_w
     ("command", "first"),
     [
         ("-m uavnav", f"uavnav {uavnav.__version__}: "),
-        ("-m uavnav evaluate reactive --episodes 2 --max-steps 50", ""),
         ("-m uavnav evaluate --help", "usage: uavnav evaluate "),
     ],
 )

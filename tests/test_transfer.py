@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
-from test_replays import write_run
+from runs_by_hand import write_policies
 
 import uavnav
 from uavnav.__main__ import main
@@ -126,7 +126,7 @@ def test_sensed_velocities_stay_shares_of_the_greatest_speed_in_training(tmp_pat
         transfer.Flyer, "fly", lambda _, task, *rest: flown.append(task) or {"sampled": pd.DataFrame({"steps": [1]})}
     )
     sensing = {"speed_max": 4.0, "sense_velocity": True}
-    who = flyer("run", Run(write_run(tmp_path / "run", n_seeds=1, n_inputs=50, task="moving", world=sensing)))
+    who = flyer("run", Run(write_policies(tmp_path / "run", n_seeds=1, n_inputs=50, task="moving", world=sensing)))
     slow = make_task("test", {"speed_min": 2.0, "speed_max": 2.0, "sense_velocity": True}, task="moving")
     transfer.visit(who, transfer.Place("slow", slow, None))
     [task] = flown

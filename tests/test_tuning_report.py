@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from spoiling import put
+from bad_input import put
 from test_studies import cell
 
 from uavnav.report import beyond, tables

@@ -1,4 +1,4 @@
-"""The runner: each job is a function of `worlds`, `ours`, `peers` or `plain`, called in a fresh process.
+"""The runner: each job is a function of `worlds`, `training` or `plain`, called in a fresh process.
 
 `python -m uavnav.bench.jobs MODULE.FUNCTION '{"argument": ...}' LAUNCHED` prints its result as JSON.
 LAUNCHED is when the process was started [s since the epoch], so that start-up counts.
@@ -24,7 +24,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
-from uavnav.bench.watch import Result
+from uavnav.bench import Result
 
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 LONGEST = 4 * 3600.0

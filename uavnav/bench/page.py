@@ -18,9 +18,9 @@ from typing import Any
 import pandas as pd
 
 from uavnav import files
+from uavnav.bench import Result
 from uavnav.bench.jobs import Results
 from uavnav.bench.plan import BATCHES, CORES
-from uavnav.bench.watch import Result
 from uavnav.tasks.world import VERSION
 from uavnav.training.provenance import git_commit, processor
 

@@ -7,20 +7,17 @@ from dataclasses import replace
 from itertools import chain
 
 from uavnav.algorithms import ALGORITHMS
-from uavnav.bench import ours
+from uavnav.bench import Result
 from uavnav.bench.jobs import Measurement
-from uavnav.bench.peers import SB3, SBX
-from uavnav.bench.watch import WHOLE, Result
+from uavnav.bench.training import SB3, SBX, WHOLE, settings
 from uavnav.training import machine
 
 CORES = min(2, machine.cores())
 NUMPY = "gymnasium/numpy"
 BATCHES = (1, 16, 256, 512, 1024, 2048, 4096, 16_384, 32_768)
 WORLD_BATCH = 4096
-PEERS = {"ppo": "SB3", "dqn": "SB3", "a2c": "SB3", "c51": "plain PyTorch", "sac": "plain PyTorch"}
-"""Whom each algorithm is compared with: SB3 has no C51 and no discrete SAC."""
-MUST = {"ppo": (8, 25), "dqn": (6, 20), "a2c": (6, 20), "c51": (6, 20), "sac": (6, 20)}
-"""How many times less than its peer a whole run of ours must take, per seed: with one seed, with ten."""
+MUST = {"ppo": (8, 25), "dqn": (6, 20), "a2c": (6, 20)}
+"""How many times less than SB3's a whole run of ours must take, per seed: with one seed, with ten."""
 FAULTS = {"noise": 5.0, "lost": 0.1, "late": 2, "sticky": 0.1}
 WORLDS: dict[str, Result] = {
     "drone": {},
@@ -57,22 +54,19 @@ def gymnasium() -> Iterator[Measurement]:
 
 def training(algorithm: str) -> Iterator[Measurement]:
     """Ours with one seed and with ten, and the peers that have the algorithm."""
-    name, who, quick = f"training/{algorithm.upper()}", PEERS.get(algorithm, ""), {"seconds": 5.0}
+    name, quick = f"training/{algorithm.upper()}", {"seconds": 5.0}
     run: Result = {"algorithm": algorithm, "seconds": 15.0}
-    ten = run | {"n_seeds": 10}
-    mine = Measurement("", "ours.watched", run, CORES, base=f"{name}, {who}", quick=quick)
-    mine = replace(mine, warm={"seconds": 0.0})
+    base = f"{name}, SB3" if algorithm in MUST else ""
+    mine = Measurement("", "training.ours", run, CORES, base=base, warm={"seconds": 0.0}, quick=quick)
     least = MUST.get(algorithm, (None, None))
     yield replace(mine, name=f"{name}, uavnav, 1 seed", must=least[0])
-    yield replace(mine, name=f"{name}, uavnav, 10 seeds", must=least[1], arguments=ten)
+    yield replace(mine, name=f"{name}, uavnav, 10 seeds", must=least[1], arguments=run | {"n_seeds": 10})
     run |= {"seconds": 30.0}
-    peer = Measurement(mine.base, "peers.watched", run, base=mine.base, rounds=2, needs=SB3)
-    if who == "plain PyTorch":
-        yield replace(peer, job="plain.watched", rounds=3, needs="", quick=quick)
-    if who == "SB3":
+    peer = Measurement(base, "training.peer", run, base=base, rounds=2, needs=SB3)
+    if algorithm in MUST:
         yield replace(peer, rounds=3, quick=quick)
-        yield replace(peer, name=f"{name}, SB3, two side by side", copies=2)
-        yield replace(peer, name=f"{name}, SB3, our Gymnasium", arguments=run | {"which": "uavnav"})
+        yield replace(peer, name=f"{base}, two side by side", copies=2)
+        yield replace(peer, name=f"{base}, our Gymnasium", arguments=run | {"which": "uavnav"})
     if algorithm in ("ppo", "dqn"):
         yield replace(peer, name=f"{name}, SBX", arguments=run | {"library": SBX}, threads=CORES, needs=SBX)
 
@@ -82,14 +76,14 @@ def memory() -> Iterator[Measurement]:
     n_envs = WHOLE // 625
     run: Result = {"n_seeds": 10, "total_frames": WHOLE, "n_envs": n_envs}
     run |= {"frames_per_update": n_envs, "learning_starts": 4 * n_envs}
-    for algorithm in (name for name in ALGORITHMS if hasattr(ours.settings(name), "buffer_size")):
+    for algorithm in (name for name in ALGORITHMS if hasattr(settings(name), "buffer_size")):
         arguments = run | {"algorithm": algorithm}
-        yield Measurement(f"memory/{algorithm.upper()}", "ours.whole", arguments, CORES, rounds=1, must=4)
+        yield Measurement(f"memory/{algorithm.upper()}", "training.whole", arguments, CORES, rounds=1, must=4)
 
 
 def worlds() -> Iterator[Measurement]:
-    for name, settings in WORLDS.items():
-        arguments = {"batches": [WORLD_BATCH], "settings": settings}
+    for name, how in WORLDS.items():
+        arguments = {"batches": [WORLD_BATCH], "settings": how}
         yield Measurement(f"worlds/{name}", "worlds.batched", arguments, rounds=5, base="worlds/drone")
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from uavnav.bench.watch import Result
+from uavnav.bench import Result
 
 WARM_UP = 10
 """Calls before those that are timed."""

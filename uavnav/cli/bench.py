@@ -16,11 +16,11 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
+from uavnav.bench import BY_DEFAULT, OUT, QUICK, SCRATCH
 from uavnav.bench.jobs import run
 from uavnav.bench.page import sections, write_sections
 from uavnav.bench.plan import plan
 from uavnav.cli import commands
-from uavnav.cli.benches import BY_DEFAULT, OUT, QUICK, SCRATCH
 from uavnav.errors import complain
 from uavnav.files import check_out
 

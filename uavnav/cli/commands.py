@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from uavnav.algorithms import ALGORITHMS
+from uavnav.bench import BY_DEFAULT, LONGER, OUT, SCRATCH
 from uavnav.cli import help as texts
-from uavnav.cli.benches import BY_DEFAULT, LONGER, OUT, SCRATCH
 from uavnav.errors import Parser, choose_from, did_you_mean, one_line, whole
 from uavnav.tasks.protocol import (
     ACROSS_STEPS,

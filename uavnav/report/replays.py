@@ -242,7 +242,6 @@ def _place(task: Task, sets: str, n_layouts: int) -> dict[str, Any]:
     constants: dict[str, Any] = {
         "world": asdict(task.world),
         "max_steps": task.max_steps,
-        "rules": browser.RULES.get(name, {}),
     }
     if isinstance(task.world, SpaceWorld):
         parts = decode_in_3d(torch.arange(task.world.n_actions), task.world)

@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from uavnav.tasks import goal, slalom
+from uavnav.tasks import baselines, goal, slalom
 from uavnav.tasks.simulator import TASKS
 
 HERE = Path(__file__).parent
@@ -24,8 +24,14 @@ PLAYER = (*WORLD, HERE / "box.js", HERE / "replay.js")
 
 SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", "spacing", "height")}
 GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "tries", "scale")}
-RULES: dict[str, dict[str, Any]] = {"slalom": SLALOM, "goal": GOAL}
-"""What sets of a world are made by, beside its constants."""
+GOAL |= {"bearings": baselines.BEARINGS.tolist(), "look": baselines.LOOK, "spare": baselines.ROOM}
+MOVING: dict[str, Any] = {"body": baselines.BODY, "drift": baselines.DRIFT, "enough": baselines.ENOUGH}
+MOVING["ways"] = [
+    ([[round(part, 4) for part in place] for place in places.tolist()], int(first), round(float(worth), 4))
+    for places, first, worth in zip(baselines.PLACES, baselines.FIRST, baselines.WORTH, strict=True)
+]
+RULES: dict[str, dict[str, Any]] = {"slalom": SLALOM, "moving": MOVING, "goal": GOAL}
+"""What sets of a world are made by and its scripted policy flies by, beside its constants."""
 TITLES = {"drone": "the paper's world", "slalom": "slalom", "moving": "moving obstacles", "goal": "a goal"}
 """How pages call the worlds of `world.js`."""
 IN_3D = {"space": "a box in 3D", "space-moving": "a box in 3D, moving spheres"}

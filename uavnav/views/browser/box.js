@@ -73,12 +73,8 @@ function drawView(context, wide, { world, spheres, drone, colours, font }, view)
   const [[x, y], nose] = [seen(drone.place), seen(drone.axes[2])];
   const pose = { x, y, angle: Math.atan2(nose[1], nose[0]), reach: Math.hypot(...nose) };
   const around = pose.reach < 1e-6 ? { ...world, sensor_arc: 360 } : world; // it looks along the view
-  if (!drone.crashed) drawSensor(context, around, pose, colours);
-  line(context, drone.trail.map(seen), 2.5 * thick, colours.accent);
-  for (const point of drone.sensed) line(context, [[x, y], seen(point)], 1.5 * thick, colours.fg);
-  drawDrone(context, world, pose, drone.crashed, thick, colours);
-  context.fillStyle = colours.fg;
-  for (const point of drone.sensed) disc(context, ...seen(point), 5 * thick);
+  const flat = { pose, trail: drone.trail.map(seen), sensed: drone.sensed.map(seen), crashed: drone.crashed };
+  drawFlight(context, around, flat, thick, colours);
   context.restore();
   context.font = font;
   context.textBaseline = "top";

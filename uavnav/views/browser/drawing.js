@@ -35,6 +35,32 @@ function pitchOf(action) {
   return action.length > 2 ? action[1] : 0;
 }
 
+// ---------------------------------------------------------------------------------------------- time and looks
+
+const STEPS_PER_SECOND = 30; // at speed 1
+const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) play goes on, and does not jump
+
+/** Call `picture` with the seconds since the last one, at each picture while `owner` plays; one loop at a time. */
+function everyPicture(owner, picture) {
+  let before = performance.now();
+  const turn = (owner.turn = {});
+  const tick = (now) => {
+    if (!owner.playing || owner.turn !== turn) return;
+    const passed = clamp((now - before) / 1000, 0, LONGEST_PAUSE); // a tick may lie before the click
+    before = now;
+    picture(passed);
+    requestAnimationFrame(tick);
+  };
+  requestAnimationFrame(tick);
+}
+
+/** Have `draw` called whenever an element has another size, and `recolour` now and whenever the page's colours change. */
+function watchLooks(element, draw, recolour) {
+  new ResizeObserver(draw).observe(element);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
+  recolour();
+}
+
 // ---------------------------------------------------------------------------------------------- drawing
 
 /** The page's colours as they are now, by their names, each as a canvas understands it. */
@@ -65,6 +91,12 @@ function disc(context, x, y, radius) {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
   context.fill();
+}
+
+function ring(context, x, y, radius) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.stroke();
 }
 
 function line(context, points, width, colour) {
@@ -136,11 +168,9 @@ function drawFading(context, trail, width, colour) {
 
 /** A rim around a drone, and its sign behind its line, upright whatever the drone's heading. */
 function drawSign(context, world, { x, y, angle }, sign, colour) {
-  context.beginPath();
-  context.arc(x, y, world.drone_radius, 0, 2 * Math.PI);
   context.lineWidth = 2;
   context.strokeStyle = colour;
-  context.stroke();
+  ring(context, x, y, world.drone_radius);
   context.save();
   context.translate(x - 0.42 * world.drone_radius * Math.cos(angle), y - 0.42 * world.drone_radius * Math.sin(angle));
   context.scale(1, -1);
@@ -165,12 +195,19 @@ function drawDrift(context, [x, y, , vx, vy], thick, colours) {
 function drawGoal(context, world, [x, y], thick, colours) {
   context.strokeStyle = context.fillStyle = colours.fg;
   context.lineWidth = 3 * thick;
-  for (const radius of [world.goal_radius, world.goal_radius / 2]) {
-    context.beginPath();
-    context.arc(x, y, radius, 0, 2 * Math.PI);
-    context.stroke();
-  }
+  for (const radius of [world.goal_radius, world.goal_radius / 2]) ring(context, x, y, radius);
   disc(context, x, y, world.goal_radius / 6);
+}
+
+/** A drone with its sensor, its trail and what it senses: see drawArena. */
+function drawFlight(context, world, { pose, trail, sensed, crashed, sign, faint, fades }, thick, colours) {
+  if (!faint && !crashed) drawSensor(context, world, pose, colours);
+  (fades ? drawFading : line)(context, trail, (faint ? 2 : 2.5) * thick, colours.accent);
+  for (const point of sensed) line(context, [[pose.x, pose.y], point], 1.5 * thick, colours.fg);
+  drawDrone(context, world, pose, crashed, thick, colours);
+  if (sign && !crashed) drawSign(context, world, pose, sign, colours.bg);
+  context.fillStyle = colours.fg;
+  for (const point of sensed) disc(context, ...point, 5 * thick);
 }
 
 /**
@@ -194,15 +231,8 @@ function drawArena(canvas, { world, circles, goal, drones, colours }) {
   const thick = Math.max(1, 0.6 / scale); // lines must be seen on a small screen too
   for (const circle of circles) if (circle[3] || circle[4]) drawDrift(context, circle, thick, colours);
   if (goal) drawGoal(context, world, goal, thick, colours);
-  for (const { pose, trail, sensed, crashed, sign, accent = colours.accent, faint, fades } of drones) {
-    const mine = { ...colours, accent };
-    if (!faint && !crashed) drawSensor(context, world, pose, mine);
-    (fades ? drawFading : line)(context, trail, (faint ? 2 : 2.5) * thick, accent);
-    for (const point of sensed) line(context, [[pose.x, pose.y], point], 1.5 * thick, colours.fg);
-    drawDrone(context, world, pose, crashed, thick, mine);
-    if (sign && !crashed) drawSign(context, world, pose, sign, colours.bg);
-    context.fillStyle = colours.fg;
-    for (const point of sensed) disc(context, ...point, 5 * thick);
+  for (const drone of drones) {
+    drawFlight(context, world, drone, thick, { ...colours, accent: drone.accent ?? colours.accent });
   }
   return { context, thick };
 }

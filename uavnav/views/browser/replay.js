@@ -4,9 +4,7 @@
  * `data` is what uavnav/report/replays.py records; drawing.js draws it, and box.js what is in 3D. Nothing moves before the reader asks for it.
  */
 
-const STEPS_PER_SECOND = 30; // at speed 1
 const SPEEDS = [0.25, 1, 4];
-const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) play goes on, and does not jump
 const TYPES = {
   uint8: [1, "getUint8"], int8: [1, "getInt8"], uint16: [2, "getUint16"], int16: [2, "getInt16"],
   float32: [4, "getFloat32"],
@@ -63,10 +61,6 @@ function droneAt(world, read, step, trail = Infinity) {
   }
   const pose = { x: here[0], y: here[1], angle };
   return { pose, trail: flown, sensed: sensedPoints(world, pose, slots) };
-}
-
-function radians(degrees) {
-  return (degrees * Math.PI) / 180;
 }
 
 function crashedAt(flight, step) {
@@ -154,9 +148,7 @@ class Player {
     forward.addEventListener("click", () => this.stepBy(1));
     slider.addEventListener("input", () => this.show(Number(slider.value)));
     player.addEventListener("keydown", (event) => this.press(event));
-    new ResizeObserver(() => this.draw()).observe(player);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
-    this.recolour();
+    watchLooks(player, () => this.draw(), () => this.recolour());
   }
 
   recolour() {
@@ -225,19 +217,14 @@ class Player {
     this.playing = true;
     this.mark();
     if (this.step === this.flight.steps) this.show(0);
-    let before = performance.now();
     let due = 0; // steps, whole and parts
-    const tick = (now) => {
-      if (!this.playing) return;
-      due += Math.min((now - before) / 1000, LONGEST_PAUSE) * STEPS_PER_SECOND * Number(this.parts.speed.value);
-      before = now;
-      const whole = Math.max(0, Math.floor(due));
+    everyPicture(this, (seconds) => {
+      due += seconds * STEPS_PER_SECOND * Number(this.parts.speed.value);
+      const whole = Math.floor(due);
       due -= whole;
       if (whole) this.show(this.step + whole);
       if (this.step === this.flight.steps) this.pause();
-      else requestAnimationFrame(tick);
-    };
-    requestAnimationFrame(tick);
+    });
   }
 
   pause() {

@@ -24,11 +24,9 @@ class Together {
     this.button = root.querySelector("button");
     this.playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.button.addEventListener("click", () => this.toggle());
-    new ResizeObserver(() => this.draw()).observe(root);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
+    watchLooks(root, () => this.draw(), () => this.recolour());
     const palette = new MutationObserver(() => this.recolour()); // the button of a site
     palette.observe(document.body, { attributeFilter: ["data-md-color-scheme"] });
-    this.recolour();
     this.load(0);
   }
 
@@ -61,24 +59,17 @@ class Together {
   }
 
   play() {
-    let before = performance.now();
     let due = this.step;
-    const turn = (this.turn = {}); // one loop at a time
-    const tick = (now) => {
-      if (!this.playing || turn !== this.turn) return;
-      due += Math.min(Math.max(0, now - before) / 1000, LONGEST_PAUSE) * TOGETHER_SPEED; // a tick may lie before the click
-      before = now;
+    everyPicture(this, (seconds) => {
+      due += seconds * TOGETHER_SPEED;
       if (due > this.last + REST * TOGETHER_SPEED) {
+        this.turn = null; // the next set begins a loop of its own
         this.load((this.set + 1) % this.data.layouts.length);
-        return;
-      }
-      if (this.step < this.last) {
+      } else if (this.step < this.last) {
         this.step = Math.min(Math.floor(due), this.last);
         this.draw();
       }
-      requestAnimationFrame(tick);
-    };
-    requestAnimationFrame(tick);
+    });
   }
 
   draw() {

@@ -14,8 +14,12 @@ const VIEW_TOLERANCE = 1e-6; // so that rounding never hides a neighbour that is
 const COSINES = Float32Array.from({ length: 360 }, (_, degrees) => exactCosine(degrees));
 const SINES = Float32Array.from({ length: 360 }, (_, degrees) => exactCosine(degrees - 90));
 
+function radians(degrees) {
+  return (degrees * Math.PI) / 180;
+}
+
 function exactCosine(degrees) {
-  return { 0: 1, 90: 0, 180: -1, 270: 0 }[(degrees + 360) % 360] ?? Math.cos((degrees * Math.PI) / 180);
+  return { 0: 1, 90: 0, 180: -1, 270: 0 }[(degrees + 360) % 360] ?? Math.cos(radians(degrees));
 }
 
 function clamp(value, low, high) {
@@ -74,6 +78,13 @@ function lengthOf(dx, dy) {
   return f32(Math.sqrt(f32(f32(dx * dx) + f32(dy * dy))));
 }
 
+/** The direction of an offset of some length, as a drone of a heading sees it: [right, forward]. */
+function direction([dx, dy, length], heading) {
+  const scale = length > 0 ? f32(1 / length) : 0; // a centre that coincides has no direction
+  const [ux, uy, cosine, sine] = [f32(dx * scale), f32(dy * scale), COSINES[heading], SINES[heading]];
+  return [f32(f32(ux * sine) - f32(uy * cosine)), f32(f32(ux * cosine) + f32(uy * sine))];
+}
+
 /**
  * The ten nearest obstacles in view, eqs (9), (10) and (13), nearest first, ties in index order; and the clearance: the
  * distance [px] to the nearest of all, in view or not. -> { observation: Float32Array(30), clearance }
@@ -81,29 +92,19 @@ function lengthOf(dx, dy) {
  * echoes: what faults make of a filled slot, of its place and its distance [px]: the distance, or undefined if it is lost.
  */
 function sense(world, { x, y, heading }, circles, echoes = (slot, distance) => distance) {
-  const found = []; // [distance, dx, dy, length]
-  for (const [cx, cy, radius] of circles) {
-    const [dx, dy] = [f32(cx - x), f32(cy - y)];
-    const length = lengthOf(dx, dy);
-    found.push([f32(length - radius), dx, dy, length]);
-  }
-  for (const [dx, dy] of toSquares(world, x, y)) {
-    const length = lengthOf(dx, dy);
-    found.push([length, dx, dy, length]);
-  }
-  const [cosine, sine] = [COSINES[heading], SINES[heading]];
-  const least = f32(Math.cos((world.sensor_arc * Math.PI) / 360) - VIEW_TOLERANCE);
+  const around = circles.map(([cx, cy, radius]) => [f32(cx - x), f32(cy - y), radius]);
+  const offsets = [...around, ...toSquares(world, x, y)]; // a square has no radius
+  const least = f32(Math.cos(radians(world.sensor_arc / 2)) - VIEW_TOLERANCE);
   const span = world.sensor_radius - world.drone_radius;
   let clearance = Infinity;
   const seen = [];
-  for (const [distance, dx, dy, length] of found) {
+  for (const [dx, dy, radius = 0] of offsets) {
+    const length = lengthOf(dx, dy);
+    const distance = f32(length - radius);
     clearance = Math.min(clearance, distance);
     if (distance > world.sensor_radius) continue;
-    const scale = length > 0 ? f32(1 / length) : 0; // a centre that coincides has no direction
-    const [ux, uy] = [f32(dx * scale), f32(dy * scale)];
-    const forward = f32(f32(ux * cosine) + f32(uy * sine));
+    const [right, forward] = direction([dx, dy, length], heading);
     if (forward < least) continue;
-    const right = f32(f32(ux * sine) - f32(uy * cosine));
     seen.push({ distance, direction: [clamp(right, -1, 1), clamp(forward, 0, 1)] });
   }
   if (world.slots === "nearest") seen.sort((one, other) => one.distance - other.distance); // stable
@@ -325,13 +326,9 @@ class Goal extends Task {
   /** The slots, then the direction to the goal, right and forward, and its distance in 1,000 px, at most 1. */
   sense(state, set, draws) {
     const { observation, clearance } = super.sense(state, set, draws);
-    const [dx, dy, distance] = this.toGoal(state, set);
-    const scale = distance > 0 ? f32(1 / distance) : 0;
-    const [ux, uy] = [f32(dx * scale), f32(dy * scale)];
-    const [cosine, sine] = [COSINES[state.heading], SINES[state.heading]];
-    const right = clamp(f32(f32(ux * sine) - f32(uy * cosine)), -1, 1);
-    const forward = clamp(f32(f32(ux * cosine) + f32(uy * sine)), -1, 1);
-    const ahead = [right, forward, Math.min(f32(distance / this.rules.scale), 1)];
+    const way = this.toGoal(state, set);
+    const parts = direction(way, state.heading).map((part) => clamp(part, -1, 1));
+    const ahead = [...parts, Math.min(f32(way[2] / this.rules.scale), 1)];
     return { observation: Float32Array.from([...observation, ...ahead]), clearance };
   }
 

@@ -13,9 +13,9 @@ const KEYS = [
   ["Space", "pause, go on", { " ": (app) => app.toggle() }],
   [".", "one step", { ".": (app) => app.oneStep() }],
   ["− +", "slower, faster; while drawing: the circle smaller, larger", {
-    "-": (app) => (app.stage.drawing ? app.resize(-STRIDE.size) : app.paced(-1)),
-    "+": (app) => (app.stage.drawing ? app.resize(STRIDE.size) : app.paced(1)),
-    "=": (app) => (app.stage.drawing ? app.resize(STRIDE.size) : app.paced(1)),
+    "-": (app) => (app.stage.drawing ? app.alter(0, 0, -STRIDE.size) : app.paced(-1)),
+    "+": (app) => (app.stage.drawing ? app.alter(0, 0, STRIDE.size) : app.paced(1)),
+    "=": (app) => (app.stage.drawing ? app.alter(0, 0, STRIDE.size) : app.paced(1)),
   }],
   ["R", "start again on the same obstacles", { r: (app) => app.again() }],
   ["N P", "next set of obstacles, the set before", { n: (app) => app.setOf(1), p: (app) => app.setOf(-1) }],
@@ -55,8 +55,10 @@ class Keyboard {
     if (!arrow && !act) return;
     event.preventDefault();
     if (act) act(this.app);
-    else if (stage.drawing) this.app.nudge(arrow, event.shiftKey ? 1 : STRIDE.circle);
-    else this.steer(arrow, event);
+    else if (stage.drawing) {
+      const [dx, dy] = WAYS[arrow].map((way) => way * (event.shiftKey ? 1 : STRIDE.circle));
+      this.app.alter(dx, dy, 0);
+    } else this.steer(arrow, event);
   }
 
   steer(arrow, { repeat, shiftKey }) {

@@ -16,14 +16,9 @@ const MOST_DRONES = 4;
 const MOST_CIRCLES = 48;
 const LAST_NUMBER = 2 ** 32 - 1; // of sets and of seeds
 
-function wholeNumber(text, low, high) {
-  const number = /^\d{1,10}$/.test(text) ? Number(text) : NaN;
-  return number >= low && number <= high ? number : undefined;
-}
-
-/** A number that a slider can have: { low, high, step }. */
-function onSlider(text, { low, high, step }) {
-  const number = /^\d{1,3}(\.\d{1,2})?$/.test(text) ? Number(text) : NaN;
+/** A number from low to high in whole steps, as a slider has it. */
+function readNumber(text, { low = 0, high, step = 1 }) {
+  const number = /^\d{1,10}(\.\d{1,2})?$/.test(text) ? Number(text) : NaN;
   const steps = number / step;
   return number >= low && number <= high && Math.abs(steps - Math.round(steps)) < 1e-6 ? number : undefined;
 }
@@ -52,20 +47,20 @@ function readPilots(known, text) {
 /** How each part of a fragment is read: undefined where it is not right. known: names of those who can fly. */
 const READ = {
   world: (text) => (Object.hasOwn(TASKS, text) ? text : undefined),
-  set: (text) => wholeNumber(text, 0, LAST_NUMBER),
-  k: (text) => wholeNumber(text, 0, MOST_CIRCLES),
+  set: (text) => readNumber(text, { high: LAST_NUMBER }),
+  k: (text) => readNumber(text, { high: MOST_CIRCLES }),
   circles: (text, world) => readCircles(world, text),
   pilots: (text, world, known) => readPilots(known, text),
-  focus: (text) => wholeNumber(text, 1, MOST_DRONES),
+  focus: (text) => readNumber(text, { low: 1, high: MOST_DRONES }),
   speed: (text) => SPEEDS.find((speed) => String(speed) === text),
   greedy: (text) => ({ yes: true, no: false })[text],
-  seed: (text) => wholeNumber(text, 0, LAST_NUMBER),
+  seed: (text) => readNumber(text, { high: LAST_NUMBER }),
 };
 
 /** The parts of a scene that a fragment gives, and the names of those that are wrong: [scene, wrong]. */
 function readLink(fragment, world, known, settings) {
   const [scene, wrong] = [{}, []];
-  const sliders = Object.entries(settings).map(([name, slider]) => [name, (text) => onSlider(text, slider)]);
+  const sliders = Object.entries(settings).map(([name, slider]) => [name, (text) => readNumber(text, slider)]);
   const read = { ...READ, ...Object.fromEntries(sliders) };
   for (const part of fragment.replace(/^#/, "").split("&").filter(Boolean)) {
     const [name, text] = [part.split("=", 1)[0], part.slice(part.indexOf("=") + 1)];

@@ -4,11 +4,9 @@
  * `data` is what __init__.py writes: constants of the worlds, their settings, metrics and policies.
  */
 
-const STEPS_PER_SECOND = 30; // at speed 1
-const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) the race goes on, and does not jump
 const MOST_AT_ONCE = 8; // steps from one picture to the next
 const ADDRESS = 200; // [ms] from a change of the scene to the address that holds it
-const INSTRUMENTS = 66; // [ms] from one picture of the instruments to the next
+const INSTRUMENTS = 0.066; // [s] from one picture of the instruments to the next
 
 class Playground {
   constructor(data) {
@@ -23,7 +21,6 @@ class Playground {
     this.keyboard = new Keyboard(this);
     this.build();
     this.listen();
-    this.recolour();
     this.open();
     if (!matchMedia("(prefers-reduced-motion: reduce)").matches && this.race.flying().length) this.start();
   }
@@ -122,7 +119,7 @@ class Playground {
     const clicks = {
       play: () => this.toggle(), "one-step": () => this.oneStep(), again: () => this.again(), take: () => this.take(),
       next: () => this.setOf(1), draw: () => this.draw(!this.stage.drawing), copy: () => this.copy(),
-      add: () => this.addFree(), smaller: () => this.resize(-STRIDE.size), larger: () => this.resize(STRIDE.size),
+      add: () => this.addFree(), smaller: () => this.alter(0, 0, -STRIDE.size), larger: () => this.alter(0, 0, STRIDE.size),
       remove: () => this.remove(), clear: () => this.clear(),
     };
     for (const [id, act] of Object.entries(clicks)) on(id, "click", act);
@@ -140,11 +137,7 @@ class Playground {
     });
     this.panel.seats.forEach((seat, place) => seat.addEventListener("click", () => this.focusOn(place)));
     addEventListener("hashchange", () => this.open());
-    new ResizeObserver(() => this.show()).observe(document.body);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-      this.recolour();
-      this.show();
-    });
+    watchLooks(document.body, () => this.show(), () => this.recolour());
   }
 
   /** What the pointer or the keys steer in the next step. */
@@ -244,11 +237,6 @@ class Playground {
     this.show();
   }
 
-  /** After an edit: the address follows. */
-  edited() {
-    this.changed();
-  }
-
   /** A new circle, selected; false where there are too many. */
   add(circle) {
     const { circles } = this.race;
@@ -264,7 +252,7 @@ class Playground {
   /** A new circle somewhere, for those who do not point. */
   addFree() {
     const [circle] = generate(this.world, 1, this.scene.set + 1000 * (this.race.circles.length + 1));
-    if (this.add(circle)) this.edited();
+    if (this.add(circle)) this.changed();
   }
 
   select(by) {
@@ -274,19 +262,12 @@ class Playground {
     this.show();
   }
 
-  nudge(arrow, by) {
+  /** Move the selected circle, or change its radius, by so many px. */
+  alter(dx, dy, larger) {
     const circle = this.race.circles[this.stage.selected];
     if (!circle) return;
-    const [dx, dy] = WAYS[arrow];
-    this.stage.change([circle[0] + by * dx, circle[1] + by * dy, circle[2]]);
-    this.edited();
-  }
-
-  resize(by) {
-    const circle = this.race.circles[this.stage.selected];
-    if (!circle) return;
-    this.stage.change([circle[0], circle[1], circle[2] + by]);
-    this.edited();
+    this.stage.change([circle[0] + dx, circle[1] + dy, circle[2] + larger]);
+    this.changed();
   }
 
   remove() {
@@ -294,13 +275,13 @@ class Playground {
     if (!this.stage.drawing || !this.race.circles[selected]) return;
     this.edit(this.race.circles.toSpliced(selected, 1));
     this.stage.selected = Math.min(selected, this.race.circles.length - 1);
-    this.edited();
+    this.changed();
   }
 
   clear() {
     this.edit([]);
     this.stage.selected = -1;
-    this.edited();
+    this.changed();
   }
 
   // -------------------------------------------------------------------------------------------- time
@@ -315,14 +296,8 @@ class Playground {
     if (!this.race.flying().length) this.again();
     if (!this.race.flying().length) return; // nobody is in the race
     this.playing = true;
-    this.before = performance.now();
     this.showControls();
-    const tick = (now) => {
-      if (!this.playing) return;
-      this.frame(now);
-      requestAnimationFrame(tick);
-    };
-    requestAnimationFrame(tick);
+    everyPicture(this, (seconds) => this.frame(seconds));
   }
 
   /** Among circles that move nobody draws while time goes. */
@@ -346,18 +321,17 @@ class Playground {
     this.describe();
   }
 
-  /** What belongs to one picture: the steps that are due, and drawing. now: [ms] */
-  frame(now) {
-    const passed = clamp((now - this.before) / 1000, 0, LONGEST_PAUSE);
-    this.before = now;
-    this.share += passed * STEPS_PER_SECOND * this.scene.speed;
+  /** What belongs to one picture: the steps that are due in so many seconds, and drawing. */
+  frame(seconds) {
+    this.share += seconds * STEPS_PER_SECOND * this.scene.speed;
     for (let steps = 0; this.share > 1 && this.playing; steps += 1) {
       this.share = steps < MOST_AT_ONCE ? this.share - 1 : 1;
       if (steps < MOST_AT_ONCE) this.advance();
     }
     this.stage.draw(this.share, this.focus, this.colours);
-    if (this.playing && now - (this.shown ?? 0) > INSTRUMENTS) {
-      this.shown = now;
+    this.unseen = (this.unseen ?? 0) + seconds;
+    if (this.playing && this.unseen > INSTRUMENTS) {
+      this.unseen = 0;
       this.showInstruments();
     }
   }
@@ -381,6 +355,7 @@ class Playground {
     this.colours = readColours(this.stage.element, names);
     this.cardColours = readColours(document.querySelector("aside > section"), names);
     this.font = `12px ${getComputedStyle(document.body).fontFamily}`;
+    this.show();
   }
 
   /** Everything that moves. */

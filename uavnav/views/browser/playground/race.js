@@ -146,6 +146,6 @@ class Race {
     const [from, to] = [drone.last, drone.state];
     const turn = ((to.heading - from.heading + 540) % 360) - 180;
     const between = (name) => from[name] + share * (to[name] - from[name]);
-    return { x: between("x"), y: between("y"), angle: ((from.heading + share * turn) * Math.PI) / 180 };
+    return { x: between("x"), y: between("y"), angle: radians(from.heading + share * turn) };
   }
 }

@@ -10,7 +10,7 @@ const SLOW_DOWN = 45; // [degrees] from the way to the pointer above which a dro
 function towards(world, { x, y, heading }, [toX, toY]) {
   const [dx, dy] = [toX - x, toY - y];
   const away = Math.hypot(dx, dy);
-  const wanted = Math.round((Math.atan2(dy, dx) * 180) / Math.PI);
+  const wanted = Math.round(Math.atan2(dy, dx) / radians(1));
   const turn = ((wanted - heading + 900) % 360) - 180;
   if (away < ARRIVED) return [0, 0];
   const left = Math.floor(world.n_turns / 2);
@@ -85,7 +85,7 @@ class Stage {
 
   release() {
     if (this.target) this.app.race.hand = [0, 0];
-    if (this.held) this.app.edited();
+    if (this.held) this.app.changed();
     this.target = this.held = null;
   }
 
@@ -133,7 +133,7 @@ class Stage {
     const drones = shown.map(({ drone, place }) => {
       const pose = race.poseAt(drone, drone.ended ? 1 : share);
       const mine = place === focus;
-      const here = { ...drone.state, angle: (drone.state.heading * Math.PI) / 180 };
+      const here = { ...drone.state, angle: radians(drone.state.heading) };
       return {
         pose,
         trail: [...drone.trail, [pose.x, pose.y]],
@@ -152,18 +152,13 @@ class Stage {
   /** While one draws: what must stay free, and the selected circle. */
   drawHelp(context, thick, colours) {
     const { race } = this.app;
-    const ring = ([x, y, radius]) => {
-      context.beginPath();
-      context.arc(x, y, radius, 0, 2 * Math.PI);
-      context.stroke();
-    };
     context.lineWidth = 2 * thick;
     context.strokeStyle = colours.muted;
     context.setLineDash([6 * thick, 6 * thick]);
-    for (const place of race.free) ring(place);
+    for (const place of race.free) ring(context, ...place);
     context.setLineDash([]);
     context.strokeStyle = colours.accent;
     context.lineWidth = 4 * thick;
-    if (race.circles[this.selected]) ring(race.circles[this.selected]);
+    if (race.circles[this.selected]) ring(context, ...race.circles[this.selected]);
   }
 }

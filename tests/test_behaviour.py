@@ -1,15 +1,14 @@
 """What flights look like: poses, actions and networks made by hand, whose numbers are known in closed form."""
 
-import json
 import math
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from runs_by_hand import rows, write_run
 
 from uavnav.evaluation import BEHAVIOUR_COLUMNS, flights, fly, on
 from uavnav.report import behaviour
@@ -24,7 +23,6 @@ from uavnav.report.behaviour import (
     retrace,
 )
 from uavnav.runs import Run
-from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES
@@ -39,8 +37,8 @@ def table(poses=((400, 300),), actions=(STOP,), seed=0, layout=0, mode="greedy")
     """One flight: poses and actions, of which a single one is repeated."""
     n = max(len(poses), len(actions))
     (x, y), actions = np.array([*poses] * (n // len(poses))).T, [*actions] * (n // len(actions))
-    rows = {"seed": seed, "layout": layout, "step": range(1, n + 1), "x": x, "y": y, "heading": 90, "clearance": 50.0}
-    return pd.DataFrame(rows | {"action": actions})[[*COLUMNS]].astype(COLUMNS).assign(mode=mode)
+    flight = {"seed": seed, "layout": layout, "step": range(1, n + 1), "x": x, "y": y, "heading": 90, "clearance": 50.0}
+    return pd.DataFrame(flight | {"action": actions})[[*COLUMNS]].astype(COLUMNS).assign(mode=mode)
 
 
 def drones(names, n_layouts, steps):
@@ -102,20 +100,15 @@ def test_opposite_means_at_least_120_degrees_apart(degrees, share):
     assert one(table(), circles)["corridor"] == share
 
 
-def test_border_is_the_share_of_steps_nearer_to_a_wall_than_to_any_circle():
-    poses = [(60, 300), (130, 300), (131, 300), (140, 300)]  # the wall at 20, the circle's edge at 240: middle 130
-    assert one(table(poses), bank((280, 300, 40)))["border"] == 0.5
-
-
 def slow_surroundings(x, y, circles):
-    """Distance to the nearest body, whether that is a wall, and whether the place is a corridor, body by body."""
+    """Distance to the nearest body, and whether the place is a corridor, body by body."""
     bodies = [
         (math.hypot(cx - x, cy - y) - radius, math.degrees(math.atan2(cy - y, cx - x))) for cx, cy, radius in circles
     ]
     walls = [(x - 20, 180.0), (780 - x, 0.0), (y - 20, -90.0), (580 - y, 90.0)]
     near = [angle for distance, angle in bodies + walls if distance <= 120]
     corridor = any(120 <= abs(a - b) % 360 <= 240 for a in near for b in near)
-    return min(bodies + walls)[0], min(walls) < min(bodies), corridor
+    return min(bodies + walls)[0], corridor
 
 
 def test_flights_agree_with_a_slow_loop_and_with_the_simulators_clearance():
@@ -123,22 +116,20 @@ def test_flights_agree_with_a_slow_loop_and_with_the_simulators_clearance():
     flown = drones(["random", "reactive"], 8, 120)
     slow = pd.DataFrame(
         [slow_surroundings(row.x, row.y, obstacles[row.layout].tolist()) for row in flown.itertuples()],
-        columns=["clearance", "border", "corridor"],
+        columns=["clearance", "corridor"],
     ).groupby(flown["seed"])
     assert slow["corridor"].sum().min() > 20
     fast = measures(flown, obstacles, WORLD).set_index("seed")
-    for name in ("border", "corridor"):
-        assert np.allclose(fast[name], slow[name].mean(), atol=1e-12)
+    assert np.allclose(fast["corridor"], slow["corridor"].mean(), atol=1e-12)
     assert np.allclose(fast["clearance"], slow["clearance"].mean(), atol=1e-3)
 
 
 def test_places_in_several_chunks_are_those_of_one(monkeypatch):
     rows, obstacles = table([(60 + 17 * n % 700, 60 + 29 * n % 480) for n in range(100)]), layouts.load("test")
-    whole = behaviour.surroundings(rows, obstacles, WORLD)
+    whole = behaviour.corridors(rows, obstacles, WORLD)
     monkeypatch.setattr(behaviour, "CHUNK", 7)
-    for a, b in zip(whole, behaviour.surroundings(rows, obstacles, WORLD), strict=True):
-        assert 0 < a.sum() < 100
-        assert (a == b).all()
+    assert 0 < whole.sum() < 100
+    assert (behaviour.corridors(rows, obstacles, WORLD) == whole).all()
 
 
 QUARTERS = st.integers(200, 2200).map(lambda n: n / 4)  # exact in float32, as is 800 - x
@@ -150,30 +141,28 @@ QUARTERS = st.integers(200, 2200).map(lambda n: n / 4)  # exact in float32, as i
     st.lists(st.tuples(QUARTERS, QUARTERS), min_size=1, max_size=9),
 )
 def test_a_world_and_its_mirror_images_are_alike(circles, poses):
-    plain = behaviour.surroundings(table(poses), bank(*circles), WORLD)
+    plain = behaviour.corridors(table(poses), bank(*circles), WORLD)
     for mirror in (lambda x, y, *r: (800 - x, y, *r), lambda x, y, *r: (x, 600 - y, *r)):
         mirrored = table([mirror(*pose) for pose in poses]), bank(*(mirror(*circle) for circle in circles))
-        for a, b in zip(plain, behaviour.surroundings(*mirrored, WORLD), strict=True):
-            assert (a == b).all()
+        assert (behaviour.corridors(*mirrored, WORLD) == plain).all()
 
 
 # -- actions ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("angles", "reversals", "trembling"),
+    ("angles", "reversals"),
     [
-        ((5, -4, 5, -4), 3, 3),
-        ((5, 4, 1, 2), 0, 0),
-        ((1, 0, -1, 0), 1, 0),  # skipped as a reversal goes, but no trembling
-        ((1, 0, 1, -4), 1, 1),
-        ((0, 0, 0, 0), 0, 0),
-        ((-1, 3, 0, -2), 2, 1),
+        ((5, -4, 5, -4), 3),
+        ((5, 4, 1, 2), 0),
+        ((1, 0, -1, 0), 1),
+        ((1, 0, 1, -4), 1),
+        ((0,) * 4, 0),
+        ((-1, 3, 0, -2), 2),
     ],
 )
-def test_reversals_of_scripted_turns(angles, reversals, trembling):
-    found = one(table(actions=turning(*angles)))
-    assert (found["reversals"], found["trembling"]) == (reversals / 4, trembling / 4)
+def test_reversals_of_scripted_turns_skip_straight_steps(angles, reversals):
+    assert one(table(actions=turning(*angles)))["reversals"] == reversals / 4
 
 
 def test_a_turn_is_not_compared_with_one_of_another_flight_seed_or_mode():
@@ -186,17 +175,14 @@ def test_a_turn_is_not_compared_with_one_of_another_flight_seed_or_mode():
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.lists(st.integers(-4, 5), min_size=1, max_size=9), min_size=1, max_size=3))
 def test_reversals_agree_with_a_slow_loop(flights):
-    reversals = trembling = 0
+    reversals = 0
     for angles in flights:
         for now, angle in enumerate(angles):
             before = [earlier for earlier in angles[:now] if earlier]
-            if before and angle * before[-1] < 0:
-                reversals += 1
-                trembling += angles[now - 1] != 0
+            reversals += bool(before) and angle * before[-1] < 0
     rows = pd.concat([table(actions=turning(*angles), layout=n) for n, angles in enumerate(flights)])
-    found, steps = one(rows.sample(frac=1, random_state=0)), len(rows)  # in any order
-    assert found["reversals"] == pytest.approx(reversals / steps)
-    assert found["trembling"] == pytest.approx(trembling / steps)
+    found = one(rows.sample(frac=1, random_state=0))  # in any order
+    assert found["reversals"] == pytest.approx(reversals / len(rows))
 
 
 def test_straight_speed_is_7_and_turning_speed_2():
@@ -251,34 +237,27 @@ def test_heat_with_squares_that_do_not_divide_the_window():
 # -- files -----------------------------------------------------------------------------------------------------------
 
 
-def write_run(path, **config):
+def not_flown(path, **config):
     """A finished run of DQN's seed 0 that has not flown."""
-    path.mkdir()
-    config = {"algorithm": "dqn", "activation": "tanh", "seed": 0, "n_seeds": 1} | config
-    (path / "config.yaml").write_text(yaml.safe_dump(config))
-    (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100}))
-    pd.DataFrame(columns=[*EPISODE_COLUMNS]).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
-    pd.DataFrame({"seed": [0], "frame": [100]}).to_parquet(path / "progress.parquet")
-    return Run(path)
+    return Run(write_run(path, rows(0), **config))
 
 
 def test_flights_in_the_empty_arena_are_read_with_poses_from_the_four_headings_and_none_where_there_is_none(tmp_path):
     """A step of 9 px each way leaves 271 px to the wall above and below, and 291 beside."""
-    run = write_run(tmp_path / "run")
+    run = not_flown(tmp_path / "run")
     assert read_arena(run) is None
     flown = pd.concat([table(layout=layout, actions=[STOP, FULL_SPEED]) for layout in range(4)])
     flown[[*BEHAVIOUR_COLUMNS, "mode"]].to_parquet(run.path / "arena.parquet")
     found = read_arena(run)
     assert found["heading"].tolist() == [0, 0, 90, 90, 180, 180, 270, 270]
     assert found["clearance"].tolist() == [280, 280, 280, 271, 280, 280, 280, 271]
-    assert measures(found, EMPTY_ARENA, WORLD)["border"].tolist() == [1]
     flown.assign(layout=4).to_parquet(run.path / "arena.parquet")
     with pytest.raises(RunError, match=r"arena\.parquet: has layout=4; evaluate the run again"):
         read_arena(run)
 
 
 def test_a_file_holds_actions_and_is_read_with_their_poses_and_none_where_there_is_none(tmp_path):
-    run = write_run(tmp_path / "run")
+    run = not_flown(tmp_path / "run")
     assert read(run) is None
     written = table(actions=[FULL_SPEED, *turning(5, distance=2)])
     written[[*BEHAVIOUR_COLUMNS, "mode"]].to_parquet(run.path / "behaviour.parquet")
@@ -293,13 +272,13 @@ def test_a_file_holds_actions_and_is_read_with_their_poses_and_none_where_there_
 
 
 def test_a_file_from_before_poses_were_left_out_is_read_alike(tmp_path):
-    run = write_run(tmp_path / "run")
+    run = not_flown(tmp_path / "run")
     table([(1, 2)]).to_parquet(run.path / "behaviour.parquet")  # whose poses are not looked at
     assert read(run)[["x", "y"]].to_numpy().tolist() == [[400, 300]]
 
 
 def test_flights_of_a_run_with_random_headings_begin_with_those_of_its_evaluation(tmp_path):
-    run = write_run(tmp_path / "run", world={"start_heading": "random"})
+    run = not_flown(tmp_path / "run", world={"start_heading": "random"})
     stops = pd.concat([table(layout=layout) for layout in range(10)])
     stops.to_parquet(run.path / "behaviour.parquet")
     begun = flights.headings(on(make_task(world=World(start_heading="random"))), 200)[:10]
@@ -345,7 +324,7 @@ def with_header(rows, **protocol):
     ],
 )
 def test_a_foreign_table_is_refused_in_one_line(tmp_path, change, message):
-    run = write_run(tmp_path / "run")
+    run = not_flown(tmp_path / "run")
     change(table()).to_parquet(run.path / "behaviour.parquet")
     with pytest.raises(RunError, match=f"behaviour.parquet: .*{message}") as caught:
         read(run)
@@ -365,7 +344,7 @@ def test_a_foreign_table_is_refused_in_one_line(tmp_path, change, message):
     ],
 )
 def test_flights_of_another_world_than_the_drones_are_refused_in_one_line(tmp_path, config, message):
-    run = write_run(tmp_path / "run", **config)
+    run = not_flown(tmp_path / "run", **config)
     table().to_parquet(run.path / "behaviour.parquet")
     with pytest.raises(RunError, match=message) as caught:
         read(run)
@@ -373,7 +352,7 @@ def test_flights_of_another_world_than_the_drones_are_refused_in_one_line(tmp_pa
 
 
 def test_a_damaged_table_is_refused_in_one_line(tmp_path):
-    run = write_run(tmp_path / "run")
+    run = not_flown(tmp_path / "run")
     (run.path / "behaviour.parquet").write_bytes(b"x" * 100)
     with pytest.raises(RunError, match=r"behaviour.parquet: missing or damaged; evaluate the run again") as caught:
         read(run)

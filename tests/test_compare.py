@@ -1,12 +1,14 @@
 """Runs, zips and baselines side by side: known numbers, and what is refused."""
 
 import json
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pandas as pd
 import pytest
+from made_up import episodes
 from rich.console import Console
 
 from uavnav.cli import compare as command
@@ -27,16 +29,14 @@ from uavnav.report.compare import (
     text,
 )
 from uavnav.report.tables import side_by_side
-from uavnav.runs.metrics import EPISODE_COLUMNS
 
 PROTOCOL = header("test", EPISODES, MAX_STEPS)
 
 
 def made_up(name, rewards, steps=10, protocol=PROTOCOL, **place):
     """Two flights a seed, each of the reward of its seed."""
-    rows = [(seed, steps, 0, place, steps, 1, 0, 2, 50, reward, True, False)
-            for seed, reward in enumerate(rewards) for place in range(2)]  # fmt: skip
-    table = pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+    flown = [(seed, steps, n, steps, 1, 2, 50, reward) for seed, reward in enumerate(rewards) for n in range(2)]
+    table = episodes("seed frame layout steps stops turns distance reward", *flown)
     return Contender(name, table, protocol, {"task": "drone"} | place, None)
 
 
@@ -74,7 +74,8 @@ def test_the_text_and_the_page_hold_every_contender_and_no_claim(capsys):
     html = page([ABOVE, BELOW]).decode()
     for row in side_by_side(seeds_of([ABOVE, BELOW])):
         assert row[0] in html
-    assert html.count("<figure") == 2  # improvement and survival; nothing was trained
+    assert html.count("<figure") == 1  # survival; nothing was trained
+    assert re.findall("<td>0.94</td>", html) == ["<td>0.94</td>"]  # the probability
     seen = said + html.partition("</style>")[2]
     assert "claim" not in seen
     assert "the paper" not in seen

@@ -3,7 +3,6 @@
 import io
 import re
 import warnings
-from types import SimpleNamespace
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
@@ -11,15 +10,15 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
-from figures_read import switches, texts
+from made_up import cell, episodes
 from PIL import Image
 
 from uavnav import stats, style
-from uavnav.report import arena, charts, curves
-from uavnav.report.cells import BINS, EMPTY, Cell
+from uavnav.report import arena, charts, curves, figures
+from uavnav.report.cells import BINS
 from uavnav.report.page import _embedded
 from uavnav.runs import paper
-from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.readings import SAMPLED
 from uavnav.tasks.world import World
 
 FRAMES = 1000
@@ -34,16 +33,30 @@ def _no_warnings():
         yield
 
 
-def cell(*seeds, algorithm="ppo", activation="tanh", label=""):
+def texts(figure):
+    """Every word on a figure, in legends too."""
+    return [text.get_text() for text in figure.findobj(matplotlib.text.Text) if text.get_text()]
+
+
+def lines(axes, marker):
+    return [line for line in axes.lines if line.get_marker() == marker]
+
+
+def switches(**values):
+    """Differences of PPO and DQN under some switches, with intervals 4 wide, of 8 seeds."""
+    rows = [(name, "PPO - DQN", value, value - 2, value + 2, 8) for name, value in values.items()]
+    return pd.DataFrame(rows, columns=["switch", "conclusion", "value", "low", "high", "n"])
+
+
+def trained(*seeds, algorithm="ppo", activation="tanh", label=""):
     """A cell from the rewards per frame of each seed, one episode a bin; the bins after the last are like it."""
     rows = [
-        (seed, (place + 1) * WIDTH, 0, 0, WIDTH, 0, 0, 0, 0, WIDTH * reward, True, False)
+        (seed, (place + 1) * WIDTH, WIDTH, WIDTH * reward)
         for seed, rewards in enumerate(seeds)
         for place, reward in enumerate([*rewards, *rewards[-1:] * (BINS - len(rewards))])
     ]
-    episodes = pd.DataFrame(rows, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
-    runs = [SimpleNamespace(seeds=list(range(len(seeds))))]
-    return Cell(algorithm, activation, {"frames": FRAMES, "n_envs": 1}, runs, episodes, EMPTY, label)
+    made = episodes("seed frame steps reward", *rows)
+    return cell(made, (algorithm, activation), n_seeds=len(seeds), label=label, frames=FRAMES, n_envs=1)
 
 
 def heights(band):
@@ -77,12 +90,9 @@ WORLD = World()
 BANK = np.array([[[100.0, 100.0, 50.0], [600.0, 400.0, 80.0]]] * 3)
 PATHS = flights([(400.0, 310.0), (400.0, 320.0)], [(400.0, 330.0)], [(410.0, 300.0)] * 5)
 EXAMPLES = {
-    "curves": lambda: curves.curves([cell([1.0, 2.0], [3.0, 4.0])], "reward"),
+    "curves": lambda: curves.curves([trained([1.0, 2.0], [3.0, 4.0])], "reward"),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([1.0, 2.0])}, {"PPO tanh": 3.0}, "reward"),
     "behaviours": lambda: charts.behaviours(behaviours_of(["PPO tanh"], clearance=(60.0, 80.0))),
-    "improvement": lambda: charts.improvement_matrix(
-        stats.improvement({"PPO tanh": np.array([1.0, 2.0]), "DQN tanh": np.array([0.0, 1.5])}), "reward"
-    ),
     "survival": lambda: curves.survival({"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0])}, 10),
     "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS}, BANK, [0, 1], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.full((3, 4), 1 / 12)}, WORLD),
@@ -90,11 +100,10 @@ EXAMPLES = {
 }
 NOTHING = {
     "curves": lambda: curves.curves([], "reward"),
-    "curves of no episode": lambda: curves.curves([cell([])], "reward"),
+    "curves of no episode": lambda: curves.curves([trained([])], "reward"),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([np.nan])}, {}, "reward"),
     "behaviours": lambda: charts.behaviours(behaviours_of(["PPO tanh"], clearance=(np.nan, np.nan))),
     "behaviours of none": lambda: charts.behaviours(pd.DataFrame()),
-    "improvement": lambda: charts.improvement_matrix(stats.improvement({}), "reward"),
     "survival": lambda: curves.survival({}, 10),
     "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS[:0]}, BANK, [0], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.zeros((3, 4))}, WORLD),
@@ -167,7 +176,7 @@ def test_a_figure_of_nothing_says_no_data(name):
 
 
 def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_mean_is_dashed():
-    drawn = curves.curves([cell([0.0, 3.0], [3.0, 3.0], [6.0, 3.0])], "reward")
+    drawn = curves.curves([trained([0.0, 3.0], [3.0, 3.0], [6.0, 3.0])], "reward")
     (axes,) = drawn.figure.axes
     line, dashed = axes.lines
     assert line.get_ydata().tolist() == pytest.approx([3.0] * BINS)
@@ -205,33 +214,33 @@ def test_a_seed_without_a_value_counts_for_none_in_its_bin():
 
 def test_steps_per_collision_are_all_frames_over_all_collisions_so_that_a_seed_without_one_counts():
     """Seed 0 collides in every 40th frame and seed 1 never: 80 frames a collision, and of seed 1 alone no number."""
-    both = cell([0.0], [0.0])
+    both = trained([0.0], [0.0])
     both.episodes["terminated"] = both.episodes["seed"] == 0
     line = curves.learning(both, "steps")
     assert line["mean"].tolist() == pytest.approx([80.0] * BINS)
     assert line["low"].tolist() == pytest.approx([40.0] * BINS)  # both draws of seed 0
     assert line["high"].isna().all()  # both of seed 1
     assert "tanh 80.0" in curves.curves([both], "steps").alt
-    never = cell([0.0])
+    never = trained([0.0])
     never.episodes["terminated"] = False
     assert curves.curves([never], "steps").alt.endswith("in the last bin: tanh no data.")
 
 
 def test_one_seed_gives_a_line_and_no_band():
-    drawn = curves.curves([cell([1.0, 2.0])], "reward")
+    drawn = curves.curves([trained([1.0, 2.0])], "reward")
     (axes,) = drawn.figure.axes
     assert len(axes.collections) == 0
     assert "tanh 2.00 (n = 1; the paper's mean 0.0325)" in drawn.alt
 
 
 def test_a_cell_without_an_episode_is_said_beside_one_that_has_some():
-    drawn = curves.curves([cell([]), cell([1.0], activation="relu")], "reward")
+    drawn = curves.curves([trained([]), trained([1.0], activation="relu")], "reward")
     assert "tanh no data; relu 1.00 (n = 1;" in drawn.alt
     style.save(drawn.figure)
 
 
 def test_two_cells_of_one_activation_differ_in_their_lines_and_an_unknown_activation_has_a_colour():
-    cells = [cell([1.0], label="tanh"), cell([2.0], label="tanh (lr=1)"), cell([3.0], activation="mish")]
+    cells = [trained([1.0], label="tanh"), trained([2.0], label="tanh (lr=1)"), trained([3.0], activation="mish")]
     first, dashed, second, third = curves.curves(cells, "reward").figure.axes[0].lines
     assert (first.get_linestyle(), dashed.get_linestyle(), second.get_linestyle()) == ("-", "--", ":")
     assert first.get_color() == second.get_color() != third.get_color()
@@ -270,7 +279,7 @@ def test_nan_seeds_and_a_single_one_have_no_interval_and_do_not_crash():
     assert not any(line.get_linewidth() == 2.4 for line in drawn.figure.axes[0].lines)
 
 
-def test_behaviours_are_a_panel_a_measure_with_its_unit_and_a_row_a_cell():
+def test_behaviours_are_a_panel_a_measure_with_its_unit_and_a_row_a_trained():
     table = behaviours_of(["PPO tanh", "DQN tanh"], clearance=(60.0, 80.0), corridor=(0.25, 0.35), other=(1.0, 1.0))
     drawn = charts.behaviours(table)
     shown = [axes for axes in drawn.figure.axes if axes.axison]
@@ -278,24 +287,6 @@ def test_behaviours_are_a_panel_a_measure_with_its_unit_and_a_row_a_cell():
     assert [label.get_text() for label in shown[0].get_yticklabels()] == ["PPO tanh, n = 2", "DQN tanh, n = 2"]
     assert "clearance [px]: PPO tanh 70.0, DQN tanh 70.0" in drawn.alt
     assert "steps in corridors [share]: PPO tanh 0.3," in drawn.alt
-
-
-def test_a_row_that_beats_in_3_of_4_pairs_reads_0_75_and_the_other_way_0_25():
-    better, worse = np.array([2.0, 3.0]), np.array([1.0, 2.5])
-    drawn = charts.improvement_matrix(stats.improvement({"PPO tanh": better, "DQN tanh": worse}), "reward")
-    words = texts(drawn.figure)
-    assert {"0.75", "0.25", "PPO tanh, n = 2", "DQN tanh, n = 2"} <= set(words)
-    (image,) = drawn.figure.axes[0].images
-    assert image.get_array().tolist() == [[None, 0.75], [0.25, None]]
-    assert image.get_clim() == (0, 1)
-    assert "PPO tanh 0.75, DQN tanh 0.25; 0 of 1 pairs differ" in drawn.alt
-
-
-def test_a_pair_that_differs_by_holms_p_is_starred():
-    cells = {"PPO tanh": np.arange(10.0) + 10, "DQN tanh": np.arange(10.0), "DQN relu": np.array([])}
-    drawn = charts.improvement_matrix(stats.improvement(cells), "reward")
-    assert {"1.00*", "0.00*"} <= set(texts(drawn.figure))
-    assert "1 of 3 pairs differ" in drawn.alt
 
 
 def test_survival_steps_down_where_flights_end_and_marks_the_cap():
@@ -356,7 +347,7 @@ def test_heat_maps_share_a_scale_up_to_the_largest_share_and_lie_the_right_way_u
 
 
 def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apart():
-    cells = [cell([0.0], [1.0], algorithm="dqn", activation=one) for _, one in [*paper.TABLES][:4]]
+    cells = [trained([0.0], [1.0], algorithm="dqn", activation=one) for _, one in [*paper.TABLES][:4]]
     drawn = curves.curves(cells, "reward")
     (axes,) = drawn.figure.axes
     named = {text.get_text(): text.xyann for text in axes.texts}
@@ -364,3 +355,50 @@ def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apar
     heights = sorted(place for _, place in named.values())
     assert np.diff(heights).min() > 0.054
     assert {place for place, _ in named.values()} == {1.06}
+
+
+def test_a_forest_shades_the_defaults_interval_and_greys_intervals_with_0():
+    drawn = charts.sensitivity(switches(slots=1.0, default=5.0, padding=-3.0))
+    (axes,) = drawn.figure.axes
+    (shade,) = axes.patches
+    assert (shade.get_x(), shade.get_x() + shade.get_width()) == (3.0, 7.0)
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        *("default, n = 8", "slots, n = 8", "padding, n = 8")
+    ]
+    colours = {float(line.get_xdata()[0]): line.get_color() for line in lines(axes, "o")}
+    assert colours[5.0] == colours[-3.0] != colours[1.0] == style.PALE
+    assert "PPO - DQN 5.00 (95 % interval 3.00 to 7.00; n = 8) by default" in drawn.alt
+    assert drawn.alt.endswith("of the same sign under 1 of 2 other choices.")
+
+
+def test_a_forest_without_a_default_or_an_interval_has_no_shade():
+    drawn = charts.sensitivity(switches(slots=1.0).assign(low=np.nan, high=np.nan))
+    assert len(drawn.figure.axes[0].patches) == 0
+    assert "1 choices, none of them the default" in drawn.alt
+
+
+def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():
+    gaps = pd.DataFrame(
+        [("PPO tanh", "sampled", 10_000, 2, 4.0, -1.5, 9.5), ("PPO relu", "greedy", 10_000, 2, 9.0, 8.0, 10.0)],
+        columns=["who", "mode", "cap", "n", "reward", "low", "high"],
+    )
+    seeds = pd.DataFrame({"algorithm": "ppo", "activation": ["tanh"] * 2, "value": [3.0, 5.0]})
+    figure = figures._first(seeds.assign(reading=SAMPLED, metric="reward"), gaps, style.WIDTH)
+    assert figure.drawn.alt == "reward a flight, new obstacles: PPO tanh 4.00 (95 % interval -1.50 to 9.50; n = 2)."
+    assert "after 10,000 steps" in figure.caption
+
+
+def test_the_rule_is_a_dashed_line_beside_cells_and_among_flights_and_cells_without_it_have_none():
+    rows = {"PPO tanh": np.array([1.0, 2.0]), "DQN tanh": np.array([0.0, 1.0])}
+    drawn = charts.intervals(rows, {}, "reward", 428.0)
+    for axes in drawn.figure.axes:
+        assert [line.get_xdata()[0] for line in axes.lines if line.get_linestyle() == "--"] == [428.0]
+    assert drawn.alt.endswith("; hand-written rule 428.0.")
+    assert "the paper" not in texts(drawn.figure)  # of which there is no number
+    assert style.RULE in texts(drawn.figure)
+    assert style.RULE not in texts(charts.intervals(rows, {}, "reward").figure)
+    up = pd.Series([1.0, 1.0], index=[0.0, 100.0])
+    (axes,) = curves.survival({"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0]), style.RULE: up}, 100).figure.axes
+    mine, rule, _ = axes.lines
+    assert (mine.get_linestyle(), rule.get_linestyle(), rule.get_label()) == ("-", "--", style.RULE)
+    assert rule.get_ydata().tolist() == [1.0, 1.0]

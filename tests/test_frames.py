@@ -1,56 +1,47 @@
 """The report's tables of numbers, on made-up cells: each is what the statistics say of values known by hand."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from made_up import NO_STUDIES, cell, episodes, run
+from scipy.stats import spearmanr
 
 from uavnav import stats
 from uavnav.report import frames, tables
-from uavnav.report.cells import EMPTY, Cell, read_as
+from uavnav.report.cells import read_as
 from uavnav.report.claims import PRIMARY
-from uavnav.report.studies import Studies, of_paper
+from uavnav.report.studies import of_paper
 from uavnav.report.verdicts import audit
 from uavnav.runs import paper
-from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.readings import ALL, EVALUATIONS, PER_FRAME, READINGS, TOTALS
 
 SPREAD = (-1.0, 0.0, 1.0)
 
 
-def episodes(*rows):
+def flights(*rows):
     """From (seed, steps, distance, reward[, terminated, truncated]); half of the steps turn."""
-    full = []
-    for seed, steps, distance, reward, *ends in rows:
-        full.append((seed, 10, 0, 0, steps, 0, 0, steps / 2, distance, reward, *(ends or (True, False))))
-    return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+    made = episodes("seed steps distance reward terminated truncated", *rows)
+    return made.assign(frame=10, turns=made["steps"] // 2)
 
 
-def run(seeds=(0,), progress=None, **meta):
-    return SimpleNamespace(seeds=[*seeds], meta=meta, frames=1_000_000, progress=progress)
-
-
-def cell(rewards, algorithm="ppo", activation="tanh", flown=EMPTY, runs=None, frames=100):
+def of_rewards(rewards, key=("ppo", "tanh"), frames=100, **more):
     """A seed for each reward, with one episode of 100 steps at 4 px."""
-    rows = [(seed, 100, 400, reward) for seed, reward in enumerate(rewards)]
-    runs = runs or [run(range(len(rewards)))]
-    return Cell(algorithm, activation, {"frames": frames}, runs, episodes(*rows), flown)
+    return cell(flights(*((seed, 100, 400, reward) for seed, reward in enumerate(rewards))), key, frames=frames, **more)
 
 
 def cells(**means):
     """Cells by `ppo_tanh` and so on: three seeds around a mean."""
     keys = {name: tuple(name.split("_", 1)) for name in means}
-    return {keys[name]: cell([mean + one for one in SPREAD], *keys[name]) for name, mean in means.items()}
+    return {keys[name]: of_rewards([mean + one for one in SPREAD], keys[name]) for name, mean in means.items()}
 
 
 # -- values and estimates ---------------------------------------------------------------------------------------------
 
 
 def test_a_row_for_each_seed_metric_and_reading():
-    rows = episodes((0, 100, 400, -6.0), (0, 300, 2400, -2.0), (1, 400, 800, 3.0))
-    one = Cell("dqn", "tanh", {"frames": 400}, [run([0, 1])], rows, EMPTY)
+    one = cell(flights((0, 100, 400, -6.0), (0, 300, 2400, -2.0), (1, 400, 800, 3.0)), ("dqn", "tanh"), frames=400)
     found = frames.per_seed_values({("dqn", "tanh"): one})
     assert [*found] == ["algorithm", "activation", "reading", "metric", "seed", "value"]
     keyed = found.set_index(["reading", "metric", "seed"])["value"].sort_index()
@@ -64,7 +55,9 @@ def test_a_row_for_each_seed_metric_and_reading():
 
 def test_estimates_are_the_statistics_of_the_seeds_beside_the_papers_number():
     rewards = [80.0, 90.0, 120.0, 70.0, 200.0]
-    values = frames.per_seed_values({("ppo", "tanh"): cell(rewards), ("ppo", "mish"): cell([1.0], activation="mish")})
+    values = frames.per_seed_values(
+        {("ppo", "tanh"): of_rewards(rewards), ("ppo", "mish"): of_rewards([1.0], ("ppo", "mish"))}
+    )
     found = frames.estimates(values).set_index(["activation", "reading", "metric"])
     row = found.loc["tanh", ALL, "reward"]
     mean, middle = stats.interval(rewards), stats.interval(rewards, stats.interquartile_mean)
@@ -123,9 +116,9 @@ def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
     at 100 and 300 steps: a mean of 200."""
     cut = (False, True)
     first = [(0, 10, 0, 0.0), (0, 20, 0, 0.0), (0, 30, 0, 0.0, *cut), (0, 40, 0, 0.0, *cut)]
-    flown = episodes(*first, (1, 100, 0, 0.0), (1, 300, 0, 0.0)).assign(mode="sampled")
-    one = cell([0.0, 0.0], flown=pd.concat([flown, episodes((0, 9999, 0, 0.0)).assign(mode="greedy")]))
-    curves, table = frames.survival({("ppo", "tanh"): one, ("ppo", "relu"): cell([0.0], activation="relu")}, {})
+    flown = flights(*first, (1, 100, 0, 0.0), (1, 300, 0, 0.0)).assign(mode="sampled")
+    one = of_rewards([0.0, 0.0], flown=pd.concat([flown, flights((0, 9999, 0, 0.0)).assign(mode="greedy")]))
+    curves, table = frames.survival({("ppo", "tanh"): one, ("ppo", "relu"): of_rewards([0.0], ("ppo", "relu"))}, {})
     (row,) = table.to_dict("records")
     of_first = 10 + 0.75 * 10 + 0.5 * (frames.CAP - 20)
     assert row["restricted_mean"] == pytest.approx((of_first + 200) / 2)
@@ -144,7 +137,7 @@ def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
 
 def studies(baseline, **switches):
     named = {name.replace("__", "="): found for name, found in switches.items()}
-    return Studies({}, {}, baseline, {}, named, {}, {}, [])
+    return NO_STUDIES._replace(baseline=baseline, switches=named)
 
 
 def flips(table):
@@ -177,8 +170,8 @@ def test_a_switch_flips_a_conclusion_if_its_interval_lies_wholly_on_the_other_si
 def test_an_unclear_conclusion_cannot_be_flipped_and_one_seed_neither():
     found = frames.sensitivity(studies(cells(ppo_tanh=0.1, ppo_relu=0), a__b=cells(ppo_tanh=0, ppo_relu=10)))
     assert flips(found)["a=b", "PPO: tanh above ReLU"] == "sign"
-    base = {key: cell([mean], *key) for key, mean in {("ppo", "tanh"): 9.0, ("ppo", "relu"): 0.0}.items()}
-    other = {key: cell([mean], *key) for key, mean in {("ppo", "tanh"): 0.0, ("ppo", "relu"): 9.0}.items()}
+    base = {key: of_rewards([mean], key) for key, mean in {("ppo", "tanh"): 9.0, ("ppo", "relu"): 0.0}.items()}
+    other = {key: of_rewards([mean], key) for key, mean in {("ppo", "tanh"): 0.0, ("ppo", "relu"): 9.0}.items()}
     assert flips(frames.sensitivity(studies(base, a__b=other)))["a=b", "PPO: tanh above ReLU"] == "sign"
 
 
@@ -214,7 +207,7 @@ def evaluated(**means):
 def test_ppo_minus_dqn_tuned_is_of_the_activations_that_both_have_and_of_the_same_in_the_main_study():
     tuned = evaluated(ppo_tanh=30, ppo_relu=50, dqn_relu=10, dqn_sigmoid=99)
     main = evaluated(ppo_tanh=1, ppo_relu=5, dqn_tanh=99, dqn_relu=25)
-    found = frames.by_default(Studies(main, {}, {}, {}, {}, {}, tuned, []))
+    found = frames.by_default(NO_STUDIES._replace(main=main, tuned=tuned))
     assert found[["settings", "activations", "value", "n"]].to_numpy().tolist() == [
         ["preset fast", "relu", 40, 3],
         ["main study", "relu", -20, 3],
@@ -225,10 +218,10 @@ def test_ppo_minus_dqn_tuned_is_of_the_activations_that_both_have_and_of_the_sam
 
 
 def test_without_an_activation_of_both_nothing_is_said_of_tuned():
-    found = frames.by_default(Studies({}, {}, {}, {}, {}, {}, evaluated(ppo_tanh=30, dqn_relu=10), []))
+    found = frames.by_default(NO_STUDIES._replace(tuned=evaluated(ppo_tanh=30, dqn_relu=10)))
     assert found["n"].tolist() == [0, 0]
     assert all(row[1:] == ["", "0", "–"] for row in tables.listed(found, tables.BY_DEFAULT)[1:])
-    unevaluated = frames.by_default(Studies({}, {}, {}, {}, {}, {}, cells(ppo_tanh=1, dqn_tanh=2), []))
+    unevaluated = frames.by_default(NO_STUDIES._replace(tuned=cells(ppo_tanh=1, dqn_tanh=2)))
     assert unevaluated["value"].isna().all()
 
 
@@ -241,7 +234,7 @@ def test_wall_times_stand_beside_their_own_machine_even_where_a_run_has_none():
         run([1, 2], machine={"processor": "an abacus"}, wall_seconds=7200),
         run([3], wall_seconds=60, machine="a slide rule"),
     ]
-    found = frames.speed({("ppo", "tanh"): cell([0.0] * 4, runs=runs)})
+    found = frames.speed({("ppo", "tanh"): of_rewards([0.0] * 4, runs=runs)})
     assert found.to_numpy().tolist() == [["PPO tanh", 3600, 2, "an abacus"], ["PPO tanh", 60, 1, "a slide rule"]]
 
 
@@ -249,7 +242,7 @@ def test_diagnostics_are_of_the_last_tenth_and_columns_that_a_run_lacks_have_no_
     progress = pd.DataFrame(
         {"seed": [0, 0, 0, 1, 1], "frame": [900, 901, 1000, 950, 1], "dormant": [9.0, 0.2, 0.4, 0.1, 9.0]}
     )
-    found = frames.diagnostics({("ppo", "tanh"): cell([0, 0], runs=[run([0, 1], progress)], frames=1000)})
+    found = frames.diagnostics({("ppo", "tanh"): of_rewards([0, 0], runs=[run([0, 1], progress)], frames=1000)})
     (row,) = found.to_dict("records")
     assert (row["cell"], row["diagnostic"], row["n"]) == ("PPO tanh", "dormant", 2)
     assert row["value"] == pytest.approx(0.2)
@@ -266,7 +259,7 @@ def test_flights_of_the_main_study_by_cell():
 def test_baselines_are_read_and_a_foreign_file_is_named(tmp_path):
     folder = tmp_path / "baselines"
     folder.mkdir()
-    episodes((0, 10, 90, -9.0)).to_parquet(folder / "straight.parquet")
+    flights((0, 10, 90, -9.0)).to_parquet(folder / "straight.parquet")
     (folder / "damaged.parquet").write_bytes(b"PAR1")
     pd.DataFrame({"price": [1.0]}).to_parquet(folder / "foreign.parquet")
     (folder / "notes.txt").write_text("x")
@@ -334,3 +327,220 @@ def test_a_reading_is_worked_out_once_and_known_under_a_label_too(monkeypatch):
     other = replace(one, episodes=one.episodes.assign(reward=5.0))  # other rows are read anew
     assert (read_as(other, PER_FRAME)["reward"] == 5).all()
     assert len(asked) == 2
+
+
+# -- gaps to the rule, effects, peaks, fits, sizes of studies ---------------------------------------------------------
+
+KEY = ("dqn", "sigmoid")
+
+
+def on_sets(*rows):
+    """From (seed, layout, steps, reward, cut off)."""
+    made = episodes("seed layout steps reward truncated", *rows)
+    return made.assign(terminated=~made["truncated"])
+
+
+def in_stretches(*seeds, frames=1_000_000, key=KEY, **more):
+    """A cell from the rewards of each seed's ten stretches of 100,000 frames, each one flight."""
+    rows = [
+        (seed, (place + 1) * 100_000, 100_000, reward - 10)
+        for seed, rewards in enumerate(seeds)
+        for place, reward in enumerate(rewards)
+    ]
+    return cell(episodes("seed frame steps reward", *rows), key, frames=frames, n_envs=1, n_seeds=len(seeds), **more)
+
+
+RULE = on_sets((0, 0, 100, 40.0, True), (0, 1, 100, 60.0, True))
+
+
+def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_students_interval():
+    """Seed 0 is 10 and 30 below the rule, seed 1 20 above and 0: gaps of -20 and 10, which differ by 30."""
+    mine = [(0, 0, 100, 30.0, True), (0, 1, 50, 30.0, False), (1, 0, 100, 60.0, True), (1, 1, 100, 60.0, True)]
+    greedy = [(0, 0, 100, 40.0, True)]
+    flown = pd.concat([on_sets(*mine).assign(mode="sampled"), on_sets(*greedy).assign(mode="greedy")])
+    rule, first, second = frames.gaps({KEY: in_stretches([0.0], flown=flown)}, {"reactive": RULE}).to_dict("records")
+    assert (rule["who"], rule["reward"], rule["up"], rule["per_frame"], rule["cap"]) == ("reactive", 50, 1, 0.5, 100)
+    assert np.isnan([rule["gap"], rule["above"], rule["low"]]).all()
+    assert (first["mode"], first["gap"], first["n"], first["above"]) == ("greedy", 0, 1, 0)
+    assert np.isnan(first["gap_low"])
+    assert (second["who"], second["mode"], second["n"], second["flights"]) == ("DQN sigmoid", "sampled", 2, 4)
+    assert (second["reward"], second["up"], second["gap"], second["above"]) == (45, 0.75, -5, 0.5)
+    half = 12.706 * 15  # t with one degree of freedom, times 30 / 2
+    assert (second["gap_low"], second["gap_high"]) == pytest.approx((-5 - half, -5 + half), rel=1e-4)
+    assert second["per_frame"] == pytest.approx((60 / 150 + 120 / 200) / 2)
+
+
+@pytest.mark.parametrize(
+    "mine",
+    [
+        [(0, 0, 40, 30.0, True)],  # below another cap
+        [(0, 2, 100, 30.0, True)],  # on a set that the rule did not fly
+    ],
+)
+def test_flights_of_another_test_have_no_gap(mine):
+    own = in_stretches([0.0], flown=on_sets(*mine).assign(mode="sampled"))
+    found = frames.gaps({KEY: own}, {"reactive": RULE})
+    assert found["gap"].isna().all()
+    assert found["reward"].tolist() == [50, 30]
+    assert frames.gaps({KEY: own}, {})["gap"].isna().all()
+    assert frames.gaps({}, {}).empty
+
+
+def test_an_effect_is_the_setting_minus_as_decided_over_the_activations_of_both():
+    def of(*rewards, activation="tanh"):
+        return in_stretches(*([reward] * 10 for reward in rewards), key=("dqn", activation))
+
+    usual = {("dqn", "tanh"): of(0.0, 200.0), ("dqn", "relu"): of(50.0, 150.0, activation="relu")}
+    switch = {("dqn", "tanh"): of(600.0, 1000.0), ("ppo", "tanh"): of(9.0, 9.0)}
+    found = frames.effects(NO_STUDIES._replace(baseline=usual, switches={"n_steps=5": switch}))
+    (row,) = found.to_dict("records")
+    expected = stats.difference([np.array([0.006, 0.01])], [np.array([0.0, 0.002])])
+    assert (row["switch"], row["algorithm"], row["frames"], row["n"]) == ("n_steps=5", "dqn", 1_000_000, 2)
+    assert (row["value"], row["low"], row["high"]) == pytest.approx(expected[:3])
+    assert row["value"] == pytest.approx(0.007)
+    both = frames.effects(NO_STUDIES._replace(main=usual, vectorised={("dqn", "tanh"): of(0.0, 0.0)}))
+    assert both[["switch", "algorithm", "value"]].to_numpy().tolist() == [
+        ["many environments", "dqn", pytest.approx(-0.001)]
+    ]
+    assert frames.effects(NO_STUDIES).empty
+
+
+def test_a_cell_that_rises_by_100_and_falls_by_75_loses_three_quarters_and_peaks_where_it_is_best():
+    """Rewards of 0 a stretch of 100,000 frames, 100 in the next three, 25 at the end; others up to 1.4 times it."""
+    seed = np.array([0, 0, 0, 100, 100, 101, 25, 25, 25, 25.0])
+    found = frames.peaks({KEY: in_stretches(*(seed * times for times in (1, 1.1, 1.2, 1.3, 1.4)))}).set_index("measure")
+    assert found.loc["lost", "value"] == pytest.approx((301 / 3 - 25) / (301 / 3))
+    assert found.loc["lost", "low"] == pytest.approx(found.loc["lost", "high"])  # the share is the same in both
+    assert found.loc["peak", "value"] == pytest.approx(540_000)  # the first of the stretches of 40,000 frames within
+    assert frames.peaks({KEY: in_stretches(seed, frames=600_000)}).empty
+
+
+def test_numbers_within_are_counted_for_all_cells_and_for_each_and_those_without_seeds_are_left_out():
+    """A number of 10 in an interval of 4 scores 4 / 10; one 3 beside an interval of 6 scores (6 + 40 x 3) / 10."""
+    rows = [
+        ("ppo", "tanh", 10.0, 8.0, 12.0, True, 8),
+        ("ppo", "tanh", -10.0, -7.0, -1.0, False, 8),
+        ("dqn", "relu", 10.0, 7.0, 13.0, True, 8),
+        ("dqn", "tanh", 10.0, np.nan, np.nan, False, 0),
+    ]
+    columns = ["algorithm", "activation", "paper", "low", "high", "within", "n"]
+    table = pd.DataFrame(rows, columns=columns).assign(reading="per frame")
+    found = frames.fits(table).set_index("cell")
+    assert found[["within", "numbers"]].T.to_dict("list") == {
+        "all cells": [2, 3],
+        "DQN relu": [1, 1],
+        "PPO tanh": [1, 2],
+    }
+    assert found["score"].round(9).to_dict() == {"all cells": 4.533333333, "DQN relu": 0.6, "PPO tanh": 6.5}
+    assert frames.fits(table[:0]).empty
+
+
+def test_each_study_has_a_row_a_cell_and_the_main_one_those_of_the_papers_activations():
+    key, other = ("ppo", "tanh"), ("ppo", "mish")
+    main = {key: in_stretches([0.0], [0.0], key=key), other: in_stretches([0.0], key=other)}
+    found = frames.sizes(
+        NO_STUDIES._replace(main=main, switches={"k=4": {other: in_stretches([0.0], key=other, frames=300_000)}})
+    )
+    assert found.to_numpy().tolist() == [["main", *key, 2, 1_000_000, 1], ["k=4", *other, 1, 300_000, 1]]
+
+
+# -- one environment a seed against many: studies with known scatter, open flights and order -----------------------
+
+FRAMES = 1_000_000
+
+
+def in_worlds(n_envs=1, **cells):
+    """Cells of DQN, an activation each, from (reward in the last 100,000 frames, steps of each open flight) a seed.
+
+    Whatever is not open is one flight of all frames until then; each open flight earns nothing.
+    """
+    made = {}
+    for activation, seeds in cells.items():
+        rows = []
+        for seed, (reward, *open_flights) in enumerate(seeds):
+            rows.append((seed, FRAMES - 100_000, 800_000, -10.0))
+            rows.append((seed, FRAMES, 100_000 // n_envs, reward - 10))
+            rows += [(seed, FRAMES, steps, 0.0, False) for steps in open_flights]
+        key = ("dqn", activation)
+        made[key] = cell(episodes("seed frame steps reward terminated", *rows), key, frames=FRAMES, n_envs=n_envs)
+    return made
+
+
+def worlds(one, many):
+    return frames.one_against_many(NO_STUDIES._replace(main=one, vectorised=many)).set_index("measure")
+
+
+def spread(middle, half):
+    """Five seeds whose standard deviation is `half`."""
+    return [(middle + half * one,) for one in (-1.0, -1.0, 0.0, 1.0, 1.0)]
+
+
+def test_scatter_is_the_difference_of_standard_deviations_late_in_training_mean_over_activations():
+    one = in_worlds(tanh=spread(5e3, 1000.0), relu=spread(9e3, 3000.0))
+    many = in_worlds(16, tanh=spread(0.0, 500.0), relu=spread(3e3, 500.0), sigmoid=spread(0.0, 9e9))
+    row = worlds(one, many).loc["scatter"]
+    scale = stats.deviations(np.array([-1.0, -1.0, 0.0, 1.0, 1.0])).mean()  # the jackknife's, of a deviation of 1
+    assert scale == pytest.approx(1, abs=0.1)
+    assert row["value"] == pytest.approx(scale * (0.01 + 0.03 - 0.005 - 0.005) / 2)
+    assert (row["algorithm"], row["n"]) == ("dqn", 5)
+    assert row["low"] < row["value"] < row["high"]
+
+
+def test_open_flights_are_those_of_each_seed_that_no_crash_ended():
+    one = in_worlds(tanh=[(0.0, 600_000), (0.0, 200_000), (0.0,)])
+    many = in_worlds(16, tanh=[(0.0, 30_000, 10_000), (0.0, 20_000, 20_000), (0.0, 40_000)])
+    found = worlds(one, many)
+    assert found.loc["longest", "value"] == pytest.approx((600_000 + 200_000 + 0 - 30_000 - 20_000 - 40_000) / 3)
+    assert found.loc["open", "value"] == pytest.approx((0.6 + 0.2 + 0 - 3 * 0.04) / 3)
+
+
+def test_the_order_is_spearmans_correlation_of_the_activations_means():
+    rewards = {"tanh": 4e4, "sigmoid": 1e4, "relu": 3e4, "leaky_relu": 2e4}
+    one = in_worlds(**{name: spread(own, 1.0) for name, own in rewards.items()})
+    row = worlds(one, one).loc["order"]
+    assert row[["value", "low", "high"]].tolist() == pytest.approx([1, 1, 1])
+    turned = in_worlds(16, **{name: spread(-own, 1.0) for name, own in rewards.items()})
+    assert worlds(one, turned).loc["order", ["value", "low", "high"]].tolist() == pytest.approx([-1, -1, -1])
+
+
+def test_without_a_study_in_one_world_there_is_nothing_to_compare():
+    main = in_worlds(16, tanh=spread(0.0, 1.0))
+    assert frames.one_against_many(NO_STUDIES._replace(main=main)).empty
+    assert [*frames.one_against_many(NO_STUDIES)] == ["measure", "algorithm", "value", "low", "high", "n"]
+
+
+def test_the_jackknifes_deviations_are_a_slow_loops_and_their_mean_is_nearly_the_standard_deviation():
+    seeds = np.random.default_rng(0).normal(3, 2, size=12)
+    slow = [12 * np.std(seeds, ddof=1) - 11 * np.std([*seeds[:i], *seeds[i + 1 :]], ddof=1) for i in range(12)]
+    assert stats.deviations(seeds) == pytest.approx(slow)
+    assert stats.deviations(seeds).mean() == pytest.approx(seeds.std(ddof=1), rel=0.05)
+    assert np.isnan(stats.deviations(np.array([1.0, 2.0]))).all()
+    assert stats.deviations(np.full(5, 7.0)).tolist() == [0.0] * 5
+
+
+@pytest.mark.parametrize("n", [20, 40])
+def test_the_interval_of_a_difference_of_deviations_covers_it_in_about_95_percent_of_400_draws(n):
+    rng, covered = np.random.default_rng(n), 0
+    for _ in range(400):
+        first, second = rng.normal(0, 5, size=(4, n)), rng.normal(0, 2, size=(4, 20))
+        found = stats.difference([*map(stats.deviations, first)], [*map(stats.deviations, second)])
+        covered += found.low <= 3 <= found.high
+    assert 0.91 <= covered / 400 <= 0.98
+
+
+def test_ranks_correlate_as_scipys_do_and_their_interval_widens_with_scatter():
+    rng = np.random.default_rng(2)
+    first = [rng.normal(mean, 0.1, size=20) for mean in (0, 3, 1, 2)]
+    second = [rng.normal(mean, 0.1, size=40) for mean in (0, 3, 2, 1)]
+    found = stats.rank_correlation(first, second)
+    expected = spearmanr([own.mean() for own in first], [own.mean() for own in second]).statistic
+    assert (found.value, found.n) == (pytest.approx(expected), 20)
+    assert (found.low, found.high) == (pytest.approx(0.8), pytest.approx(0.8))  # no draw changes places
+    wide = stats.rank_correlation([10 * rng.normal(size=20) + own for own in first], second)
+    assert wide.high - wide.low > 0.5
+
+
+def test_ranks_of_one_cell_of_one_seed_or_of_equal_means_have_no_correlation():
+    two = [np.array([1.0, 2.0]), np.array([3.0, 4.0])]
+    for first in (two[:1], [np.array([1.0]), two[1]], [two[0], two[0]]):
+        assert np.isnan(stats.rank_correlation(first, two[: len(first)])[:3]).all()

@@ -6,14 +6,14 @@ from collections import deque
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_up import episodes
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import Run, paper
-from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric, per_seed
+from uavnav.runs.metrics import METRICS, Metric, per_seed
 from uavnav.runs.readings import LOG_CURVE, PER_FRAME, READINGS, decimals, log_curve, per_frame, within, words
 
 RESULTS = Path(__file__).parent.parent / "results"
@@ -27,13 +27,10 @@ SIX = {"stops": 100, "full_stops": 100, "turns": 100, "speed": 1}
 """The ratios, and what they are times."""
 
 
-def episodes(*rows):
+def flights(*rows):
     """From (seed, frame, world, steps, distance, reward, terminated, truncated); half of the steps turn."""
-    full = [
-        (seed, frame, world, 0, steps, 1, 0, steps // 2, distance, reward, *ends)
-        for seed, frame, world, steps, distance, reward, *ends in rows
-    ]
-    return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+    made = episodes("seed frame env steps distance reward terminated truncated", *rows)
+    return made.assign(stops=1, turns=made["steps"] // 2)
 
 
 CRASH, CAP, OPEN = (True, False), (False, True), (False, False)
@@ -145,7 +142,7 @@ def runs(draw):
                 ends = draw(st.sampled_from([CRASH, CAP, OPEN] if done == length else [CRASH, CAP]))
                 reward = draw(st.floats(-20, 100, allow_subnormal=False))
                 rows.append((seed, done * n_envs, world, steps, draw(st.integers(0, 9 * steps)), reward, *ends))
-    return episodes(*draw(st.permutations(rows))), length * n_envs, n_envs
+    return flights(*draw(st.permutations(rows))), length * n_envs, n_envs
 
 
 @settings(max_examples=60, deadline=None)
@@ -180,7 +177,7 @@ def test_flights_and_what_is_open_at_the_end_fill_every_frame_of_every_run():
 
 def test_per_frame_counts_the_open_flight_and_steps_are_per_collision():
     """40 frames: 10 steps at 2 px and a crash, 10 at 4 px cut off by a cap, 20 at 9 px in an open flight."""
-    table = episodes((0, 10, 0, 10, 20, -9.8, *CRASH), (0, 20, 0, 10, 40, 0.4, *CAP), (0, 40, 0, 20, 180, 1.8, *OPEN))
+    table = flights((0, 10, 0, 10, 20, -9.8, *CRASH), (0, 20, 0, 10, 40, 0.4, *CAP), (0, 40, 0, 20, 180, 1.8, *OPEN))
     (row,) = per_frame(table, 40).to_dict("records")
     assert row == pytest.approx(
         {"steps": 40, "distance": 240, "stops": 7.5, "full_stops": 0, "turns": 50, "speed": 6, "reward": -7.6 / 40}
@@ -188,7 +185,7 @@ def test_per_frame_counts_the_open_flight_and_steps_are_per_collision():
 
 
 def test_a_seed_that_never_collides_has_no_steps_per_collision_and_all_else():
-    row = per_frame(episodes((3, 40, 0, 40, 360, 3.6, *OPEN)), 40).loc[3]
+    row = per_frame(flights((3, 40, 0, 40, 360, 3.6, *OPEN)), 40).loc[3]
     assert row[["steps", "distance"]].isna().all()
     assert row[["reward", "speed"]].tolist() == pytest.approx([0.09, 9])
 
@@ -196,7 +193,7 @@ def test_a_seed_that_never_collides_has_no_steps_per_collision_and_all_else():
 def test_a_log_by_frames_weighs_frames_and_one_by_episodes_weighs_episodes():
     """99 flights of a frame with -10 and one of 901 with 90; a log of every 100 frames, or of every fourth flight."""
     rows = [(0, frame, 0, 1, 0, -10.0, *CRASH) for frame in range(1, 100)]
-    table = episodes(*rows, (0, 1000, 0, 901, 0, 90.0, *CRASH))
+    table = flights(*rows, (0, 1000, 0, 901, 0, 90.0, *CRASH))
     means = [-10.0] * 9 + [(99 * -10 + 90) / 100]
     assert log_curve(table, 1000, "frames", 100)["reward"].tolist() == [pytest.approx(np.mean(means))]
     assert log_curve(table, 1000, "episodes", 4)["reward"].tolist() == [pytest.approx((24 * -10 + means[-1]) / 25)]
@@ -204,21 +201,21 @@ def test_a_log_by_frames_weighs_frames_and_one_by_episodes_weighs_episodes():
 
 def test_the_log_forgets_what_is_more_than_100_episodes_ago_and_has_nothing_before_the_first():
     rows = [(0, 50 + n, 0, 1, 0, 7.0 if n < 100 else 1.0, *CRASH) for n in range(200)]
-    table = episodes(*rows)
+    table = flights(*rows)
     assert log_curve(table, 249, "frames", 249)["reward"].tolist() == [1]
     assert log_curve(table, 149, "frames", 49)["reward"].tolist() == [pytest.approx(7)]  # at 98 and 147, not at 49
 
 
 def test_flights_that_end_in_one_step_of_parallel_worlds_are_all_in_the_mean_before_any_is_counted():
     """Six end at frame 6, in the order of their worlds: the entry after the fourth holds the fifth and sixth too."""
-    table = episodes(*((0, 6, world, 1, 0, float(world), *CRASH) for world in (5, 4, 3, 2, 1, 0)))
+    table = flights(*((0, 6, world, 1, 0, float(world), *CRASH) for world in (5, 4, 3, 2, 1, 0)))
     assert log_curve(table, 6, "episodes", 4)["reward"].tolist() == [2.5]
     one_by_one = table.assign(frame=table["env"] + 1)
     assert log_curve(one_by_one, 6, "episodes", 4)["reward"].tolist() == [1.5]
 
 
 def test_seeds_without_a_finished_flight_have_no_log():
-    table = episodes((0, 9, 0, 9, 0, 1.0, *CRASH), (1, 9, 0, 9, 0, 1.0, *OPEN))
+    table = flights((0, 9, 0, 9, 0, 1.0, *CRASH), (1, 9, 0, 9, 0, 1.0, *OPEN))
     assert log_curve(table, 9, "frames", 3).index.tolist() == [0]
     assert log_curve(table, 9, "episodes", 4)["reward"].isna().tolist() == [True]  # one flight and no fourth
     assert log_curve(table[1:], 9, "frames", 3).shape == (0, len(METRICS))
@@ -228,7 +225,7 @@ def test_a_metric_of_a_users_own_is_in_every_reading(monkeypatch):
     monkeypatch.setitem(METRICS, "near", Metric("near misses", "near"))
     monkeypatch.setitem(METRICS, "slow", Metric("slow", "distance", 100.0))
     monkeypatch.setitem(METRICS, "lost", Metric("lost", "reward", over="frame"))
-    table = episodes((0, 10, 0, 10, 20, -9.0, *CRASH), (0, 20, 0, 10, 40, -10.0, *CRASH)).assign(near=3)
+    table = flights((0, 10, 0, 10, 20, -9.0, *CRASH), (0, 20, 0, 10, 40, -10.0, *CRASH)).assign(near=3)
     for found, near, slow, lost in (
         (per_frame(table, 20), 3, 300, -19 / 20),
         (log_curve(table, 20, "frames", 20), 3, 300, -9.5),
@@ -304,7 +301,7 @@ def learned(algorithm, n_envs):
     model = getattr(sb3, algorithm.upper())("MlpPolicy", worlds, seed=1, device="cpu", **own)
     model.set_logger(Logger(None, [Held()]))
     model.learn(10_000, Watch())
-    return held, episodes(*rows), model.num_timesteps
+    return held, flights(*rows), model.num_timesteps
 
 
 @pytest.mark.parametrize(("algorithm", "n_envs"), [("ppo", 1), ("ppo", 4), ("dqn", 1), ("dqn", 4), ("a2c", 4)])

@@ -11,9 +11,8 @@ from tied import LINK, too_long, untied
 from verdict_evidence import evidence as seeds_around
 from verdict_evidence import of_metric, of_paper_per_frame
 
-from uavnav.report import evidence, frames, headline, tables, whys
-from uavnav.report.claims import CLAIMS, PRIMARY
-from uavnav.report.discussion import EVERY
+from uavnav.report import evidence, frames, tables, whys
+from uavnav.report.claims import CLAIMS, EVERY, PRIMARY
 from uavnav.report.page import SECTIONS, linked, listed, page, plain, said
 from uavnav.report.quotes import STUDY, Quotes, Untrue, block, prose
 from uavnav.report.verdicts import audit
@@ -163,7 +162,7 @@ def test_the_papers_seven_contradictions_need_no_run_of_ours(numbers):
 
 
 def test_the_flights_are_the_rules_and_those_of_each_algorithms_best_cell_the_highest_reward_first():
-    columns = headline.gaps({}, {}).columns
+    columns = frames.gaps({}, {}).columns
     rows = [["reactive", "", "scripted", 10_000, 1, 200, 1.0, 428.0, None, None, 0.04, *[None] * 4]]
     for who, mode, reward, half in (
         ("PPO sigmoid", "sampled", 228.0, 50),

@@ -1,49 +1,32 @@
 """Which cells belong to which study, and what each reading says of them: made-up cells, numbers known by hand."""
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_up import episodes, in_study, run
 
-from uavnav.report.cells import EMPTY, Cell
 from uavnav.report.claims import PRIMARY
 from uavnav.report.studies import Rows, Studies, hours, in_none, of_paper, paper_cells, seeds, sort, wide
 from uavnav.runs import paper
-from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
+from uavnav.runs.metrics import LAST
 from uavnav.runs.readings import ALL, LOG_CURVE, PER_FRAME, TOTALS
 
-SETTINGS = {"preset": "vectorised", "total_frames": 1_000_000, "frames": 1_000_000, "exploration_fraction": 0.1}
-SETTINGS |= {
-    "n_envs": 16,
-    "bank": "abc",
-    "obstacles": 8,
-    "reward": "eq14",
-    "world.slots": "nearest",
-    "world.version": "1",
-}
 IN_ONE = {"preset": "paper", "n_envs": 1}
 SHORT = {"total_frames": 300_000, "frames": 300_000, "exploration_fraction": 1 / 3}
 LISTED = {"world.slots": "listed"}
 ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
 
 
-def episodes(*rows):
-    """From (seed, frame, steps, stops, turns, distance, reward[, terminated, truncated]); no full stops."""
-    full = []
-    for seed, frame, steps, stops, turns, distance, reward, *ends in rows:
-        full.append((seed, frame, 0, 0, steps, stops, 0, turns, distance, reward, *(ends or (True, False))))
-    return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
+def flights(*rows):
+    return episodes("seed frame steps stops turns distance reward terminated truncated", *rows)
 
 
-def cell(algorithm="ppo", activation="tanh", rows=(), flown=None, n_seeds=2, wall=3600.0, study="", **changes):
-    own = SETTINGS | changes
-    run = SimpleNamespace(seeds=list(range(n_seeds)), meta={"wall_seconds": wall, "study": study}, frames=own["frames"])
-    evaluation = EMPTY if flown is None else flown
-    return Cell(algorithm, activation, own, [run], episodes(*rows), evaluation)
+def cell(algorithm="ppo", activation="tanh", rows=(), **changes):
+    return in_study(algorithm, activation, flights(*rows), **changes)
 
 
 def grid(algorithms=("ppo", "dqn"), activations=ACTIVATIONS, **changes):
@@ -184,8 +167,8 @@ def test_each_reading_gives_one_number_a_seed():
     second = [(1, 50, 50, 5, 5, 100, 3.0), (1, 99, 49, 0, 0, 0, 1e6, False, False)]
     flown = pd.concat(
         [
-            episodes((0, 9, 9, 0, 9, 81, 7.0)).assign(mode="greedy"),
-            episodes((1, 9, 10, 0, 0, 80, 5.0, False, True)).assign(mode="sampled"),
+            flights((0, 9, 9, 0, 9, 81, 7.0)).assign(mode="greedy"),
+            flights((1, 9, 10, 0, 0, 80, 5.0, False, True)).assign(mode="sampled"),
         ]
     )
     one = cell(*KEY, rows=first + second, flown=flown)
@@ -267,7 +250,7 @@ def test_flights_are_those_of_the_readings_mode_and_study():
 def test_hours_are_of_one_seed_and_a_million_frames_whatever_a_run_holds():
     """An hour for 4 seeds of 500,000 frames is half an hour for one of a million; a run without a time has none."""
     one = cell(*KEY, n_seeds=4, wall=3600, frames=500_000)
-    one.runs.append(SimpleNamespace(seeds=[9], meta={}, frames=500_000))
+    one.runs.append(run([9], frames=500_000))
     assert hours(one).tolist() == [0.5]
     assert seeds(one) == 5
     assert rows_of(one)(*KEY, "hours").tolist() == [0.5]

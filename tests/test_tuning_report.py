@@ -4,14 +4,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from bad_input import put
-from test_studies import cell
+from made_up import in_study as cell
 
-from uavnav.report import beyond, tables
+from uavnav.report import frames, tables, tuning
 from uavnav.report.cells import _beside_tuning
-from uavnav.report.studies import Rows, sort
+from uavnav.report.studies import further, sort
 from uavnav.runs import run_folders
 from uavnav.runs.trials import DIFFERENCE
 
+ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
 TRIALS = pd.DataFrame(
     {
         "algorithm": ["ppo"] * 4 + ["sac"] * 2,
@@ -38,7 +39,7 @@ def cells(**of_seeds):
 
 def compared(rule=20.0):
     found = {"default": cells(ppo=(1.0, 3.0), sac=(9.0, 11.0)), "tuned": cells(ppo=(11.0, 13.0), sac=(8.0, 10.0))}
-    return beyond._compared(found, {"reactive": flights(rule, mode="scripted")}, ["ppo", "sac"])
+    return tuning._compared(found, {"reactive": flights(rule, mode="scripted")}, ["ppo", "sac"])
 
 
 def test_default_and_tuned_are_means_over_seeds_with_their_difference_and_the_gap_to_the_rule():
@@ -62,28 +63,30 @@ def test_default_and_tuned_are_means_over_seeds_with_their_difference_and_the_ga
 
 
 def test_the_best_so_far_never_falls_and_a_trial_that_diverged_changes_nothing():
-    assert beyond.so_far(TRIALS).tolist() == [1.0, 1.0, 5.0, 5.0, 2.0, 2.0]
+    assert tuning.so_far(TRIALS).tolist() == [1.0, 1.0, 5.0, 5.0, 2.0, 2.0]
 
 
 def test_the_table_of_trials_has_the_default_and_the_best_with_its_settings():
-    assert beyond.winners(TRIALS)[1:] == [
+    assert tables.tried(TRIALS)[1:] == [
         ["PPO", "4", "1", "1.0", "5.0", "2", "lr=0.2, hidden=64"],
         ["SAC", "2", "0", "2.0", "2.0", "0", ""],
     ]
 
 
-def test_there_is_a_figure_of_default_and_tuned_and_none_without_flights():
-    (drawn,) = beyond.figures({"tuning": compared()}, {})
-    assert drawn.name == "tuning"
-    assert "PPO tuned 12.0" in drawn.drawn.alt
-    assert beyond.figures({}, {}) == beyond.figures({"tuning": compared()[:0]}, {}) == []
+def test_the_figure_has_a_row_for_default_and_tuned_and_the_rule_as_a_line():
+    drawn = tuning.draw(compared(), 20.0)
+    assert [label.get_text() for label in drawn.figure.axes[0].get_yticklabels()] == [
+        f"{name} {which}, n = 2" for name in ("PPO", "SAC") for which in ("default", "tuned")
+    ]
+    assert "PPO tuned 12.0" in drawn.alt
+    assert drawn.alt.endswith("; hand-written rule 20.0.")
 
 
 def test_a_folder_without_tuning_has_no_tables_and_a_damaged_one_a_line(tmp_path):
-    assert beyond.tuning([tmp_path], {}) == ({}, [])
+    assert tuning.read([tmp_path], {}) == ({}, [])
     (tmp_path / "tuning").mkdir()
     (tmp_path / "tuning" / "trials.csv").write_text("")
-    tables, (line,) = beyond.tuning([tmp_path], {})
+    tables, (line,) = tuning.read([tmp_path], {})
     assert tables == {}
     assert line.startswith(f"{tmp_path}/tuning/trials.csv: cannot be read (")
 
@@ -96,8 +99,8 @@ def test_a_study_is_found_beside_others_and_in_a_folder_of_its_own_and_its_runs_
     TRIALS.to_csv(tmp_path / where / "trials.csv", index=False)
     put(tmp_path / "ppo" / "relu" / "config.yaml", "")
     assert [*_beside_tuning([tmp_path], paths(tmp_path)).values()] == [tmp_path / "ppo" / "relu"]
-    tables, left_out = beyond.tuning([tmp_path], {})
-    assert tables["tuning_trials"]["best"].tolist() == beyond.so_far(TRIALS).tolist()
+    tables, left_out = tuning.read([tmp_path], {})
+    assert tables["tuning_trials"]["best"].tolist() == tuning.so_far(TRIALS).tolist()
     read = {line.partition(": no run")[0] for line in left_out}
     assert read == {str(tmp_path / where / name) for name in ("default", "tuned/002/ppo")}  # not the winner before
 
@@ -105,7 +108,7 @@ def test_a_study_is_found_beside_others_and_in_a_folder_of_its_own_and_its_runs_
 def test_a_second_study_that_tuned_is_named(tmp_path):
     for name in ("one", "two"):
         put(tmp_path / name / "tuning" / "trials.csv", TRIALS.to_csv(index=False))
-    _, lines = beyond.tuning([tmp_path / "one", tmp_path / "two"], {})
+    _, lines = tuning.read([tmp_path / "one", tmp_path / "two"], {})
     assert lines == [f"{tmp_path}/two/tuning: tuned too; the report shows {tmp_path}/one/tuning"]
 
 
@@ -124,28 +127,15 @@ def test_trials_are_no_runs_and_a_folder_trials_elsewhere_may_hold_some(tmp_path
 # -- activations -------------------------------------------------------------------------------------------------------
 
 
-def rows(value):
-    """Evidence of three seeds around a value of each algorithm and activation."""
-
-    class Made(Rows):
-        def __call__(self, algorithm, activation, metric, study="main"):
-            assert (metric, study) == ("reward", "vectorised")
-            there = (algorithm, activation) in self.studies.of(study)
-            return value(algorithm, activation) + np.array([-0.01, 0.0, 0.01]) if there else np.empty(0)
-
-    return Made
+def studies_of(*algorithms):
+    return sort([cell(one, activation) for one in algorithms for activation in ACTIVATIONS])
 
 
-def made(algorithms_, value):
-    activations = ("tanh", "sigmoid", "relu", "leaky_relu")
-    studies = sort([cell(one, activation) for one in algorithms_ for activation in activations])
-    return rows(value)(studies, "", {})
-
-
-def ahead(algorithm, activation):
-    """tanh leads under PPO and A2C, trails under SAC, and is like the others under C51."""
-    by = {"ppo": 1.0, "a2c": 1.0, "sac": -1.0}.get(algorithm, 0.0)
-    return by if activation == "tanh" else 0.0
+def evidence(algorithm, activation, metric, study="main"):
+    """Three seeds each: tanh leads under PPO and A2C, trails under SAC, and is like the others under C51."""
+    assert (metric, study) == ("reward", "vectorised")
+    value = {"ppo": 1.0, "a2c": 1.0, "sac": -1.0}.get(algorithm, 0.0) if activation == "tanh" else 0.0
+    return value + np.array([-0.01, 0.0, 0.01])
 
 
 def test_by_default_an_algorithm_that_was_not_tuned_has_the_reward_of_its_tanh_in_the_comparison_of_activations():
@@ -157,7 +147,7 @@ def test_by_default_an_algorithm_that_was_not_tuned_has_the_reward_of_its_tanh_i
     )
     numbers = {"tuning": tuning, "further": further}
     found = {
-        (one, which): beyond.reward(numbers, one, which) for one in ("a2c", "sac") for which in ("default", "tuned")
+        (one, which): tables.reward(numbers, one, which) for one in ("a2c", "sac") for which in ("default", "tuned")
     }
     assert found == {
         ("a2c", "default"): "7.0 [6.0, 8.0]",
@@ -165,23 +155,20 @@ def test_by_default_an_algorithm_that_was_not_tuned_has_the_reward_of_its_tanh_i
         ("sac", "default"): "5.0 [4.0, 6.0]",
         ("sac", "tuned"): "–",
     }
-    assert beyond.reward({}, "sac", "default") == "–"
+    assert tables.reward({}, "sac", "default") == "–"
 
 
 def test_a_difference_of_activations_has_a_value_under_each_algorithm():
-    found = beyond.carried(made(("ppo", "dqn", "a2c", "c51", "sac"), ahead))
+    found = frames.carried(studies_of("ppo", "dqn", "a2c", "c51", "sac"), evidence)
     value = found.set_index(["conclusion", "algorithm"])["value"]
     assert value["tanh − relu", "ppo"] == pytest.approx(1.0)
     assert value["bounded − unbounded", "sac"] == pytest.approx(-0.5)
     rows = tables.crossed(found, "conclusion", "algorithm")
     assert rows[0] == ["conclusion", "DQN", "PPO", "A2C", "C51", "SAC", "seeds"]
+    assert frames.carried(studies_of("ppo", "dqn"), evidence).empty  # the paper's alone ask nothing
 
 
 def test_further_algorithms_are_those_beyond_the_papers():
-    found = beyond.further(made(("sac", "ppo", "a2c", "dqn"), ahead).studies)
+    found = further(studies_of("sac", "ppo", "a2c", "dqn"))
     assert [*dict.fromkeys(algorithm for algorithm, _ in found)] == ["a2c", "sac"]
     assert len(found) == 8
-
-
-def test_the_papers_algorithms_alone_ask_nothing():
-    assert beyond.carried(made(("ppo", "dqn"), ahead)).empty

@@ -12,11 +12,14 @@ from uavnav.cli import evaluate as command
 from uavnav.evaluation.scripts import SEEDS, Protocol, rows_of_scripts
 from uavnav.report import tables, worlds
 from uavnav.report.cells import of_worlds
-from uavnav.report.discussion import ALL, CELLS, NONE, SCATTER, VARIATION, at
+from uavnav.report.claims import ALL_WORLDS, NONE, RANKED, SCATTER, VARIATION, at
 from uavnav.report.worlds import Evidence, Worlds, leaders, measured, summary
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.protocol import SCRIPTS
+
+NOTHING = {}, {}, pd.DataFrame(), []
+"""Of scripts, rungs, runs and what was left out."""
 
 
 def seeds(reward, **more):
@@ -58,12 +61,7 @@ def test_collisions_are_per_1000_px_and_a_flight_that_reaches_its_goal_is_cut_of
 def test_where_success_is_measured_no_restricted_mean_of_survival_is_shown():
     found = Worlds(
         {("goal", "ppo", "tanh"): seeds([1, 2], success=50.0), ("drone", "ppo", "tanh"): seeds([1, 2])},
-        {},
-        [],
-        None,
-        [],
-        {},
-        pd.DataFrame(),
+        *NOTHING,
     )
     shown = summary(found).groupby("world")["metric"].agg(set)
     assert "survival" in shown["drone"]
@@ -74,7 +72,7 @@ def test_scatter_is_the_distance_to_the_cells_median_in_units_of_its_worlds_mean
     found = Evidence({("drone", "ppo", "tanh"): seeds([1, 2, 3]), ("drone", "ppo", "relu"): seeds([0, 5, 10])})
     usual = (1 + 0 + 1 + 5 + 0 + 5) / 6
     assert found("ppo", "tanh", SCATTER, "drone").tolist() == [1 / usual, 0, 1 / usual]
-    assert found("ppo", "relu", SCATTER, ALL).tolist() == [5 / usual, 0, 5 / usual]
+    assert found("ppo", "relu", SCATTER, ALL_WORLDS).tolist() == [5 / usual, 0, 5 / usual]
 
 
 def test_a_mean_over_worlds_leaves_the_tuned_presets_out_and_asks_for_runs_in_each_world():
@@ -86,11 +84,11 @@ def test_a_mean_over_worlds_leaves_the_tuned_presets_out_and_asks_for_runs_in_ea
             ("goal", "c51", "tanh"): seeds([7, 8]),
         }
     )
-    assert found("ppo", "tanh", "reward", ALL).tolist() == [2, 4]
+    assert found("ppo", "tanh", "reward", ALL_WORLDS).tolist() == [2, 4]
     assert found("ppo", "tanh", "reward", "goal, fast").tolist() == [100, 100]
     assert found("c51", "tanh", "reward", "goal").tolist() == [7, 8]
-    assert found("c51", "tanh", "reward", ALL).size == 0
-    assert found("dqn", "tanh", "reward", ALL).size == 0
+    assert found("c51", "tanh", "reward", ALL_WORLDS).size == 0
+    assert found("dqn", "tanh", "reward", ALL_WORLDS).size == 0
 
 
 @pytest.mark.parametrize(("sign", "rho"), [(1, 1.0), (-1, -1.0)])
@@ -104,8 +102,8 @@ def test_the_rank_correlation_across_the_cells_of_a_world_is_one_number_a_seed(s
             for cell, own in zip(cells, reward, strict=True)
         }
     )
-    assert found(CELLS, CELLS, "gradient_variation_explains", ALL) == pytest.approx([rho, rho])
-    assert found(CELLS, NONE, "gradient_variation_explains", ALL).tolist() == [0, 0]
+    assert found(RANKED, RANKED, "gradient_variation_explains", ALL_WORLDS) == pytest.approx([rho, rho])
+    assert found(RANKED, NONE, "gradient_variation_explains", ALL_WORLDS).tolist() == [0, 0]
     assert VARIATION == "gradient_variation"
 
 
@@ -123,7 +121,7 @@ def made_up():
         for world, rule in (("drone", 20), ("goal", 10), ("moving", 9))
         for name, reward in (("random", [-8, -7, -6]), ("straight", [-8]), ("reactive", [rule]))
     }
-    return Worlds(learned, scripted, [], pd.DataFrame(), [], {}, pd.DataFrame())
+    return Worlds(learned, scripted, *NOTHING[1:])
 
 
 def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_random_flight():
@@ -133,7 +131,13 @@ def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_ra
         ["goal", "PPO tanh fast", "reactive", "a script", ""],
         ["moving", "PPO tanh", "reactive", "neither", ""],
     ]
-    assert worlds.ahead(found)[1][:5] == ["drone", "PPO tanh", "42.00 [40.80, 43.20]", "reactive", "20.00"]
+    assert tables.listed(found, tables.AHEAD)[1][:5] == [
+        "drone",
+        "PPO tanh",
+        "42.00 [40.80, 43.20]",
+        "reactive",
+        "20.00",
+    ]
     alone = made_up()._replace(scripted={})
     assert {*leaders(summary(alone))["ahead"]} == {""}
 
@@ -161,12 +165,12 @@ def test_a_ladder_is_drawn_for_cells_of_the_papers_world_and_for_scripts_rung_by
     flown = {at("reward", "density", rung): 100.0 - rung for rung in rungs}
     learned = {("drone", "ppo", "tanh"): seeds([40, 41], **flown), ("moving", "dqn", "tanh"): seeds([40, 41], **flown)}
     scripted = {("density", rung): {"reactive": seeds([50.0 + rung])} for rung in rungs[1:]}  # one rung was not flown
-    drawn = worlds.ladder(Worlds(learned, {}, [], pd.DataFrame(), [], scripted, pd.DataFrame()), "density")
+    drawn = worlds.ladder(Worlds(learned, {}, scripted, *NOTHING[2:]), "density")
     lines = {line.get_label(): line for line in drawn.figure.axes[0].lines}
     assert [*lines] == ["PPO", "reactive"]
     assert lines["PPO"].get_xydata().tolist() == [[rung, 100.0 - rung] for rung in rungs]
     assert lines["reactive"].get_xydata().tolist() == [[rung, 50.0 + rung] for rung in rungs[1:]]
-    assert worlds.ladder(Worlds(learned, {}, [], pd.DataFrame(), [], {}, pd.DataFrame()), "slalom") is None
+    assert worlds.ladder(Worlds(learned, *NOTHING), "slalom") is None
 
 
 def keep(folder, rule, protocol=GOAL, reward=3.0, **header):

@@ -21,6 +21,7 @@ from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.power import TTestIndPower
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
+Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 CONFIDENCE = 0.95
 TAILS = (1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2

@@ -22,13 +22,11 @@ from uavnav.report.frames import MEASURES
 from uavnav.runs import ARENA, Run
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, read_table
-from uavnav.stats import Array
+from uavnav.stats import Array, Flags
 from uavnav.tasks.dynamics import decode, direction
 from uavnav.tasks.sensing import clearance
 from uavnav.tasks.simulator import Task, make_task
 from uavnav.tasks.world import World
-
-Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 COLUMNS = BEHAVIOUR_COLUMNS | {
     "step": "int64",  # counted from 1
@@ -143,10 +141,8 @@ def measures(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
       nothing. NaN for a seed that never moves.
     - reversals: turn-sign reversals a step. A step with angle != 0 is one if the last such step before it in the same
       flight, however long ago, turned the other way: straight steps in between are skipped.
-    - trembling: the same, of two consecutive steps alone: a straight step in between breaks it off.
     - straight_speed, turning_speed: distance [px] of the steps with angle = 0, and of those with angle != 0; NaN where
       there is none.
-    - border: share of steps whose nearest body is a wall (or as near as the nearest circle).
 
     table: any number of rows; bank [L, K, 3] px with the sets that `layout` counts; K may be 0.
     """
@@ -160,8 +156,7 @@ def of_steps(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
     """
     table = table.sort_values([*FLIGHT, "step"], ignore_index=True)
     angle, distance = (part.numpy() for part in decode(_tensor(table["action"], torch.int64), world))
-    corridor, border = surroundings(table, bank, world)
-    reversals = _reversals(table, np.sign(angle))
+    corridor = corridors(table, bank, world)
     ends = table.groupby(FLIGHT)[["step", "clearance"]].transform("last")
     crashed = ends["clearance"] <= world.drone_radius
     steps = table[FLIGHT].assign(
@@ -169,11 +164,9 @@ def of_steps(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
         corridor=corridor,
         corridor_flown=corridor * distance,
         distance=distance,
-        reversals=reversals["any"],
-        trembling=reversals["consecutive"],
+        reversals=_reversals(table, np.sign(angle)),
         straight_speed=np.where(angle == 0, distance, np.nan),
         turning_speed=np.where(angle != 0, distance, np.nan),
-        border=border,
         late=crashed & (ends["step"] - table["step"] < BEFORE_CRASH),
     )
     return steps.astype(dict.fromkeys(MEASURES, "float64"))
@@ -200,24 +193,23 @@ def by_layout(steps: pd.DataFrame) -> pd.DataFrame:
     return of_flights.groupby(["mode", "layout"]).mean().add_suffix("_by_layout").reset_index()
 
 
-def surroundings(table: pd.DataFrame, bank: Tensor, world: World) -> tuple[Flags, Flags]:
-    """For each step of a table, whether it is in a corridor and whether a wall is nearest (see `measures`): two [P].
+def corridors(table: pd.DataFrame, bank: Tensor, world: World) -> Flags:
+    """Whether each step of a table is in a corridor (see `measures`): [P].
 
     In float64, so that a world and its mirror image differ in nothing.
     """
     x, y = (_tensor(table[name], torch.float64) for name in ("x", "y"))
     layout = _tensor(table["layout"], torch.int64)
-    corridor, border = torch.zeros(len(x), dtype=torch.bool), torch.zeros(len(x), dtype=torch.bool)
+    found = torch.zeros(len(x), dtype=torch.bool)
     for first in range(0, len(x), CHUNK):
         part = slice(first, first + CHUNK)
         distance, toward_x, toward_y = _bodies(x[part], y[part], bank[layout[part]].double(), world)
-        border[part] = distance[-4:].amin(0) <= distance.amin(0)
         near = distance <= world.sensor_radius
         toward_x, toward_y = toward_x * near, toward_y * near  # a body that is far has no direction, and no opposite
         for body in range(1, len(distance)):  # each pair once
             cosine = toward_x[body] * toward_x[:body] + toward_y[body] * toward_y[:body]
-            corridor[part] |= cosine.amin(0) <= OPPOSITE
-    return corridor.numpy(), border.numpy()
+            found[part] |= cosine.amin(0) <= OPPOSITE
+    return found.numpy()
 
 
 def _bodies(x: Tensor, y: Tensor, circles: Tensor, world: World) -> tuple[Tensor, Tensor, Tensor]:
@@ -235,15 +227,14 @@ def _bodies(x: Tensor, y: Tensor, circles: Tensor, world: World) -> tuple[Tensor
     return distance, torch.cat([dx * scale, toward_x]), torch.cat([dy * scale, toward_y])
 
 
-def _reversals(table: pd.DataFrame, sign: Array) -> pd.DataFrame:
-    """Which steps turn the other way than the last turn: columns any, consecutive (bool), a row each of the table.
+def _reversals(table: pd.DataFrame, sign: Array) -> pd.Series[bool]:
+    """Which steps turn the other way than the last turn, a row each of the table.
 
     table: in the order of flights and steps; sign [P] of the turn: -1, 0 or 1.
     """
-    turning = table[[*FLIGHT, "step"]].assign(sign=sign)[sign != 0]
-    before = turning.groupby(FLIGHT)[["sign", "step"]].shift()  # NaN at a flight's first turn, which is no reversal
-    any_ = before["sign"] == -turning["sign"]
-    found = pd.DataFrame({"any": any_, "consecutive": any_ & (before["step"] == turning["step"] - 1)})
+    turning = table[FLIGHT].assign(sign=sign)[sign != 0]
+    before = turning.groupby(FLIGHT)["sign"].shift()  # NaN at a flight's first turn, which is no reversal
+    found: pd.Series[bool] = before == -turning["sign"]
     return found.reindex(table.index, fill_value=False)
 
 

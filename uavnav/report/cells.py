@@ -25,7 +25,6 @@ from uavnav.runs.readings import (
     LAST_EPISODES,
     LOG_CURVE,
     PER_FRAME,
-    READINGS,
     TOTALS,
     log_curve,
     per_frame,
@@ -39,6 +38,8 @@ BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
 TASK = "drone"
 """The task of a run that names none."""
+UNSAID = {"task": TASK, "stack": 1, "faults": asdict(NO_FAULTS)}
+"""Settings of a run that does not name them."""
 PARTS = {"world": World, "faults": Faults}
 """The tables of a configuration: a field is a setting of its own."""
 WORLDS = "worlds"
@@ -169,9 +170,9 @@ def settings_of(run: Run) -> dict[str, Any]:
     A field of the world is `world.<field>`; whatever a run of the task `drone` does not name is a default of `World`. A
     bank is its checksum, whatever path led to it.
     """
-    config = _flat({"task": TASK, "layouts": "train", "stack": 1, "faults": asdict(NO_FAULTS)}) | _flat(run.config)
+    config = {"layouts": "train", **flat(UNSAID), **flat(run.config)}
     if config["task"] == TASK:
-        config = _flat({"world": asdict(World())}) | config
+        config = flat({"world": asdict(World())}) | config
     bank, layouts = run.meta["bank"], str(config.pop("layouts"))
     facts = {
         "frames": run.frames,
@@ -182,7 +183,7 @@ def settings_of(run: Run) -> dict[str, Any]:
     return {key: value for key, value in config.items() if key not in NO_SETTINGS} | facts
 
 
-def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
+def flat(config: Mapping[str, Any]) -> dict[str, Any]:
     """A configuration with the fields of its tables as `world.<field>`."""
     rest = dict(config)
     for part, kind in PARTS.items():
@@ -239,7 +240,7 @@ def label(cells: list[Cell]) -> tuple[list[Cell], str]:
     settings = [{key: show(value) for key, value in cell.settings.items()} for cell in cells]
     differing = {key for one in settings for key in one if len({other.get(key) for other in settings}) > 1}
     differing -= {"total_frames"} if "frames" in differing else set()
-    beyond = {key for cell in cells for run in cell.runs for key in _flat(run.meta["beyond_preset"])} - {"layouts"}
+    beyond = {key for cell in cells for run in cell.runs for key in flat(run.meta["beyond_preset"])} - {"layouts"}
     named = [*NAMED, *sorted((differing | beyond).difference(NAMED))]
     usual = {key: Counter(one.get(key) for one in settings).most_common(1)[0][0] for key in named if cells}
     labelled = []
@@ -300,11 +301,6 @@ def _read_as(cell: Cell, reading: str, episodes: pd.DataFrame) -> pd.DataFrame:
     return per_seed(episodes, ratio_of_means=reading == TOTALS)
 
 
-def readings(cell: Cell) -> dict[str, pd.DataFrame]:
-    """A cell in every reading of what the paper averages (decision 12), in order."""
-    return {reading: read_as(cell, reading) for reading in READINGS}
-
-
 def windowed(cell: Cell, column: str, windows: Sequence[tuple[float, float]]) -> pd.DataFrame:
     """A column of training per frame in windows of frames: a row a seed, a column a window (`readings.within`)."""
     own = cell.settings
@@ -322,13 +318,6 @@ def curve(cell: Cell, column: str) -> pd.DataFrame:
         seeds = windowed(cell, column, [*itertools.pairwise(edges)])
         cell.curves[column] = seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
     return cell.curves[column]
-
-
-def binned(table: pd.DataFrame, column: str, frames: int) -> pd.DataFrame:
-    """Means of a column per bin of frames (index: its middle) and seed (columns); rows without a value are left out."""
-    known, width = table[table[column].notna()], frames / BINS
-    middle = (((known["frame"] - 1) // width).clip(0, BINS - 1) + 0.5) * width
-    return known.groupby([middle, "seed"])[column].mean().unstack("seed")
 
 
 def show(value: object) -> str:

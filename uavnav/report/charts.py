@@ -12,7 +12,6 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -148,56 +147,6 @@ def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
 
 
 @matplotlib.rc_context(style.STYLE)
-def improvement_matrix(table: pd.DataFrame, what: str, width: float = style.WIDTH) -> style.Drawn:
-    """The probability that a seed of the row's cell beats one of the column's, starred where Holm's p is below 0.05.
-
-    table: of `stats.improvement`, the larger the better; what: the metric in words; width: of the figure [inches].
-    """
-    names = list(dict.fromkeys([*table["a"], *table["b"]]))
-    title = f"Probability that a seed of the row beats\none of the column in {what}"
-    if not names or table["probability"].isna().all():
-        return style.nothing(title.replace("\n", " "))
-    place = {name: index for index, name in enumerate(names)}
-    counts = {**dict(zip(table["b"], table["n_b"], strict=True)), **dict(zip(table["a"], table["n_a"], strict=True))}
-    matrix = np.full((len(names), len(names)), np.nan)
-    starred = np.zeros(matrix.shape, dtype=bool)
-    for pair in table.to_dict("records"):
-        row, column, beats = place[pair["a"]], place[pair["b"]], float(pair["probability"])
-        matrix[row, column], matrix[column, row] = beats, 1 - beats
-        starred[row, column] = starred[column, row] = pair["p_holm"] < 0.05
-    figure, axes = style.panel(title, min(0.62 * len(names) + 2.4, 8.0), width)
-    image, letters = axes.imshow(matrix, cmap="PuOr", vmin=0, vmax=1, aspect="auto"), 12 if width >= style.WIDTH else 9
-    for (row, column), value in np.ndenumerate(matrix):
-        if np.isfinite(value):
-            dark = image.to_rgba(value)[:3] @ np.array([0.3, 0.6, 0.1]) < 0.5
-            text = f"{value:.2f}{'*' if starred[row, column] else ''}"
-            weight = "bold" if starred[row, column] else "normal"
-            look: dict[str, Any] = {"color": "white" if dark else style.INK, "weight": weight}
-            axes.text(column, row, text, ha="center", va="center", fontsize=letters, **look)
-    axes.set_xticks(range(len(names)), names, rotation=40, ha="right", rotation_mode="anchor")
-    beside = "\n" if width < style.WIDTH else ", "
-    axes.set_yticks(range(len(names)), [f"{name}{beside}n = {counts[name]}" for name in names])
-    axes.grid(visible=False)
-    axes.spines[:].set_visible(False)
-    axes.tick_params(length=0)
-    side = "right" if width >= style.WIDTH else "bottom"
-    figure.colorbar(image, ax=axes, label="probability (* Holm's p < 0.05)", fraction=0.05, location=side)
-    found = int((table["p_holm"] < 0.05).sum())
-    known = [(row[np.isfinite(row)], name) for row, name in zip(matrix, names, strict=True)]
-    means = sorted(((round(float(row.mean()), 9), name) for row, name in known if len(row)), reverse=True)
-    ranked = ", ".join(f"{name} {mean:.2f}" for mean, name in means)
-    pairs = f"{found} of {len(table)} pairs differ with Holm's p below 0.05"
-    return style.Drawn(figure, f"{title} (mean over the columns): {ranked}; {pairs}.".replace("\n", " "))
-
-
-def _side_by_side(n: int, height: float, width: float) -> tuple[Figure, list[Axes]]:
-    """Panels with the same rows, of such a height [inches]; in a narrow figure they stand one below the other."""
-    lines = 1 if width >= style.WIDTH else n
-    figure = Figure(figsize=(width, lines * height), layout="constrained")
-    return figure, [*figure.subplots(lines, n // lines, sharey=True, squeeze=False).ravel()]
-
-
-@matplotlib.rc_context(style.STYLE)
 def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Whether conclusions hold under other choices: a panel a conclusion, in it a row a switch; the default shaded.
 
@@ -209,7 +158,9 @@ def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
         return style.nothing(title)
     names, conclusions = list(dict.fromkeys(table["switch"])), list(dict.fromkeys(table["conclusion"]))
     names.sort(key=lambda name: name != "default")
-    figure, panels = _side_by_side(len(conclusions), 0.42 * len(names) + 2.0, width)
+    lines = 1 if width >= style.WIDTH else len(conclusions)  # of panels with the same rows
+    figure = Figure(figsize=(width, lines * (0.42 * len(names) + 2.0)), layout="constrained")
+    panels = figure.subplots(lines, len(conclusions) // lines, sharey=True, squeeze=False).ravel()
     said = []
     for axes, conclusion in zip(panels, conclusions, strict=True):
         rows = table[table["conclusion"] == conclusion].set_index("switch")

@@ -22,7 +22,7 @@ from rich.table import Table
 
 from uavnav import stats, style
 from uavnav.errors import did_you_mean, did_you_mean_run
-from uavnav.report import cells, charts, curves, tables
+from uavnav.report import cells, curves, tables
 from uavnav.report.cells import Cell
 from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import EVALUATED, METRICS, per_seed
@@ -41,7 +41,6 @@ MARKS = (100, 1_000, 10_000)
 SENSES = ("sensor_radius", "sensor_arc", "n_slots", "slots", "padding", "sense_velocity")
 """Fields of a world that are the drone's own: neither sets of obstacles nor rewards depend on them."""
 BARS = "▁▂▃▄▅▆▇█"
-TEMPLATE = Path(__file__).parent / "templates"
 
 
 class Contender(NamedTuple):
@@ -252,22 +251,26 @@ def page(contenders: Sequence[Contender]) -> bytes:
     from uavnav.views import browser
 
     trained = {one.name: one.cell for one in contenders if one.cell is not None}
-    drawn = [
-        charts.improvement_matrix(improvement(contenders), "reward"),
-        curves.survival(survival(contenders), contenders[0].protocol["max_steps"]),
-        *([curves.together(trained, "reward")] if trained else []),
-    ]
-    pictures = [(base64.b64encode(style.save(one.figure)[0]).decode(), one.alt) for one in drawn]
-    environment = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATE), autoescape=True)
-    names = [one.name for one in contenders]
-    template = environment.get_template("compare.html")
-    rows, how = tables.side_by_side(seeds_of(contenders)), flown(contenders)
+    drawn = [curves.survival(survival(contenders), contenders[0].protocol["max_steps"])]
+    drawn += [curves.together(trained, "reward")] if trained else []
     recorded = replays.record([cell.labelled(f"({name})") for name, cell in trained.items()], n_seeds=1)
-    shown = {
-        "css": Markup(browser.joined([browser.HERE / "replay.css"])),
-        "js": Markup(browser.joined(browser.PLAYER)),
-        "replays": Markup(json.dumps(recorded, separators=(",", ":")).replace("<", "\\u003c")),
-        "left_out": recorded["left_out"],
-    }
-    given = {"names": names, "rows": rows, "pictures": pictures, "flown": how, "apart": apart(contenders)}
-    return template.render(**given, **(shown if recorded["cells"] else {"left_out": recorded["left_out"]})).encode()
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("uavnav.report"), autoescape=True)
+    page = environment.get_template("compare.html").render(
+        names=[one.name for one in contenders],
+        flown=flown(contenders),
+        apart=apart(contenders),
+        tables={
+            "Means over seeds, with their 95 % intervals": tables.side_by_side(seeds_of(contenders)),
+            "How probably a seed of one has more reward than a seed of another: Mann-Whitney, Holm's correction": (
+                tables.listed(improvement(contenders), tables.IMPROVEMENT)
+            ),
+        },
+        pictures=[(base64.b64encode(style.save(one.figure)[0]).decode(), one.alt) for one in drawn],
+        replays=Markup(json.dumps(recorded, separators=(",", ":")).replace("<", "\\u003c"))
+        if recorded["cells"]
+        else "",
+        left_out=recorded["left_out"],
+        css=Markup(browser.joined([browser.HERE / "replay.css"])),
+        js=Markup(browser.joined(browser.PLAYER)),
+    )
+    return page.encode()

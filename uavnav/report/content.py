@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +13,15 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation.empty_arena import EMPTY_ARENA
-from uavnav.report import behaviour, beyond, figures, frames, headline, replays, studies, tables, whys, worlds
+from uavnav.report import behaviour, figures, frames, replays, studies, tables, tuning, whys, worlds
 from uavnav.report.cells import Cell, algorithms, collect, one_line, read_as
-from uavnav.report.claims import CLAIMS, PRIMARY
+from uavnav.report.claims import CLAIMS, DISCUSSION, PRIMARY
 from uavnav.report.figures import Figure
 from uavnav.report.operating import characteristics
 from uavnav.report.studies import Rows, Studies
 from uavnav.report.verdicts import Finding, audit
 from uavnav.report.worlds import Worlds
-from uavnav.runs import VALUES, paper
+from uavnav.runs import VALUES, Run, paper
 from uavnav.runs.readings import READINGS, SAMPLED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks import layouts
@@ -49,8 +48,8 @@ class Content:
     replays: dict[str, Any] | None
     baselines: dict[str, pd.DataFrame]
     first_rule: pd.DataFrame  # its verdicts, as history
-    left_out: list[str] = field(default_factory=list)
-    worlds: Worlds | None = None  # the study of that name, where there is one
+    left_out: list[str]
+    worlds: Worlds | None  # the study of that name, where there is one
 
     @property
     def missing(self) -> list[str]:
@@ -90,11 +89,6 @@ class Content:
             for algorithm in dict.fromkeys([*paper.TABLE_OF, *others])
         }
 
-    @property
-    def findings(self) -> list[Finding]:
-        """The findings of the primary reading."""
-        return self.audits[PRIMARY]
-
 
 def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, Any]] = replays.record) -> Content:
     """Read all runs in some folders, let their policies fly a little, and work out what the report says.
@@ -115,34 +109,36 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
         printed = {reading: functools.partial(studies.of_paper, reading=reading) for reading in READINGS}
         audits = {reading: audit(evidence[reading], printed[reading]) for reading in READINGS}
         baselines, unread = frames.baselines(folders)
-        tuned, untuned = beyond.tuning(folders, baselines)
+        tuned, untuned = tuning.read(folders, baselines)
         survival, survived = frames.survival(sorted_cells.main, baselines)
-        numbers = _tables(sorted_cells, flights) | {"whys": whys.table(evidence[PRIMARY])}
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
-        numbers |= {"behaviour_by_layout": frames.flown(by_layout)}
-        numbers |= {"overestimation": overestimated, "survival": survived, "predictions": predictions}
-        numbers |= {
-            "verdicts": frames.verdicts(audits),
+        carried = frames.carried(sorted_cells, evidence[PRIMARY])
+        numbers = _tables(sorted_cells, flights) | {
+            "whys": whys.table(evidence[PRIMARY]),
+            "overestimation": overestimated,
+            "survival": survived,
+            "predictions": predictions,
             "operating": characteristics(evidence[PRIMARY], printed[PRIMARY]),
+            "gaps": frames.gaps(of_paper, baselines),
+            "fits": frames.fits(predictions),
+            **tuned,
         }
-        of_worlds = worlds.gather(folders)
-        if of_worlds:
-            numbers |= worlds.numbers(of_worlds) | {"verdicts": frames.verdicts(audits, of_worlds.findings)}
-            numbers["operating"] = pd.concat([numbers["operating"], of_worlds.operating], ignore_index=True)
-            left_out += of_worlds.left_out
-        numbers |= {"gaps": headline.gaps(of_paper, baselines), "fits": headline.fits(predictions)}
         if sorted_cells.tuned:
-            numbers |= {"fast": headline.gaps(sorted_cells.tuned, baselines)}
-        carried = beyond.carried(evidence[PRIMARY])
+            numbers["fast"] = frames.gaps(sorted_cells.tuned, baselines)
         if len(carried):
-            numbers |= {"carried": carried, "further": headline.gaps(beyond.further(sorted_cells), baselines)}
-        numbers |= tuned
-        drawn = [*figures.draw(of_paper, numbers, watched, survival), *beyond.figures(numbers, baselines)]
-        drawn += _of_worlds(of_worlds)
-        narrow = figures.draw(of_paper, numbers, watched, survival, style.NARROW)
-        narrow += beyond.figures(numbers, baselines, style.NARROW)
-        narrow += _of_worlds(of_worlds, style.NARROW)
+            numbers |= {"carried": carried, "further": frames.gaps(studies.further(sorted_cells), baselines)}
+        if of_worlds := worlds.gather(folders):
+            elsewhere = worlds.Evidence(of_worlds.seeds)
+            audits[SAMPLED] += audit(elsewhere, studies.of_paper, DISCUSSION)
+            errs = numbers["operating"], characteristics(elsewhere, studies.of_paper, DISCUSSION)
+            numbers |= worlds.numbers(of_worlds) | {"operating": pd.concat(errs, ignore_index=True)}
+            left_out += of_worlds.left_out
+        numbers["verdicts"] = frames.verdicts(audits)
+        drawn, narrow = (
+            figures.draw(of_paper, numbers, watched, survival, of_worlds, width)
+            for width in (style.WIDTH, style.NARROW)
+        )
         flown = replayed.result()
     return Content(
         cells,
@@ -159,33 +155,22 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
     )
 
 
-def _of_worlds(found: Worlds | None, width: float = style.WIDTH) -> list[Figure]:
-    drawn = worlds.figures(found, width) if found else []
-    return [Figure(name, "worlds", figure, caption) for name, figure, caption in drawn]
-
-
 def watch(all_cells: Studies) -> tuple[Flights, Flights, Flights, list[str]]:
     """Measures of flights by mode and seed, by mode and layout, the flights, and a line for what could not be read.
 
     Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`), and in the empty arena:
     the measures there are `empty_...`, the `layout` is -1.
     """
-    parts: dict[Place, list[pd.DataFrame]] = defaultdict(list)
-    empty: dict[Place, list[pd.DataFrame]] = defaultdict(list)
+    tables: Flights = {}
+    empty: Flights = {}
     problems = []
     for study in (*WATCHED, *all_cells.why):
         for key, cell in studies.paper_cells(all_cells.of(study)).items():
-            for run in cell.runs:
-                try:
-                    table = behaviour.read(run)
-                    if table is None:
-                        continue
-                    parts[study, *key].append(table)
-                    if study == "main" and (table := behaviour.read_arena(run)) is not None:
-                        empty[study, *key].append(table)
-                except RunError as error:
-                    problems.append(one_line(error))
-    tables = {place: pd.concat(found, ignore_index=True) for place, found in parts.items()}
+            for found, read in ((tables, behaviour.read), (empty, behaviour.read_arena)):
+                if found is tables or (study == "main" and (study, *key) in tables):
+                    rows, lines = _of_runs(cell, read)
+                    problems += lines
+                    found |= {(study, *key): pd.concat(rows, ignore_index=True)} if rows else {}
     world, bank = World(), layouts.load("test")
     measured, by_layout = {}, {}
     for place, table in tables.items():
@@ -194,25 +179,40 @@ def watch(all_cells: Studies) -> tuple[Flights, Flights, Flights, list[str]]:
         if place[0] == "main":
             measured[place] = measured[place].join(behaviour.early(steps), on=["mode", "seed"])
             by_layout[place] = behaviour.by_layout(steps)
-    for place, found in empty.items():
-        steps = pd.concat(found, ignore_index=True)
+    for place, steps in empty.items():
         own = behaviour.measures(steps, EMPTY_ARENA, world).set_index(["mode", "seed"]).add_prefix("empty_")
         measured[place] = measured[place].join(own, on=["mode", "seed"])
         tables[place] = pd.concat([tables[place], steps.assign(layout=-1)], ignore_index=True)
     return measured, by_layout, tables, problems
 
 
+def _of_runs(cell: Cell, read: Callable[[Run], pd.DataFrame | None]) -> tuple[list[pd.DataFrame], list[str]]:
+    """What the runs of a cell have of a table, and a line for each that could not be read."""
+    found, problems = [], []
+    for run in cell.runs:
+        try:
+            found.append(read(run))
+        except RunError as error:
+            problems.append(one_line(error))
+    return [table for table in found if table is not None], problems
+
+
 def _overestimation(cells: studies.Cells) -> tuple[pd.DataFrame, list[str]]:
     """What seeds expect and get (`evaluate.values`), and a line for each table that could not be read."""
     columns = {"seed": "int64"} | dict.fromkeys(frames.OVERESTIMATION, "float64")
-    parts, problems = [pd.DataFrame(columns=["cell", *columns])], []
-    for key, run in ((key, run) for key, cell in cells.items() for run in cell.runs):
-        if (run.path / VALUES).exists():
-            try:
-                parts.append(read_table(run.path / VALUES, columns, behaviour.AGAIN).assign(cell=frames.name(*key)))
-            except RunError as error:
-                problems.append(one_line(error))
-    return pd.concat(parts[1:] or parts, ignore_index=True)[["cell", *columns]], problems
+
+    def read(run: Run) -> pd.DataFrame | None:
+        path = run.path / VALUES
+        return read_table(path, columns, behaviour.AGAIN) if path.exists() else None
+
+    parts, problems = [], []
+    for key, cell in cells.items():
+        found, lines = _of_runs(cell, read)
+        parts += [table.assign(cell=frames.name(*key)) for table in found]
+        problems += lines
+    return pd.concat(parts or [pd.DataFrame(columns=["cell", *columns])], ignore_index=True)[
+        ["cell", *columns]
+    ], problems
 
 
 def _tables(all_cells: Studies, flights: Flights) -> dict[str, pd.DataFrame]:
@@ -227,10 +227,10 @@ def _tables(all_cells: Studies, flights: Flights) -> dict[str, pd.DataFrame]:
         "behaviour": frames.flown(flights),
         "diagnostics": frames.diagnostics(of_paper),
         "sensitivity": frames.sensitivity(all_cells),
-        "cells": headline.cells(all_cells),
-        "effects": headline.effects(all_cells),
-        "worlds": headline.worlds(all_cells),
-        "peaks": headline.peaks(of_paper),
+        "cells": frames.sizes(all_cells),
+        "effects": frames.effects(all_cells),
+        "worlds": frames.one_against_many(all_cells),
+        "peaks": frames.peaks(of_paper),
         "by_default": frames.by_default(all_cells),
         "vectorised": frames.estimates(frames.per_seed_values(studies.paper_cells(all_cells.vectorised))),
         "wide": frames.estimates(frames.per_seed_values(studies.wide(all_cells))),

@@ -8,12 +8,11 @@ from typing import NamedTuple
 import pandas as pd
 
 from uavnav.report import tables
-from uavnav.report.claims import PRIMARY, Claim
+from uavnav.report.claims import CLAIMS, EVERY, Claim
 from uavnav.report.content import Content
-from uavnav.report.discussion import DISCUSSION, EVERY
 from uavnav.report.quotes import Quotes
-from uavnav.report.verdicts import NO_RUNS, Grade, grade, of_claim
-from uavnav.runs.readings import ALL, SAMPLED
+from uavnav.report.verdicts import NO_RUNS, Finding, Grade, grade, of_claim
+from uavnav.runs.readings import ALL
 
 
 class Row(NamedTuple):
@@ -31,25 +30,23 @@ class Row(NamedTuple):
     @property
     def bar(self) -> str:
         """How many of its parts replicate, drawn."""
-        return tables.bar(self.grade)
+        replicating, counting = self.grade[1:]
+        return "▰" * replicating + "▱" * (counting - replicating) or tables.NOTHING
 
 
 def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row]:
     """A row a claim; those on other worlds where a folder has that study. prose: of `quotes`; root: of its links."""
     quotes = Quotes(content.tables, root)
-    asked = EVERY if content.worlds else EVERY[: -len(DISCUSSION)]
-    return [_row(claim, content, prose, quotes) for claim in asked]
+    return [_row(claim, content, prose, quotes) for claim in (EVERY if content.worlds else CLAIMS)]
 
 
 def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quotes) -> Row:
-    elsewhere = content.worlds is not None and claim in DISCUSSION
-    audits = {SAMPLED: content.worlds.findings} if content.worlds and elsewhere else content.audits
-    decides = SAMPLED if elsewhere else PRIMARY
-    of = {reading: of_claim(found, claim.number) for reading, found in audits.items()}
-    mine = of[decides]
+    asked = {reading: of_claim(found, claim.number) for reading, found in content.audits.items()}
+    of = {reading: parts for reading, parts in asked.items() if parts}
+    mine = of[claim.decides]
     shown = mine[claim.shown]
     verdicts = content.tables["verdicts"]
-    lines = verdicts.index[(verdicts["reading"] == decides) & (verdicts["claim"] == claim.number)]
+    lines = verdicts.index[(verdicts["reading"] == claim.decides) & (verdicts["claim"] == claim.number)]
     effect = quotes.link(tables.effect(shown), "verdicts", int(lines[claim.shown]))
     generic = f"{shown.text}: {effect}" if shown.n else "Some of its runs are missing."
     return Row(
@@ -59,9 +56,14 @@ def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quote
         grade(mine),
         prose[f"claim_{claim.number}"] or generic,
         tables.audit_rows(mine),
-        {reading: tables.in_reading(found) for reading, found in of.items() if reading != decides},
+        {reading: _graded(found) for reading, found in of.items() if reading != claim.decides},
         any(one.standing == NO_RUNS for one in mine) and any(one.n for one in mine),
     )
+
+
+def _graded(findings: Sequence[Finding]) -> str:
+    """A claim's grade; a dash where a reading has no runs for any part of it."""
+    return str(grade(findings)) if any(one.n for one in findings) else tables.NOTHING
 
 
 def table(found: Sequence[Row]) -> tables.Rows:

@@ -1,4 +1,4 @@
-"""Which figures a report has: at most twelve on the study, each with its section and a caption."""
+"""Which figures a report has: at most twelve, each with its section and a caption."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import WATCHED_LAYOUTS, WATCHED_STEPS
-from uavnav.report import arena, behaviour, charts, curves, frames
+from uavnav.report import arena, behaviour, charts, curves, frames, tuning, worlds
 from uavnav.report.cells import algorithms
 from uavnav.report.claims import PRIMARY
-from uavnav.report.frames import name
-from uavnav.report.headline import RULE
+from uavnav.report.frames import RULE, name
 from uavnav.report.studies import Cells
+from uavnav.report.worlds import Worlds
 from uavnav.runs import paper
 from uavnav.runs.metrics import MODES
 from uavnav.runs.readings import PER_FRAME, SAMPLED, words
@@ -27,8 +27,6 @@ from uavnav.tasks.world import World
 SHOWN_LAYOUTS = (0, 1, 2)
 SHOWN_ACTIVATION = "tanh"
 """Trajectories show these; the replays show all."""
-LOOKED_AT = {name: label for name, label in frames.MEASURES.items() if name not in ("trembling", "border")}
-"""Measures of flights that have a panel."""
 
 
 class Figure(NamedTuple):
@@ -45,26 +43,46 @@ def draw(
     numbers: Mapping[str, pd.DataFrame],
     flights: Mapping[tuple[str, str, str], pd.DataFrame],
     survival: Mapping[str, pd.Series],
+    of_worlds: Worlds | None = None,
     width: float = style.WIDTH,
 ) -> list[Figure]:
-    """All figures on the main study, in the order of the page.
+    """All figures, in the order of the page.
 
-    cells: of the paper's activations; numbers: the report's tables by name; flights: steps by study, algorithm and
-    activation; survival: curves by cell; width: of the figures [inches].
+    cells: of the paper's activations in the main study; numbers: the report's tables by name; flights: steps by study,
+    algorithm and activation; survival: curves by cell; width: of the figures [inches].
     """
     flown = {key[1:]: table for key, table in flights.items() if key[0] == "main"}
-    found = [*_first(numbers["seeds"], numbers["gaps"], width), *_curves(cells, width)]
+    found = [_first(numbers["seeds"], numbers["gaps"], width), *_curves(cells, width)]
     found += [_training(numbers["seeds"], numbers["gaps"], width), *_paths(flown, width), *_places(flown, width)]
     found.append(_survival(cells, numbers["survival"], survival, width))
     if len(numbers["behaviour"]):
         sampled = numbers["behaviour"].query("mode == 'sampled'")
-        drawn = charts.behaviours(sampled[["cell", "algorithm", "activation", "seed", *LOOKED_AT]], width)
+        drawn = charts.behaviours(sampled[["cell", "algorithm", "activation", "seed", *frames.MEASURES]], width)
         caption = "Each small dot is a seed, the bar its cell's 95 % interval; sampled flights on test sets."
         found.append(Figure("behaviour", "behaviour", drawn, caption))
     if len(numbers["sensitivity"]):
         caption = "The band is the interval as decided; an interval that lies across zero from it flips a conclusion."
         found.append(Figure("sensitivity", "sensitivity", charts.sensitivity(numbers["sensitivity"], width), caption))
+    if len(numbers.get("tuning", ())):
+        caption = "Reward of a test flight, sampled: mean over seeds and 95 % interval. Dashed: the hand-written rule."
+        drawn = tuning.draw(numbers["tuning"], _of_rule(numbers["gaps"], "reward"), width)
+        found.append(Figure("tuning", "algorithms", drawn, caption))
+    if of_worlds:
+        caption = "Means and 95 % intervals over seeds; lines: scripts."
+        found.append(Figure("worlds-rewards", "worlds", worlds.draw(numbers["places"], width), caption))
+    if of_worlds and (density := worlds.ladder(of_worlds, "density", width)):
+        caption = (
+            "The density ladder: policies trained in the paper's world, means over activations with Welch's 95 %"
+            " intervals over seeds. Dotted and dashed: scripts."
+        )
+        found.append(Figure("worlds-density", "worlds", density, caption))
     return found
+
+
+def _of_rule(gaps: pd.DataFrame, column: str) -> float:
+    """What the hand-written rule reaches on the test sets; NaN without its flights."""
+    found = gaps.loc[gaps["who"] == RULE, column]
+    return float(found.iloc[0]) if len(found) else np.nan
 
 
 def _curves(cells: Cells, width: float) -> list[Figure]:
@@ -84,31 +102,29 @@ def _curves(cells: Cells, width: float) -> list[Figure]:
 
 def _training(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
     """Cells side by side by their reward in training."""
-    rule = gaps.loc[gaps["who"] == RULE, "per_frame"]
+    rule, seeds = _of_rule(gaps, "per_frame"), _seeds(values, PRIMARY, "reward")
     printed = {name(*key): paper.printed(*key, "reward", PRIMARY == PER_FRAME) for key in paper.TABLES}
     caption = f"{PRIMARY.capitalize()}: seeds, their mean with its 95 % interval, and the paper's run."
-    caption += f" Dashed: the hand-written rule `{RULE}` on the test sets." if len(rule) else ""
-    dashed, seeds = float(rule.sum()) if len(rule) else np.nan, _seeds(values, PRIMARY, "reward")
-    drawn = charts.intervals(seeds, printed, words("reward", PRIMARY), dashed, width)
+    if np.isfinite(rule):
+        caption += f" Dashed: the hand-written rule `{RULE}` on the test sets."
+    drawn = charts.intervals(seeds, printed, words("reward", PRIMARY), rule, width)
     return Figure("cells-reward", "tables", drawn, caption)
 
 
-def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> list[Figure]:
+def _first(values: pd.DataFrame, gaps: pd.DataFrame, width: float) -> Figure:
     """The figure of the first screen, as wide as the page: the reward of test flights, with the rule's."""
-    rule, width = gaps.loc[gaps["who"] == RULE, "reward"], style.FULL if width >= style.WIDTH else width
-    dashed = float(rule.sum()) if len(rule) else np.nan
-    seeds = _seeds(values, SAMPLED, "reward")
+    seeds, sampled = _seeds(values, SAMPLED, "reward"), gaps[gaps["mode"] == MODES[1]]
     rows = {
         row["who"]: (seeds[row["who"]], Interval(row["reward"], row["low"], row["high"], row["n"]))
-        for row in gaps[gaps["mode"] == MODES[1]].to_dict("records")
+        for row in sampled.to_dict("records")
         if row["who"] in seeds
     }
-    drawn = charts.flights(rows, dashed, "reward a flight, new obstacles", width)
-    caps = gaps.loc[gaps["mode"] == MODES[1], "cap"].dropna()
+    full = style.FULL if width >= style.WIDTH else width
+    drawn = charts.flights(rows, _of_rule(gaps, "reward"), "reward a flight, new obstacles", full)
+    caps = sampled["cap"].dropna()
     limit = f" Flights end at a collision, or after {caps.max():,.0f} steps." if len(caps) else ""
     caption = "A small dot is a training run, a large one the mean of its row with its 95 % interval."
-    caption += f"{limit} The paper: {paper.TITLE}."
-    return [Figure("cells-flights", "first", drawn, caption)]
+    return Figure("cells-flights", "first", drawn, f"{caption}{limit} The paper: {paper.TITLE}.")
 
 
 def _seeds(values: pd.DataFrame, reading: str, metric: str) -> dict[str, Array]:

@@ -17,10 +17,8 @@ from markupsafe import Markup, escape
 from uavnav import evaluation
 from uavnav.report import (
     arena,
-    beyond,
     evidence,
     frames,
-    headline,
     studies,
     tables,
     whys,
@@ -29,7 +27,6 @@ from uavnav.report import (
 from uavnav.report.cells import BINS, label
 from uavnav.report.claims import PRIMARY
 from uavnav.report.content import Content
-from uavnav.report.figures import LOOKED_AT
 from uavnav.report.quotes import prose
 from uavnav.report.replays import paths, together
 from uavnav.report.verdicts import GRADES, SEEDS
@@ -118,7 +115,7 @@ def _json(data: Any) -> Markup:
 _TEMPLATES.filters |= {"json": _json, "cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
 _TEMPLATES.filters |= {"linked": linked, "plain": plain, "listed": listed}
 _TEMPLATES.globals |= {"evaluation": evaluation, "evidence": evidence, "frames": frames}
-_TEMPLATES.globals |= {"beyond": beyond, "studies": studies, "whys": whys, "worlds": worlds}
+_TEMPLATES.globals |= {"studies": studies, "whys": whys, "worlds": worlds}
 _TEMPLATES.globals |= {
     "tables": tables,
     "primary": PRIMARY,
@@ -126,7 +123,6 @@ _TEMPLATES.globals |= {
     "sampled": SAMPLED,
     "log_curve": LOG_CURVE,
     "least_seeds": SEEDS,
-    "looked_at": LOOKED_AT,
 }
 _TEMPLATES.globals |= {"decisions": DECISIONS, "kinds": GRADES, "TITLE": TITLE}
 
@@ -236,7 +232,7 @@ def page(content: Content, pictures: Mapping[str, Sequence[str]], first: Path) -
 def _sections(content: Content) -> list[tuple[str, str]]:
     """The ids and titles of the page's sections, in order; of further studies only where there are some."""
     found = list(SECTIONS.items())
-    more = {"algorithms": "Algorithms"} if beyond.NAMED & {*content.tables} else {}
+    more = {"algorithms": "Algorithms"} if {"tuning", "carried"} & {*content.tables} else {}
     more |= WITH_WORLDS if content.worlds else {}
     place = list(SECTIONS).index("baselines")
     return [*found[:place], *more.items(), *found[place:]]
@@ -245,7 +241,7 @@ def _sections(content: Content) -> list[tuple[str, str]]:
 def first_flights(content: Content) -> dict[str, Any] | None:
     """What flies on the first screen, where at least one policy can beside the rule."""
     gaps = content.tables["gaps"]
-    best = [headline.best(gaps, MODES[1], algorithm) for algorithm in paper.TABLE_OF]
+    best = [frames.best(gaps, MODES[1], algorithm) for algorithm in paper.TABLE_OF]
     flown = gaps.loc[[place for place in best if place is not None]].sort_values("reward", ascending=False)
     cells = {who: tables.in_words(who) for who in flown["who"]}
     shown = together(content.replays, cells, RULE) if content.replays else None

@@ -14,10 +14,8 @@ from typing import Any
 import jinja2
 import pandas as pd
 
-from uavnav.report.claims import PRIMARY
-from uavnav.report.discussion import DISCUSSION, EVERY
+from uavnav.report.claims import EVERY
 from uavnav.report.tables import in_brackets
-from uavnav.runs.readings import SAMPLED
 from uavnav.stats import Interval
 
 
@@ -71,21 +69,15 @@ class Quotes:
 
     def claim(self, number: int, sign: str, column: str = "value", times: float = 1, unit: str = "") -> str:
         """The effect, or its ratio to the paper's, of the part of a claim that its sentence is about."""
-        claim = next(one for one in EVERY if one.number == number)
-        reading, text = SAMPLED if claim in DISCUSSION else PRIMARY, claim.parts[claim.shown].text
-        return self.quote("verdicts", sign, column, times, unit, reading=reading, claim=number, text=text)
+        claim = EVERY[number - 1]
+        text = claim.parts[claim.shown].text
+        return self.quote("verdicts", sign, column, times, unit, reading=claim.decides, claim=number, text=text)
 
     def graded(self, grade: str, *claims: int) -> str:
         """How many claims have a grade: these and no others."""
         table = self.table("verdicts")
-        others = table["claim"].isin([one.number for one in DISCUSSION])
-        grades = (
-            table[(table["reading"] == PRIMARY) | others]
-            .groupby("claim")["grade_of_claim"]
-            .first()
-            .str.split(" (", regex=False)
-            .str[0]
-        )
+        decides = table["claim"].map({one.number: one.decides for one in EVERY})
+        grades = table[table["reading"] == decides].groupby("claim")["grade_of_claim"].first().str.partition(" (")[0]
         if (found := grades[grades == grade].index.tolist()) != [*claims]:
             raise Untrue(f"claims {found} have the grade {grade}")
         return str(len(found))

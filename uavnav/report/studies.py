@@ -10,18 +10,17 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from uavnav.report.cells import TASK, Cell, Key, order, read_as, show, windowed
+from uavnav.report.cells import UNSAID, Cell, Key, flat, order, read_as, show, windowed
 from uavnav.report.claims import PRIMARY, SURGE
 from uavnav.runs import POLICY, Run, paper
 from uavnav.runs.readings import ALL, PER_FRAME
 from uavnav.stats import Array
-from uavnav.tasks.faults import NO_FAULTS
 
 Cells = dict[Key, Cell]
 
@@ -132,14 +131,20 @@ def paper_cells(cells: Cells) -> Cells:
 
 def elsewhere(cells: Sequence[Cell]) -> list[Cell]:
     """Those that have their policies, and another world than the paper's, faults, or a stack of observations."""
-    usual = {"task": TASK, "stack": 1} | {f"faults.{name}": value for name, value in asdict(NO_FAULTS).items()}
-    other = [cell for cell in cells if any(cell.settings.get(key, value) != value for key, value in usual.items())]
+    other = [
+        cell for cell in cells if any(cell.settings.get(key, value) != value for key, value in flat(UNSAID).items())
+    ]
     return [cell for cell in other if any((run.path / POLICY).exists() for run in cell.runs)]
 
 
 def wide(studies: Studies) -> Cells:
     """All cells of the first study with activations beyond the paper's: the main one, `vectorised`, or the baseline."""
     return next((cells for cells in studies[:3] if len(paper_cells(cells)) < len(cells)), {})
+
+
+def further(studies: Studies) -> Cells:
+    """The cells in many environments of algorithms beyond the paper's."""
+    return {key: cell for key, cell in studies.of("vectorised").items() if key[0] not in paper.TABLE_OF}
 
 
 def seeds(cell: Cell) -> int:

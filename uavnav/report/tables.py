@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import datetime
+import json
 import math
 import string
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,9 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
-from uavnav.report import headline
 from uavnav.report.cells import Cell, Counts, counted, counts, episodes_of, one_line, show
 from uavnav.report.claims import NAMES
-from uavnav.report.frames import estimates, name, per_seed_values
+from uavnav.report.frames import RULE, best, estimates, name, per_seed_values
 from uavnav.report.studies import Cells
 from uavnav.report.verdicts import (
     BESIDE,
@@ -29,37 +29,25 @@ from uavnav.report.verdicts import (
     TOO_FEW,
     TOO_SMALL,
     Finding,
-    Grade,
-    grade,
     p_shown,
 )
-from uavnav.runs import paper
+from uavnav.runs import paper, trials
 from uavnav.runs.metrics import METRICS, MODES, finished, per_seed
 from uavnav.runs.readings import PER_FRAME, READINGS, SAMPLED, decimals, words
+from uavnav.runs.trials import DEFAULT, DIFFERENCE, TUNED
 
 Rows = list[list[str]]
+Record = Mapping[str, Any]
+Columns = Mapping[str, str | Callable[[Record], str]]
+"""Columns of a table with a row a row of a frame: formats, or functions of a row, by header."""
 NOTHING = "–"
 FLIPS = {"yes": " – flips", "sign": " – other sign", "no": "", "": ""}
 """How a table says what `frames.sensitivity` found."""
-INTERACTIONS = {"reading": "{reading}", "metric": "{metric}", "seeds": "{n}"}
-INTERACTIONS |= {"p, change of places": "{p_ranks:.4f}", "p, raw scale": "{p_raw:.4f}"}
-SURVIVALS = {"cell": "{cell}", "seeds": "{n}", "flights": "{episodes:,}", "cut off [share]": "{cut_off:.0%}"}
-SURVIVALS |= {"mean [steps]": "{restricted_mean:.0f} [{low:.0f}, {high:.0f}]"}
-GAPS = {"who": "{who}", "acting": "{mode}", "seeds": "{n}", "flights": "{flights:,}", "up at the cap": "{up:.0%}"}
-GAPS |= {
-    "reward": "{reward:.1f} [{low:.1f}, {high:.1f}]",
-    "gap to the rule": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
-}
-GAPS |= {"seeds above": "{above:.0%}"}
-BY_DEFAULT = {"settings": "{settings}", "activations of both": "{activations}", "seeds a cell": "{n}"}
-BY_DEFAULT |= {"PPO − DQN": "{value:.1f} [{low:.1f}, {high:.1f}]"}
-SPEEDS = {"cell": "{cell}", "seeds side by side": "{seeds}", "wall time [s] of a seed's share": "{seconds:.0f}"}
-SPEEDS |= {"machine": "{machine}"}
-IMPROVEMENT = {"cell": "{a}", "against": "{b}", "seeds": "{n_a}, {n_b}", "probability of more": "{probability:.2f}"}
-IMPROVEMENT |= {"Holm's p": "{p_holm:.3f}"}
-"""Columns of tables with a row a row of a frame: formats by header."""
 MANY = 10_000
 """More seeds than these are as good as never."""
+VALUE, REWARD, GAP = ["value", "low", "high"], ["reward", "low", "high"], ["gap", "gap_low", "gap_high"]
+MEAN, MIDDLE = ["mean", "low", "high"], ["interquartile_mean", "iqm_low", "iqm_high"]
+"""Columns of frames: a number and its interval."""
 
 
 def number(value: float, digits: int = 2) -> str:
@@ -103,12 +91,90 @@ class _Cells(string.Formatter):
         return NOTHING if shown == "nan%" else shown
 
 
-def listed(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
-    """A row a row; columns: formats by header, of which an interval that is not known is left out."""
-    fill = _Cells().vformat
-    records = [{str(key): value for key, value in one.items()} for one in frame.to_dict("records")]
-    found = ([fill(form, (), one) for form in columns.values()] for one in records)
-    return [list(columns), *([cell.replace(f" [{NOTHING}, {NOTHING}]", "") for cell in row] for row in found)]
+def listed(frame: pd.DataFrame, columns: Columns) -> Rows:
+    """A row a row; an interval that is not known is left out."""
+    rows, fill = [list(columns)], _Cells().vformat
+    for one in _records(frame):
+        shown = (form(one) if callable(form) else fill(form, (), one) for form in columns.values())
+        rows.append([cell.replace(f" [{NOTHING}, {NOTHING}]", "") for cell in shown])
+    return rows
+
+
+def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(key): value for key, value in one.items()} for one in frame.to_dict("records")]
+
+
+def _across(part: pd.DataFrame, column: str, names: Iterable[str], shown: Callable[[Record], str]) -> list[str]:
+    """Some rows side by side, in the order of their names in a column; a dash where a name has none."""
+    known = {one[column]: shown(one) for one in _records(part)}
+    return [known.get(name, NOTHING) for name in names]
+
+
+def _needed(one: Record) -> str:
+    return f"> {MANY:,}" if MANY < one["seeds"] < math.inf else number(one["seeds"], 0)
+
+
+INTERACTIONS: Columns = {
+    "reading": "{reading}",
+    "metric": "{metric}",
+    "seeds": "{n}",
+    "p, change of places": "{p_ranks:.4f}",
+    "p, raw scale": "{p_raw:.4f}",
+}
+SURVIVALS: Columns = {
+    "cell": "{cell}",
+    "seeds": "{n}",
+    "flights": "{episodes:,}",
+    "cut off [share]": "{cut_off:.0%}",
+    "mean [steps]": "{restricted_mean:.0f} [{low:.0f}, {high:.0f}]",
+}
+GAPS: Columns = {
+    "who": "{who}",
+    "acting": "{mode}",
+    "seeds": "{n}",
+    "flights": "{flights:,}",
+    "up at the cap": "{up:.0%}",
+    "reward": "{reward:.1f} [{low:.1f}, {high:.1f}]",
+    "gap to the rule": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
+    "seeds above": "{above:.0%}",
+}
+BY_DEFAULT: Columns = {
+    "settings": "{settings}",
+    "activations of both": "{activations}",
+    "seeds a cell": "{n}",
+    "PPO − DQN": "{value:.1f} [{low:.1f}, {high:.1f}]",
+}
+SPEEDS: Columns = {
+    "cell": "{cell}",
+    "seeds side by side": "{seeds}",
+    "wall time [s] of a seed's share": "{seconds:.0f}",
+    "machine": "{machine}",
+}
+IMPROVEMENT: Columns = {
+    "cell": "{a}",
+    "against": "{b}",
+    "seeds": "{n_a}, {n_b}",
+    "probability of more": "{probability:.2f}",
+    "Holm's p": "{p_holm:.3f}",
+}
+POWERS: Columns = {"pair": "{pair}", "seeds there are": "{n}", "seeds a cell": _needed}
+WHYS: Columns = {
+    "question": "{question}",
+    "cell or difference": "{row}",
+    "measure": "{metric}",
+    "mean": lambda one: _interval(one, VALUE, digits(stats.Interval(*(one[key] for key in (*VALUE, "n"))))),
+    "seeds": "{n}",
+}
+AHEAD: Columns = {
+    "world": "{world}",
+    "best policy": "{best}",
+    "reward per flight": "{value:.2f} [{low:.2f}, {high:.2f}]",
+    "best script": lambda one: one["script"] or NOTHING,
+    "its reward": "{scripted:.2f}",
+    "ahead": lambda one: one["ahead"] or NOTHING,
+    "not above random flight": "{chance}",
+}
+"""Who is ahead in each world: of `worlds.leaders`."""
 
 
 def crossed(
@@ -119,19 +185,22 @@ def crossed(
     frame: columns value, low, high and n beside; digits: three of numbers below 1 and one of others if None; labels:
     words for the columns, in their order.
     """
+
+    def shown(one: Record) -> str:
+        places = (3 if abs(one["value"]) < 1 else 1) if digits is None else digits
+        return _interval(one, VALUE, places) + FLIPS[one.get("flips", "")]
+
     words = labels or {name: name.upper() if name in ALGORITHMS else name for name in frame[column].unique()}
     names = [name for name in words if name in set(frame[column])]
     rows = [[row, *(words[name] for name in names), "seeds"]]
     for key, part in frame.groupby(row, sort=False):
-        known = {str(one[column]): _one(one, digits) for one in part.to_dict("records")}
-        cells = [known.get(name, NOTHING) for name in names]
-        rows.append([str(key), *cells, str(part["n"].min())])
+        rows.append([str(key), *_across(part, column, names, shown), str(part["n"].min())])
     return rows
 
 
-def _one(one: Mapping[Hashable, Any], digits: int | None) -> str:
-    places = (3 if abs(one["value"]) < 1 else 1) if digits is None else digits
-    return with_interval(one["value"], one["low"], one["high"], places) + FLIPS[one.get("flips", "")]
+def _interval(one: Record, columns: Sequence[str], digits: int = 2) -> str:
+    value, low, high = (one[column] for column in columns)
+    return with_interval(value, low, high, digits)
 
 
 def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
@@ -187,16 +256,6 @@ def _about(seeds: float) -> str:
     return f"more than {MANY:,} seeds" if seeds > MANY else f"about {seeds:,.0f} seeds"
 
 
-def bar(of: Grade) -> str:
-    """How many of the parts that count replicate, drawn."""
-    return "▰" * of.replicating + "▱" * (of.counting - of.replicating) or NOTHING
-
-
-def in_reading(findings: Sequence[Finding]) -> str:
-    """A claim's grade; a dash where a reading has no runs for any part of it."""
-    return str(grade(findings)) if any(one.n for one in findings) else NOTHING
-
-
 def side_by_side(seeds: Mapping[str, pd.DataFrame]) -> Rows:
     """Anything that has flown: a row a metric, a column each; seeds: by name, a row a seed as of `metrics.per_seed`."""
     rows = [["", *seeds], ["seeds", *(str(len(one)) for one in seeds.values())]]
@@ -215,19 +274,21 @@ def operating(shares: pd.DataFrame) -> Rows:
     """How often each claim would be graded what, if we knew the truth. shares: as `operating.characteristics` gives."""
     rows = [["", "if the truth were", *GRADES[:-1]]]
     for (claim, truth), part in shares.groupby(["claim", "truth"], sort=False):
-        rows.append([str(claim), str(truth), *(f"{share:.1%}" for share in part["share"])])
+        shown = _across(part, "grade", GRADES[:-1], lambda one: f"{one['share']:.1%}")
+        rows.append([str(claim), str(truth), *shown])
     return rows
 
 
 def predictions(frame: pd.DataFrame, reading: str) -> Rows:
     """The paper's numbers as one more seed, with the interval of one: a row a cell, a column a metric."""
+
+    def shown(one: Record) -> str:
+        own = _interval(one, ["paper", "low", "high"], decimals(one["metric"], reading))
+        return f"{own} {'within' if one['within'] else 'outside'}" if one["n"] > 1 else NOTHING
+
     rows = [["cell", "seeds", *(words(metric, reading) for metric in paper.COLUMNS)]]
     for key, part in frame[frame["reading"] == reading].groupby(["algorithm", "activation"], sort=False):
-        shown = []
-        for one in part.to_dict("records"):
-            own = with_interval(one["paper"], one["low"], one["high"], decimals(one["metric"], reading))
-            shown.append(f"{own} {'within' if one['within'] else 'outside'}" if one["n"] > 1 else NOTHING)
-        rows.append([name(*map(str, key)), str(part["n"].max()), *shown])
+        rows.append([name(*map(str, key)), str(part["n"].max()), *_across(part, "metric", paper.COLUMNS, shown)])
     return rows
 
 
@@ -235,18 +296,6 @@ def frame(found: pd.DataFrame) -> Rows:
     """Any table as it is."""
     rows = [["" if pd.isna(cell) else str(cell) for cell in row] for row in found.itertuples(index=False)]
     return [list(map(str, found.columns)), *rows]
-
-
-REWARD, GAP = ["reward", "low", "high"], ["gap", "gap_low", "gap_high"]
-MEAN, MIDDLE = ["mean", "low", "high"], ["interquartile_mean", "iqm_low", "iqm_high"]
-"""Columns of `headline.gaps` and of `frames.estimates`: a number and its interval."""
-
-
-def _estimate(by_metric: pd.DataFrame, metric: str, reading: str, columns: Sequence[str] = MEAN) -> str:
-    if metric not in by_metric.index:
-        return NOTHING
-    value, low, high = (by_metric[column][metric] for column in columns)
-    return with_interval(value, low, high, decimals(metric, reading))
 
 
 def table(cells: Sequence[Cell], algorithm: str) -> Rows:
@@ -257,6 +306,10 @@ def table(cells: Sequence[Cell], algorithm: str) -> Rows:
     rows = [["activation", "reading", "seeds", "episodes", "cut off", *(one.words() for one in METRICS.values())]]
     of_paper = paper.ACTIVATIONS if algorithm in paper.TABLE_OF else ()
     nothing = [NOTHING] * len(METRICS)
+
+    def estimates_of(part: pd.DataFrame, columns: Sequence[str]) -> list[str]:
+        return _across(part, "metric", METRICS, lambda one: _estimate(one, columns))
+
     for activation in dict.fromkeys([*of_paper, *(cell.activation for cell in cells)]):
         ours = [cell for cell in cells if cell.activation == activation]
         if activation in of_paper:
@@ -268,15 +321,18 @@ def table(cells: Sequence[Cell], algorithm: str) -> Rows:
         for cell in ours:
             found = estimates(per_seed_values({(algorithm, activation): cell}))
             for reading in READINGS:
-                by_metric = found[found["reading"] == reading].set_index("metric")
-                if not (by_metric["n"] > 0).any():
+                own = found[found["reading"] == reading]
+                if not (own["n"] > 0).any():
                     rows.append([cell.label or activation, f"{reading}: missing", "0", "0", NOTHING, *nothing])
                     continue
                 part = _counts(counts(cell, reading))
                 for which, columns in ((reading, MEAN), (f"{reading}, interquartile mean", MIDDLE)):
-                    values = [_estimate(by_metric, one, reading, columns) for one in METRICS]
-                    rows.append([cell.label or activation, which, *part, *values])
+                    rows.append([cell.label or activation, which, *part, *estimates_of(own, columns)])
     return rows
+
+
+def _estimate(one: Record, columns: Sequence[str] = MEAN) -> str:
+    return _interval(one, columns, decimals(one["metric"], one["reading"]))
 
 
 def _printed(algorithm: str, activation: str, per_frame: bool) -> list[str]:
@@ -295,24 +351,14 @@ def _counts(part: Counts) -> list[str]:
     return [str(part.seeds), f"{part.episodes:,}", share]
 
 
-def powers(frame: pd.DataFrame) -> Rows:
-    """Seeds that it would take."""
-    rows = [["pair", "seeds there are", "seeds a cell"]]
-    for one in frame.to_dict("records"):
-        needed = f"> {MANY:,}" if MANY < one["seeds"] < math.inf else number(one["seeds"], 0)
-        rows.append([one["pair"], str(one["n"]), needed])
-    return rows
-
-
 def of_metrics(frame: pd.DataFrame, only: Sequence[str], readings_shown: Sequence[str]) -> Rows:
     """Cells against metrics, in some readings."""
     rows = [["cell", "reading", "seeds", *(METRICS[metric].words() for metric in only)]]
     shown_alone = frame[frame["reading"].isin(list(readings_shown))]
     for key, part in shown_alone.groupby(["algorithm", "activation", "reading"], sort=False):
         algorithm, activation, reading = (str(one) for one in key)
-        by_metric = part.set_index("metric")
-        shown = [_estimate(by_metric, metric, reading) for metric in only]
-        rows.append([name(algorithm, activation), reading, str(by_metric["n"].max()), *shown])
+        shown = _across(part, "metric", only, _estimate)
+        rows.append([name(algorithm, activation), reading, str(part["n"].max()), *shown])
     return rows
 
 
@@ -338,10 +384,10 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
 
 def flights(frame: pd.DataFrame, root: str = "") -> Rows:
     """Test flights of the rule and of each of the paper's algorithms' best cells: reward, its gap to the rule, share
-    still up. frame: of `headline.gaps`; root: of links."""
+    still up. frame: of `frames.gaps`; root: of links."""
     rows = [["test flights", "reward", "gap to the rule", "still flying at the limit"]]
-    best = [headline.best(frame, mode, algorithm) for algorithm in paper.TABLE_OF for mode in MODES]
-    known = [*frame.index[frame["who"] == headline.RULE], *(place for place in best if place is not None)]
+    best_ = [best(frame, mode, algorithm) for algorithm in paper.TABLE_OF for mode in MODES]
+    known = [*frame.index[frame["who"] == RULE], *(place for place in best_ if place is not None)]
     for place in sorted(known, key=lambda place: -frame["reward"][place]):
         one = frame.loc[place]
         who = f"{in_words(one['who'])}, {one['mode']}" if one["algorithm"] else f"a hand-written rule (`{one['who']}`)"
@@ -352,13 +398,45 @@ def flights(frame: pd.DataFrame, root: str = "") -> Rows:
     return rows
 
 
-def whys(frame: pd.DataFrame) -> Rows:
-    """What side studies give. frame: as `whys.table` gives it."""
-    rows = [["question", "cell or difference", "measure", "mean", "seeds"]]
-    for one in frame.to_dict("records"):
-        found = stats.Interval(one["value"], one["low"], one["high"], one["n"])
-        value = with_interval(*found[:3], digits(found))
-        rows.append([one["question"], one["row"], one["metric"], value, str(found.n)])
+def tuned(found: pd.DataFrame) -> Rows:
+    """Default against tuned, a row an algorithm. found: as `tuning.read` gives it."""
+    settings = (DEFAULT, TUNED, DIFFERENCE)
+    rows = [["algorithm", "seeds", *settings, "tuned, gap to the rule"]]
+    for algorithm, part in found.groupby("algorithm", sort=False):
+        shown = _across(part, "settings", settings, lambda one: _interval(one, VALUE, 1))
+        gap = _across(part, "settings", [TUNED], lambda one: _interval(one, GAP, 1))
+        rows.append([str(algorithm).upper(), str(part["n"].max()), *shown, *gap])
+    return rows
+
+
+def reward(numbers: Mapping[str, pd.DataFrame], algorithm: str, which: str) -> str:
+    """Of an algorithm's test flights with some settings; by default those of tanh, where it was not tuned."""
+    tuned = numbers["tuning"].query("algorithm == @algorithm") if "tuning" in numbers else pd.DataFrame()
+    if len(tuned):
+        return _across(tuned, "settings", [which], lambda one: _interval(one, VALUE, 1))[0]
+    if which != DEFAULT or "further" not in numbers:
+        return NOTHING
+    sampled = numbers["further"].query("mode == 'sampled'")
+    return _across(sampled, "who", [name(algorithm, "tanh")], lambda one: _interval(one, REWARD, 1))[0]
+
+
+def tried(table: pd.DataFrame) -> Rows:
+    """The first and the best of each algorithm's trials, and the settings of the best."""
+    rows = [["algorithm", "trials", "diverged", "first (default)", "best", "its trial", "settings"]]
+    for algorithm, part in table.groupby("algorithm", sort=False):
+        first = part.loc[part["trial"] == 0, "value"]
+        shown = [
+            str(len(part)),
+            str(part["value"].isna().sum()),
+            *(number(one, 1) for one in [*first, *[math.nan] * first.empty]),
+        ]
+        top = trials.best(table, str(algorithm))
+        if top is None:
+            rows.append([str(algorithm).upper(), *shown, *[NOTHING] * 3])
+            continue
+        settings = json.loads(top["settings"]).items()
+        told = (f"{key}={f'{value:.3g}' if isinstance(value, float) else value}" for key, value in settings)
+        rows.append([str(algorithm).upper(), *shown, number(top["value"], 1), str(top["trial"]), ", ".join(told)])
     return rows
 
 

@@ -16,9 +16,8 @@ import numpy as np
 
 from uavnav import stats
 from uavnav.report.claims import CLAIMS, Claim, Evidence, Part
-from uavnav.stats import Array, Contrasts
+from uavnav.stats import Array, Contrasts, Flags
 
-Flags = np.ndarray[Any, np.dtype[np.bool_]]
 Names = np.ndarray[Any, np.dtype[np.str_]]
 
 SEEDS = 5

@@ -7,24 +7,19 @@ uavnav/studies/why.yaml. Letters: S seeds of a cell.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import pandas as pd
 
 from uavnav import stats
-from uavnav.report.claims import ALGORITHMS, PRIMARY, Evidence
-from uavnav.report.frames import MEASURES
-from uavnav.runs.metrics import METRICS
-from uavnav.runs.readings import words
+from uavnav.report.claims import ALGORITHMS, PAIR, Evidence
 
 Place = tuple[str, str, str]
 """Study, algorithm and activation, as `Evidence` takes them."""
 PPO, DQN = ALGORITHMS
 SHORT, LONG = "baseline", "vectorised"
 """Studies that change nothing, of fewer and of as many frames as the paper's."""
-PAIR = ("tanh", "relu")
-"""Activations of the studies that are as long as the paper's."""
 
 
 class Contrast(NamedTuple):
@@ -43,30 +38,30 @@ class Question(NamedTuple):
     text: str
     metrics: tuple[str, ...]  # a panel each
     rows: dict[str, Place]
-    contrasts: tuple[Contrast, ...]
+    contrasts: list[Contrast]
 
 
-def _settings(setting: str, values: Iterable[str], usual: str, algorithms: Iterable[str]) -> dict[str, Place]:
-    """A row for each value of a setting, with tanh."""
-    return {
-        f"{algorithm.upper()} {setting}={value}": (SHORT if value == usual else f"{setting}={value}", algorithm, "tanh")
-        for algorithm in algorithms
-        for value in values
-    }
+Answers = tuple[dict[str, Place], list[Contrast]]
 
 
-def _ends(metric: str, setting: str, low: str, high: str, algorithm: str) -> Contrast:
-    """The lowest value of a setting against the highest."""
-    first, second = ((f"{setting}={value}", algorithm, "tanh") for value in (low, high))
-    name = f"{algorithm.upper()} with {setting}={low} minus with {setting}={high}"
-    return Contrast(metric, name, (first,), (second,))
+def _sweep(metric: str, setting: str, values: Sequence[str], usual: str, *algorithms: str, low: int = 0) -> Answers:
+    """A row for each value of a setting, with tanh, and the lowest value (at place `low`) against the highest."""
+    rows: dict[str, Place] = {}
+    contrasts = []
+    for one in algorithms:
+        places = {value: (SHORT if value == usual else f"{setting}={value}", one, "tanh") for value in values}
+        rows |= {f"{one.upper()} {setting}={value}": place for value, place in places.items()}
+        first, second = values[low], values[-1]
+        name = f"{one.upper()} with {setting}={first} minus with {setting}={second}"
+        contrasts.append(Contrast(metric, name, (places[first],), (places[second],)))
+    return rows, contrasts
 
 
-def _activations() -> Question:
+def _activations() -> Answers:
     plain = ("tanh", "hardtanh", "sigmoid_centred", "sigmoid", "relu6", "relu", "leaky_relu")
     changed = {"layer_norm=True": "LayerNorm", "init=unit": "one scale"}
     rows: dict[str, Place] = {}
-    contrasts: list[Contrast] = []
+    contrasts = []
     for one in ALGORITHMS:
         rows |= {f"{one.upper()} {activation}": (SHORT, one, activation) for activation in plain}
         for study, label in changed.items():
@@ -76,78 +71,73 @@ def _activations() -> Question:
         for a, b, study, how in pairs:
             name = f"{one.upper()} with {a} minus with {b}{how}"
             contrasts.append(Contrast("reward", name, ((study, one, a),), ((study, one, b),)))
-    return Question("activations", "Is it boundedness, centring or scale?", ("reward",), rows, tuple(contrasts))
+    return rows, contrasts
 
 
-def _of_pair(labels: dict[str, str]) -> dict[str, Place]:
-    """A row for each algorithm, activation of the pair and study, as long as the paper's."""
-    return {
-        f"{one.upper()} {activation}, {label}": (study, one, activation)
+def _of_pair(study: str, how: str, metrics: Sequence[str], labels: Mapping[str, str]) -> Answers:
+    """A row for each algorithm, activation of the pair and study, as long as the paper's; a study against `LONG`."""
+    rows = {
+        f"{one.upper()} {activation}, {label}": (which, one, activation)
         for one, activation in itertools.product(ALGORITHMS, PAIR)
-        for study, label in labels.items()
+        for which, label in labels.items()
     }
+    contrasts = []
+    for metric, one in itertools.product(metrics, ALGORITHMS):
+        first, second = (tuple((which, one, activation) for activation in PAIR) for which in (study, LONG))
+        contrasts.append(Contrast(metric, f"{one.upper()} {how}", first, second))
+    return rows, contrasts
 
 
-def _against_long(study: str, algorithm: str, metric: str, how: str) -> Contrast:
-    """A study against the one that changes nothing, means of the pair."""
-    first, second = (tuple((one, algorithm, activation) for activation in PAIR) for one in (study, LONG))
-    return Contrast(metric, f"{algorithm.upper()} {how}", first, second)
+def _question(name: str, text: str, metrics: tuple[str, ...], *answers: Answers) -> Question:
+    rows = {label: place for of, _ in answers for label, place in of.items()}
+    return Question(name, text, metrics, rows, [one for _, contrasts in answers for one in contrasts])
 
 
-def _rewards() -> Question:
-    metrics, initial = ("full_stops", "turns", "reversals"), "reward=initial"
-    labels = {initial: "first reward", "reward=additive": "added penalties", LONG: "eq. (14)"}
-    how = "under the first reward minus under eq. (14)"
-    contrasts = tuple(
-        _against_long(initial, one, metric, how) for metric, one in itertools.product(metrics, ALGORITHMS)
-    )
-    return Question("rewards", "What do the penalties cure?", metrics, _of_pair(labels), contrasts)
-
-
-def _memory() -> Question:
-    labels = {LONG: "one", "stack=4": "the last four"}
-    how = "with the last four observations minus with one"
-    contrasts = tuple(_against_long("stack=4", one, "reward", how) for one in ALGORITHMS)
-    return Question("memory", "Does remembering help?", ("reward",), _of_pair(labels), contrasts)
-
-
-CLIPS, EPOCHS = ("0.05", "0.1", "0.2", "0.4", "None"), ("1", "3", "10", "20")
-GAMMAS, EPSILONS, ENTROPIES = (
-    ("0.9", "0.95", "0.99", "0.999"),
-    ("0.0", "0.01", "0.05", "0.2"),
-    ("0.0", "0.001", "0.01", "0.03"),
-)
+CURED = ("full_stops", "turns", "reversals")
 QUESTIONS = (
-    _activations(),
-    Question(
+    _question("activations", "Is it boundedness, centring or scale?", ("reward",), _activations()),
+    _question(
         "caution",
         "Do gradual updates make PPO cautious?",
         ("clearance", "reward"),
-        _settings("clip_epsilon", CLIPS, "0.2", [PPO]) | _settings("epochs", EPOCHS, "10", [PPO]),
-        (
-            _ends("clearance", "clip_epsilon", "0.05", "None", PPO),
-            _ends("clearance", "epochs", "1", "20", PPO),
-        ),
+        _sweep("clearance", "clip_epsilon", ("0.05", "0.1", "0.2", "0.4", "None"), "0.2", PPO),
+        _sweep("clearance", "epochs", ("1", "3", "10", "20"), "10", PPO),
     ),
-    Question(
+    _question(
         "horizon",
         "Do immediate rewards make DQN take corridors?",
         ("corridor", "reward"),
-        _settings("gamma", GAMMAS, "0.99", [DQN, PPO]),
-        tuple(_ends("corridor", "gamma", "0.9", "0.999", one) for one in (DQN, PPO)),
+        _sweep("corridor", "gamma", ("0.9", "0.95", "0.99", "0.999"), "0.99", DQN, PPO),
     ),
-    Question(
+    _question(
         "exploration",
         "Does exploration keep them apart?",
         ("reward", "clearance"),
-        _settings("epsilon_end", EPSILONS, "0.05", [DQN]) | _settings("entropy_coeff", ENTROPIES, "0.0", [PPO]),
-        (
-            _ends("reward", "epsilon_end", "0.0", "0.2", DQN),
-            _ends("reward", "entropy_coeff", "0.001", "0.03", PPO),
+        _sweep("reward", "epsilon_end", ("0.0", "0.01", "0.05", "0.2"), "0.05", DQN),
+        _sweep("reward", "entropy_coeff", ("0.0", "0.001", "0.01", "0.03"), "0.0", PPO, low=1),
+    ),
+    _question(
+        "rewards",
+        "What do the penalties cure?",
+        CURED,
+        _of_pair(
+            "reward=initial",
+            "under the first reward minus under eq. (14)",
+            CURED,
+            {"reward=initial": "first reward", "reward=additive": "added penalties", LONG: "eq. (14)"},
         ),
     ),
-    _rewards(),
-    _memory(),
+    _question(
+        "memory",
+        "Does remembering help?",
+        ("reward",),
+        _of_pair(
+            "stack=4",
+            "with the last four observations minus with one",
+            ("reward",),
+            {LONG: "one", "stack=4": "the last four"},
+        ),
+    ),
 )
 
 
@@ -158,25 +148,20 @@ def table(evidence: Evidence) -> pd.DataFrame:
     out, and so are questions without a contrast.
     """
     rows: list[list[object]] = []
+
+    def minus(metric: str, first: Sequence[Place], second: Sequence[Place]) -> stats.Interval:
+        sides = (
+            [evidence(which, activation, metric, study=study) for study, which, activation in side]
+            for side in (first, second)
+        )
+        return stats.difference(*sides)
+
     for one in QUESTIONS:
-        answers = []
-        for contrast in one.contrasts:
-            seeds = _seeds(evidence, contrast.metric)
-            first, second = ([seeds(place) for place in places] for places in (contrast.first, contrast.second))
-            answers.append([one.name, contrast.name, contrast.metric, *stats.difference(first, second)])
+        answers = [[one.name, name, metric, *minus(metric, *sides)] for metric, name, *sides in one.contrasts]
         drawn = [
-            [one.name, label, metric, *stats.difference([_seeds(evidence, metric)(place)], [])]
+            [one.name, label, metric, *minus(metric, [place], [])]
             for (label, place), metric in itertools.product(one.rows.items(), one.metrics)
         ]
         if any(answer[-1] for answer in answers):
             rows += [row for row in (*drawn, *answers) if row[-1]]
     return pd.DataFrame(rows, columns=["question", "row", "metric", "value", "low", "high", "n"])
-
-
-def _seeds(evidence: Evidence, metric: str) -> Callable[[Place], stats.Array]:
-    return lambda place: evidence(place[1], place[2], metric, study=place[0])
-
-
-def in_words(metric: str) -> str:
-    """A metric or measure as people call it."""
-    return words(metric, PRIMARY) if metric in METRICS else MEASURES[metric]

@@ -18,22 +18,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from uavnav import stats, style
-from uavnav.report import tables
-from uavnav.report.cells import of_worlds, order, settings_of
-from uavnav.report.discussion import (
-    ALL,
-    CELLS,
-    DISCUSSION,
-    EXPLAINS,
-    SCATTER,
-    SLOPE,
-    VARIATION,
-    at,
-    nothing_printed,
-    slopes,
-)
-from uavnav.report.operating import characteristics
-from uavnav.report.verdicts import Finding, audit
+from uavnav.report.cells import of_worlds, one_line, order, settings_of
+from uavnav.report.claims import ALL_WORLDS, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, FLIGHTS, OWN, collided, of_flights
 from uavnav.runs.tables import RunError, read_table
@@ -56,6 +42,7 @@ MEASURES = {
 LABELS = MEASURES | {name: one.label for name, one in OWN.items()}
 """Columns of a world's table."""
 
+Table = pd.DataFrame
 Key = tuple[str, str, str]
 """World (with the preset where it is not the default), algorithm and activation."""
 
@@ -65,11 +52,9 @@ class Worlds(NamedTuple):
 
     seeds: dict[Key, pd.DataFrame]  # a row a seed: `MEASURES`, those of `metrics.OWN`, and what claims ask
     scripted: dict[tuple[str, str], pd.DataFrame]  # the same of a world's scripts
-    findings: list[Finding]
-    operating: pd.DataFrame
-    left_out: list[str]
     rungs: dict[tuple[str, float], dict[str, pd.DataFrame]]  # ladder and rung -> the same of the scripts there
     runs: pd.DataFrame  # how each run was made, a row a run
+    left_out: list[str]
 
 
 def gather(folders: Sequence[Path]) -> Worlds | None:
@@ -79,57 +64,62 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
         RunError: a folder cannot be read.
     """
     homes = of_worlds(folders)
-    paths = [path for folder in homes for path in run_folders(folder)[0]]
     seeds: dict[Key, pd.DataFrame] = {}
     places: dict[str, Protocol | None] = {}
     settings: dict[Key, dict[str, object]] = {}
     left_out, made = [], []
-    for path in paths:
+    for path in (path for folder in homes for path in run_folders(folder)[0]):
         try:
             run = Run(path, rows=False)
-            place_name, flown, table = read(run)
+            place, flown, table = read(run)
             if (preset := run.config["preset"]) not in (DEFAULT, TUNED):
                 raise RunError(f"{path}: preset={preset}; the study has {DEFAULT} and {TUNED}")
-            world = place_name + f", {TUNED}" * (preset == TUNED)
+            world = place + f", {TUNED}" * (preset == TUNED)
             key = (world, run.algorithm, run.config["activation"])
             if key in seeds and not seeds[key].index.intersection(table.index).empty:
                 raise RunError(f"{path}: its seeds are there already, in {world}")
             if settings.setdefault(key, settings_of(run)) != settings_of(run):
                 raise RunError(f"{path}: its settings differ from those of another run in {world}")
             seeds[key] = pd.concat([seeds[key], table]) if key in seeds else table
-            places.setdefault(place_name, flown)
+            places.setdefault(place, flown)
             made.append(_made(world, run))
         except (RunError, KeyError) as error:
-            left_out.append(" ".join(str(error).split()))
+            left_out.append(one_line(error))
     if not seeds:
         return None
+    in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
+    seeds = dict(sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0]))))
+    scripted, rungs, lines = _of_scripts([home / "baselines" for home in homes], in_order, places, seeds)
+    return Worlds(seeds, scripted, rungs, pd.DataFrame(made), [*left_out, *lines])
+
+
+def _of_scripts(
+    folders: Sequence[Path], names: Sequence[str], places: Mapping[str, Protocol | None], seeds: Mapping[Key, Table]
+) -> tuple[dict[tuple[str, str], Table], dict[tuple[str, float], dict[str, Table]], list[str]]:
+    """What scripts reach in each world and on each rung that the paper's world flew, and a line for missing rows."""
     from uavnav.evaluation.scripts import rows_of_scripts
     from uavnav.tasks import ladders, layouts
 
-    in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
-    seeds = dict(sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0]))))
+    left_out: list[str] = []
 
-    def of_scripts(flown: Protocol) -> dict[str, pd.DataFrame]:
-        rows, unread = rows_of_scripts([home / "baselines" for home in homes], flown)
+    def flown_as(protocol: Protocol) -> dict[str, Table]:
+        rows, unread = rows_of_scripts(folders, protocol)
         left_out.extend(unread)
-        return {rule: measured(own, flown.max_steps) for rule, own in rows.items()}
+        return {rule: measured(own, protocol.max_steps) for rule, own in rows.items()}
 
-    scripted: dict[tuple[str, str], pd.DataFrame] = {}
-    for name in in_order:
-        if (flown := places[name]) is None:
+    scripted: dict[tuple[str, str], Table] = {}
+    rungs = {}
+    for name in names:
+        if (protocol := places[name]) is None:
             left_out.append(f"{name}: no rows of scripts, which fly with the usual settings of a task alone")
             continue
-        scripted |= {(name, rule): own for rule, own in of_scripts(flown).items()}
-    climbed = [(name, rung) for name in layouts.RUNGS for rung in ladders.LADDERS[name].rungs]
-    rungs: dict[tuple[str, float], dict[str, pd.DataFrame]] = {}
-    if (flown := places.get("drone")) is not None:
+        scripted |= {(name, rule): own for rule, own in flown_as(protocol).items()}
+    if (protocol := places.get("drone")) is not None:
         there = {metric for (world, _, _), table in seeds.items() if _place(world) == "drone" for metric in table}
-        for name, rung in (one for one in climbed if at("reward", *one) in there):
-            rungs[name, rung] = of_scripts(flown._replace(layouts=ladders.sets_of(name, rung)))
-    evidence = Evidence(seeds)
-    findings = audit(evidence, nothing_printed, DISCUSSION)
-    operating = characteristics(evidence, nothing_printed, DISCUSSION)
-    return Worlds(seeds, scripted, findings, operating, left_out, rungs, pd.DataFrame(made))
+        for rung in ((name, rung) for name in layouts.RUNGS for rung in ladders.LADDERS[name].rungs):
+            if at("reward", *rung) in there:
+                rungs[rung] = flown_as(protocol._replace(layouts=ladders.sets_of(*rung)))
+    return scripted, rungs, left_out
 
 
 def _made(world: str, run: Run) -> dict[str, object]:
@@ -217,11 +207,11 @@ class Evidence:
             for key, table in mine.items():
                 self._seeds[key] = table.assign(**{SCATTER: apart[key] / usual if usual > 0 else np.nan})
 
-    def __call__(self, algorithm: str, activation: str, metric: str, study: str = ALL) -> Array:
-        if algorithm == CELLS:
+    def __call__(self, algorithm: str, activation: str, metric: str, study: str = ALL_WORLDS) -> Array:
+        if algorithm == RANKED:
             found = self._explains(metric)
-            return found if activation == CELLS else np.zeros(len(found))
-        if study != ALL:
+            return found if activation == RANKED else np.zeros(len(found))
+        if study != ALL_WORLDS:
             table = self._seeds.get((study, algorithm, activation))
             return np.empty(0) if table is None or metric not in table else table[metric].dropna().to_numpy()
         flown = [one[metric] for one in self._everywhere(algorithm, activation) if metric in one]
@@ -278,13 +268,14 @@ def worlds_of(found: pd.DataFrame) -> list[str]:
     return [*dict.fromkeys(found["world"])]
 
 
-def _rewards(found: pd.DataFrame, world: str) -> tuple[dict[str, Interval], dict[str, Interval]]:
-    """Rewards of a world's learned cells, the best first, and of its scripts."""
-    mine = found[(found["world"] == world) & (found["metric"] == "reward")]
-    both = {one["who"]: Interval(one["value"], one["low"], one["high"], one["n"]) for one in mine.to_dict("records")}
-    learned = {who: one for who, one in both.items() if who not in SCRIPTS}
-    best = sorted(learned.items(), key=lambda item: -item[1].value)
-    return dict(best), {who: one for who, one in both.items() if who in SCRIPTS}
+def _rewards(found: pd.DataFrame) -> dict[str, tuple[dict[str, Interval], dict[str, Interval]]]:
+    """Rewards of each world's learned cells, the best first, and of its scripts."""
+    rewards = {}
+    for world, mine in found[found["metric"] == "reward"].groupby("world", sort=False):
+        both = {row[1]: Interval(*row[3:]) for row in mine.itertuples(index=False)}
+        best = sorted((item for item in both.items() if item[0] not in SCRIPTS), key=lambda item: -item[1].value)
+        rewards[str(world)] = dict(best), {who: one for who, one in both.items() if who in SCRIPTS}
+    return rewards
 
 
 def leaders(found: pd.DataFrame) -> pd.DataFrame:
@@ -295,8 +286,7 @@ def leaders(found: pd.DataFrame) -> pd.DataFrame:
     has the policies whose interval is not above random flight's.
     """
     rows = []
-    for world in worlds_of(found):
-        learned, scripts = _rewards(found, world)
+    for world, (learned, scripts) in _rewards(found).items():
         best, most = next(iter(learned.items()))
         none = Interval(np.nan, np.nan, np.nan, 0)
         script, top = max(scripts.items(), key=lambda item: item[1].value, default=("", none))
@@ -312,18 +302,6 @@ def leaders(found: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def ahead(found: pd.DataFrame) -> tables.Rows:
-    """The same as a table. found: as `leaders` gives it."""
-    rows = [
-        ["world", "best policy", "reward per flight", "best script", "its reward", "ahead", "not above random flight"]
-    ]
-    for one in found.to_dict("records"):
-        reward = tables.with_interval(one["value"], one["low"], one["high"])
-        script = one["script"] or tables.NOTHING, tables.number(one["scripted"])
-        rows.append([one["world"], one["best"], reward, *script, one["ahead"] or tables.NOTHING, one["chance"]])
-    return rows
-
-
 def _top(one: Interval) -> float:
     """The upper end of an interval, or the value where there is none."""
     return one.high if np.isfinite(one.high) else one.value
@@ -332,15 +310,12 @@ def _top(one: Interval) -> float:
 @matplotlib.rc_context(style.STYLE)
 def draw(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """Reward per flight of every cell, a panel a world; the lines are scripts."""
-    worlds = worlds_of(found)
-    counts = [len(_rewards(found, world)[0]) for world in worlds]
+    rewards = _rewards(found)
+    counts = [len(learned) for learned, _ in rewards.values()]
     figure = Figure(figsize=(width, sum(0.9 + 0.3 * count for count in counts)), layout="constrained")
-    panels = figure.subplots(len(worlds), 1, squeeze=False, gridspec_kw={"height_ratios": [2 + n for n in counts]})[
-        :, 0
-    ]
-    looks = dict(zip(SCRIPTS, (":", "-.", "--"), strict=True))
-    for axes, world in zip(panels, worlds, strict=True):
-        learned, scripts = _rewards(found, world)
+    panels = figure.subplots(len(counts), 1, squeeze=False, height_ratios=[2 + n for n in counts])[:, 0]
+    looks, told = dict(zip(SCRIPTS, (":", "-.", "--"), strict=True)), []
+    for axes, (world, (learned, scripts)) in zip(panels, rewards.items(), strict=True):
         for row, (who, one) in enumerate(learned.items()):
             colour = style.COLOURS.get(who.split()[1], style.OTHER_COLOURS[0])
             axes.plot([one.low, one.high], [row, row], color=colour, linewidth=2.4, solid_capstyle="butt")
@@ -349,12 +324,12 @@ def draw(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
             axes.axvline(one.value, linestyle=looks[name], color=style.INK, linewidth=1.2, label=name)
         style.name_rows(axes, [*learned])
         axes.set_title(world)
+        best, most = next(iter(learned.items()))
+        told.append(f"{world}: {style.said(most)} of {best}")
     panels[-1].set_xlabel("reward per flight, sampled")
     lines = {line.get_label(): line for axes in panels for line in axes.get_legend_handles_labels()[0]}
     style.legend(figure, [*lines.values()], columns=3)
-    best = {world: next(iter(_rewards(found, world)[0].items())) for world in worlds}
-    told = "; ".join(f"{world}: {style.said(one)} of {who}" for world, (who, one) in best.items())
-    return style.Drawn(figure, f"Best reward per flight in each world: {told}.")
+    return style.Drawn(figure, f"Best reward per flight in each world: {'; '.join(told)}.")
 
 
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:
@@ -382,18 +357,6 @@ def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn 
             parts.append([rule, "scripted", float(rung), metric, one.n, *one[:3]])
     columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
     return across.draw(pd.DataFrame(parts, columns=columns), LADDERS[name], width)
-
-
-def figures(found: Worlds, width: float = style.WIDTH) -> list[tuple[str, style.Drawn, str]]:
-    """Names, figures and captions."""
-    drawn = [("worlds-rewards", draw(summary(found), width), "Means and 95 % intervals over seeds; lines: scripts.")]
-    if (one := ladder(found, "density", width)) is not None:
-        caption = (
-            "The density ladder: policies trained in the paper's world, means over activations with Welch's 95 %"
-            " intervals over seeds. Dotted and dashed: scripts."
-        )
-        drawn.append(("worlds-density", one, caption))
-    return drawn
 
 
 def numbers(found: Worlds) -> dict[str, pd.DataFrame]:

@@ -79,7 +79,8 @@ def read_table(path: Path, columns: Mapping[str, str], again: str) -> pd.DataFra
         table.attrs |= _attrs(plain.schema.metadata or {})
     except (OSError, ValueError) as error:
         raise RunError(f"{path}: missing or damaged; {again}") from error
-    for column, kind in ({name: EPISODE_COLUMNS[name] for name in table if name in EPISODE_COLUMNS} | columns).items():
+    kinds = {name: EPISODE_COLUMNS[name] for name in EPISODE_COLUMNS if name in table}
+    for column, kind in {**kinds, **columns}.items():
         if str(table.dtypes.get(column)) != kind:
             raise RunError(f"{path}: its columns are not a run's, {column} is no {kind}; {again}")
     return table

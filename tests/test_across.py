@@ -20,6 +20,10 @@ from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.world import World
 
 
+def scripted(name):
+    return across.Flyer(name, {"scripted": {0: BASELINES[name]}})
+
+
 def test_the_command_knows_the_ladders_without_torch_by_their_names():
     assert tuple(LADDERS) == LADDER_NAMES == GROUPS["all"]
     assert set(GROUPS["faults"]) < set(LADDERS)
@@ -63,8 +67,7 @@ def test_on_the_slalom_passages_per_1000_steps_and_per_flight_are_judged_and_dra
 
 
 def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
-    who = across.flyer("straight", {"scripted": BASELINES["straight"]})
-    rows = across.climb(who, LADDERS["density"], episodes=10, max_steps=100)
+    rows = across.climb(scripted("straight"), LADDERS["density"], episodes=10, max_steps=100)
     flown = rows.groupby("rung")["distance"].mean()
     assert list(flown.index) == list(LADDERS["density"].rungs)
     assert flown[0.0] == 28 * 9  # 250 px from the start to where the drone touches the border
@@ -75,8 +78,7 @@ def test_straight_flight_meets_obstacles_the_sooner_the_more_there_are():
 def test_with_a_goal_the_rule_flies_all_11_densities_and_reaches_5_of_5_goals_where_nothing_is_in_its_way(monkeypatch):
     monkeypatch.setitem(SPLITS, "test", SPLITS["test"]._replace(n=5))
     task = make_task(EMPTY, {"goal_radius": 41.0}, task="goal")  # whose banks no other test draws
-    rows = across.climb(across.flyer("reactive", {"scripted": BASELINES["reactive"]}), LADDERS["density"], 5, 300,
-                        scripted=task)  # fmt: skip
+    rows = across.climb(scripted("reactive"), LADDERS["density"], 5, 300, scripted=task)
     reached = rows.groupby("rung")["succeeded"].sum()
     assert [*reached.index] == [*LADDERS["density"].rungs]
     assert reached[0.0] == 5
@@ -105,7 +107,9 @@ def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_
     config = ppo.PPOConfig(task="space", hidden=(4,), total_frames=64, frames_per_batch=64, epochs=1, compile="off")
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     told = []
-    fly = functools.partial(across.across, {"mine": run}, episodes=1, max_steps=2, out=tmp_path, quiet=True)
+    fly = functools.partial(
+        across.across, [across.of_run("mine", run)], episodes=1, max_steps=2, out=tmp_path, quiet=True
+    )
     fly(["density", "sticky"], tell=told.append)
     fit = "arc, reach, speed, noise, lost, late, sticky fit"
     assert told == [f"left out: the ladder density, which the world of mine does not have; {fit}"]
@@ -116,10 +120,9 @@ def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_
 
 @pytest.mark.parametrize("name", ["late", "density", "reach", "speed"])
 def test_a_script_reads_distances_right_where_a_sensor_reaches_less_far(name):
-    who = across.flyer("reactive", {"scripted": BASELINES["reactive"]})
     near = make_task(EMPTY, {"sensor_radius": 90.0})
     ladder = LADDERS[name]._replace(rungs=LADDERS[name].rungs[:1])
-    rows = across.climb(who, ladder, episodes=20, max_steps=200, scripted=near)
+    rows = across.climb(scripted("reactive"), ladder, episodes=20, max_steps=200, scripted=near)
     assert not rows["terminated"].any()
 
 
@@ -127,7 +130,7 @@ def test_scripts_are_left_out_where_a_run_chooses_among_other_turns(tmp_path):
     small = {"total_frames": 64, "n_envs": 2, "frames_per_batch": 64, "hidden": (8,), "epochs": 1}
     run = ppo.train(ppo.PPOConfig(**small, world={"n_turns": 4}), tmp_path / "run", quiet=True)
     said = []
-    found = across.across({"mine": run}, ["sticky"], 2, 20, None, True, said.append)
+    found = across.across([across.of_run("mine", run)], ["sticky"], 2, 20, None, True, said.append)
     assert said == ["left out: the scripts, which choose among 10 turns and 10 distances"]
     assert {one["name"] for one in found} == {"mine"}
 
@@ -146,8 +149,7 @@ def test_without_a_run_scripts_fly_the_world_that_is_named(tmp_path, capsys):
 
 
 def test_the_first_rung_of_noise_is_the_evaluation_itself():
-    who = across.flyer("reactive", {"scripted": BASELINES["reactive"]})
-    rows = across.climb(who, LADDERS["noise"], episodes=5, max_steps=60)
+    rows = across.climb(scripted("reactive"), LADDERS["noise"], episodes=5, max_steps=60)
     assert set(rows.loc[rows["rung"] == 0, "truncated"]) == {True}  # the rule is safe where echoes are exact
 
 
@@ -181,7 +183,8 @@ def test_each_run_flies_by_the_cap_of_its_own_task_unless_one_is_given(given, ca
         return climb(who, ladder, episodes, 2, *others)
 
     monkeypatch.setattr(across, "climb", short)
-    across.across({"plain": run, "goal": goal}, ["sticky"], 1, given, tmp_path, quiet=True, tell=told.append)
+    both = [across.of_run("plain", run), across.of_run("goal", goal)]
+    across.across(both, ["sticky"], 1, given, tmp_path, quiet=True, tell=told.append)
     assert (flown["plain"], flown["goal"], flown["reactive"]) == (*caps, caps[0])
     assert pd.read_parquet(goal.path / f"across-sticky-1-{caps[1]}.parquet").attrs["max_steps"] == caps[1]
     assert (tmp_path / f"across-sticky-1-{caps[0]}.png").exists()

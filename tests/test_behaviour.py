@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs_by_hand import rows, write_run
 
-from uavnav.evaluation import BEHAVIOUR_COLUMNS, flights, fly, on
+from uavnav.evaluation import BEHAVIOUR_COLUMNS, episodes, fly, on
 from uavnav.report import behaviour
 from uavnav.report.behaviour import (
     COLUMNS,
@@ -281,7 +281,7 @@ def test_flights_of_a_run_with_random_headings_begin_with_those_of_its_evaluatio
     run = not_flown(tmp_path / "run", world={"start_heading": "random"})
     stops = pd.concat([table(layout=layout) for layout in range(10)])
     stops.to_parquet(run.path / "behaviour.parquet")
-    begun = flights.headings(on(make_task(world=World(start_heading="random"))), 200)[:10]
+    begun = episodes.headings(on(make_task(world=World(start_heading="random"))), 200)[:10]
     assert read(run)["heading"].tolist() == begun.tolist()
     assert len(set(begun.tolist())) > 5
 
@@ -292,9 +292,9 @@ def test_retraced_flights_are_where_the_simulator_was_bit_for_bit(compiled, monk
     monkeypatch.setattr("uavnav.training.machine.flights", lambda cap: compiled)
     monkeypatch.setattr("uavnav.training.machine.EAGER_STEPS", 3)
     task, parts = on(make_task(), "test", 6, 300), []
-    for step in flights.fly([(0, BASELINES["random"]), (1, BASELINES["reactive"])], task):
+    for step in episodes.steps([(0, BASELINES["random"]), (1, BASELINES["reactive"])], task):
         seen = {name: getattr(step.state, name) for name in ("layout", "steps", "x", "y", "heading")}
-        more = {"seed": step.flight // 6, "action": step.action, "clearance": step.outcome.clearance}
+        more = {"seed": step.episode // 6, "action": step.action, "clearance": step.outcome.clearance}
         parts.append(pd.DataFrame({name: column.numpy() for name, column in (seen | more).items()}))
     there = pd.concat(parts).rename(columns={"steps": "step"}).astype(COLUMNS).assign(mode="sampled")
     found = retrace(there, task.bank, torch.full((6,), 90), WORLD)

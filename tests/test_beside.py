@@ -13,12 +13,11 @@ from runs_by_hand import policy_bytes
 
 from uavnav import evaluation
 from uavnav.algorithms import dqn, ppo
-from uavnav.evaluation import empty_arena, evaluate_run, fly, on
+from uavnav.evaluation import evaluate_run, fly, in_empty_arena, on
 from uavnav.evaluation.values import overestimation
 from uavnav.networks import mlp
 from uavnav.runs import ARENA, VALUES
-from uavnav.runs.metrics import MODES
-from uavnav.runs.policies import load_policy
+from uavnav.runs.policies import by_mode, load_policies
 from uavnav.runs.tables import write_table
 from uavnav.studies import Cell
 from uavnav.studies.run import _join_flights
@@ -43,31 +42,30 @@ def population(path, seeds=(0,), algorithm="dqn", mode="greedy", constant=None):
     file = path / "some.safetensors"
     settings = {"activation": "tanh", "seed": seeds[0], "n_seeds": len(seeds), "hidden": (8,)}
     file.write_bytes(policy_bytes(network, algorithm, **settings))
-    return {seed: load_policy(file, seed, greedy=mode == "greedy") for seed in seeds}
+    return load_policies(file, seeds, greedy=mode == "greedy")
 
 
 # -- the empty arena ---------------------------------------------------------------------------------------------------
 
 
 def test_who_stands_still_in_the_empty_arena_does_so_for_500_steps_from_each_of_4_headings(tmp_path):
-    flown = empty_arena.fly(population(tmp_path, (4, 5), constant=[(STOP, 1.0)] * 2))
+    flown = in_empty_arena({"greedy": population(tmp_path, (4, 5), constant=[(STOP, 1.0)] * 2)})
     assert flown.groupby(["seed", "layout"]).size().to_dict() == {(s, h): 500 for s in (4, 5) for h in range(4)}
     assert {*flown["action"]} == {STOP}
-    assert len(empty_arena.fly(population(tmp_path), steps=1)) == 4
+    assert len(in_empty_arena({"greedy": population(tmp_path)}, steps=1)) == 4
     with pytest.raises(ValueError, match="max_steps=0"):
-        empty_arena.fly(population(tmp_path), steps=0)
+        in_empty_arena({"greedy": population(tmp_path)}, steps=0)
 
 
 def test_straight_flights_from_the_centre_end_at_the_four_walls(tmp_path):
-    flown = empty_arena.fly(population(tmp_path, constant=[(FULL_SPEED, 1.0)]))
+    flown = in_empty_arena({"greedy": population(tmp_path, constant=[(FULL_SPEED, 1.0)])})
     assert flown.groupby("layout").size().tolist() == [39, 28, 39, 28]  # ceil(350 / 9), ceil(250 / 9)
 
 
 @pytest.mark.parametrize(("algorithm", "mode"), [("ppo", "sampled"), ("dqn", "greedy"), ("dqn", "sampled")])
 def test_in_the_empty_arena_seeds_do_not_see_each_other(tmp_path, algorithm, mode):
-    both = empty_arena.fly(population(tmp_path, (4, 5), algorithm, mode), steps=40)
-    only = population(tmp_path, (5,), algorithm, mode)
-    pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), empty_arena.fly(only, steps=40))
+    both, only = (in_empty_arena({mode: population(tmp_path, seeds, algorithm, mode)}, 40) for seeds in ((4, 5), (5,)))
+    pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), only)
 
 
 # -- values against returns --------------------------------------------------------------------------------------------
@@ -101,8 +99,8 @@ def test_overestimation_of_a_drone_that_flies_straight_into_what_comes(tmp_path,
 
 def test_states_without_enough_future_count_only_before_a_collision(tmp_path):
     """Of the 459 steps that a flight without a collision would need there are 60."""
-    crew = population(tmp_path, (0, 1), constant=[(STOP, 1.0), (FULL_SPEED, 1.0)])
-    found = overestimation(crew, 0.99, n_layouts=3, max_steps=60)["overestimation"]
+    both = population(tmp_path, (0, 1), constant=[(STOP, 1.0), (FULL_SPEED, 1.0)])
+    found = overestimation(both, 0.99, n_layouts=3, max_steps=60)["overestimation"]
     assert math.isnan(found[0])
     assert found[1] > 1
 
@@ -141,12 +139,10 @@ def test_the_runs_own_protocol_leaves_them_and_another_does_not(train, config, t
     assert [name for name in (ARENA, VALUES) if (run.path / name).exists()] == []
     evaluate_run(run, 3, 40)
     empty = pd.read_parquet(run.path / ARENA)
-    for mode in MODES:
-        crew = {seed: load_policy(run.path, seed, greedy=mode == "greedy") for seed in run.seeds}
-        own = empty[empty["mode"] == mode].drop(columns="mode").reset_index(drop=True)
-        assert own.to_numpy().tolist() == empty_arena.fly(crew).to_numpy().tolist()
-        if mode == "greedy" and run.algorithm == "dqn":
-            pd.testing.assert_frame_equal(pd.read_parquet(run.path / VALUES), overestimation(crew, 0.99))
+    modes = by_mode(load_policies(run.path))
+    pd.testing.assert_frame_equal(empty, in_empty_arena(modes))
+    if run.algorithm == "dqn":
+        pd.testing.assert_frame_equal(pd.read_parquet(run.path / VALUES), overestimation(modes["greedy"], 0.99))
     assert (run.path / VALUES).exists() == (run.algorithm == "dqn")
 
 

@@ -15,7 +15,7 @@ from uavnav.algorithms.c51 import PRESETS, C51Config, project, train
 from uavnav.algorithms.dqn import DQNConfig, make_learner, make_network
 from uavnav.errors import ConfigError
 from uavnav.evaluation import evaluate_run
-from uavnav.evaluation.squads import Squad, Squads
+from uavnav.evaluation.agents import Agents
 from uavnav.evaluation.verify import verify
 from uavnav.runs import POLICY
 from uavnav.runs.export import export_policy
@@ -237,7 +237,7 @@ def run(tmp_path_factory):
     return train(C51Config(**settings), tmp_path_factory.mktemp("rainbow") / "run", quiet=True)
 
 
-def test_a_dueling_distribution_is_read_by_policies_squads_files_and_verify(run, tmp_path):
+def test_a_dueling_distribution_is_read_by_policies_agents_files_and_verify(run, tmp_path):
     observation = torch.rand(20, 30)
     policies = [load_policy(run.path, seed, greedy=True) for seed in (0, 1)]
     assert policies[0].network[-1].weight.shape == (1, 8, 101 * 7)
@@ -247,9 +247,7 @@ def test_a_dueling_distribution_is_read_by_policies_squads_files_and_verify(run,
         expected = (logits.softmax(-1) * torch.linspace(-10, 9, 7)).sum(-1)
         torch.testing.assert_close(policy.values(observation), expected, rtol=1e-4, atol=1e-4)
         assert -10 < expected.min() < expected.max() < 9
-    squads = Squads([*enumerate(policies)], 100)
-    actions, _ = squads.act(observation, [10, 10])
-    assert [type(one) for one in squads._dealt] == [Squad]
+    actions, _ = Agents([*enumerate(policies)]).act(observation, [10, 10])
     alone = [policy(part) for policy, part in zip(policies, observation.split(10), strict=True)]
     assert torch.equal(actions, torch.cat(alone))
     archive = torch.export.load(export_policy(policies[1], tmp_path / "policy.pt2")).module()

@@ -52,15 +52,6 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_straight_ahead_in_an_empty_arena_hits_the_wall_at_step_28():
-    rows = evaluate_policy(straight_ahead, uavnav.layouts.generate(5, k=0), episodes=5)
-    assert dict(rows.dtypes.astype(str)) == EPISODE_COLUMNS
-    assert rows.layout.tolist() == [0, 1, 2, 3, 4]
-    assert rows.terminated.all()
-    assert (rows.steps == 28).all()  # contact at 300 + 250 px: ceil(250 / 9)
-    assert rows.reward.tolist() == pytest.approx([0.09 * 27 - 10] * 5, abs=1e-9)
-
-
 def test_a_flight_that_never_hits_is_truncated_at_the_cap_and_no_collision():
     rows = evaluate_policy(
         lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64), episodes=3, max_steps=7
@@ -75,16 +66,6 @@ def test_evaluating_twice_gives_the_same_rows_and_another_seed_others():
     first, second = (evaluate_policy(uniform_random, episodes=50) for _ in range(2))
     assert first.equals(second)
     assert not first.equals(evaluate_policy(uniform_random, episodes=50, seed=1))
-
-
-def test_the_uniform_policy_turns_in_90_stops_in_10_and_fully_stops_in_1_percent_of_its_steps():
-    rows = evaluate_policy(uniform_random, episodes=1000)
-    total = rows[["steps", "stops", "full_stops", "turns", "distance"]].sum()
-    n = total.steps
-    assert n > 30_000
-    for share, expected in ((total.turns / n, 0.9), (total.stops / n, 0.1), (total.full_stops / n, 0.01)):
-        assert abs(share - expected) < 4 * (expected * (1 - expected) / n) ** 0.5
-    assert abs(total.distance / n - 4.5) < 4 * (8.25 / n) ** 0.5
 
 
 @pytest.mark.parametrize("wrong", [{"episodes": 0}, {"episodes": 1001}, {"max_steps": 0}])
@@ -134,6 +115,8 @@ def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(
 @pytest.mark.parametrize("cap", [1, 27, 28])
 def test_an_episode_that_the_cap_cuts_off_is_truncated_and_one_that_hits_in_that_step_terminated(cap):
     rows = evaluate_policy(straight_ahead, uavnav.layouts.generate(2, k=0), episodes=2, max_steps=cap)
+    assert dict(rows.dtypes.astype(str)) == EPISODE_COLUMNS
+    assert rows.layout.tolist() == [0, 1]
     assert rows.steps.tolist() == [cap] * 2
     assert rows.truncated.tolist() == [cap < 28] * 2
     assert rows.terminated.tolist() == [cap == 28] * 2
@@ -210,7 +193,7 @@ def test_each_protocol_has_a_file_of_its_own(protocol, name):
 def test_a_folder_for_rows_that_cannot_be_is_refused_before_anyone_flies(out, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr(evaluation, "fly", None)
+    monkeypatch.setattr(evaluation, "fly_modes", None)
     assert fly_command(["random", "--out", out]) == 2
     printed, err = capsys.readouterr()
     assert err.startswith(f"uavnav evaluate: {out}/random.parquet: cannot be written (")

@@ -6,7 +6,7 @@ import math
 import oracle
 import pytest
 import torch
-from test_whole_flights import slow_flights, take_over
+from slow_episodes import slow_episodes, take_over
 
 from uavnav import DroneEnv
 from uavnav.envs import scalar
@@ -93,7 +93,7 @@ def test_a_slow_loop_sees_and_earns_the_same_in_1056_poses_of_whole_episodes(swi
         return [one for generator in streams[name] for one in drawn(generator, task.faults, 11)]
 
     root, first = env.reset(), draw("first_faults")
-    flights = slow_flights(task, *(part.flatten().tolist() for part in (env.state.layout, env.state.heading)))
+    flights = slow_episodes(task, *(part.flatten().tolist() for part in (env.state.layout, env.state.heading)))
     drones = [SlowDrone(flight, task, own) for flight, own in zip(flights, first, strict=True)]
     generator, ended, doubtful = torch.Generator().manual_seed(1), 0, 0
 

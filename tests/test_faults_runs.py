@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 from uavnav import ConfigError, Run, evaluation, load_policy
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.cli.evaluate import main as fly_command
-from uavnav.evaluation import evaluate_policy, evaluate_run, files_of, flights, header, on
+from uavnav.evaluation import episodes, evaluate_policy, evaluate_run, files_of, header, on
 from uavnav.networks import mlp
 from uavnav.report import behaviour, cells, replays
 from uavnav.runs.export import export_policy
@@ -144,10 +144,10 @@ def test_draws_of_a_flight_depend_on_its_seed_its_set_and_the_step_and_not_on_wh
     rows = evaluation.fly({3: uniform_random}, task).behaviour
     first = on(task, "test", 30, 50)
     seen = {}
-    for step in flights.fly([(3, straight_ahead)], first):
-        seen[step.number] = step.flight
+    for step in episodes.steps([(3, straight_ahead)], first):
+        seen[step.number] = step.episode
     assert len(seen[1]) == 30 > len(seen[max(seen)])  # some have ended
-    drawn = [next(flights._draws(task, [3], "faults in evaluation")) for _ in range(2)]
+    drawn = [next(episodes._draws(task, [3], "faults in evaluation")) for _ in range(2)]
     assert torch.equal(*drawn)
     assert drawn[0].shape == (30, 1)
     assert len(rows)
@@ -160,10 +160,10 @@ def test_a_compiled_step_takes_the_same_draws_as_a_step_that_is_not_compiled(mon
     eager = evaluation.fly(policies, task)
     monkeypatch.setattr(machine, "EAGER_STEPS", 9)
     monkeypatch.setattr(machine, "flights", lambda max_steps: True)
-    monkeypatch.setattr(flights.graph, "Graph", lambda function: function)
-    flights._graph.cache_clear()
+    monkeypatch.setattr(episodes.graph, "Graph", lambda function: function)
+    episodes._graph.cache_clear()
     padded = evaluation.fly(policies, task)
-    flights._graph.cache_clear()
+    episodes._graph.cache_clear()
     pd.testing.assert_frame_equal(eager.episodes, padded.episodes)
     pd.testing.assert_frame_equal(eager.behaviour, padded.behaviour)
 
@@ -173,11 +173,11 @@ def test_behaviour_keeps_executed_actions_which_lead_where_the_drone_was():
     task = on(own, "test", 5, 40)
     flown = evaluation.fly({3: uniform_random}, task)
     table = flown.behaviour.assign(mode="sampled")
-    traced = behaviour.retrace(table, task.bank, flights.headings(task, 5), task.world)
+    traced = behaviour.retrace(table, task.bank, episodes.headings(task, 5), task.world)
     ends = traced.groupby("layout").last()
     states = {}
-    for step in flights.fly([(3, uniform_random)], task):
-        for nth, flight in enumerate(step.flight.tolist()):
+    for step in episodes.steps([(3, uniform_random)], task):
+        for nth, flight in enumerate(step.episode.tolist()):
             states[flight] = float(step.state.x[nth]), float(step.state.y[nth])
     assert {layout: (row.x, row.y) for layout, row in ends.iterrows()} == states
 
@@ -191,7 +191,7 @@ def test_greedy_flights_with_a_memory_are_flown_and_not_counted():
 
 def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch():
     tasks = [make_task(EMPTY), make_task(EMPTY, stack=2), make_task(EMPTY, faults={"noise": 1.0}), make_task(EMPTY)]
-    assert flights.alike([untrained(task) for task in tasks]) == [[0, 3], [1], [2]]
+    assert episodes.alike([untrained(task) for task in tasks]) == [[0, 3], [1], [2]]
 
 
 def test_a_replay_shows_the_newest_ten_slots_of_a_stack():

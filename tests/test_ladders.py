@@ -8,7 +8,7 @@ import re
 import oracle
 import pytest
 import torch
-from test_sensing import agree_with_the_oracle, random_poses
+from posed import agree_with_the_oracle, random_poses
 
 import uavnav
 from uavnav import evaluation

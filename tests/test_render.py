@@ -14,7 +14,7 @@ import uavnav
 from uavnav.cli.render import main as render_command
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
-from uavnav.evaluation.flights import start
+from uavnav.evaluation.episodes import start
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.simulator import EMPTY, make_task

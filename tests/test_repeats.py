@@ -9,14 +9,13 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import nn
+from policies_by_hand import always, untrained
 
 import uavnav
 from uavnav import evaluation
-from uavnav.evaluation import WATCHED_STEPS, evaluate_policy, flights, on
+from uavnav.evaluation import WATCHED_STEPS, episodes, evaluate_policy, on
 from uavnav.evaluation.repeats import counted
-from uavnav.networks import mlp
-from uavnav.runs.policies import Policy, load_policy
+from uavnav.runs.policies import load_policies
 from uavnav.tasks import layouts, rewards, simulator
 from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import COUNTS, State
@@ -24,28 +23,6 @@ from uavnav.training import machine
 
 RESULTS = Path(uavnav.__file__).parent.parent / "results"
 OPEN = layouts.generate(3, k=0)
-
-
-class Always(nn.Module):
-    """The same action everywhere."""
-
-    def __init__(self, action):
-        super().__init__()
-        self.action = action
-
-    def forward(self, observation):
-        values = torch.zeros(*observation.shape[:-1], 100)
-        values[..., self.action] = 1
-        return values
-
-
-def policy_of(network, greedy=True, task=None):
-    return Policy(network, "ppo", greedy, task or make_task(EMPTY), "categorical", "direct")
-
-
-def untrained(seed=5):
-    """One of its flights on 20 test sets goes round for ever, the others collide."""
-    return policy_of(mlp([30, 64, 64, 100], "tanh", [torch.Generator().manual_seed(seed)], "default"))
 
 
 @pytest.fixture(autouse=True)
@@ -58,14 +35,14 @@ def eager(monkeypatch, request):
 @pytest.fixture
 def flown(monkeypatch):
     """The steps that are flown, one entry each."""
-    steps, fly = [], flights.fly
+    steps, fly = [], episodes.steps
 
     def counting(*what, **how):
         for step in fly(*what, **how):
             steps.append(step.number)
             yield step
 
-    monkeypatch.setattr(flights, "fly", counting)
+    monkeypatch.setattr(episodes, "steps", counting)
     return steps
 
 
@@ -99,7 +76,7 @@ ROUNDS = {
 def test_who_goes_round_is_flown_for_a_few_rounds_and_has_the_row_of_flying_on(flown, monkeypatch):
     """Seven drones that go round in their own ways, each over the same three sets."""
     cap = 1_800
-    population = {seed: policy_of(Always(action)) for seed, action in enumerate(ROUNDS.values())}
+    population = {seed: always(action) for seed, action in enumerate(ROUNDS.values())}
     one, other = both(population, on(make_task(EMPTY), OPEN, 3, cap), monkeypatch)
     most = len(flown) - cap  # the second evaluation flew all
     assert WATCHED_STEPS < most < 1_500
@@ -112,7 +89,7 @@ def test_who_goes_round_is_flown_for_a_few_rounds_and_has_the_row_of_flying_on(f
 
 
 def test_who_goes_round_for_a_million_steps_is_counted_in_the_time_of_a_thousand(flown):
-    (row,) = evaluate_policy(policy_of(Always(50)), OPEN[:1], 1, 1_000_000).to_dict("records")
+    (row,) = evaluate_policy(always(50), OPEN[:1], 1, 1_000_000).to_dict("records")
     assert len(flown) < 1_000
     assert (row["steps"], row["turns"], row["stops"], row["full_stops"]) == (1_000_000, 1_000_000, 1_000_000, 0)
     assert row["reward"] == pytest.approx(-10_000)
@@ -120,13 +97,13 @@ def test_who_goes_round_for_a_million_steps_is_counted_in_the_time_of_a_thousand
 
 @pytest.mark.parametrize("cap", [499, 500, 501, 600, 871, 872, 873, 1_231])
 def test_any_cap_gives_the_rows_of_flying_it_all(cap, monkeypatch):
-    population = {0: policy_of(Always(11)), 1: policy_of(Always(50))}
+    population = {0: always(11), 1: always(50)}
     assert_same(*both(population, on(make_task(EMPTY), OPEN, 2, cap), monkeypatch))
 
 
 @pytest.mark.parametrize("reward", ["eq14", "additive", "initial"])
 def test_among_flights_that_collide_the_one_that_goes_round_is_counted_and_no_row_changes(reward, flown, monkeypatch):
-    population = {0: untrained(), 1: policy_of(Always(50)), 2: policy_of(Always(9))}
+    population = {0: untrained(), 1: always(50), 2: always(9)}
     one, other = both(population, on(make_task(EMPTY, reward=reward), "test", 20, 1_500), monkeypatch)
     assert len(flown) - 1_500 < 1_200
     assert one.episodes.groupby("seed").truncated.sum().tolist() == [1, 20, 0]
@@ -137,14 +114,14 @@ def test_among_flights_that_collide_the_one_that_goes_round_is_counted_and_no_ro
 @pytest.mark.slow
 @pytest.mark.compiled
 def test_trained_policies_that_circle_have_the_rows_of_flying_it_all(monkeypatch):
-    population = {seed: load_policy(RESULTS / "vectorised" / "ppo" / "relu", seed) for seed in (1, 2)}
+    population = load_policies(RESULTS / "vectorised" / "ppo" / "relu", [1, 2])
     one, other = both(population, on(make_task(EMPTY), "test", 20, 4_000), monkeypatch)
     assert one.episodes.truncated.sum() >= 1
     assert_same(one, other)
 
 
 def test_all_500_watched_steps_of_ten_sets_are_there():
-    left = evaluation.fly({0: policy_of(Always(50)), 1: policy_of(Always(0))}, on(make_task(EMPTY), "test", 12, 10_000))
+    left = evaluation.fly({0: always(50), 1: always(0)}, on(make_task(EMPTY), "test", 12, 10_000))
     assert left.behaviour.groupby(["seed", "layout"]).size().tolist() == [WATCHED_STEPS] * 20
     assert WATCHED_STEPS == 500
     assert (left.episodes.steps == 10_000).all()
@@ -154,11 +131,8 @@ def test_all_500_watched_steps_of_ten_sets_are_there():
 
 
 def test_a_sampled_policy_is_flown(flown):
-    class Certain(Always):
-        def forward(self, observation):
-            return 1e4 * super().forward(observation)  # sampled, it is the same action each time
-
-    rows = evaluate_policy(policy_of(Certain(50), greedy=False), OPEN, 3, 1_500)
+    certain = always(50, greedy=False, worth=1e4)  # sampled, it is the same action each time
+    rows = evaluate_policy(certain, OPEN, 3, 1_500)
     assert len(flown) == 1_500
     assert (rows.steps == 1_500).all()
 
@@ -169,7 +143,7 @@ def test_who_goes_round_leaves_the_flight_of_those_that_never_do_and_a_script_is
     def stands(observation, generator):
         return torch.zeros(len(observation), dtype=torch.int64)
 
-    population = {0: policy_of(Always(0)), 1: policy_of(Always(50)), 2: stands}
+    population = {0: always(0), 1: always(50), 2: stands}
     rows = evaluation.fly(population, task, lambda step, flights: up.append(flights)).episodes
     assert (len(up), up[499], up[700:]) == (1_300, 9, [3] * 599 + [0])
     assert (rows.steps == 1_300).all()
@@ -178,27 +152,27 @@ def test_who_goes_round_leaves_the_flight_of_those_that_never_do_and_a_script_is
 
 def test_two_modes_at_once_leave_what_each_leaves_alone():
     task = on(make_task(EMPTY), "test", 20, 1_500)
-    crews = {
-        "greedy": {0: untrained(), 1: policy_of(Always(50))},
+    modes = {
+        "greedy": {0: untrained(), 1: always(50)},
         "sampled": {seed: dataclasses.replace(untrained(seed), greedy=False) for seed in (0, 1)},
     }
-    together = evaluation.fly_crews(crews, task)
-    assert [*together] == ["greedy", "sampled"]
-    for mode, crew in crews.items():
-        assert_same(together[mode], evaluation.fly(crew, task))
-    assert together["greedy"].episodes.truncated.sum() == 21
+    together = evaluation.fly_modes(modes, task)
+    for mode, population in modes.items():
+        own = [rows[rows["mode"] == mode].drop(columns="mode").reset_index(drop=True) for rows in together]
+        assert_same(own, evaluation.fly(population, task))
+    assert together.episodes.query("mode == 'greedy'").truncated.sum() == 21
 
 
 def test_with_a_reward_of_a_plugin_it_is_flown(flown, monkeypatch):
     monkeypatch.setitem(rewards.REWARDS, "patience", lambda step: {"patience": 1e-3 * step.after.steps.double()})
-    rows = evaluate_policy(policy_of(Always(0)), OPEN, 2, 1_200, reward="patience")
+    rows = evaluate_policy(always(0), OPEN, 2, 1_200, reward="patience")
     assert len(flown) == 1_200
     assert rows.reward.tolist() == pytest.approx([1e-3 * 1_200 * 1_201 / 2] * 2)
 
 
 def test_a_reward_that_replaces_a_built_in_one_is_flown_too(flown, monkeypatch):
     monkeypatch.setitem(rewards.REWARDS, "eq14", lambda step: {"patience": 1e-3 * step.after.steps.double()})
-    evaluate_policy(policy_of(Always(0)), OPEN, 1, 700)
+    evaluate_policy(always(0), OPEN, 1, 700)
     assert len(flown) == 700
 
 
@@ -213,7 +187,7 @@ def test_in_a_task_in_which_something_moves_it_is_flown(flown, monkeypatch):
 
     monkeypatch.setitem(simulator.TASKS, "wind", Wind)
     task = on(make_task(EMPTY, task="wind"), OPEN, 2, 2_000)
-    rows = evaluation.fly({0: policy_of(Always(0))}, task).episodes
+    rows = evaluation.fly({0: always(0)}, task).episodes
     assert len(flown) == 1_500
     assert (rows.steps == 1_500).all()  # 300 + 5 x 60 px: beyond the wall's 250
     assert rows.terminated.all()

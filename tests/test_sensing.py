@@ -7,6 +7,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from posed import agree_with_the_oracle, random_poses
 from torch.fx.experimental.proxy_tensor import make_fx
 
 import uavnav
@@ -15,15 +16,6 @@ from uavnav.tasks.sensing import sense
 
 WORLD = uavnav.World()
 EMPTY = torch.zeros(0, 3)
-
-
-def random_poses(n, seed, k=8):
-    """Positions anywhere in the window, whole-degree headings, a layout each: x, y, heading, obstacles."""
-    generator = torch.Generator().manual_seed(seed)
-    x = torch.rand(n, generator=generator) * 800
-    y = torch.rand(n, generator=generator) * 600
-    heading = torch.randint(360, (n,), generator=generator)
-    return x, y, heading, layouts.generate(n, k, seed=seed)
 
 
 def near_walls(n, generator):
@@ -84,22 +76,6 @@ def inside_a_square(n, generator):
 def on_a_circles_centre(n, generator):
     _, _, heading, circles = random_poses(n, 17)
     return circles[:, 3, 0].clone(), circles[:, 3, 1].clone(), heading, circles
-
-
-def agree_with_the_oracle(poses, world=WORLD, arena=oracle.PAPER, there=lambda circle: True):
-    """Compare every pose that is not doubtful; the share of the doubtful ones. there: which circles the loop has."""
-    slots, clearance = sense(*poses, world)
-    x, y, heading, circles = (part.tolist() for part in poses)
-    expected, kept = [], []
-    for row in range(len(x)):
-        found = oracle.look(x[row], y[row], heading[row], filter(there, circles[row]), arena)
-        if not oracle.doubtful(found, arena):
-            kept.append(row)
-            slots_there = oracle.slots_of(found, world.slots, world.padding, arena)
-            expected.append([oracle.clearance_of(found), *sum(slots_there, ())])
-    got = torch.cat([clearance[:, None], slots.flatten(1)], -1)[kept]
-    torch.testing.assert_close(got, torch.tensor(expected), rtol=0, atol=1e-4)
-    return 1 - len(kept) / len(x)
 
 
 def test_ten_thousand_random_poses_equal_a_loop_over_136_squares():

@@ -6,14 +6,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
-from runs_by_hand import write_policies
+from policies_by_hand import untrained
 
 import uavnav
 from uavnav.__main__ import main
 from uavnav.algorithms import ppo
 from uavnav.evaluation import transfer
-from uavnav.evaluation.across import flyer
-from uavnav.runs import Run
+from uavnav.evaluation.across import of_run
 from uavnav.tasks.baselines import reactive
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.simulator import EMPTY, make_task
@@ -71,8 +70,8 @@ def test_each_policy_flies_in_each_world_of_training_and_one_of_other_observatio
 
 def test_in_its_own_world_a_policy_flies_as_an_evaluation_of_its_run(runs, capsys):
     for name, bank in (("dense", "density-12/test"), ("far", "test")):
-        who, where = transfer.sort({name: runs[name]}, 3, 30)[:2]
-        own = transfer.visit(who[0][0], where[0]).query("mode == 'greedy'")
+        run = runs[name]
+        own = transfer.visit(of_run(name, run), transfer.place(run, 3, 30)).query("mode == 'greedy'")
         assert main(["evaluate", str(runs[name].path), "--layouts", bank, "--episodes", "3", "--max-steps", "30"]) == 0
         kept = pd.read_parquet(next(runs[name].path.glob("evaluation-*-3-30.parquet"))).query("mode == 'greedy'")
         assert own["reward"].tolist() == kept["reward"].tolist()
@@ -119,14 +118,15 @@ def test_what_cannot_be_flown_is_one_line(words, line, capsys):
     assert line in said
 
 
-def test_sensed_velocities_stay_shares_of_the_greatest_speed_in_training(tmp_path, monkeypatch):
+def test_sensed_velocities_stay_shares_of_the_greatest_speed_in_training(monkeypatch):
     """Trained among obstacles of up to 4 px a step, a policy senses those of 2 as halves."""
     flown = []
     monkeypatch.setattr(
-        transfer.Flyer, "fly", lambda _, task, *rest: flown.append(task) or {"sampled": pd.DataFrame({"steps": [1]})}
+        transfer.Flyer, "fly", lambda _, task, *rest: flown.append(task) or pd.DataFrame({"steps": [1]})
     )
     sensing = {"speed_max": 4.0, "sense_velocity": True}
-    who = flyer("run", Run(write_policies(tmp_path / "run", n_seeds=1, n_inputs=50, task="moving", world=sensing)))
+    own = make_task(EMPTY, sensing, task="moving")
+    who = transfer.Flyer("mine", {"sampled": {0: untrained(task=own, sizes=(50, 8, 100))}})
     slow = make_task("test", {"speed_min": 2.0, "speed_max": 2.0, "sense_velocity": True}, task="moving")
     transfer.visit(who, transfer.Place("slow", slow, None))
     [task] = flown

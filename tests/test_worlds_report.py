@@ -224,7 +224,7 @@ def test_the_command_that_the_line_of_missing_rows_names_writes_them(tmp_path):
 
 
 def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies(tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluation, "fly", None)
+    monkeypatch.setattr(evaluation, "fly_modes", None)
     flights = [rows(seed, (9, 9, 1, 1, 5, 50, 1.0 + seed), (9, 9, 1, 1, 5, 50, 3.0)) for seed in (0, 1)]
     flown = pd.concat(flights, ignore_index=True)
     for task, cap, world in (("drone", 2000, {}), ("goal", 1000, {}), ("drone", 2000, {"sensor_arc": 90})):

@@ -53,7 +53,7 @@ _NAMES = {
 _ROOMS = {
     "algorithms": ("replay",),
     "envs": ("env", "gym", "sb3", "scalar"),
-    "evaluation": ("flights", "verify"),
+    "evaluation": ("episodes", "verify"),
     "report": ("compare",),
     "runs": ("export", "metrics", "paper", "policies", "readings"),
     "tasks": (

@@ -9,141 +9,131 @@ from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import pandas as pd
-
 from uavnav import plugins
 from uavnav.cli import commands
 from uavnav.errors import complain, did_you_mean_run
-from uavnav.evaluation import evaluate_run, files_of, header, on, protocol_name, summary
-from uavnav.evaluation.across import Flyer, across
+from uavnav.evaluation import evaluate_run, files_of, on, summary
+from uavnav.evaluation.across import Flyer, across, of_run
+from uavnav.evaluation.scripts import Protocol
 from uavnav.evaluation.transfer import transfer
 from uavnav.files import check_out
 from uavnav.runs import Run, policies
-from uavnav.runs.metrics import MODES
-from uavnav.runs.policies import Policy
 from uavnav.runs.tables import RunError, write_table
-from uavnav.tasks.baselines import BASELINES, AnyPolicy
+from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.faults import from_option
 from uavnav.tasks.ladders import measure_of
 from uavnav.tasks.protocol import DRAWS, GROUPS, MAX_STEPS
 from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task, name_of
 
 MOST_SEEDS = 1_000
-"""Of a script."""
+"""Of a scripted policy."""
 
 
-def _found(name: str, activation: str | None) -> Run | dict[str, AnyPolicy]:
-    """A run, or what else flies, by its mode."""
+def _found(name: str, arguments: Namespace) -> Run | Flyer:
+    """A run, a zip or a scripted policy."""
     if name in BASELINES:
-        return {"scripted": BASELINES[name]}
+        seeds = range(arguments.seeds if name == DRAWS else 1)
+        return Flyer(name, {"scripted": dict.fromkeys(seeds, BASELINES[name])})
     if policies.is_zip(name):
-        return {mode: policies.load_policy(name, greedy=mode == "greedy", activation=activation) for mode in MODES}
+        zipped = policies.load_policy(name, activation=arguments.activation)
+        return Flyer(name, policies.by_mode({0: zipped}))
     try:
         return Run(name)
     except RunError as error:
         raise RunError(f"{error}{did_you_mean_run(name, BASELINES)}") from error
 
 
-def _cap(arguments: Namespace, task: Task | type[Task]) -> int:
+def _limit(arguments: Namespace, task: Task | type[Task]) -> int:
     given: int | None = arguments.max_steps
     return task.cap(MAX_STEPS) if given is None else given
 
 
-def _world(flyers: Mapping[str, AnyPolicy], task: str) -> Task:
-    """The world of what is no run: a policy's own, a script's is that of the task."""
-    first = next(iter(flyers.values()))
-    return first.task if isinstance(first, Policy) else make_task(EMPTY, task=task)
-
-
-def _rows_file(name: str, mode: str, protocol: str = "") -> str:
-    """Where the rows of what is no run are kept; a report calls them so."""
-    who = name if name in BASELINES else f"{Path(name).stem}-{mode}"
-    return f"{who}{protocol}.parquet"
-
-
-def _check_seeds(arguments: Namespace) -> None:
-    given, elsewhere = f"--seeds {arguments.seeds}", arguments.across is not None or arguments.transfer
-    if not 1 <= arguments.seeds <= MOST_SEEDS:
-        raise ValueError(f"{given}; give at least 1 and at most {MOST_SEEDS:,}")
-    if DRAWS not in arguments.runs or elsewhere:
-        raise ValueError(f"{given}: only {DRAWS} has several, on the sets of one bank; leave it out")
-
-
-def _elsewhere(arguments: Namespace, found: Mapping[str, Run | dict[str, AnyPolicy]]) -> int:
-    """The command with `--across` or `--transfer`; returns the exit status."""
+def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
+    """Raise a ValueError for options that do not go with what is named or with each other."""
+    if arguments.task != "drone" and not BASELINES.keys() & found.keys():
+        raise ValueError(f"--task {arguments.task}: what was trained flies in its own world; leave it out")
+    elsewhere = arguments.across is not None or arguments.transfer
+    if arguments.seeds != 1:
+        given = f"--seeds {arguments.seeds}"
+        if not 1 <= arguments.seeds <= MOST_SEEDS:
+            raise ValueError(f"{given}; give at least 1 and at most {MOST_SEEDS:,}")
+        if DRAWS not in arguments.runs or elsewhere:
+            raise ValueError(f"{given}: only {DRAWS} has several, on the sets of one bank; leave it out")
     if arguments.alone and arguments.across is None:
         raise ValueError("--alone: only --across flies others beside; leave it out")
-    if (given := arguments.faults) is not None:
-        raise ValueError(f"--faults {given}: ladders and worlds of training have their own; leave it out")
-    if arguments.layouts != "test":
+    if elsewhere and arguments.faults is not None:
+        raise ValueError(f"--faults {arguments.faults}: ladders and worlds of training have their own; leave it out")
+    if elsewhere and arguments.layouts != "test":
         told = "--across and --transfer fly on test sets of their own"
         raise ValueError(f"--layouts {arguments.layouts}: {told}; leave it out")
     if arguments.transfer and arguments.task != "drone":
         raise ValueError(f"--task {arguments.task}: --transfer flies in the worlds of the runs; leave it out")
-    quiet = arguments.quiet or arguments.json
-    tell = functools.partial(print, file=sys.stderr)
-    if arguments.transfer:
-        records = transfer(found, arguments.episodes, arguments.max_steps, arguments.out, quiet, tell)
+
+
+def _protocol(who: Flyer, arguments: Namespace) -> Protocol:
+    """How a zip or a scripted policy is evaluated; a zip flies the task of its training."""
+    task = who.task or make_task(EMPTY, task=arguments.task)
+    limit, faults = _limit(arguments, task), from_option(arguments.faults)
+    return Protocol(arguments.layouts, arguments.episodes, limit, faults, name_of(task))
+
+
+def _files(who: Flyer, arguments: Namespace) -> dict[str, Path]:
+    """Where the rows of a zip or a scripted policy are kept, by mode; a report calls them so."""
+    if arguments.out is None:
+        return {}
+    protocol = _protocol(who, arguments)
+    names = {mode: who.name if who.task is None else f"{Path(who.name).stem}-{mode}" for mode in who.modes}
+    return {mode: arguments.out / protocol.file(name) for mode, name in names.items()}
+
+
+def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool) -> dict[str, object]:
+    """Evaluate what is named on the sets of one bank, keep its rows and show them; returns them for JSON."""
+    if isinstance(found, Run):
+        faults = from_option(arguments.faults)
+        limit = _limit(arguments, TASKS.get(found.config.get("task", "drone"), Task))
+        rows = evaluate_run(found, arguments.episodes, limit, arguments.layouts, quiet, faults)
+        kept = [found.path / files_of(arguments.layouts, arguments.episodes, limit, faults)[0]]
+        shown: str | Run = found
     else:
-        names = dict.fromkeys(one for word in arguments.across for one in GROUPS.get(word, (word,)))
-        bounds = arguments.episodes, arguments.max_steps, arguments.out
-        records = across(found, [*names], *bounds, quiet, tell, arguments.task, arguments.alone)
-    if arguments.json:
-        print(json.dumps(records, indent=2))
-    return 0
+        protocol, files = _protocol(found, arguments), _files(found, arguments)
+        task = on(found.task or make_task(EMPTY, task=protocol.task), *protocol[:-1])
+        rows = found.fly(task, f"on {protocol.layouts}", quiet, measure_of(protocol.layouts))
+        rows.attrs = protocol.header()
+        for mode, path in files.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_table(path, rows[rows["mode"] == mode].drop(columns="mode").reset_index(drop=True))
+        kept, shown = [*files.values()], name if found.task is None else Path(name).stem
+    if not quiet:
+        summary.show(summary.of_evaluation(rows, shown))
+        print("".join(f"the rows are in {path}\n" for path in kept), end="", flush=True)
+    return {"run": name, **summary.evaluation_record(rows)}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Evaluate finished runs, scripted baselines or zips of Stable-Baselines3 on the test split: one row an episode."""
+    """Evaluate finished runs, scripted policies or zips of Stable-Baselines3 on the test split: one row an episode."""
     arguments = commands.parse("evaluate", argv)
     try:
         plugins.load(arguments.plugins)
         zips = policies.zips(arguments.runs, arguments.activation)
         if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
             raise ValueError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
-        found = {name: _found(name, arguments.activation) for name in arguments.runs}
-        if arguments.task != "drone" and not BASELINES.keys() & found.keys():
-            raise ValueError(f"--task {arguments.task}: what was trained flies in its own world; leave it out")
-        if arguments.seeds != 1:
-            _check_seeds(arguments)
-        faults = from_option(arguments.faults)
-        others = {name: one for name, one in found.items() if not isinstance(one, Run)}
-        worlds = {name: _world(one, arguments.task) for name, one in others.items()}
-        protocols = {
-            name: (arguments.layouts, arguments.episodes, _cap(arguments, task), faults, name_of(task))
-            for name, task in worlds.items()
-        }
-        if arguments.out is not None:
-            for name, protocol in protocols.items():
-                for mode in others[name]:
-                    check_out(arguments.out / _rows_file(name, mode, protocol_name(*protocol)))
-        if arguments.across is not None or arguments.transfer or arguments.alone:
-            return _elsewhere(arguments, found)
-        quiet, records = arguments.quiet or arguments.json, []
-        for name, run in found.items():
-            if isinstance(run, Run):
-                cap = _cap(arguments, TASKS.get(run.config.get("task", "drone"), Task))
-                rows = evaluate_run(run, arguments.episodes, cap, arguments.layouts, quiet, faults)
-                kept = [run.path / files_of(arguments.layouts, arguments.episodes, cap, faults)[0]]
+        found = {name: _found(name, arguments) for name in arguments.runs}
+        _check(arguments, found)
+        for one in found.values():
+            for path in _files(one, arguments).values() if isinstance(one, Flyer) else ():
+                check_out(path)
+        quiet = arguments.quiet or arguments.json
+        if arguments.across is not None or arguments.transfer:
+            flyers = [of_run(name, one) if isinstance(one, Run) else one for name, one in found.items()]
+            bounds = arguments.episodes, arguments.max_steps, arguments.out
+            tell = functools.partial(print, file=sys.stderr)
+            if arguments.transfer:
+                records = transfer(flyers, *bounds, quiet, tell)
             else:
-                seeds = range(arguments.seeds if name == DRAWS else 1)
-                who = Flyer(name, {mode: dict.fromkeys(seeds, policy) for mode, policy in run.items()})
-                protocol, kept = protocols[name], []
-                task = on(worlds[name], *protocol[:-1])
-                flown = who.fly(task, f"on {arguments.layouts}", quiet, measure_of(arguments.layouts))
-                rows = pd.concat([part.assign(mode=mode) for mode, part in flown.items()], ignore_index=True)
-                rows.attrs = header(*protocol)
-                for mode, part in flown.items() if arguments.out is not None else ():
-                    path = arguments.out / _rows_file(name, mode, protocol_name(*protocol))
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    part.attrs = rows.attrs
-                    write_table(path, part)
-                    kept.append(path)
-            records.append({"run": name, **summary.evaluation_record(rows)})
-            if not quiet:
-                shown = run if isinstance(run, Run) else name if name in BASELINES else Path(name).stem
-                summary.show(summary.of_evaluation(rows, shown))
-                print("".join(f"the rows are in {path}\n" for path in kept), end="", flush=True)
+                names = dict.fromkeys(one for word in arguments.across for one in GROUPS.get(word, (word,)))
+                records = across(flyers, [*names], *bounds, quiet, tell, arguments.task, arguments.alone)
+        else:
+            records = [_evaluated(name, one, arguments, quiet) for name, one in found.items()]
         if arguments.json:
             print(json.dumps(records, indent=2))
     except BrokenPipeError:  # nobody reads on: `terminal` ends it

@@ -1,6 +1,7 @@
-"""Fly policies across ladders: reward, collisions and survival against difficulty, scripted baselines beside them.
+"""Evaluate policies across ladders: reward, collisions and survival against difficulty.
 
-`uavnav evaluate RUN... --across density slalom` flies each policy on every rung and draws one figure a ladder.
+`uavnav evaluate RUN... --across density slalom` evaluates each policy on every rung and draws one figure a
+ladder.
 """
 
 from __future__ import annotations
@@ -18,11 +19,10 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from uavnav import stats, style
-from uavnav.evaluation import check_bounds, fly_crews, rows_across, summary
+from uavnav.evaluation import check_bounds, fly_modes, rows_across, summary
 from uavnav.files import check_out, write
-from uavnav.runs import Run, metrics, policies
-from uavnav.runs.metrics import MODES
-from uavnav.runs.policies import Policy
+from uavnav.runs import Run, metrics
+from uavnav.runs.policies import Policy, by_mode, load_policies
 from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, chosen_among, suited
 from uavnav.tasks.ladders import LADDERS, Ladder, Measure
@@ -32,37 +32,32 @@ from uavnav.training import display, machine
 
 
 class Flyer(NamedTuple):
-    """Who flies a ladder: its seeds by mode, and where its rows are kept."""
+    """A run, a zip or a scripted policy: its policies by mode and seed."""
 
     name: str
-    by_mode: Mapping[str, Mapping[int, AnyPolicy]]
-    folder: Path | None = None
+    modes: Mapping[str, Mapping[int, AnyPolicy]]
+    run: Run | None = None
 
     @property
-    def first(self) -> AnyPolicy:
-        """One of its policies: all were trained in one task."""
-        return next(iter(next(iter(self.by_mode.values())).values()))
+    def task(self) -> Task | None:
+        """What it was trained in, the same for all of its policies; None of a scripted policy."""
+        first = next(iter(next(iter(self.modes.values())).values()))
+        return first.task if isinstance(first, Policy) else None
 
-    def fly(self, task: Task, where: str, quiet: bool, measure: Measure | None) -> dict[str, pd.DataFrame]:
-        """Its rows in a task, by mode; where: the task's name for a bar."""
-        crews = {
+    def fly(self, task: Task, where: str, quiet: bool, measure: Measure | None) -> pd.DataFrame:
+        """A row an episode in a task, with its mode; where: the task's name for a bar."""
+        modes = {
             mode: {seed: suited(policy, task) for seed, policy in population.items()}
-            for mode, population in self.by_mode.items()
+            for mode, population in self.modes.items()
         }
-        n = len(task.bank) * sum(map(len, crews.values()))
+        n = len(task.bank) * sum(map(len, modes.values()))
         with machine.use_threads(1), display.flights(f"{self.name}, {where}", n, task.max_steps or 0, quiet) as tell:
-            return {mode: left.episodes for mode, left in fly_crews(crews, task, tell, measure).items()}
+            return fly_modes(modes, task, tell, measure).episodes
 
 
-def flyer(name: str, found: Run | Mapping[str, AnyPolicy]) -> Flyer:
-    """A run, or what else flies by its mode."""
-    if not isinstance(found, Run):
-        return Flyer(name, {mode: {0: policy} for mode, policy in found.items()})
-    by_mode = {
-        mode: {seed: policies.load_policy(found.path, seed, greedy=mode == "greedy") for seed in found.seeds}
-        for mode in MODES
-    }
-    return Flyer(name, by_mode, found.path)
+def of_run(name: str, run: Run) -> Flyer:
+    """A run with the policies of all its seeds."""
+    return Flyer(name, by_mode(load_policies(run.path, run.seeds)), run)
 
 
 def climb(
@@ -73,33 +68,31 @@ def climb(
     quiet: bool = True,
     scripted: Task | None = None,
 ) -> pd.DataFrame:
-    """Fly every rung of a ladder on its first test sets.
+    """Fly every rung of a ladder on its first test layouts.
 
-    scripted: what a script flies there; by default the paper's task.
+    scripted: the task of a scripted policy; by default the paper's.
 
     Returns:
         A row an episode: the columns of `metrics.EPISODE_COLUMNS`, `mode` and `rung`.
     """
-    first = who.first
-    own = first.task if isinstance(first, Policy) else scripted or make_task(EMPTY)
+    own = who.task or scripted or make_task(EMPTY)
     parts = []
     for rung in ladder.rungs:
         task = ladder.task(replace(own, max_steps=max_steps), rung, "test")
-        task = replace(task, bank=task.bank[:episodes])
-        for mode, rows in who.fly(task, f"{ladder.words} {rung:g}", quiet, ladder.measure).items():
-            parts.append(rows.assign(mode=mode, rung=float(rung)))
+        rows = who.fly(task.with_bank(task.bank[:episodes]), f"{ladder.words} {rung:g}", quiet, ladder.measure)
+        parts.append(rows.assign(rung=float(rung)))
     return pd.concat(parts, ignore_index=True)
 
 
 def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung") -> pd.DataFrame:
     """Means and 95 % intervals over seeds, a row a name, mode, rung and measure; rows: of `climb`, by name.
 
-    by: the column that tells what was flown.
+    by: the column that tells where an episode was.
     """
     found = []
     for name, table in rows.items():
-        for (mode, rung), flown in table.groupby(["mode", by], sort=False):
-            for measure, values in metrics.of_flights(flown).items():
+        for (mode, rung), own in table.groupby(["mode", by], sort=False):
+            for measure, values in metrics.of_flights(own).items():
                 one = stats.interval(values.dropna().to_numpy())
                 found.append([name, mode, rung, measure, one.n, one.value, one.low, one.high])
     columns = ["name", "mode", by, "measure", "n", "value", "low", "high"]
@@ -159,13 +152,8 @@ def _number(value: float) -> str:
     return style.number(round(value, 9)) if np.isfinite(value) else "–"
 
 
-def _task_of(one: Flyer, scripted: Task) -> Task:
-    """What it was trained in, or what scripts fly."""
-    return one.first.task if isinstance(one.first, Policy) else scripted
-
-
 def across(
-    found: Mapping[str, Run | Mapping[str, AnyPolicy]],
+    flyers: Sequence[Flyer],
     names: Sequence[str],
     episodes: int,
     max_steps: int | None,
@@ -175,13 +163,13 @@ def across(
     task: str = "drone",
     alone: bool = False,
 ) -> list[dict[str, Any]]:
-    """Fly all that is named, and the scripted baselines, across ladders; keep rows and a figure.
+    """Fly all that is named, and the scripted policies, across ladders; keep rows and a figure.
 
-    The cap on steps is 2,000 if none is given, or that of somebody's own task where it is lower; `tell` is told of caps
-    that differ, and a figure is named after the highest. Scripts fly what the first policy was trained in; without one,
-    the world of `task`. A ladder that somebody's world does not have is left out, and `tell` is told so. The rows of a
-    run lie in its folder, figures in `out` or else in the first run's folder. `alone`, policies fly only as in
-    training, without scripts and a figure.
+    The time limit is 2,000 steps if none is given, or that of a policy's own task where it is lower. `tell`
+    is told of limits that differ, and a figure is named after the highest. Scripted policies fly the task of
+    the first policy's training, or `task` where there is none. A ladder that one of the tasks does not have
+    is left out, and `tell` is told so. The rows of a run lie in its folder, figures in `out` or else in the
+    first run's folder. `alone`, policies fly only as in training, without scripted ones and a figure.
 
     Returns:
         What the tables show, for JSON.
@@ -189,20 +177,18 @@ def across(
     Raises:
         LayoutError, PolicyError: a bank or a policy cannot be read.
         RunError: a file cannot be written, or no ladder is left.
-        ValueError: a count below 1, or more sets than a bank has.
+        ValueError: a count below 1, or more layouts than a bank has.
     """
-    flyers = [flyer(name, one) for name, one in found.items()]
     if alone:
-        acted = [{mode: crew for mode, crew in one.by_mode.items() if mode != "greedy"} for one in flyers]
-        flyers = [one._replace(by_mode=own) for one, own in zip(flyers, acted, strict=True)]
-    trained = (replace(one.first.task, stack=1) for one in flyers if isinstance(one.first, Policy))
-    theirs = next(trained, make_task(EMPTY, task=task))
+        acting = [{mode: own for mode, own in one.modes.items() if mode != "greedy"} for one in flyers]
+        flyers = [one._replace(modes=modes) for one, modes in zip(flyers, acting, strict=True)]
+    trained_in = next((one.task for one in flyers if one.task is not None), None)
+    scripted = make_task(EMPTY, task=task) if trained_in is None else replace(trained_in, stack=1)
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, SPLITS["test"].n)
-    folder = out or next((one.folder for one in flyers if one.folder is not None), Path())
+    folder = out or next((one.run.path for one in flyers if one.run is not None), Path())
     check_out(folder / "across.svg")
-    unfit = {
-        name: [one.name for one in flyers if not ladder.fits(_task_of(one, theirs))] for name, ladder in LADDERS.items()
-    }
+    tasks = {one.name: one.task or scripted for one in flyers}
+    unfit = {name: [who for who, own in tasks.items() if not ladder.fits(own)] for name, ladder in LADDERS.items()}
     fit = ", ".join(name for name in LADDERS if not unfit[name])
     climbed = [name for name in names if not unfit[name]]
     if not climbed:
@@ -210,34 +196,40 @@ def across(
     for name in names:
         if name not in climbed:
             tell(f"left out: the ladder {name}, which the world of {', '.join(unfit[name])} does not have; {fit} fit")
-    turns, distances = chosen_among(theirs.world)
-    if not alone and (theirs.world.n_turns, theirs.world.n_distances) != (turns, distances):
+    turns, distances = chosen_among(scripted.world)
+    if not alone and (scripted.world.n_turns, scripted.world.n_distances) != (turns, distances):
         tell(f"left out: the scripts, which choose among {turns} turns and {distances} distances")
     elif not alone:
-        flyers += [flyer(name, {"scripted": rule}) for name, rule in BASELINES.items() if name not in found]
-    caps = {one.name: max_steps or _task_of(one, theirs).cap(ACROSS_STEPS) for one in flyers}
-    if len(set(caps.values())) > 1:
-        each = ", ".join(f"{name} {cap:,}" for name, cap in caps.items())
+        beside = [name for name in BASELINES if name not in tasks]
+        flyers = [*flyers, *(Flyer(name, {"scripted": {0: BASELINES[name]}}) for name in beside)]
+    limits = {one.name: max_steps or (one.task or scripted).cap(ACROSS_STEPS) for one in flyers}
+    if len(set(limits.values())) > 1:
+        each = ", ".join(f"{name} {limit:,}" for name, limit in limits.items())
         tell(f"caps on steps differ ({each}); --max-steps gives all the same")
     folder.mkdir(parents=True, exist_ok=True)
     told: list[dict[str, Any]] = []
     for name in climbed:
-        rows, stem = {}, Path(rows_across(name, episodes, max(caps.values()))).stem
+        rows = {}
         for one in flyers:
-            cap = caps[one.name]
-            rows[one.name] = climb(one, LADDERS[name], episodes, cap, quiet, theirs)
-            if one.folder is not None:
-                rows[one.name].attrs = {"ladder": name, "episodes": episodes, "max_steps": cap}
-                with lock(one.folder):
-                    write_table(one.folder / rows_across(name, episodes, cap), rows[one.name])
+            limit = limits[one.name]
+            rows[one.name] = climb(one, LADDERS[name], episodes, limit, quiet, scripted)
+            if one.run is not None:
+                rows[one.name].attrs = {"ladder": name, "episodes": episodes, "max_steps": limit}
+                with lock(one.run.path):
+                    write_table(one.run.path / rows_across(name, episodes, limit), rows[one.name])
         table = judged(rows)
         if not quiet:
             summary.show(shown(table, name))
         if not alone:
-            svg, png = style.save(draw(table, LADDERS[name]).figure)
-            write(folder / f"{stem}.svg", svg)
-            write(folder / f"{stem}.png", png)
-        if not (quiet or alone):
-            print(f"the figure is {folder / f'{stem}.png'}", flush=True)
+            path = save(draw(table, LADDERS[name]), folder / rows_across(name, episodes, max(limits.values())))
+            if not quiet:
+                print(f"the figure is {path}", flush=True)
         told += [{"ladder": name, **one} for one in records(table)]
     return told
+
+
+def save(drawn: style.Drawn, rows: Path) -> Path:
+    """Write a figure as SVG and PNG under the name of a file of rows; returns the PNG's path."""
+    for suffix, content in zip((".svg", ".png"), style.save(drawn.figure), strict=True):
+        write(rows.with_suffix(suffix), content)
+    return rows.with_suffix(".png")

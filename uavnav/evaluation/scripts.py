@@ -1,12 +1,13 @@
-"""Rows of the scripted policies in the worlds of a study, which a report reads beside its runs.
+"""Rows of the scripted policies in the tasks of a study, which a report reads beside its runs.
 
-`uavnav evaluate random straight reactive --seeds 10 --out DIR` writes them, and so does a study that has `scripts`.
+`uavnav evaluate random straight reactive --seeds 10 --out DIR` writes them, and so does a study that has
+`scripts`.
 """
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ SEEDS = 10
 
 
 class Protocol(NamedTuple):
-    """The world that a script flies in, with the task's usual settings, and its sets and cap."""
+    """The task of a scripted policy, with its usual settings, and the layouts and the time limit."""
 
     layouts: str = "test"
     episodes: int = EPISODES
@@ -32,25 +33,29 @@ class Protocol(NamedTuple):
     faults: Faults | None = None
     task: str = "drone"
 
-    def file(self, rule: str) -> str:
-        """The name of a script's rows."""
-        return f"{rule}{protocol_name(*self)}.parquet"
+    def file(self, name: str) -> str:
+        """The name of the file of a policy's rows."""
+        return f"{name}{protocol_name(*self)}.parquet"
 
-    def words(self, rules: Sequence[str], folder: Path) -> list[str]:
-        """What `uavnav evaluate` is given to write the rows of some scripts into a folder."""
+    def header(self) -> dict[Any, Any]:
+        """What the header of that file says."""
+        return header(*self)
+
+    def words(self, names: Sequence[str], folder: Path) -> list[str]:
+        """What `uavnav evaluate` is given to write the rows of some scripted policies into a folder."""
         usual = Protocol()._asdict()
         own = {name: value for name, value in self._asdict().items() if value != usual[name]}
         given = [word for name, value in own.items() for word in (f"--{name.replace('_', '-')}", str(value))]
-        return [*rules, *given, *["--seeds", str(SEEDS)] * (DRAWS in rules), "--out", str(folder)]
+        return [*names, *given, *["--seeds", str(SEEDS)] * (DRAWS in names), "--out", str(folder)]
 
 
 def missing(folder: Path, protocol: Protocol) -> list[str]:
-    """The scripts whose rows are not in a folder."""
-    return [rule for rule in SCRIPTS if not (folder / protocol.file(rule)).exists()]
+    """The scripted policies whose rows are not in a folder."""
+    return [name for name in SCRIPTS if not (folder / protocol.file(name)).exists()]
 
 
 def protocol_in(task: Task, layouts: str, episodes: int, max_steps: int) -> Protocol | None:
-    """How scripts fly in a task of training; None where it has settings that no command can give a script."""
+    """How scripted policies fly a task of training; None where no command can give them its settings."""
     if task.world != task.WORLD() or task.reward != task.REWARD:
         return None
     faults = None if task.faults == NO_FAULTS else task.faults
@@ -58,32 +63,28 @@ def protocol_in(task: Task, layouts: str, episodes: int, max_steps: int) -> Prot
 
 
 def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """Rows of scripts by name, each from the first of some folders that has them; a line for what cannot be used.
+    """Rows of scripted policies by name, from the first folder that has them; a line for what cannot be used.
 
     Each line names the command that writes the rows.
     """
     found, left_out = {}, []
-    absent = [rule for rule in SCRIPTS if all(rule in missing(folder, protocol) for folder in folders)]
+    absent = [name for name in SCRIPTS if all(name in missing(folder, protocol) for folder in folders)]
     if absent:
         left_out.append(f"{folders[0]}: no rows of {', '.join(absent)}; {_command(absent, folders[0], protocol)}")
-    for rule in (rule for rule in SCRIPTS if rule not in absent):
-        folder = next(folder for folder in folders if rule not in missing(folder, protocol))
-        path, again = folder / protocol.file(rule), _command([rule], folder, protocol)
+    for name in (name for name in SCRIPTS if name not in absent):
+        folder = next(folder for folder in folders if name not in missing(folder, protocol))
+        path, again = folder / protocol.file(name), _command([name], folder, protocol)
         try:
             rows = read_table(path, EVALUATED, again)
-            if rows.attrs != (wanted := header(*protocol)):
+            if rows.attrs != (wanted := protocol.header()):
                 differs = [key for key in rows.attrs | wanted if rows.attrs.get(key) != wanted.get(key)]
-                there, asked = (_shown({key: said.get(key) for key in differs}) for said in (rows.attrs, wanted))
+                there, asked = (", ".join(f"{key}={said.get(key)}" for key in differs) for said in (rows.attrs, wanted))
                 raise RunError(f"{path}: its rows are of {there}, not of {asked}; {again}")
-            found[rule] = rows
+            found[name] = rows
         except RunError as error:
             left_out.append(str(error))
     return found, left_out
 
 
-def _command(rules: Sequence[str], folder: Path, protocol: Protocol) -> str:
-    return f"write them with uavnav evaluate {shlex.join(protocol.words(rules, folder))}"
-
-
-def _shown(said: Mapping[Any, Any]) -> str:
-    return ", ".join(f"{key}={value}" for key, value in said.items())
+def _command(names: Sequence[str], folder: Path, protocol: Protocol) -> str:
+    return f"write them with uavnav evaluate {shlex.join(protocol.words(names, folder))}"

@@ -1,13 +1,13 @@
-"""The transfer matrix: trained in one world, flown in another, among worlds whose observations have the same size.
+"""The transfer matrix: trained in one environment, evaluated in another, where observations have the same size.
 
-`uavnav evaluate RUN RUN... --transfer` flies each policy on the test sets of each world that one of them was trained
-in.
+`uavnav evaluate RUN RUN... --transfer` evaluates each policy on the test layouts of each world that one of
+them was trained in.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,26 +21,24 @@ from rich.table import Table
 
 from uavnav import style
 from uavnav.evaluation import check_bounds, summary
-from uavnav.evaluation.across import Flyer, flyer, judged
-from uavnav.files import check_out, write
+from uavnav.evaluation.across import Flyer, judged, save
+from uavnav.files import check_out
 from uavnav.runs import Run
 from uavnav.runs.metrics import FLIGHTS
-from uavnav.runs.policies import Policy
 from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks import layouts as banks
-from uavnav.tasks.baselines import AnyPolicy
 from uavnav.tasks.ladders import Measure, measure_of, reached
 from uavnav.tasks.protocol import ACROSS_STEPS
 from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
 
 FLOWN = "flown_in"
-"""The column that names the world of a flight."""
+"""The column that names the world of an episode."""
 SPEEDS = ("speed_min", "speed_max")
 """Fields of a world by which sensed velocities are scaled."""
 
 
 class Place(NamedTuple):
-    """A world that somebody was trained in, on its test sets."""
+    """A world that a policy was trained in, on its test layouts."""
 
     name: str
     task: Task
@@ -48,12 +46,12 @@ class Place(NamedTuple):
 
 
 def place(run: Run, episodes: int, max_steps: int | None) -> Place:
-    """Where a run was trained: its world and faults, on the first test sets that belong to its bank.
+    """Where a run was trained: its world and faults, on the first test layouts that belong to its bank.
 
-    The cap on steps is 2,000 if none is given, or the task's own where that is lower.
+    The time limit is 2,000 steps if none is given, or the task's own where that is lower.
 
     Raises:
-        LayoutError: there are no such sets.
+        LayoutError: there are no such layouts.
         RunError: its settings name no world.
     """
     task, layouts = trained_in(run)
@@ -62,7 +60,7 @@ def place(run: Run, episodes: int, max_steps: int | None) -> Place:
 
 
 def trained_in(run: Run) -> tuple[Task, str]:
-    """The world and faults of a run's training, without obstacles, and the test sets that belong to its bank.
+    """The task of a run's training, without obstacles, and the test layouts that belong to its bank.
 
     Raises:
         RunError: its settings name no world.
@@ -89,56 +87,23 @@ def named(task: Task, layouts: str) -> str:
     return ", ".join([first, *own, *reward, *faults])
 
 
-def sort(
-    found: Mapping[str, Run | Mapping[str, AnyPolicy]], episodes: int, max_steps: int | None
-) -> tuple[list[tuple[Flyer, str]], list[Place], list[str]]:
-    """Who flies, each with the world that it was trained in; the worlds; and who is left out.
-
-    A policy is left out if it does not see as many numbers of a moment as the first run's, or has other actions.
-
-    Raises:
-        RunError: no run is given.
-    """
-    flyers = {name: flyer(name, one) for name, one in found.items()}
-    first = {name: one.first for name, one in flyers.items()}
-    sizes = {name: _sizes(one) for name, one in first.items() if isinstance(one, Policy)}
-    places: dict[str, Place] = {}
-    trained: list[tuple[Flyer, str]] = []
-    size = next((sizes[name] for name, one in found.items() if isinstance(one, Run)), None)
-    if size is None:
-        raise RunError(f"--transfer {' '.join(found)}: names no run; give the folders of runs of several worlds")
-    for name, one in found.items():
-        where = ""
-        if sizes.get(name, size) != size:
-            continue
-        if isinstance(one, Run):
-            own = place(one, episodes, max_steps)
-            places.setdefault(own.name, own)
-            where = own.name
-        trained.append((flyers[name], where))
-    return trained, [*places.values()], [name for name in found if sizes.get(name, size) != size]
-
-
-def _sizes(policy: Policy) -> tuple[int, int, int]:
+def _sizes(task: Task) -> tuple[int, int, int]:
     """What worlds must have in common: numbers of an observation, turns and distances to choose from."""
-    world = policy.world
-    return world.observation_size, world.n_turns, world.n_distances
+    return task.world.observation_size, task.world.n_turns, task.world.n_distances
 
 
 def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
-    """Fly a policy's seeds in a world, greedy and sampled: a row an episode, with `mode` and `flown_in`.
+    """Fly a policy's seeds in a place, greedy and sampled: a row an episode, with `mode` and `flown_in`.
 
-    A policy keeps its own memory; its proximities stay shares of the reach of its training, and sensed velocities of
-    that world's greatest speed.
+    A policy keeps its own memory; its proximities stay shares of the reach of its training, and sensed
+    velocities of that world's greatest speed.
     """
-    first, task = who.first, place.task
-    if isinstance(first, Policy):
-        both = [name for name in SPEEDS if hasattr(first.world, name) and hasattr(task.world, name)]
-        world = replace(task.world, **{name: getattr(first.world, name) for name in both})
-        task = reached(replace(task, stack=first.task.stack, world=world), first.world.sensor_radius)
-    rows = who.fly(task, f"in {place.name}", quiet, place.measure)
-    parts = [part.assign(mode=mode, **{FLOWN: place.name}) for mode, part in rows.items()]
-    return pd.concat(parts, ignore_index=True)
+    own, task = who.task, place.task
+    if own is not None:
+        both = [name for name in SPEEDS if hasattr(own.world, name) and hasattr(task.world, name)]
+        world = replace(task.world, **{name: getattr(own.world, name) for name in both})
+        task = reached(replace(task, stack=own.stack, world=world), own.world.sensor_radius)
+    return who.fly(task, f"in {place.name}", quiet, place.measure).assign(**{FLOWN: place.name})
 
 
 @matplotlib.rc_context(style.STYLE)
@@ -197,16 +162,16 @@ def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
 
 
 def transfer(
-    found: Mapping[str, Run | Mapping[str, AnyPolicy]],
+    flyers: Sequence[Flyer],
     episodes: int,
     max_steps: int | None,
     out: Path | None,
     quiet: bool,
-    say: Any = print,
+    say: Callable[[str], object] = print,
 ) -> list[dict[str, Any]]:
-    """Fly all that is named in every world of their training; rows and a figure lie in `out` or the first run's folder.
+    """Fly all that is named in every place of training; rows and a figure lie in `out` or the first run's folder.
 
-    max_steps: as of `place`; files are named after the highest cap.
+    max_steps: as of `place`; files are named after the highest limit.
     say: is told, in one line, who is left out because it sees or does something else.
 
     Returns:
@@ -214,32 +179,36 @@ def transfer(
 
     Raises:
         LayoutError, PolicyError, RunError: a bank or a policy cannot be read, or a file not be written.
-        ValueError: a count below 1, or more sets than a bank has.
+        ValueError: a count below 1, or more layouts than a bank has.
     """
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, banks.SPLITS["test"].n)
-    flyers, places, left_out = sort(found, episodes, max_steps)
-    if left_out:
-        size, actions = places[0].task.world.observation_size, places[0].task.world.n_actions
+    first = next((who.task for who in flyers if who.run is not None), None)
+    if first is None:
+        given = " ".join(who.name for who in flyers)
+        raise RunError(f"--transfer {given}: names no run; give the folders of runs of several worlds")
+    fit = [who for who in flyers if who.task is None or _sizes(who.task) == _sizes(first)]
+    if left_out := [who.name for who in flyers if who not in fit]:
+        size, actions = first.world.observation_size, first.world.n_actions
         say(f"left out, for they have not {size} numbers to see and these {actions} actions: {', '.join(left_out)}")
-    folder = out or next(who.folder for who, _ in flyers if who.folder is not None)
-    names = hashlib.sha256("\n".join(map(str, found)).encode()).hexdigest()[:6]  # others may have a matrix there
-    cap = max(one.task.max_steps or 0 for one in places)
-    stem = f"transfer-{episodes}-{cap}-{names}"
-    check_out(folder / f"{stem}.parquet")
-    rows = {who.name: pd.concat([visit(who, one, quiet) for one in places], ignore_index=True) for who, _ in flyers}
-    trained = {who.name: where for who, where in flyers}
+    homes = {who.name: place(who.run, episodes, max_steps) for who in fit if who.run is not None}
+    places = {home.name: home for home in homes.values()}
+    folder = out or next(who.run.path for who in flyers if who.run is not None)
+    names = "\n".join(who.name for who in flyers)
+    limit = max(one.task.max_steps or 0 for one in places.values())
+    unique = hashlib.sha256(names.encode()).hexdigest()[:6]  # others may have a matrix there
+    path = folder / f"transfer-{episodes}-{limit}-{unique}.parquet"
+    check_out(path)
+    rows = {who.name: pd.concat([visit(who, one, quiet) for one in places.values()], ignore_index=True) for who in fit}
+    trained = {who.name: homes[who.name].name if who.name in homes else "" for who in fit}
     table = judged(rows, by=FLOWN)
-    kept = pd.concat(
-        [one.assign(policy=name, trained_in=trained[name]) for name, one in rows.items()], ignore_index=True
-    )
-    kept.attrs = {"episodes": episodes, "max_steps": cap}
-    svg, png = style.save(draw(table, trained).figure)
+    kept = [one.assign(policy=name, trained_in=trained[name]) for name, one in rows.items()]
+    kept_rows = pd.concat(kept, ignore_index=True)
+    kept_rows.attrs = {"episodes": episodes, "max_steps": limit}
     folder.mkdir(parents=True, exist_ok=True)
     with lock(folder):
-        write_table(folder / f"{stem}.parquet", kept)
-        write(folder / f"{stem}.svg", svg)
-        write(folder / f"{stem}.png", png)
+        write_table(path, kept_rows)
+        figure = save(draw(table, trained), path)
     if not quiet:
         summary.show(shown(table, trained))
-        print(f"the rows are in {folder / f'{stem}.parquet'}\nthe figure is {folder / f'{stem}.png'}", flush=True)
+        print(f"the rows are in {path}\nthe figure is {figure}", flush=True)
     return [{"trained_in": trained[one["name"]], **one} for one in records(table)]

@@ -1,4 +1,4 @@
-"""What seeds expect of their flights, and what they get: their action values against returns."""
+"""What seeds expect of their episodes, and what they get: their action values against returns."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import pandas as pd
 import torch
 
-from uavnav.evaluation import flights
+from uavnav.evaluation import episodes
 from uavnav.runs.policies import Policy
 from uavnav.tasks import layouts
 from uavnav.tasks.protocol import MAX_STEPS
@@ -25,11 +25,12 @@ def overestimation(
 ) -> pd.DataFrame:
     """How much more seeds expect than they get: columns seed, q, realised, overestimation = q - realised.
 
-    q is the mean of max_a Q(s, a) over the states of greedy flights, one on each of the first test layouts, and
-    realised the mean of the discounted return from the same states on. States are those of the first `steps` steps of a
-    flight, collision or not; the flight goes on until the rest of its return is worth less than `tail` of what it would
-    be now (gamma^n < tail, 459 steps at 0.99). Where that takes more than `max_steps` steps in all (gamma near 1), only
-    states with so much future, or with a collision ahead, count: NaN where there is none. All flights start upwards.
+    q is the mean of max_a Q(s, a) over the states of greedy episodes, one on each of the first test layouts,
+    and realised the mean of the discounted return from the same states on. States are those of the first
+    `steps` steps of an episode, collision or not. The episode goes on until the rest of its return is worth
+    less than `tail` of what it would be now (gamma^n < tail, 459 steps at 0.99). Where that takes more than
+    `max_steps` steps in all (gamma near 1), only states with so much future, or with a collision ahead,
+    count: NaN where there is none. All episodes start upwards.
 
     Args:
         population: greedy policies whose outputs are values of actions, by seed.
@@ -45,22 +46,22 @@ def overestimation(
         raise ValueError(f"n_layouts={n_layouts}, steps={steps}; give 1 to {len(bank)} layouts and at least 1 step")
     horizon = next((n for n in range(1, max_steps + 1) if gamma**n < tail), max_steps + 1)
     seeds, heading = list(population), torch.full((n_layouts,), UP)
-    n_flights, limit = len(seeds) * n_layouts, min(steps + horizon, max_steps)
-    q, returned = (torch.zeros(limit, n_flights, dtype=torch.float64) for _ in range(2))
-    flown = torch.zeros(limit, n_flights, dtype=torch.bool)
-    collided = torch.zeros(n_flights, dtype=torch.bool)
+    n, limit = len(seeds) * n_layouts, min(steps + horizon, max_steps)
+    q, returned = (torch.zeros(limit, n, dtype=torch.float64) for _ in range(2))
+    seen = torch.zeros(limit, n, dtype=torch.bool)
+    collided = torch.zeros(n, dtype=torch.bool)
     task = replace(population[seeds[0]].task, bank=bank[:n_layouts], max_steps=limit)
-    for one in flights.fly(list(population.items()), task, heading, values=True):
+    for one in episodes.steps(list(population.items()), task, heading):
         assert one.values is not None
         step, outcome = one.number - 1, one.outcome
-        q[step, one.flight] = one.values.amax(-1).double()
-        returned[step, one.flight] = outcome.reward
-        flown[step, one.flight] = True
-        collided[one.flight] = outcome.terminated
+        q[step, one.episode] = one.values.amax(-1).double()
+        returned[step, one.episode] = outcome.reward
+        seen[step, one.episode] = True
+        collided[one.episode] = outcome.terminated
     for step in reversed(range(limit - 1)):
         returned[step] += gamma * returned[step + 1]
     known = collided | (torch.arange(limit)[:, None] + horizon <= limit)
-    counts = (flown & known)[:steps].reshape(-1, len(seeds), n_layouts)
+    counts = (seen & known)[:steps].reshape(-1, len(seeds), n_layouts)
     sums = ((values[:steps].reshape(counts.shape) * counts).sum((0, 2)) for values in (q, returned))
     expected, realised = (summed / counts.sum((0, 2)) for summed in sums)  # 0 / 0 is NaN
     columns = {"q": expected, "realised": realised, "overestimation": expected - realised}

@@ -16,8 +16,7 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from uavnav.evaluation import BEHAVIOUR_COLUMNS, flights
-from uavnav.evaluation.empty_arena import EMPTY_ARENA, HEADINGS
+from uavnav.evaluation import BEHAVIOUR_COLUMNS, EMPTY_ARENA, HEADINGS, episodes
 from uavnav.report.frames import MEASURES
 from uavnav.runs import ARENA, Run
 from uavnav.runs.metrics import MODES
@@ -58,7 +57,7 @@ def read(run: Run) -> pd.DataFrame | None:
     if not path.exists():
         return None
     task = _task(run, path)
-    return retrace(_actions(run, path, task), task.bank, flights.headings(task, len(task.bank)), task.world)
+    return retrace(_actions(run, path, task), task.bank, episodes.headings(task, len(task.bank)), task.world)
 
 
 def read_arena(run: Run) -> pd.DataFrame | None:

@@ -134,13 +134,13 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: 
     from uavnav.tasks.task import name_of
     from uavnav.training import display, machine
 
-    population: dict[int, AnyPolicy]
+    population: Mapping[int, AnyPolicy]
     if name in BASELINES:
         population = {0: BASELINES[name]}
     elif policies.is_zip(name):
         population = {0: policies.load_policy(name, greedy=False, activation=activation)}
     else:
-        population = {seed: policies.load_policy(name, seed, greedy=False) for seed in policies.seeds(name)}
+        population = policies.load_policies(name, greedy=False)
     first = next(iter(population.values()))
     task = on(first.task if isinstance(first, Policy) else _scripted(run), **protocol)
     n = len(task.bank) * len(population)

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from uavnav import style
-from uavnav.evaluation.empty_arena import EMPTY_ARENA
+from uavnav.evaluation import EMPTY_ARENA
 from uavnav.report import behaviour, figures, frames, replays, studies, tables, tuning, whys, worlds
 from uavnav.report.cells import Cell, algorithms, collect, one_line, read_as
 from uavnav.report.claims import CLAIMS, DISCUSSION, PRIMARY

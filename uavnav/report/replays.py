@@ -27,7 +27,7 @@ from torch.nn import functional
 
 from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.evaluation import EPISODES, flights
+from uavnav.evaluation import EPISODES, episodes
 from uavnav.report.cells import EMPTY, Cell, one_line
 from uavnav.runs import Run
 from uavnav.runs.policies import Policy, PolicyError, load_policy
@@ -267,7 +267,7 @@ def fly(flyers: Sequence[tuple[int, Policy]], bank: Tensor, n_layouts: int, max_
     world, policies fly as many sets of its own test bank.
     """
     found: list[list[Flight]] = [[] for _ in flyers]
-    for places in flights.alike([policy for _, policy in flyers]):
+    for places in episodes.alike([policy for _, policy in flyers]):
         together = [flyers[place] for place in places]
         own_task = together[0][1].task
         task = own_task.on(bank if type(own_task) is Task else _bank(own_task)[: len(bank)], max_steps)
@@ -279,24 +279,24 @@ def fly(flyers: Sequence[tuple[int, Policy]], bank: Tensor, n_layouts: int, max_
 def _fly_together(flyers: Sequence[tuple[int, AnyPolicy]], task: Task, n_layouts: int) -> Iterator[list[Flight]]:
     """The flights of each flyer on the first sets, all of them as one batch."""
     n = len(task.bank)
-    start = flights.start(task, [seed for seed, _ in flyers])
+    start = episodes.start(task, [seed for seed, _ in flyers])
     kept = torch.arange(len(start.x)) % n < n_layouts
     going = kept.reshape(-1, n).sum(1)  # shown flights of each flyer
     observation, clearance = task.observe(start)
     poses, choices = [_pose(torch.arange(len(kept)), start, _slots(task, observation), clearance, kept)], []
     collided, arrived = torch.zeros(2, len(kept), dtype=torch.bool)
-    for step in flights.fly(flyers, task, values=all(isinstance(policy, Policy) for _, policy in flyers)):
-        mine, outcome = kept[step.flight], step.outcome
+    for step in episodes.steps(flyers, task):
+        mine, outcome = kept[step.episode], step.outcome
         values = step.values
         if values is None:  # behind the action of a script is nothing but itself
             values = functional.one_hot(step.action, task.world.n_actions).float()
-        choices.append({"row": step.flight[mine], "action": step.action[mine], "values": values[mine]})
-        poses.append(_pose(step.flight, step.state, _slots(task, outcome.observation), outcome.clearance, mine))
-        collided[step.flight] = outcome.terminated
+        choices.append({"row": step.episode[mine], "action": step.action[mine], "values": values[mine]})
+        poses.append(_pose(step.episode, step.state, _slots(task, outcome.observation), outcome.clearance, mine))
+        collided[step.episode] = outcome.terminated
         if isinstance(task, Goal):
-            arrived[step.flight] = task.succeeded(step.state)
-        going -= torch.bincount(step.flight[step.ended & mine] // n, minlength=len(going))
-        step.ended.logical_or_((going == 0)[step.flight // n])  # nobody sees how the others of this flyer go on
+            arrived[step.episode] = task.succeeded(step.state)
+        going -= torch.bincount(step.episode[step.ended & mine] // n, minlength=len(going))
+        step.ended.logical_or_((going == 0)[step.episode // n])  # nobody sees how the others of this flyer go on
     collided &= ~arrived
     seen, done = (dict(_by_row(parts)) for parts in (poses, choices))
     for place, (seed, policy) in enumerate(flyers):

@@ -7,7 +7,7 @@
     policy.safetensors  the networks of all seeds; where it was left out, the command of the run trains it again
     evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled); see `own_evaluation`
     behaviour.parquet   the actions of some test flights, one row per step (see `uavnav.report.behaviour`)
-    arena.parquet       the same of flights in the empty arena (see `uavnav.evaluation.empty_arena`)
+    arena.parquet       the same of flights in the empty arena (see `uavnav.evaluation.in_empty_arena`)
     values.parquet      what each seed expects and gets, where outputs are values (see `uavnav.evaluation.values`)
     checkpoint/         the snapshots of an unfinished run (see `uavnav.training.checkpoints`)
     progress.json       while it trains: its frames per seed, of how many, at how many a second, and when that was

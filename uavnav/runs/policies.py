@@ -7,8 +7,8 @@ import os
 import pickle
 import re
 import zipfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,6 +23,7 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import OneLineError, choose_from
 from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.runs import MOST_SEEDS, POLICY, read_settings
+from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
 from uavnav.tasks import tensors as safe
 from uavnav.tasks.rewards import REWARDS
@@ -172,31 +173,69 @@ def contents(path: Path) -> tuple[dict[str, Tensor], Header]:
 def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, activation: str | None = None) -> Policy:
     """The policy of one seed of a run's folder (or of its policy.safetensors); nothing is unpickled or executed.
 
-    A `.zip` is read as one of Stable-Baselines3: the weights of a PPO or a DQN with MlpPolicy, and nothing else of it.
+    A `.zip` is read as one of Stable-Baselines3: the weights of a PPO or a DQN with MlpPolicy, and nothing
+    else of it.
 
     Args:
         run: a run's folder, its policy file, or the zip that `model.save` of Stable-Baselines3 wrote.
         seed: which training seed; the first one if None. A zip has no seeds.
-        greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon (0.05 for a
+        greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon
+        (0.05 for a
             zip).
         activation: of a zip's hidden layers, which its weights do not tell; a run knows its own.
 
     Raises:
         PolicyError: the file is missing or damaged, has no such seed, or is of another kind of network.
     """
-    path = Path(run)
     if is_zip(run):
         if seed is not None:
-            raise PolicyError(f"{path}: seed={seed}; a zip of Stable-Baselines3 holds one policy: give no seed")
-        return _from_sb3(path, greedy, activation)
+            raise PolicyError(f"{run}: seed={seed}; a zip of Stable-Baselines3 holds one policy: give no seed")
+        return _from_sb3(Path(run), greedy, activation)
     if activation is not None:
-        raise PolicyError(f"{path}: activation={activation}; a run knows its own: give it for a .zip alone")
-    path = path / POLICY if os.path.isdir(path) else path
+        raise PolicyError(f"{run}: activation={activation}; a run knows its own: give it for a .zip alone")
+    return next(_policies(run, None if seed is None else [seed], greedy))
+
+
+def load_policies(run: str | Path, seeds: Sequence[int] | None = None, greedy: bool = True) -> dict[int, Policy]:
+    """The policies of some seeds of a run, or of all, by seed. Raises a PolicyError as `load_policy` does."""
+    return {policy.seed: policy for policy in _policies(run, seeds, greedy)}
+
+
+def by_mode(policies: Mapping[int, Policy]) -> dict[str, dict[int, Policy]]:
+    """The same policies greedy and sampled, by mode and seed."""
+    return {mode: {seed: replace(one, greedy=mode == "greedy") for seed, one in policies.items()} for mode in MODES}
+
+
+def _policies(run: str | Path, seeds: Sequence[int] | None, greedy: bool) -> Iterator[Policy]:
+    """Those of some seeds, or of all, one after the other."""
+    path = Path(run) / POLICY if os.path.isdir(run) else Path(run)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
         raise PolicyError(f"{run}: no {POLICY} there; give the folder of a finished run")
     tensors, header = contents(path)
     how = ALGORITHMS.get(header.algorithm)
     acts, head = header.acts or (how and how.acts), header.head or (how and how.head)
+    task = _trained_in(path, header, acts, head)
+    if not header.seeds:
+        raise PolicyError(f"{path}: holds no seed; give the policy of a finished run")
+    seeds = header.seeds if seeds is None else seeds
+    if unknown := [seed for seed in seeds if seed not in header.seeds]:
+        choices = f"{header.seeds[0]} ... {header.seeds[-1]}"
+        raise PolicyError(f"{path}: seed={unknown[0]} is not there; choose from {choices}")
+    sizes, weights = _network(path, header, tensors, str(head), task)
+    _warn_of_changed_plugins(path, header)
+    for seed in seeds:
+        agent = header.seeds.index(seed)
+        own = {key: tensor[agent : agent + 1] for key, tensor in weights.items()}
+        for key, tensor in own.items():
+            if not tensor.isfinite().all():
+                raise Diverged(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
+        network = mlp(sizes, header.activation, [torch.Generator()], "default", layer_norm=header.layer_norm)
+        network.load_state_dict(own)
+        yield Policy(network, header.algorithm, greedy, task, str(acts), str(head), header.epsilon, seed, header.bank)
+
+
+def _trained_in(path: Path, header: Header, acts: str | None, head: str | None) -> Task:
+    """The task of a policy's training, whose parts and ways to act are all known here."""
     if header.world_version != VERSION:
         raise PolicyError(f"{path}: trained in world version {header.world_version}, this is {VERSION}")
     for name, value, choices in (
@@ -211,53 +250,44 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
             hint = plugins.missing(header.plugins) or f"; {choose_from(value, choices)}"
             raise PolicyError(f"{path}: unknown {name} {value!r}{hint}")
     try:
-        cap, task, faults = header.max_steps, header.task, header.faults
-        trained_in = make_task(EMPTY, header.world, header.reward, cap, task, header.stack, faults)
+        return make_task(EMPTY, header.world, header.reward, header.max_steps, header.task, header.stack, header.faults)
     except (TypeError, ValueError) as error:
         raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
-    if not header.seeds:
-        raise PolicyError(f"{path}: holds no seed; give the policy of a finished run")
-    seed = header.seeds[0] if seed is None else seed
-    if seed not in header.seeds:
-        raise PolicyError(f"{path}: seed={seed} is not there; choose from {header.seeds[0]} ... {header.seeds[-1]}")
-    agent = header.seeds.index(seed)
+
+
+def _network(
+    path: Path, header: Header, tensors: Mapping[str, Tensor], head: str, task: Task
+) -> tuple[list[int], dict[str, Tensor]]:
+    """The sizes of the layers of a file's networks, and their weights [A, ...] as a network calls them.
+
+    What they are is checked before memory is taken for a network.
+    """
+    weights = {key.removeprefix("policy."): one for key, one in tensors.items() if key.startswith("policy.")}
     try:
         if any(tensor.shape[:1] != (len(header.seeds),) for tensor in tensors.values()):
             raise ValueError(f"not {len(header.seeds)} networks")
-        policy = {
-            key.removeprefix("policy."): tensor[agent : agent + 1]
-            for key, tensor in tensors.items()
-            if key.startswith("policy.")
-        }
-        inputs, outputs = policy["0.weight"].shape[1], policy[f"{2 * len(header.hidden)}.weight"].shape[2]
+        inputs, outputs = weights["0.weight"].shape[1], weights[f"{2 * len(header.hidden)}.weight"].shape[2]
         sizes = [inputs, *header.hidden, outputs]
-        if {key: (tensor.dtype, *tensor.shape) for key, tensor in policy.items()} != _expected(sizes):
+        expected: dict[str, tuple[int, ...]] = {}
+        for index, (rows, columns) in enumerate(pairwise(sizes)):
+            expected |= {f"{2 * index}.weight": (rows, columns), f"{2 * index}.bias": (1, columns)}
+        found = {key: tuple(tensor.shape[1:]) for key, tensor in weights.items()}
+        if found != expected or any(tensor.dtype != torch.float32 for tensor in weights.values()):
             raise ValueError("other tensors")
-        network = mlp(sizes, header.activation, [torch.Generator()], "default", layer_norm=header.layer_norm)
-        network.load_state_dict(policy)
-        outputs = values_of(str(head), torch.zeros(1, outputs)).shape[-1]
+        n_actions = values_of(head, torch.zeros(1, outputs)).shape[-1]
     except (KeyError, IndexError, RuntimeError, TypeError, ValueError, OverflowError) as error:
         raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
-    _check_sizes(path, inputs, outputs, trained_in)
+    _check_sizes(path, inputs, n_actions, task)
+    return sizes, weights
+
+
+def _warn_of_changed_plugins(path: Path, header: Header) -> None:
     facts = path.with_name("meta.json")
     if header.plugins and facts.is_file():
         try:
             plugins.warn_of_changed(path, read_settings(facts).get("plugins", {}))
         except RunError as error:
             raise PolicyError(str(error)) from error
-    for key, tensor in policy.items():
-        if not tensor.isfinite().all():
-            raise Diverged(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
-    return Policy(
-        network, header.algorithm, greedy, trained_in, str(acts), str(head), header.epsilon, seed, header.bank
-    )
-
-
-def _expected(sizes: Sequence[int]) -> dict[str, tuple[Any, ...]]:
-    """Type and shape of each tensor of an agent's network with layers of some sizes, before memory is taken for it."""
-    layers = {f"{2 * index}": layer for index, layer in enumerate(pairwise(sizes))}
-    weights = {f"{name}.weight": (torch.float32, 1, inputs, outputs) for name, (inputs, outputs) in layers.items()}
-    return weights | {f"{name}.bias": (torch.float32, 1, 1, outputs) for name, (_, outputs) in layers.items()}
 
 
 def _check_sizes(path: Path, inputs: int, outputs: int, task: Task) -> None:

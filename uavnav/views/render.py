@@ -24,7 +24,7 @@ from uavnav import files
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, PILOTS, SENSED, STEPS_PER_SECOND, Colour, Picture, font
 from uavnav.errors import did_you_mean, did_you_mean_run
-from uavnav.evaluation import flights
+from uavnav.evaluation import episodes
 from uavnav.runs import policies
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
@@ -123,9 +123,9 @@ def fly(pilot: Pilot, bank: Tensor, layout: int, max_steps: int) -> Flight:
     An evaluation flies its sets as one batch, in which sampled actions of one flight follow others; so does this.
     """
     task = pilot.task.on(bank[: max(EPISODES, layout + 1)], max_steps)
-    states = [at(flights.start(task, [pilot.seed]), layout)]
-    for step in flights.fly([(pilot.seed, pilot.policy)], task):
-        mine = step.place[step.flight == layout].squeeze()
+    states = [at(episodes.start(task, [pilot.seed]), layout)]
+    for step in episodes.steps([(pilot.seed, pilot.policy)], task):
+        mine = step.place[step.episode == layout].squeeze()
         states.append(at(step.states, mine))
         if step.outcomes.terminated[mine] or step.outcomes.truncated[mine]:
             arrived = "arrived" if step.outcomes.terminated[mine] else ""

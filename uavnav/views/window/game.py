@@ -18,7 +18,7 @@ from torch import Tensor
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.envs.drawing import PILOTS, STEPS_PER_SECOND, Colour
-from uavnav.evaluation import flights
+from uavnav.evaluation import episodes
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.policies import Policy
 from uavnav.runs.tables import RunError, lock, read_table, write_table
@@ -248,7 +248,7 @@ def reset(game: Game) -> Game:
     """The same set from the start; the trail of the flight so far stays."""
     flown = tuple(leg for leg in game.legs if len(leg.points) > 1)
     game.generator.manual_seed(game.pilots[game.pilot].seed)
-    heading = flights.headings(game.task, game.index + 1)[-1]
+    heading = episodes.headings(game.task, game.index + 1)[-1]
     state = game.task.start(torch.tensor(0), heading, _draws(game))
     _, clearance = game.task.observe(state)
     start = Leg(game.pilot, (at(state),))

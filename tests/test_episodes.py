@@ -1,15 +1,14 @@
-"""One loop flies: evaluations, films and the window show the same flights, compiled or not."""
+"""One loop steps all episodes: evaluations, films and the window show the same ones, compiled or not."""
 
 import dataclasses
 
 import pandas as pd
+import policies_by_hand
 import pytest
 import torch
 
 from uavnav import evaluation
-from uavnav.evaluation import evaluate_policy, flights, on
-from uavnav.networks import mlp
-from uavnav.runs.policies import Policy
+from uavnav.evaluation import episodes, evaluate_policy, on
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.simulator import EMPTY, make_task
@@ -20,25 +19,21 @@ from uavnav.views import render
 from uavnav.views.render import Pilot
 from uavnav.views.window import game as rules
 
-ACTS = {"ppo": "categorical", "dqn": "epsilon-greedy"}
+ACTS = {"ppo": ("categorical", 0.0), "dqn": ("epsilon-greedy", 0.05)}
 WORLDS = {
     "up, eq14": make_task(EMPTY),
     "random, additive": make_task(EMPTY, World(start_heading="random"), "additive"),
 }
 
 
-def untrained(algorithm="ppo", greedy=True, task=WORLDS["up, eq14"], seed=5):
-    """A policy of random weights, whose flights end by collisions at many steps."""
-    network = mlp([30, 64, 64, 100], "tanh", [torch.Generator().manual_seed(seed)], "default")
-    return Policy(
-        network, algorithm, greedy, task, ACTS[algorithm], "direct", 0.05 if algorithm == "dqn" else 0.0, seed
-    )
+def untrained(algorithm="ppo", greedy=True, task=None, seed=5):
+    return policies_by_hand.untrained(seed, greedy, task, *ACTS[algorithm], algorithm)
 
 
 @pytest.fixture
 def compiled_steps(monkeypatch):
     """Compile the world's step after 5 steps; how often the graph ran."""
-    ran, advance = [], flights._advance
+    ran, advance = [], episodes._advance
 
     def counted(*how):
         ran.append(1)
@@ -46,7 +41,7 @@ def compiled_steps(monkeypatch):
 
     monkeypatch.setattr(machine, "FLIGHTS_PAY_FROM", 1)
     monkeypatch.setattr(machine, "EAGER_STEPS", 5)
-    monkeypatch.setattr(flights, "_advance", counted)
+    monkeypatch.setattr(episodes, "_advance", counted)
     return ran
 
 
@@ -91,14 +86,14 @@ def test_the_window_starts_at_the_heading_of_the_film_and_flies_it_greedily():
 
 def test_random_headings_belong_to_the_set_whoever_flies_and_however_many_sets_there_are():
     task = on(WORLDS["random, additive"], episodes=200)
-    headings = flights.headings(task, 200)
+    headings = episodes.headings(task, 200)
     assert ((headings >= 0) & (headings < 360)).all()
     assert headings.unique().numel() > 100
     for n in (1, 2, 17, 100):
-        assert torch.equal(flights.headings(task, n), headings[:n])
-    both = flights.start(task, seeds=[0, 1])
+        assert torch.equal(episodes.headings(task, n), headings[:n])
+    both = episodes.start(task, seeds=[0, 1])
     assert torch.equal(both.heading, headings.repeat(2))
-    assert torch.equal(flights.headings(on(WORLDS["up, eq14"]), 3), torch.tensor([90, 90, 90]))
+    assert torch.equal(episodes.headings(on(WORLDS["up, eq14"]), 3), torch.tensor([90, 90, 90]))
 
 
 # -- steps -----------------------------------------------------------------------------------------------------------
@@ -106,34 +101,29 @@ def test_random_headings_belong_to_the_set_whoever_flies_and_however_many_sets_t
 
 @pytest.mark.parametrize("greedy", [True, False])
 @pytest.mark.parametrize("algorithm", ACTS)
-def test_values_that_are_asked_for_change_no_action(algorithm, greedy):
-    flyers = [(seed, untrained(algorithm, greedy, seed=seed)) for seed in (5, 6)]
-    task = on(flyers[0][1].task, episodes=10, max_steps=60)
-    n, actions = 0, 0
-    for plain, asked in zip(flights.fly(flyers, task), flights.fly(flyers, task, values=True), strict=True):
-        n, actions = n + 1, actions + len(plain.action)
-        assert plain.values is None
-        assert asked.values.shape == (len(asked.flight), 100)
-        assert torch.equal(plain.action, asked.action)
-        assert torch.equal(plain.flight, asked.flight)
-        if greedy:
-            assert torch.equal(asked.values.argmax(-1), asked.action)
-    assert n > 20
+def test_each_action_comes_with_the_numbers_behind_it(algorithm, greedy):
+    policies = [(seed, untrained(algorithm, greedy, seed=seed)) for seed in (5, 6)]
+    task, best, actions = on(make_task(EMPTY), episodes=10, max_steps=60), 0, 0
+    for step in episodes.steps(policies, task):
+        assert step.values.shape == (len(step.episode), 100)
+        best += int((step.values.argmax(-1) == step.action).sum())
+        actions += len(step.action)
     assert actions > 300
+    assert (best == actions) == greedy
 
 
-def test_a_flight_that_has_ended_is_not_there_any_more_and_steps_count_from_1():
+def test_an_episode_that_has_ended_is_not_there_any_more_and_steps_count_from_1():
     task = on(make_task(EMPTY), layouts.generate(3, k=0), 3, 100)
     slow = torch.tensor([9, 3, 1])
 
     def policy(observation, generator):
         return slow[-len(observation) :]  # the first is over first
 
-    steps = list(flights.fly([(0, policy)], task))
+    steps = list(episodes.steps([(0, policy)], task))
     assert [step.number for step in steps] == list(range(1, 101))
-    assert [len(step.flight) for step in steps] == [3] * 28 + [2] * (84 - 28) + [1] * (100 - 84)  # ceil(250 / 9), / 3
-    assert steps[28].flight.tolist() == [1, 2]
-    assert steps[99].flight.tolist() == [2]
+    assert [len(step.episode) for step in steps] == [3] * 28 + [2] * (84 - 28) + [1] * (100 - 84)  # ceil(250 / 9), / 3
+    assert steps[28].episode.tolist() == [1, 2]
+    assert steps[99].episode.tolist() == [2]
     assert steps[99].ended.tolist() == [True]
     assert steps[99].outcome.truncated.tolist() == [True]
     assert steps[99].state.distance.tolist() == [100]
@@ -141,8 +131,8 @@ def test_a_flight_that_has_ended_is_not_there_any_more_and_steps_count_from_1():
 
 def test_a_heading_that_is_given_is_that_of_the_start():
     task = on(make_task(EMPTY), layouts.generate(2, k=0), 2, 100)
-    steps = list(flights.fly([(0, straight_ahead)], task, heading=torch.tensor([0, 90])))
-    ends = {int(one): step.number for step in steps for one in step.flight[step.ended]}
+    steps = list(episodes.steps([(0, straight_ahead)], task, heading=torch.tensor([0, 90])))
+    ends = {int(one): step.number for step in steps for one in step.episode[step.ended]}
     assert ends == {0: 39, 1: 28}  # ceil(350 / 9) to the right, ceil(250 / 9) upwards
 
 
@@ -180,10 +170,10 @@ def test_many_flights_are_stepped_in_chunks_of_256_and_only_as_many_as_still_fly
 
     monkeypatch.setattr(machine, "EAGER_STEPS", 1)
     monkeypatch.setattr(machine, "flights", lambda max_steps: True)
-    monkeypatch.setattr(flights.graph, "Graph", graph)
-    flights._graph.cache_clear()
+    monkeypatch.setattr(episodes.graph, "Graph", graph)
+    episodes._graph.cache_clear()
     chunked = evaluation.fly(population, task)
-    flights._graph.cache_clear()
+    episodes._graph.cache_clear()
     up = [int((eager.episodes.steps > step).sum()) for step in range(int(eager.episodes.steps.max()))]
     assert {*calls} == {256}
     assert len(calls) == sum(-(-flying // 256) for flying in up)
@@ -214,6 +204,6 @@ def test_flights_of_fewer_than_2000_steps_or_without_a_cap_or_a_compiler_are_not
 
 
 def test_flights_that_have_ended_before_are_not_compiled(monkeypatch):
-    monkeypatch.setattr(flights.graph, "Graph", None)
+    monkeypatch.setattr(episodes.graph, "Graph", None)
     rows = evaluate_policy(straight_ahead, max_steps=10_000)
     assert rows.steps.max() < machine.EAGER_STEPS

@@ -2,38 +2,14 @@
 
 import oracle
 import pytest
-import space_by_hand
 import torch
+from slow_episodes import KINDS, slow_episodes, take_over
 
 from uavnav.tasks import slalom
-from uavnav.tasks.simulator import make_task, name_of
+from uavnav.tasks.simulator import make_task
 from uavnav.tasks.state import COUNTS
 
 FASTER = {"speed_min": 3.0, "speed_max": 5.0, "sense_velocity": True}
-KINDS = {
-    "drone": oracle.Flight,
-    "moving": oracle.AmongMoving,
-    "goal": oracle.ToGoal,
-    "space": space_by_hand.InTheBox,
-    "space-moving": space_by_hand.AmongSpheres,
-}
-
-
-def slow_flights(task, layouts, headings):
-    """In float64 and plain Python, a drone each."""
-    bank, world = task.bank.tolist(), task.world
-    fastest = world.speed_max if getattr(world, "sense_velocity", False) else None
-    how = {"variant": task.reward, "max_steps": task.max_steps, "slots": world.slots, "padding": world.padding}
-    kind = KINDS[name_of(task)]
-    return [kind(bank, *pose, fastest=fastest, **how) for pose in zip(layouts, headings, strict=True)]
-
-
-def take_over(flight, state, row):
-    """Its place as float32 rounded it, so that its error does not build up."""
-    for axis in {"x", "y", "z"} & {*state._fields}:
-        found = float(getattr(state, axis)[row])
-        assert abs(getattr(flight, axis) - found) < 1e-4
-        setattr(flight, axis, found)
 
 
 @pytest.mark.parametrize(
@@ -54,7 +30,7 @@ def test_25_whole_flights_equal_a_loop_that_turns_moves_lets_obstacles_move_sens
     if name == "goal":
         goals = task.bank[state.layout[:14:2], -1]
         state.x[:14:2], state.y[:14:2] = goals[:, 0] - 48, goals[:, 1]
-    flights = slow_flights(task, state.layout.tolist(), state.heading.tolist())
+    flights = slow_episodes(task, state.layout.tolist(), state.heading.tolist())
     for row, flight in enumerate(flights):
         flight.x, flight.y = state.x[row].item(), state.y[row].item()
     straight, up, doubtful, passages = 3 if "space" in name else 9, {*range(25)}, 0, 0

@@ -1,9 +1,9 @@
-"""One loop that flies: evaluation, behaviour, replays and films see the same flights, the window the same rules.
+"""One loop for all episodes that are not training: evaluations, replays and films see the same ones.
 
-A flyer is a seed with its policy and a generator of its own; it flies each set of the task's bank once. It does not see
-what others do. The number of flights and the cap decide when the step is compiled, which rounds otherwise. What faults
-draw follows from the flyer's seed, the set and the step, whoever else flies and whatever has ended. Letters: F flights
-that are up, P places of a batch, which holds some that have ended too.
+Each policy has one episode on each layout of the task's bank. It does not depend on who else is there. The
+number of episodes and the time limit decide when the step is compiled, which rounds otherwise. What faults
+draw follows from the policy's seed, the layout and the step. Letters: F episodes that go on, P places of a
+batch, which also holds some that have ended.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from uavnav import graph
-from uavnav.evaluation.squads import Flyers, Squads
+from uavnav.evaluation.agents import Policies, Seeded
 from uavnav.runs.policies import Policy
 from uavnav.tasks import memory
 from uavnav.tasks.seeding import Streams, stream
@@ -25,20 +25,21 @@ from uavnav.tasks.state import UP, State, at
 from uavnav.training import machine
 
 CHUNK = 256
-"""Flights that one call of a compiled step moves at most."""
+"""Episodes that one call of a compiled step moves at most."""
 
 
 class Transition(NamedTuple):
-    """One step of the flights that were up before it."""
+    """One step of the episodes that went on before it."""
 
     number: int  # counted from 1
-    flight: Tensor  # [F] which they are: first all sets of the first flyer
-    place: Tensor  # [F] where they lie in `states` and `outcomes`
+    episode: Tensor  # [F] which they are: first all layouts of the first policy
+    place: Tensor  # [F] where they lie in `before`, `states` and `outcomes`
     action: Tensor  # [F] as it was executed
-    values: Tensor | None  # [F, n_actions] the numbers behind the actions, where they were asked for
+    values: Tensor | None  # [F, n_actions] the numbers behind the actions; None where a script acts
+    before: State  # [P]
     states: State  # [P] after the step
     outcomes: Outcome  # [P]
-    ended: Tensor  # [F] bool: which flights are over now
+    ended: Tensor  # [F] bool: which episodes are over now
 
     @property
     def state(self) -> State:
@@ -52,14 +53,14 @@ class Transition(NamedTuple):
 
 
 def headings(task: Task, n: int) -> Tensor:
-    """Start headings on the first n sets [n] whole degrees: random ones belong to the set, whoever flies."""
+    """Start headings on the first n layouts [n] whole degrees; random ones belong to the layout."""
     if task.world.start_heading == "up":
         return torch.full((n,), UP)
     return torch.randint(360, (n,), generator=stream(0, "headings in evaluation"))
 
 
 def start(task: Task, seeds: Sequence[int] = (0,), heading: Tensor | None = None) -> State:
-    """Where the flights of flyers begin, each on every set: [flyers x sets]; seeds: the flyers'."""
+    """Where the episodes of policies with these seeds begin, each on every layout: [policies x layouts]."""
     n = len(task.bank)
     heading = headings(task, n) if heading is None else heading
     layout = torch.arange(n).repeat(len(seeds))
@@ -67,47 +68,47 @@ def start(task: Task, seeds: Sequence[int] = (0,), heading: Tensor | None = None
 
 
 def _draws(task: Task, seeds: Sequence[int], purpose: str) -> Iterator[Tensor | None]:
-    """Step by step, what the flights of flyers need for faults: [flyers x sets, n_draws], or None."""
+    """Step by step, what the episodes of policies need for faults: [policies x layouts, n_draws], or None."""
     streams = Streams(seeds, purpose)
     while True:
         yield streams.draw(task.draw, len(task.bank), device="cpu").flatten(0, 1) if task.n_draws else None
 
 
-def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool = False) -> Iterator[Transition]:
-    """Fly until every flight has ended by a collision or at the task's cap; stop whenever you have seen enough.
+def steps(policies: Sequence[Seeded], task: Task, heading: Tensor | None = None) -> Iterator[Transition]:
+    """Step until every episode has ended by a collision or at the time limit, or the caller has seen enough.
 
-    Set `ended` of a flight, and it goes no further.
+    Set `ended` of an episode, and it goes no further.
 
-    heading: [sets] of the start, where it is not the task's; values: keep the numbers behind the actions of `Policy`s.
+    policies: with the seeds of their generators; heading: [layouts] of the start, where it is not the task's.
 
     Raises:
         ValueError: a policy chose something that is no action.
     """
-    seeds = [seed for seed, _ in flyers]
+    seeds = [seed for seed, _ in policies]
     state, draws = start(task, seeds, heading), _draws(task, seeds, "faults in evaluation")
-    squads = Squads(flyers, task.world.n_actions)
-    flight = place = torch.arange(len(state.x))
-    sizes = [len(task.bank)] * len(flyers)
+    acting = Policies(policies, task.world.n_actions)
+    episode = place = torch.arange(len(state.x))
+    sizes = [len(task.bank)] * len(policies)
     compiled = False
-    compiles_at = 1 if task.max_steps and len(flight) * task.max_steps >= machine.MANY else machine.EAGER_STEPS
+    compiles_at = 1 if task.max_steps and len(episode) * task.max_steps >= machine.MANY else machine.EAGER_STEPS
     observation, _ = task.observe(state)
     for number, drawn in enumerate(draws, 1):
         with torch.no_grad():
             seen = observation if len(place) == len(observation) else observation[place]
-            action, behind = squads.act(seen, sizes, values)
+            action, values = acting.act(seen, sizes)
             if not compiled and number == compiles_at and machine.flights(task.max_steps):
                 state, compiled = _padded(state), True
-            own = None if drawn is None else drawn[flight]
+            before, own = state, None if drawn is None else drawn[episode]
             state, outcome = _advance(task, state, place, action, own) if compiled else task.step(state, action, own)
             if task.remembers:
                 action = memory.executed_of(state)[place]
         ended = (outcome.terminated | outcome.truncated)[place]
-        yield Transition(number, flight, place, action, behind, state, outcome, ended)
+        yield Transition(number, episode, place, action, values, before, state, outcome, ended)
         observation, up = outcome.observation, ~ended
         if not up.all():
             sizes = [int(part.sum()) for part in torch.split(up, sizes)]
-            flight, place = flight[up], place[up]
-            if not len(flight):
+            episode, place = episode[up], place[up]
+            if not len(episode):
                 return
             if not compiled or max(CHUNK, _size(len(place))) < len(state.layout):
                 state, observation = at(state, place), observation[place]
@@ -116,7 +117,7 @@ def fly(flyers: Flyers, task: Task, heading: Tensor | None = None, values: bool 
 
 
 def alike(policies: Sequence[Policy]) -> list[list[int]]:
-    """Which policies were trained in the same task but for its bank and cap, so that they can fly as one batch."""
+    """Which policies were trained in the same task but for bank and time limit, and so can share a batch."""
     tasks = [policy.task for policy in policies]
     keys = [(type(task), task.world, task.reward, task.stack, task.faults) for task in tasks]
     return [[place for place, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]
@@ -127,10 +128,8 @@ def _advance(task: Task, state: State, place: Tensor, action: Tensor, draws: Ten
     everywhere = torch.zeros_like(state.layout)
     everywhere[place] = action
     drawn = [] if draws is None else [torch.zeros(len(everywhere), task.n_draws).index_copy(0, place, draws)]
-    step, chunks = (
-        _graph(task),
-        zip(*(torch.split(field, CHUNK) for field in (everywhere, *state, *drawn)), strict=True),
-    )
+    fields, step = (everywhere, *state, *drawn), _graph(task)
+    chunks = zip(*(torch.split(field, CHUNK) for field in fields), strict=True)
     parts = [step(action, task.bank, *rest) for action, *rest in chunks]
     found = parts[0] if len(parts) == 1 else [torch.cat(fields) for fields in zip(*parts, strict=True)]
     return task.state_class(*found[: len(state)]), Outcome(*found[len(state) :])
@@ -149,11 +148,11 @@ def _graph(task: Task) -> graph.Graph:
 
 
 def _padded(state: State, least: int = 1) -> State:
-    """Repeat the last of some flights until there are as many as graphs are compiled for."""
+    """Repeat the last of some episodes until there are as many as graphs are compiled for."""
     n = len(state.layout)
     return at(state, torch.arange(max(least, _size(n))).clamp(max=n - 1))
 
 
 def _size(n: int) -> int:
-    """How many places n flights have in compiled steps: 64, 128, or a multiple of 256; few sizes mean few graphs."""
+    """Places of n episodes in compiled steps: 64, 128, or a multiple of 256; few sizes mean few graphs."""
     return max(64, 1 << (n - 1).bit_length()) if n <= CHUNK else -(-n // CHUNK) * CHUNK

@@ -1,0 +1,130 @@
+"""Policies that act side by side: those of a run as one network [A, ...], and every other one in turn.
+
+A product rounds by its columns alone from four rows on. Each agent has at least 16, so that its actions do
+not depend on who else acts. Letters: A agents, F rows of all policies, N of some, W of each agent in a
+product.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from uavnav.networks import made_of, stacked
+from uavnav.runs.policies import Policy
+from uavnav.tasks.baselines import AnyPolicy
+
+Seeded = tuple[int, AnyPolicy]
+"""The seed of a policy's generator, and the policy."""
+
+LEAST_ROWS = 16
+"""Of an agent in a product. Where it was tried, fewer than 4 round otherwise, and 16 take as long."""
+
+
+class Policies:
+    """Some policies, each with a generator of its own; n_actions: that they choose from."""
+
+    def __init__(self, policies: Sequence[Seeded], n_actions: int) -> None:
+        self._n_actions = n_actions
+        self._groups: list[Agents | Alone] = []
+        for _, alike in itertools.groupby(policies, lambda one: _kind_of_network(one[1])):
+            some = [*alike]
+            agents = [(seed, policy) for seed, policy in some if isinstance(policy, Policy)]
+            self._groups += [Agents(agents)] if agents else [Alone(*one) for one in some]
+
+    def act(self, observation: Tensor, sizes: Sequence[int]) -> tuple[Tensor, Tensor | None]:
+        """An action for each row, and the numbers behind it unless a script acts: [F, obs] -> [F], [F, n].
+
+        sizes: how many rows each policy has; they lie one policy behind the other.
+
+        Raises:
+            ValueError: a policy chose something that is no action.
+        """
+        each = iter(sizes)
+        own_sizes = [[*itertools.islice(each, group.n)] for group in self._groups]
+        rows = torch.split(observation, [sum(own) for own in own_sizes])
+        actions, values = [], []
+        for group, own, seen in zip(self._groups, own_sizes, rows, strict=True):
+            if len(seen):
+                action, behind = group.act(seen, own)
+                self._check(action, len(seen))
+                actions.append(action)
+                values += [] if behind is None else [behind]
+        if len(values) == len(actions) == 1:
+            return actions[0], values[0]
+        return torch.cat(actions).long(), torch.cat(values) if len(values) == len(actions) else None
+
+    def _check(self, action: Tensor, n: int) -> None:
+        fits = isinstance(action, Tensor) and action.shape == (n,) and action.dtype in (torch.int64, torch.int32)
+        if not fits or not 0 <= int(action.min()) <= int(action.max()) < self._n_actions:
+            shown = f"{action.dtype} {list(action.shape)}" if isinstance(action, Tensor) and not fits else repr(action)
+            raise ValueError(f"a policy chose {shown}; it must give int64 [{n}] from 0 to {self._n_actions - 1}")
+
+
+class Agents:
+    """Policies whose networks differ in their weights alone, as one network."""
+
+    def __init__(self, policies: Sequence[tuple[int, Policy]]) -> None:
+        self.n = len(policies)
+        self._policies = [policy for _, policy in policies]
+        self._generators = [torch.Generator().manual_seed(seed) for seed, _ in policies]
+        ways = itertools.groupby(range(self.n), lambda agent: _way_to_act(self._policies[agent]))
+        self._alike = [[*agents] for _, agents in ways]
+        """Neighbours that act in the same way."""
+        self._sizes: list[int] = []
+        self._up: list[int] = []
+        """Agents that have rows, and so are in the network."""
+
+    def act(self, observation: Tensor, sizes: list[int]) -> tuple[Tensor, Tensor]:
+        """[N, obs], rows of each agent -> actions [N], values [N, actions]."""
+        if sizes != self._sizes:
+            self._arrange(sizes)
+        values = self._network.of_agents(observation[self._rows])[self._own]
+        parts = torch.split(values, [sum(sizes[agent] for agent in agents) for agents in self._alike])
+        actions = [self._choose(agents, part) for agents, part in zip(self._alike, parts, strict=True)]
+        return torch.cat(actions), values
+
+    def _arrange(self, sizes: list[int]) -> None:
+        """Lay out the rows of each agent that has some [A, W]; the last one again where there are fewer."""
+        up = [agent for agent, size in enumerate(sizes) if size]
+        if up != self._up:
+            networks = [self._policies[agent].network for agent in up]
+            self._network = replace(self._policies[0], network=stacked(networks) if len(up) > 1 else networks[0])
+            self._up = up
+        n = torch.tensor(sizes)[up, None]
+        column = torch.arange(max(LEAST_ROWS, *sizes))
+        self._own = column < n
+        self._rows = n.cumsum(0) - n + column.minimum(n - 1)
+        self._sizes = sizes
+
+    def _choose(self, agents: Sequence[int], values: Tensor) -> Tensor:
+        """The actions of some that act in the same way: [N, actions] -> [N]."""
+        policy = self._policies[agents[0]]
+        uniforms = [policy.draw((self._sizes[agent],), self._generators[agent]) for agent in agents]
+        return policy.choose(values, torch.cat(uniforms, -1))
+
+
+class Alone:
+    """Any other policy, such as a script."""
+
+    n = 1
+
+    def __init__(self, seed: int, policy: AnyPolicy) -> None:
+        self._policy, self._generator = policy, torch.Generator().manual_seed(seed)
+
+    def act(self, observation: Tensor, sizes: list[int]) -> tuple[Tensor, None]:
+        """[N, obs] -> actions [N], and nothing behind them."""
+        return self._policy(observation, self._generator), None
+
+
+def _kind_of_network(policy: AnyPolicy) -> tuple[object, ...] | None:
+    """What policies have in common that can be one network; nothing of another kind is equal. None of a script."""
+    return (made_of(policy.network) or object(), policy.head) if isinstance(policy, Policy) else None
+
+
+def _way_to_act(policy: Policy) -> tuple[object, ...]:
+    return policy.greedy, policy.acts, policy.epsilon

@@ -34,7 +34,6 @@ from uavnav.algorithms import ALGORITHMS, dqn, ppo
 from uavnav.cli import commands, worker
 from uavnav.studies import search, tuning
 from uavnav.tasks import layouts
-from uavnav.training import workers
 from uavnav.training.recorder import Interrupted
 
 # -- study files -----------------------------------------------------------------------------------------------------
@@ -151,7 +150,7 @@ READERS = {
         ["evaluate", "run", "--transfer", "--episodes", "2", "--max-steps", "5"],
     ],
     "half": [[*HALF, "out=half", "evaluate=false"], ["runs", "half"], ["evaluate", "half"], ["report", "half"]],
-    "study": [[*STUDY, "--status"], STUDY, [*STUDY, "--status", "--json"], ["runs", "study"], ["SHARE"]],
+    "study": [[*STUDY, "--status"], STUDY, [*STUDY, "--status", "--json"], ["runs", "study"], ["WORKER"]],
     "tuned": [["study", "tuned.yaml", "out=tuned", *words] for words in (["--status"], ["trials=2", "report=false"])],
     "bank.safetensors": [
         ["layouts", "--check", "bank.safetensors"],
@@ -269,7 +268,7 @@ def damaged(draw):
         chance = random.Random(seed)
         root = folder / part
         path = chance.choice(sorted(one for one in root.rglob("*") if one.is_file()) if root.is_dir() else [root])
-        if words == ["SHARE"]:
+        if words == ["WORKER"]:
             path = next(root.rglob("*.job"))
         DAMAGES[how](path, chance)
         sign = path.parent.name == "checkpoint" and path.is_file() and not path.is_symlink() and chance.random() < 0.7
@@ -277,13 +276,13 @@ def damaged(draw):
             signed(path)
 
     told = f"{part} (seed {seed}): {how} |"
-    if words == ["SHARE"]:
-        return Case(f"{told} uavnav.cli.worker", _share, spoil)
+    if words == ["WORKER"]:
+        return Case(f"{told} uavnav.cli.worker", _worker, spoil)
     return command(*words, spoil=spoil, told=told, works=words[0] == "play")
 
 
-def _share():
-    worker.main([str(next(Path("study").rglob("*.job")))])
+def _worker():
+    worker.main(["uavnav.algorithms.ppo:PPOConfig", str(next(Path("study").rglob("*.job")))])
 
 
 # -- the good files --------------------------------------------------------------------------------------------------
@@ -302,7 +301,7 @@ def warmed():
 
 
 def make_good(folder):
-    """A bank, a finished and evaluated run, a half-finished one, one in two shares, a search, a policy, a zip."""
+    """A bank, a finished and evaluated run, a half-finished one, one in two workers, a search, a policy, a zip."""
     layouts.save(layouts.generate(20, 4, seed=0), folder / "bank.safetensors", seed=0, split="train")
     run = ppo.train(ppo.PPOConfig(n_seeds=2, **SMALL | OWN["ppo"]), out="run", quiet=True)
     evaluation.evaluate_run(run, episodes=2, max_steps=5)
@@ -323,15 +322,14 @@ def _make_zip(path):
 
 
 def _make_study(folder):
-    """One whose only cell is half-finished, in two shares."""
+    """One whose only cell is half-finished, in two workers."""
     (folder / "study.yaml").write_text(yaml.safe_dump(PLAIN | {"settings": PLAIN["settings"] | {"total_frames": 256}}))
     (cell,) = studies.cells(studies.read("study.yaml"), folder / "study")
     with contextlib.suppress(Interrupted):
         ppo.train(cell.config, cell.out, quiet=True, checkpoint_seconds=0, processes=2, until=128)
-    for path, config in workers.split(cell.config, cell.out, 2).items():
-        described = workers.described(path, config, 60.0) | {"evaluation": cell.evaluation, "folder": "."}
-        described["out"] = str(path.relative_to(folder))
-        files.write(path.with_name(f"{path.name}.job"), json.dumps(described).encode())
+    for job in cell.out.glob("workers/*.job"):
+        told = json.loads(job.read_text()) | {"evaluation": cell.evaluation, "folder": ".", "how": {}}
+        files.write(job, json.dumps(told | {"out": str(job.with_suffix("").relative_to(folder))}).encode())
 
 
 def _make_search(folder):

@@ -146,7 +146,7 @@ def test_the_runs_own_protocol_leaves_them_and_another_does_not(train, config, t
     assert (run.path / VALUES).exists() == (run.algorithm == "dqn")
 
 
-def test_what_the_shares_of_a_cell_leave_is_joined_to_what_one_evaluation_of_all_seeds_leaves(tmp_path):
+def test_what_the_workers_of_a_cell_leave_is_joined_to_what_one_evaluation_of_all_seeds_leaves(tmp_path):
     whole = {
         ARENA: pd.DataFrame({"seed": [4, 4, 5, 4, 5], "action": range(5), "mode": ["greedy"] * 3 + ["sampled"] * 2}),
         VALUES: pd.DataFrame({"seed": [4, 5], "q": [1.5, 2.5]}),

@@ -26,7 +26,7 @@ cells:
   - {algorithm: ppo, frames_per_batch: 512, epochs: 1}
 """
 SECOND = "  - {algorithm: dqn, n_seeds: 4, learning_starts: 1_000, frames_per_update: 16}\n"
-GIVEN = ("seeds_per_share=4", "checkpoint_seconds=0.5", "report=false")
+GIVEN = ("seeds_per_worker=4", "checkpoint_seconds=0.5", "report=false")
 
 SECONDS = 240
 """Of a test, after which it fails."""
@@ -70,7 +70,7 @@ class Started:
         signal_all(signal.SIGKILL, self.jobs())
 
     def jobs(self):
-        """Processes that train a share of it."""
+        """Processes of its workers."""
         found = []
         for entry in Path("/proc").glob("[0-9]*"):
             try:
@@ -82,12 +82,12 @@ class Started:
         return found
 
     def snapshots(self):
-        """Shares that have one."""
-        return {path.parent.parent for path in self.out.glob("*/*/checkpoint/seeds-*/checkpoint/state-*")}
+        """Workers that have one."""
+        return {path.parent.parent for path in self.out.glob("*/*/workers/*/checkpoint/state-*")}
 
     def told(self):
         """What its jobs have said so far."""
-        there = self.out.glob("*/*/checkpoint/seeds-*")
+        there = self.out.glob("*/*/workers/*")
         return "".join(path.read_text() for path in there if path.suffix in (".log", ".ended"))
 
 
@@ -122,17 +122,17 @@ def assert_same_bits(out, alone, cells=("ppo/tanh",)):
         assert not weights_parting(mine, theirs)
         for name in files_of("test", 3, 50):
             assert (alone / cell / name).read_bytes() == (out / cell / name).read_bytes()
-        assert not (out / cell / "checkpoint").exists()
+        assert not (out / cell / "workers").exists()
 
 
-def test_a_cell_of_two_shares_is_the_run_that_verify_trains_again(alone):
+def test_a_cell_of_two_workers_is_the_run_that_verify_trains_again(alone):
     run = Run(alone / "ppo/tanh")
     assert run.meta["processes"] == 2
     assert run.meta["study"] == "mine"
     assert verify(run, quiet=True).same
 
 
-def test_what_shares_have_flown_is_the_evaluation_of_all_seeds(alone, tmp_path):
+def test_what_workers_have_flown_is_the_evaluation_of_all_seeds(alone, tmp_path):
     shutil.copytree(alone / "ppo/tanh", tmp_path / "run")
     evaluate_run(Run(tmp_path / "run"), 3, 50, quiet=True)
     for name in files_of("test", 3, 50):

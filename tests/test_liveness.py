@@ -111,7 +111,7 @@ def impatient(monkeypatch, **seconds):
 
 
 def test_a_study_whose_engine_never_tells_an_end_ends_with_the_same_rows(study, tmp_path):
-    failed, said = study(NeverEnds(), seeds_per_share=1)
+    failed, said = study(NeverEnds(), seeds_per_worker=1)
     assert failed == []
     assert said[-1].endswith("finished")
     alone = train(CONFIG, tmp_path / "alone", quiet=True, processes=2)
@@ -151,20 +151,20 @@ def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_
     assert failed.problem.startswith("was not evaluated, see ")
 
 
-def test_a_job_that_falls_silent_is_ended_and_its_share_given_again_from_its_snapshot(study, tmp_path, monkeypatch):
+def test_a_job_that_falls_silent_is_ended_and_its_worker_given_again_from_its_snapshot(study, tmp_path, monkeypatch):
     impatient(monkeypatch, SILENT=12.0, IDLE=60.0)
 
     class Stopped(Engine):
         """Its first job is stopped as soon as it has a snapshot, as by a machine that swaps or is cut off."""
 
         def ended(self, job):
-            if self.given == 1 and [*tmp_path.glob("out/*/*/checkpoint/*/checkpoint/state-*")]:
+            if self.given == 1 and [*tmp_path.glob("out/*/*/workers/*/checkpoint/state-*")]:
                 os.kill(job.pid, signal.SIGSTOP)
             return super().ended(job)
 
     engine = Stopped()
     config = replace(CONFIG, total_frames=20_480)
-    failed, said = study(engine, config, None, seeds_per_share=2, checkpoint_seconds=0)
+    failed, said = study(engine, config, None, seeds_per_worker=2, checkpoint_seconds=0)
     assert (failed, engine.given) == ([], 2)
     assert any("has been silent for 12 s and counts as dead" in line for line in said)
     assert any("its job is gone; given again, from its last snapshot" in line for line in said)
@@ -175,7 +175,7 @@ def test_a_job_that_falls_silent_is_ended_and_its_share_given_again_from_its_sna
 def test_a_job_that_never_speaks_is_given_four_times_and_then_fails_in_one_line(study, monkeypatch):
     impatient(monkeypatch, BEGIN=0.5, IDLE=60.0)
     engine = NeverSpeaks()
-    (failed,), _ = study(engine, seeds_per_share=2)
+    (failed,), _ = study(engine, seeds_per_worker=2)
     assert engine.given == 1 + run.ATTEMPTS
     assert "its job ended 4 times without a word, see " in failed.problem
     assert "\n" not in failed.problem
@@ -205,7 +205,7 @@ def test_a_job_that_an_engine_does_not_begin_is_given_again_as_often_as_needed(s
         return self.file("log").exists() or engine.free
 
     monkeypatch.setattr(run.Job, "begun", property(begin))
-    failed, said = study(engine, seeds_per_share=2, evaluation=None)
+    failed, said = study(engine, seeds_per_worker=2, evaluation=None)
     assert (failed, engine.given) == ([], 2 + run.ATTEMPTS)
     assert sum("has not begun for" in line for line in said) == 1 + run.ATTEMPTS
 
@@ -219,7 +219,7 @@ def test_a_study_says_what_it_waits_for_and_does_not_wait_without_end(engine, wa
     said = []
     cell = Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
     with pytest.raises(RunError, match=f"no job has lived for 1 s, {waits}; engine=.* has . slots; the same command"):
-        Runner(tmp_path / "out", [cell], engine, seeds_per_share=2, say=said.append).run()
+        Runner(tmp_path / "out", [cell], engine, seeds_per_worker=2, say=said.append).run()
     assert 2 <= len(said) <= 3
     assert all(waits in line for line in said)
 
@@ -228,7 +228,7 @@ def test_a_study_waits_for_longer_where_its_engine_says_that_jobs_are_queued(stu
     impatient(monkeypatch)
     engine = InAQueue()
     with pytest.raises(RunError, match="1 jobs to begin"):
-        study(engine, seeds_per_share=2)
+        study(engine, seeds_per_worker=2)
     assert engine.asked == 3
 
 
@@ -267,7 +267,7 @@ def test_an_engine_that_is_slow_now_and_then_ends_no_job(study, monkeypatch):
 
     impatient(monkeypatch, ANSWER=6.0, IDLE=60.0)
     engine = Slow()
-    failed, said = study(engine, seeds_per_share=2, evaluation=None)
+    failed, said = study(engine, seeds_per_worker=2, evaluation=None)
     assert (failed, engine.given) == ([], 1)
     assert len(said) == 1
 
@@ -287,24 +287,24 @@ def test_a_check_of_machines_that_lasts_is_told_and_has_an_end(study, monkeypatc
     assert said[0] == f"engine=queue: does not answer for 0 s: {run.CHECK}"
 
 
-@pytest.mark.parametrize(("frames", "dead"), [(1_000, True), (2_048, False)])
-def test_a_heart_that_beats_counts_as_stuck_where_frames_are_missing_and_flies_where_they_are_not(
-    frames, dead, study, tmp_path, monkeypatch
+@pytest.mark.parametrize(("frames", "hours"), [(1_000, 4), (2_048, 48)])
+def test_a_heart_that_beats_counts_as_stuck_after_4_hours_where_frames_are_missing_and_after_48_where_it_flies(
+    frames, hours, tmp_path, monkeypatch
 ):
-    clock = [0.0]
+    clock, cancelled = [0.0], []
     monkeypatch.setattr(run.time, "monotonic", lambda: clock[0])
-    engine = NeverBegins()
     cell = Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
-    carried = Runner(tmp_path / "out", [cell], engine, say=lambda told: None)
-    job = run.Job(run.Work(cell), run.Share(tmp_path / "share.1", CONFIG))
+    carried = Runner(tmp_path / "out", [cell], NeverBegins(), say=lambda told: None)
+    monkeypatch.setattr(carried.engine, "cancel", cancelled.append)
+    job = run.Job(run.Work(cell), workers.Worker(tmp_path / "0.1", CONFIG))
     job.folder.mkdir()
     job.file("log").touch()
-    job.given(None)
-    for hour in (0.0, 4.5, 9.0):
-        clock[0] = hour * 3600
-        heartbeat.tell(job.folder, frames, 2_048, None)
-        found = carried._dead(job)
-    assert found == dead
+    job.given("handle")
+    for hour in range(hours + 1):
+        clock[0] = hour * 3600.0
+        heartbeat.tell(job.folder, frames, 2_048, float(hour))
+        assert carried._dead(job) == (hour == hours)
+    assert cancelled == ["handle"]
 
 
 # -- a heartbeat ------------------------------------------------------------------------------------------------------
@@ -364,57 +364,37 @@ def test_the_process_of_an_evaluation_writes_its_status(tmp_path, warm):
         assert not (tmp_path / PROGRESS).exists()
 
 
-def test_the_heart_of_a_share_beats_while_it_flies(tmp_path, monkeypatch):
+def test_the_heart_of_a_worker_beats_while_it_flies(tmp_path, monkeypatch):
     """Evaluations outlast the silence that a study bears."""
     seen = []
-    monkeypatch.setattr(worker.os, "dup2", lambda *streams: None)
     monkeypatch.setattr(worker, "evaluate_run", lambda run, **how: seen.append(progress(run.path)))
     monkeypatch.chdir(tmp_path)
-    folder = workers.take(tmp_path / "seeds-0-1")
-    job = tmp_path / "seeds-0-1.1.job"
-    told = workers.described(folder, CONFIG, 60.0) | {"evaluation": FLOWN, "folder": str(tmp_path)}
-    job.write_text(json.dumps(told))
-    worker.main([str(job)])
-    assert json.loads(job.with_suffix(".ended").read_text()) == {"finished": CONFIG.frames}
+    monkeypatch.setattr(worker, "STOPS", ())
+    own = workers.Worker(tmp_path / "0", CONFIG)
+    worker.main(own.prepare(1, FLOWN))
+    assert own.last_words() == {"finished": CONFIG.frames}
     (told,) = seen
     assert (told["frames"], told["total"]) == (CONFIG.frames, CONFIG.frames)
-    assert not (folder / PROGRESS).exists()
+    assert not (own.folder / PROGRESS).exists()
 
 
 @pytest.mark.parametrize("problem", [RunError("the disk is full"), ValueError("too many"), OSError("read-only")])
-def test_a_share_whose_flights_fail_says_why(problem, tmp_path, monkeypatch):
+def test_a_worker_whose_flights_fail_says_why(problem, tmp_path, monkeypatch):
     def fail(run, **how):
         raise problem
 
-    monkeypatch.setattr(worker.os, "dup2", lambda *streams: None)
     monkeypatch.setattr(worker, "evaluate_run", fail)
     monkeypatch.chdir(tmp_path)
-    folder = workers.take(tmp_path / "seeds-0-1")
-    job = tmp_path / "seeds-0-1.1.job"
-    job.write_text(json.dumps(workers.described(folder, CONFIG, 60.0) | {"evaluation": FLOWN, "folder": str(tmp_path)}))
-    worker.main([str(job)])
-    assert json.loads(job.with_suffix(".ended").read_text()) == {"error": str(problem), "diverged": False}
+    monkeypatch.setattr(worker, "STOPS", ())
+    own = workers.Worker(tmp_path / "0", CONFIG)
+    worker.main(own.prepare(1, FLOWN))
+    assert own.last_words()["error"] == str(problem)
+    assert not own.last_words().get("diverged")
 
 
 def test_a_heart_without_a_known_end_is_heard(tmp_path):
     with Heartbeat(tmp_path, total=0):
         assert progress(tmp_path)["total"] == 0
-
-
-def test_a_job_that_gets_no_further_for_four_hours_is_dead_although_its_heart_beats(tmp_path, monkeypatch):
-    study = Runner(tmp_path / "out", [], Engine(), say=lambda line: None)
-    job = run.Job(run.Work(Cell(CONFIG, tmp_path, None)), None)
-    now, cancelled = [0.0], []
-    monkeypatch.setattr(run.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(study.engine, "cancel", cancelled.append)
-    job.given("handle")
-    job.file("log").touch()
-    for beat in range(4 * 60 + 1):
-        assert not study._dead(job)
-        now[0] += 60.0
-        (tmp_path / PROGRESS).write_text(json.dumps({"frames": 1, "total": 2, "rate": None, "at": float(beat)}))
-    assert study._dead(job)
-    assert cancelled == ["handle"]
 
 
 def test_a_run_whose_folder_was_taken_leaves_what_lies_there_now_alone(tmp_path, monkeypatch):

@@ -209,14 +209,14 @@ def test_a_run_that_was_stopped_leaves_one_log_of_the_whole(tmp_path, plain, pro
 
 
 @pytest.mark.slow
-def test_a_share_that_had_finished_is_logged_too(tmp_path):
+def test_a_worker_that_had_finished_is_logged_too(tmp_path):
     config = ppo.PPOConfig(**SHORT)
     with pytest.raises(Interrupted):
         ppo.train(config, tmp_path / "run", quiet=True, until=768, processes=2)
-    share = tmp_path / "run" / "checkpoint" / "seeds-3-3"
+    worker = tmp_path / "run" / "workers" / "0"
     alone = ppo.train(ppo.PPOConfig(**SHORT | {"n_seeds": 1}), tmp_path / "alone", quiet=True, processes=1)
-    shutil.rmtree(share)
-    shutil.copytree(alone.path, share)
+    shutil.rmtree(worker)
+    shutil.copytree(alone.path, worker)
     assert_logged(train(tmp_path / "run", logger="tensorboard"), scalars)
 
 

@@ -98,7 +98,8 @@ def test_the_tables_of_the_start_are_the_keys_of_the_command_the_runs_files_and_
         key: own[key] for key in own if key != "defaults"
     }
     files = [code(row[0])[0] for row in table(page, "| file | holds |")]
-    assert {*files} == {*runs.FILES, runs.EVALUATION, runs.BEHAVIOUR, runs.ARENA, runs.VALUES, "checkpoint/"}
+    of_evaluations = {runs.EVALUATION, runs.BEHAVIOUR, runs.ARENA, runs.VALUES}
+    assert {*files} == {*runs.FILES, *of_evaluations, "checkpoint/", "workers/"}
     assert [code(row[0])[0] for row in table(page, "| column | meaning |")] == list(metrics.EPISODE_COLUMNS)
 
 

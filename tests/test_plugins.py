@@ -89,16 +89,16 @@ how = dict(n_seeds=2, total_frames=1024, frames_per_batch=512, hidden=[8], compi
     reward="roomy", task="narrow")
 for name, config in ("ppo", uavnav.ppo.PPOConfig(epochs=1, **how)), ("reinforce", my_study.Config(**how)):
     for n in (1, 2):
-        run = train(config, out=f"shares/{name}-{n}", quiet=True, processes=n)
+        run = train(config, out=f"spread/{name}-{n}", quiet=True, processes=n)
         assert run.meta.get("processes", 1) == n, run.meta
 """
 
 
 @pytest.mark.slow
-def test_in_the_processes_of_shares_a_plugins_parts_and_algorithm_give_what_one_process_gives(folder):
+def test_in_the_processes_of_workers_a_plugins_parts_and_algorithm_give_what_one_process_gives(folder):
     python(folder, "-c", TOGETHER_AND_ALONE)
     for name in ("ppo", "reinforce"):
-        alone, together = (Run(folder / "shares" / f"{name}-{n}") for n in (1, 2))
+        alone, together = (Run(folder / "spread" / f"{name}-{n}") for n in (1, 2))
         pd.testing.assert_frame_equal(alone.episodes, together.episodes)
         assert alone.meta["plugins"] == together.meta["plugins"]
         first, second = (load_file(one.path / POLICY) for one in (alone, together))

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from uavnav import studies
+from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli import study, worker
 from uavnav.cli.study import main
 from uavnav.errors import ConfigError
@@ -21,6 +22,7 @@ from uavnav.runs import trials
 from uavnav.runs.policies import Diverged, PolicyError
 from uavnav.runs.tables import RunError, lock
 from uavnav.studies import search, tuning
+from uavnav.training import workers
 
 optuna = pytest.importorskip("optuna")
 
@@ -116,32 +118,28 @@ def test_a_trial_that_diverges_is_told_as_failed_and_the_study_goes_on(tmp_path)
 
 
 @pytest.mark.parametrize(("error", "diverged"), [(Diverged, True), (PolicyError, False)])
-def test_a_share_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_otherwise_did_not(
+def test_a_worker_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_otherwise_did_not(
     error, diverged, tmp_path, monkeypatch
 ):
     def flown(*given, **how):
         raise error("policy.0.weight of seed 3")
 
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(worker.os, "dup2", lambda *streams: None)
-    monkeypatch.setattr(worker, "_train", lambda *given: {"finished": 64})
-    monkeypatch.setattr(worker, "Run", lambda out: out)
+    monkeypatch.setattr(worker, "STOPS", ())
+    monkeypatch.setattr(worker.loop, "alone", lambda *given, **how: SimpleNamespace(frames=64))
     monkeypatch.setattr(worker, "evaluate_run", flown)
-    job = tmp_path / "seeds.job"
-    said = {"out": str(tmp_path), "folder": str(tmp_path), "evaluation": {"episodes": 1}}
-    job.write_text(json.dumps(said | {"algorithm": "ppo", "config": {}, "how": {}, "threads": 1}))
-    worker.unheard(job)
-    said = json.loads((tmp_path / "seeds.ended").read_text())
-    assert said == {"error": "policy.0.weight of seed 3", "diverged": diverged}
+    own = workers.Worker(tmp_path / "0", PPOConfig())
+    worker.main(own.prepare(1, {"episodes": 1}))
+    assert own.last_words() == {"error": "policy.0.weight of seed 3", "diverged": diverged}
 
 
 @pytest.mark.parametrize("said", [None, "", "{", "[]", "3", "{}", '{"out": 3, "folder": ".", "evaluation": null}'])
-def test_a_damaged_job_of_a_share_is_answered_in_one_line(said, tmp_path):
-    job = tmp_path / "seeds.job"
+def test_a_damaged_job_of_a_worker_is_answered_in_one_line(said, tmp_path, monkeypatch):
+    monkeypatch.setattr(worker, "STOPS", ())
+    job = tmp_path / "0.job"
     if said is not None:
         job.write_text(said)
-    with pytest.raises(SystemExit, match=r"seeds\.job: missing or damaged; give the study's command again, "):
-        worker.unheard(job)
+    with pytest.raises(SystemExit, match=r"0\.job: missing or damaged; give the same command again, "):
+        worker.main(["uavnav.algorithms.ppo:PPOConfig", str(job)])
     assert [*tmp_path.iterdir()] == [job] * (said is not None)
 
 

@@ -37,7 +37,7 @@ KEYS: dict[str, tuple[Any, Any, dict[str, float]]] = {
     "frames": (None, int | None, {"least": 1}),
     "trials": (None, int | None, {"least": 1, "most": 1_000}),
     "algorithms": (None, str | None, {}),
-    "seeds_per_share": (None, int | None, {"least": 1}),
+    "seeds_per_worker": (None, int | None, {"least": 1}),
     "checkpoint_seconds": (CHECKPOINT_SECONDS, float, {"least": 0}),
     "policies": (False, bool, {}),
     "report": (True, bool, {}),
@@ -114,18 +114,18 @@ class Show:
     def tell(self, works: Sequence[Work]) -> None:
         """works: all cells that were not finished when the study began."""
         now, frames, rate = time.monotonic(), sum(work.frames for work in works), sum(work.rate for work in works)
-        total = sum(work.total for work in works if work.shares)
+        total = sum(work.total for work in works if work.workers)
         left = f", {(total - frames) / rate / 60:,.0f} min left" if rate else ""
         head = f"{frames / 1e6:,.2f} of {total / 1e6:,.2f} million frames of all seeds, {rate:,.0f} a second{left}"
         if self._console.is_terminal:
             table = Table(title=head, box=None, title_justify="left")
-            for name in ("cell", "shares", "frames per seed"):
+            for name in ("cell", "workers", "frames per seed"):
                 table.add_column(name, justify="left" if name == "cell" else "right")
             for work in works:
-                if work.frames and not all(share.done for share in work.shares):
-                    done = sum(share.done for share in work.shares)
+                if work.frames and not all(worker.done for worker in work.workers):
+                    done = sum(worker.done for worker in work.workers)
                     each = f"{work.frames // work.cell.config.n_seeds:,} of {work.cell.config.frames:,}"
-                    table.add_row(str(work.cell.out), f"{done} of {len(work.shares)}", each)
+                    table.add_row(str(work.cell.out), f"{done} of {len(work.workers)}", each)
             self._live.update(table, refresh=True)
         elif now - self._said >= LINE_SECONDS:
             self._said = now
@@ -159,7 +159,7 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
 
         def train(cells: Sequence[Cell]) -> list[Work]:
             how = {"policies": own["policies"], "checkpoint_seconds": own["checkpoint_seconds"]}
-            run = Runner(out.resolve(), cells, engine, own["seeds_per_share"], **how, tell=show.tell, say=show.say)
+            run = Runner(out.resolve(), cells, engine, own["seeds_per_worker"], **how, tell=show.tell, say=show.say)
             show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(cells)} cells are left, into {out}")
             return run.run()
 

@@ -10,7 +10,8 @@
     arena.parquet       the same of flights in the empty arena (see `uavnav.evaluation.in_empty_arena`)
     values.parquet      what each seed expects and gets, where outputs are values (see `uavnav.evaluation.values`)
     checkpoint/         the snapshots of an unfinished run (see `uavnav.training.checkpoints`)
-    progress.json       while it trains: its frames per seed, of how many, at how many a second, and when that was
+    workers/            an unfinished run whose seeds are spread over processes: a run's folder for each of them
+    progress.json       while it trains: its frames per seed, of how many, at how many a second, its rewards, and when
     stop                while it trains: whoever writes this file asks it to save and stop
     tensorboard/ wandb/ logs, if the run has them (see `uavnav.training.loggers`)
 
@@ -44,7 +45,8 @@ FILES = ("config.yaml", "meta.json", "episodes.parquet", "progress.parquet", POL
 PROGRESS = "progress.json"
 STOP = "stop"
 LOG_FOLDERS = ("tensorboard", "wandb")
-NO_RUNS = ("checkpoint", *LOG_FOLDERS)
+WORKERS = "workers"
+NO_RUNS = ("checkpoint", WORKERS, *LOG_FOLDERS)
 """Folders that hold no runs."""
 OF_REPORTS = ("baselines", "bench", "tables", "figures")
 """Folders that a report reads or writes itself."""
@@ -100,6 +102,7 @@ class Progress(Facts):
     total: Count
     rate: Annotated[float, Field(ge=0)] | None
     at: float
+    rewards: list[float] = Field(default_factory=list)
 
 
 class Run:
@@ -195,16 +198,19 @@ def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str,
     return said
 
 
-def progress(folder: Path) -> dict[str, float]:
-    """What `progress.json` says: `frames`, `total`, `rate` (0: not known yet), `at`; empty where it cannot be read."""
+def progress(folder: Path) -> dict[str, Any]:
+    """What `progress.json` says; empty where it cannot be read.
+
+    `frames` per seed of `total`, `rate` (0: not known yet), `rewards` of each seed (none: not known yet), and `at`.
+    """
     try:
         there = files.facts(Progress, files.read_json(folder / PROGRESS))
     except (OSError, ValueError):
         return {}
-    return {"frames": there.frames, "total": there.total, "at": there.at, "rate": there.rate or 0}
+    return {name: getattr(there, name) for name in Progress.model_fields} | {"rate": there.rate or 0}
 
 
-def heard(told: Mapping[str, float], now: float) -> bool:
+def heard(told: Mapping[str, Any], now: float) -> bool:
     """Whether a run that said this runs: by a clock that was set back, one that was killed may speak of the future."""
     return bool(told) and abs(now - told["at"]) < SILENCE
 

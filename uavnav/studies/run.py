@@ -1,22 +1,22 @@
-"""Carry a study out: its shares as jobs of an engine, its cells put together and evaluated as they finish.
+"""Carry a study out: workers as jobs of an engine, cells put together and evaluated as they finish.
 
 Everything lies in files below the study's folder, so that the same command goes on after whatever has ended it. An
 engine's word that a job runs is a hint: whether a job lives is what its own heartbeat says, and how it ended is in the
-files. A share whose job has died is given again, under its folder's next name, and goes on from its last snapshot.
+files. A worker whose job has died is given again, under its folder's next name, and goes on from its last snapshot.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
-import json
-import queue
 import secrets
 import signal
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent import futures
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,12 +32,10 @@ from uavnav.studies import Cell, engines
 from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
 from uavnav.training import heartbeat, machine, recorder, workers
-from uavnav.training.config import TrainConfig
 from uavnav.training.recorder import STOPS, Interrupted, Recorder
+from uavnav.training.workers import Worker
 
 POLL_SECONDS = 1.0
-STOP_SECONDS = 60.0
-"""Given to shares to save themselves."""
 ATTEMPTS = 3
 """How often a job is given again without having got any further."""
 QUEUE_SECONDS = 1800.0
@@ -69,23 +67,11 @@ Answer = TypeVar("Answer")
 
 
 @dataclass
-class Share:
-    """A share of a cell's seeds, and how often it was given since it last got further."""
-
-    folder: Path
-    config: TrainConfig
-    frames: int = 0
-    rate: float = 0.0  # frames a second of each seed, while it runs
-    attempts: int = 0
-    done: bool = False
-
-
-@dataclass
 class Work:
     """A cell that is not finished, as a study sees it."""
 
     cell: Cell
-    shares: list[Share] = field(default_factory=list)
+    workers: list[Worker] = field(default_factory=list)
     flights: int = 0  # that were missing when its last evaluation began
     attempts: int = 0  # to fly it that left no file more
     problem: str = ""
@@ -94,12 +80,12 @@ class Work:
     @property
     def frames(self) -> int:
         """Of all its seeds, so far."""
-        return sum(share.frames * share.config.n_seeds for share in self.shares)
+        return sum(worker.frames * worker.config.n_seeds for worker in self.workers)
 
     @property
     def rate(self) -> float:
         """Frames a second of all its seeds, now."""
-        return sum(share.rate * share.config.n_seeds for share in self.shares)
+        return sum(worker.rate * worker.config.n_seeds for worker in self.workers)
 
     @property
     def total(self) -> int:
@@ -112,9 +98,9 @@ class Job:
     """A job that an engine was given."""
 
     work: Work
-    share: Share | None  # None: an evaluation
+    worker: Worker | None  # None: an evaluation
     handle: Any = None
-    told: dict[str, float] = field(default_factory=dict)  # by its newest heartbeat
+    told: dict[str, Any] = field(default_factory=dict)  # by its newest heartbeat
     number: str = field(default_factory=lambda: secrets.token_hex(4))  # so that no former job is taken for this one
     since: float = 0.0  # when the engine took it
     moved: float = 0.0  # when its frames grew last
@@ -125,12 +111,11 @@ class Job:
     @property
     def folder(self) -> Path:
         """Where its heartbeat is."""
-        return self.work.cell.out if self.share is None else self.share.folder
+        return self.work.cell.out if self.worker is None else self.worker.folder
 
     def file(self, end: str) -> Path:
-        """One of its files: `job` describes it, `log` exists once it has begun, `ended` once it has ended by itself."""
-        stem = self.folder / f"{FLIGHTS}-{self.number}" if self.share is None else self.folder
-        return stem.with_name(f"{stem.name}.{end}")
+        """One of its files: `log` exists once it has begun, `ended` once it has ended by itself."""
+        return self.folder / f"{FLIGHTS}-{self.number}.{end}" if self.worker is None else self.worker.file(end)
 
     @property
     def begun(self) -> bool:
@@ -154,11 +139,7 @@ class Job:
 
     def last_words(self) -> dict[str, Any]:
         """What it wrote when it ended; empty where it has not, or died."""
-        try:
-            found = files.read_json(self.file("ended"))
-        except (OSError, ValueError):
-            return {}
-        return found if isinstance(found, dict) else {}
+        return workers.last_words(self.file("ended"))
 
 
 class Unanswered(RunError):
@@ -179,29 +160,22 @@ def asked(
         Exception: whatever the question raises.
     """
     seconds = ANSWER_SECONDS if seconds is None else seconds
-    heard: queue.SimpleQueue[tuple[Any, Exception | None]] = queue.SimpleQueue()
+    answer: Future[Answer] = Future()
 
     def ask() -> None:
         try:
-            heard.put((question(), None))
+            answer.set_result(question())
         except Exception as error:
-            heard.put((None, error))
+            answer.set_exception(error)
 
     threading.Thread(target=ask, daemon=True).start()
-    name, since = type(engine).__name__.lower(), time.monotonic()
-    while True:
-        try:
-            answer, error = heard.get(timeout=min(SAY_SECONDS, max(0.0, since + seconds - time.monotonic())))
-            break
-        except queue.Empty:
-            told = f"engine={name}: does not answer for {time.monotonic() - since:.0f} s"
-            if time.monotonic() - since >= seconds:
-                raise Unanswered(f"{told}; the same command goes on") from None
-            wait(told)
-    if error is not None:
-        raise error
-    found: Answer = answer
-    return found
+    since = time.monotonic()
+    while not futures.wait([answer], min(SAY_SECONDS, max(0.0, since + seconds - time.monotonic()))).done:
+        told = f"engine={type(engine).__name__.lower()}: does not answer for {time.monotonic() - since:.0f} s"
+        if time.monotonic() - since >= seconds:
+            raise Unanswered(f"{told}; the same command goes on")
+        wait(told)
+    return answer.result()
 
 
 def let_go(engine: Engine) -> None:
@@ -252,9 +226,9 @@ class Runner:
         out: its folder, which all machines see.
         cells: of the study; what is finished of them is left as it is.
         engine: where its jobs run.
-        seeds_per_share: how many seeds a job trains; by default the engine's own.
+        seeds_per_worker: how many seeds a worker trains; by default the engine's own.
         policies: train a cell again of which a repository has kept the rows alone.
-        checkpoint_seconds: the least time between two snapshots of a share.
+        checkpoint_seconds: the least time between two snapshots of a worker.
         tell: is told the cells under way, now and then.
         say: is told what happens, a line each.
 
@@ -267,7 +241,7 @@ class Runner:
         out: Path,
         cells: Sequence[Cell],
         engine: Engine,
-        seeds_per_share: int | None = None,
+        seeds_per_worker: int | None = None,
         policies: bool = False,
         checkpoint_seconds: float = recorder.CHECKPOINT_SECONDS,
         tell: Tell = lambda works: None,
@@ -275,7 +249,7 @@ class Runner:
     ) -> None:
         self.out, self.engine, self.tell, self.say = out, engine, tell, say
         self.checkpoint_seconds = checkpoint_seconds
-        self.per_share = seeds_per_share or engine.SEEDS_PER_SHARE
+        self.per_worker = seeds_per_worker or engine.SEEDS_PER_WORKER
         self.policies = policies
         for cell in cells:
             if cell.config.n_seeds > MOST_SEEDS:
@@ -286,6 +260,8 @@ class Runner:
         for work in self.works:
             if own := machine.own_parts(work.cell.config):
                 raise ConfigError(f"{work.cell.out}: {own} is known to this process alone; give it as a plugin")
+        self._waiting: deque[tuple[Work, Worker | None]] = deque()  # for a place; without a worker to be evaluated
+        self._running: list[Job] = []
         self._stop: int | None = None
         self._leaving: list[tuple[float, Job]] = []  # jobs that have said their last words, since when
         self._slots = 0
@@ -303,7 +279,7 @@ class Runner:
 
         Raises:
             ConfigError: the engine's machines do not see the folder.
-            Interrupted: by SIGINT or SIGTERM; every share was asked to save itself.
+            Interrupted: by SIGINT or SIGTERM; every worker was asked to save itself.
             RunError: another process carries it out, its engine does not answer, or no job has lived for an hour.
         """
         self.out.mkdir(parents=True, exist_ok=True)
@@ -312,26 +288,21 @@ class Runner:
             self._check_engine()
             stack.enter_context(self._signals())
             for work in self.works:
-                if not self._trained(work.cell):
-                    self._begin(work)
-            waiting = deque((work, share) for work in self.works for share in work.shares if not share.done)
-            flights = deque(work for work in self.works if self._trained(work.cell))
-            running: list[Job] = []
-            self._finish_what_is_trained(flights)
+                self._begin(work)
             self._lived = self._said = self._answered = time.monotonic()
-            while waiting or flights or running:
-                self._start(waiting, flights, running)
+            while self._waiting or self._running:
+                self._start()
                 time.sleep(POLL_SECONDS)
-                for job in self._over(running):
-                    running.remove(job)
+                for job in self._over():
+                    self._running.remove(job)
                     self._leaving.append((time.monotonic(), job))
-                    self._ended(job, waiting, flights)
+                    self._ended(job)
                 self._end_what_lingers()
-                self._look(running)
-                self._check_waiting(running, len(waiting) + len(flights))
+                self._look()
+                self._check_waiting()
                 self.tell(self.works)
                 if self._stop is not None:
-                    raise self._stopped(running)
+                    raise self._stopped()
         return [work for work in self.works if work.problem]
 
     def _check_engine(self) -> None:
@@ -364,51 +335,61 @@ class Runner:
         self._stop = number
 
     def _begin(self, work: Work) -> None:
-        """Write into a cell's folder how it is carried out, and see which shares there are."""
-        config = work.cell.config
-        own = Recorder(work.cell.out, config)
-        n = own.processes(-(-config.n_seeds // self.per_share) if self.per_share else machine.processes(config))
+        """Write into a cell's folder how it is carried out, and see what is left to do."""
+        cell, config = work.cell, work.cell.config
+        if self._trained(cell):
+            self._waiting.appendleft((work, None))
+            return
+        own = Recorder(cell.out, config)
+        n = own.processes(-(-config.n_seeds // self.per_worker) if self.per_worker else machine.processes(config))
         with machine.use_threads(machine.threads(config, n)), own:
             own.note(processes=n)
-        work.shares = [Share(path, part) for path, part in workers.split(config, work.cell.out, n).items()]
-        for share in work.shares:
-            part = Cell(share.config, share.folder, work.cell.evaluation)
-            share.done = trained(part) and evaluated(part)
-            share.frames = share.config.frames if share.done else 0
+        work.workers = workers.split(config, cell.out, n)
+        for worker in work.workers:
+            part = Cell(worker.config, worker.folder, cell.evaluation)
+            worker.done = trained(part) and evaluated(part)
+            worker.frames = worker.config.frames if worker.done else 0
+        self._waiting.extend((work, worker) for worker in work.workers if not worker.done)
+        if all(worker.done for worker in work.workers):
+            self._join(work)
 
-    def _finish_what_is_trained(self, flights: deque[Work]) -> None:
-        for work in self.works:
-            if work.shares and all(share.done for share in work.shares):
-                self._join(work, flights)
-
-    def _start(self, waiting: deque[tuple[Work, Share]], flights: deque[Work], running: list[Job]) -> None:
+    def _start(self) -> None:
         """Give the engine as many jobs as it takes: evaluations first, which finish cells."""
-        jobs: list[tuple[Job, list[str]]] = []
+        jobs = list[Job]()
         self._slots = self._ask(self.engine.slots, 0)
-        while len(running) + len(jobs) < self._slots and (flights or waiting):
-            if flights:
-                job = Job(flights.popleft(), None)
-                jobs.append((job, self._evaluation(job)))
-            else:
-                work, share = waiting.popleft()
-                if not work.problem:
-                    job = Job(work, share)
-                    jobs.append((job, self._training(job, share)))
-        commands = [words for _, words in jobs]
+        while self._waiting and len(self._running) + len(jobs) < self._slots:
+            job = Job(*self._waiting.popleft())
+            if not job.work.problem:
+                jobs.append(job)
+        commands = [self._words(job) for job in jobs]
         handles = asked(self.engine, lambda: self.engine.start(commands)) if jobs else []
-        for (job, _), handle in zip(jobs, handles, strict=True):
+        for job, handle in zip(jobs, handles, strict=True):
             job.given(handle)
-            running.append(job)
+            self._running.append(job)
 
-    def _over(self, running: Sequence[Job]) -> list[Job]:
+    def _words(self, job: Job) -> list[str]:
+        """The command line of a job."""
+        cell = job.work.cell
+        if job.worker is None:
+            missing = unflown(cell)
+            job.work.flights = len(missing)
+            words = ["uavnav.cli.flights", str(job.file("ended")), str(cell.out), *missing[0], "--quiet"]
+            words += ["--plugins", ",".join(plugins.LOADED)] if plugins.LOADED else []
+        else:
+            threads = machine.threads(cell.config, len(job.work.workers))
+            how = {"checkpoint_seconds": self.checkpoint_seconds}
+            words = ["uavnav.cli.worker", *job.worker.prepare(threads, cell.evaluation, **how)]
+        return engines.logged(["-m", *words], job.file("log"))
+
+    def _over(self) -> list[Job]:
         """The jobs that have ended, by their engine's word or, now and then, by their files; and dead ones."""
-        handles = [job.handle for job in running]
+        handles = [job.handle for job in self._running]
         unknown = [False for _ in handles]
         ended = self._ask(lambda: [self.engine.ended(handle) for handle in handles], unknown) if handles else unknown
         look = time.monotonic() - self._looked >= heartbeat.SECONDS
         return [
             job
-            for job, told in zip(running, ended, strict=True)
+            for job, told in zip(self._running, ended, strict=True)
             if told or (look and (job.last_words() or self._dead(job)))
         ]
 
@@ -437,13 +418,13 @@ class Runner:
             if not self._ask(functools.partial(self.engine.ended, job.handle), True):
                 self._ask(functools.partial(self.engine.cancel, job.handle), None)
 
-    def _check_waiting(self, running: Sequence[Job], left: int) -> None:
+    def _check_waiting(self) -> None:
         """Say now and then what the study waits for while no job lives.
 
         Raises:
             RunError: that has lasted for an hour, and no job is queued.
         """
-        now = time.monotonic()
+        now, running, left = time.monotonic(), self._running, len(self._waiting)
         if not (running or left) or any(job.begun and now - job.heard < SAY_SECONDS for job in running):
             self._lived = self._said = now
             return
@@ -462,31 +443,27 @@ class Runner:
             self._said = now
             self.say(f"{_shown(self.out)}: {what}; {engine}")
 
-    def _training(self, job: Job, share: Share) -> list[str]:
-        work = job.work
-        share.folder = workers.take(share.folder)
-        threads = machine.threads(work.cell.config, len(work.shares))
-        described = workers.described(share.folder, share.config, self.checkpoint_seconds, threads=threads)
-        described |= {"evaluation": work.cell.evaluation, "folder": str(Path.cwd())}
-        files.write(job.file("job"), json.dumps(described).encode())
-        words = ["-m", "uavnav.cli.worker", *plugins.LOADED, str(job.file("job"))]
-        return engines.logged(words, job.file("log"))
-
-    def _evaluation(self, job: Job) -> list[str]:
-        cell, missing = job.work.cell, unflown(job.work.cell)
-        job.work.flights = len(missing)
-        words = ["-m", "uavnav.cli.flights", str(job.file("ended")), str(cell.out), *missing[0], "--quiet"]
-        words += ["--plugins", ",".join(plugins.LOADED)] if plugins.LOADED else []
-        return engines.logged(words, job.file("log"))
-
-    def _ended(self, job: Job, waiting: deque[tuple[Work, Share]], flights: deque[Work]) -> None:
+    def _ended(self, job: Job) -> None:
         """See how a job ended: go on with its cell, give it again, or note what is wrong."""
-        if job.share is None:
-            self._flown(job, flights)
+        said = job.last_words()
+        if job.worker is None:
+            self._flown(job, said)
+        elif "finished" in said:
+            job.worker.done, job.worker.frames = True, job.worker.config.frames
+            if all(worker.done for worker in job.work.workers):
+                self._join(job.work)
+        elif "error" in said:
+            job.work.diverged = said.get("diverged", False)
+            self._failed(job.work, str(said["error"]))
+        elif job.worker.attempts >= ATTEMPTS:
+            times = f"ended {1 + ATTEMPTS} times without a word"
+            self._failed(job.work, f"{job.folder}: its job {times}, see {job.file('log')}")
         else:
-            self._trained_share(job, job.share, waiting, flights)
+            job.worker.attempts += not job.unbegun
+            self.say(f"{_shown(job.folder)}: its job is gone; given again, from its last snapshot")
+            self._waiting.appendleft((job.work, job.worker))
 
-    def _flown(self, job: Job, flights: deque[Work]) -> None:
+    def _flown(self, job: Job, said: dict[str, Any]) -> None:
         work, left = job.work, len(unflown(job.work.cell))
         if not left:
             for path in work.cell.out.glob(f"{FLIGHTS}-*.*"):
@@ -494,98 +471,75 @@ class Runner:
             self.say(f"{_shown(work.cell.out)}: finished")
         elif left < work.flights:
             work.attempts = 0
-            flights.append(work)
-        elif not job.last_words() and work.attempts < ATTEMPTS:
+            self._waiting.appendleft((work, None))
+        elif not said and work.attempts < ATTEMPTS:
             work.attempts += not job.unbegun
             self.say(f"{_shown(work.cell.out)}: the job of its evaluation is gone; given again")
-            flights.append(work)
+            self._waiting.appendleft((work, None))
         else:
             self._failed(work, f"was not evaluated, see {job.file('log')}")
-
-    def _trained_share(self, job: Job, share: Share, waiting: deque[tuple[Work, Share]], flights: deque[Work]) -> None:
-        work, said = job.work, job.last_words()
-        share.rate = 0.0
-        if "finished" in said:
-            share.done, share.frames = True, share.config.frames
-            if all(other.done for other in work.shares):
-                self._join(work, flights)
-        elif "error" in said:
-            work.diverged = said.get("diverged", False)
-            self._failed(work, str(said["error"]))
-        elif share.attempts >= ATTEMPTS:
-            log = job.file("log")
-            self._failed(work, f"{share.folder}: its job ended {1 + ATTEMPTS} times without a word, see {log}")
-        else:
-            share.attempts += not job.unbegun
-            self.say(f"{_shown(share.folder.with_suffix(''))}: its job is gone; given again, from its last snapshot")
-            waiting.appendleft((work, share))
 
     def _failed(self, work: Work, problem: str) -> None:
         work.problem = problem
         self.say(f"{_shown(work.cell.out)}: {problem}")
 
-    def _join(self, work: Work, flights: deque[Work]) -> None:
-        """Put a cell's shares together, in its own folder."""
+    def _join(self, work: Work) -> None:
+        """Put a cell's workers together, in its own folder."""
+        cell, n = work.cell, len(work.workers)
         try:
-            folders = [share.folder for share in work.shares]
-            threads = machine.threads(work.cell.config, len(folders))
-            with machine.use_threads(threads), Recorder(work.cell.out, work.cell.config) as own:
-                compiled = all(Run(folder).meta["compiled"] for folder in folders)
-                own.meta |= {"study": work.cell.study}
-                own.note(compiled=compiled, processes=len(folders))
-                _join_flights(work.cell, folders)
-                workers.join(own, folders)
+            with machine.use_threads(machine.threads(cell.config, n)), Recorder(cell.out, cell.config) as own:
+                compiled = all(Run(worker.folder).meta["compiled"] for worker in work.workers)
+                own.meta |= {"study": cell.study}
+                own.note(compiled=compiled, processes=n)
+                _join_flights(cell, [worker.folder for worker in work.workers])
+                workers.join(own, work.workers)
                 self._stop = self._stop or own.stop
         except (OSError, RunError) as error:
             self._failed(work, str(error))
             return
-        if evaluated(work.cell):
-            self.say(f"{_shown(work.cell.out)}: finished")
+        if evaluated(cell):
+            self.say(f"{_shown(cell.out)}: finished")
         else:
-            flights.append(work)
+            self._waiting.appendleft((work, None))
 
-    def _look(self, running: Sequence[Job]) -> None:
-        """See now and then how far the shares are, and write how far their cells are."""
+    def _look(self) -> None:
+        """See now and then how far the workers are, and write how far their cells are."""
         now = time.monotonic()
         if now - self._looked < heartbeat.SECONDS:
             return
         self._looked = now
-        flying: dict[int, list[Share]] = {}
-        for job in running:
-            if (share := job.share) is not None:
-                share.rate = job.told.get("rate", 0.0)
-                if job.told.get("frames", 0) > share.frames:
-                    share.frames, share.attempts = int(job.told["frames"]), 0
-                flying.setdefault(id(job.work), []).append(share)
         for work in self.works:
-            if id(work) in flying and not trained(work.cell):
-                frames = min(share.frames for share in work.shares)
-                rate = min(share.rate for share in flying[id(work)])
-                with contextlib.suppress(OSError):
-                    heartbeat.tell(work.cell.out, frames, work.cell.config.frames, rate or None)
+            for worker in work.workers:
+                worker.rate = 0.0
+        training = [(job.work, job.worker, job.told) for job in self._running if job.worker is not None]
+        for _, worker, told in training:
+            worker.rate = told.get("rate", 0.0)
+            if told.get("frames", 0) > worker.frames:
+                worker.frames, worker.attempts = told["frames"], 0
+        for work in {id(work): work for work, _, _ in training}.values():
+            frames = min(worker.frames for worker in work.workers)
+            rates = [worker.rate for worker in work.workers if worker.rate]
+            with contextlib.suppress(OSError):
+                heartbeat.tell(work.cell.out, frames, work.cell.config.frames, min(rates, default=None))
 
-    def _ended_by_engine(self, job: Job) -> bool:
-        with contextlib.suppress(RunError):  # it does not answer
-            return asked(self.engine, lambda: self.engine.ended(job.handle))
-        return False
-
-    def _stopped(self, running: Sequence[Job]) -> Interrupted:
-        """Ask the shares to save themselves, and wait until they have."""
-        left = [job for job in running if job.share is not None]  # an evaluation has nothing to save
-        for job in left:
+    def _stopped(self) -> Interrupted:
+        """Ask the workers to save themselves, and wait until they have."""
+        self._running = [job for job in self._running if job.worker is not None]  # an evaluation has nothing to save
+        for job in self._running:
             with contextlib.suppress(OSError):
                 (job.folder / STOP).touch()
-        limit = time.monotonic() + STOP_SECONDS
-        while left and time.monotonic() < limit:
+        limit = time.monotonic() + workers.STOP_SECONDS
+        while self._running and time.monotonic() < limit:
             time.sleep(POLL_SECONDS)
-            left = [job for job in left if not (job.last_words() or self._ended_by_engine(job))]
+            for job in self._over():
+                self._running.remove(job)
         number = self._stop or signal.SIGTERM
         what = f"{_shown(self.out)}: stopped by {signal.Signals(number).name}; the same command goes on from there"
         return Interrupted(what, number, 0, wanted=False)
 
 
 def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
-    """Put what the shares have flown together, in the order of one evaluation of all seeds: mode by mode."""
+    """Put what the workers have flown together, in the order of one evaluation of all seeds: mode by mode."""
     beside = [name for name in (ARENA, VALUES) if all((folder / name).exists() for folder in folders)]
     for name in (*beside, *reversed(cell.flights)):  # rows last: who finds them has the others too
         parts = [read_table(folder / name, {"seed": "int64"}, "delete it") for folder in folders]

@@ -90,11 +90,10 @@ class Checkpoints:
     Args:
         folder: where they are; made when the first one is saved.
         identity: what a snapshot must share with the run that resumes from it (configuration, versions).
-        of_today: what the identity of a snapshot means now, where an older version saved it.
     """
 
-    def __init__(self, folder: Path, identity: Nested, of_today: Callable[[Nested], Nested] = dict) -> None:
-        self.folder, self._of_today = folder, of_today
+    def __init__(self, folder: Path, identity: Nested) -> None:
+        self.folder = folder
         self.identity = json.loads(json.dumps(identity))
         self._chunks: list[str] = []
         self._kept: list[list[str]] = []  # the chunks of each state that is kept, the newest first
@@ -164,18 +163,28 @@ class Checkpoints:
             raise RunError(f"{problems[-1]}, and there is no other; overwrite=true starts the run anew")
         return None
 
+    def newest(self) -> Snapshot:
+        """The newest snapshot that can be read; a run may be at work and change them meanwhile.
+
+        Raises:
+            RunError: there is none.
+        """
+        for path in self._states():
+            with contextlib.suppress(RunError):
+                return self._read_state(path)
+        raise RunError(f"{self.folder.parent}: has no snapshot")
+
     def _read_state(self, path: Path) -> Snapshot:
         found, metadata = self._read(path)
         try:
             header = files.facts(Header, files.parsed(metadata.get("uavnav", "{}")))
             files.facts(Frames, header.facts)
-            theirs = json.loads(json.dumps(self._of_today(header.identity)))
             state = TensorDict(found).unflatten_keys("/").to_dict()
         except (ValueError, KeyError, TypeError) as error:  # KeyError: a name that is also a table's
             raise RunError(f"{path}: not a snapshot ({error})") from error
         for key in self.identity:
-            if theirs.get(key) != self.identity[key]:
-                raise RunError(f"{path}: saved with {key}={theirs.get(key)}, not {self.identity[key]}")
+            if header.identity.get(key) != self.identity[key]:
+                raise RunError(f"{path}: saved with {key}={header.identity.get(key)}, not {self.identity[key]}")
         return Snapshot(path, state, header.facts, header.chunks)
 
     def _check_chunks(self, snapshot: Snapshot, replay: ReplayBuffer | None) -> None:
@@ -225,11 +234,6 @@ class Checkpoints:
         for path in [*self.folder.glob(".*"), *self.folder.glob("replay-*.safetensors")]:
             if path.name not in known:
                 _remove(path)
-
-    def remove(self) -> None:
-        """Delete all snapshots: the run is finished, or starts anew."""
-        if self.folder.is_dir():
-            shutil.rmtree(self.folder)
 
 
 def _remove(path: Path) -> None:

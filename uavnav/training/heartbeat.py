@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
+import select
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from uavnav import files
@@ -12,6 +15,10 @@ from uavnav.runs import PROGRESS, STOP
 
 SECONDS = 5.0
 """The time between two beats."""
+WATCHED_SECONDS = 0.5
+"""The same of a worker that another process of this machine watches."""
+MOST_REWARDS = 1_000
+"""Seeds whose reward is told, at most."""
 
 
 class Heartbeat:
@@ -21,12 +28,15 @@ class Heartbeat:
         folder: of the run.
         total: frames per seed in the end.
         frames: per seed so far.
+        watched: whether the process that started this one holds the other end of the standard input. When it is gone,
+            the run shall stop.
     """
 
-    def __init__(self, folder: Path, total: int, frames: int = 0) -> None:
-        self.folder, self.total = folder, total
+    def __init__(self, folder: Path, total: int, frames: int = 0, watched: bool = False) -> None:
+        self.folder, self.total, self.watched = folder, total, watched
         self.gone = False  # the folder was taken away, as when another process has taken the run over
         self.asked = False  # somebody has written the file `stop`
+        self.rewards: Sequence[float] = ()  # each seed's mean over its last episodes
         self._frames, self._rate = frames, 0.0
         self._first: tuple[float, int] | None = None
         self._over = threading.Event()
@@ -46,7 +56,7 @@ class Heartbeat:
     def tell(self, frames: int) -> None:
         """Note how many frames per seed there are now, for the next beat."""
         now = time.perf_counter()
-        if self._first is None or not self._first[1]:  # the frames of before a resume come with a share's first word
+        if self._first is None or not self._first[1]:  # a worker's frames of before a resume come with its first word
             self._first = now, frames
         since, before = self._first
         self._frames, self._rate = frames, (frames - before) / (now - since) if now > since else 0.0
@@ -54,19 +64,22 @@ class Heartbeat:
     def beat(self) -> None:
         """Write once, and look whether the run shall stop."""
         try:
-            tell(self.folder, self._frames, self.total, self._rate or None)
+            tell(self.folder, self._frames, self.total, self._rate or None, self.rewards)
             self.asked = self.asked or (self.folder / STOP).exists()
         except FileNotFoundError:
             self.gone = True
         except OSError:  # a full disk: the next snapshot says more
             pass
+        if self.watched and select.select([0], [], [], 0)[0]:  # nobody writes there: it is the end
+            self.asked = True
 
     def _run(self) -> None:
-        while not self._over.wait(SECONDS):
+        while not self._over.wait(WATCHED_SECONDS if self.watched else SECONDS):
             self.beat()
 
 
-def tell(folder: Path, frames: int, total: int, rate: float | None) -> None:
+def tell(folder: Path, frames: int, total: int, rate: float | None, rewards: Sequence[float] = ()) -> None:
     """Write how far a run is: frames per seed, of how many, at so many a second, if that is known; raises OSError."""
-    facts = {"frames": frames, "total": total, "rate": rate, "at": time.time()}
+    finite = [reward for reward in rewards[:MOST_REWARDS] if math.isfinite(reward)]
+    facts = {"frames": frames, "total": total, "rate": rate, "rewards": finite, "at": time.time()}
     files.write(folder / PROGRESS, json.dumps(facts).encode())

@@ -1,4 +1,4 @@
-"""The one training loop: the only home of recorder, display, collector, shares and checkpoints.
+"""The one training loop: the only home of recorder, display, collector, workers and checkpoints.
 
 An algorithm's module imports `train` from here. The `make` of its configuration gives the loop a `Trainee`.
 """
@@ -21,12 +21,11 @@ from uavnav.acting import Actor
 from uavnav.envs.env import DroneEnv
 from uavnav.errors import ConfigError, told
 from uavnav.runs import Run
-from uavnav.training import loggers, machine, weights
+from uavnav.training import loggers, machine, weights, workers
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, checked, plain
 from uavnav.training.display import Display, Tell
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
-from uavnav.training.workers import Shares, join
 
 Row = Mapping[str, Tensor | float]
 """What a row of progress says beside seed and frame: [A], or one number for all."""
@@ -70,7 +69,7 @@ def train(
         until: stop after so many frames per seed, as if by a signal.
         tell: called now and then with the frames per seed so far and each seed's mean reward over its last 100
             episodes.
-        processes: how many share the seeds; by default one for each core, where that pays.
+        processes: how many workers train the seeds; by default one for each core, where that pays.
         logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see `uavnav.loggers`.
 
     Returns:
@@ -110,18 +109,13 @@ def train(
 
 
 def _together(recorder: Recorder, n: int, quiet: bool, tell: Tell | None) -> Run:
-    """Train the seeds in n processes, and put their shares together."""
+    """Train the seeds in n workers."""
     config = recorder.config
     compile = recorder.repeat(machine.decide(config))
     with recorder, Display(config, quiet, tell) as display:
         recorder.note(compiled=compile, processes=n)
         display.begin(recorder.path, recorder.meta, recorder.until)
-        shares = Shares(recorder, n)
-        with contextlib.closing(shares.progress()) as steps:
-            for frames, rewards in steps:
-                display.update(frames, rewards)
-                recorder.tell(frames)
-        return join(recorder, shares.shares)
+        return workers.train(recorder, n, machine.threads(config, n), display.update)
 
 
 def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> Run:

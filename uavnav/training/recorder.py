@@ -25,7 +25,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavnav import files, plugins
-from uavnav.runs import FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, Run, read_settings
+from uavnav.runs import FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, WORKERS, Run, read_settings
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.tables import LOCK, Columns, RunError, with_reward, write, write_table
 from uavnav.tasks import layouts
@@ -49,6 +49,8 @@ CHECKPOINT_SECONDS = 60.0
 """The time between two snapshots."""
 CHECKPOINT_SHARE = 0.04
 """What snapshots may take of a run's time: where writing one takes long, the next comes later."""
+UNFINISHED = ("checkpoint", WORKERS)
+"""Folders of a run that is not finished."""
 BANK_FACTS = ("n", "k", "split", "generator_seed", "sha256")
 
 
@@ -86,6 +88,7 @@ class Recorder:
         checkpoint_seconds: the least time between two snapshots.
         until: stop after so many frames per seed, as if by a signal.
         log: is told every row of progress, first those of the snapshot from which the run goes on.
+        watched: whether another process watches the run as a worker of its own (see `Heartbeat`).
 
     Raises:
         LayoutError: the bank that the run trains on cannot be read.
@@ -100,9 +103,10 @@ class Recorder:
         checkpoint_seconds: float = CHECKPOINT_SECONDS,
         until: int | None = None,
         log: Log | None = None,
+        watched: bool = False,
     ) -> None:
         self.path, self.config, self._overwrite = Path(path), config, overwrite
-        self.checkpoint_seconds, self.until, self.log = checkpoint_seconds, until, log
+        self.checkpoint_seconds, self.until, self.log, self.watched = checkpoint_seconds, until, log, watched
         self._tables: dict[str, list[Columns]] = {"episodes": [], "progress": []}
         self._before: dict[str, Any] = {}
         self._recent: list[deque[float]] = []
@@ -115,15 +119,11 @@ class Recorder:
         noted = self.meta.get("plugins", {})
         identity |= {"format": SNAPSHOT_FORMAT, "plugins": sorted(noted)}
         identity |= {f"version of {name}.py": sha[:12] for name, sha in noted.items()}
-        self._checkpoints = Checkpoints(self.path / "checkpoint", identity, self._of_today)
+        self._checkpoints = Checkpoints(self.path / "checkpoint", identity)
         try:
             self.finished = self._check_folder()
         except OSError as error:
             raise self._unwritable(error) from error
-
-    def _of_today(self, identity: Mapping[str, Any]) -> dict[str, Any]:
-        """What a snapshot of an older version says of its run, with the default of each key that came later."""
-        return {"algorithm": identity.get("algorithm"), **self.config.as_run(identity)}
 
     def _unwritable(self, error: OSError) -> RunError:
         return RunError(f"out={self.path}: cannot be written ({error}); give a folder that can be written")
@@ -170,7 +170,7 @@ class Recorder:
                 " folder, or overwrite=true"
             )
         if meta.get("status") != FINISHED:
-            self._before = meta if (path / "checkpoint").is_dir() else {}
+            self._before = meta if any((path / name).is_dir() for name in UNFINISHED) else {}
             return False
         self._overwrite = not os.path.lexists(path / POLICY)  # a repository may keep a run's rows alone
         return not self._overwrite
@@ -200,7 +200,7 @@ class Recorder:
         self._handlers: dict[int, Any] = {}
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._note_stop) for number in STOPS}
-        self.heartbeat = Heartbeat(self.path, self.config.frames)
+        self.heartbeat = Heartbeat(self.path, self.config.frames, watched=self.watched)
         self.heartbeat.__enter__()
         return self
 
@@ -209,7 +209,7 @@ class Recorder:
             there = (*(self.path / name for name in FILES), *self.path.glob("*.parquet"))  # flights too
             if folder := next((path for path in there if path.is_dir() and not path.is_symlink()), None):
                 raise RunError(f"out={self.path}: {folder.name} is a folder; give another folder")
-            self._checkpoints.remove()
+            self._remove_unfinished()
             for path in there:
                 path.unlink(missing_ok=True)
         for name in LOG_FOLDERS:  # of an earlier part of the run; every log is whole
@@ -360,9 +360,7 @@ class Recorder:
         Raises:
             RunError: there is none.
         """
-        snapshot = self._checkpoints.load(take=self._columns)
-        if snapshot is None:
-            raise RunError(f"{self.path}: has no snapshot")
+        snapshot = self._checkpoints.newest()
         return snapshot.frames, {table: pd.DataFrame(rows) for table, rows in self._columns(snapshot).items()}
 
     def repeat(self, compile: bool) -> bool:
@@ -431,6 +429,8 @@ class Recorder:
         for name, value in values.items():
             row[name] = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.full(n, value)
         self._tables["progress"].append(row)
+        if self.watched:
+            self.heartbeat.rewards = self.recent_rewards()
         if self.log is not None:
             self.log({**row, "reward": np.array([np.mean(recent) if recent else np.nan for recent in self._recent])})
 
@@ -449,10 +449,16 @@ class Recorder:
         self.meta |= {"status": FINISHED, "frames": frames, "wall_seconds": round(wall, 3), "ended": _now()}
         self._write_meta()
         try:
-            self._checkpoints.remove()
+            self._remove_unfinished()
         except OSError as error:
-            raise RunError(f"{self._checkpoints.folder}: cannot be removed ({error}); the run is finished") from error
+            raise RunError(f"{self.path}: cannot be tidied ({error}); the run is finished") from error
         return Run(self.path, fresh=True)
+
+    def _remove_unfinished(self) -> None:
+        """Delete all snapshots and workers: the run is finished, or starts anew."""
+        for name in UNFINISHED:
+            if (self.path / name).is_dir():
+                shutil.rmtree(self.path / name)
 
     def _write_meta(self) -> None:
         write(self.path / "meta.json", json.dumps(self.meta, indent=2).encode())

@@ -1,10 +1,15 @@
-"""A run's seeds spread over processes: each trains its share of them as a run of its own.
+"""A run's seeds spread over processes: each worker is an ordinary run of some seeds, below the run's folder.
 
-The shares lie in `checkpoint/` below the run's folder, every one with its own snapshots, and are put together when all
-have finished. What happens in the process of a share is in `cli.worker`.
+    workers/0        a run's folder, with its settings, snapshots and lock, and with its tables once it has finished
+    workers/0.job    what its process is told, in JSON
+    workers/0.ended  how its process ended, in JSON
+    workers/0.log    what its process prints, where a study has given it to an engine
 
-A share may be given to another machine. Its folder then gets the next name, `seeds-0-9.2` after `seeds-0-9.1`: the
-former owner, if it lives on, finds its folder gone and can no longer write.
+Whoever starts a worker reads its `progress.json`, and writes the file `stop` to have it save and end. When all have
+finished, their rows and weights are put together, and `workers` goes.
+
+A worker may be given to another process. Its folder then gets the next name, `0.2` after `0.1`: the former process, if
+it lives on, finds its folder gone and can no longer write.
 """
 
 from __future__ import annotations
@@ -12,14 +17,13 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import queue
+import os
 import signal
 import subprocess
 import sys
-import threading
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from datetime import datetime
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,51 +31,252 @@ import numpy as np
 import pandas as pd
 
 from uavnav import files, plugins
-from uavnav.runs import POLICY, PROGRESS, STOP, Run
-from uavnav.runs.tables import LOCK, RunError
-from uavnav.training import weights
+from uavnav.runs import POLICY, PROGRESS, STOP, WORKERS, Run, progress
+from uavnav.runs.metrics import LAST, finished
+from uavnav.runs.tables import LOCK, RunError, with_reward, write
+from uavnav.training import heartbeat, weights
 from uavnav.training.config import TrainConfig, plain
-from uavnav.training.recorder import Interrupted, Recorder
+from uavnav.training.display import Tell
+from uavnav.training.recorder import Interrupted, Log, Recorder
 
 SILENT = "{}: its process ended without a word; the same command goes on from the last snapshot"
 NOT_SAVED = "{}: not saved, its process ended before it could be; the same command begins these seeds anew"
+UNWRITTEN = "{}: cannot be written; make room there, and the same command goes on from the last snapshot"
 POLL_SECONDS = 0.2
-CHILD = "from uavnav.cli.worker import main; main([])"
+STOP_SECONDS = 60.0
+"""Given to workers to save themselves."""
+END_SECONDS = 10.0
+"""Given to processes to end after SIGTERM."""
+COMMAND = "from uavnav.cli.worker import main; main(sys.argv[1:])"
+
+Process = subprocess.Popen[bytes]
 
 
-def split(config: TrainConfig, folder: Path, n: int) -> dict[Path, TrainConfig]:
-    """Each share's folder, by its newest name, and configuration: n runs of consecutive seeds, as even as can be."""
-    sizes = [len(range(share, config.n_seeds, n)) for share in range(n)]
-    firsts = [config.seed + sum(sizes[:share]) for share in range(n)]
-    return {
-        _newest(folder / "checkpoint" / f"seeds-{first}-{first + size - 1}"): replace(config, seed=first, n_seeds=size)
-        for first, size in zip(firsts, sizes, strict=True)
-    }
+@dataclass
+class Worker:
+    """Some seeds of a run, which a process of their own trains.
+
+    Args:
+        folder: theirs, by the name that it was given last.
+        config: the run's, with these seeds alone.
+    """
+
+    folder: Path
+    config: TrainConfig
+    frames: int = 0  # per seed so far
+    rate: float = 0.0  # frames a second of each seed, while it runs
+    rewards: list[float] = field(default_factory=list)  # each seed's mean over its last episodes
+    logged: int = 0  # frames per seed of which a log was told
+    attempts: int = 0  # since it last got further
+    done: bool = False
+
+    def file(self, end: str) -> Path:
+        """One of the files beside its folder."""
+        return self.folder.with_name(f"{self.folder.name}.{end}")
+
+    def take(self) -> None:
+        """Give its folder the next name, or make it, so that only the process that is started next can write there."""
+        if self.folder.is_dir():
+            taken = self.folder.with_suffix(f".{int(self.folder.suffix[1:] or 0) + 1}")
+            self.folder = self.folder.rename(taken)
+        else:
+            self.folder.mkdir(parents=True)
+        of_before = [*(self.folder / name for name in (LOCK, STOP, PROGRESS)), self.file("ended"), self.file("log")]
+        for left in of_before:
+            left.unlink(missing_ok=True)
+
+    def prepare(self, threads: int, evaluation: dict[str, Any] | None = None, **how: Any) -> list[str]:
+        """Take its folder and describe its work there.
+
+        Args:
+            threads: of its process.
+            evaluation: how it is flown in the end, if it is.
+            how: further arguments of its `Recorder`.
+
+        Returns:
+            What the command line of `uavnav.cli.worker` says.
+        """
+        try:
+            self.take()
+        except OSError as error:
+            raise RunError(f"{self.folder}: cannot be written ({error})") from error
+        told: dict[str, Any] = {"out": str(self.folder), "folder": str(Path.cwd()), "config": plain(self.config)}
+        told |= {"threads": threads, "evaluation": evaluation, "how": how}
+        write(self.file("job"), json.dumps(told).encode())
+        kind = type(self.config)
+        return [*plugins.LOADED, f"{kind.__module__}:{kind.__name__}", str(self.file("job"))]
+
+    def look(self) -> None:
+        """See how far it is."""
+        told = progress(self.folder)
+        self.frames, self.rewards = told.get("frames", self.frames), told.get("rewards", self.rewards)
+
+    def last_words(self) -> dict[str, Any]:
+        """What its process wrote when it ended; empty where it has not, or died."""
+        return last_words(self.file("ended"))
+
+    def problem(self, status: int | None) -> str:
+        """What its process said was wrong; status: of the process, if it has ended."""
+        return str(self.last_words().get("error", UNWRITTEN.format(self.folder) if status == os.EX_IOERR else ""))
+
+    def saved(self) -> int:
+        """The frames per seed that are behind its newest snapshot, or all where it has finished; 0: none is saved."""
+        try:
+            recorder = Recorder(self.folder, self.config)
+            return self.config.frames if recorder.finished else recorder.snapshot_tables()[0]
+        except RunError:
+            return 0
+
+
+def last_words(file: Path) -> dict[str, Any]:
+    """What a process wrote into a file when it ended; empty where it has not, or died."""
+    try:
+        found = files.read_json(file)
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def split(config: TrainConfig, folder: Path, n: int) -> list[Worker]:
+    """The workers of a run in a folder: n runs of consecutive seeds, as even as can be."""
+    sizes = [len(range(worker, config.n_seeds, n)) for worker in range(n)]
+    firsts = [config.seed + sum(sizes[:worker]) for worker in range(n)]
+    return [
+        Worker(_newest(folder / WORKERS / str(number)), replace(config, seed=first, n_seeds=size))
+        for number, (first, size) in enumerate(zip(firsts, sizes, strict=True))
+    ]
 
 
 def _newest(path: Path) -> Path:
-    """The folder of a share, under whichever name it was given last."""
-    names = {
-        int(other.suffix[1:]): other for other in path.parent.glob(f"{path.name}.*") if other.suffix[1:].isdecimal()
-    }
+    """The folder of a worker, by the name that it was given last."""
+    names = {int(one.suffix[1:]): one for one in path.parent.glob(f"{path.name}.*") if one.suffix[1:].isdecimal()}
     return names[max(names)] if names else path
 
 
-def take(path: Path) -> Path:
-    """Give a share's folder the next name, or make it, so that nobody but its next owner can write there."""
-    given = int(path.suffix[1:] or 0)
-    taken = path.with_suffix(f".{given + 1}")
-    if path.is_dir():
-        path.rename(taken)
-    else:
-        taken.mkdir(parents=True)
-    for name in (LOCK, STOP, PROGRESS):
-        (taken / name).unlink(missing_ok=True)
-    return taken
+def train(recorder: Recorder, n: int, threads: int, tell: Tell) -> Run:
+    """Train the seeds of a run in n workers of this machine, and put them together.
+
+    Args:
+        recorder: of the whole run, already entered; its log is told every row of progress, of whichever worker.
+        n: how many workers.
+        threads: of each.
+        tell: is told where the whole run is.
+
+    Raises:
+        Interrupted: by a signal or as `until` says, and saved.
+        RunError: a worker cannot go on; the others were stopped and saved.
+    """
+    workers = split(recorder.config, recorder.path, n)
+    if recorder.log is not None:
+        recorder.log({"seed": np.empty(0), "frame": np.empty(0)})  # that what cannot be opened is known now
+    _log(recorder.log, workers)
+    with _started(recorder, workers, threads) as processes:
+        problem = _watch(recorder, workers, processes, tell)
+    ended = zip(workers, processes, strict=True)
+    problems = [problem, *(worker.problem(process.returncode) for worker, process in ended)]
+    if any(problems):
+        raise RunError(next(filter(None, problems)))
+    saved = [worker.saved() for worker in workers]
+    if not all(saved):
+        folder = workers[saved.index(0)].folder
+        raise Interrupted(NOT_SAVED.format(folder), recorder.stop or signal.SIGTERM, 0, wanted=False)
+    if (frames := min(saved)) < recorder.config.frames:
+        raise recorder.interrupted(frames, wanted=recorder.stop is None and frames >= (recorder.until or math.inf))
+    _log(recorder.log, workers)
+    run = join(recorder, workers)
+    rewards = finished(run.episodes).groupby("seed")["reward"]
+    tell(run.frames, rewards.apply(lambda of_seed: of_seed.tail(LAST).mean()).tolist())
+    return run
+
+
+def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Process], tell: Tell) -> str:
+    """Wait until all workers have ended, or all shall stop: because of a signal, or as one of them ended too early.
+
+    Returns:
+        What is wrong with the one that ended too early, if anything is.
+    """
+    running = list(zip(workers, processes, strict=True))
+    goal = min(recorder.until or math.inf, recorder.config.frames)
+    before, logged = (0, list[float]()), time.monotonic()
+    while running and recorder.stop is None:
+        time.sleep(POLL_SECONDS)
+        for worker, process in [*running]:
+            worker.look()
+            status, words = process.poll(), worker.last_words()
+            if status is not None or words:
+                running.remove((worker, process))
+                if worker.saved() < goal:
+                    return worker.problem(status) or ("" if words else SILENT.format(worker.folder))
+        now = min(worker.frames for worker in workers), [one for worker in workers for one in worker.rewards]
+        recorder.tell(now[0])
+        if now != before:
+            tell(*now)
+        before = now
+        if time.monotonic() - logged > max(heartbeat.SECONDS, recorder.checkpoint_seconds):
+            _log(recorder.log, workers)
+            logged = time.monotonic()
+    return ""
+
+
+@contextlib.contextmanager
+def _started(recorder: Recorder, workers: Sequence[Worker], threads: int) -> Iterator[list[Process]]:
+    """The processes of workers; those that run in the end are stopped."""
+    processes: list[Process] = []
+    how: dict[str, Any] = {"checkpoint_seconds": recorder.checkpoint_seconds, "until": recorder.until, "watched": True}
+    begin = f"import sys; sys.path[:] = {sys.path!r}; {COMMAND}"
+    seconds = STOP_SECONDS
+    try:
+        for worker in workers:
+            command = [sys.executable, "-c", begin, *worker.prepare(threads, **how)]
+            # what is printed goes to stderr; signals of the terminal come to this process alone
+            process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=2, process_group=0)
+            processes.append(process)
+        yield processes
+    finally:
+        for worker, process in zip(workers, processes, strict=False):
+            try:
+                if process.poll() is None:
+                    (worker.folder / STOP).touch()
+            except OSError:  # what cannot hear that it shall stop cannot save itself either
+                seconds = 0.0
+        end(processes, seconds)
+        for process in processes:
+            assert process.stdin is not None
+            process.stdin.close()
+
+
+def end(processes: Sequence[Process], seconds: float = 0.0) -> None:
+    """Wait for processes to end; after so many seconds they get a SIGTERM, and after `END_SECONDS` more a SIGKILL."""
+    for limit, insist in ((seconds, Process.terminate), (END_SECONDS, Process.kill)):
+        since = time.monotonic()
+        while any(process.poll() is None for process in processes) and time.monotonic() < since + limit:
+            time.sleep(POLL_SECONDS)
+        for process in processes:
+            insist(process)
+    for process in processes:
+        process.wait()
+
+
+def _log(log: Log | None, workers: Sequence[Worker]) -> None:
+    """Tell a run's log, where there is one, the rows of its workers' snapshots and tables that it was not told yet."""
+    if log is None:
+        return
+    for worker in workers:
+        try:
+            own = Recorder(worker.folder, worker.config)
+            run = Run(worker.folder) if own.finished else None
+            tables = {"episodes": run.episodes, "progress": run.progress} if run else own.snapshot_tables()[1]
+        except RunError:  # it has no snapshot yet
+            continue
+        if len(tables["progress"]):
+            rows = with_reward(**tables)
+            new = rows["frame"] > worker.logged
+            worker.logged = int(rows["frame"].max())
+            log({name: column[new] for name, column in rows.items()})
 
 
 def snapshot_tables(folder: Path, config: TrainConfig) -> tuple[int, dict[str, pd.DataFrame]]:
-    """The newest snapshot of an unfinished run, of all its shares: frames per seed, rows of episodes and of progress.
+    """The newest snapshot of an unfinished run, of all its workers: frames per seed, rows of episodes and of progress.
 
     Raises:
         RunError: there is none.
@@ -80,155 +285,18 @@ def snapshot_tables(folder: Path, config: TrainConfig) -> tuple[int, dict[str, p
     n = recorder.processes(1)
     if n == 1:
         return recorder.snapshot_tables()
-    found = [Recorder(path, share).snapshot_tables() for path, share in split(config, folder, n).items()]
+    found = [Recorder(worker.folder, worker.config).snapshot_tables() for worker in split(config, folder, n)]
     put = {"episodes": _in_order, "progress": _by_frame}
     tables = {name: together([tables[name] for _, tables in found]) for name, together in put.items()}
     return min(frames for frames, _ in found), tables
 
 
-def described(
-    path: Path, config: TrainConfig, checkpoint_seconds: float, until: int | None = None, threads: int = 1
-) -> dict[str, Any]:
-    """A run as the process that trains it is told of it, in JSON."""
-    return {
-        "out": str(path),
-        "plugins": list(plugins.LOADED),
-        "algorithm": config.algorithm,
-        "kind": [type(config).__module__, type(config).__name__],
-        "config": plain(config),
-        "threads": threads,
-        "how": {"checkpoint_seconds": checkpoint_seconds, "until": until},
-    }
-
-
-class Shares:
-    """The processes of a run that is being recorded.
-
-    Args:
-        recorder: of the whole run, already entered; its log is told every row of progress, of whichever share.
-        n: how many processes.
-    """
-
-    def __init__(self, recorder: Recorder, n: int) -> None:
-        self.recorder, self.log = recorder, recorder.log
-        self.shares = split(recorder.config, recorder.path, n)
-        for path in self.shares:
-            files.remove(path / STOP)  # of a study that was stopped
-
-    def progress(self) -> Generator[tuple[int, list[float]]]:
-        """Train all shares, and yield where the whole run is: what `Tell` is told.
-
-        Raises:
-            Interrupted: by a signal or as `until` says, and saved.
-            RunError: a share cannot go on; the others were stopped and saved.
-        """
-        said: queue.SimpleQueue[tuple[Path, dict[str, Any] | None]] = queue.SimpleQueue()
-        latest: dict[Path, tuple[int, list[float]]] = dict.fromkeys(self.shares, (0, []))
-        ended: dict[Path, dict[str, Any]] = {}
-        if self.log is not None:
-            self.log({"seed": np.empty(0), "frame": np.empty(0)})  # that what cannot be opened is known now
-        with self._running(said) as processes:
-            stopping = False
-            while len(ended) < len(self.shares):
-                stopping = stopping or self.recorder.stop is not None
-                if stopping:
-                    _stop(processes)
-                try:
-                    path, message = said.get(timeout=POLL_SECONDS)
-                except queue.Empty:
-                    continue
-                if message is not None and "frames" in message:
-                    latest[path] = message["frames"], message["rewards"]
-                    rewards = [reward for _, part in latest.values() for reward in part]
-                    yield min(frames for frames, _ in latest.values()), rewards
-                elif message is not None and "rows" in message:
-                    assert self.log is not None
-                    self.log({name: np.array(column) for name, column in message["rows"].items()})
-                elif path not in ended:
-                    if message is not None and "finished" in message:
-                        latest[path] = message["finished"], latest[path][1]
-                    ended[path] = message or (self._left_behind(path) if stopping else {"error": SILENT.format(path)})
-                    stopping = stopping or "error" in ended[path] or not ended[path].get("wanted", True)
-        errors = [message["error"] for message in ended.values() if "error" in message]
-        if errors:
-            raise RunError(errors[0])
-        stops = {path: message for path, message in ended.items() if "stopped" in message}
-        for path, message in stops.items():
-            if not message["stopped"]:
-                raise Interrupted(NOT_SAVED.format(path), self.recorder.stop or signal.SIGTERM, 0, wanted=False)
-        if stops:
-            frames = min(message["stopped"] for message in stops.values())
-            raise self.recorder.interrupted(frames, wanted=all(message["wanted"] for message in stops.values()))
-
-    def _left_behind(self, path: Path) -> dict[str, Any]:
-        """How far the newest snapshot of a share is that was stopped and did not say so; 0 where there is none."""
-        try:
-            frames, _ = Recorder(path, self.shares[path]).snapshot_tables()
-        except RunError:
-            frames = 0
-        return {"stopped": frames, "wanted": False}
-
-    @contextlib.contextmanager
-    def _running(self, said: queue.SimpleQueue[Any]) -> Iterator[list[subprocess.Popen[str]]]:
-        processes = []
-        try:
-            for path, config in self.shares.items():
-                process = subprocess.Popen(
-                    [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}; {CHILD}"],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    text=True,
-                    process_group=0,  # signals of the terminal come to this process alone, and go on from here
-                )
-                processes.append(process)
-                assert process.stdin is not None
-                told = described(path, config, self.recorder.checkpoint_seconds, self.recorder.until)
-                told["log"] = self.log is not None
-                with contextlib.suppress(BrokenPipeError):  # it has ended without a word, as is heard below
-                    process.stdin.write(json.dumps(told) + "\n")
-                    process.stdin.flush()
-                threading.Thread(target=_listen, args=(process, path, said), daemon=True).start()
-            yield processes
-        finally:
-            _stop(processes)
-            for process in processes:
-                process.wait()
-
-
-def join(recorder: Recorder, folders: Iterable[Path]) -> Run:
-    """Put the finished shares of a run that is being recorded together into the whole run."""
-    runs = [Run(path) for path in folders]
+def join(recorder: Recorder, workers: Sequence[Worker]) -> Run:
+    """Put the finished workers of a run that is being recorded together; it took as long as the slowest of them."""
+    runs = [Run(worker.folder) for worker in workers]
     recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
     policy = weights.join([run.path / POLICY for run in runs])
-    return recorder.finish(policy, runs[0].frames, wall_seconds([run.meta for run in runs]))
-
-
-def wall_seconds(shares: Iterable[Mapping[str, Any]]) -> float:
-    """What shares took together [s], by the facts of each: time in which several of them trained counts once."""
-    ends = [(datetime.fromisoformat(facts["ended"]).timestamp(), facts["wall_seconds"]) for facts in shares]
-    total, reached = 0.0, -math.inf
-    for began, ended in sorted((end - took, end) for end, took in ends):
-        total += max(0.0, ended - max(began, reached))
-        reached = max(reached, ended)
-    return total
-
-
-def _listen(process: subprocess.Popen[str], path: Path, said: queue.SimpleQueue[Any]) -> None:
-    assert process.stdout is not None
-    try:
-        with process.stdout:
-            for line in process.stdout:
-                said.put((path, json.loads(line)))
-    finally:
-        said.put((path, None))
-
-
-def _stop(processes: Sequence[subprocess.Popen[str]]) -> None:
-    """Ask all to save and end, by closing what they listen to: however often it is said, they hear it once."""
-    for process in processes:
-        if process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):  # of what it was told and never read
-                process.stdin.close()
+    return recorder.finish(policy, runs[0].frames, max(run.meta["wall_seconds"] for run in runs))
 
 
 def _in_order(episodes: list[pd.DataFrame]) -> pd.DataFrame:

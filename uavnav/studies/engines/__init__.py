@@ -27,8 +27,8 @@ ENGINES = {"local": "Local", "ray": "Ray", "slurm": "Slurm"}
 class Engine(Protocol):
     """Starts jobs. Building one raises a ConfigError where it cannot be used here."""
 
-    SEEDS_PER_SHARE: int | None
-    """How many seeds a job trains, unless it is given; None: as one machine shares them among its cores."""
+    SEEDS_PER_WORKER: int | None
+    """How many seeds a worker trains, unless it is given; None: as one machine spreads them over its cores."""
 
     def slots(self) -> int:
         """How many jobs it runs at once, at this moment."""

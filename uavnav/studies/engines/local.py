@@ -11,10 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from uavnav.training import machine
-
-SECONDS = 10.0
-"""Given to jobs to end when they are asked to."""
+from uavnav.training import machine, workers
 
 
 @dataclass
@@ -24,7 +21,7 @@ class Local:
     jobs: at once; by default one a core.
     """
 
-    SEEDS_PER_SHARE: ClassVar[int | None] = None
+    SEEDS_PER_WORKER: ClassVar[int | None] = None
 
     jobs: int | None = field(default=None, metadata={"least": 1})
 
@@ -54,12 +51,4 @@ class Local:
             os.killpg(job.pid, signal.SIGKILL)
 
     def close(self) -> None:
-        left = [job for job in self._running if job.poll() is None]
-        for job in left:
-            job.terminate()
-        for job in left:
-            try:
-                job.wait(SECONDS)
-            except subprocess.TimeoutExpired:
-                job.kill()
-                job.wait()
+        workers.end(self._running)

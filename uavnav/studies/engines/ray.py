@@ -39,7 +39,7 @@ class Ray:
     address: of the cluster's head; `auto` is the one that runs on this machine.
     """
 
-    SEEDS_PER_SHARE: ClassVar[int | None] = 10
+    SEEDS_PER_WORKER: ClassVar[int | None] = 10
 
     address: str = "auto"
 

@@ -28,13 +28,13 @@ class Slurm:
     """A SLURM cluster, from a machine that has its `sbatch`.
 
     partition: where jobs go; by default the cluster's own.
-    time: limit of a job [minutes]; a share that reaches it is given again and goes on.
+    time: limit of a job [minutes]; a worker that reaches it is given again and goes on.
     memory: of a job [GB].
     jobs: at once, in one array.
     cluster: `local` runs submitit's jobs as processes of this machine, to try.
     """
 
-    SEEDS_PER_SHARE: ClassVar[int | None] = 10
+    SEEDS_PER_WORKER: ClassVar[int | None] = 10
 
     partition: str | None = None
     time: int = field(default=240, metadata={"least": 1})

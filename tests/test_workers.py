@@ -1,8 +1,9 @@
-"""Seeds spread over processes: the same rows and weights as each share by itself, however often it is stopped."""
+"""Seeds spread over workers: the same rows and weights as each worker by itself, however often it is stopped."""
 
 import contextlib
 import inspect
 import os
+import random
 import re
 import signal
 import subprocess
@@ -21,14 +22,14 @@ from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.dqn import train as train_dqn
 from uavnav.algorithms.ppo import PPOConfig, train
 from uavnav.algorithms.sac import SACConfig
+from uavnav.cli import worker
 from uavnav.errors import ConfigError
 from uavnav.evaluation.verify import verify
-from uavnav.runs import POLICY
+from uavnav.runs import FILES, POLICY
 from uavnav.runs.policies import load_policy
 from uavnav.runs.tables import RunError
-from uavnav.training import machine
+from uavnav.training import machine, workers
 from uavnav.training.recorder import Interrupted
-from uavnav.training.workers import split, wall_seconds
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 
@@ -48,9 +49,24 @@ def assert_same(one, other):
 
 
 def test_ten_seeds_from_5_in_4_processes_are_3_3_2_2(tmp_path):
-    shares = split(PPOConfig(seed=5, n_seeds=10), tmp_path, 4)
-    assert [config.seeds for config in shares.values()] == [[5, 6, 7], [8, 9, 10], [11, 12], [13, 14]]
-    assert [path.name for path in shares] == ["seeds-5-7", "seeds-8-10", "seeds-11-12", "seeds-13-14"]
+    found = workers.split(PPOConfig(seed=5, n_seeds=10), tmp_path, 4)
+    assert [worker.config.seeds for worker in found] == [[5, 6, 7], [8, 9, 10], [11, 12], [13, 14]]
+    assert [worker.folder for worker in found] == [tmp_path / "workers" / str(number) for number in range(4)]
+
+
+def test_a_worker_that_is_given_again_has_the_next_name_and_is_found_by_it(tmp_path):
+    config = PPOConfig(n_seeds=11)
+    for name in ("0", "0.1", "0.2"):
+        first, *_, last = workers.split(config, tmp_path, 11)
+        first.take()
+        last.take()
+        assert first.folder == tmp_path / "workers" / name
+        (first.folder / "stop").touch()
+        (first.folder / f"kept {name}").touch()
+    assert {path.name for path in workers.split(config, tmp_path, 11)[0].folder.iterdir()} == {
+        *("stop", "kept 0", "kept 0.1", "kept 0.2")
+    }
+    assert {path.name for path in (tmp_path / "workers").iterdir()} == {"0.2", "10.2"}
 
 
 @pytest.fixture(scope="module")
@@ -63,13 +79,13 @@ def spread_run(tmp_path_factory):
     return run, told
 
 
-def test_a_spread_run_holds_the_rows_and_weights_of_its_shares(spread_run, tmp_path):
+def test_a_spread_run_holds_the_rows_and_weights_of_its_workers(spread_run, tmp_path):
     run, _ = spread_run
     first = train(PPOConfig(n_seeds=2, **SMALL), tmp_path / "first", quiet=True)
     last = train(PPOConfig(seed=2, **SMALL), tmp_path / "last", quiet=True)
-    for seed, share in ((0, first), (1, first), (2, last)):
+    for seed, part in ((0, first), (1, first), (2, last)):
         for name in ("episodes", "progress"):
-            mine, theirs = (getattr(one, name).query(f"seed == {seed}").reset_index(drop=True) for one in (run, share))
+            mine, theirs = (getattr(one, name).query(f"seed == {seed}").reset_index(drop=True) for one in (run, part))
             assert len(mine) > 0
             pd.testing.assert_frame_equal(
                 mine.drop(columns="frames_per_second", errors="ignore"),
@@ -77,11 +93,11 @@ def test_a_spread_run_holds_the_rows_and_weights_of_its_shares(spread_run, tmp_p
             )
         observation = torch.rand(5, 30)
         assert torch.equal(
-            load_policy(run.path, seed).values(observation), load_policy(share.path, seed).values(observation)
+            load_policy(run.path, seed).values(observation), load_policy(part.path, seed).values(observation)
         )
     assert run.meta["processes"] == 2
     assert run.seeds == [0, 1, 2]
-    assert not (run.path / "checkpoint").exists()
+    assert {path.name for path in run.path.iterdir()} == {*FILES}
 
 
 @pytest.mark.slow
@@ -93,16 +109,6 @@ def test_its_rows_are_in_the_order_in_which_one_process_would_have_noted_them(sp
     pd.testing.assert_frame_equal(run.episodes[columns][:n], whole.episodes[columns][:n])
     assert run.progress["seed"].tolist() == whole.progress["seed"].tolist()
     assert run.progress["frame"].tolist() == whole.progress["frame"].tolist()
-
-
-def test_100_s_beside_80_s_of_which_20_were_alone_and_50_s_after_a_pause_of_an_hour_are_170_s():
-    def share(ended, took):
-        return {"ended": f"2026-11-24T{ended}+00:00", "wall_seconds": took}
-
-    together = [share("12:01:40", 100.0), share("12:02:00", 80.0)]
-    assert wall_seconds(together) == 120
-    assert wall_seconds([share("13:02:50", 50.0), *together]) == 170
-    assert wall_seconds([share("12:01:40", 100.0), share("12:01:30", 10.0)]) == 100
 
 
 def test_it_tells_how_far_all_seeds_are(spread_run):
@@ -118,8 +124,9 @@ def test_a_spread_run_that_is_stopped_and_resumed_is_the_run_that_was_not(spread
     with pytest.raises(Interrupted, match="saved at 512 of 1,024 frames") as stop:
         train(config, tmp_path / "run", quiet=True, processes=2, until=512)
     assert stop.value.wanted
-    assert sorted(path.name for path in (tmp_path / "run" / "checkpoint").iterdir()) == ["seeds-0-1", "seeds-2-2"]
-    (tmp_path / "run" / "checkpoint" / "seeds-0-1" / "stop").touch()  # as a study that was stopped leaves it
+    there = tmp_path / "run" / "workers"
+    assert sorted(path.name for path in there.iterdir() if path.is_dir()) == ["0", "1"]
+    (there / "0" / "stop").touch()  # as a study that was stopped leaves it
     assert_same(train(config, tmp_path / "run", quiet=True), spread_run[0])
 
 
@@ -140,50 +147,41 @@ train(config, {out!r}, quiet=True, processes=2, checkpoint_seconds={seconds})
 
 
 def started(out, checkpoint_seconds=0):
-    """A run in two processes, both at work; with 0 seconds between snapshots, both with one."""
+    """A run in two workers, both at work; with 0 seconds between snapshots, both with one."""
     command = COMMAND.format(out=str(out), seconds=checkpoint_seconds)
     process = subprocess.Popen([sys.executable, "-c", command], stderr=subprocess.PIPE, text=True)
     sign = "meta.json" if checkpoint_seconds else "checkpoint/state-*"
-    while len({path.parent for path in out.glob(f"checkpoint/seeds-*/{sign}")}) < 2:
+    while len({path.parents[sign.count("/")] for path in out.glob(f"workers/*/{sign}")}) < 2:
         assert process.poll() is None
         time.sleep(0.05)
     return process
 
 
 def locked(out):
-    """Whether a process still writes a share."""
-    return bool(list(out.glob("checkpoint/seeds-*/.lock")))
-
-
-@pytest.mark.slow
-def test_a_signal_is_passed_on_and_every_share_is_saved(tmp_path):
-    process = started(tmp_path / "run")
-    process.send_signal(signal.SIGTERM)
-    _, said = process.communicate(timeout=60)
-    assert "Interrupted" in said
-    assert "stopped by SIGTERM and saved at" in said
-    assert not locked(tmp_path / "run")
+    """Whether a process still writes as a worker."""
+    return bool(list(out.glob("workers/*/.lock")))
 
 
 def holders(out):
-    """The processes that write the shares, in the order of their seeds: each holds its share's lock open."""
+    """The processes of the workers, in the order of their seeds: each holds its lock open."""
     held = {}
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with contextlib.suppress(OSError):
             held[os.readlink(link)] = int(link.parts[2])
-    return [held[str(lock)] for lock in sorted(out.glob("checkpoint/seeds-*/.lock"))]
+    return [held[str(lock)] for lock in sorted(out.glob("workers/*/.lock")) if str(lock) in held]
 
 
 def saved(out):
-    """The frames of each share's newest snapshot."""
-    states = [path.glob("checkpoint/state-*") for path in sorted(out.glob("checkpoint/seeds-*"))]
+    """The frames of each worker's newest snapshot."""
+    states = [path.glob("checkpoint/state-*") for path in sorted(out.glob("workers/*")) if path.is_dir()]
     return [max(int(state.name.split("-")[1]) for state in found) for found in states]
 
 
 @pytest.mark.slow
-def test_a_signal_to_every_process_of_a_run_saves_both_shares_as_it_says(tmp_path):
+@pytest.mark.parametrize("whom", ["the run", "every process"])
+def test_a_signal_saves_all_workers_as_the_run_says(whom, tmp_path):
     process = started(tmp_path / "run", checkpoint_seconds=3600)
-    for member in (process.pid, *holders(tmp_path / "run")):
+    for member in (process.pid, *(holders(tmp_path / "run") if whom == "every process" else ())):
         os.kill(member, signal.SIGTERM)
     _, said = process.communicate(timeout=60)
     frames = saved(tmp_path / "run")
@@ -194,7 +192,7 @@ def test_a_signal_to_every_process_of_a_run_saves_both_shares_as_it_says(tmp_pat
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "says"), [(signal.SIGTERM, "saved at"), (signal.SIGKILL, "ended without a word")])
-def test_when_one_of_two_shares_is_ended_the_other_is_saved_and_ends_too(tmp_path, number, says):
+def test_when_one_of_two_workers_is_ended_the_other_is_saved_and_ends_too(tmp_path, number, says):
     process = started(tmp_path / "run")
     os.kill(holders(tmp_path / "run")[1], number)
     _, said = process.communicate(timeout=60)
@@ -204,20 +202,24 @@ def test_when_one_of_two_shares_is_ended_the_other_is_saved_and_ends_too(tmp_pat
 
 
 @pytest.mark.slow
-def test_a_share_that_is_killed_while_all_stop_is_said_not_to_be_saved(tmp_path):
-    process = started(tmp_path / "run", checkpoint_seconds=3600)
-    share = holders(tmp_path / "run")[1]
-    os.kill(share, signal.SIGSTOP)
-    process.send_signal(signal.SIGTERM)
-    time.sleep(1)
-    os.kill(share, signal.SIGKILL)
-    _, said = process.communicate(timeout=60)
-    assert "seeds-2-2: not saved" in said
-    assert "saved at" not in said
+def test_a_worker_that_does_not_end_when_it_is_asked_to_is_killed_and_said_not_to_be_saved(tmp_path, monkeypatch):
+    config = PPOConfig(n_seeds=2, **SMALL | {"total_frames": 400_000})
+    monkeypatch.setattr(workers, "STOP_SECONDS", 3.0)
+    monkeypatch.setattr(workers, "END_SECONDS", 1.0)
+
+    def stop_one(frames, rewards):
+        if len(there := holders(tmp_path / "run")) == 2:
+            os.kill(there[1], signal.SIGSTOP)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(Interrupted, match=r"workers/1: not saved"):
+        train(config, tmp_path / "run", quiet=True, processes=2, checkpoint_seconds=3600, tell=stop_one)
+    assert [*tmp_path.glob("run/workers/0/checkpoint/state-*")]
+    assert not holders(tmp_path / "run")
 
 
 @pytest.mark.slow
-def test_no_share_outlives_a_run_that_was_killed(tmp_path):
+def test_no_worker_outlives_a_run_that_was_killed(tmp_path):
     process = started(tmp_path / "run")
     process.kill()
     process.communicate(timeout=60)
@@ -226,20 +228,57 @@ def test_no_share_outlives_a_run_that_was_killed(tmp_path):
             break
         time.sleep(0.1)
     assert not locked(tmp_path / "run")
-    assert len(list((tmp_path / "run").glob("checkpoint/seeds-*/checkpoint/state-*"))) >= 2
+    assert len(saved(tmp_path / "run")) == 2
 
 
 @pytest.mark.slow
-def test_what_ails_one_share_ends_the_run_in_one_line(spread_run, tmp_path):
+def test_a_run_whose_processes_are_killed_again_and_again_ends_with_the_same_bits(tmp_path):
+    """At moments by chance: the run alone, one of its workers, or all of them."""
+    config = {"n_seeds": 3, "total_frames": 10_240, "frames_per_batch": 256, "epochs": 2, "compile": "off"}
+    command, out, chance = COMMAND.replace("400_000", "10_240"), tmp_path / "run", random.Random(0)
+    for whom in (slice(1), slice(1, 2), slice(3), slice(1)):
+        process = subprocess.Popen([sys.executable, "-c", command.format(out=str(out), seconds=0.1)])
+        while process.poll() is None and len(holders(out)) < 2:
+            time.sleep(0.05)
+        time.sleep(chance.uniform(0.0, 1.5))
+        for member in [process.pid, *holders(out)][whom]:
+            os.kill(member, signal.SIGKILL)
+        process.wait(60)
+    run = train(PPOConfig(**config), out, quiet=True, processes=2)
+    assert_same(run, train(PPOConfig(**config), tmp_path / "whole", quiet=True, processes=2))
+
+
+@pytest.mark.slow
+def test_what_ails_one_worker_ends_the_run_in_one_line(spread_run, tmp_path):
     config = PPOConfig(n_seeds=3, **SMALL)
     with pytest.raises(Interrupted):
         train(config, tmp_path / "run", quiet=True, processes=2, until=512)
-    for state in (tmp_path / "run").glob("checkpoint/seeds-2-2/checkpoint/state-*"):
+    for state in (tmp_path / "run").glob("workers/1/checkpoint/state-*"):
         state.write_bytes(state.read_bytes()[:-1])
-    with pytest.raises(RunError, match=r"seeds-2-2.*damaged.*overwrite=true") as error:
+    with pytest.raises(RunError, match=r"workers/1.*damaged.*overwrite=true") as error:
         train(config, tmp_path / "run", quiet=True)
     assert "\n" not in str(error.value)
     assert_same(train(config, tmp_path / "run", quiet=True, overwrite=True, processes=2), spread_run[0])
+
+
+@pytest.mark.parametrize("disk", ["well", "full"])
+def test_what_a_worker_stumbles_over_is_said_in_one_line_also_where_it_cannot_be_written(
+    disk, tmp_path, monkeypatch, capsys
+):
+    def stumble(*given, **how):
+        if disk == "full":
+            monkeypatch.setattr(worker.files, "write", lambda *given: Path("/dev/full").write_bytes(b"."))
+        raise TypeError("no number")
+
+    monkeypatch.setattr(worker, "STOPS", ())
+    monkeypatch.setattr(worker.loop, "alone", stumble)
+    own, status = workers.Worker(tmp_path / "0", PPOConfig(**SMALL)), 0
+    try:
+        worker.main(own.prepare(1))
+    except SystemExit as end:
+        status = end.code
+    assert own.problem(status).startswith(f"{own.folder}: " + {"well": "TypeError: no", "full": "cannot be w"}[disk])
+    assert "Traceback" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -326,7 +365,7 @@ def test_a_snapshot_without_any_row_yet_is_two_empty_tables(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_report_beside_a_run_under_way_does_not_take_its_shares_for_runs(tmp_path):
+def test_a_report_beside_a_run_under_way_does_not_take_its_workers_for_runs(tmp_path):
     from uavnav.runs import run_folders
 
     with pytest.raises(Interrupted):

@@ -4,7 +4,7 @@ import peers
 import pytest
 import stable_baselines3
 import torch
-from tensordict import TensorDict
+from batches import rollout
 from torch.distributions import Categorical
 from torch.nn.utils import clip_grad_norm_
 
@@ -13,20 +13,6 @@ from uavnav.algorithms.a2c import PRESETS, A2CConfig, make_learner, make_loss, t
 from uavnav.algorithms.ppo import make_networks
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
-
-
-def made_up(*shape, dtype=torch.float32, seed=0):
-    """Rows of any shape with what the loss needs."""
-    g = torch.Generator().manual_seed(seed)
-    return TensorDict(
-        {
-            "observation": torch.rand(*shape, 30, generator=g, dtype=dtype),
-            "action": torch.randint(100, shape, generator=g),
-            "advantage": torch.randn(*shape, 1, generator=g, dtype=dtype),
-            "value_target": torch.randn(*shape, 1, generator=g, dtype=dtype),
-        },
-        list(shape),
-    )
 
 
 def test_the_targets_of_5_steps_are_the_returns_by_hand_and_a_cap_bootstraps_its_own_last_observation():
@@ -44,22 +30,6 @@ def test_the_targets_of_5_steps_are_the_returns_by_hand_and_a_cap_bootstraps_its
     assert batch["value_target"].flatten().tolist() == pytest.approx(expected, abs=1e-5)
     torch.testing.assert_close(batch["advantage"].flatten(), torch.tensor(expected) - values, **CLOSE)
     assert abs(0.99 * at_cap) > 1e-3  # what a collision would have left out
-
-
-def test_the_gradient_of_3_agents_is_each_ones_own():
-    config = A2CConfig(n_seeds=3, entropy_coeff=0.01)
-    batch = made_up(3, 80, dtype=torch.float64)
-
-    def gradient(config, rows):
-        policy, value = (network.double() for network in make_networks(config))
-        return make_learner(make_loss(policy, value, config), config, compile=False).gradient(rows)
-
-    population = gradient(config, batch)
-    for agent in range(3):
-        own = gradient(A2CConfig(seed=agent, entropy_coeff=0.01), batch[agent : agent + 1])
-        for name, part in own.items():
-            assert part.abs().max() > 0
-            torch.testing.assert_close(population[name][agent], part[0], rtol=1e-12, atol=1e-12)
 
 
 # -- an update, against Stable-Baselines3's --------------------------------------------------------------------------
@@ -109,11 +79,11 @@ def test_one_update_of_a_rollout_from_sb3s_own_weights_equals_sb3s_train(activat
 def test_20_updates_of_2_agents_are_those_of_torchs_rmsprop_on_the_loss_by_hand():
     """Every number that is not a default is written out here once more; the cap is among the gradients' norms."""
     config = A2CConfig(
-        n_seeds=2, lr=3e-3, rms_eps=1e-4, max_grad_norm=0.6, entropy_coeff=0.05, critic_coeff=0.8, hidden=(16,)
+        n_seeds=2, lr=3e-3, rms_eps=1e-4, max_grad_norm=0.7, entropy_coeff=0.05, critic_coeff=0.8, hidden=(16,)
     )
     policy, value = make_networks(config)
     learner = make_learner(make_loss(policy, value, config), config, compile=False)
-    batches = made_up(2, 20, 40)
+    batches = rollout(2, 20, 40)
     found = learner.learn(batches)
     for agent in range(2):
         own_policy, own_value = make_networks(A2CConfig(seed=agent, hidden=(16,)))
@@ -125,9 +95,9 @@ def test_20_updates_of_2_agents_are_those_of_torchs_rmsprop_on_the_loss_by_hand(
             error = (own_value(batch["observation"]) - batch["value_target"]).square().mean()
             optimiser.zero_grad()
             (-objective + 0.8 * error - 0.05 * distribution.entropy().mean()).backward()
-            norms.append(clip_grad_norm_(parameters, 0.6).item())
+            norms.append(clip_grad_norm_(parameters, 0.7).item())
             optimiser.step()
-        assert min(norms) < 0.6 < max(norms)
+        assert min(norms) < 0.7 < max(norms)
         assert found["grad_norm"][agent].item() == pytest.approx(sum(norms) / 20, rel=1e-4)
         for network, own in ((policy, own_policy), (value, own_value)):
             for ours, theirs in zip(network.parameters(), own.parameters(), strict=True):

@@ -24,6 +24,7 @@ from uavnav.runs.policies import load_policy
 from uavnav.tasks.rewards import BOUNDS, REWARDS, Bounds
 from uavnav.training.loop import make_collector, make_env, train
 from uavnav.training.recorder import Interrupted, Recorder
+from uavnav.training.update import Learner
 
 SMALL = {"n_seeds": 2, "n_envs": 8, "total_frames": 640, "hidden": (16,), "lr": 1e-2, "compile": "off"}
 """Of every run here."""
@@ -151,6 +152,34 @@ def test_compiled_updates_are_eager_ones_from_the_same_batches_call_after_call(a
             torch.testing.assert_close(other[name], value, rtol=1e-4, atol=1e-4)
     assert len(rows) >= 2
     assert (weights(compiled) - weights(config.make(compile=False))).abs().max() > 1e-3  # it did learn
+
+
+def test_the_gradient_of_3_agents_is_each_ones_own(algorithm, monkeypatch):
+    """In double precision, for the first minibatch that they learn from."""
+    config, seen = configured(algorithm, n_seeds=3), []
+    with monkeypatch.context() as patch:
+        patch.setattr(Learner, "learn", lambda self, minibatches: seen.append(minibatches[:, 0].clone()) or {})
+        trainee = config.make(compile=False)
+        collected = make_collector(make_env(config, False), trainee.actor, config)
+        for frames, batch in zip(
+            range(config.frames_per_iteration, 641, config.frames_per_iteration), collected, strict=False
+        ):
+            trainee.learn(batch, frames)
+    minibatch = seen[0].apply(lambda value: value.double() if value.is_floating_point() else value)
+
+    def gradient(config, rows):
+        trainee = config.make(compile=False)
+        learned = {name: value for name, value in trainee.loss.double().named_parameters() if value.requires_grad}
+        found = trainee.loss(rows.clone())
+        losses = sum(found[name].flatten(1).mean(1) for name in trainee.learner.names[:-1])
+        return dict(zip(learned, torch.autograd.grad(losses.sum(), list(learned.values())), strict=True))
+
+    population = gradient(config, minibatch)
+    for agent in range(3):
+        own = gradient(configured(algorithm, n_seeds=1, seed=agent), minibatch[agent : agent + 1])
+        for name, part in own.items():
+            assert part.abs().max() > 0
+            torch.testing.assert_close(population[name][agent], part[0], rtol=1e-12, atol=1e-12)
 
 
 # -- what it learns from ---------------------------------------------------------------------------------------------

@@ -7,8 +7,9 @@ import torch
 from tensordict import TensorDict
 
 from uavnav.acting import Actor
-from uavnav.algorithms import a2c, dqn, ppo, replay, sac
+from uavnav.algorithms import a2c, dqn, ppo, sac
 from uavnav.envs.env import DroneEnv
+from uavnav.tasks.seeding import Streams
 from uavnav.tasks.simulator import make_task
 from uavnav.training import probes
 
@@ -68,12 +69,10 @@ def test_updates_and_diagnostics_stay_on_their_device(meta, algorithm):
     if algorithm == "dqn":
         policy = dqn.make_network(config).to("meta")
         loss = dqn.make_loss(policy, config)
-    elif algorithm == "sac":
-        policy, twins = (network.to("meta") for network in sac.make_networks(config))
-        loss = sac.SACLoss(policy, twins, config).to("meta")
     else:
-        policy, value = ppo.make_networks(config)
-        loss = module.make_loss(policy, value, config).to("meta")
+        policy, other = (sac if algorithm == "sac" else ppo).make_networks(config)
+        make_loss = {"ppo": ppo.PPOLoss, "a2c": a2c.make_loss, "sac": sac.SACLoss}[algorithm]
+        loss = make_loss(policy, other, config).to("meta")
     losses = module.make_learner(loss, config, compile=False).learn(transitions(config))
     assert all(value.device.type == "meta" for value in losses.values())
     assert all(value.device.type == "meta" for value in probes.units(policy, poses).values())
@@ -95,16 +94,17 @@ def unspecified(monkeypatch):
 
 
 def test_ppo_collects_estimates_learns_and_diagnoses_on_one_device(unspecified):
-    """What an iteration does but for TorchRL's buffer, and the recorder, which takes numbers to the CPU."""
+    """What an iteration does but for the recorder, which takes numbers to the CPU."""
     config = ppo.PPOConfig(n_seeds=2, frames_per_batch=128, minibatch_size=64, epochs=1)
     env = DroneEnv([2, config.n_envs], device="meta", seeds=config.seeds, task=config.make_task())
     policy, value = ppo.make_networks(config)
-    loss = ppo.make_loss(policy, value, config).to("meta")
+    loss = ppo.PPOLoss(policy, value, config).to("meta")
     batch = collected(env, Actor(policy, config.seeds, ppo.HOW.acts, ppo.HOW.head, compile=False), 8)
     assert batch.shape == (2, config.n_envs, 8)
-    ppo.estimate(batch, loss, ppo.make_advantage(config.gamma, config.gae_lambda))
-    losses = ppo.make_learner(loss, config, compile=False).step(ppo.rows(batch).transpose(0, 1))
-    moved = ppo.diagnostics(batch, loss, config.clip_epsilon)
+    ppo.estimate(batch, policy, value, ppo.make_advantage(config.gamma, config.gae_lambda))
+    minibatches = ppo.minibatches(batch, Streams(config.seeds, "minibatches"), 64)
+    losses = ppo.make_learner(loss, config, compile=False).learn(minibatches)
+    moved = ppo.diagnostics(batch, policy, config.clip_epsilon)
     found = [*batch.values(include_nested=True, leaves_only=True), *losses.values(), *moved.values()]
     assert {value.device.type for value in found} == {"meta"}
     assert all(value.shape == (2,) for value in moved.values())
@@ -130,4 +130,3 @@ def test_dqn_acts_on_one_device_whose_epsilon_too_lies_there(unspecified):
     actor = Actor(network, config.seeds, "epsilon-greedy", config.head, compile=False, epsilon=config.epsilon)
     batch = collected(env, actor, 1)
     assert {value.device.type for value in (actor.epsilon, *batch.values(True, True))} == {"meta"}
-    assert replay.rows(batch, config).batch_size == (config.n_envs, 2)

@@ -1,42 +1,20 @@
-"""DQN: the target by hand, each agent alone, Stable-Baselines3's own update, its schedules, compiled as eager."""
+"""DQN: the target by hand, Stable-Baselines3's own update, its schedules."""
 
 import gymnasium
 import peers
 import pytest
 import torch
+from batches import transitions
 from stable_baselines3 import DQN
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from tensordict import TensorDict
 
 import uavnav
-from uavnav.algorithms.dqn import PRESETS, DQNConfig, make_learner, make_loss, make_network, train
-from uavnav.algorithms.replay import rows
+from uavnav.algorithms.dqn import PRESETS, DQNConfig, make_loss, make_network, train
+from uavnav.algorithms.replay import Replay
 from uavnav.errors import ConfigError
 from uavnav.tasks.seeding import Streams
-from uavnav.training.recorder import Interrupted, Recorder
-
-
-def transitions(*shape, dtype=torch.float32, seed=0):
-    """Made-up transitions of any shape; a quarter of them end in a collision, and a quarter of the rest at the cap."""
-    g = torch.Generator().manual_seed(seed)
-    terminated = torch.rand(*shape, 1, generator=g) < 0.25
-    truncated = ~terminated & (torch.rand(*shape, 1, generator=g) < 0.25)
-    return TensorDict(
-        {
-            "observation": torch.rand(*shape, 30, generator=g, dtype=dtype),
-            "action": torch.randint(100, shape, generator=g),
-            "next": TensorDict(
-                {
-                    "observation": torch.rand(*shape, 30, generator=g, dtype=dtype),
-                    "reward": torch.randn(*shape, 1, generator=g, dtype=dtype),
-                    "done": terminated | truncated,
-                    "terminated": terminated,
-                },
-                list(shape),
-            ),
-        },
-        list(shape),
-    )
+from uavnav.training.recorder import Recorder
 
 
 def losses_by_row(batch, config):
@@ -101,49 +79,6 @@ def test_a_truncated_step_bootstraps_and_a_terminated_one_does_not():
     batch["next", "terminated"] = torch.tensor([[[False]]])
     assert losses[False] == losses_by_row(batch, config)[0].item()
     assert abs(losses[False] - losses[True]) > 1e-3  # the negative control
-
-
-def test_the_gradient_of_3_agents_is_each_ones_own():
-    batch = transitions(3, 32, dtype=torch.float64)
-    population_config = DQNConfig(n_seeds=3)
-    loss = make_loss(make_network(population_config).double(), population_config)
-    population = make_learner(loss, population_config, compile=False).gradient(batch)
-    for agent in range(3):
-        config = DQNConfig(seed=agent)
-        learner = make_learner(make_loss(make_network(config).double(), config), config, compile=False)
-        own = learner.gradient(batch[agent : agent + 1])
-        for name, part in own.items():
-            assert part.abs().max() > 0
-            torch.testing.assert_close(population[name][agent], part[0], rtol=1e-12, atol=1e-12)
-
-
-def test_rows_keep_agent_and_world_together():
-    """Entry (agent 1, world 2) is 12 in every key."""
-    code = 10.0 * torch.arange(2)[:, None, None] + torch.arange(3)[None, :, None]
-    names = ("reward", "done", "terminated")
-    following = {"observation": code[..., None].repeat(1, 1, 1, 30), **{n: code[..., None].clone() for n in names}}
-    batch = TensorDict({"observation": code[..., None].repeat(1, 1, 1, 30), "action": code.clone()}, [2, 3, 1])
-    batch["next"] = TensorDict(following, [2, 3, 1])
-    got = rows(batch, DQNConfig(max_steps=9))
-    assert got.batch_size == (3, 2)
-    for world in range(3):
-        for agent in range(2):
-            leaves = got[world, agent].values(include_nested=True, leaves_only=True)
-            assert {number for leaf in leaves for number in leaf.flatten().tolist()} == {10 * agent + world}
-
-
-def test_20_updates_of_seed_1_among_3_are_those_of_seed_1_alone(tmp_path):
-    settings = {"total_frames": 144, "learning_starts": 64, "n_envs": 16, "target_update_frames": 32}
-    settings |= {"lr": 1e-2, "compile": "off"}
-    among = train(DQNConfig(n_seeds=3, **settings), out=tmp_path / "three", quiet=True)
-    alone = train(DQNConfig(seed=1, **settings), out=tmp_path / "one", quiet=True)
-    observation = torch.rand(50, 30)
-    before = make_network(DQNConfig(seed=1))(observation[None])[0]
-    values = [uavnav.load_policy(run.path, seed=1).values(observation) for run in (among, alone)]
-    torch.testing.assert_close(values[0], values[1], rtol=1e-5, atol=1e-5)
-    assert (values[0] - before).abs().max() > 1e-2  # it did learn
-    own = among.episodes[among.episodes.seed == 1].reset_index(drop=True)
-    assert own.equals(alone.episodes)
 
 
 @pytest.mark.parametrize(("activation", "cap"), [("sigmoid", 0.75), ("leaky_relu", 0.32)])
@@ -228,6 +163,21 @@ def test_two_rounds_of_4_updates_from_the_same_weights_and_draws_equal_sb3s(acti
         assert (value - first).abs().max() > 1e-3
 
 
+def test_rows_of_the_ring_keep_agent_and_world_together():
+    """Entry (agent 1, world 2) is 12 in every key."""
+    code = 10.0 * torch.arange(2)[:, None, None] + torch.arange(3)[None, :, None]
+    names = ("reward", "done", "terminated")
+    following = {"observation": code[..., None].repeat(1, 1, 1, 30), **{n: code[..., None].clone() for n in names}}
+    batch = TensorDict({"observation": code[..., None].repeat(1, 1, 1, 30), "action": code.clone()}, [2, 3, 1])
+    batch["next"] = TensorDict(following, [2, 3, 1])
+    replay = Replay([0, 1], 3, 3, keeps_next=True)
+    replay.extend(batch)
+    for world in range(3):
+        for agent in range(2):
+            leaves = replay.buffer[:][world, agent].values(include_nested=True, leaves_only=True)
+            assert {number for leaf in leaves for number in leaf.flatten().tolist()} == {10 * agent + world}
+
+
 # -- its schedules ---------------------------------------------------------------------------------------------------
 
 
@@ -286,19 +236,6 @@ def test_sixteen_updates_follow_each_step_of_64_worlds_and_four_of_16():
         DQNConfig(n_envs=6)
 
 
-def test_explored_actions_of_a_seed_do_not_depend_on_the_other_seeds():
-    many, one = DQNConfig(n_seeds=3), DQNConfig(seed=2)
-    observation = torch.rand(3, 16, 30)
-    among, alone = many.make(compile=False).actor, one.make(compile=False).actor
-    for epsilon in (1.0, 0.5, 0.0):
-        among.epsilon.fill_(epsilon)
-        alone.epsilon.fill_(epsilon)
-        actions = among.act(observation)
-        assert torch.equal(actions[2], alone.act(observation[2:])[0])
-        if epsilon == 1.0:
-            assert len(actions.unique(dim=0)) == 3
-
-
 def test_random_start_headings_of_a_run_differ_and_follow_its_seed(tmp_path, monkeypatch):
     """Headings of the last step's states that have just begun an episode: every one, at a cap of one step."""
     headings, add = [], Recorder.add_open_episodes
@@ -313,16 +250,3 @@ def test_random_start_headings_of_a_run_differ_and_follow_its_seed(tmp_path, mon
         train(DQNConfig(seed=seed, **settings), out=tmp_path / str(index), quiet=True)
     assert headings[0] == headings[1] != headings[2]
     assert len(set(headings[0])) > 10
-
-
-def test_train_takes_one_thread_and_gives_its_callers_3_back(tmp_path):
-    config = DQNConfig(total_frames=64, compile="off")
-    try:
-        torch.set_num_threads(3)
-        with pytest.raises(Interrupted):
-            train(config, out=tmp_path / "run", quiet=True, until=32)
-        assert torch.get_num_threads() == 3
-        assert train(config, out=tmp_path / "run", quiet=True).meta["threads"] == 1
-        assert torch.get_num_threads() == 3
-    finally:
-        torch.set_num_threads(1)

@@ -13,12 +13,12 @@ from safetensors.torch import load_file
 
 from uavnav.acting import Actor
 from uavnav.algorithms.dqn import DQNConfig, make_network, train
-from uavnav.algorithms.replay import make_buffer
+from uavnav.algorithms.replay import Replay
 from uavnav.envs.gym import DroneVectorEnv
 from uavnav.tasks.seeding import Streams
 from uavnav.tasks.world import World
-from uavnav.training.learner import Learner
 from uavnav.training.recorder import Recorder
+from uavnav.training.update import Learner
 
 SWITCHES = {"slots": "listed", "padding": "zeros"}
 WATCHED = DQNConfig(
@@ -53,9 +53,10 @@ def watch(config, folder):
     seen = SimpleNamespace(epsilons=[], minibatches=[], losses=[], learned=[])
     step, act, checkpoint = Learner.step, Actor.act, Recorder.checkpoint
 
-    def watch_buffer(sampler, config):
-        seen.buffer = make_buffer(sampler, config)
-        return seen.buffer
+    def watch_replay(*given):
+        replay = Replay(*given)
+        seen.buffer = replay.buffer
+        return replay
 
     def watch_step(self, minibatch):
         seen.minibatches.append(minibatch.clone())
@@ -72,7 +73,7 @@ def watch(config, folder):
         checkpoint(self, frames, parts, replay)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("uavnav.algorithms.replay.make_buffer", watch_buffer)
+        patch.setattr("uavnav.algorithms.dqn.Replay", watch_replay)
         patch.setattr("uavnav.algorithms.replay.LOG_FRAMES", 32)
         patch.setattr(Learner, "step", watch_step)
         patch.setattr(Actor, "act", watch_act)

@@ -13,7 +13,7 @@ import uavnav
 from uavnav.algorithms.ppo import PPOConfig, estimate, make_networks, train
 from uavnav.tasks.seeding import Streams
 from uavnav.tasks.world import World
-from uavnav.training.learner import Learner
+from uavnav.training.update import Learner
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 

@@ -7,15 +7,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import yaml
 
 from uavnav import PolicyError, load_policy
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
+from uavnav.algorithms.a2c import A2CConfig
 from uavnav.cli import commands
 from uavnav.runs import Run
 from uavnav.runs.metrics import per_seed
+from uavnav.runs.tables import RunError
+from uavnav.training.loop import train
+from uavnav.training.recorder import Recorder
 
 RECIPES = Path(__file__).parent.parent / "recipes"
 SHORT = {
@@ -188,15 +193,26 @@ def test_train_without_an_algorithm_of_the_table_names_them(recipe, tmp_path, wo
 
 
 @pytest.mark.usefixtures("warm")
-def test_the_recipe_a2c_is_uavnav_train_a2c_bit_for_bit(recipe, tmp_path):
-    short = [*SHORT["a2c"], "world.sensor_arc=90", "compile=off"]
-    assert recipe("a2c", "out=one", *short)[0] == 0
-    assert process(tmp_path, "a2c", "out=other", *short)[0] == 0
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn", "a2c"])
+def test_a_recipe_is_uavnav_train_bit_for_bit(recipe, tmp_path, algorithm):
+    """PPO's and DQN's write the training out; A2C's calls the command."""
+    short = [*SHORT[algorithm], "n_seeds=2", "world.sensor_arc=90", "compile=off"]
+    assert recipe(algorithm, "out=one", *short)[0] == 0
+    assert process(tmp_path, algorithm, "out=other", *short)[0] == 0
     one, other = (Run(tmp_path / name) for name in ("one", "other"))
     assert one.config == other.config
     assert one.config["world"]["sensor_arc"] == 90.0
     for name in ("episodes.parquet", "policy.safetensors"):
         assert (one.path / name).read_bytes() == (other.path / name).read_bytes()
+    rows = (run.progress.drop(columns="frames_per_second") for run in (one, other))
+    pd.testing.assert_frame_equal(*rows, check_exact=True)
+
+
+def test_a_recipe_does_not_go_on_with_a_run_of_several_processes(tmp_path, monkeypatch):
+    monkeypatch.setattr(Recorder, "processes", lambda recorder, number: 2)
+    with pytest.raises(RunError, match=r"began in 2 processes; uavnav train a2c goes on with it"):
+        train(A2CConfig(total_frames=160), tmp_path / "run", fit=lambda recorder, quiet, tell: None)
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

@@ -5,32 +5,19 @@ import math
 
 import pytest
 import torch
+from batches import transitions
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
 from torch import nn
+from torch.distributions import Categorical
+from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import DiscreteSACLoss
 
 from uavnav import graph
-from uavnav.algorithms.ppo import make_actor_critic
-from uavnav.algorithms.sac import PRESETS, SACConfig, SACLoss, following, make_learner, make_networks, train
+from uavnav.algorithms.sac import PRESETS, SACConfig, SACLoss, make_learner, make_networks, train
 from uavnav.errors import ConfigError
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
-
-
-def transitions(*shape, dtype=torch.float32, seed=0):
-    """Made-up transitions of any shape; a quarter of them end in a collision, and a quarter of the rest at the cap."""
-    g = torch.Generator().manual_seed(seed)
-    terminated = torch.rand(*shape, 1, generator=g) < 0.25
-    truncated = ~terminated & (torch.rand(*shape, 1, generator=g) < 0.25)
-    following = {
-        "observation": torch.rand(*shape, 30, generator=g, dtype=dtype),
-        "reward": torch.randn(*shape, 1, generator=g, dtype=dtype),
-        "done": terminated | truncated,
-        "terminated": terminated,
-    }
-    observation = torch.rand(*shape, 30, generator=g, dtype=dtype)
-    action = torch.randint(100, shape, generator=g)
-    return TensorDict({"observation": observation, "action": action, "next": TensorDict(following, shape)}, shape)
 
 
 def made(config, dtype=torch.float32):
@@ -38,7 +25,7 @@ def made(config, dtype=torch.float32):
     policy, twins = (network.to(dtype) for network in make_networks(config))
     loss = SACLoss(policy, twins, config).to(dtype)
     with torch.no_grad():
-        for target in loss.target_qvalue_network_params.values(True, True):
+        for target in loss.target_twins.parameters():
             target.mul_(0.5)
         loss.log_alpha.copy_(-0.7 * torch.tensor([[1.0 + seed] for seed in config.seeds]))
     return policy, twins, loss
@@ -133,14 +120,13 @@ def test_100_updates_of_2_agents_are_those_of_plain_pytorch(compile):
     learner, batches = make_learner(loss, config, compile), transitions(2, 100, 32)
     for first in range(0, 100, 25):
         learner.learn(batches[:, first : first + 25])
-    target = loss.target_qvalue_network_params["module"]
     for agent, one in enumerate(plain):
         for index in range(100):
             one.step(batches[agent, index])
         assert_same(policy, one.policy, agent, rtol=1e-4, atol=1e-4)
         for name, network, old in zip(("first", "second"), one.q, one.target, strict=True):
             assert_same(getattr(twins, name), network, agent, rtol=1e-4, atol=1e-4)
-            torch.testing.assert_close(target[name, "0", "weight"][agent], old[0].weight.T, rtol=1e-4, atol=1e-4)
+            assert_same(getattr(loss.target_twins, name), old, agent, rtol=1e-4, atol=1e-4)
             assert (old[0].weight - network[0].weight).abs().max() > 1e-3  # it follows, and is not there
         torch.testing.assert_close(loss.log_alpha[agent], one.log_alpha, **CLOSE)
     assert (loss.log_alpha - before).abs().min() > 1e-2
@@ -148,7 +134,7 @@ def test_100_updates_of_2_agents_are_those_of_plain_pytorch(compile):
 
 @pytest.mark.compiled
 def test_a_compiled_update_asks_each_of_the_six_networks_once(monkeypatch):
-    """Policy and twins at s, policy and targets at s': TorchRL's loss asks the twins at s for each of two terms."""
+    """Policy and twins at s, policy and targets at s'."""
     asked = []
 
     def counted(given):
@@ -160,22 +146,7 @@ def test_a_compiled_update_asks_each_of_the_six_networks_once(monkeypatch):
     monkeypatch.setattr(graph, "fx_graph_cse", counted)
     config = SACConfig(hidden=[16])
     make_learner(made(config)[2], config, compile=True).learn(transitions(1, 2, 8))
-    assert asked == [2 * 8, 2 * 6]
-
-
-def test_the_gradient_of_3_agents_is_each_ones_own():
-    """Temperatures of 0.5, 0.25 and 0.12, so that one for all would show."""
-    batch = transitions(3, 32, dtype=torch.float64)
-
-    def gradient(config, rows):
-        return make_learner(made(config, torch.float64)[2], config, compile=False).gradient(rows)
-
-    population = gradient(SACConfig(n_seeds=3, hidden=[16]), batch)
-    for agent in range(3):
-        own = gradient(SACConfig(seed=agent, hidden=[16]), batch[agent : agent + 1])
-        for name, part in own.items():
-            assert part.abs().max() > 0
-            torch.testing.assert_close(population[name][agent], part[0], rtol=1e-12, atol=1e-12)
+    assert asked == [2 * 6, 2 * 6]
 
 
 def test_the_loss_is_torchrls_own_where_there_is_one_agent():
@@ -183,9 +154,10 @@ def test_the_loss_is_torchrls_own_where_there_is_one_agent():
     config = SACConfig(hidden=[16], target_entropy=0.7)
     policy, twins, loss = made(config)
     own = copy.deepcopy(loss)
+    logits = TensorDictModule(policy, in_keys=["observation"], out_keys=["logits"])
     theirs = DiscreteSACLoss(
-        make_actor_critic(policy, twins)[0],
-        type(loss.qvalue_network)(twins.first, in_keys=["observation"], out_keys=["action_value"]),
+        ProbabilisticActor(logits, in_keys=["logits"], distribution_class=Categorical),
+        TensorDictModule(twins.first, in_keys=["observation"], out_keys=["action_value"]),
         action_space="categorical",
         loss_function="l2",
         target_entropy=0.7 * math.log(100),
@@ -195,22 +167,15 @@ def test_the_loss_is_torchrls_own_where_there_is_one_agent():
     )
     theirs.make_value_estimator(gamma=config.gamma)
     with torch.no_grad():
-        for kind in ("qvalue_network_params", "target_qvalue_network_params"):
-            there, here = getattr(theirs, kind)["module"], getattr(own, kind)["module"]
-            for index, name in enumerate(("first", "second")):
-                for key, value in here[name].items(True, True):
+        for kind, both in (("", own.twins), ("target_", own.target_twins)):
+            there = getattr(theirs, f"{kind}qvalue_network_params")["module"]
+            for index, network in enumerate((both.first, both.second)):
+                for key, value in TensorDict.from_module(network).items(True, True):
                     there[key][index].copy_(value)
     batch = transitions(1, 32)
     ours, expected = loss(batch.clone()), theirs(batch.clone())
     for name in ("loss_actor", "loss_qvalue", "loss_alpha"):
         torch.testing.assert_close(ours[name], expected[name], **CLOSE)
-
-
-def test_a_target_goes_a_share_tau_of_the_way_and_no_other_buffer_moves():
-    parameters = {"loss.qvalue_network_params.w": torch.tensor([4.0]), "loss.log_alpha": torch.tensor([1.0])}
-    buffers = {"loss.target_qvalue_network_params.w": torch.tensor([2.0]), "loss.target_entropy": torch.tensor(3.0)}
-    changed = following(0.25)(parameters, buffers)
-    assert {name: value.item() for name, value in changed.items()} == {"loss.target_qvalue_network_params.w": 2.5}
 
 
 def test_the_temperature_takes_the_policys_entropy_to_its_target():

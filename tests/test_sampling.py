@@ -151,11 +151,11 @@ def test_a_compiled_actor_chooses_as_the_eager_one(acts):
         assert torch.equal(compiled.act(OBSERVATION), eager.act(OBSERVATION))
 
 
-def buffer(seeds, replace, batch_size):
+def buffer(seeds, batch_size):
     """Rows [10, agents] whose value says which row and which agent's they are."""
     replay = ReplayBuffer(
         storage=AgentStorage(10),
-        sampler=AgentSampler(seeds, "rows", replace),
+        sampler=AgentSampler(seeds),
         batch_size=batch_size,
     )
     rows, agents = torch.arange(10)[:, None], torch.tensor(seeds)[None, :]
@@ -164,7 +164,7 @@ def buffer(seeds, replace, batch_size):
 
 
 def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():
-    alone, among = buffer([5], True, 64), buffer([3, 5, 8], True, 64)
+    alone, among = buffer([5], 64), buffer([3, 5, 8], 64)
     for _ in range(3):
         a, b = alone.sample(), among.sample()
         assert b.batch_size == (3, 64)
@@ -175,9 +175,7 @@ def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():
 
 def test_rows_come_with_their_successors_and_of_the_newest_2_none_is_drawn():
     """A ring of 10 rows, written in steps of 2 up to row 13: rows 4 to 11 are drawn alike, each before row + 2."""
-    replay = ReplayBuffer(
-        storage=AgentStorage(10), sampler=AgentSampler([0, 1], "rows", True, successors=[2]), batch_size=4000
-    )
+    replay = ReplayBuffer(storage=AgentStorage(10), sampler=AgentSampler([0, 1], successors=[2]), batch_size=4000)
     for step in range(7):
         replay.extend(TensorDict({"row": torch.tensor([[2 * step] * 2, [2 * step + 1] * 2])}, [2, 2]))
     rows, following = replay.sample()["row"]
@@ -187,16 +185,8 @@ def test_rows_come_with_their_successors_and_of_the_newest_2_none_is_drawn():
     assert stats.chisquare(counts[4:].numpy()).pvalue > 1e-3
 
 
-def test_without_replacement_an_epoch_sees_each_of_10_rows_once():
-    replay = buffer([1, 2], False, 10)
-    first, second = replay.sample()["row"], replay.sample()["row"]
-    for rows in (*first, *second):
-        assert sorted(rows.tolist()) == list(range(10))
-    assert not torch.equal(first, second)
-
-
 def test_a_restored_sampler_draws_the_same_rows_again():
-    replay = buffer([1, 2], True, 32)
+    replay = buffer([1, 2], 32)
     state = replay.sampler.state_dict()
     first = replay.sample()["row"]
     replay.sampler.load_state_dict(state)

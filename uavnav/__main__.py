@@ -6,6 +6,7 @@ import importlib
 import io
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 import uavnav
 from uavnav.algorithms import ALGORITHMS
@@ -13,8 +14,11 @@ from uavnav.cli import commands
 from uavnav.errors import choose_from, complain, one_line
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command that is named; its help and mistakes in its words come before torch is imported."""
+def main(argv: Sequence[str] | None = None, **how: Any) -> int:
+    """Run the command that is named; its help and mistakes in its words come before torch is imported.
+
+    how: further arguments of the command's own `main`, such as a recipe's `fit`.
+    """
     name, *words = list(sys.argv[1:] if argv is None else argv) or ["--help"]
     if name in ("-h", "--help", "--version"):
         what = (uavnav.__doc__ or "").partition("\n")[0].removeprefix("uavnav: ")
@@ -31,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")  # a path may hold what no terminal shows
     commands.parse(name, words)
     try:
-        status: int = importlib.import_module(f"uavnav.cli.{name}").main(words)
+        status: int = importlib.import_module(f"uavnav.cli.{name}").main(words, **how)
     except BrokenPipeError:  # nobody reads on: `terminal` ends it
         raise
     except OSError as error:

@@ -15,21 +15,23 @@ from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
 from torch import nn
+from torch.distributions import Categorical
+from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import A2CLoss
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.ppo import make_actor_critic, make_advantage, make_networks
+from uavnav.algorithms.ppo import make_advantage, make_networks
 from uavnav.errors import ConfigError
 from uavnav.networks import Init
 from uavnav.settings import key
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, at_least, within
-from uavnav.training.learner import Learner
 from uavnav.training.loop import Row, train
-from uavnav.training.optimisers import RMSprop
+from uavnav.training.update import Learner, RMSprop
 
 __all__ = ["A2C", "PRESETS", "A2CConfig", "train"]
 
@@ -85,8 +87,16 @@ PRESETS = {name: A2CConfig(preset=name) for name in A2CConfig.PRESETS}
 
 def make_loss(policy: nn.Module, value: nn.Module, config: A2CConfig) -> A2CLoss:
     """TorchRL's A2CLoss with SB3's settings, one loss a row."""
+    actor = ProbabilisticActor(
+        TensorDictModule(policy, in_keys=["observation"], out_keys=["logits"]),
+        in_keys=["logits"],
+        distribution_class=Categorical,
+        distribution_kwargs={"validate_args": False},
+        return_log_prob=True,
+    )
     return A2CLoss(
-        *make_actor_critic(policy, value),
+        actor,
+        TensorDictModule(value, in_keys=["observation"], out_keys=["state_value"]),
         critic_coeff=config.critic_coeff,
         loss_critic_type="l2",
         entropy_bonus=config.entropy_coeff > 0,
@@ -96,7 +106,7 @@ def make_loss(policy: nn.Module, value: nn.Module, config: A2CConfig) -> A2CLoss
     )
 
 
-def make_learner(loss: A2CLoss, config: A2CConfig, compile: bool) -> Learner:
+def make_learner(loss: nn.Module, config: A2CConfig, compile: bool) -> Learner:
     """RMSprop as SB3's A2C sets it."""
     losses = ["loss_objective", "loss_critic", *(["loss_entropy"] if config.entropy_coeff > 0 else [])]
     rmsprop = RMSprop(config.lr, config.rms_eps)
@@ -110,10 +120,10 @@ class A2C:
 
     def __init__(self, config: A2CConfig, compile: bool) -> None:
         self.config = config
-        self.policy, self.value = (network.to(config.device) for network in make_networks(config))
+        self.policy, self.value = make_networks(config)
+        self.loss = make_loss(self.policy, self.value, config).to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
         self.advantage = make_advantage(config.gamma, config.gae_lambda)
-        self.loss = make_loss(self.policy, self.value, config)
         self.learner = make_learner(self.loss, config, compile)
         self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"learner": self.learner}

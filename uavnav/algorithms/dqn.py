@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDictBase
-from torch import nn
+from torch import Tensor, nn
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate, LossModule
 
@@ -29,9 +29,8 @@ from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import at_least, within
-from uavnav.training.learner import Learner
 from uavnav.training.loop import Row, train
-from uavnav.training.optimisers import Adam
+from uavnav.training.update import Adam, Learner
 
 __all__ = ["DQN", "PRESETS", "DQNConfig", "train"]
 
@@ -160,10 +159,23 @@ def make_loss(network: nn.Module, config: DQNConfig) -> DQNLoss:
     return loss
 
 
-def make_learner(loss: LossModule, config: QConfig, compile: bool) -> Learner:
+def make_learner(loss: nn.Module, config: QConfig, compile: bool) -> Learner:
     """Adam as SB3 sets it."""
     adam = Adam(config.lr, config.adam_eps)
     return Learner(loss, ["loss"], adam, max_grad_norm=config.max_grad_norm, compile=compile)
+
+
+def renews_target(config: QConfig, frames: int) -> bool:
+    """Whether theta- becomes a copy of theta in the iteration that ends after so many frames per seed."""
+    every = config.frames_between_targets
+    return frames // every > (frames - config.frames_per_iteration) // every
+
+
+@torch.no_grad()
+def diagnostics(observation: Tensor, network: nn.Module, config: QConfig, frames: int) -> Row:
+    """The mean of the best Q values over observations [A, W, 30], [A]; and the share of random actions."""
+    best = values_of(config.head, network(observation)).amax(-1)
+    return {"q_value": best.mean(1), "epsilon": torch.tensor(config.epsilon(frames)).item()}
 
 
 class DQN:
@@ -172,12 +184,15 @@ class DQN:
     def __init__(self, config: QConfig, compile: bool) -> None:
         self.config = config
         self.network = make_network(config).to(config.device)
+        self.loss = config.make_loss(self.network).to(config.device)
         acts = ALGORITHMS[config.algorithm].acts
         self.actor = Actor(self.network, config.seeds, acts, config.head, compile, epsilon=config.epsilon)
-        self.loss = config.make_loss(self.network)
         self.copy_to_target = HardUpdate(self.loss, value_network_update_interval=0)
         self.learner = make_learner(self.loss, config, compile)
-        self.transitions = Replay(config)
+        capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
+        self.transitions = Replay(
+            config.seeds, capacity, config.n_envs, next_too, config.n_steps, config.gamma, config.device
+        )
         self.replay = self.transitions.buffer
         self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}
@@ -185,19 +200,16 @@ class DQN:
     def learn(self, batch: TensorDictBase, frames: int) -> Row | None:
         """Steps [A, W, T] into the buffer, then a round of updates; now and then a row, [A]."""
         config, losses = self.config, {}
-        before = frames - config.frames_per_iteration
         self.transitions.extend(batch)
-        if frames // config.frames_between_targets > before // config.frames_between_targets:
+        if renews_target(config, frames):
             self.copy_to_target.step()
         if frames > config.frames_before_learning:
-            losses = self.learner.learn(self.transitions.draw())
+            losses = self.learner.learn(self.transitions.draw(config.updates_per_step, config.batch_size))
         if not config.logs(frames):
             return None
-        with torch.no_grad():
-            values = values_of(config.head, self.network(batch["observation"][:, :, -1]))
-        q_value = values.amax(-1).mean(1)
-        epsilon = torch.tensor(config.epsilon(frames)).item()
-        return {**losses, "q_value": q_value, "epsilon": epsilon, **probes.units(self.network, self.probe)}
+        newest = batch["observation"][:, :, -1]
+        shown = diagnostics(newest, self.network, config, frames)
+        return {**losses, **shown, **probes.units(self.network, self.probe)}
 
     def networks(self) -> Mapping[str, nn.Module]:
         return {"policy": self.network}

@@ -17,27 +17,22 @@ from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torch.distributions import Categorical
-from torchrl.data import ReplayBuffer
-from torchrl.modules import ProbabilisticActor
-from torchrl.objectives import ClipPPOLoss
+from torch.nn import functional as F
 from torchrl.objectives.value import GAE
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
-from uavnav.algorithms.replay import AgentSampler, AgentStorage
 from uavnav.errors import ConfigError
 from uavnav.networks import Init, mlp
 from uavnav.settings import key
-from uavnav.tasks.seeding import stream
+from uavnav.tasks.seeding import Streams, stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, at_least, within
-from uavnav.training.learner import Learner
 from uavnav.training.loop import Row, train
-from uavnav.training.optimisers import Adam
+from uavnav.training.update import Adam, Learner
 
 __all__ = ["PPO", "PRESETS", "PPOConfig", "train"]
 
@@ -114,63 +109,50 @@ def make_networks(config: TrainConfig) -> tuple[nn.Sequential, nn.Sequential]:
     return network("policy network", outputs, 0.01), network("value network", 1, 1.0)
 
 
-def make_actor_critic(policy: nn.Module, value: nn.Module) -> tuple[ProbabilisticActor, TensorDictModule]:
-    """The networks as TorchRL's losses call them."""
-    actor = ProbabilisticActor(
-        TensorDictModule(policy, in_keys=["observation"], out_keys=["logits"]),
-        in_keys=["logits"],
-        distribution_class=Categorical,
-        distribution_kwargs={"validate_args": False},
-        return_log_prob=True,
-    )
-    return actor, TensorDictModule(value, in_keys=["observation"], out_keys=["state_value"])
-
-
 def clip_bound(config: PPOConfig) -> float:
     """The most by which the ratio of probabilities may differ from 1."""
     return math.inf if config.clip_epsilon is None else config.clip_epsilon
 
 
-class TraceableClipPPOLoss(ClipPPOLoss):  # type: ignore[misc]
-    """TorchRL's own asks whether the entropy is finite, which no graph can be made of, and always clips."""
-
-    @property
-    def _clip_bounds(self) -> tuple[Tensor, Tensor]:
-        return (-self.clip_epsilon.clamp(max=1)).log1p(), self.clip_epsilon.log1p()
-
-    def _get_entropy(self, dist: Categorical, adv_shape: torch.Size) -> Tensor:
-        entropy: Tensor = dist.entropy()[..., None]  # type: ignore[no-untyped-call]
-        return entropy
+def distribution(policy: nn.Module, rows: TensorDictBase) -> Any:
+    """The Categorical pi(.|s) of the policy network [A, ..., 30] -> [A, ..., 100] logits, at the rows' observations."""
+    return Categorical(logits=policy(rows["observation"]), validate_args=False)
 
 
-def make_loss(policy: nn.Module, value: nn.Module, config: PPOConfig) -> ClipPPOLoss:
-    """Equations (2) and (4) as TorchRL's ClipPPOLoss with SB3's settings, one loss a row."""
-    return TraceableClipPPOLoss(
-        *make_actor_critic(policy, value),
-        clip_epsilon=clip_bound(config),
-        critic_coeff=config.critic_coeff,
-        loss_critic_type="l2",
-        entropy_bonus=config.entropy_coeff > 0,
-        entropy_coeff=config.entropy_coeff if config.entropy_coeff > 0 else None,
-        normalize_advantage=True,
-        normalize_advantage_exclude_dims=(0,),
-        log_explained_variance=False,
-        reduction="none",
-        functional=False,
-    )
+class PPOLoss(nn.Module):
+    """Equations (2) and (4), one loss a row, with SB3's settings.
+
+    TorchRL's ClipPPOLoss gives the same. It asks whether the entropy is finite, so no graph can be made of it.
+    """
+
+    log_bounds: Tensor
+
+    def __init__(self, policy: nn.Module, value: nn.Module, config: PPOConfig) -> None:
+        super().__init__()
+        self.policy, self.value, self.config = policy, value, config
+        bound = clip_bound(config)
+        self.register_buffer("log_bounds", torch.tensor([-min(bound, 1.0), bound]).log1p())  # of log r
+        self.names = ["loss_objective", "loss_critic", *(["loss_entropy"] if config.entropy_coeff > 0 else [])]
+
+    def forward(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        """Rows [A, N] of a rollout -> `loss_objective`, `loss_critic` and, with a bonus, `loss_entropy`; a row each."""
+        pi = distribution(self.policy, batch)
+        log_ratio = (pi.log_prob(batch["action"]) - batch["action_log_prob"])[..., None]
+        ratio, clipped = log_ratio.exp(), log_ratio.clamp(*self.log_bounds).exp()
+        mean, std = (of(batch["advantage"], (1, 2), keepdim=True) for of in (torch.mean, torch.std))
+        advantage = (batch["advantage"] - mean) / std.clamp(min=1e-6)
+        objective = torch.stack([ratio * advantage, clipped * advantage], -1).min(-1).values  # eq. (2)
+        error = F.mse_loss(batch["value_target"], self.value(batch["observation"]), reduction="none")  # eq. (4)
+        losses = {"loss_objective": -objective, "loss_critic": self.config.critic_coeff * error}
+        if "loss_entropy" in self.names:
+            losses["loss_entropy"] = -self.config.entropy_coeff * pi.entropy()
+        return losses
 
 
-def make_learner(loss: ClipPPOLoss, config: PPOConfig, compile: bool) -> Learner:
+def make_learner(loss: PPOLoss, config: PPOConfig, compile: bool) -> Learner:
     """Adam as SB3 sets it."""
-    losses = ["loss_objective", "loss_critic", *(["loss_entropy"] if config.entropy_coeff > 0 else [])]
     adam = Adam(config.lr, config.adam_eps)
-    return Learner(loss, losses, adam, max_grad_norm=config.max_grad_norm, compile=compile)
-
-
-def make_buffer(sampler: AgentSampler, config: PPOConfig) -> ReplayBuffer:
-    """Holds one rollout, and gives it back in an order of its own for each agent: an epoch a draw."""
-    storage = AgentStorage(config.frames_per_batch, device=config.device)
-    return ReplayBuffer(storage=storage, sampler=sampler, batch_size=config.frames_per_batch)
+    return Learner(loss, loss.names, adam, max_grad_norm=config.max_grad_norm, compile=compile)
 
 
 def make_advantage(gamma: float, gae_lambda: float) -> GAE:
@@ -179,32 +161,35 @@ def make_advantage(gamma: float, gae_lambda: float) -> GAE:
 
 
 @torch.no_grad()
-def estimate(batch: TensorDictBase, loss: ClipPPOLoss, advantage: GAE) -> None:
-    """Write into a rollout [A, W, T] the log-probabilities, values, advantages and value targets of its policy."""
-    batch["action_log_prob"] = loss.actor_network.get_dist(batch).log_prob(batch["action"])
-    loss.critic_network(batch)
-    loss.critic_network(batch["next"])
+def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, advantage: GAE) -> None:
+    """Write into a rollout [A, W, T] the log-probabilities, values, advantages and value targets of its networks."""
+    batch["action_log_prob"] = distribution(policy, batch).log_prob(batch["action"])
+    for rows in (batch, batch["next"]):
+        rows["state_value"] = value(rows["observation"])
     advantage(batch)
 
 
-def rows(batch: TensorDictBase) -> TensorDictBase:
-    """What the loss needs of a rollout [A, W, T], as rows [W T, A] of a buffer whose agents stay apart."""
-    needed = batch.select("observation", "action", "action_log_prob", "advantage", "value_target")
-    return needed.flatten(1, 2).transpose(0, 1)
+def minibatches(batch: TensorDictBase, orders: Streams, size: int) -> TensorDictBase:
+    """An epoch's minibatches [A, M, size]: the rows of a rollout [A, W, T], each agent's in an order of its own."""
+    rows = batch.select("observation", "action", "action_log_prob", "advantage", "value_target").flatten(1, 2)
+    n_agents, n = rows.shape
+    order = orders.draw(torch.randperm, n, device=rows["action"].device)
+    first = n * torch.arange(n_agents, device=order.device)[:, None]
+    return rows.flatten(0, 1)[(first + order).flatten()].reshape(n_agents, -1, size)
 
 
 @torch.no_grad()
-def diagnostics(batch: TensorDictBase, loss: ClipPPOLoss, clip_epsilon: float) -> dict[str, Tensor]:
+def diagnostics(batch: TensorDictBase, policy: nn.Module, clip: float) -> dict[str, Tensor]:
     """How far the policy moved in an iteration, and how good the values were before it; each [A]."""
-    distribution = loss.actor_network.get_dist(batch)
-    log_ratio = distribution.log_prob(batch["action"]) - batch["action_log_prob"]
+    pi = distribution(policy, batch)
+    log_ratio = pi.log_prob(batch["action"]) - batch["action_log_prob"]
     ratio = log_ratio.exp()
     target = batch["value_target"].flatten(1)
     residual = target - batch["state_value"].flatten(1)
     return {
-        "entropy": distribution.entropy().flatten(1).mean(1),
+        "entropy": pi.entropy().flatten(1).mean(1),
         "kl_approx": (ratio - 1 - log_ratio).flatten(1).mean(1),
-        "clip_fraction": ((ratio - 1).abs() > clip_epsilon).float().flatten(1).mean(1),
+        "clip_fraction": ((ratio - 1).abs() > clip).float().flatten(1).mean(1),
         "explained_variance": 1 - residual.var(1) / target.var(1),
     }
 
@@ -216,27 +201,28 @@ class PPO:
 
     def __init__(self, config: PPOConfig, compile: bool) -> None:
         self.config = config
-        self.policy, self.value = (network.to(config.device) for network in make_networks(config))
+        self.policy, self.value = make_networks(config)
+        self.loss = PPOLoss(self.policy, self.value, config).to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
         self.advantage = make_advantage(config.gamma, config.gae_lambda)
-        self.loss = make_loss(self.policy, self.value, config)
         self.learner = make_learner(self.loss, config, compile)
-        minibatches = AgentSampler(config.seeds, "minibatches", replace=False)
-        self.buffer = make_buffer(minibatches, config)
+        self.orders = Streams(config.seeds, "minibatches")
         self.probe = probes.poses(config.make_task()).to(config.device)
-        self.parts: Mapping[str, Stateful] = {"minibatches": minibatches, "learner": self.learner}
+        self.parts: Mapping[str, Stateful] = {"minibatches": self.orders, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row:
         """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses and what became of it, [A]."""
         config = self.config
-        estimate(batch, self.loss, self.advantage)
-        self.buffer.empty()
-        self.buffer.extend(rows(batch))
-        minibatches = (config.n_seeds, -1, config.minibatch_size)
-        epochs = [self.learner.learn(self.buffer.sample().reshape(minibatches)) for _ in range(config.epochs)]
+        estimate(batch, self.policy, self.value, self.advantage)
+        epochs = [
+            self.learner.learn(minibatches(batch, self.orders, config.minibatch_size)) for _ in range(config.epochs)
+        ]
         losses = {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
-        moved = diagnostics(batch, self.loss, clip_bound(config))
-        return {**losses, **moved, **probes.units(self.policy, self.probe)}
+        return {
+            **losses,
+            **diagnostics(batch, self.policy, clip_bound(config)),
+            **probes.units(self.policy, self.probe),
+        }
 
     def networks(self) -> Mapping[str, nn.Module]:
         return {"policy": self.policy, "value": self.value}

@@ -110,67 +110,61 @@ class Replay:
 
     With n steps in a target, R is R_1 + gamma R_2 + ... + gamma^(n-1) R_n, and s' is n steps later. The sum ends at a
     collision, and at a cap, whose own last observation is s' then: `steps_to_next_obs` says after how many steps.
+
+    Args:
+        seeds: one for each agent.
+        capacity: the newest so many transitions of each agent are kept.
+        n_envs: that an agent steps at once.
+        keeps_next: store s' with each step; else it is read from the same world's later row.
+        n_steps, gamma: the n steps of a target, and their discount.
+        device: where the ring lies.
     """
 
-    def __init__(self, config: ReplayConfig) -> None:
-        self.config, self.n_steps = config, config.steps_in_target
-        self.sampler = make_sampler(config)
-        self.buffer = make_buffer(self.sampler, config)
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        capacity: int,
+        n_envs: int,
+        keeps_next: bool,
+        n_steps: int = 1,
+        gamma: float = 1.0,
+        device: str = "cpu",
+    ) -> None:
+        self.keeps_next, self.n_steps, self.gamma = keeps_next, n_steps, gamma
+        last = n_steps + (not keeps_next)
+        self.sampler = AgentSampler(seeds, successors=[n * n_envs for n in range(1, last)])
+        self.buffer = ReplayBuffer(storage=AgentStorage(capacity, device=device), sampler=self.sampler)
 
     def extend(self, batch: TensorDictBase) -> None:
-        """Write steps [A, W, T]."""
-        self.buffer.extend(rows(batch, self.config))
+        """Write steps [A, W, T], as rows [T W, A] in the order of time: agents stay apart."""
+        following = ["reward", "done", "terminated", *(["observation"] if self.keeps_next else [])]
+        rows = batch.select("observation", "action", *(("next", name) for name in following))
+        self.buffer.extend(rows.transpose(1, 2).flatten(1, 2).transpose(0, 1))
 
-    def draw(self) -> TensorDictBase:
-        """A round's transitions [A, M, N]."""
-        config, batch = self.config, self.buffer.sample()
+    def draw(self, n_batches: int, batch_size: int) -> TensorDictBase:
+        """Uniformly drawn transitions [A, M, N]: M minibatches of N."""
+        batch = self.buffer.sample(n_batches * batch_size)
         if self.sampler.successors:
             batch, *later = batch.unbind(0)
             if self.n_steps > 1:
                 self._sum_rewards(batch, later[: self.n_steps - 1])
-            if not config.keeps_next_observations:
+            if not self.keeps_next:
                 batch["next", "observation"] = later[-1]["observation"]
-        return batch.reshape(config.n_seeds, -1, config.batch_size)
+        return batch.reshape(len(batch), n_batches, batch_size)
 
     def _sum_rewards(self, batch: TensorDictBase, later: Sequence[TensorDictBase]) -> None:
-        config, following = self.config, batch["next"]
+        following = batch["next"]
         steps = torch.ones_like(following["done"], dtype=torch.int64)
         for n, step in enumerate(later, 1):
             over, then = following["done"], step["next"]
-            following["reward"] = following["reward"] + torch.where(over, 0, config.gamma**n * then["reward"])
-            if config.keeps_next_observations:
+            following["reward"] = following["reward"] + torch.where(over, 0, self.gamma**n * then["reward"])
+            if self.keeps_next:
                 following["observation"] = torch.where(over, following["observation"], then["observation"])
             for flag in ("terminated", "done"):
                 following[flag] = following[flag] | (then[flag] & ~over)
             steps = steps + ~over
-        if config.keeps_next_observations:
+        if self.keeps_next:
             batch["steps_to_next_obs"] = steps
-
-
-def make_buffer(sampler: AgentSampler, config: ReplayConfig) -> ReplayBuffer:
-    """The ring, with a draw of its own for each agent: all minibatches of a round at once."""
-    return ReplayBuffer(
-        storage=AgentStorage(min(config.buffer_size, config.frames), device=config.device),
-        sampler=sampler,
-        batch_size=config.batch_size * config.updates_per_step,
-    )
-
-
-def make_sampler(config: ReplayConfig) -> AgentSampler:
-    """Draws transitions uniformly, each with those that follow it as far as its target needs them.
-
-    These are the next n - 1, and the n-th too where no row has its own s'.
-    """
-    last = config.steps_in_target + (not config.keeps_next_observations)
-    successors = [n * config.n_envs for n in range(1, last)]
-    return AgentSampler(config.seeds, "replay", replace=True, successors=successors)
-
-
-def rows(batch: TensorDictBase, config: ReplayConfig) -> TensorDictBase:
-    """What the ring keeps of steps [A, W, T], as rows [T W, A] in the order of time: its agents stay apart."""
-    names = ["reward", "done", "terminated", *(["observation"] if config.keeps_next_observations else [])]
-    following = [("next", name) for name in names]
-    return batch.select("observation", "action", *following).transpose(1, 2).flatten(1, 2).transpose(0, 1)
 
 
 class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
@@ -192,33 +186,26 @@ class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
 
 
 class AgentSampler(Sampler):  # type: ignore[misc]
-    """Indices (row, agent) into a storage of rows [A, ...]: every agent draws its own rows, and gets a batch [A, N].
+    """Indices (row, agent) into a storage of rows [A, ...]: every agent draws its own rows uniformly, a batch [A, N].
 
     Args:
         seeds: one for each agent.
-        purpose: names its streams.
-        replace: uniform draws as for replay, or a permutation of all rows as for an epoch of minibatches.
-        successors: with `replace`, every row is drawn with others so many rows later, in batches [1 + S, A, N]. The
-            newest rows are not drawn until all their successors are there.
+        successors: every row is drawn with others so many rows later, in batches [1 + S, A, N]. The newest rows are
+            not drawn until all their successors are there.
     """
 
-    def __init__(self, seeds: Sequence[int], purpose: str, replace: bool, successors: Sequence[int] = ()) -> None:
-        self.streams = Streams(seeds, purpose)
-        self.replace = replace
+    def __init__(self, seeds: Sequence[int], successors: Sequence[int] = ()) -> None:
+        self.streams = Streams(seeds, "replay")
         self.successors = successors
         self._newest = -1
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[tuple[Tensor, Tensor], dict[str, Any]]:
         size = len(storage)
-        if self.replace:
-            rows = self.streams.draw(
-                torch.randint, size - max(self.successors, default=0), (batch_size,), device=storage.device
-            )
-            if self.successors:
-                rows = rows + self._newest + 1  # counted from the oldest
-                rows = torch.stack([(rows + later) % size for later in (0, *self.successors)])
-        else:
-            rows = self.streams.draw(torch.randperm, size, device=storage.device)[:, :batch_size]
+        there = size - max(self.successors, default=0)
+        rows = self.streams.draw(torch.randint, there, (batch_size,), device=storage.device)
+        if self.successors:
+            rows = rows + self._newest + 1  # counted from the oldest
+            rows = torch.stack([(rows + later) % size for later in (0, *self.successors)])
         agents = torch.arange(rows.shape[-2], device=rows.device)[:, None]
         return (rows, agents), {}
 

@@ -13,16 +13,15 @@ Letters: A agents, one a seed, that learn side by side and independently of each
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictParams
+from tensordict import TensorDictBase
 from torch import Tensor, nn
-from torchrl.objectives import LossModule
 
 from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
@@ -32,9 +31,8 @@ from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import at_least, within
-from uavnav.training.learner import After, Learner
 from uavnav.training.loop import Row, train
-from uavnav.training.optimisers import Adam
+from uavnav.training.update import Adam, Learner
 
 __all__ = ["PRESETS", "SAC", "SACConfig", "train"]
 
@@ -99,83 +97,47 @@ def make_networks(config: SACConfig) -> tuple[nn.Sequential, Twins]:
     return network("policy network", 0.01), Twins(network("first Q network", 1.0), network("second Q network", 1.0))
 
 
-class SACLoss(LossModule):  # type: ignore[misc]
-    """All three losses, one a row: batches [A, N] of `Replay.draw`.
-
-    TorchRL's own DiscreteSACLoss has one temperature, which would tie the agents together, and draws its second Q
-    network from the global random state.
-    """
-
-    actor_network: TensorDictModule
-    actor_network_params: TensorDictParams
-    target_actor_network_params: None
-    qvalue_network: TensorDictModule
-    qvalue_network_params: TensorDictParams
-    target_qvalue_network_params: TensorDictParams
+class SACLoss(nn.Module):
+    """The three losses, one a row. TorchRL's DiscreteSACLoss has them, with one temperature for all agents together."""
 
     def __init__(self, policy: nn.Module, twins: Twins, config: SACConfig) -> None:
         super().__init__()
-        for name, network in (("actor", policy), ("qvalue", twins)):
-            module = TensorDictModule(network, in_keys=["observation"], out_keys=["outputs"])
-            self.convert_to_functional(module, f"{name}_network", create_target_params=name == "qvalue")
-        self._has_update_associated["qvalue_network"] = True  # the targets follow in the learner
-        self.log_alpha = nn.Parameter(torch.zeros(config.n_seeds, 1, device=next(policy.parameters()).device))
+        self.policy, self.twins = policy, twins
+        self.target_twins = copy.deepcopy(twins).requires_grad_(False)
+        self.log_alpha = nn.Parameter(torch.zeros(config.n_seeds, 1))
         self.gamma, self.target_entropy = config.gamma, config.target_entropy * math.log(config.world.n_actions)
 
-    def forward(self, batch: TensorDictBase) -> TensorDict:
+    def forward(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Transitions [A, N] -> `loss_actor`, `loss_qvalue` and `loss_alpha`, each [A, N]."""
         following, alpha = batch["next"], self.log_alpha.detach().exp()[..., None]
         with torch.no_grad():
             pi, _ = self._policy(following)
             log_pi = torch.where(pi == 0, 1e-8, pi).log()  # as TorchRL: 0 log 0 is 0
-            least = self._values(following, self.target_qvalue_network_params).amin(0)
+            least = self.target_twins(following["observation"]).amin(0)
             value = (pi * (least - alpha * log_pi)).sum(-1, keepdim=True)
             target = (following["reward"] + self.gamma * ~following["terminated"] * value).squeeze(-1)
-        values = self._values(batch, self.qvalue_network_params)
+        values = self.twins(batch["observation"])
         action = batch["action"].expand(values.shape[:-1])[..., None]
-        loss_qvalue = (values.gather(-1, action).squeeze(-1) - target).square().sum(0)
         pi, log_pi = self._policy(batch)
-        least = self._values(batch, self.qvalue_network_params.detach()).amin(0)
-        loss_actor = (pi * (alpha * log_pi - least)).sum(-1)
         entropy = -(log_pi * pi).sum(-1).detach()
-        loss_alpha = self.log_alpha * (entropy - self.target_entropy)
-        losses = {"loss_actor": loss_actor, "loss_qvalue": loss_qvalue, "loss_alpha": loss_alpha}
-        return TensorDict(losses, batch.batch_size)
+        return {
+            "loss_actor": (pi * (alpha * log_pi - values.detach().amin(0))).sum(-1),
+            "loss_qvalue": (values.gather(-1, action).squeeze(-1) - target).square().sum(0),
+            "loss_alpha": self.log_alpha * (entropy - self.target_entropy),
+        }
 
     def _policy(self, rows: TensorDictBase) -> tuple[Tensor, Tensor]:
         """pi and log pi: observations [A, N] -> [A, N, actions]."""
-        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
-            logits: Tensor = self.actor_network.module(rows["observation"])
+        logits = self.policy(rows["observation"])
         log_pi = logits - logits.logsumexp(-1, keepdim=True)
         return log_pi.softmax(-1), log_pi
 
-    def _values(self, rows: TensorDictBase, parameters: TensorDictParams) -> Tensor:
-        """Of both Q networks with these weights: observations [A, N] -> [2, A, N, actions]."""
-        with parameters.to_module(self.qvalue_network, preserve_module_state=False):
-            values: Tensor = self.qvalue_network.module(rows["observation"])
-        return values
 
-
-def following(tau: float) -> After:
-    """The targets go a share tau of the way to their Q networks."""
-
-    def follow(parameters: Mapping[str, Tensor], buffers: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        pairs = {name.replace("qvalue_network", "target_qvalue_network"): value for name, value in parameters.items()}
-        return {name: value.lerp(pairs[name], tau) for name, value in buffers.items() if name in pairs}
-
-    return follow
-
-
-def make_learner(loss: SACLoss, config: SACConfig, compile: bool) -> Learner:
-    """One Adam for all three losses, each at the weights before the step."""
-    return Learner(
-        loss,
-        ["loss_actor", "loss_qvalue", "loss_alpha"],
-        Adam(config.lr, config.adam_eps),
-        max_grad_norm=config.max_grad_norm,
-        compile=compile,
-        after=following(config.tau),
-    )
+def make_learner(loss: nn.Module, config: SACConfig, compile: bool) -> Learner:
+    """One Adam for all three losses, each at the weights before the step; the targets follow softly after it."""
+    losses = ["loss_actor", "loss_qvalue", "loss_alpha"]
+    adam = Adam(config.lr, config.adam_eps)
+    return Learner(loss, losses, adam, max_grad_norm=config.max_grad_norm, compile=compile, tau=config.tau)
 
 
 class SAC:
@@ -183,12 +145,12 @@ class SAC:
 
     def __init__(self, config: SACConfig, compile: bool) -> None:
         self.config = config
-        policy, twins = make_networks(config)
-        self.policy, self.twins = policy.to(config.device), twins.to(config.device)
+        self.policy, self.twins = make_networks(config)
+        self.loss = SACLoss(self.policy, self.twins, config).to(config.device)
         self.actor = Actor(self.policy, config.seeds, HOW.acts, HOW.head, compile)
-        self.loss = SACLoss(self.policy, self.twins, config)
         self.learner = make_learner(self.loss, config, compile)
-        self.transitions = Replay(config)
+        capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
+        self.transitions = Replay(config.seeds, capacity, config.n_envs, next_too, device=config.device)
         self.replay = self.transitions.buffer
         self.probe = probes.poses(config.make_task()).to(config.device)
         self.parts: Mapping[str, Stateful] = {"replay": self.transitions.sampler, "learner": self.learner}
@@ -198,7 +160,7 @@ class SAC:
         config, losses = self.config, {}
         self.transitions.extend(batch)
         if frames > config.frames_before_learning:
-            losses = self.learner.learn(self.transitions.draw())
+            losses = self.learner.learn(self.transitions.draw(config.updates_per_step, config.batch_size))
         if not config.logs(frames):
             return None
         return {**losses, **self.diagnostics(batch["observation"][:, :, -1]), **probes.units(self.policy, self.probe)}

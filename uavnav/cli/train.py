@@ -37,7 +37,7 @@ from uavnav.tasks.simulator import TASKS
 from uavnav.tasks.world import World
 from uavnav.training.config import TrainConfig, checked, part_keys
 from uavnav.training.loggers import chosen
-from uavnav.training.loop import train
+from uavnav.training.loop import Fit, alone, train
 from uavnav.training.recorder import Interrupted, Recorder
 
 MOST_CELLS = 1_000
@@ -56,8 +56,11 @@ class Order(NamedTuple):
     here: dict[str, Any]  # the keys of the command
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Train once, or once for each combination of a `-m` sweep, after every one of them was checked."""
+def main(argv: Sequence[str] | None = None, fit: Fit = alone) -> int:
+    """Train once, or once for each combination of a `-m` sweep, after every one of them was checked.
+
+    fit: as of `uavnav.training.loop.train`.
+    """
     given = commands.parse("train", argv)
     try:
         plugins.load(given.plugins)
@@ -76,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         finished = []
         for order in orders:
             try:
-                finished.append(_train(order, given.quiet or given.json))
+                finished.append(_train(order, given.quiet or given.json, fit))
             except Diverged as error:  # the others of a sweep are trained all the same
                 complain("train", error)
         if given.json:
@@ -220,11 +223,11 @@ def _keys(kind: type[TrainConfig]) -> list[str]:
 # -- a run -----------------------------------------------------------------------------------------------------------
 
 
-def _train(order: Order, quiet: bool) -> Run:
+def _train(order: Order, quiet: bool, fit: Fit) -> Run:
     """Train, show the table, and fly the test split."""
     config, out, here = order
     how = {key: here[key] for key in ("overwrite", "checkpoint_seconds", "logger")}
-    finished = train(config, out=out, quiet=quiet, **how)
+    finished = train(config, out=out, quiet=quiet, **how, fit=fit)
     plugins.warn_of_changed(finished.path, finished.meta.get("plugins", {}))
     if not quiet and finished.fresh:
         summary.report(finished)

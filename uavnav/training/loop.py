@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -21,6 +21,7 @@ from uavnav.acting import Actor
 from uavnav.envs.env import DroneEnv
 from uavnav.errors import ConfigError, told
 from uavnav.runs import Run
+from uavnav.runs.tables import RunError
 from uavnav.training import loggers, machine, weights, workers
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, checked, plain
@@ -29,6 +30,10 @@ from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
 
 Row = Mapping[str, Tensor | float]
 """What a row of progress says beside seed and frame: [A], or one number for all."""
+
+
+Fit = Callable[[Recorder, bool, Tell | None], Run]
+"""Trains the run of a recorder in this process, as `alone` does: quietly or not, and telling of its progress."""
 
 
 class Trainee(Protocol):
@@ -47,6 +52,89 @@ class Trainee(Protocol):
         """What the policy file keeps; `policy` is the one that acts."""
 
 
+def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> Run:
+    """Train all seeds of a run in this process: environment, algorithm, loop."""
+    session = Session(recorder, quiet, tell)
+    env = make_env(session.config, session.compile)
+    trainee: Trainee = session.config.make(session.compile)
+    with session.open(env, trainee.actor, trainee.networks(), trainee.parts, trainee.replay):
+        for frames, batch in session.batches():
+            row = trainee.learn(batch, frames)
+            if row is not None:
+                session.log(row)
+        return session.finish()
+
+
+class Session:
+    """A run that this process trains: its batches, rows of progress, snapshots and folder.
+
+    Attributes:
+        config: of the run.
+        compile: whether its steps are compiled.
+    """
+
+    def __init__(self, recorder: Recorder, quiet: bool, tell: Tell | None) -> None:
+        self.recorder, self.config = recorder, recorder.config
+        self.display = Display(self.config, quiet, tell)
+        self.compile = recorder.repeat(machine.decide(self.config))
+
+    @contextlib.contextmanager
+    def open(
+        self,
+        env: DroneEnv,
+        actor: Actor,
+        networks: Mapping[str, nn.Module],
+        parts: Mapping[str, Stateful],
+        replay: ReplayBuffer | None = None,
+    ) -> Iterator[None]:
+        """Begin or go on with the run: from here on, its folder exists.
+
+        Args:
+            env: where the actor acts.
+            actor: of all seeds.
+            networks: what the policy file keeps; `policy` is the one that acts.
+            parts: what else a snapshot must hold.
+            replay: a buffer whose rows a snapshot must hold too.
+        """
+        weights.check(networks, self.config)
+        machine.keep_memory_flat(max(one.nbytes for net in networks.values() for one in net.parameters()))
+        self.env, self.actor, self.networks, self.replay = env, actor, networks, replay
+        self.parts: Mapping[str, Stateful] = {"env": env, "actions": actor, **parts}
+        with self.recorder, self.display, machine.little_garbage():
+            self.recorder.note(compiled=self.compile)
+            self.frames = self._logged = self.recorder.resume(self.parts, replay)
+            self.display.begin(self.recorder.path, self.recorder.meta, self.recorder.until)
+            yield
+
+    def batches(self) -> Iterator[tuple[int, TensorDictBase]]:
+        """The run's steps [A, W, T], one batch after the other, each with the frames per seed at its end.
+
+        Between two batches, what was learned is saved where a snapshot is due.
+        """
+        collected = iter(make_collector(self.env, self.actor, self.config))
+        self._began = time.perf_counter()
+        while self.frames < self.config.frames:
+            batch = next(collected)
+            self.recorder.add_episodes(batch["next"], self.frames)
+            self.frames += self.config.frames_per_iteration
+            yield self.frames, batch
+            self.recorder.tell(self.frames)
+            self.recorder.checkpoint(self.frames, self.parts, self.replay)
+
+    def log(self, row: Row) -> None:
+        """Keep a row of progress."""
+        now = time.perf_counter()
+        rate = (self.frames - self._logged) / (now - self._began)
+        self._began, self._logged = now, self.frames
+        self.recorder.add_progress(self.frames, **row, frames_per_second=rate)
+        self.display.update(self.frames, self.recorder.recent_rewards())
+
+    def finish(self) -> Run:
+        """Write the run's policies and tables."""
+        self.recorder.add_open_episodes(self.env.state, self.frames)
+        return self.recorder.finish(weights.serialize(self.networks, self.config, self.actor), self.frames)
+
+
 def train(
     config: TrainConfig,
     out: str | Path | None = None,
@@ -57,6 +145,7 @@ def train(
     tell: Tell | None = None,
     processes: int | None = None,
     logger: str | Sequence[str] = loggers.NONE,
+    fit: Fit = alone,
 ) -> Run:
     """Train one agent a seed and keep the run in a folder.
 
@@ -71,6 +160,7 @@ def train(
             episodes.
         processes: how many workers train the seeds; by default one for each core, where that pays.
         logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see `uavnav.loggers`.
+        fit: trains all seeds in this process, instead of `alone`; a recipe has one.
 
     Returns:
         The finished run; at once, where the folder already holds this very run.
@@ -101,11 +191,13 @@ def train(
     config.try_task()
     if processes is not None and (type(processes) is not int or not 1 <= processes <= config.n_seeds):
         raise ConfigError(f"processes={told(processes)}; give a whole number from 1 to n_seeds={config.n_seeds}")
-    n = recorder.processes(processes or machine.processes(config))
+    n = recorder.processes(processes or machine.processes(config) if fit is alone else 1)
+    if n > 1 and fit is not alone:
+        raise RunError(f"out={folder}: its run began in {n} processes; uavnav train {config.algorithm} goes on with it")
     if n > 1 and (own := machine.own_parts(config)):
         raise ConfigError(f"processes={n}: {own} is known to this process alone; give processes=1")
     with contextlib.closing(logs), machine.use_threads(machine.threads(config, n)):
-        return _together(recorder, n, quiet, tell) if n > 1 else alone(recorder, quiet, tell)
+        return _together(recorder, n, quiet, tell) if n > 1 else fit(recorder, quiet, tell)
 
 
 def _together(recorder: Recorder, n: int, quiet: bool, tell: Tell | None) -> Run:
@@ -116,38 +208,6 @@ def _together(recorder: Recorder, n: int, quiet: bool, tell: Tell | None) -> Run
         recorder.note(compiled=compile, processes=n)
         display.begin(recorder.path, recorder.meta, recorder.until)
         return workers.train(recorder, n, machine.threads(config, n), display.update)
-
-
-def alone(recorder: Recorder, quiet: bool = False, tell: Tell | None = None) -> Run:
-    """Train all seeds of a run in this process: environment, algorithm, collector, loop."""
-    config = recorder.config
-    compile = recorder.repeat(machine.decide(config))
-    env = make_env(config, compile)
-    trainee: Trainee = config.make(compile)
-    weights.check(trainee.networks(), config)
-    machine.keep_memory_flat(max(one.nbytes for net in trainee.networks().values() for one in net.parameters()))
-    parts: Mapping[str, Stateful] = {"env": env, "actions": trainee.actor, **trainee.parts}
-    with recorder, Display(config, quiet, tell) as display, machine.little_garbage():
-        recorder.note(compiled=compile)
-        frames = logged = recorder.resume(parts, trainee.replay)
-        display.begin(recorder.path, recorder.meta, recorder.until)
-        batches = iter(make_collector(env, trainee.actor, config))
-        began = time.perf_counter()
-        while frames < config.frames:
-            batch = next(batches)
-            recorder.add_episodes(batch["next"], frames)
-            frames += config.frames_per_iteration
-            row = trainee.learn(batch, frames)
-            if row is not None:
-                rate = (frames - logged) / (time.perf_counter() - began)
-                began, logged = time.perf_counter(), frames
-                recorder.add_progress(frames, **row, frames_per_second=rate)
-                display.update(frames, recorder.recent_rewards())
-            recorder.tell(frames)
-            recorder.checkpoint(frames, parts, trainee.replay)
-        recorder.add_open_episodes(env.state, frames)
-        policy = weights.serialize(trainee.networks(), config, trainee.actor)
-        return recorder.finish(policy, frames)
 
 
 def make_env(config: TrainConfig, compile: bool) -> DroneEnv:

@@ -1,4 +1,4 @@
-"""The learner by itself: optimisers, clipping, and what follows a step; test_algorithms compiles those of the table."""
+"""Updates by themselves: optimisers, clipping, targets; test_algorithms compiles those of the table."""
 
 import copy
 import subprocess
@@ -10,8 +10,7 @@ from tensordict import TensorDict
 from torch import nn
 from torch.nn.utils import clip_grad_norm_
 
-from uavnav.training.learner import Learner
-from uavnav.training.optimisers import Adam, RMSprop
+from uavnav.training.update import Adam, Learner, RMSprop
 
 
 class Losses(nn.Module):
@@ -34,9 +33,9 @@ def rows(*shape):
     )
 
 
-def learner(loss, max_grad_norm=1.0, compile=False, optimiser=Adam(0.1, 1e-5), after=None):  # noqa: B008
+def learner(loss, max_grad_norm=1.0, compile=False, optimiser=Adam(0.1, 1e-5), tau=0.0):  # noqa: B008
     names = ["squared", "absolute"]
-    return Learner(loss, names, optimiser, max_grad_norm=max_grad_norm, compile=compile, after=after)
+    return Learner(loss, names, optimiser, max_grad_norm=max_grad_norm, compile=compile, tau=tau)
 
 
 OPTIMISERS = {
@@ -62,7 +61,7 @@ def test_twenty_updates_are_torchs_own_and_its_clipping_agent_by_agent(kind, max
             sum(part.mean() for part in theirs(batch).values()).backward()
             norms.append(clip_grad_norm_(theirs.parameters(), max_grad_norm))
             optimizer.step()
-        torch.testing.assert_close(mine.objective.loss.weight[agent], theirs.weight[0], rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(mine.loss.weight[agent], theirs.weight[0], rtol=1e-5, atol=1e-6)
         torch.testing.assert_close(found["grad_norm"][agent], torch.stack(norms).mean(), rtol=1e-4, atol=1e-5)
 
 
@@ -87,11 +86,11 @@ def test_a_saved_learner_goes_on_as_the_one_that_was_saved(kind):
     other.load_state_dict(one.state_dict())
     for each in (one, other):
         each.learn(rows(2, 3, 8))
-    assert torch.equal(one.objective.loss.weight, other.objective.loss.weight)
+    assert torch.equal(one.loss.weight, other.loss.weight)
     assert one.steps == other.steps == 8
 
 
-# -- what follows each step ------------------------------------------------------------------------------------------
+# -- targets ----------------------------------------------------------------------------------------------------------
 
 
 class Following(Losses):
@@ -99,17 +98,12 @@ class Following(Losses):
 
     def __init__(self, agents):
         super().__init__(agents)
-        self.register_buffer("target", torch.zeros(agents, 3))
+        self.register_buffer("target_weight", torch.zeros(agents, 3))
 
     def forward(self, batch):
         found = super().forward(batch)
-        away = (self.weight - self.target).square().sum(-1)
+        away = (self.weight - self.target_weight).square().sum(-1)
         return found | {"absolute": found["absolute"] + away[:, None]}
-
-
-def softly(parameters, buffers):
-    """The target goes a fifth of the way to the weight."""
-    return {"loss.target": torch.lerp(buffers["loss.target"], parameters["loss.weight"], 0.2)}
 
 
 def by_a_slow_loop(loss, batches, steps):
@@ -121,7 +115,7 @@ def by_a_slow_loop(loss, batches, steps):
             sum(part.mean() for part in one(batches[agent : agent + 1, index]).values()).backward()
             clip_grad_norm_(one.parameters(), 1.0)
             optimiser.step()
-            one.target += 0.2 * (one.weight.detach() - one.target)
+            one.target_weight += 0.2 * (one.weight.detach() - one.target_weight)
 
 
 COMPILED = [pytest.mark.slow, pytest.mark.compiled]
@@ -134,30 +128,30 @@ COMPILED = [pytest.mark.slow, pytest.mark.compiled]
 )
 def test_targets_that_move_softly_after_each_of_20_steps_are_those_of_a_slow_loop(compile, large, monkeypatch):
     """In four calls, so that later ones begin with other targets than the graph was traced with."""
-    monkeypatch.setattr("uavnav.training.learner.LARGE", large)
+    monkeypatch.setattr("uavnav.training.update.LARGE", large)
     batches, loss = rows(2, 20, 8), Following(2)
     alone = [Following(1), Following(1)]
     for agent, one in enumerate(alone):
         one.weight.data.copy_(loss.weight.data[agent : agent + 1])
-    mine = learner(loss, compile=compile, after=softly)
+    mine = learner(loss, compile=compile, tau=0.2)
     for first in range(0, 20, 5):
         mine.learn(batches[:, first : first + 5])
     by_a_slow_loop(alone, batches, 20)
     for agent, one in enumerate(alone):
         torch.testing.assert_close(loss.weight[agent], one.weight[0], rtol=1e-5, atol=1e-5)
-        torch.testing.assert_close(loss.target[agent], one.target[0], rtol=1e-5, atol=1e-5)
-        assert (one.target[0] - one.weight[0]).abs().max() > 1e-2  # it follows, and is not there
-    assert loss.scale == 2.0  # a buffer that `after` leaves alone stays as it was
+        torch.testing.assert_close(loss.target_weight[agent], one.target_weight[0], rtol=1e-5, atol=1e-5)
+        assert (one.target_weight[0] - one.weight[0]).abs().max() > 1e-2  # it follows, and is not there
+    assert loss.scale == 2.0  # a buffer that is no target stays as it was
 
 
 def test_a_saved_learner_keeps_its_targets_too():
-    one, other = (learner(Following(2), after=softly) for _ in range(2))
+    one, other = (learner(Following(2), tau=0.2) for _ in range(2))
     one.learn(rows(2, 5, 8))
     other.load_state_dict(one.state_dict())
     for each in (one, other):
         each.learn(rows(2, 3, 8))
-    assert torch.equal(one.objective.loss.target, other.objective.loss.target)
-    assert torch.equal(one.objective.loss.weight, other.objective.loss.weight)
+    assert torch.equal(one.loss.target_weight, other.loss.target_weight)
+    assert torch.equal(one.loss.weight, other.loss.weight)
 
 
 PAGES = """

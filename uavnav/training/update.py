@@ -1,0 +1,198 @@
+"""Gradient steps of a whole population: the gradient of each agent's loss, its norm clipped, and an optimiser's step.
+
+Agents share no parameter, so the gradient of the sum of their losses is, agent by agent, the gradient of each one's
+own loss; optimisers are elementwise; only the norm must be taken per agent. A step is a pure function of TensorDicts,
+so that many of them fit into one graph. Letters: A agents, the leading axis of every parameter and target; M
+minibatches of N rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+
+from uavnav.graph import Loop
+
+BETA1, BETA2 = 0.9, 0.999
+"""Adam's, as everywhere."""
+ALPHA = 0.99
+"""RMSprop's, PyTorch's and Stable-Baselines3's default."""
+LARGE = 2**20
+"""Bytes of an agent's weights, moments and targets, from which agents learn in turn on a CPU.
+
+An agent's minibatches then find these in the caches, which a step of all agents would empty.
+"""
+
+
+class Adam(NamedTuple):
+    """As at the end of section 2 of Kingma and Ba (2015): the bias of the moments is corrected in the rate."""
+
+    lr: float
+    eps: float
+    moments: tuple[str, ...] = ("first", "second")
+
+    def rates(self, step: Tensor) -> Tensor:
+        """step [M] float64, counted from 1 -> what `step` is given of each, [M, 2]."""
+        correction = (1 - BETA2**step).sqrt()
+        return torch.stack([self.lr * correction / (1 - BETA1**step), self.eps * correction], -1)
+
+    def step(
+        self, rate: Tensor, params: TensorDictBase, gradient: TensorDictBase, moments: TensorDictBase
+    ) -> tuple[TensorDictBase, dict[str, TensorDictBase]]:
+        """The parameters and moments after a step."""
+        lr, eps = rate.unbind()
+        first = moments["first"].apply(lambda m, g: torch.lerp(m, g, 1 - BETA1), gradient)
+        second = moments["second"].apply(lambda v, g: v * BETA2 + (1 - BETA2) * g * g, gradient)
+        params = params.apply(lambda value, m, v: value - lr * m / (v.sqrt() + eps), first, second)
+        return params, {"first": first, "second": second}
+
+
+class RMSprop(NamedTuple):
+    """Hinton's, as `torch.optim.RMSprop` and Stable-Baselines3's A2C have it."""
+
+    lr: float
+    eps: float
+    moments: tuple[str, ...] = ("square",)
+
+    def rates(self, step: Tensor) -> Tensor:
+        """step [M] float64 -> what `step` is given of each, [M, 1]."""
+        return torch.full((len(step), 1), self.lr, dtype=step.dtype, device=step.device)
+
+    def step(
+        self, rate: Tensor, params: TensorDictBase, gradient: TensorDictBase, moments: TensorDictBase
+    ) -> tuple[TensorDictBase, dict[str, TensorDictBase]]:
+        """The parameters and moments after a step."""
+        square = moments["square"].apply(lambda v, g: v * ALPHA + (1 - ALPHA) * g * g, gradient)
+        params = params.apply(lambda value, g, v: value - rate[0] * g / (v.sqrt() + self.eps), gradient, square)
+        return params, {"square": square}
+
+
+class Learner:
+    """Steps on the parameters of a loss module, in place, any number of minibatches a call.
+
+    Args:
+        loss: a batch [A, N] -> losses [A, N] by name, of networks whose parameters lead with the agent axis. As in
+            TorchRL, the target of a parameter has its name with `target_` in front, and needs no gradient.
+        losses: names of what it returns; an agent's loss is the sum of their means over the agent's rows.
+        optimiser: `Adam` or `RMSprop`.
+        max_grad_norm: each agent's gradient is scaled down to this norm; None leaves it as it is.
+        compile: run all minibatches of a call as one compiled graph.
+        tau: the share of the way to its parameter that a target goes after each step.
+    """
+
+    def __init__(
+        self,
+        loss: nn.Module,
+        losses: Sequence[str],
+        optimiser: Adam | RMSprop,
+        *,
+        max_grad_norm: float | None,
+        compile: bool,
+        tau: float = 0.0,
+    ) -> None:
+        self.loss, self.optimiser = loss, optimiser
+        self.names = (*losses, "grad_norm")
+        self.max_grad_norm = math.inf if max_grad_norm is None else max_grad_norm
+        self.compile, self.tau = compile, tau
+        params = {name: value for name, value in loss.named_parameters() if value.requires_grad}
+        others = {
+            name: value for name, value in (*loss.named_parameters(), *loss.named_buffers()) if name not in params
+        }
+        targets = {name: value for name, value in others.items() if name.removeprefix("target_") in params}
+        self.constants = TensorDict({name: value for name, value in others.items() if name not in targets})
+        agents = [len(next(iter(params.values())))]
+        self.params = TensorDict(params, agents)
+        zeros = {name: self.params.apply(lambda value: torch.zeros_like(value.detach())) for name in optimiser.moments}
+        followers = {"targets": targets} if targets else {}
+        self.state = TensorDict({"params": self.params, "moments": zeros, **followers}, agents)
+        self.steps = torch.zeros((), dtype=torch.float64, device=next(iter(params.values())).device)
+        self._run: Callable[[TensorDictBase], Tensor] | None = None  # compiled at the first call
+
+    def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
+        """Updates from minibatches [A, M, N], one after the other; each agent's mean losses and gradient norm, [A]."""
+        if not self.compile:
+            steps = [self.step(batch) for batch in batches.unbind(1)]
+            return {name: torch.stack([found[name] for found in steps]).mean(0) for name in steps[0]}
+        with torch.no_grad():
+            self._run = self._run or self._compiled(batches)
+            found = self._run(batches)
+            self.steps += batches.shape[1]
+        return dict(zip(self.names, found, strict=True))
+
+    def step(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        """One update of every agent from a minibatch [A, N]; returns each agent's losses and gradient norm, [A]."""
+        with torch.no_grad():
+            found, following = self._update(self._rates(1)[0], self.state, batch)
+            self.state.update_(following)
+            self.steps += 1
+        return dict(zip(self.names, found, strict=True))
+
+    def _update(self, rate: Tensor, state: TensorDictBase, batch: TensorDictBase) -> tuple[Tensor, TensorDict]:
+        """One step: the losses and the gradient's norm [losses + 1, A], and the next state."""
+        params = state["params"]
+        with torch.enable_grad():
+            found = self.loss(batch.clone(False))  # DQNLoss writes its errors into what it is given
+            losses = torch.stack([found[name].flatten(1).mean(1) for name in self.names[:-1]])
+            parts = torch.autograd.grad(losses.sum(), list(params.values()))
+        norm = torch.stack([part.flatten(1).square().sum(1) for part in parts]).sum(0).sqrt()
+        scale = (self.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)  # as torch.nn.utils.clip_grad_norm_
+        clipped = [part * scale.reshape(-1, *[1] * (part.ndim - 1)) for part in parts]
+        gradient = TensorDict(dict(zip(params.keys(), clipped, strict=True)), params.shape)
+        params, moments = self.optimiser.step(rate, params, gradient, state["moments"])
+        following = {"params": params, "moments": moments}
+        if self.tau:
+            pairs = [(name, target, params[name.removeprefix("target_")]) for name, target in state["targets"].items()]
+            following["targets"] = {name: target.lerp(value, self.tau) for name, target, value in pairs}
+        return torch.cat([losses.detach(), norm[None]]), TensorDict(following, params.shape)
+
+    def _rates(self, n: int) -> Tensor:
+        """What the optimiser needs of the next n steps: [n, rates]."""
+        step = self.steps + torch.arange(1, n + 1, device=self.steps.device)
+        return self.optimiser.rates(step).to(next(iter(self.params.values())).dtype)
+
+    def _compiled(self, batches: TensorDictBase) -> Callable[[TensorDictBase], Tensor]:
+        """All updates of a call as one graph, however many there are, of all agents at once or of each in turn."""
+        held = TensorDict({**self.state, "constants": self.constants})
+        names, keys = list(held.keys(True, True)), list(batches.keys(True, True))
+        n_constants = len(self.constants.keys()) + (0 if self.tau else len(self.state.get("targets", {}).keys()))
+
+        def update(rate: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+            given = TensorDict(dict(zip(names, tensors[: len(names)], strict=True)))
+            batch = TensorDict(dict(zip(keys, tensors[len(names) :], strict=True)), tensors[-1].shape[:2])
+            given["params"] = given["params"].apply(lambda value: value.detach().requires_grad_())
+            tensors_of_loss = {**given["params"], **given.get("targets", {}), **given.get("constants", {})}
+            with TensorDict(tensors_of_loss).unflatten_keys(".").to_module(self.loss):
+                found, following = self._update(rate, given, batch)
+            return found, *following.values(True, True)
+
+        on_cpu = self.steps.device.type == "cpu"  # elsewhere the wrapper needs that device's own headers
+        loop = Loop(update, len(names) - n_constants, n_constants, cpp_wrapper=on_cpu)
+        n_agents = len(self.params)
+        in_turn = on_cpu and sum(value.nbytes for value in held.values(True, True)) >= LARGE * n_agents
+        turns = [slice(agent, agent + 1) for agent in range(n_agents)] if in_turn else [slice(None)]
+        states = [[*self.state[agents].values(True, True), *self.constants.values()] for agents in turns]
+
+        def run(batches: TensorDictBase) -> Tensor:
+            rates, leaves = self._rates(batches.shape[1]), [batches[key] for key in keys]
+            found = [
+                loop(rates, *state, *(leaf[agents] for leaf in leaves))[0]
+                for agents, state in zip(turns, states, strict=True)
+            ]
+            return torch.cat(found, -1)
+
+        return run
+
+    def state_dict(self) -> dict[str, Any]:
+        """Weights, moments, targets, and how many steps there were."""
+        return {"state": self.state.detach().clone().to_dict(), "steps": self.steps.clone()}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Write in place what `state_dict` returned, so that the networks elsewhere follow."""
+        with torch.no_grad():
+            self.state.update_(TensorDict(state_dict["state"], self.params.shape))
+            self.steps.copy_(state_dict["steps"])

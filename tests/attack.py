@@ -4,7 +4,7 @@
     python tests/attack.py --case files:0:17                    one of these cases again, with all that it says
     python tests/attack.py --list                               what would be tried
 
-Keys come from the dataclasses and options from the parsers: new ones are attacked without a change here. The inputs
+Keys come from the declarations and options from the parsers: new ones are attacked without a change here. The inputs
 are in `attack_inputs` and `attack_files`. A case runs in a fork of this process, in a copy of a folder of good files,
 within bounds of time and memory.
 """

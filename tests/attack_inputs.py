@@ -1,7 +1,6 @@
 """Hostile inputs by class, as strategies of Hypothesis: what `attack` tries, and the good files that it begins with."""
 
 import contextlib
-import dataclasses
 import functools
 import inspect
 import json
@@ -26,8 +25,8 @@ from uavnav import evaluation, studies
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS, ppo
 from uavnav.cli import commands
-from uavnav.cli.help import of_command
 from uavnav.cli.terminal import end_quietly
+from uavnav.cli.train import Command
 from uavnav.envs.gym import DroneGymEnv
 from uavnav.errors import Parser
 from uavnav.evaluation.verify import verify
@@ -158,9 +157,8 @@ def call(told, function, *given, spoil=lambda folder: None, works=False, **named
 @functools.cache
 def keys(algorithm, task):
     """Every key of a run's command line."""
-    own = [item.name for item in dataclasses.fields(ALGORITHMS[algorithm].config) if item.name not in PARTS]
-    parts = [f"{part}.{item.name}" for part, kind in parts_of(task).items() for item in dataclasses.fields(kind)]
-    return [*own, *parts, *PARTS, *(line.name for line in of_command())]
+    parts = [f"{part}.{name}" for part, kind in parts_of(task).items() for name in kind.names()]
+    return [*ALGORITHMS[algorithm].config.model_fields, *parts, *Command.names()]
 
 
 @st.composite
@@ -314,19 +312,15 @@ def _takes(function, *more):
     return [one.name for one in kinds if one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL)] + list(more)
 
 
-def _fields(kind):
-    return [item.name for item in dataclasses.fields(kind)]
-
-
 OF_ENVS = [name for name in _takes(uavnav.DroneEnv.__init__) if name not in ("self", "batch_size", "device")]
 CALLS = [
-    (_one, _takes(_one, *(name for name in OF_ENVS if name != "seeds"), *_fields(uavnav.World))),
+    (_one, _takes(_one, *(name for name in OF_ENVS if name != "seeds"), *uavnav.World.names())),
     (DroneGymEnv, ["render_mode"]),  # of which gymnasium.make has an opinion of its own
     (_many, _takes(_many, *(name for name in OF_ENVS if name != "seeds"))),
     (_reset, ["layout", "heading"]),
     (_env, ["batch_size", *OF_ENVS]),
-    *((functools.partial(_world, task), _fields(TASKS[task].WORLD)) for task in TASKS),
-    (Faults, _fields(Faults)),
+    *((functools.partial(_world, task), TASKS[task].WORLD.names()) for task in TASKS),
+    (Faults, Faults.names()),
     (_evaluate, _takes(evaluation.evaluate_policy)),
     (_evaluate_run, _takes(evaluation.evaluate_run)),
     (_generate, _takes(layouts.generate)),

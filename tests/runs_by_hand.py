@@ -64,7 +64,7 @@ def write_results(path):
 
 def policy_bytes(network, algorithm, epsilon=0.05, **settings):
     """A policy file whose algorithm and epsilon are given, and no configuration of its own."""
-    kind = type("Config", (TrainConfig,), {"algorithm": algorithm, "final_epsilon": epsilon})
+    kind = type("Config", (TrainConfig,), {"algorithm": algorithm, "final_epsilon": property(lambda self: epsilon)})
     actor = SimpleNamespace(acts=ALGORITHMS[algorithm].acts, head=ALGORITHMS[algorithm].head)
     return serialize({"policy": nn.ModuleList(network)}, kind(**settings), actor)
 

@@ -13,17 +13,19 @@ import pytest
 from pages import ALL, CONFIGS, table
 
 import uavnav
+from uavnav import settings
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands, help, terminal
+from uavnav.cli.help.render import render
+from uavnav.cli.train import Command
 from uavnav.errors import Parser
 from uavnav.runs import LOG_FOLDERS
-from uavnav.tasks.faults import Faults
 from uavnav.tasks.world import World
 
 PACKAGE = Path(uavnav.__file__).parent
 PAGE = ALL["docs/commands.md"]
-HEAVY = {"torch", "pandas", "matplotlib", "hydra", "rich", "pygame", "PIL", "pyarrow"}
+HEAVY = {"torch", "pandas", "matplotlib", "pydantic", "rich", "pygame", "PIL", "pyarrow"}
 
 
 def told(words, capsys):
@@ -79,7 +81,7 @@ def test_the_wheel_has_the_command_and_what_it_reads():
     project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())
     assert project["project"]["scripts"] == {"uavnav": "uavnav.__main__:main"}
     data = project["tool"]["setuptools"]["package-data"]["uavnav.cli.help"]
-    assert {help.COMMAND, *map(help.text_of, ALGORITHMS)} <= {path for one in data for path in help.HERE.glob(one)}
+    assert set(map(help.text_of, ALGORITHMS)) <= {path for one in data for path in help.HERE.glob(one)}
     folders = {path.parent.relative_to(PACKAGE.parent).as_posix() for path in PACKAGE.rglob("*.py")}
     assert {name.replace(".", "/") for name in project["tool"]["setuptools"]["packages"]} == folders
 
@@ -154,7 +156,7 @@ def test_the_help_of_a_command_says_what_it_does_explains_each_argument_and_ends
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_the_help_of_an_algorithm_is_what_its_configuration_says(name, capsys):
     kept = help.text_of(name).read_text(encoding="utf-8")
-    assert kept == help.render(CONFIGS[name], World, Faults), "make help writes it"
+    assert kept == render(CONFIGS[name], World, Command), "make help writes it"
     assert told(f"train {name} --help", capsys) == told(f"train activation=relu -h {name}", capsys) == kept
 
 
@@ -169,7 +171,7 @@ def test_each_key_has_one_line_of_meaning_with_its_default_and_its_choices(name)
     lines = help.text_of(name).read_text(encoding="utf-8").splitlines()
     found = {line.partition("=")[0].strip(): line for line in lines if re.match(r"  [\w.]+=", line)}
     parts = {"world": "world.sensor_arc", "faults": "faults.noise"}
-    given = [*(parts.get(line.name, line.name) for line in help.lines(CONFIGS[name])), "logger"]
+    given = [*(parts.get(line.name, line.name) for line in settings.lines(CONFIGS[name])), "logger"]
     assert set(given) <= set(found)
     assert all(re.search(r"=\S+ {2,}\S", line) for line in found.values())
     assert found["gamma"].split() == ["gamma=0.99", "discount", "of", "a", "step;", "0", "to", "1"]
@@ -218,7 +220,7 @@ def test_the_help_of_a_study_has_its_keys_those_of_its_engines_and_its_files(cap
     from uavnav.cli import study
     from uavnav.studies import engines
 
-    assert list(commands.STUDY_KEYS) == list(study.KEYS)
+    assert list(commands.STUDY_KEYS) == study.Keys.names()
     text = " ".join(told("study --help", capsys).split())
     own = [
         item.name

@@ -1,6 +1,5 @@
 """Configurations answer back: a wrong key, type, name, count or device is one line with what would be right."""
 
-import dataclasses
 import pickle
 
 import pytest
@@ -16,7 +15,9 @@ from uavnav.algorithms.ppo import PRESETS as PPO_PRESETS
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.algorithms.sac import PRESETS as SAC_PRESETS
 from uavnav.algorithms.sac import SACConfig
+from uavnav.cli.train import _sweep
 from uavnav.errors import ConfigError
+from uavnav.settings import AtLeast0, key, lines
 from uavnav.tasks.world import World
 from uavnav.training.config import plain
 
@@ -52,7 +53,7 @@ WRONG = [
     ({"world": {"sensor_arc": "wide"}}, "world.sensor_arc=wide; give a number"),
     ({"world": {"n_slots": 0}}, "world.n_slots=0"),
     ({"world": {"drone_radius": True}}, "world.drone_radius=True; give a number"),
-    ({"world": "flat"}, "world=flat; give fields of the world, such as world.sensor_arc=90"),
+    ({"world": "flat"}, "world=flat; give fields of the world, such as world.width=800"),
     ({"slots": "listed"}, "there is no key 'slots'; choose from .*(did you mean world.slots?)"),
     ({"init": "xavier"}, "init=xavier; choose from default, orthogonal"),
     ({"compile": "maybe"}, "compile=maybe; choose from auto, off, on"),
@@ -174,7 +175,7 @@ def test_a_preset_named_in_python_sets_its_values_and_a_given_one_goes_before():
     assert PPOConfig(preset="fast").n_envs == 128
     assert PPOConfig(preset="fast", n_envs=64).n_envs == 64
     assert DQNConfig(preset="vectorised-2.3").learning_starts == 100
-    assert dataclasses.replace(PPO_PRESETS["fast"], lr=0.5).beyond_preset() == {"lr": 0.5}
+    assert PPO_PRESETS["fast"].replace(lr=0.5).beyond_preset() == {"lr": 0.5}
     assert pickle.loads(pickle.dumps(PPO_PRESETS["fast"])) == PPO_PRESETS["fast"]
 
 
@@ -183,3 +184,54 @@ def test_what_a_run_changes_of_its_preset_is_named_but_for_what_every_table_says
     assert changed.beyond_preset() == {"lr": 1e-3, "hidden": [32]}
     elsewhere = PPOConfig(world={"sensor_arc": 90, "slots": "listed"}, reward="initial")
     assert elsewhere.beyond_preset() == {"reward": "initial", "world.sensor_arc": 90.0, "world.slots": "listed"}
+
+
+def test_a_configuration_of_a_plugin_says_what_is_new_and_keeps_the_meaning_of_what_it_sets_anew():
+    class Mine(PPOConfig):
+        lr: AtLeast0 = key(0.5)
+        gamma: float = 0.5
+        horizon: int = 3
+
+        def check(self):
+            super().check()
+            assert self.horizon < 9, "horizon is too far"
+
+    said = {line.name: line for line in lines(Mine)}
+    assert said["lr"][1:] == ("0.5", "", "Adam's learning rate; at least 0")
+    assert (said["gamma"].default, said["gamma"].meaning) == ("0.5", "discount of a step")
+    assert said["horizon"][1:] == ("3", "", "")
+    assert Mine(horizon=4).horizon == 4
+    with pytest.raises(ConfigError, match="horizon is too far"):
+        Mine(horizon=9)
+    with pytest.raises(ConfigError, match="horizon=far; give a whole number"):
+        Mine(horizon="far")
+
+
+def test_keys_with_a_dot_are_fields_of_a_part_beside_those_that_are_given_whole():
+    config = PPOConfig.from_mapping({"world": {"n_slots": 5}, "world.sensor_arc": 90, "faults.late": 2})
+    assert (config.world, config.faults.late) == (World(n_slots=5, sensor_arc=90), 2)
+    with pytest.raises(ConfigError, match="world=flat; give fields of the world"):
+        PPOConfig.from_mapping({"world": "flat", "world.sensor_arc": 90})
+    with pytest.raises(ConfigError, match=r"there is no key 'world\.sensor_arc'"):
+        PPOConfig.from_mapping({"world": World(), "world.sensor_arc": 90})
+
+
+@pytest.mark.parametrize(
+    ("words", "runs"),
+    [
+        (["lr=1e-3", "lr=.5"], [{"lr": 0.5}]),
+        (["out='a,b'", "device=a=b", "seed="], [{"out": "a,b", "device": "a=b", "seed": ""}]),
+        (
+            ["+out=2024-01-01", "layer_norm=True", "max_steps=null"],
+            [{"out": "2024-01-01", "layer_norm": True, "max_steps": None}],
+        ),
+        (
+            ["logger=[tensorboard,wandb]", "world={n_slots: 5}"],
+            [{"logger": ["tensorboard", "wandb"], "world": {"n_slots": 5}}],
+        ),
+        (["hidden=[64,64],[32]"], [{"hidden": [64, 64]}, {"hidden": [32]}]),
+        (["seed=range(0,4,2)", "lr=1,2"], [{"seed": s, "lr": lr} for s in (0, 2) for lr in (1, 2)]),
+    ],
+)
+def test_words_of_a_command_line_become_the_settings_of_each_run(words, runs):
+    assert _sweep(words, multirun=True) == runs

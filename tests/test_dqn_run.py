@@ -3,7 +3,6 @@
 import copy
 import itertools
 from collections import defaultdict
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -252,7 +251,7 @@ def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_
     settings = {"n_seeds": 2, "n_envs": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
     config = DQNConfig(**settings, buffer_size=size, compile="off")
     lean = watch(config, tmp_path / "lean")
-    full = watch(replace(config, max_steps=10_000, buffer_size=400), tmp_path / "full")
+    full = watch(config.replace(max_steps=10_000, buffer_size=400), tmp_path / "full")
     assert "observation" not in lean.buffer[:]["next"].keys()  # noqa: SIM118  (a TensorDict is not a dict)
     assert len(lean.minibatches) == len(full.minibatches) == 23 * 4
     for agent in (0, 1):

@@ -1,6 +1,5 @@
 """An exported policy says the same numbers to programs that know nothing of this package."""
 
-import dataclasses
 import functools
 import importlib.util
 import io
@@ -119,11 +118,11 @@ def facts(run):
     }[run.algorithm]
     task = {
         "task": "drone",
-        "world": dataclasses.asdict(World()),
+        "world": World().model_dump(),
         "reward": "eq14",
         "max_steps": None,
         "stack": 1,
-        "faults": dataclasses.asdict(Faults()),
+        "faults": Faults().model_dump(),
     }
     bank = layouts.checksum(layouts.load("train"))
     return {"algorithm": run.algorithm, **own, **task, "bank": bank, "world_version": "1"}
@@ -139,7 +138,7 @@ def test_a_policy_trained_with_a_sensor_of_90_degrees_says_so_in_its_metadata(tm
     torch.export.load(export_policy(load_policy(run.path), tmp_path / "policy.pt2"), extra_files=said)
     for text in (model.metadata_props[0].value, said["uavnav.json"]):
         found = json.loads(text)
-        assert found["world"] == dataclasses.asdict(World(sensor_arc=90.0))
+        assert found["world"] == World(sensor_arc=90.0).model_dump()
         assert (found["task"], found["reward"], found["max_steps"]) == ("drone", "additive", 70)
 
 

@@ -1,6 +1,5 @@
 """Faults and stacks in runs: trained with, kept, resumed, flown, shown; and what older runs and policies are."""
 
-import dataclasses
 import json
 
 import pandas as pd
@@ -229,10 +228,10 @@ def test_the_window_hands_a_drone_from_pilot_to_pilot_whatever_each_remembers():
     [
         ({"stack": 0}, "stack=0; give a number of at least 1"),
         ({"faults": {"nois": 5}}, "there is no key 'faults.nois'; choose from .*did you mean faults.noise"),
-        ({"faults": {"noise": -1}}, "faults.noise=-1.0; give a number of at least 0"),
+        ({"faults": {"noise": -1}}, "faults.noise=-1; give a number of at least 0"),
         ({"faults": {"lost": "half"}}, "faults.lost=half; give a number"),
         ({"faults": {"late": 0.5}}, "faults.late=0.5; give a whole number"),
-        ({"faults": "noise"}, "faults=noise; give fields of the faults, such as faults.noise=5"),
+        ({"faults": "noise"}, "faults=noise; give fields of the faults, such as faults.noise=0.0"),
         ({"noise": 5}, "there is no key 'noise'; choose from .*did you mean faults.noise"),
     ],
 )
@@ -258,7 +257,7 @@ def test_a_run_of_an_earlier_version_is_one_without_faults_and_stack():
 
 
 def test_a_policy_of_an_earlier_version_has_neither_faults_nor_stack(tmp_path):
-    config = dataclasses.replace(CONFIGS["ppo"], stack=1, faults=None, total_frames=128)
+    config = CONFIGS["ppo"].replace(stack=1, faults=None, total_frames=128)
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     path = run.path / "policy.safetensors"
     with safe_open(path, framework="pt") as file:

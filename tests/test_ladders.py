@@ -1,6 +1,5 @@
 """Ladders of the paper's world: their banks, what they count, and the task of each rung."""
 
-import dataclasses
 import functools
 import itertools
 import re
@@ -159,7 +158,7 @@ def test_on_each_rung_a_policys_world_differs_in_the_ladders_field_alone(name):
         assert (task.max_steps, task.world.padding, len(task.bank)) == (50, "zeros", 1000)
         assert task.world.sensor_arc == (rung if name == "arc" else 180)
         assert task.world.sensor_radius == (rung if name == "reach" else 120)
-        assert task.faults == (dataclasses.replace(NO_FAULTS, **{name: rung}) if name in NAMES else NO_FAULTS)
+        assert task.faults == (NO_FAULTS.replace(**{name: rung}) if name in NAMES else NO_FAULTS)
         draws = task.draw(3, torch.Generator().manual_seed(0))
         start = task.start(torch.arange(3), torch.full((3,), 90), draws)
         state, outcome = task.step(start, torch.tensor([9, 9, 9]), draws)

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -163,7 +162,7 @@ def test_a_job_that_falls_silent_is_ended_and_its_worker_given_again_from_its_sn
             return super().ended(job)
 
     engine = Stopped()
-    config = replace(CONFIG, total_frames=20_480)
+    config = CONFIG.replace(total_frames=20_480)
     failed, said = study(engine, config, None, seeds_per_worker=2, checkpoint_seconds=0)
     assert (failed, engine.given) == ([], 2)
     assert any("has been silent for 12 s and counts as dead" in line for line in said)

@@ -1,18 +1,16 @@
 """The pages say what the code says: tables, names and symbols are compared with it."""
 
 import ast
-import dataclasses
 import importlib
 import inspect
 import re
 
 import pytest
-import yaml
 from pages import ALL, CONFIGS, MINE, PAGES, ROOT, blocks, code, table
 
 import uavnav
-from uavnav import runs
-from uavnav.cli import help
+from uavnav import runs, settings
+from uavnav.cli.train import Command
 from uavnav.report.page import DECISIONS
 from uavnav.runs import metrics
 from uavnav.tasks.faults import Faults
@@ -36,7 +34,7 @@ def said(line):
 @pytest.mark.parametrize("algorithm", CONFIGS)
 def test_the_table_of_settings_is_the_configuration_field_by_field(algorithm):
     rows = table(PAGES[algorithm], "| key | default | unit | meaning |")
-    assert rows == [said(line) for line in help.lines(CONFIGS[algorithm])]
+    assert rows == [said(line) for line in settings.lines(CONFIGS[algorithm])]
     assert all(row[3] for row in rows)
 
 
@@ -61,7 +59,7 @@ BESIDE_SB3 = "| here | | there | | |"
 def test_the_table_beside_sb3_holds_both_defaults(algorithm):
     sb3 = pytest.importorskip("stable_baselines3")
     theirs = inspect.signature(getattr(sb3, algorithm.upper())).parameters
-    ours = {field.name: field.default for field in dataclasses.fields(CONFIGS[algorithm])}
+    ours = {name: field.default for name, field in CONFIGS[algorithm].model_fields.items()}
     rows = table(PAGES[algorithm], BESIDE_SB3)
     assert len(rows) >= 12
     for row in rows:
@@ -91,12 +89,8 @@ def test_every_logged_column_has_its_line(algorithm, tmp_path):
 
 def test_the_tables_of_the_start_are_the_keys_of_the_command_the_runs_files_and_the_episodes_columns():
     page = PAGES["start"]
-    keys = help.of_command()
+    keys = settings.lines(Command)
     assert table(page, "| key | default | meaning |") == [[*said(key)[:2], key.meaning] for key in keys]
-    own = yaml.safe_load(help.COMMAND.read_text())
-    assert {key.name: yaml.safe_load(key.default) for key in keys} == {
-        key: own[key] for key in own if key != "defaults"
-    }
     files = [code(row[0])[0] for row in table(page, "| file | holds |")]
     of_evaluations = {runs.EVALUATION, runs.BEHAVIOUR, runs.ARENA, runs.VALUES}
     assert {*files} == {*runs.FILES, *of_evaluations, "checkpoint/", "workers/"}
@@ -127,7 +121,8 @@ def resolved(dotted):
     first, *rest = dotted.split(".")
     here = CLASSES[first] if first in CLASSES else importlib.import_module(MODULES[first])
     for name in rest:
-        here = getattr(here, name, getattr(here, "__annotations__", {}).get(name, MISSING))
+        fields = getattr(here, "__annotations__", {}) | getattr(here, "model_fields", {})
+        here = getattr(here, name, fields.get(name, MISSING))
     return here
 
 
@@ -178,15 +173,19 @@ def test_every_symbol_of_the_world_is_a_variable_of_the_function_that_it_is_said
 
 
 def test_every_field_of_the_world_is_in_the_table_of_its_settings_and_beside_its_symbol():
-    fields = [field.name for field in dataclasses.fields(World)]
-    assert table(PAGES["world"], "| field | default | unit | meaning |") == [said(line) for line in help.lines(World)]
+    fields = World.names()
+    assert table(PAGES["world"], "| field | default | unit | meaning |") == [
+        said(line) for line in settings.lines(World)
+    ]
     in_words = {"width", "height"}  # 800 x 600 px
     assert {one for one in fields if f"World.{one}`" not in PAGES["world"]} == in_words
     assert "800 × 600 px" in PAGES["world"]
 
 
 def test_every_fault_is_in_the_table_of_its_page():
-    assert table(PAGES["faults"], "| field | default | unit | meaning |") == [said(line) for line in help.lines(Faults)]
+    assert table(PAGES["faults"], "| field | default | unit | meaning |") == [
+        said(line) for line in settings.lines(Faults)
+    ]
 
 
 def test_the_tables_of_the_world_hold_every_bank_and_every_field_of_a_step():

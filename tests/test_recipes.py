@@ -85,7 +85,7 @@ def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, 
     of_the_paper = {"ppo": "1,730.6", "dqn": "205.6"}.get(algorithm, "")  # its steps (1730.587, 205.576), or none
     assert of_the_paper in out
     assert ("paper ┃" in out) == bool(of_the_paper)
-    assert [path.name for path in tmp_path.iterdir()] == ["runs"]  # Hydra writes nothing of its own
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
 
 
 def test_a_finished_run_says_so_in_one_line_and_exits_0(recipe):
@@ -137,8 +137,6 @@ def test_a_sweep_trains_each_activation_into_its_own_folder(recipe, tmp_path):
 PLUGIN = '''
 """A user's own module: an activation, a reward, and an algorithm that is A2C by another name."""
 
-from dataclasses import dataclass
-
 import torch
 
 from uavnav.algorithms import ALGORITHMS, Algorithm, a2c
@@ -151,7 +149,6 @@ REWARDS["still"] = lambda step: {"still": (step.distance == 0).double()}
 ALGORITHMS["mine"] = Algorithm("a_plugin", "categorical", "logits", "probability")
 
 
-@dataclass(frozen=True, kw_only=True)
 class MineConfig(a2c.A2CConfig):
     algorithm = "mine"
 
@@ -255,12 +252,12 @@ WRONG = {
     "--helpp": "there is no flag --helpp (did you mean --help?); settings are key=value: activation=tanh",
     "--cfg everything": "argument --cfg/-c: everything: choose from job; uavnav train --help says more",
     "hydra.run.dir=x": "there is no key 'hydra.run.dir'; choose from 57, such as ",
+    "out=${activatoin}": "there is no key 'activatoin'; choose from 55, such as activation (did you mean activation?)",
     "activation=tanh,relu": "activation: give one value, or -m to train with each in turn",
     "-m activation=tanh,rleu": "activation=rleu; choose from ",
     "activation=rleu --cfg job": "activation=rleu; choose from ",
     "-m activation=tanh,relu out=one": "out=one: two runs of the sweep would share it",
     "activation=tanh,relu -m out=one": "out=one: two runs of the sweep would share it",
-    "-m hydra/launcher=ray": "hydra/launcher=ray: .*; uavnav study ... engine=ray or engine=slurm spreads runs",
 }
 
 

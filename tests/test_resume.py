@@ -1,6 +1,5 @@
 """Stopped at any moment and resumed, a run ends as if it had never stopped, bit for bit."""
 
-import dataclasses
 import json
 import os
 import shutil
@@ -247,7 +246,7 @@ def test_a_key_that_came_after_a_run_has_its_default_there(whole, tmp_path):
     later = ("stack", "faults", "layer_norm")
     (folder / "config.yaml").write_text(yaml.safe_dump({key: there[key] for key in there if key not in later}))
     with pytest.raises(RunError, match="holds a run with stack=1, not 2"):
-        train(dataclasses.replace(config, stack=2), out=folder, quiet=True)
+        train(config.replace(stack=2), out=folder, quiet=True)
     assert not train(config, out=folder, quiet=True).fresh
 
 

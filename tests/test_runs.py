@@ -3,7 +3,6 @@
 import json
 import multiprocessing
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -144,7 +143,7 @@ def test_a_finished_run_whose_policy_was_left_out_is_trained_again_to_the_same_b
     assert again.evaluations() == []
     (folder / POLICY).unlink()
     with pytest.raises(RunError, match="holds a run with lr"):
-        train(replace(config, lr=0.5), out=folder, quiet=True)
+        train(config.replace(lr=0.5), out=folder, quiet=True)
 
 
 def test_a_run_from_before_a_setting_existed_is_one_with_its_default(tmp_path):
@@ -155,9 +154,9 @@ def test_a_run_from_before_a_setting_existed_is_one_with_its_default(tmp_path):
     (run.path / "config.yaml").write_text(yaml.safe_dump(written))
     assert not train(config, out=run.path, quiet=True).fresh
     with pytest.raises(RunError, match="holds a run with n_steps=1, not 3"):
-        train(replace(config, n_steps=3), out=run.path, quiet=True)
+        train(config.replace(n_steps=3), out=run.path, quiet=True)
     with pytest.raises(RunError, match="holds a run with dueling=False, not True"):
-        train(replace(config, dueling=True), out=run.path, quiet=True)
+        train(config.replace(dueling=True), out=run.path, quiet=True)
 
 
 def test_a_bank_is_the_same_setting_by_any_path_finished_or_not_and_another_bank_is_not(tmp_path, monkeypatch):

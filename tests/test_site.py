@@ -150,7 +150,7 @@ def test_the_hook_tells_of_a_file_that_is_missing(monkeypatch):
     spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
     hooks = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(hooks)
-    told = []  # Hydra and mkdocs both rearrange the logging of a process
+    told = []  # mkdocs rearranges the logging of a process
     monkeypatch.setattr(hooks.log, "warning", lambda line, *words: told.append(line % words))
 
     class Here:

@@ -1,6 +1,5 @@
 """The worlds in 3D, in use: what learns in them, their environments, scripted rules and pictures."""
 
-import dataclasses
 import functools
 
 import gymnasium
@@ -78,7 +77,7 @@ def test_each_kind_of_algorithm_takes_the_size_of_the_observation_from_the_task(
 
 
 def test_fields_are_the_boxs_and_those_of_moving_obstacles_where_they_move():
-    names = [{field.name for field in dataclasses.fields(kind)} for kind in (SpaceWorld, SpaceMovingWorld)]
+    names = [set(kind.names()) for kind in (SpaceWorld, SpaceMovingWorld)]
     assert names[1] - names[0] == {"speed_min", "speed_max", "sense_velocity"}
     assert (SpaceMovingWorld().n_actions, SpaceMovingWorld(**SENSED).observation_size) == (100, 70)
 

@@ -272,7 +272,7 @@ def test_an_engine_whose_package_is_missing_names_the_extra(monkeypatch, tmp_pat
 
 def test_settings_are_dealt_to_the_study_and_to_its_engine():
     own, of_engine = parse(["engine=slurm", "seeds=8", "frames=20000", "partition=long", "report=false"])
-    assert (own["seeds"], own["frames"], own["report"], own["engine"]) == (8, 20_000, False, "slurm")
+    assert (own.seeds, own.frames, own.report, own.engine) == (8, 20_000, False, "slurm")
     assert of_engine == {"partition": "long"}
 
 
@@ -347,4 +347,4 @@ def test_numbers_may_be_written_as_1e6(tmp_path):
     name = written(tmp_path, "settings: {total_frames: 1e4}\ncells: [{algorithm: ppo, lr: 1e-3}]")
     (cell,) = studies.cells(studies.read(name), tmp_path)
     assert (cell.config.total_frames, cell.config.lr) == (10_000, 0.001)
-    assert parse(["frames=1e7"])[0]["frames"] == 10_000_000
+    assert parse(["frames=1e7"])[0].frames == 10_000_000

@@ -26,10 +26,9 @@ OTHER = {
     **{"slots": "listed", "padding": "zeros", "start_heading": "random"},
 }
 """Some fields of a world that is not the paper's."""
-FIELDS = [field.name for field in dataclasses.fields(World)]
+FIELDS = World.names()
 
 
-@dataclasses.dataclass(frozen=True)
 class NarrowWorld(World):
     sensor_arc: float = 90.0
     fog: float = 0.5
@@ -103,8 +102,8 @@ def test_a_whole_task_says_all_that_the_other_arguments_would_say():
         ({"reward": "eq41"}, "reward='eq41'; choose from eq14, additive, initial, goal (did you mean eq14?)"),
         ({"world": {"sensor_ark": 90}}, "there is no key 'world.sensor_ark'; choose from 18, such as world."),
         ({"world": {"sensor_ark": 90}}, " (did you mean world.sensor_arc?)"),
-        ({"world": {"slots": "nearst"}}, "slots='nearst'; choose from nearest, listed (did you mean nearest?)"),
-        ({"world": {"sensor_arc": 361}}, "sensor_arc=361; give at most 360 degrees"),
+        ({"world": {"slots": "nearst"}}, "slots=nearst; choose from listed, nearest (did you mean nearest?)"),
+        ({"world": {"sensor_arc": 361}}, "sensor_arc=361; give a number above 0 and at most 360"),
         ({"max_steps": 0}, "max_steps=0; choose None or a whole number from 1"),
         ({"layouts": "validaton"}, "choose from train, validation, test or a file's path (did you mean validation?)"),
         ({"world": {"safe_zone": 90}}, "layouts='train': obstacle "),

@@ -30,7 +30,7 @@ MODULES = (
     "uavnav.views.render",
     "uavnav.report",
     "uavnav.runs.export",
-    "hydra",
+    "pydantic",
 )
 SERVERS = []
 """That this process has started: one, and none in a fork."""

@@ -10,7 +10,6 @@ Letters: A agents, W environments an agent, T steps of a rollout.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
@@ -26,10 +25,10 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.ppo import make_advantage, make_networks
 from uavnav.errors import ConfigError
 from uavnav.networks import Init
-from uavnav.settings import key
+from uavnav.settings import AtLeast0, Count, Share, key
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
-from uavnav.training.config import TrainConfig, at_least, within
+from uavnav.training.config import TrainConfig
 from uavnav.training.loop import Row, train
 from uavnav.training.update import Learner, RMSprop
 
@@ -40,7 +39,6 @@ LOG_FRAMES = 2_000
 """Frames per seed between two rows of progress."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class A2CConfig(TrainConfig):
     """Advantage Actor-Critic, which the paper does not have; the defaults are Stable-Baselines3's."""
 
@@ -57,16 +55,16 @@ class A2CConfig(TrainConfig):
         },
     }
 
-    n_steps: int = at_least(5, 1, "of every world in a rollout, and so in a gradient step", "steps")
-    lr: float = at_least(7e-4, 0, "RMSprop's learning rate")
-    rms_eps: float = at_least(1e-5, 0, "RMSprop's ε")
-    gae_lambda: float = within(1.0, 0, 1, "λ of the advantage estimate")
-    critic_coeff: float = at_least(0.5, 0, "weight of the value loss")
-    entropy_coeff: float = at_least(0.0, 0, "weight of the entropy bonus")
+    n_steps: Count = key(5, "of every world in a rollout, and so in a gradient step", "steps")
+    lr: AtLeast0 = key(7e-4, "RMSprop's learning rate")
+    rms_eps: AtLeast0 = key(1e-5, "RMSprop's ε")
+    gae_lambda: Share = key(1.0, "λ of the advantage estimate")
+    critic_coeff: AtLeast0 = key(0.5, "weight of the value loss")
+    entropy_coeff: AtLeast0 = key(0.0, "weight of the entropy bonus")
     init: Init = key("orthogonal", "of the weights, with gains √2, 0.01 (policy) and 1 (value) if orthogonal")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        super().check()
         if self.critic_coeff == 0:
             raise ConfigError("critic_coeff=0: advantages need a value that learns; give a number above 0")
 

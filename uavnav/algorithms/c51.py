@@ -11,7 +11,6 @@ Letters: A agents, one a seed; B the rest of a batch.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
@@ -23,15 +22,13 @@ from torchrl.objectives import LossModule
 from uavnav.acting import by_atom, dueling, values_of
 from uavnav.algorithms.dqn import DQNConfig, QConfig
 from uavnav.errors import ConfigError
-from uavnav.settings import key
+from uavnav.settings import AtLeast0, Share, Whole, key
 from uavnav.tasks.rewards import bounds_of_returns
-from uavnav.training.config import at_least, within
 from uavnav.training.loop import train
 
 __all__ = ["PRESETS", "C51Config", "C51Loss", "train"]
 
 
-@dataclass(frozen=True, kw_only=True)
 class C51Config(QConfig):
     """Distributional DQN, which the paper does not have; the defaults are those of its authors and of CleanRL."""
 
@@ -43,15 +40,15 @@ class C51Config(QConfig):
         "rainbow-lite": {"double": True, "dueling": True, "n_steps": 5},
     }
 
-    lr: float = at_least(2.5e-4, 0)
-    adam_eps: float = at_least(0.01 / 32, 0)
-    epsilon_end: float = within(0.01, 0, 1)
-    n_atoms: int = at_least(51, 2, "of the distribution of an action's return", "atoms")
+    lr: AtLeast0 = key(2.5e-4)
+    adam_eps: AtLeast0 = key(0.01 / 32)
+    epsilon_end: Share = key(0.01)
+    n_atoms: Whole = key(51, "of the distribution of an action's return", "atoms", ge=2)
     v_min: float | None = key(None, "the least atom; by default the least return within the reward's bounds")
     v_max: float | None = key(None, "the greatest atom; by default the greatest return within the reward's bounds")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        super().check()
         least, most = torch.tensor(self.support)  # as the network has them, in single precision
         if not 0 < most - least < math.inf:
             low, high = self.support

@@ -11,7 +11,6 @@ Letters: A agents, one a seed, that learn side by side and independently of each
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import torch
@@ -24,33 +23,29 @@ from uavnav.acting import Actor, Values, values_of
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import Replay, ReplayConfig
 from uavnav.networks import mlp
-from uavnav.settings import key
+from uavnav.settings import AtLeast0, Count, Share, key
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
-from uavnav.training.config import at_least, within
 from uavnav.training.loop import Row, train
 from uavnav.training.update import Adam, Learner
 
 __all__ = ["DQN", "PRESETS", "DQNConfig", "train"]
 
 
-@dataclass(frozen=True, kw_only=True)
 class QConfig(ReplayConfig):
     """What Q-learning from replay needs, whatever its loss."""
 
     COPIES: ClassVar[int] = 4  # a target too
 
-    lr: float = at_least(1e-4, 0, "Adam's learning rate")
-    max_grad_norm: float | None = at_least(10.0, 0)
-    target_update_frames: int = at_least(
-        10_000, 1, "between two copies of the network into the target", "frames a seed"
-    )
-    epsilon_start: float = within(1.0, 0, 1, "of random actions at frame 0", "share")
-    epsilon_end: float = within(0.05, 0, 1, "of random actions at the end of the fall", "share")
-    exploration_fraction: float = within(0.1, 0, 1, "of total_frames, over which ε falls", "share")
-    adam_eps: float = at_least(1e-8, 0, "Adam's ε")
-    n_steps: int = at_least(1, 1, "whose rewards are in a target before Q takes over", "steps")
+    lr: AtLeast0 = key(1e-4, "Adam's learning rate")
+    max_grad_norm: AtLeast0 | None = key(10.0)
+    target_update_frames: Count = key(10_000, "between two copies of the network into the target", "frames a seed")
+    epsilon_start: Share = key(1.0, "of random actions at frame 0", "share")
+    epsilon_end: Share = key(0.05, "of random actions at the end of the fall", "share")
+    exploration_fraction: Share = key(0.1, "of total_frames, over which ε falls", "share")
+    adam_eps: AtLeast0 = key(1e-8, "Adam's ε")
+    n_steps: Count = key(1, "whose rewards are in a target before Q takes over", "steps")
     double: bool = key(False, "double Q-learning: the best action is the network's, its value the target's")
     dueling: bool = key(False, "the network gives a state's value and each action's advantage, and Q is their sum")
 
@@ -98,7 +93,6 @@ class QConfig(ReplayConfig):
         return self.epsilon_start + progress * (self.epsilon_end - self.epsilon_start)
 
 
-@dataclass(frozen=True, kw_only=True)
 class DQNConfig(QConfig):
     """Deep Q-Network, sec. 3.2; the defaults are Stable-Baselines3's of the paper's time."""
 

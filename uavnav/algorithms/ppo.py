@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
@@ -26,11 +25,11 @@ from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError
 from uavnav.networks import Init, mlp
-from uavnav.settings import key
+from uavnav.settings import AtLeast0, Count, Share, Whole, key
 from uavnav.tasks.seeding import Streams, stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
-from uavnav.training.config import TrainConfig, at_least, within
+from uavnav.training.config import TrainConfig
 from uavnav.training.loop import Row, train
 from uavnav.training.update import Adam, Learner
 
@@ -39,7 +38,6 @@ __all__ = ["PPO", "PRESETS", "PPOConfig", "train"]
 HOW = ALGORITHMS["ppo"]
 
 
-@dataclass(frozen=True, kw_only=True)
 class PPOConfig(TrainConfig):
     """Proximal Policy Optimization, sec. 3.3; the defaults are Stable-Baselines3's of the paper's time."""
 
@@ -62,19 +60,19 @@ class PPOConfig(TrainConfig):
         ("fast", True): (4.6, 35.4),
     }
 
-    lr: float = at_least(3e-4, 0, "Adam's learning rate")
-    frames_per_batch: int = at_least(2048, 1, "collected in an iteration, from all environments", "frames a seed")
-    minibatch_size: int = at_least(64, 2, "in a gradient step", "frames")
-    epochs: int = within(10, 1, 1_000, "passes over an iteration's frames")
-    adam_eps: float = at_least(1e-5, 0, "Adam's ε")
-    gae_lambda: float = within(0.95, 0, 1, "λ of the advantage estimate")
-    clip_epsilon: float | None = within(0.2, 0, 1, "ε of eq. (2); null clips nothing")
-    critic_coeff: float = at_least(0.5, 0, "weight of the value loss")
-    entropy_coeff: float = at_least(0.0, 0, "weight of the entropy bonus")
+    lr: AtLeast0 = key(3e-4, "Adam's learning rate")
+    frames_per_batch: Count = key(2048, "collected in an iteration, from all environments", "frames a seed")
+    minibatch_size: Whole = key(64, "in a gradient step", "frames", ge=2)
+    epochs: Whole = key(10, "passes over an iteration's frames", ge=1, le=1_000)
+    adam_eps: AtLeast0 = key(1e-5, "Adam's ε")
+    gae_lambda: Share = key(0.95, "λ of the advantage estimate")
+    clip_epsilon: Share | None = key(0.2, "ε of eq. (2); null clips nothing")
+    critic_coeff: AtLeast0 = key(0.5, "weight of the value loss")
+    entropy_coeff: AtLeast0 = key(0.0, "weight of the entropy bonus")
     init: Init = key("orthogonal", "of the weights, with gains √2, 0.01 (policy) and 1 (value) if orthogonal")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        super().check()
         if self.critic_coeff == 0:
             raise ConfigError("critic_coeff=0: advantages need a value that learns; give a number above 0")
         if self.frames_per_batch % self.minibatch_size:

@@ -9,7 +9,6 @@ Letters: A agents, one a seed; W environments an agent; T steps; M minibatches o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,9 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer, Storage
 from torchrl.data.replay_buffers import Sampler
 
 from uavnav.errors import ConfigError
+from uavnav.settings import Count, Whole, key
 from uavnav.tasks.seeding import Streams
-from uavnav.training.config import TrainConfig, at_least
+from uavnav.training.config import TrainConfig
 
 LOG_FRAMES = 5_000
 """Frames per seed between two rows of progress."""
@@ -29,18 +29,17 @@ FRAME_BYTES = 14
 """Of a transition beside its observations: action, reward and two flags."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class ReplayConfig(TrainConfig):
     """What learning from replay needs, whatever its loss."""
 
-    n_envs: int = at_least(64, 1)
-    buffer_size: int = at_least(1_000_000, 1, "the newest so many are kept", "frames a seed")
-    learning_starts: int = at_least(50_000, 0, "of uniformly random actions, without updates", "frames a seed")
-    batch_size: int = at_least(32, 1, "in a gradient step", "transitions")
-    frames_per_update: int = at_least(4, 1, "for each gradient step", "frames a seed")
+    n_envs: Count = key(64)
+    buffer_size: Count = key(1_000_000, "the newest so many are kept", "frames a seed")
+    learning_starts: Whole = key(50_000, "of uniformly random actions, without updates", "frames a seed", ge=0)
+    batch_size: Count = key(32, "in a gradient step", "transitions")
+    frames_per_update: Count = key(4, "for each gradient step", "frames a seed")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        super().check()
         if self.n_envs % self.frames_per_update and self.frames_per_update % self.n_envs:
             raise ConfigError(
                 f"n_envs={self.n_envs}; give a multiple or a divisor of frames_per_update={self.frames_per_update}"

@@ -16,7 +16,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
@@ -27,10 +26,10 @@ from uavnav.acting import Actor
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import Replay, ReplayConfig
 from uavnav.networks import mlp
+from uavnav.settings import AtLeast0, Count, Share, Whole, key
 from uavnav.tasks.seeding import stream
 from uavnav.training import probes
 from uavnav.training.checkpoints import Stateful
-from uavnav.training.config import at_least, within
 from uavnav.training.loop import Row, train
 from uavnav.training.update import Adam, Learner
 
@@ -39,7 +38,6 @@ __all__ = ["PRESETS", "SAC", "SACConfig", "train"]
 HOW = ALGORITHMS["sac"]
 
 
-@dataclass(frozen=True, kw_only=True)
 class SACConfig(ReplayConfig):
     """Soft Actor-Critic for discrete actions, which the paper does not have; the defaults are CleanRL's."""
 
@@ -60,13 +58,13 @@ class SACConfig(ReplayConfig):
         },
     }
 
-    lr: float = at_least(3e-4, 0, "Adam's learning rate, of policy, Q networks and temperature")
-    max_grad_norm: float | None = at_least(None, 0)  # neither CleanRL nor SB3 clips
-    learning_starts: int = at_least(20_000, 0, "of the untrained policy, without updates", "frames a seed")
-    batch_size: int = at_least(64, 1, "in a gradient step", "transitions")
-    tau: float = within(0.005, 0, 1, "of the way to the Q networks that the targets go after each step", "share")  # SB3
-    target_entropy: float = within(0.89, 0, 1, "of the entropy of random actions, ln 100, for the policy's", "share")
-    adam_eps: float = at_least(1e-4, 0, "Adam's ε")
+    lr: AtLeast0 = key(3e-4, "Adam's learning rate, of policy, Q networks and temperature")
+    max_grad_norm: AtLeast0 | None = key(None)  # neither CleanRL nor SB3 clips
+    learning_starts: Whole = key(20_000, "of the untrained policy, without updates", "frames a seed", ge=0)
+    batch_size: Count = key(64, "in a gradient step", "transitions")
+    tau: Share = key(0.005, "of the way to the Q networks that the targets go after each step", "share")  # SB3
+    target_entropy: Share = key(0.89, "of the entropy of random actions, ln 100, for the policy's", "share")
+    adam_eps: AtLeast0 = key(1e-4, "Adam's ε")
 
     def make(self, compile: bool) -> SAC:
         return SAC(self, compile)

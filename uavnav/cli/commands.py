@@ -143,10 +143,7 @@ def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     if algorithm not in ALGORITHMS and not (algorithm and found.plugins):
         parser.refuse(f"algorithm={algorithm}; {choose_from(algorithm, ALGORITHMS)}{needs(algorithm, given)}")
     for word in given:
-        if word.startswith("hydra/launcher="):
-            other = "uavnav study ... engine=ray or engine=slurm spreads runs"
-            parser.refuse(f"{word}: Hydra's launchers are not used; {other}")
-        if not re.match(r"~|\+*[^=+]+=", word):
+        if not re.match(r"\+*[^=+]+=", word):
             parser.refuse(f"{word!r} is no setting; settings are key=value: activation=tanh")
     return found
 

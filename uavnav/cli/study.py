@@ -22,33 +22,35 @@ from uavnav.evaluation.scripts import Protocol, missing, protocol_in
 from uavnav.report import report
 from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
+from uavnav.settings import AtLeast0, Count, Settings, key
 from uavnav.studies import Cell, engines, search, tuning
 from uavnav.studies.run import Runner, Work, evaluated, let_go, make_banks, trained
 from uavnav.tasks import ladders, layouts
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import EMPTY, make_task
-from uavnav.training.config import checked
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted, Recorder
 
-KEYS: dict[str, tuple[Any, Any, dict[str, float]]] = {
-    "engine": ("local", str, {}),
-    "out": (None, str | None, {}),
-    "seeds": (None, int | None, {"least": 1}),
-    "frames": (None, int | None, {"least": 1}),
-    "trials": (None, int | None, {"least": 1, "most": 1_000}),
-    "algorithms": (None, str | None, {}),
-    "seeds_per_worker": (None, int | None, {"least": 1}),
-    "checkpoint_seconds": (CHECKPOINT_SECONDS, float, {"least": 0}),
-    "policies": (False, bool, {}),
-    "report": (True, bool, {}),
-    "plugins": (None, str | None, {}),
-}
-"""Settings of a study, beside those of its engine: default, type, limits."""
 LINE_SECONDS = 30.0
 """Between two lines of progress where there is no terminal."""
 
 
-def parse(words: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+class Keys(Settings):
+    """The settings of a study, beside those of its engine; `commands.STUDY_KEYS` says what they mean."""
+
+    engine: str = key("local")
+    out: str | None = key(None)
+    seeds: Count | None = key(None)
+    frames: Count | None = key(None)
+    trials: Count | None = key(None, le=1_000)
+    algorithms: str | None = key(None)
+    seeds_per_worker: Count | None = key(None)
+    checkpoint_seconds: AtLeast0 = key(CHECKPOINT_SECONDS)
+    policies: bool = key(False)
+    report: bool = key(True)
+    plugins: str | None = key(None)
+
+
+def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
     """The settings in `key=value` words, and those that are the engine's.
 
     Raises:
@@ -56,21 +58,18 @@ def parse(words: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
     """
     given = {}
     for word in words:
-        key, equals, value = word.partition("=")
+        name, equals, value = word.partition("=")
         if not equals:
             raise ConfigError(f"{word!r} is no setting; settings are key=value: engine=local")
         if not value:
             raise ConfigError(f"{word}: give a value, or leave it out")
         try:
-            given[key] = studies.load(value)
+            given[name] = studies.load(value)
         except ValueError as error:
             raise ConfigError(f"{word}: its value cannot be read") from error
-    own = {
-        key: checked(key, given.pop(key, default), kind, limits) if key in given else default
-        for key, (default, kind, limits) in KEYS.items()
-    }
-    if own["plugins"] is not None:
-        plugins.load(own["plugins"].split(","))
+    own = Keys(**{name: given.pop(name) for name in Keys.names() if name in given})
+    if own.plugins is not None:
+        plugins.load(own.plugins.split(","))
     return own, given
 
 
@@ -135,31 +134,31 @@ class Show:
 def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool, quiet: bool) -> int:
     """Run a study, or say what there is of it; returns the exit status."""
     own, of_engine = parse(words)
-    study = studies.only(studies.read(name), own["algorithms"])
-    out = Path(own["out"] or Path("runs") / study.name)
+    study = studies.only(studies.read(name), own.algorithms)
+    out = Path(own.out or Path("runs") / study.name)
     if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
         raise RunError(f"out={out}: is a file; give a folder")
-    if own["trials"] is not None and study.tune is None:
-        raise ConfigError(f"trials={own['trials']}: study {study.name} does not tune; leave it out")
+    if own.trials is not None and study.tune is None:
+        raise ConfigError(f"trials={own.trials}: study {study.name} does not tune; leave it out")
     if as_json and not only_status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
     if only_status:
-        engines.described(own["engine"], of_engine, KEYS)
+        engines.described(own.engine, of_engine, Keys.names())
         rows = [status(cell) for cell in _cells(study, out, own, make=False)]
         rows += [status(cell) | ({"state": state} if state else {}) for cell, state in _planned(study, out, own)]
         _print_status(rows, as_json)
         return 0
     from uavnav.cli.evaluate import main as evaluate  # a status waits for no library of figures
 
-    engine = engines.build(own["engine"], of_engine, KEYS)
+    engine = engines.build(own.engine, of_engine, Keys.names())
     with contextlib.ExitStack() as stack, Show(quiet) as show:
         stack.callback(let_go, engine)
         plan = _plan(study, out.resolve(), own)
         found = _cells(study, out.resolve(), own, make=True)
 
         def train(cells: Sequence[Cell]) -> list[Work]:
-            how = {"policies": own["policies"], "checkpoint_seconds": own["checkpoint_seconds"]}
-            run = Runner(out.resolve(), cells, engine, own["seeds_per_worker"], **how, tell=show.tell, say=show.say)
+            how: dict[str, Any] = {"policies": own.policies, "checkpoint_seconds": own.checkpoint_seconds}
+            run = Runner(out.resolve(), cells, engine, own.seeds_per_worker, **how, tell=show.tell, say=show.say)
             show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(cells)} cells are left, into {out}")
             return run.run()
 
@@ -174,7 +173,7 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} cells"
         print(f"uavnav study: {what} failed; the same command repeats them", file=sys.stderr)
         return 1
-    if own["report"]:
+    if own.report:
         if plan is not None and not (out / "baselines" / "reactive.parquet").exists():
             evaluate(["reactive", "--out", str(out / "baselines"), "--quiet"])  # what a winner is held against
         print(f"the report is in {report([out]).path}")
@@ -197,20 +196,20 @@ def scripted(cells: Sequence[Cell], folder: Path) -> list[list[str]]:
     return [one.words(rules, folder) for one in wanted if one is not None and (rules := missing(folder, one))]
 
 
-def _plan(study: studies.Study, out: Path, own: dict[str, Any]) -> search.Plan | None:
+def _plan(study: studies.Study, out: Path, own: Keys) -> search.Plan | None:
     """What is tuned first, if anything."""
-    return search.plan(study, out, own["trials"], own["seeds"], own["frames"]) if study.tune is not None else None
+    return search.plan(study, out, own.trials, own.seeds, own.frames) if study.tune is not None else None
 
 
-def _planned(study: studies.Study, out: Path, own: dict[str, Any]) -> list[tuple[Cell, str | None]]:
+def _planned(study: studies.Study, out: Path, own: Keys) -> list[tuple[Cell, str | None]]:
     plan = _plan(study, out, own)
     return search.planned(plan) if plan is not None else []
 
 
-def _cells(study: studies.Study, out: Path, own: dict[str, Any], make: bool) -> list[Cell]:
+def _cells(study: studies.Study, out: Path, own: Keys, make: bool) -> list[Cell]:
     if make:
         make_banks(out, study.banks)
-    return studies.cells(study, out, own["seeds"], own["frames"])
+    return studies.cells(study, out, own.seeds, own.frames)
 
 
 def _print_status(rows: Sequence[dict[str, Any]], as_json: bool) -> None:

@@ -1,51 +1,67 @@
-"""From a command line to training runs: the one place where Hydra lives."""
+"""From a command line to training runs: what `key=value` words set, and a run for each of their combinations."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import math
 import re
 import shlex
 import sys
-import types
 from collections.abc import Sequence
-from dataclasses import asdict, fields
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, RangeSweep
-from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+import yaml
+from pydantic import BeforeValidator
 
-from uavnav import plugins
+from uavnav import plugins, studies
 from uavnav.algorithms import ALGORITHMS
-from uavnav.cli import commands, help
+from uavnav.cli import commands
+from uavnav.cli.help.render import render
 from uavnav.errors import ConfigError, complain, told, unknown, unknown_key
 from uavnav.evaluation import evaluate_run, summary, usual_files
 from uavnav.runs import Run
 from uavnav.runs.policies import Diverged, PolicyError
 from uavnav.runs.tables import RunError
-from uavnav.tasks.faults import Faults
+from uavnav.settings import Seconds, Settings, key, shown
 from uavnav.tasks.layouts import LayoutError
 from uavnav.tasks.simulator import TASKS
 from uavnav.tasks.world import World
-from uavnav.training.config import TrainConfig, checked, part_keys
+from uavnav.training.config import PARTS, TASK, TrainConfig, flat, plain
 from uavnav.training.loggers import chosen
 from uavnav.training.loop import Fit, alone, train
-from uavnav.training.recorder import Interrupted, Recorder
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted, Recorder
 
 MOST_CELLS = 1_000
 """Runs of a sweep."""
-MOST_BRACKETS = 50
-"""That are open at once in a setting."""
-HERE = tuple(line.name for line in help.of_command())
-"""The keys of the command itself; all others are fields of the algorithm's configuration."""
+
+
+def _folder(value: Any) -> Any:
+    if type(value) in (int, float):  # a folder's name may be a number
+        return str(value)
+    if not isinstance(value, str | None):
+        raise ConfigError(f"out={told(value)}; give a folder")
+    return value
+
+
+Folder = Annotated[str | None, BeforeValidator(_folder)]
+
+
+class Command(Settings):
+    """The keys of the command itself; all others are fields of the algorithm's configuration."""
+
+    out: Folder = key(None, "the run's folder; null is runs/ALGORITHM[-PRESET]/ACTIVATION")
+    overwrite: bool = key(False, "start anew if the folder already holds a run")
+    checkpoint_seconds: Seconds = key(CHECKPOINT_SECONDS, "the shortest time between two snapshots")
+    evaluate: bool = key(True, "fly 200 test sets after training, once greedily and once as in training")
+    plugins: Any = key(None, "my_module or [one,other]: modules of your own, imported first")
+    logger: Any = key("none", "live logs in the run's folder; none, tensorboard, wandb, or [tensorboard,wandb]")
+
+    def check(self) -> None:
+        chosen(self.logger)
 
 
 class Order(NamedTuple):
@@ -53,7 +69,7 @@ class Order(NamedTuple):
 
     config: TrainConfig
     out: Path
-    here: dict[str, Any]  # the keys of the command
+    command: Command
 
 
 def main(argv: Sequence[str] | None = None, fit: Fit = alone) -> int:
@@ -68,12 +84,11 @@ def main(argv: Sequence[str] | None = None, fit: Fit = alone) -> int:
             raise unknown("algorithm", given.algorithm, ALGORITHMS)
         kind: type[TrainConfig] = ALGORITHMS[given.algorithm].config
         if given.help:
-            print(help.render(kind, _world(given.settings) or World, Faults), end="")
+            print(render(kind, _world(given.settings), Command), end="")
             return 0
-        settings = [_composed(kind, words) for words in _cells(kind, given.settings, given.multirun)]
-        orders = [_order(kind, one) for one in settings]
+        orders = [_order(kind, settings) for settings in _sweep(given.settings, given.multirun)]
         if given.cfg:
-            print("\n---\n".join(OmegaConf.to_yaml(one).strip() for one in settings))
+            print("---\n".join(yaml.safe_dump(_settings(one), sort_keys=False) for one in orders), end="")
             return 0
         _check(orders)
         finished = []
@@ -89,9 +104,6 @@ def main(argv: Sequence[str] | None = None, fit: Fit = alone) -> int:
     except Interrupted as stop:
         print(stop, file=sys.stderr)
         return 128 + stop.signum
-    except (HydraException, OmegaConfBaseException) as error:
-        complain("train", _one_line(error, kind))
-        return 2
     except ConfigError as error:
         complain("train", f"{error}{commands.needs(given.algorithm, given.settings)}")
         return 2
@@ -101,100 +113,107 @@ def main(argv: Sequence[str] | None = None, fit: Fit = alone) -> int:
     return 0 if len(finished) == len(orders) else 2
 
 
-def _world(settings: Sequence[str]) -> type[World] | None:
-    """The world of the task that a command line names; None for several tasks, or one that there is not."""
-    tasks = commands.names_in(settings, "task") or [TrainConfig.task]
-    return TASKS[tasks[0]].WORLD if len(tasks) == 1 and tasks[0] in TASKS else None
+def _world(settings: Sequence[str]) -> type[World]:
+    """The world of the task that a command line names; the paper's for several tasks, or one that there is not."""
+    tasks = commands.names_in(settings, "task")
+    return TASKS[tasks[0] if len(tasks) == 1 and tasks[0] in TASKS else TASK].WORLD
 
 
 # -- settings --------------------------------------------------------------------------------------------------------
 
 
-def _cells(kind: type[TrainConfig], settings: Sequence[str], multirun: bool) -> list[list[str]]:
-    """The words of each run: with `-m` every combination of the values of keys that have several."""
-    # a task of its own may have other fields than the world that Hydra knows: the configuration checks them
-    words = [f"++{word}" if word.startswith("world.") else word for word in settings]
-    overrides = [_parsed(word) for word in words]
-    for name in (one.key_or_group for one in overrides):
-        if name.startswith("hydra"):  # that it has settings of its own is nobody's business
-            raise unknown_key(name, _keys(kind))
-    several = [one.key_or_group for one in overrides if one.is_sweep_override()]
+def _sweep(words: Sequence[str], multirun: bool) -> list[dict[str, Any]]:
+    """The settings of each run: with `-m` every combination of the values of keys that have several."""
+    values: dict[str, Sequence[Any]] = {}
+    for word in words:
+        name, _, text = word.lstrip("+").partition("=")
+        values[name] = _values(word, text)
+    several = [name for name, found in values.items() if len(found) > 1]
     if several and not multirun:
         raise ConfigError(f"{several[0]}: give one value, or -m to train with each in turn")
-    values = [_values(one) for one in overrides]
-    if (cells := math.prod(map(len, values))) > MOST_CELLS:
+    if (cells := math.prod(map(len, values.values()))) > MOST_CELLS:
         raise ConfigError(f"{several[0]}: the sweep has {cells:,} runs; give at most {MOST_CELLS:,}")
-    return [list(cell) for cell in itertools.product(*values)]
+    return [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
 
 
-def _parsed(word: str) -> Override:
-    """A setting as Hydra reads it."""
-    depths = itertools.accumulate((one in "[{(") - (one in ")}]") for one in word)
-    if max(depths, default=0) > MOST_BRACKETS:  # a list in a list in a list: more than Python's stack may hold
-        raise ConfigError(f"{told(word)}: its value cannot be read; give a shorter one")
+def _values(word: str, text: str) -> Sequence[Any]:
+    """The values in a setting's text: of `relu,tanh` two, of range(0,3) three."""
+    if not text.startswith("range("):
+        return [_value(word, part) for part in _parts(text)]
     try:
-        return OverridesParser.create().parse_overrides([word])[0]
-    except (RecursionError, ValueError) as error:  # a number of thousands of digits
-        raise ConfigError(f"{told(word)}: its value cannot be read; give a shorter one") from error
+        values = range(*map(int, text.removeprefix("range(").removesuffix(")").split(",")))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{told(word)}: it is no range; give range(start,stop,step)") from error
+    if not values or values[MOST_CELLS:]:
+        raise ConfigError(f"{told(word)}: the sweep is empty or too long; give at most {MOST_CELLS:,} values")
+    return values
 
 
-def _values(override: Override) -> list[str]:
-    """The words of a setting, one a value."""
-    if not override.is_sweep_override():
-        return [override.input_line or ""]
-    swept = override.value()
-    try:
-        if isinstance(swept, RangeSweep) and (swept.stop - swept.start) / swept.step > MOST_CELLS:
-            raise ConfigError(f"{override.input_line}: the sweep is too long; give at most {MOST_CELLS:,} values")
-        return [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]
-    except ArithmeticError as error:
-        raise ConfigError(f"{override.input_line}: it is no range; give range(start,stop,step)") from error
+def _parts(text: str) -> list[str]:
+    """A text split at its commas, but for those in brackets and quotes."""
+    parts, depth, quote = [""], 0, ""
+    for one in text:
+        if quote or one in "'\"":
+            quote = "" if one == quote else quote or one
+        else:
+            depth += (one in "[{") - (one in "]}")
+        if one == "," and not quote and not depth:
+            parts.append("")
+        else:
+            parts[-1] += one
+    return parts
 
 
-def _composed(kind: type[TrainConfig], words: list[str]) -> DictConfig:
-    """Everything that a run is set to, preset and defaults included."""
-    world = _world(words)
-    task = next(iter(commands.names_in(words, "task") if world else ()), TrainConfig.task)
-    for name in kind.PRESETS:
-        node = kind.usual(name, task) | {"world": asdict(world()) if world else {}}
-        ConfigStore.instance().store(group="preset", name=name, node=node, package="_global_")
-    try:
-        with initialize_config_dir(str(help.COMMAND.parent), version_base="1.3"):
-            return compose(help.COMMAND.stem, words)
-    except HydraException:
-        raise
-    except (OSError, TypeError, ValueError) as error:  # Hydra looks for files of names that are none
-        named = next((word for word in words if word.lstrip("+").startswith("preset=")), None)
-        if named is not None:
-            raise unknown("preset", named.partition("=")[2], kind.PRESETS) from error
-        raise ConfigError(
-            f"{told(' '.join(words))}: cannot be read; settings are key=value: activation=tanh"
-        ) from error
+def _value(word: str, text: str) -> Any:
+    """A number, true, false, null, a list or a mapping as in YAML; anything else is text, in quotes or without."""
+    if text[:1] in ("'", '"') and text[1:].endswith(text[0]):
+        return text[1:-1]
+    if text[:1] in ("[", "{", "'", '"'):
+        try:
+            return studies.load(text)
+        except ValueError as error:
+            raise ConfigError(
+                f"{told(word)}: its value cannot be read; in a shell quote brackets and blanks: 'hidden=[64,64]'"
+            ) from error
+    for number in (int, float):
+        with contextlib.suppress(ValueError):
+            return number(text)
+    return {"null": None, "true": True, "false": False}.get(text.lower(), text)
 
 
-def _order(kind: type[TrainConfig], settings: DictConfig) -> Order:
+def _order(kind: type[TrainConfig], settings: dict[str, Any]) -> Order:
     """The run that the settings describe; a ConfigError where they cannot be."""
-    values: dict[str, Any] = OmegaConf.to_container(settings, resolve=True)
-    for key in HERE:
-        if key not in values:
-            raise ConfigError(f"~{key}: it cannot be left out; give {key}=...")
-    here = {key: values.pop(key) for key in HERE}
-    for key in ("overwrite", "evaluate"):
-        checked(key, here[key], bool, {})
-    if here["checkpoint_seconds"] != math.inf:  # no snapshot but that of a stop
-        checked("checkpoint_seconds", here["checkpoint_seconds"], float, {"least": 0})
-    if not isinstance(here["out"], (str, int, float, types.NoneType)):
-        raise ConfigError(f"out={told(here['out'])}; give a folder")
-    chosen(here["logger"])
-    config = kind.from_mapping(values)
-    return Order(config, config.folder if here["out"] is None else Path(str(here["out"])), here)
+    known = [*kind.names(), *Command.names()]
+    for name in settings:
+        if name not in known and name.partition(".")[0] not in PARTS:
+            raise unknown_key(name, known)
+    command = Command(**{name: settings[name] for name in Command.names() if name in settings})
+    config = kind.from_mapping({name: value for name, value in settings.items() if name not in Command.names()})
+    order = Order(config, config.folder, command)
+    return order if command.out is None else order._replace(out=Path(_filled(command.out, flat(_settings(order)))))
+
+
+def _settings(order: Order) -> dict[str, Any]:
+    """All that a run is set to."""
+    return plain(order.config) | order.command.model_dump()
+
+
+def _filled(out: str, settings: dict[str, Any]) -> str:
+    """A folder's name whose `${activation}` are filled in."""
+
+    def value(found: re.Match[str]) -> str:
+        if found[1] not in settings:
+            raise unknown_key(found[1], settings)
+        return shown(settings[found[1]])
+
+    return re.sub(r"\$\{([\w.]+)\}", value, out)
 
 
 def _check(orders: Sequence[Order]) -> None:
     """Raise a RunError where a folder cannot be used, before any run begins."""
     folders: set[Path] = set()
-    for config, out, here in orders:
-        Recorder(out, config, here["overwrite"])
+    for config, out, command in orders:
+        Recorder(out, config, command.overwrite)
         if out.resolve() in folders:
             raise RunError(
                 f"out={out}: two runs of the sweep would share it; name what differs, as"
@@ -203,37 +222,27 @@ def _check(orders: Sequence[Order]) -> None:
         folders.add(out.resolve())
 
 
-def _one_line(error: Exception, kind: type[TrainConfig]) -> str:
-    """Hydra's complaint as one line with the choices."""
-    if isinstance(error, MissingConfigException) and (error.missing_cfg_file or "").startswith("preset/"):
-        return str(unknown("preset", (error.missing_cfg_file or "").removeprefix("preset/"), kind.PRESETS))
-    if isinstance(error, OverrideParseException):
-        return f"{error.override}: its value cannot be read; in a shell quote brackets and blanks: 'hidden=[64,64]'"
-    key = re.match(r"Could not override '([^']+)'", str(error))
-    if key:
-        return str(unknown_key(key[1], _keys(kind)))
-    return str(error).strip().splitlines()[0]
-
-
-def _keys(kind: type[TrainConfig]) -> list[str]:
-    """Every key that a command line may set."""
-    return [*(item.name for item in fields(kind)), *part_keys(), *HERE]
-
-
 # -- a run -----------------------------------------------------------------------------------------------------------
 
 
 def _train(order: Order, quiet: bool, fit: Fit) -> Run:
     """Train, show the table, and fly the test split."""
-    config, out, here = order
-    how = {key: here[key] for key in ("overwrite", "checkpoint_seconds", "logger")}
-    finished = train(config, out=out, quiet=quiet, **how, fit=fit)
+    config, out, command = order
+    finished = train(
+        config,
+        out=out,
+        quiet=quiet,
+        overwrite=command.overwrite,
+        checkpoint_seconds=command.checkpoint_seconds,
+        logger=command.logger,
+        fit=fit,
+    )
     plugins.warn_of_changed(finished.path, finished.meta.get("plugins", {}))
     if not quiet and finished.fresh:
         summary.report(finished)
     elif not quiet:
         print(f"{out}: this run is already finished; overwrite=true starts it anew")
-    if here["evaluate"] and not (finished.path / usual_files(finished)[0]).exists():
+    if command.evaluate and not (finished.path / usual_files(finished)[0]).exists():
         if not quiet:
             print("evaluating on the test split; evaluate=false skips this", flush=True)
         rows = evaluate_run(finished, quiet=quiet)

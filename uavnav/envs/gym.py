@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -57,9 +56,9 @@ def _task(
         raise ValueError(f"{next(iter(fields))}=...: a whole task has a world; give no fields beside it")
     own = {name: value for name, value in fields.items() if name in NAMES}
     if own:
-        faults = {**(asdict(faults) if isinstance(faults, Faults) else faults or {}), **own}
+        faults = {**(faults.model_dump() if isinstance(faults, Faults) else faults or {}), **own}
         fields = {name: value for name, value in fields.items() if name not in own}
-    given = {**(asdict(world) if isinstance(world, World) else world or {}), **fields} if fields else world
+    given = {**(world.model_dump() if isinstance(world, World) else world or {}), **fields} if fields else world
     whole = make_task(layouts, given, reward, max_steps, task, stack, faults)
     return whole.with_bank(whole.bank.cpu())
 

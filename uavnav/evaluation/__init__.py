@@ -25,6 +25,7 @@ from uavnav.runs import ARENA, BEHAVIOUR, EVALUATION, VALUES, Run
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.policies import Policy, by_mode, load_policies
 from uavnav.runs.tables import RunError, lock, write_table
+from uavnav.settings import Whole, checked
 from uavnav.tasks import layouts as banks
 from uavnav.tasks.baselines import AnyPolicy, suited
 from uavnav.tasks.faults import Faults
@@ -37,7 +38,6 @@ from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.tasks.state import COUNTS, State, at
 from uavnav.tasks.world import World
 from uavnav.training import display, machine
-from uavnav.training.config import checked
 
 MOST_STEPS = 1_000_000
 """The largest time limit of an evaluation: some episodes never end."""
@@ -100,7 +100,7 @@ def evaluate_policy(
     """
     if not callable(policy):
         raise ConfigError(f"policy={told(policy)}; give what load_policy returns, or a function of that form")
-    checked("seed", seed, int, {})
+    checked("seed", seed, Whole)
     own = policy.task if isinstance(policy, Policy) else make_task(EMPTY)
     if task is not None or (world is not None and type(world) is not type(own.world)):
         of_world = next((name for name, kind in TASKS.items() if kind.WORLD is type(world)), "drone")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
 import pandas as pd
@@ -115,7 +114,8 @@ def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, floa
     config, flights = run.config, flown or {}
     world = {name: value for name, value in (config.get("world") or {}).items() if name not in READINGS["world"]}
     other = config.get("task", "drone") != "drone" or config.get("stack", 1) != 1
-    other |= config.get("reward", "eq14") not in READINGS["reward"] or asdict(World()) | world != asdict(World())
+    other |= config.get("reward", "eq14") not in READINGS["reward"]
+    other |= World().model_dump() | world != World().model_dump()
     other |= any((config.get("faults") or {}).values()) or "faults" in flights
     other |= not {config["layouts"], flights.get("layouts", "test")} <= set(SPLITS)
     return {} if other else paper.TABLES.get((run.algorithm, run.config["activation"]), {})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,8 +79,8 @@ def named(task: Task, layouts: str) -> str:
     """A world in words: its task or the rung of its bank, and what else is not as usual."""
     name = name_of(task)
     bank = banks.name_of(layouts).removesuffix("-test")
-    usual = asdict(type(task).WORLD())
-    own = [f"{key}={value}" for key, value in asdict(task.world).items() if value != usual[key]]
+    usual = type(task).WORLD().model_dump()
+    own = [f"{key}={value}" for key, value in task.world.model_dump().items() if value != usual[key]]
     faults = [str(task.faults)] * (str(task.faults) != "none")
     reward = [f"reward={task.reward}"] * (task.reward != task.REWARD)
     first = name if bank in banks.SPLITS else bank if name == "drone" else f"{name} {bank}"
@@ -101,7 +101,7 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
     own, task = who.task, place.task
     if own is not None:
         both = [name for name in SPEEDS if hasattr(own.world, name) and hasattr(task.world, name)]
-        world = replace(task.world, **{name: getattr(own.world, name) for name in both})
+        world = task.world.replace(**{name: getattr(own.world, name) for name in both})
         task = reached(replace(task, stack=own.stack, world=world), own.world.sensor_radius)
     return who.fly(task, f"in {place.name}", quiet, place.measure).assign(**{FLOWN: place.name})
 

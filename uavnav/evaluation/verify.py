@@ -19,8 +19,9 @@ from uavnav.runs import POLICY, Run, read_settings
 from uavnav.runs.metrics import finished
 from uavnav.runs.policies import PolicyError, contents
 from uavnav.runs.tables import RunError
+from uavnav.settings import Count, checked
 from uavnav.training import workers
-from uavnav.training.config import TrainConfig, checked
+from uavnav.training.config import TrainConfig
 from uavnav.training.loop import train
 from uavnav.training.recorder import Interrupted
 
@@ -44,7 +45,7 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     Raises:
         ConfigError, LayoutError, RunError: the run cannot be repeated.
     """
-    checked("frames", frames, int | None, {"least": 1})
+    checked("frames", frames, Count | None)
     config = _config(run)
     original, kept = _weights(run.path) if (run.path / POLICY).exists() else (None, run.seeds)
     whole = frames is None or frames >= run.frames

@@ -9,7 +9,7 @@ import itertools
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,7 +38,7 @@ BINS = 25
 """Points of a learning curve: a run's frames fall into so many bins."""
 TASK = "drone"
 """The task of a run that names none."""
-UNSAID = {"task": TASK, "stack": 1, "faults": asdict(NO_FAULTS)}
+UNSAID = {"task": TASK, "stack": 1, "faults": NO_FAULTS.model_dump()}
 """Settings of a run that does not name them."""
 PARTS = {"world": World, "faults": Faults}
 """The tables of a configuration: a field is a setting of its own."""
@@ -172,7 +172,7 @@ def settings_of(run: Run) -> dict[str, Any]:
     """
     config = {"layouts": "train", **flat(UNSAID), **flat(run.config)}
     if config["task"] == TASK:
-        config = flat({"world": asdict(World())}) | config
+        config = flat({"world": World().model_dump()}) | config
     bank, layouts = run.meta["bank"], str(config.pop("layouts"))
     facts = {
         "frames": run.frames,
@@ -304,7 +304,7 @@ def _read_as(cell: Cell, reading: str, episodes: pd.DataFrame) -> pd.DataFrame:
 def windowed(cell: Cell, column: str, windows: Sequence[tuple[float, float]]) -> pd.DataFrame:
     """A column of training per frame in windows of frames: a row a seed, a column a window (`readings.within`)."""
     own = cell.settings
-    at_end = {"reward": own.get("world.collision_reward", World.collision_reward), "terminated": 1.0}
+    at_end = {"reward": own.get("world.collision_reward", World().collision_reward), "terminated": 1.0}
     return within(cell.episodes, column, windows, own["n_envs"], at_end.get(column, 0.0))
 
 

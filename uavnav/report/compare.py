@@ -9,7 +9,6 @@ import base64
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -68,7 +67,7 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
     found = []
     for name in names:
         rows = _kept(name, protocol, first) if name in SCRIPTS and first is not None else None
-        usual = _place("drone", "eq14", asdict(World()))
+        usual = _place("drone", "eq14", World().model_dump())
         kept = Contender(name, rows, protocol, usual, None) if rows is not None else None
         found.append(runs.get(name) or kept or _flown(name, protocol, activation, first))
     return found
@@ -146,7 +145,7 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: 
     n = len(task.bank) * len(population)
     with machine.use_threads(1), display.flights(name, n, protocol["max_steps"]) as tell:
         population = {seed: suited(policy, task) for seed, policy in population.items()}
-        place = _place(name_of(task), task.reward, asdict(task.world))
+        place = _place(name_of(task), task.reward, task.world.model_dump())
         return Contender(name, fly(population, task, tell).episodes, protocol, place, None)
 
 

@@ -16,7 +16,6 @@ import subprocess
 import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -126,7 +125,7 @@ def record(cells: Sequence[Cell], n_seeds: int = 3, n_layouts: int = 3, max_step
         shown.append(name | {"values": ALGORITHMS[cell.algorithm].shown, "mode": "sampled", "flights": own})
     angle, distance = decode(torch.arange(world.n_actions), world)
     return {
-        "world": asdict(world),
+        "world": world.model_dump(),
         "layouts": bank[:n_layouts].double().numpy().round(2).tolist(),
         "actions": torch.stack([angle, distance], -1).tolist(),
         "fields": _told(FIELDS),
@@ -240,7 +239,7 @@ def _place(task: Task, sets: str, n_layouts: int) -> dict[str, Any]:
     rows = _bank(task, sets)[:n_layouts].double().tolist()
     shown = [{"circles": one[:-1], "goal": one[-1][:2]} if isinstance(task, Goal) else {"circles": one} for one in rows]
     constants: dict[str, Any] = {
-        "world": asdict(task.world),
+        "world": task.world.model_dump(),
         "max_steps": task.max_steps,
     }
     if isinstance(task.world, SpaceWorld):

@@ -26,17 +26,20 @@ import string
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Field
 
 from uavnav import files
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError, choose_from, one_line, told, unknown, unknown_key
 from uavnav.evaluation import EPISODES, MAX_STEPS, MOST_STEPS, files_of
+from uavnav.settings import Whole, checked
 from uavnav.tasks import layouts
 from uavnav.tasks.layouts import LayoutError, judged_on
 from uavnav.tasks.protocol import LADDER_NAMES, SPLITS
 from uavnav.tasks.simulator import TASKS
-from uavnav.training.config import PARTS, TrainConfig, checked
+from uavnav.training.config import TrainConfig
 
 HERE = Path(__file__).parent
 KEYS = ("what", "banks", "settings", "cells", "scripts", "tune")
@@ -239,7 +242,7 @@ def _cell(said: Mapping[str, Any], out: Path) -> Cell:
     settings = {key: value for key, value in said.items() if key not in OF_CELLS}
     if "layouts" in settings:
         settings["layouts"] = _filled("layouts", settings["layouts"], {"out": out})
-    config: TrainConfig = ALGORITHMS[said["algorithm"]].config.from_mapping(_nested(settings))
+    config: TrainConfig = ALGORITHMS[said["algorithm"]].config.from_mapping(settings)
     names = {key: "null" if value is None else value for key, value in said.items()}
     folder = _filled("folder", said.get("folder", ""), names)
     if not _is_folder(folder):
@@ -287,18 +290,6 @@ def _is_folder(name: str) -> bool:
     return all(len(part.encode()) <= 255 for part in name.split("/"))
 
 
-def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with `world.slots: listed` as part of a `world`, and those of faults alike."""
-    found: dict[str, Any] = {}
-    for key, value in settings.items():
-        part, _, name = key.partition(".")
-        if part in PARTS and name:
-            found.setdefault(part, {})[name] = value
-        else:
-            found[key] = value
-    return found
-
-
 def _protocol(said: Any, cap: int) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
     """How a cell is flown, and across which ladders; cap: on steps, if none is said."""
     usual = dict(zip(PROTOCOL, (EPISODES, cap), strict=True))
@@ -313,5 +304,5 @@ def _protocol(said: Any, cap: int) -> tuple[dict[str, Any] | None, tuple[str, ..
         raise ConfigError(f"evaluate.{BANK}={said[BANK]}; give a name")
     protocol = usual | {key: value for key, value in said.items() if key != "across"}
     for key in PROTOCOL:
-        protocol[key] = checked(f"evaluate.{key}", protocol[key], int, {"least": 1, "most": MOST_STEPS})
+        protocol[key] = checked(f"evaluate.{key}", protocol[key], Annotated[Whole, Field(ge=1, le=MOST_STEPS)])
     return protocol, tuple(dict.fromkeys(across))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -233,7 +232,7 @@ def suited(policy: AnyPolicy, task: Task) -> AnyPolicy:
         rule = towards_goal if isinstance(own, GoalWorld) else reactive
     else:
         rule = dodge
-    return functools.partial(rule, world=replace(own, sensor_radius=task.trained_reach or own.sensor_radius))
+    return functools.partial(rule, world=own.replace(sensor_radius=task.trained_reach or own.sensor_radius))
 
 
 BASELINES: dict[str, AnyPolicy] = dict(zip(SCRIPTS, (uniform_random, straight_ahead, reactive), strict=True))

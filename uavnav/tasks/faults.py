@@ -1,17 +1,16 @@
 """What goes wrong between the world and a policy: noise, lost echoes, late observations, an actuator that sticks.
 
-The dataclass is read without torch. Its functions are pure; the random numbers come in as tensors, which a task draws
+The settings are read without torch. The functions are pure; the random numbers come in as tensors, which a task draws
 (`simulator.Task.draw`). Letters: B the batch shape (any, also none), S slots of an observation.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from uavnav.errors import MOST_WHOLE, ConfigError, told, unknown_key
-from uavnav.settings import key
+from uavnav.settings import AtLeast0, Settings, Share, Whole, at_most, key
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -21,33 +20,21 @@ MOST_REMEMBERED = 1_000
 """Observations that one can come too late by, and that a policy can see at once: a state remembers them all."""
 
 
-@dataclass(frozen=True)
-class Faults:
+class Faults(Settings):
     """Faults of a drone's sensor and actuator; by default there are none.
 
     Raises:
         ConfigError: a number is out of its range.
     """
 
-    noise: float = key(0.0, "standard deviation σ of each sensed distance", "px", least=0)
-    lost: float = key(0.0, "of each echo to be lost, whatever the others do", "probability", least=0, most=1)
-    late: int = key(0, "by which each observation comes too late", "steps", least=0, most=MOST_REMEMBERED)
-    sticky: float = key(0.0, "of the last executed action to be executed again", "probability", least=0, most=1)
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value: Any = getattr(self, item.name)
-            least, most = item.metadata["least"], item.metadata.get("most", math.inf)
-            whole = item.name != "late" or isinstance(value, int)
-            number = isinstance(value, (int, float)) and not isinstance(value, bool) and value <= MOST_WHOLE
-            if not (number and whole and least <= value <= most):
-                kind = "number" if item.name != "late" else "whole number"
-                bounds = f"at least {least}" + (f" and at most {most}" if most < math.inf else "")
-                raise ConfigError(f"{item.name}={told(value)}; give a {kind} of {bounds}")
+    noise: Annotated[AtLeast0, at_most(MOST_WHOLE)] = key(0.0, "standard deviation σ of each sensed distance", "px")
+    lost: Share = key(0.0, "of each echo to be lost, whatever the others do", "probability")
+    late: Whole = key(0, "by which each observation comes too late", "steps", ge=0, le=MOST_REMEMBERED)
+    sticky: Share = key(0.0, "of the last executed action to be executed again", "probability")
 
     def __str__(self) -> str:
         """The faults that are not zero, as `noise=5,late=2`, or `none`."""
-        found = [f"{item.name}={getattr(self, item.name):g}" for item in fields(self) if getattr(self, item.name)]
+        found = [f"{name}={value:g}" for name, value in self if value]
         return ",".join(found) or "none"
 
     def sizes(self, n_slots: int) -> list[int]:
@@ -83,7 +70,7 @@ class Faults:
 
 NO_FAULTS = Faults()
 
-NAMES = [item.name for item in fields(Faults)]
+NAMES = Faults.names()
 
 RUNGS: dict[str, tuple[float, ...]] = {
     "noise": (0, 2, 5, 10, 20),
@@ -98,7 +85,7 @@ AnyTask = TypeVar("AnyTask", bound=Any)
 
 def rung(task: AnyTask, name: str, value: float) -> AnyTask:
     """The same task with one of its faults at a value of `RUNGS`, its other faults as they are."""
-    found: AnyTask = replace(task, faults=replace(task.faults, **{name: value}))
+    found: AnyTask = replace(task, faults=task.faults.replace(**{name: value}))
     return found
 
 
@@ -108,7 +95,7 @@ def from_words(words: str) -> Faults:
     Raises:
         ValueError: there is no such fault, or its value is not right.
     """
-    values: dict[str, float] = {}
+    values: dict[str, Any] = {}
     for word in words.split(",") if words != "none" else ():
         name, _, given = word.strip().partition("=")
         if name not in NAMES:
@@ -117,7 +104,7 @@ def from_words(words: str) -> Faults:
             values[name] = int(given) if name == "late" else float(given)
         except ValueError:
             raise ConfigError(f"{told(word.strip())}; give a number, as noise=5, or whole steps, as late=2") from None
-    return Faults(**values)  # type: ignore[arg-type]
+    return Faults(**values)
 
 
 def from_option(words: str | None) -> Faults | None:

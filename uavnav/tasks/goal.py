@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,11 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
-from uavnav.errors import ConfigError
 from uavnav.settings import key
 from uavnav.tasks import circles
 from uavnav.tasks.circles import LayoutError
 from uavnav.tasks.protocol import DEFAULT_K
-from uavnav.tasks.world import World
+from uavnav.tasks.world import Number, Size, World
 
 ROOM = 60.0  # [px] from a goal to the edge of every circle and of the border, at least
 FAR = 200.0  # [px] from the start to a goal, at least
@@ -37,21 +35,15 @@ SCALE = 1000.0
 Array = np.ndarray[Any, np.dtype[Any]]
 
 
-@dataclass(frozen=True)
 class GoalWorld(World):
     """The paper's arena, drone and sensor, and a goal.
 
     Raises:
-        ConfigError: as of `World`, or the radius is not above 0.
+        ConfigError: as of `World`.
     """
 
-    goal_radius: float = key(40.0, "within which the drone's centre has reached the goal", "px")
-    goal_reward: float = key(10.0, "for reaching the goal", "reward")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 < self.goal_radius < math.inf:
-            raise ConfigError(f"goal_radius={self.goal_radius:g}; give a number above 0")
+    goal_radius: Size = key(40.0, "within which the drone's centre has reached the goal", "px")
+    goal_reward: Number = key(10.0, "for reaching the goal", "reward")
 
     @property
     def observation_low(self) -> tuple[float, ...]:

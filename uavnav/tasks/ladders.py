@@ -6,7 +6,7 @@ To add a ladder, write a function that gives the task of a rung, and a line of `
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,12 +55,12 @@ def gaps(task: Task, rung: float, split: str = "test") -> Task:
 
 def arc(task: Task, rung: float, split: str = "test") -> Task:
     """The policy's world with a sensor of so many degrees."""
-    return replace(task, world=replace(task.world, sensor_arc=rung)).on(split, task.max_steps)
+    return replace(task, world=task.world.replace(sensor_arc=rung)).on(split, task.max_steps)
 
 
 def reach(task: Task, rung: float, split: str = "test") -> Task:
     """The policy's world with a sensor that reaches so many px; a proximity is still 1 at the reach of its training."""
-    flown = replace(task, world=replace(task.world, sensor_radius=rung))
+    flown = replace(task, world=task.world.replace(sensor_radius=rung))
     return reached(flown, task.trained_reach or task.world.sensor_radius).on(split, task.max_steps)
 
 
@@ -75,7 +75,7 @@ def speed(task: Task, rung: float, split: str = "test") -> Task:
     usual = kind.WORLD()
     bank, still = layouts.load(split, usual), len(usual.size) + 1  # numbers of a place and a radius
     bank = torch.cat([bank[..., :still], bank[..., still:] * (rung / usual.speed_max)], -1)
-    world = task.world if isinstance(task.world, kind.WORLD) else kind.WORLD(**asdict(task.world))
+    world = task.world if isinstance(task.world, kind.WORLD) else kind.WORLD(**task.world.model_dump())
     kept = task.reward, task.max_steps, task.stack, task.faults, task.trained_reach
     return kind(world, layouts.resolve(bank, world), *kept)
 

@@ -14,7 +14,6 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -140,7 +139,7 @@ def _header(bank: Tensor, seed: int, split: str, world: World) -> dict[str, str]
     }
     name = kind_of(world)
     own = {"task": name} if name != "drone" else {}
-    usual = asdict(KINDS[name].world())
+    usual = KINDS[name].world().model_dump()
     shape = [field for field in SHAPES if field in usual and getattr(world, field) != usual[field]]
     return header | own | {field: json.dumps(getattr(world, field)) for field in (*KINDS[name].reads, *shape)}
 

@@ -6,9 +6,6 @@ A bank has rows (x, y, radius, vx, vy): a circle as in the paper's world, and it
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -17,13 +14,12 @@ from uavnav.errors import ConfigError
 from uavnav.settings import key
 from uavnav.tasks import circles
 from uavnav.tasks.protocol import DEFAULT_K
-from uavnav.tasks.world import World
+from uavnav.tasks.world import Number, World
 
 VELOCITIES = 1
 """The stream of a bank's velocities, beside that of its circles."""
 
 
-@dataclass(frozen=True)
 class MovingWorld(World):
     """The paper's arena, drone and sensor, and how fast obstacles are.
 
@@ -31,14 +27,12 @@ class MovingWorld(World):
         ConfigError: as of `World`, or the speeds are no range.
     """
 
-    speed_min: float = key(0.0, "of the slowest obstacle", "px a step")
-    speed_max: float = key(2.0, "of the fastest obstacle; sensed velocities are shares of it", "px a step")
+    speed_min: Number = key(0.0, "of the slowest obstacle", "px a step")
+    speed_max: Number = key(2.0, "of the fastest obstacle; sensed velocities are shares of it", "px a step", ge=0)
     sense_velocity: bool = key(False, "a slot has two numbers more, the obstacle's velocity to the right and forward")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 <= self.speed_max < math.inf:
-            raise ConfigError(f"speed_max={self.speed_max:g}; give a number of at least 0 px a step")
+    def check(self) -> None:
+        super().check()
         if not 0 <= self.speed_min <= self.speed_max:
             raise ConfigError(f"speed_min={self.speed_min:g}; give 0 to speed_max={self.speed_max:g} px a step")
 

@@ -1,14 +1,15 @@
 """What is trained on and what is judged on: the splits of the obstacle sets, and the protocol of an evaluation.
 
-Nothing here imports torch.
+Nothing here imports torch or pydantic.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from uavnav.tasks.faults import Faults
+if TYPE_CHECKING:
+    from uavnav.tasks.faults import Faults
 
 DEFAULT_K = 8
 """Obstacles per set (decision 1)."""

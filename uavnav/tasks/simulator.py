@@ -6,14 +6,14 @@ To add a world, write a class below `Task` and its line of `TASKS`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from uavnav.errors import ConfigError, among, did_you_mean, quoted, told, unknown_key
+from uavnav.errors import ConfigError, among, did_you_mean, quoted
+from uavnav.settings import part
 from uavnav.tasks import goal, moving, space
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.protocol import CAPS
@@ -167,7 +167,7 @@ class Space(Task):
 class SpaceMoving(Moving, Space):
     """The same among spheres that fly straight on and bounce off the sides of the box."""
 
-    WORLD = space.SpaceMovingWorld  # type: ignore[assignment]
+    WORLD = space.SpaceMovingWorld
     world: space.SpaceMovingWorld
 
 
@@ -208,26 +208,7 @@ def make_task(
     if not among(task, TASKS):
         raise ConfigError(f"task={quoted(task)}; choose from {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
     kind = TASKS[task]
-    if not isinstance(world, World):
-        world = _made(kind.WORLD, "world", world)
-    elif type(world) is not kind.WORLD:
-        raise ConfigError(f"world={type(world).__name__}: task={task} has a {kind.WORLD.__name__}; give one of these")
-    if not isinstance(faults, Faults):
-        faults = _made(Faults, "faults", faults)
+    world, faults = part(kind.WORLD, "world", world), part(Faults, "faults", faults)
     max_steps = kind.MAX_STEPS if max_steps is None else max_steps
     made = kind(world, EMPTY, kind.REWARD if reward is None else reward, max_steps, stack, faults)
     return made if layouts is EMPTY else made.on(layouts, max_steps)
-
-
-Part = TypeVar("Part")
-
-
-def _made(kind: type[Part], name: str, given: Mapping[str, Any] | None) -> Part:
-    """A world, or faults, from a mapping of some fields; name: of the key that holds it."""
-    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    if given is not None and not isinstance(given, Mapping):
-        raise ConfigError(f"{name}={told(given)}; give a {kind.__name__}, or a mapping of its fields")
-    for one in given or {}:
-        if not among(one, names):
-            raise unknown_key(f"{name}.{told(one)}", [f"{name}.{other}" for other in names])
-    return kind(**(given or {}))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -23,7 +22,7 @@ from uavnav.tasks.dynamics import direction
 from uavnav.tasks.moving import VELOCITIES, MovingWorld
 from uavnav.tasks.sensing import VIEW_TOLERANCE, Echoes, first_in_view, scaled, to_drone_frame
 from uavnav.tasks.state import State
-from uavnav.tasks.world import World
+from uavnav.tasks.world import Positive, World
 
 DEFAULT_K = 40
 """Spheres per set: they fill about as much of the box as 8 circles of the window."""
@@ -36,7 +35,6 @@ SpaceState = cast(type[State], namedtuple("SpaceState", (*State._fields, "z", "p
 """A state in 3D: `heading` is the yaw, z [*B] px float32, pitch [*B] whole degrees in -45..45 int64, up positive."""
 
 
-@dataclass(frozen=True)
 class SpaceWorld(World):
     """The paper's drone and sensor in a box: width x depth x height px along x, y and z.
 
@@ -44,14 +42,14 @@ class SpaceWorld(World):
         ConfigError: as of `World`, or the sensor reaches two opposite walls at once.
     """
 
-    depth: int = key(600, "of the box, along y", "px")
-    n_turns: int = key(5, "yaws to choose from, and as many pitches")
-    n_distances: int = key(4, "distances to choose from, 3 px apart")
+    depth: Positive = key(600, "of the box, along y", "px")
+    n_turns: Positive = key(5, "yaws to choose from, and as many pitches")
+    n_distances: Positive = key(4, "distances to choose from, 3 px apart")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        super().check()
         reached = 2 * (self.border + self.sensor_radius)
-        if not reached < self.depth < math.inf:
+        if self.depth <= reached:
             raise ConfigError(
                 f"depth={self.depth:g}; give above {reached:g} px, or two opposite walls are in reach at once"
             )
@@ -78,7 +76,6 @@ class SpaceWorld(World):
         return right, -1.0, *others
 
 
-@dataclass(frozen=True)
 class SpaceMovingWorld(SpaceWorld, MovingWorld):
     """The same, and how fast spheres are: a slot may have their velocity, to the right, up and forward."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -303,8 +303,13 @@ class Task:
         Raises:
             ValueError: its class has no name in `TASKS`.
         """
-        own = {"task": name_of(self), "world": asdict(self.world), "reward": self.reward, "max_steps": self.max_steps}
-        return own | {"stack": self.stack, "faults": asdict(self.faults), "bank": banks.checksum(self.bank)}
+        own = {
+            "task": name_of(self),
+            "world": self.world.model_dump(),
+            "reward": self.reward,
+            "max_steps": self.max_steps,
+        }
+        return own | {"stack": self.stack, "faults": self.faults.model_dump(), "bank": banks.checksum(self.bank)}
 
 
 TASKS: dict[str, type[Task]] = {"drone": Task}

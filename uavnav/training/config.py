@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import itertools
 import os
-import sys
-import types
 import warnings
-from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import torch
+from pydantic import AfterValidator, BeforeValidator, SerializeAsAny, model_validator
 
-from uavnav.errors import MOST_WHOLE, ConfigError, among, told, unknown, unknown_key
+from uavnav.errors import ConfigError, among, told, unknown
 from uavnav.graph import telling_line
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import default_folder
-from uavnav.settings import key
+from uavnav.settings import AtLeast0, Count, OneOf, Settings, Share, Units, Whole, key, part
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
 from uavnav.tasks.simulator import TASKS, Task, make_task
 from uavnav.tasks.world import World
 
+TASK = "drone"
+"""The task of a run that names none."""
 STEP_BYTES = 60
 """Of a step of an iteration beside its two observations: an episode's counts, action, reward and flags."""
 SEED_BYTES = 80_000
@@ -32,25 +32,18 @@ ROW_COLUMNS = 5
 """Numbers of a row of progress, at least: seed, frame, pace, and some of the algorithm's."""
 ROW_BYTES = 600
 """What the rows of all seeds take beside their numbers, as one mapping of arrays."""
+PARTS = ("world", "faults")
+"""The fields that are settings of their own, whose fields a command line sets as `world.sensor_arc`."""
+DOTTED = tuple(f"{name}." for name in PARTS)
+MOST_LAYERS = 100
+
+Compile = Annotated[
+    Literal["auto", "on", "off"],
+    BeforeValidator(lambda value: {True: "on", False: "off"}[value] if isinstance(value, bool) else value),  # of YAML
+]
 
 
-def one_of(default: str, choices: Collection[str], what: str = "") -> Any:
-    """A field whose value is one of a table's names; what: it means."""
-    return key(default, what, choices=choices)
-
-
-def at_least(default: float | None, least: float, what: str = "", unit: str = "") -> Any:
-    """A numeric field with a smallest value; what: it means, in which unit."""
-    return key(default, what, unit, least=least)
-
-
-def within(default: float, least: float, most: float, what: str = "", unit: str = "") -> Any:
-    """A numeric field with a smallest and a largest value; what: it means, in which unit."""
-    return key(default, what, unit, least=least, most=most)
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainConfig:
+class TrainConfig(Settings):
     """The fields that all algorithms have. Counts of frames are per seed.
 
     Raises:
@@ -71,51 +64,45 @@ class TrainConfig:
     """Its name in `uavnav.algorithms.ALGORITHMS`."""
 
     preset: str = key("vectorised", "which table of settings to start from")
-    activation: str = one_of("tanh", ACTIVATIONS, "of the hidden layers")
-    seed: int = within(0, 0, 2**31 - 1, "the first of the seeds")
-    n_seeds: int = at_least(1, 1, "trained side by side, their seeds counted from the first", "agents")
-    total_frames: int = at_least(1_000_000, 1, "as many, in whole iterations", "frames a seed")
-    n_envs: int = at_least(16, 1, "that fly side by side", "environments a seed")
-    hidden: tuple[int, ...] = key((64, 64), "of each hidden layer", "units")
-    lr: float = at_least(3e-4, 0, "learning rate")
-    gamma: float = within(0.99, 0, 1, "discount of a step")
-    max_grad_norm: float | None = at_least(0.5, 0, "to which each agent's gradient is scaled down")
+    activation: Annotated[str, AfterValidator(OneOf(ACTIVATIONS))] = key("tanh", "of the hidden layers")
+    seed: Whole = key(0, "the first of the seeds", ge=0, le=2**31 - 1)
+    n_seeds: Count = key(1, "trained side by side, their seeds counted from the first", "agents")
+    total_frames: Count = key(1_000_000, "as many, in whole iterations", "frames a seed")
+    n_envs: Count = key(16, "that fly side by side", "environments a seed")
+    hidden: Units = key((64, 64), "of each hidden layer", "units")
+    lr: AtLeast0 = key(3e-4, "learning rate")
+    gamma: Share = key(0.99, "discount of a step")
+    max_grad_norm: AtLeast0 | None = key(0.5, "to which each agent's gradient is scaled down")
     init: Init = key("default", "of the weights; default is PyTorch's, unit suits gains to activations")
     layer_norm: bool = key(False, "LayerNorm before each activation, without parameters of its own")
     layouts: str = key(
         "train", "bank of obstacles: train, validation, test, a rung such as density-12/train, or a file's path"
     )
-    max_steps: int | None = at_least(None, 1, "cap on an episode, which truncates it", "steps")
-    reward: str = one_of("eq14", REWARDS, "what a step earns")
-    task: str = one_of("drone", TASKS, "what is flown")
-    stack: int = within(1, 1, MOST_REMEMBERED, "newest ones that a policy sees at once", "observations")
-    world: World = key(None, "fields of the world that differ from the task's own")
+    max_steps: Count | None = key(None, "cap on an episode, which truncates it", "steps")
+    reward: Annotated[str, AfterValidator(OneOf(REWARDS))] = key("eq14", "what a step earns")
+    task: Annotated[str, AfterValidator(OneOf(TASKS))] = key(TASK, "what is flown")
+    stack: Whole = key(1, "newest ones that a policy sees at once", "observations", ge=1, le=MOST_REMEMBERED)
+    world: SerializeAsAny[World] = key(None, "fields of the world that differ from the task's own")
     faults: Faults = key(None, "faults of the sensor and the actuator")
     device: str = key("cpu", "where tensors live")
-    compile: Literal["auto", "on", "off"] = key("auto", "auto compiles runs of 100,000 frames and more")
+    compile: Compile = key("auto", "auto compiles runs of 100,000 frames and more")
 
-    def __new__(cls, **given: Any) -> Self:
-        self = super().__new__(cls)
-        object.__setattr__(self, "_given", frozenset(given))  # until __post_init__
-        return self
+    @model_validator(mode="before")
+    @classmethod
+    def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """The task's own settings, then those of the preset, then the given ones."""
+        preset = given.get("preset", "paper")
+        if not among(preset, cls.PRESETS):
+            raise unknown("preset", preset, cls.PRESETS)
+        chosen = cls.PRESETS[preset] | given
+        task = chosen.get("task", TASK)
+        task = task if among(task, TASKS) else TASK  # else the field is refused
+        settings = {"reward": TASKS[task].REWARD} | chosen
+        if settings.get("max_steps") is None:
+            settings["max_steps"] = TASKS[task].MAX_STEPS
+        return settings | {name: part(kind, name, settings.get(name)) for name, kind in parts_of(task).items()}
 
-    def __post_init__(self) -> None:
-        if not among(self.preset, self.PRESETS):
-            raise unknown("preset", self.preset, self.PRESETS)
-        for name, value in self.PRESETS[self.preset].items():
-            if name not in self.__dict__["_given"]:
-                object.__setattr__(self, name, value)
-        if "reward" not in self.__dict__["_given"] and among(self.task, TASKS):
-            object.__setattr__(self, "reward", TASKS[self.task].REWARD)
-        if self.max_steps is None and among(self.task, TASKS):
-            object.__setattr__(self, "max_steps", TASKS[self.task].MAX_STEPS)
-        object.__delattr__(self, "_given")
-        hints = get_type_hints(type(self))
-        for item in (item for item in fields(self) if item.name not in PARTS):
-            value = checked(item.name, getattr(self, item.name), hints[item.name], item.metadata)
-            object.__setattr__(self, item.name, value)
-        for name, kind in parts_of(self.task).items():
-            object.__setattr__(self, name, _part(name, getattr(self, name), kind))
+    def check(self) -> None:
         try:
             check_reward(self.reward, self.world)
         except ValueError as error:
@@ -144,31 +131,38 @@ class TrainConfig:
         """
         if not isinstance(mapping, Mapping):
             raise ConfigError(f"{told(mapping)}: is no mapping; give keys and values")
-        names = [item.name for item in fields(cls)]
-        for name in mapping:
-            if not among(name, names):
-                raise unknown_key(name, [*names, *part_keys()])
-        return cls(**mapping)
+        given = {told(name): value for name, value in mapping.items()}
+        for name in [name for name in given if name.startswith(DOTTED)]:
+            whole, _, field = name.partition(".")
+            if isinstance(given.get(whole) or {}, Mapping):
+                given[whole] = {**(given.get(whole) or {}), field: given.pop(name)}
+        return cls(**given)
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """The names of all settings, with those of a world and of faults as a command line sets them."""
+        return [*super().names(), *(f"{name}.{one}" for name, kind in parts_of(TASK).items() for one in kind.names())]
 
     @classmethod
     def as_run(cls, mapping: Mapping[str, Any]) -> dict[str, Any]:
         """The settings in a run's config.yaml; what came later than the run is as a run had it then: the default."""
         default = plain(cls(preset="vectorised"))
         there = {key: value for key, value in mapping.items() if key != "algorithm"}
-        for name, kind in parts_of(there.get("task", "drone")).items():
-            there[name] = asdict(kind()) | dict(there.get(name, {}))
+        for name, kind in parts_of(there.get("task", TASK)).items():
+            there[name] = kind().model_dump() | dict(there.get(name, {}))
         return default | there
 
     @classmethod
     def usual(cls, preset: str, task: str) -> dict[str, Any]:
         """The settings of a preset in a task. They are built with a reward that asks nothing more of an algorithm."""
-        return plain(cls(preset=preset, task=task, reward=cls.reward)) | {"reward": TASKS[task].REWARD}
+        reward = cls.model_fields["reward"].default
+        return plain(cls(preset=preset, task=task, reward=reward)) | {"reward": TASKS[task].REWARD}
 
     def beyond_preset(self) -> dict[str, Any]:
         """The settings in which this configuration differs from its preset, apart from what every table names."""
         named = ("preset", "activation", "seed", "n_seeds", "total_frames", "n_envs", "device", "compile")
-        mine, theirs = _flat(plain(self)), _flat(self.usual(self.preset, self.task))
-        theirs["task"] = TrainConfig.task
+        mine, theirs = flat(plain(self)), flat(self.usual(self.preset, self.task))
+        theirs["task"] = TASK
         return {name: value for name, value in mine.items() if name not in named and value != theirs[name]}
 
     def make(self, compile: bool) -> Any:
@@ -271,13 +265,7 @@ class TrainConfig:
 
 def plain(config: TrainConfig) -> dict[str, Any]:
     """Its settings as YAML and JSON hold them, with lists for tuples."""
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(config).items()}
-
-
-MOST_LAYERS = 100
-EXAMPLES = {"world": "sensor_arc=90", "faults": "noise=5"}
-PARTS = tuple(EXAMPLES)
-"""The fields that are dataclasses of their own, whose fields a command line sets as `world.sensor_arc`."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in config.model_dump().items()}
 
 
 def parts_of(task: str) -> dict[str, type[World] | type[Faults]]:
@@ -285,69 +273,7 @@ def parts_of(task: str) -> dict[str, type[World] | type[Faults]]:
     return {"world": TASKS[task].WORLD, "faults": Faults}
 
 
-def part_keys() -> list[str]:
-    """Every field of `PARTS` as a command line sets it."""
-    return [f"{name}.{item.name}" for name, kind in parts_of(TrainConfig.task).items() for item in fields(kind)]
-
-
-def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
+def flat(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings with a name for each field of `PARTS`, as a command line gives them: `world.sensor_arc`."""
     own = {f"{part}.{name}": value for part in PARTS for name, value in settings[part].items()}
     return {name: value for name, value in settings.items() if name not in PARTS} | own
-
-
-def _part(name: str, given: Any, kind: type[World] | type[Faults]) -> World | Faults:
-    """A world, or faults, from some of its fields; a ConfigError names the one that is wrong."""
-    hints, names = get_type_hints(kind), [item.name for item in fields(kind)]
-    if isinstance(given, (World, Faults)):
-        if type(given) is not kind:
-            raise ConfigError(f"{name}={told(given)}; give a {kind.__name__}")
-        return given
-    if given is not None and not isinstance(given, Mapping):
-        raise ConfigError(f"{name}={told(given)}; give fields of the {name}, such as {name}.{EXAMPLES[name]}")
-    values = {}
-    for one, value in (given or {}).items():
-        if not among(one, names):
-            raise unknown_key(f"{name}.{told(one)}", [f"{name}.{other}" for other in names])
-        values[one] = checked(f"{name}.{one}", value, hints[one], {})
-    try:
-        return kind(**values)
-    except ValueError as error:
-        raise ConfigError(f"{name}.{error}") from error
-
-
-def checked(name: str, value: Any, hint: Any, limits: Mapping[str, Any]) -> Any:
-    """The value in its declared type, or a ConfigError."""
-    if get_origin(hint) is Literal:
-        value = {True: "on", False: "off"}.get(value, value) if isinstance(value, bool) else value  # yaml's on and off
-        if not among(value, get_args(hint)):
-            raise unknown(name, value, get_args(hint))
-        return value
-    if get_origin(hint) is types.UnionType:  # the one form in use: `int | None`
-        return None if value is None else checked(name, value, get_args(hint)[0], limits)
-    if get_origin(hint) is tuple:
-        if not isinstance(value, (list, tuple)):
-            raise ConfigError(f"{name}={told(value)}; give a list of whole numbers, such as [64,64]")
-        return tuple(checked(name, entry, int, {}) for entry in value)
-    given = value
-    if hint is int:
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value // 1:
-            raise ConfigError(f"{name}={told(value)}; give a whole number")
-        if abs(value) > MOST_WHOLE:
-            raise ConfigError(f"{name}={told(value)}; give a number of at most {MOST_WHOLE:,}")
-        value = int(value)
-    elif hint is float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= sys.float_info.max:
-            raise ConfigError(f"{name}={told(value)}; give a number")
-        value = float(value)
-    elif hint is bool:
-        if not isinstance(value, bool):
-            raise ConfigError(f"{name}={told(value)}; choose from false, true")
-    elif hint is str and not isinstance(value, str):
-        raise ConfigError(f"{name}={told(value)}; give a name")
-    if "choices" in limits and value not in limits["choices"]:
-        raise unknown(name, value, limits["choices"])
-    if not limits.get("least", value) <= value <= limits.get("most", value):
-        bounds = f"at least {limits['least']}" + (f" and at most {limits['most']}" if "most" in limits else "")
-        raise ConfigError(f"{name}={told(given)}; give a number of {bounds}")
-    return value

@@ -6,7 +6,6 @@ An algorithm's module imports `train` from here. The `make` of its configuration
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,9 +21,10 @@ from uavnav.envs.env import DroneEnv
 from uavnav.errors import ConfigError, told
 from uavnav.runs import Run
 from uavnav.runs.tables import RunError
+from uavnav.settings import Count, Seconds, checked
 from uavnav.training import loggers, machine, weights, workers
 from uavnav.training.checkpoints import Stateful
-from uavnav.training.config import TrainConfig, checked, plain
+from uavnav.training.config import TrainConfig, plain
 from uavnav.training.display import Display, Tell
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
 
@@ -173,12 +173,11 @@ def train(
         raise ConfigError(f"config={told(config)}; give a configuration, such as PPOConfig()")
     if out is not None and not isinstance(out, (str, Path)):
         raise ConfigError(f"out={told(out)}; give a folder")
-    checked("overwrite", overwrite, bool, {})
+    checked("overwrite", overwrite, bool)
     if tell is not None and not callable(tell):
         raise ConfigError(f"tell={told(tell)}; give a function of frames and rewards")
-    if not (isinstance(checkpoint_seconds, float) and checkpoint_seconds == math.inf):  # else only a stop's snapshot
-        checked("checkpoint_seconds", checkpoint_seconds, float, {"least": 0})
-    checked("until", until, int | None, {"least": 1})
+    checked("checkpoint_seconds", checkpoint_seconds, Seconds)
+    checked("until", until, Count | None)
     names = loggers.chosen(logger)
     folder = Path(out or config.folder)
     logs = loggers.Logs(names, folder, config.algorithm, plain(config))

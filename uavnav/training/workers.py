@@ -23,7 +23,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -142,7 +142,7 @@ def split(config: TrainConfig, folder: Path, n: int) -> list[Worker]:
     sizes = [len(range(worker, config.n_seeds, n)) for worker in range(n)]
     firsts = [config.seed + sum(sizes[:worker]) for worker in range(n)]
     return [
-        Worker(_newest(folder / WORKERS / str(number)), replace(config, seed=first, n_seeds=size))
+        Worker(_newest(folder / WORKERS / str(number)), config.replace(seed=first, n_seeds=size))
         for number, (first, size) in enumerate(zip(firsts, sizes, strict=True))
     ]
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, get_type_hints
 
 from uavnav.errors import ConfigError, unknown, unknown_key
-from uavnav.training.config import checked
+from uavnav.settings import checked
 
 ENGINES = {"local": "Local", "ray": "Ray", "slurm": "Slurm"}
 """The module of each engine here, and the class in it, whose fields are its settings."""
@@ -68,12 +68,12 @@ def described(name: str, settings: Mapping[str, Any], others: Collection[str] = 
     if name not in ENGINES:
         raise unknown("engine", name, ENGINES)
     kind = getattr(importlib.import_module(f"uavnav.studies.engines.{name}"), ENGINES[name])
-    hints = get_type_hints(kind)
-    names = {item.name: item.metadata for item in fields(kind)}
+    hints = get_type_hints(kind, include_extras=True)
+    names = [item.name for item in fields(kind)]
     for key in settings:
         if key not in names:
             raise unknown_key(key, [*names, *others])
-    return kind, {key: checked(key, value, hints[key], names[key]) for key, value in settings.items()}
+    return kind, {key: checked(key, value, hints[key]) for key, value in settings.items()}
 
 
 class Probe:

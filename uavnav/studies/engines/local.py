@@ -7,10 +7,11 @@ import os
 import signal
 import subprocess
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from uavnav.settings import Count
 from uavnav.training import machine, workers
 
 
@@ -23,7 +24,7 @@ class Local:
 
     SEEDS_PER_WORKER: ClassVar[int | None] = None
 
-    jobs: int | None = field(default=None, metadata={"least": 1})
+    jobs: Count | None = None
 
     def __post_init__(self) -> None:
         self._running: list[subprocess.Popen[bytes]] = []

@@ -7,11 +7,12 @@ import shutil
 import subprocess
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from uavnav.errors import ConfigError
+from uavnav.settings import Count
 from uavnav.studies import engines
 
 SACCT_SECONDS = 30
@@ -37,9 +38,9 @@ class Slurm:
     SEEDS_PER_WORKER: ClassVar[int | None] = 10
 
     partition: str | None = None
-    time: int = field(default=240, metadata={"least": 1})
-    memory: int = field(default=4, metadata={"least": 1})
-    jobs: int = field(default=100, metadata={"least": 1})
+    time: Count = 240
+    memory: Count = 4
+    jobs: Count = 100
     cluster: Literal["slurm", "local"] = "slurm"
 
     def __post_init__(self) -> None:

@@ -8,7 +8,6 @@ A page holds the scripts that it needs, one after the other.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +41,7 @@ def constants() -> dict[str, dict[str, Any]]:
     """What `world.js` needs of each world, by its name there: constants, the cap on steps, and `RULES`."""
     kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is a bank alone
     return {
-        name: {"world": asdict(kind.WORLD()), "max_steps": kind.MAX_STEPS, "rules": RULES.get(name, {})}
+        name: {"world": kind.WORLD().model_dump(), "max_steps": kind.MAX_STEPS, "rules": RULES.get(name, {})}
         for name, kind in kinds.items()
     }
 

@@ -11,7 +11,6 @@ import importlib.metadata
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,7 +64,7 @@ def _rungs(name: str) -> tuple[float, float]:
 
 SETTINGS = {
     "gap": Setting("gap", *_rungs("slalom"), 10, 120, "px", ("slalom",)),
-    "pace": Setting("their speed", *_rungs("speed"), 0.5, MovingWorld.speed_max, "px/step", ("moving",)),
+    "pace": Setting("their speed", *_rungs("speed"), 0.5, MovingWorld().speed_max, "px/step", ("moving",)),
     "noise": Setting("noise", *_rungs("noise"), 1, 0, "px"),
     "lost": Setting("lost echoes", *_rungs("lost"), 0.05, 0),
     "late": Setting("delay", *_rungs("late"), 1, 0, "steps"),
@@ -140,7 +139,7 @@ def _load(path: Path, n_seeds: int) -> Iterator[Policy]:
                 raise PolicyError(f"{path}: the page has no {what} {value!r}; it has {', '.join(choices)}")
         usual = type(policy.world)()
         same = {name: getattr(usual, name) for name in ("speed_min", "speed_max") if hasattr(usual, name)}
-        if replace(policy.world, **same) != usual:  # the page has obstacles of any speed
+        if policy.world.replace(**same) != usual:  # the page has obstacles of any speed
             raise PolicyError(f"{path}: trained in another world than the page's, which has every default")
         yield policy
 

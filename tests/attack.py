@@ -231,6 +231,9 @@ class Attempt:
         resource.setrlimit(resource.RLIMIT_AS, (taken + ROOM, taken + ROOM))
         resource.setrlimit(resource.RLIMIT_FSIZE, (FILE, FILE))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        asked = os.sysconf
+        pages = int(self.memory / 2) // resource.getpagesize()  # so much a machine of this size would leave for a run
+        os.sysconf = lambda name: pages if name == "SC_PHYS_PAGES" else asked(name)
         self.case.spoil(self.here)
         before = tree(self.here)
         (self.scratch / "ready").touch()

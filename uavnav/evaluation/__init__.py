@@ -263,6 +263,7 @@ def evaluate_run(
     """
     if not isinstance(run, Run):
         raise RunError(f"run={told(run)}; give a Run")
+    checked("quiet", quiet, bool)
     modes = by_mode(load_policies(run.path, run.seeds))
     own = modes["greedy"][run.seeds[0]].task
     max_steps = own.cap(MAX_STEPS) if max_steps is None else max_steps

@@ -174,6 +174,7 @@ def train(
     if out is not None and not isinstance(out, (str, Path)):
         raise ConfigError(f"out={told(out)}; give a folder")
     checked("overwrite", overwrite, bool)
+    checked("quiet", quiet, bool)
     if tell is not None and not callable(tell):
         raise ConfigError(f"tell={told(tell)}; give a function of frames and rewards")
     checked("checkpoint_seconds", checkpoint_seconds, Seconds)

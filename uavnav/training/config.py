@@ -91,7 +91,7 @@ class TrainConfig(Settings):
     @classmethod
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
         """The task's own settings, then those of the preset, then the given ones."""
-        preset = given.get("preset", "paper")
+        preset = given.get("preset", cls.model_fields["preset"].default)
         if not among(preset, cls.PRESETS):
             raise unknown("preset", preset, cls.PRESETS)
         chosen = cls.PRESETS[preset] | given

@@ -110,9 +110,10 @@ def test_in_the_processes_of_workers_a_plugins_parts_and_algorithm_give_what_one
 @pytest.mark.slow
 @pytest.mark.compiled
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core: one process")
-def test_a_recipe_with_a_plugin_trains_compiled_in_two_processes(folder):
+def test_a_run_with_a_plugin_trains_compiled_in_two_processes(folder):
     words = [word for word in WORDS if not word.startswith("compile=")]
-    python(folder, ROOT / "recipes/ppo.py", "plugins=my_study", *words, "compile=on", "evaluate=false", "out=compiled")
+    words += ["plugins=my_study", "compile=on", "evaluate=false", "out=compiled"]
+    python(folder, "-m", "uavnav", "train", "ppo", *words)
     meta = Run(folder / "compiled").meta
     assert (meta["compiled"], meta["processes"], list(meta["plugins"])) == (True, 2, ["my_study"])
 
@@ -248,8 +249,8 @@ def test_the_file_of_a_studys_job_has_nothing_imported_either(bomb, monkeypatch)
     told |= {"how": {}, "threads": 1}
     job = bomb.with_name("seeds.job")
     job.write_text(json.dumps(told | {"out": str(bomb), "folder": str(bomb.parent)}))
-    worker.main([str(job)])
-    assert json.loads(job.with_suffix(".ended").read_text())["error"].startswith("algorithm=bomb; choose from a2c, c51")
+    worker.main(["uavnav.algorithms.ppo:PPOConfig", str(job)])
+    assert "holds a run with algorithm=bomb" in json.loads(job.with_suffix(".ended").read_text())["error"]
 
 
 def test_a_plugin_that_adds_nothing_a_run_needs_is_not_asked_for(bomb):

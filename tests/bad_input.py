@@ -641,7 +641,7 @@ CASES = [
     policy("a world that is a list", facts(world=[90])),
     policy("a cap of 0", facts(max_steps=0), "not a readable policy file (max_steps=0"),
     policy("a cap in words", facts(max_steps="never"), "not a readable policy file (max_steps=never"),
-    policy("a wrong switch", facts(world={"slots": "first"}), "not a readable policy file (slots=first"),
+    policy("a wrong switch", facts(world={"slots": "first"}), "not a readable policy file (world.slots=first"),
     policy("another world version", facts(world_version="0"), "trained in world version 0", "this is 1"),
     policy("a tensor missing", tensor("policy.0.bias", lambda t: None), HEADER),
     policy("a tensor cut", tensor("policy.2.weight", lambda t: t[:, :7]), HEADER),
@@ -1066,7 +1066,7 @@ CASES = [
     word("a page onto a folder", ".: cannot be written", "is a folder", "bench", "--out", "."),
     # names spelt wrongly in Python
     misused("a reward spelt wrongly", lambda f: uavnav.DroneEnv(reward="eq41"), "reward='eq41'", "did you mean eq14"),
-    misused("slots spelt wrongly", lambda f: uavnav.World(slots="nearst"), "slots='nearst'", "did you mean nearest"),
+    misused("slots spelt wrongly", lambda f: uavnav.World(slots="nearst"), "slots=nearst", "did you mean nearest"),
     misused("a preset spelt wrongly", lambda f: ppo.PPOConfig(preset="fats"), "preset=fats", "did you mean fast"),
     bank_for("spelt wrongly", lambda f: layouts.load("trian"), "layouts='trian'", "did you mean train"),
     argument(

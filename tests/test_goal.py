@@ -18,7 +18,6 @@ from safetensors import safe_open
 import uavnav
 from uavnav import evaluation
 from uavnav.algorithms import c51, dqn, ppo, sac
-from uavnav.cli import train
 from uavnav.errors import ConfigError
 from uavnav.runs import metrics
 from uavnav.tasks import goal, layouts
@@ -223,9 +222,8 @@ def test_its_own_reward_and_a_cap_of_1000_steps_are_what_is_not_given(bank):
     assert ppo.PPOConfig(task="goal").reward == "goal"
     assert ppo.PPOConfig(task="goal", reward="eq14").reward == "eq14"
     assert ppo.PPOConfig().reward == "eq14"
-    kind = ppo.PPOConfig
-    assert train._composed(kind, ["task=goal", "preset=fast"])["reward"] == "goal"
-    assert train._composed(kind, ["preset=fast"])["reward"] == "eq14"
+    assert ppo.PPOConfig(task="goal", preset="fast").reward == "goal"
+    assert ppo.PPOConfig(preset="fast").reward == "eq14"
 
 
 # -- the shells ------------------------------------------------------------------------------------------------------

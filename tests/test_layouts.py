@@ -228,7 +228,7 @@ def test_each_of_22_damaged_files_is_refused_in_one_line_that_says_what_is_wrong
 DRAWN_BY = [
     (uavnav.World(obstacle_radius_max=50.0), {"obstacle_radius_max": "50.0"}),
     (uavnav.World(width=1600, safe_zone=80.0), {"width": "1600", "safe_zone": "80.0"}),
-    (MovingWorld(obstacle_radius_min=50), {"obstacle_radius_min": "50"}),
+    (MovingWorld(obstacle_radius_min=50), {"obstacle_radius_min": "50.0"}),
     (GoalWorld(height=900), {"height": "900"}),
     (uavnav.World(height=300, sensor_radius=90.0), {"height": "300", "sensor_radius": "90.0"}),
     (SpaceWorld(depth=400), {"depth": "400"}),

@@ -242,7 +242,8 @@ def test_a_run_whose_processes_are_killed_again_and_again_ends_with_the_same_bit
             time.sleep(0.05)
         time.sleep(chance.uniform(0.0, 1.5))
         for member in [process.pid, *holders(out)][whom]:
-            os.kill(member, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):  # it has just ended
+                os.kill(member, signal.SIGKILL)
         process.wait(60)
     run = train(PPOConfig(**config), out, quiet=True, processes=2)
     assert_same(run, train(PPOConfig(**config), tmp_path / "whole", quiet=True, processes=2))
@@ -336,8 +337,8 @@ def test_an_activation_of_ones_own_stays_in_the_process_that_knows_it(monkeypatc
 
 
 @pytest.mark.parametrize("function", [train, train_dqn])
-def test_training_shows_the_9_arguments_that_it_takes(function):
-    names = ["config", "out", "overwrite", "quiet", "checkpoint_seconds", "until", "tell", "processes", "logger"]
+def test_training_shows_the_10_arguments_that_it_takes(function):
+    names = ["config", "out", "overwrite", "quiet", "checkpoint_seconds", "until", "tell", "processes", "logger", "fit"]
     assert list(inspect.signature(function).parameters) == names
     assert inspect.signature(function).parameters["config"].annotation == "TrainConfig"
 

@@ -78,25 +78,21 @@ def evaluate_policy(
         policy: what `uavnav.load_policy` returns, or any callable of that form.
         layouts: `train`, `validation`, `test`, a bank's path, or a tensor [n, k, 3].
         episodes: how many layouts, from the first.
-        max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no
-        collision. By
-            default 10,000, or the task's own limit where that is lower.
+        max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no collision.
+            By default 10,000, or the task's own limit where that is lower.
         world: constants and switches; by default those that the policy was trained in, if it has any.
         reward: a name of `uavnav.rewards.REWARDS`; by default the policy's, or eq14.
-        seed: of the generator that the policy is given, and of what faults draw; also written into the column
-        `seed`.
+        seed: of the generator that the policy is given, and of what faults draw; also written into the column `seed`.
         faults: of its sensor and actuator; by default those that the policy was trained with, if it has any.
         task: a name of `uavnav.simulator.TASKS`; by default the policy's, or the one that has such a world.
 
     Returns:
-        A row an episode, the columns of `metrics.EPISODE_COLUMNS` (`frame` is the step of its end, `env` its
-        row).
+        A row an episode, the columns of `metrics.EPISODE_COLUMNS` (`frame` is the step of its end, `env` its row).
 
     Raises:
         LayoutError: the bank cannot be read.
-        ValueError: an unknown reward or task, more episodes than the bank has layouts, a count below 1, or a
-        policy that
-            sees another number of numbers than there are in this world.
+        ValueError: an unknown reward or task, more episodes than the bank has layouts, a count below 1, or a policy
+            that sees another number of numbers than there are in this world.
     """
     if not callable(policy):
         raise ConfigError(f"policy={told(policy)}; give what load_policy returns, or a function of that form")
@@ -258,8 +254,7 @@ def evaluate_run(
         protocol.
 
     Raises:
-        LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be
-        written.
+        LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
     """
     if not isinstance(run, Run):
         raise RunError(f"run={told(run)}; give a Run")

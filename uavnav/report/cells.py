@@ -188,13 +188,11 @@ def flat(config: Mapping[str, Any]) -> dict[str, Any]:
     rest = dict(config)
     for part, kind in PARTS.items():
         own = rest.pop(part) if isinstance(rest.get(part), dict) else {}
-        rest |= {f"{part}.{name}": _as_field(getattr(kind, name, None), value) for name, value in own.items()}
+        usual = kind().model_dump()
+        for name, value in own.items():
+            is_float = type(value) is int and isinstance(usual.get(name), float)
+            rest[f"{part}.{name}"] = float(value) if is_float else value  # 90 is 90.0
     return rest
-
-
-def _as_field(default: Any, value: Any) -> Any:
-    """A setting in the type of its field: 90 is 90.0."""
-    return float(value) if type(value) is int and isinstance(default, float) else value
 
 
 def _checked(run: Run, name: str, rows: pd.DataFrame) -> pd.DataFrame:

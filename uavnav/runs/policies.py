@@ -179,9 +179,8 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     Args:
         run: a run's folder, its policy file, or the zip that `model.save` of Stable-Baselines3 wrote.
         seed: which training seed; the first one if None. A zip has no seeds.
-        greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon
-        (0.05 for a
-            zip).
+        greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon (0.05 for
+            a zip).
         activation: of a zip's hidden layers, which its weights do not tell; a run knows its own.
 
     Raises:

@@ -958,6 +958,7 @@ CASES = [
     ),
     word("out left out", "'~out'", "is no setting", "ppo", "out=new", "~out"),
     word("out a list", "out=[1]", "give a folder", "ppo", "out=[1]"),
+    word("out of nothing", "out=", "give a folder", "ppo", "out="),
     word("out of a NUL byte", "no folder can have such a name", "give another", "ppo", 'out="\0"'),
     word(
         "rows beyond memory", "rows of progress a seed", "give fewer frames", "ppo", "total_frames=1e15", "compile=off"

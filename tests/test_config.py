@@ -1,6 +1,7 @@
 """Configurations answer back: a wrong key, type, name, count or device is one line with what would be right."""
 
 import pickle
+from typing import Any, ClassVar
 
 import pytest
 import yaml
@@ -212,7 +213,7 @@ def test_keys_with_a_dot_are_fields_of_a_part_beside_those_that_are_given_whole(
     assert (config.world, config.faults.late) == (World(n_slots=5, sensor_arc=90), 2)
     with pytest.raises(ConfigError, match="world=flat; give fields of the world"):
         PPOConfig.from_mapping({"world": "flat", "world.sensor_arc": 90})
-    with pytest.raises(ConfigError, match=r"there is no key 'world\.sensor_arc'"):
+    with pytest.raises(ConfigError, match=r"there is no key 'world\.sensor_arc' beside world=World; give one of them"):
         PPOConfig.from_mapping({"world": World(), "world.sensor_arc": 90})
 
 
@@ -235,3 +236,25 @@ def test_keys_with_a_dot_are_fields_of_a_part_beside_those_that_are_given_whole(
 )
 def test_words_of_a_command_line_become_the_settings_of_each_run(words, runs):
     assert _sweep(words, multirun=True) == runs
+
+
+def test_a_preset_of_a_plugin_alone_reads_its_run_again():
+    class Mine(PPOConfig):
+        PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"mine": {"lr": 0.5}}
+        preset: str = key("mine")
+
+    there = Mine.as_run({"algorithm": "ppo", **plain(Mine(epochs=3))})
+    assert Mine.from_mapping(there) == Mine(epochs=3)
+    assert there["lr"] == 0.5
+
+
+@pytest.mark.parametrize(("kind", "many"), [(PPOConfig, 16), (DQNConfig, 64)])
+def test_the_default_preset_is_vectorised_and_the_papers_has_one_environment(kind, many):
+    assert (kind().preset, kind().n_envs) == ("vectorised", many)
+    assert kind() == kind(preset="vectorised")
+    assert kind(preset="paper") == kind(preset="paper", n_envs=1) == kind(n_envs=1).replace(preset="paper")
+
+
+def test_a_folder_of_digits_keeps_its_name():
+    assert _sweep(["out=007", "seed=007"], False) == [{"out": "007", "seed": 7}]
+    assert _sweep(["out=null"], False) == [{"out": None}]

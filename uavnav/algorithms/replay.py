@@ -71,8 +71,8 @@ class ReplayConfig(TrainConfig):
     def keeps_next_observations(self) -> bool:
         """Whether the buffer stores s' too.
 
-        Without a cap, s' is the same world's next row, or unused after a collision. A step at the cap bootstraps from
-        an observation that no other row has.
+        Without a cap, s' is the same environment's next row, or unused after a collision. A step at the cap bootstraps
+        from an observation that no other row has.
         """
         return self.max_steps is not None
 
@@ -86,7 +86,7 @@ class ReplayConfig(TrainConfig):
 
     @property
     def steps_between_updates(self) -> int:
-        """Steps of all worlds from one round of gradient steps to the next."""
+        """Steps of all environments from one round of gradient steps to the next."""
         return max(self.frames_per_update // self.n_envs, 1)
 
     @property
@@ -114,7 +114,7 @@ class Replay:
         seeds: one for each agent.
         capacity: the newest so many transitions of each agent are kept.
         n_envs: that an agent steps at once.
-        keeps_next: store s' with each step; else it is read from the same world's later row.
+        keeps_next: store s' with each step; else it is read from the same environment's later row.
         n_steps, gamma: the n steps of a target, and their discount.
         device: where the ring lies.
     """

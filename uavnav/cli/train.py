@@ -42,7 +42,7 @@ MOST_CELLS = 1_000
 def _folder(value: Any) -> Any:
     if type(value) in (int, float):  # a folder's name may be a number
         return str(value)
-    if not isinstance(value, str | None):
+    if not isinstance(value, str | None) or value == "":
         raise ConfigError(f"out={told(value)}; give a folder")
     return value
 
@@ -175,6 +175,8 @@ def _value(word: str, text: str) -> Any:
             raise ConfigError(
                 f"{told(word)}: its value cannot be read; in a shell quote brackets and blanks: 'hidden=[64,64]'"
             ) from error
+    if word.lstrip("+").startswith("out="):  # 007 is a folder's name
+        return None if text == "null" else text
     for number in (int, float):
         with contextlib.suppress(ValueError):
             return number(text)

@@ -134,8 +134,11 @@ class TrainConfig(Settings):
         given = {told(name): value for name, value in mapping.items()}
         for name in [name for name in given if name.startswith(DOTTED)]:
             whole, _, field = name.partition(".")
-            if isinstance(given.get(whole) or {}, Mapping):
-                given[whole] = {**(given.get(whole) or {}), field: given.pop(name)}
+            own = given.get(whole) or {}
+            if isinstance(own, Settings):
+                raise ConfigError(f"there is no key '{name}' beside {whole}={type(own).__name__}; give one of them")
+            if isinstance(own, Mapping):
+                given[whole] = {**own, field: given.pop(name)}
         return cls(**given)
 
     @classmethod
@@ -146,7 +149,7 @@ class TrainConfig(Settings):
     @classmethod
     def as_run(cls, mapping: Mapping[str, Any]) -> dict[str, Any]:
         """The settings in a run's config.yaml; what came later than the run is as a run had it then: the default."""
-        default = plain(cls(preset="vectorised"))
+        default = plain(cls())
         there = {key: value for key, value in mapping.items() if key != "algorithm"}
         for name, kind in parts_of(there.get("task", TASK)).items():
             there[name] = kind().model_dump() | dict(there.get(name, {}))
@@ -178,14 +181,14 @@ class TrainConfig(Settings):
         steps = self.n_seeds * self.frames_per_iteration
         named = f"n_seeds={self.n_seeds}, n_envs={self.n_envs}: the {steps:,} frames of an iteration"
         needed = steps * (2 * 4 * self.observation_size + STEP_BYTES)
-        self.check_memory(named, needed, "fewer frames an iteration, worlds or seeds")
+        self.check_memory(named, needed, "fewer frames an iteration, environments or seeds")
         self.check_memory(f"n_seeds={self.n_seeds}: their orders of a bank", SEED_BYTES * self.n_seeds, "fewer seeds")
         named = f"hidden={told(list(self.hidden))}: the products of the last layer's units"
         self.check_memory(named, 12 * self.n_seeds * self.hidden[-1] ** 2, "a narrower last layer or fewer seeds")
         if self.stack > 1 or self.faults.late:
             kept = max(self.stack, self.faults.late) * self.world.observation_size
-            named = f"stack={self.stack}, faults.late={self.faults.late}: the observations that worlds remember"
-            self.check_memory(named, 4 * self.n_seeds * self.n_envs * kept, "fewer of them, worlds or seeds")
+            named = f"stack={self.stack}, faults.late={self.faults.late}: the observations that are remembered"
+            self.check_memory(named, 4 * self.n_seeds * self.n_envs * kept, "fewer of them, environments or seeds")
         rows = self.frames // max(self.frames_between_rows, self.frames_per_iteration)
         named = f"total_frames={self.total_frames}: its {rows:,} rows of progress a seed"
         needed = rows * (ROW_BYTES + self.n_seeds * 8 * ROW_COLUMNS)
@@ -207,7 +210,7 @@ class TrainConfig(Settings):
 
     @property
     def frames_per_iteration(self) -> int:
-        """Collected per seed between two calls of `learn`: here a step of all worlds."""
+        """Collected per seed between two calls of `learn`: here a step of all environments."""
         return self.n_envs
 
     @property

@@ -6,12 +6,13 @@ from types import SimpleNamespace
 import pandas as pd
 import torch
 import yaml
+from safetensors.torch import load_file
 from torch import nn
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.evaluation import BEHAVIOUR_COLUMNS
 from uavnav.networks import mlp
-from uavnav.runs import POLICY
+from uavnav.runs import FILES, POLICY
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.training.config import TrainConfig
 from uavnav.training.weights import serialize
@@ -118,3 +119,13 @@ def write_policies(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs
     pd.DataFrame(counts, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
     pd.DataFrame({"seed": [seed], "frame": [100]}).to_parquet(path / "progress.parquet")
     return path
+
+
+def same(a, b):
+    """Two folders hold the same run, bit for bit."""
+    for name in ("episodes.parquet", "progress.parquet"):
+        tables = [pd.read_parquet(path / name).drop(columns="frames_per_second", errors="ignore") for path in (a, b)]
+        pd.testing.assert_frame_equal(*tables, check_exact=True)
+    weights = [load_file(path / "policy.safetensors") for path in (a, b)]
+    assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
+    assert sorted(path.name for path in b.iterdir()) == sorted(FILES)

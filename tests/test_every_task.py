@@ -7,8 +7,8 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from runs_by_hand import same
 from safetensors import safe_open
-from test_resume import same
 
 import uavnav
 from uavnav import evaluation, load_policy

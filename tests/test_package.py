@@ -1,6 +1,7 @@
 """`import uavnav` is cheap, and every name that it promises is there."""
 
 import ast
+import re
 import subprocess
 import sys
 from graphlib import CycleError, TopologicalSorter
@@ -78,3 +79,8 @@ def test_no_two_import_each_other_not_even_by_way_of_others(of):
 
 def test_the_top_of_the_package_is_seen_at_a_glance():
     assert len([path for path in PACKAGE.iterdir() if path.name not in ("__pycache__", "py.typed")]) <= ROOMS
+
+
+def test_no_module_of_tests_imports_another():
+    for path in Path(__file__).parent.glob("*.py"):
+        assert not re.search(r"^\s*(from|import) test_", path.read_text(), re.MULTILINE), path.name

@@ -9,7 +9,7 @@ import pytest
 from pages import ALL, CONFIGS, MINE, PAGES, ROOT, blocks, code, table
 
 import uavnav
-from uavnav import runs, settings
+from uavnav import runs, settings, studies
 from uavnav.cli.train import Command
 from uavnav.report.page import DECISIONS
 from uavnav.runs import metrics
@@ -218,3 +218,14 @@ def test_the_table_of_the_decisions_is_the_modules_row_by_row():
     begin = lines.index(header)
     assert lines[begin + 2 : begin + 3 + len(decisions)] == [*decisions, ""]
     assert [number for number, *_ in DECISIONS[1:]] == [str(number) for number in range(1, 17)]
+
+
+def test_the_glossarys_presets_are_those_of_every_algorithm_with_a_study():
+    rows = table(ALL["docs/glossary.md"], "| name | preset | study |")
+    named = {code(row[0])[0]: row for row in rows}
+    assert [name for name, row in named.items() if row[1].endswith("the default")] == ["vectorised"]
+    for kind in CONFIGS.values():
+        assert {"paper", "vectorised"} <= {*kind.PRESETS} & {*named}
+        assert kind.model_fields["preset"].default == "vectorised"
+        assert (kind(preset="paper").n_envs, kind(preset="vectorised").n_envs in (16, 64)) == (1, True)
+    assert {"paper", "vectorised", "tuned"} <= {*studies.names()}

@@ -20,13 +20,14 @@ from safetensors.numpy import load_file
 from tied import LINK, first_screen, too_long, untied
 
 from uavnav import stats
+from uavnav.algorithms import ALGORITHMS
 from uavnav.report.claims import EVERY
 from uavnav.report.content import gather
 from uavnav.report.docs import BEGIN, END, results, summary
 from uavnav.report.operating import EQUAL, TABLES, characteristics
 from uavnav.report.page import markdown
 from uavnav.report.studies import of_paper
-from uavnav.runs import Run, paper
+from uavnav.runs import Run, paper, read_settings
 from uavnav.runs.readings import PER_FRAME, per_frame
 
 ROOT = Path(__file__).parent.parent
@@ -57,7 +58,7 @@ def test_all_that_is_committed_of_results_takes_less_than_60_mb():
 
 
 def test_rows_and_weights_are_those_that_the_runs_wrote_before_the_folders_were_put_in_order():
-    """Checksums of each column of each table, and of each tensor, made from the files as they lay there before."""
+    """Checksums of each column of each table, and of each tensor, from the old files as read, under their new names."""
     found: dict[str, Any] = defaultdict(sha256)
 
     def note(path: Path, name: str, values: np.ndarray) -> None:
@@ -74,6 +75,17 @@ def test_rows_and_weights_are_those_that_the_runs_wrote_before_the_folders_were_
             note(path, name, tensor)
     sums = json.loads((ROOT / "tests" / "results.json").read_text())
     assert {kind: one.hexdigest() for kind, one in found.items()} == sums
+
+
+def test_each_committed_configuration_can_be_trained_again_and_goes_beyond_its_preset_as_its_facts_say():
+    paths = [*RESULTS.rglob("config.yaml")]
+    assert len(paths) == 310
+    for path in paths:
+        said, meta = read_settings(path), read_settings(path.with_name("meta.json"))
+        kind = ALGORITHMS[said["algorithm"]].config
+        beyond = kind.from_mapping(kind.as_run(said)).beyond_preset()
+        there, here = ({k.removeprefix("world."): v for k, v in one.items()} for one in (meta["beyond_preset"], beyond))
+        assert there == here, path
 
 
 README = (ROOT / "README.md").read_text().partition(BEGIN)[2].partition(END)[0]

@@ -10,18 +10,18 @@ import time
 import warnings
 from pathlib import Path
 
-import pandas as pd
 import pytest
 import torch
 import yaml
-from safetensors.torch import load, load_file, save
+from runs_by_hand import same
+from safetensors.torch import load, save
 from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from uavnav import files
 from uavnav.algorithms import dqn, ppo
 from uavnav.envs.env import DroneEnv
-from uavnav.runs import FILES, STOP
+from uavnav.runs import STOP
 from uavnav.runs.tables import RunError
 from uavnav.training import checkpoints, provenance
 from uavnav.training.recorder import Interrupted, Recorder
@@ -64,15 +64,6 @@ def whole(request, tmp_path_factory):
     """An uninterrupted run."""
     train, config = ALGORITHMS[request.param]
     return train, config, train(config, out=tmp_path_factory.mktemp("whole") / "run", quiet=True)
-
-
-def same(a, b):
-    for name in ("episodes.parquet", "progress.parquet"):
-        tables = [pd.read_parquet(path / name).drop(columns="frames_per_second", errors="ignore") for path in (a, b)]
-        pd.testing.assert_frame_equal(*tables, check_exact=True)
-    weights = [load_file(path / "policy.safetensors") for path in (a, b)]
-    assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
-    assert sorted(path.name for path in b.iterdir()) == sorted(FILES)
 
 
 def stop_at(monkeypatch, frames, how):

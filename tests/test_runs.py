@@ -268,3 +268,14 @@ def test_missing_parts_of_a_run_are_named(trained, tmp_path):
 def test_runs_go_to_a_folder_of_their_algorithm_preset_and_activation():
     assert ppo.PPOConfig(activation="relu").folder == Path("runs/ppo/relu")
     assert dqn.PRESETS["vectorised-2.3"].folder == Path("runs/dqn-vectorised-2.3/tanh")
+
+
+def test_a_run_of_version_0_1_is_refused_in_one_line_and_stays_as_it_is(tmp_path):
+    config = ppo.PPOConfig(total_frames=128, frames_per_batch=128, epochs=1, compile="off")
+    path = ppo.train(config, tmp_path / "run", quiet=True).path / "config.yaml"
+    path.write_text(path.read_text().replace("n_envs:", "n_worlds:"))
+    before = path.read_bytes()
+    for call in (lambda: Run(path.parent), lambda: ppo.train(config, path.parent, quiet=True)):
+        with pytest.raises(RunError, match=r"written by uavnav 0\.1, which reads it; train it again[^\n]*$"):
+            call()
+    assert path.read_bytes() == before

@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 import oracle
+import posed as poses
 import pytest
-import test_sensing as poses
 import torch
 
 import uavnav

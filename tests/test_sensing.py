@@ -3,11 +3,12 @@
 import math
 
 import oracle
+import posed
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from posed import agree_with_the_oracle, random_poses
+from posed import OTHERS, agree_with_the_oracle, poses_in, random_poses
 from torch.fx.experimental.proxy_tensor import make_fx
 
 import uavnav
@@ -18,73 +19,21 @@ WORLD = uavnav.World()
 EMPTY = torch.zeros(0, 3)
 
 
-def near_walls(n, generator):
-    x, y, heading, circles = random_poses(n, 11)
-    gap = 20 + 40 * torch.rand(n, generator=generator)
-    x[0::4], x[1::4] = gap[0::4], 800 - gap[1::4]
-    y[2::4], y[3::4] = gap[2::4], 600 - gap[3::4]
-    return x, y, heading, circles
-
-
-def near_corners(n, generator):
-    _, _, heading, circles = random_poses(n, 12)
-    x, y = 20 + 130 * torch.rand(2, n, generator=generator)
-    x[0::2], y[1::4], y[2::4] = 800 - x[0::2], 600 - y[1::4], 600 - y[2::4]
-    return x, y, heading, circles
-
-
-def around_a_circle(n, generator, gap, seed):
-    """The first circle's edge is gap [n] px away."""
-    x, y, heading, circles = random_poses(n, seed)
-    angle = 2 * math.pi * torch.rand(n, generator=generator)
-    circles[:, 0, 0] = x + (circles[:, 0, 2] + gap) * torch.cos(angle)
-    circles[:, 0, 1] = y + (circles[:, 0, 2] + gap) * torch.sin(angle)
-    return x, y, heading, circles
-
-
-def in_contact(n, generator):
-    return around_a_circle(n, generator, 29.5 + torch.rand(n, generator=generator), 13)
-
-
-def at_the_edge_of_view(n, generator):
-    return around_a_circle(n, generator, 119.5 + torch.rand(n, generator=generator), 14)
-
-
-def axis_headings(n, generator):
-    """On whole pixels, so that directions at right angles and equal distances are exact in float32 too.
-
-    Not inside the border, where no flight gets: there, exactly on the edge of two squares, `sense` leaves out the
-    square whose nearest point is exactly 120 px along the wall (the eighth from the drone's).
-    """
-    x, y, heading, circles = random_poses(n, 15)
-    x, y = 21 + x * 758 / 800, 21 + y * 558 / 600
-    circles[:, 0] = torch.stack([x.round() + 90, y.round(), torch.full_like(x, 45)], -1)
-    return x.round(), y.round(), heading // 90 * 90, circles
-
-
-def inside_a_square(n, generator):
-    _, _, heading, circles = random_poses(n, 16)
-    left, bottom = torch.tensor(oracle.SQUARES)[torch.randint(136, (n,), generator=generator)].T
-    return (
-        left + 20 * torch.rand(n, generator=generator),
-        bottom + 20 * torch.rand(n, generator=generator),
-        heading,
-        circles,
-    )
-
-
-def on_a_circles_centre(n, generator):
-    _, _, heading, circles = random_poses(n, 17)
-    return circles[:, 3, 0].clone(), circles[:, 3, 1].clone(), heading, circles
-
-
 def test_ten_thousand_random_poses_equal_a_loop_over_136_squares():
     assert agree_with_the_oracle(random_poses(10_000, 1)) < 0.01
 
 
 @pytest.mark.parametrize(
     "group",
-    [near_walls, near_corners, in_contact, at_the_edge_of_view, axis_headings, inside_a_square, on_a_circles_centre],
+    [
+        posed.near_walls,
+        posed.near_corners,
+        posed.in_contact,
+        posed.at_the_edge_of_view,
+        posed.axis_headings,
+        posed.inside_a_square,
+        posed.on_a_circles_centre,
+    ],
 )
 def test_a_thousand_difficult_poses_equal_a_loop_over_136_squares(group):
     assert agree_with_the_oracle(group(1000, torch.Generator().manual_seed(2))) < 0.05
@@ -93,24 +42,6 @@ def test_a_thousand_difficult_poses_equal_a_loop_over_136_squares(group):
 @pytest.mark.parametrize("switches", oracle.SWITCHES[1:])
 def test_both_switches_equal_the_loop_on_5000_poses_among_24_circles(switches):
     assert agree_with_the_oracle(random_poses(5000, 3, k=24), uavnav.World(**switches)) < 0.05
-
-
-OTHERS = [
-    ({"sensor_arc": 90}, {"arc": 90}),
-    ({"sensor_arc": 270}, {"arc": 270}),
-    ({"sensor_arc": 360}, {"arc": 360}),
-    ({"sensor_radius": 200, "n_slots": 25}, {"sensor": 200, "slots": 25}),
-    ({"sensor_radius": 75.5, "drone_radius": 10, "n_slots": 3}, {"sensor": 75.5, "drone": 10, "slots": 3}),
-    ({"border": 10, "n_slots": 40}, {"side": 10, "slots": 40}),
-    ({"width": 1000, "height": 500, "border": 50}, {"width": 1000, "height": 500, "side": 50}),
-]
-"""Fields of other worlds than the paper's, and the same for the oracle."""
-
-
-def poses_in(world, n):
-    x, y, heading, circles = near_walls(n, torch.Generator().manual_seed(3))
-    across, up = world.width / 800, world.height / 600
-    return x * across, y * up, heading, circles * torch.tensor([across, up, 1.0])
 
 
 @pytest.mark.parametrize(("fields", "arena"), OTHERS)

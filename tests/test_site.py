@@ -21,7 +21,7 @@ import uavnav
 from uavnav import networks
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
-from uavnav.cli import play
+from uavnav.cli import commands, play
 from uavnav.report import compare
 from uavnav.runs import metrics
 from uavnav.tasks import rewards, simulator
@@ -205,6 +205,13 @@ def test_every_make_target_and_every_extra_that_a_page_shows_exists():
             assert words[1] in " ".join(targets).split()
         elif words[:2] == ["pip", "install"]:
             assert {*re.findall(r"\[(.*)\]", command)} <= {*extras}
+
+
+def test_every_command_of_uavnav_that_a_page_shows_is_parsed():
+    of_uavnav = [words[1:] for _, command in COMMANDS if (words := as_uavnav(shlex.split(command)))[0] == "uavnav"]
+    assert len(of_uavnav) >= 70
+    for name, *words in filter(None, of_uavnav):
+        commands.parse(name, words)
 
 
 TINY = {

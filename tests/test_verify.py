@@ -268,3 +268,29 @@ def test_where_a_run_parts_and_a_plugin_has_changed_it_is_named(run, verdict, mo
     status, lines = verdict(run)
     assert status == 1
     assert lines[-1] == f"  plugins.mine: {'0' * 64} then, {'1' * 64} now"
+
+
+def test_columns_that_a_folder_leaves_out_are_named_and_all_others_are_compared(run, verdict):
+    edit(run / "episodes.parquet", lambda table: table.drop(columns=["env", "layout"], inplace=True))
+    n = len(Run(run).episodes)
+    status, lines = verdict(run)
+    assert (status, f": {n} episodes, " in lines[0]) == (0, True)
+    assert lines[1] == "  episodes: not compared, as the folder leaves them out: env, layout"
+
+    def change(table):
+        table.loc[3, "distance"] += 1
+
+    edit(run / "episodes.parquet", change)
+    status, lines = verdict(run)
+    assert (status, "the first with another distance" in lines[1]) == (1, True)
+    edit(run / "progress.parquet", lambda table: table.insert(0, "extra", 1.0))
+    assert "  progress: other columns" in verdict(run)[1]
+
+
+def test_a_column_of_nan_is_none_that_was_left_out(run, verdict):
+    def change(table):
+        table["grad_norm"] = float("nan")
+
+    edit(run / "progress.parquet", change)
+    status, lines = verdict(run)
+    assert (status, "the first with another grad_norm: nan then" in lines[1]) == (1, True)

@@ -336,11 +336,11 @@ def test_an_activation_of_ones_own_stays_in_the_process_that_knows_it(monkeypatc
     assert machine.processes(PPOConfig(n_seeds=10, activation="tanh")) == 1
 
 
-@pytest.mark.parametrize("function", [train, train_dqn])
-def test_training_shows_the_10_arguments_that_it_takes(function):
+def test_training_shows_the_10_arguments_that_it_takes():
     names = ["config", "out", "overwrite", "quiet", "checkpoint_seconds", "until", "tell", "processes", "logger", "fit"]
-    assert list(inspect.signature(function).parameters) == names
-    assert inspect.signature(function).parameters["config"].annotation == "TrainConfig"
+    assert train is train_dqn
+    assert list(inspect.signature(train).parameters) == names
+    assert inspect.signature(train).parameters["config"].annotation == "TrainConfig"
 
 
 @pytest.mark.parametrize("processes", [0, -1, 4, 2.5, True])
@@ -372,3 +372,16 @@ def test_a_report_beside_a_run_under_way_does_not_take_its_workers_for_runs(tmp_
     with pytest.raises(Interrupted):
         train(PPOConfig(n_seeds=3, **SMALL), tmp_path / "run", quiet=True, processes=2, until=512)
     assert run_folders(tmp_path)[0] == [tmp_path / "run"]
+
+
+def test_a_spread_run_took_as_long_as_the_slower_of_its_workers(tmp_path, monkeypatch):
+    read = workers.Run
+
+    def timed(folder):
+        run = read(folder)
+        run.meta["wall_seconds"] = {"0": 80.0, "1": 100.0}[folder.stem]
+        return run
+
+    monkeypatch.setattr(workers, "Run", timed)
+    run = train(PPOConfig(n_seeds=2, **SMALL), tmp_path / "run", quiet=True, processes=2)
+    assert run.meta["wall_seconds"] == 100.0

@@ -84,6 +84,10 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
         fewer = "" if kept == run.seeds else f" of {len(kept)} of its {len(run.seeds)} seeds"
         compared += f" and {len(weights)} tensors{fewer}"
     lines = [f"{run.path}: the same, bit for bit: {compared} at {reached:,} frames per seed"]
+    for name, table in originals.items():
+        more = tables[name].drop(columns=[*table, *TIMING], errors="ignore").dropna(axis=1, how="all")
+        if len(more.columns):
+            lines.append(f"  {name}: not compared, as the folder leaves them out: {', '.join(map(str, more))}")
     lines += [f"  weights: not compared, no {POLICY} there; the run's command makes it"] if original is None else []
     return Verdict(True, lines)
 
@@ -102,16 +106,14 @@ def _config(run: Run) -> TrainConfig:
 
 def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
     """Where two tables part first, in words; empty where they do not."""
-    there, here = (
-        table.drop(columns=TIMING, errors="ignore").dropna(axis=1, how="all").reset_index(drop=True)
-        for table in (there, here)
-    )
+    there, here = (table.drop(columns=TIMING, errors="ignore").reset_index(drop=True) for table in (there, here))
     rows = min(len(there), len(here))
     if not rows:  # a table without rows need not have columns
         return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
-    if not {*there} <= {*here}:
+    known = [column for column in there if column in here or there[column].notna().any()]
+    if not {*known} <= {*here}:
         return f"  {name}: other columns"
-    here = here[list(there)]  # a folder may leave out what nobody reads
+    there, here = there[known], here[known]  # a folder may leave out what nobody reads
     equal = (there[:rows] == here[:rows]) | (there[:rows].isna() & here[:rows].isna())
     wrong = ~equal.all(axis=1)
     if wrong.any():

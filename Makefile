@@ -34,7 +34,7 @@ vectorised initial tuned sensitivity wide why algorithms worlds: .venv/.installe
 tuning: .venv/.installed-dev # Optuna comes with what tests need
 	$(BIN)/uavnav study tuning out=$(RESULTS) report=false $(ENGINE)
 
-baselines: .venv/.installed # what needs no learning, on the test sets
+baselines: .venv/.installed # what needs no learning, on the test layouts
 	$(BIN)/uavnav evaluate random straight reactive --out $(RESULTS)/baselines
 
 report: .venv/.installed # the report, docs/results.md and the findings in the README
@@ -47,11 +47,11 @@ docs: .venv/.installed-dev # the site, in build/site
 help: .venv/.installed # the help of each algorithm, from its configuration
 	$(BIN)/python -m uavnav.cli.help
 
-layouts: .venv/.installed # the banks that ship with the package, again
-	$(BIN)/uavnav layouts --out uavnav/tasks/banks
-	$(BIN)/uavnav layouts --task goal --out uavnav/tasks/banks
+layouts: .venv/.installed # the layouts that ship with the package, again
+	$(BIN)/uavnav layouts --out uavnav/tasks/splits
+	$(BIN)/uavnav layouts --task goal --out uavnav/tasks/splits
 
-picture: .venv/.installed # the flights in the README, and the window in docs/start.md
+picture: .venv/.installed # the episodes in the README, and the window in docs/start.md
 	$(BIN)/python docs/film.py $(RESULTS)/vectorised/ppo/sigmoid $(RESULTS)/vectorised/dqn/sigmoid reactive
 	$(BIN)/python docs/window.py $(RESULTS)/vectorised/ppo/relu $(RESULTS)/vectorised/dqn/relu
 

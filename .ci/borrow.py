@@ -1,4 +1,5 @@
-"""Link into a folder what `pip install .` asks for, out of the environment of this process: nothing of an extra.
+"""Link into a folder what `pip install .` asks for, out of the environment of this process: nothing of an
+extra.
 
 The folder is another environment's site-packages; no package is downloaded or unpacked a second time.
 """

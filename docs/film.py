@@ -1,4 +1,6 @@
-"""Draw docs/flight.gif: flights on the same obstacles, and their rewards below (`python docs/film.py RUN ...`)."""
+"""Draw docs/flight.gif: episodes on the same obstacles, and their rewards below (`python docs/film.py RUN
+...`).
+"""
 
 from __future__ import annotations
 
@@ -11,18 +13,18 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from uavnav.envs.drawing import GROUND, INK, PILOTS, STEPS_PER_SECOND, Picture
-from uavnav.views.render import Film, Flight, fly, load_layout, load_pilots, save
+from uavnav.views.render import Episode, Film, fly, load_layout, load_pilots, save
 
 LAYOUT, STEPS, EVERY, SPEED, WIDTH = 56, 600, 6, 4, 280
 DPI, HEIGHT = 100, 170
 
 
-def curves(flights: list[Flight], film: Film) -> list[Picture]:
-    """Each flight's reward so far, a picture for each of the film's."""
+def curves(episodes: list[Episode], film: Film) -> list[Picture]:
+    """Each episode's reward so far, a picture for each of the film's."""
     width = film[0].shape[1]
     figure = Figure((width / DPI, HEIGHT / DPI), dpi=DPI, layout="constrained", facecolor=colour(GROUND))
     canvas, axes = FigureCanvasAgg(figure), figure.subplots()
-    rewards = [[float(state.reward) for state in flight.states] for flight in flights]
+    rewards = [[float(state.reward) for state in episode.states] for episode in episodes]
     axes.set(xlabel="step", ylabel="reward so far", xlim=(0, film.steps[-1]), facecolor=colour(GROUND))
     axes.set_ylim(min(map(min, rewards)) - 1, max(map(max, rewards)) + 1)
     axes.spines[["top", "right"]].set_visible(False)
@@ -44,15 +46,15 @@ def colour(rgb: tuple[int, int, int]) -> tuple[float, ...]:
 
 def main(words: list[str]) -> None:
     """Fly, draw, write."""
-    bank = load_layout("test", LAYOUT)
-    flights = [fly(pilot, bank, LAYOUT, STEPS) for pilot in load_pilots(words)]
-    film = Film(flights, bank[LAYOUT], WIDTH, EVERY)
-    pictures = [np.vstack(both) for both in zip(film, curves(flights, film), strict=True)]
+    layouts = load_layout("test", LAYOUT)
+    episodes = [fly(pilot, layouts, LAYOUT, STEPS) for pilot in load_pilots(words)]
+    film = Film(episodes, layouts[LAYOUT], WIDTH, EVERY)
+    pictures = [np.vstack(both) for both in zip(film, curves(episodes, film), strict=True)]
     out = Path(__file__).parent / "flight.gif"
     save(pictures, out, Fraction(SPEED * STEPS_PER_SECOND, EVERY))
-    for flight in flights:
-        last = flight.states[-1]
-        print(f"{flight.pilot.title}: {int(last.steps)} steps, reward {float(last.reward):.2f}")
+    for episode in episodes:
+        last = episode.states[-1]
+        print(f"{episode.pilot.title}: {int(last.steps)} steps, reward {float(last.reward):.2f}")
 
 
 if __name__ == "__main__":

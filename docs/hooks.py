@@ -1,4 +1,5 @@
-"""What the site does beyond MkDocs: equations without a script, notebooks as pages, links to files that are no pages.
+"""What the site does beyond MkDocs: equations without a script, notebooks as pages, links to files that are
+no pages.
 
 The pages stay plain Markdown, which a forge shows too.
 """
@@ -44,13 +45,17 @@ FLY, FLIES = "fly.html", "<!-- fly -->"
 
 
 def on_files(files: Any, config: Any, **_: Any) -> Any:
-    """Beside each notebook a page of its words and its code, without outputs; the playground of the study's runs."""
+    """Beside each notebook a page of its words and its code, without outputs; the playground of the
+    study's runs.
+    """
     for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
         name = notebook.src_uri.removesuffix(".ipynb")
         files.append(File.generated(config, f"{name}.md", content=page_of(Path(notebook.abs_src_path))))
     root = Path(config.config_file_path).parent / GENERATED
     for path in sorted(path for pattern in PARTS for path in root.glob(pattern)):
-        files.append(File.generated(config, REPORT + path.relative_to(root).as_posix(), abs_src_path=str(path)))
+        files.append(
+            File.generated(config, REPORT + path.relative_to(root).as_posix(), abs_src_path=str(path))
+        )
     if live := flown(Path(config.config_file_path).parent / GENERATED / "vectorised"):
         files.append(File.generated(config, FLY, content=live))
     return files
@@ -73,7 +78,9 @@ def page_of(notebook: Path) -> str:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
-    """Links to notebooks lead to their pages, others out of docs/ become paths; a file that is missing is a warning."""
+    """Links to notebooks lead to their pages, others out of docs/ become paths; a file that is missing is
+    a warning.
+    """
     root = Path(config.config_file_path).parent
     markdown = OF_REPORT.sub(rf"]({REPORT}\1)", markdown.replace(".ipynb)", ".md)"))
     if FLIES in markdown and any((root / GENERATED).rglob(POLICY)):
@@ -86,7 +93,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
             return link[0]
         if not (root / path).exists() and not path.startswith(GENERATED):
             log.warning("%s links to %s, which is not in the repository", page.file.src_uri, path)
-        if path.endswith(".csv") or path in text or f"{path}/" in text:  # a number of a table stands for itself
+        # a number of a table stands for itself
+        if path.endswith(".csv") or path in text or f"{path}/" in text:
             return text
         return f"{text} (`{path}`)"
 
@@ -108,7 +116,9 @@ def first_screen(report: Path) -> str:
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
-    """A title, a sentence and a picture for those who are sent a link: an address where SITE_URL says which."""
+    """A title, a sentence and a picture for those who are sent a link: an address where SITE_URL says
+    which.
+    """
     up = config.site_url or "../" * page.url.count("/")
     sentence = re.search(r'<div class="first">\s*<h1>(.*?)</h1>', output, re.DOTALL)
     said = re.sub(r"<[^>]+>", "", sentence[1]).strip() if sentence else config.site_description
@@ -116,12 +126,15 @@ def on_post_page(output: str, page: Any, config: Any) -> str:
     told = {"og:type": "website", "og:title": title, "og:description": said}
     told |= {"og:image": f"{up}{REPORT}preview.png", "twitter:card": "summary_large_image"}
     tags = (f'<meta property="{name}" content="{html.escape(words)}">' for name, words in told.items())
-    output = output.replace('role="dialog">', 'role="dialog" aria-label="Search">', 1)  # the theme names no dialog
+    # the theme names no dialog
+    output = output.replace('role="dialog">', 'role="dialog" aria-label="Search">', 1)
     return output.replace("</head>", "".join([*tags, "</head>"]), 1)
 
 
 def on_page_content(html_of_page: str, config: Any, **_: Any) -> str:
-    """TeX that arithmatex has marked becomes MathML, which browsers show by themselves; the first screen is put in."""
+    """TeX that arithmatex has marked becomes MathML, which browsers show by themselves; the first screen
+    is put in.
+    """
     if FIRST in html_of_page:
         root = Path(config.config_file_path).parent / GENERATED
         html_of_page = html_of_page.replace(FIRST, first_screen(root / "report.html"))

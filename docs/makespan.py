@@ -1,9 +1,10 @@
-"""How long 8 cells of 1,000 seeds take on 1, 10 and 100 machines, from the measured times of the committed study.
+"""How long 8 configurations of 1,000 seeds take on 1, 10 and 100 machines, from the measured times of the
+committed study.
 
     python docs/makespan.py results
 
-A machine has two cores and runs two workers of ten seeds side by side, as the committed study did. A worker's time is
-the wall time of its cell, in which its snapshots are, and what start-up and evaluation add.
+A machine has two cores and runs two workers of ten seeds side by side, as the committed study did. A worker's
+time is the wall time of its configuration, in which its snapshots are, and what start-up and evaluation add.
 """
 
 import heapq
@@ -11,22 +12,26 @@ import json
 import sys
 from pathlib import Path
 
-CELLS = 8
+CONFIGURATIONS = 8
 SEEDS = 1_000
 SEEDS_PER_WORKER = 10
 CORES = 2
 START_SECONDS = 50.0
 """From a job's command line to its first frame, with cold caches of the compiler."""
 EVALUATION_SECONDS = 95.0
-"""Of ten seeds, 200 sets, greedy and sampled, on one core."""
+"""Of ten seeds, 200 layouts, greedy and sampled, on one core."""
 
 
 def worker_seconds(results: Path) -> list[float]:
-    """One number a cell."""
+    """One number a configuration."""
     metas = sorted(
-        path for algorithm in ("ppo", "dqn") for path in (results / "vectorised" / algorithm).glob("*/meta.json")
+        path
+        for algorithm in ("ppo", "dqn")
+        for path in (results / "vectorised" / algorithm).glob("*/meta.json")
     )
-    return [json.loads(path.read_text())["wall_seconds"] + START_SECONDS + EVALUATION_SECONDS for path in metas]
+    return [
+        json.loads(path.read_text())["wall_seconds"] + START_SECONDS + EVALUATION_SECONDS for path in metas
+    ]
 
 
 def makespan(jobs: list[float], cores: int) -> float:

@@ -1,4 +1,6 @@
-"""Draw docs/flight-window.png: one policy hands the drone to another in flight (`python docs/window.py RUN RUN`)."""
+"""Draw docs/flight-window.png: one policy hands the drone to another in mid-episode (`python docs/window.py
+RUN RUN`).
+"""
 
 from __future__ import annotations
 

@@ -1,11 +1,13 @@
-"""Train DQN on the drone's world and compare it with the paper: `uavnav train dqn` as one page, to read and to change.
+"""Train DQN on the drone's world and compare it with the paper: `uavnav train dqn` as one page, to read and
+to change.
 
     python recipes/dqn.py activation=sigmoid
-    python recipes/dqn.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu out=runs/mine
-    python recipes/dqn.py -m activation=relu,leaky_relu,tanh,sigmoid
+    python recipes/dqn.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu
+    out=runs/mine python recipes/dqn.py -m activation=relu,leaky_relu,tanh,sigmoid
 
-`python recipes/dqn.py --help` says what each key means. All seeds learn side by side in this process, where `uavnav
-train dqn` spreads those of a long run over the cores. Letters: A seeds, W environments a seed, T steps.
+`python recipes/dqn.py --help` says what each key means. All seeds learn side by side in this process, where
+`uavnav train dqn` spreads those of a long run over the cores. Letters: A seeds, W environments a seed, T
+steps.
 """
 
 import sys
@@ -35,7 +37,9 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
 
     # network: observation [A, ..., 30] -> Q values [A, ..., 100]; the actor takes the best, or explores
     network = make_network(config).to(config.device)
-    actor = Actor(network, config.seeds, "epsilon-greedy", config.head, session.compile, epsilon=config.epsilon)
+    actor = Actor(
+        network, config.seeds, "epsilon-greedy", config.head, session.compile, epsilon=config.epsilon
+    )
 
     # loss: equation (1), with a target network
     loss = make_loss(network, config)
@@ -43,7 +47,9 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
 
     # buffer: transitions (s, a, R, s'), from which each seed draws its own
     capacity, next_too = min(config.buffer_size, config.frames), config.keeps_next_observations
-    replay = Replay(config.seeds, capacity, config.n_envs, next_too, config.n_steps, config.gamma, config.device)
+    replay = Replay(
+        config.seeds, capacity, config.n_envs, next_too, config.n_steps, config.gamma, config.device
+    )
 
     # update: Adam on each seed's own gradient, whose norm is clipped
     adam = Adam(config.lr, config.adam_eps)
@@ -62,7 +68,9 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
                 losses = learner.learn(replay.draw(config.updates_per_step, config.batch_size))
             if config.logs(frames):
                 now = batch["observation"][:, :, -1]
-                session.log({**losses, **diagnostics(now, network, config, frames), **probes.units(network, probe)})
+                session.log(
+                    {**losses, **diagnostics(now, network, config, frames), **probes.units(network, probe)}
+                )
         return session.finish()
 
 

@@ -1,11 +1,13 @@
-"""Train PPO on the drone's world and compare it with the paper: `uavnav train ppo` as one page, to read and to change.
+"""Train PPO on the drone's world and compare it with the paper: `uavnav train ppo` as one page, to read and
+to change.
 
     python recipes/ppo.py activation=relu
-    python recipes/ppo.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu out=runs/mine
-    python recipes/ppo.py -m activation=relu,leaky_relu,tanh,sigmoid
+    python recipes/ppo.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu
+    out=runs/mine python recipes/ppo.py -m activation=relu,leaky_relu,tanh,sigmoid
 
-`python recipes/ppo.py --help` says what each key means. All seeds learn side by side in this process, where `uavnav
-train ppo` spreads those of a long run over the cores. Letters: A seeds, W environments a seed, T steps.
+`python recipes/ppo.py --help` says what each key means. All seeds learn side by side in this process, where
+`uavnav train ppo` spreads those of a long run over the cores. Letters: A seeds, W environments a seed, T
+steps.
 """
 
 import sys
@@ -16,7 +18,15 @@ from uavnav.__main__ import main  # before PyTorch
 import torch
 
 from uavnav.acting import Actor
-from uavnav.algorithms.ppo import PPOLoss, clip_bound, diagnostics, estimate, make_advantage, make_networks, minibatches
+from uavnav.algorithms.ppo import (
+    PPOLoss,
+    clip_bound,
+    diagnostics,
+    estimate,
+    make_advantage,
+    make_networks,
+    minibatches,
+)
 from uavnav.runs import Run
 from uavnav.tasks.seeding import Streams
 from uavnav.training import probes
@@ -52,9 +62,13 @@ def train(recorder: Recorder, quiet: bool, tell: Tell | None) -> Run:
     with session.open(env, actor, networks, parts):
         for _, batch in session.batches():
             estimate(batch, policy, value, advantage)
-            epochs = [learner.learn(minibatches(batch, orders, config.minibatch_size)) for _ in range(config.epochs)]
+            epochs = [
+                learner.learn(minibatches(batch, orders, config.minibatch_size)) for _ in range(config.epochs)
+            ]
             losses = {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
-            session.log({**losses, **diagnostics(batch, policy, clip_bound(config)), **probes.units(policy, probe)})
+            session.log(
+                {**losses, **diagnostics(batch, policy, clip_bound(config)), **probes.units(policy, probe)}
+            )
         return session.finish()
 
 

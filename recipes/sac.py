@@ -1,8 +1,8 @@
 """Train SAC on the drone's world and compare it with the paper: the same as `uavnav train sac`.
 
     python recipes/sac.py activation=tanh
-    python recipes/sac.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu out=runs/mine
-    python recipes/sac.py -m activation=sigmoid,leaky_relu
+    python recipes/sac.py activation=relu n_seeds=4 total_frames=1e6 preset=vectorised device=cpu
+    out=runs/mine python recipes/sac.py -m activation=sigmoid,leaky_relu
 
 `python recipes/sac.py --help` says what each key means.
 """

@@ -1,12 +1,12 @@
 """Hostile input for every key, option, call and file, and a judge of how each is answered.
 
-    python tests/attack.py --n 5000 --seed 0 [--class files]    a long attack: a table, and a line for each failed case
-    python tests/attack.py --case files:0:17                    one of these cases again, with all that it says
-    python tests/attack.py --list                               what would be tried
+    python tests/attack.py --n 5000 --seed 0 [--class files]    a long attack: a table, and a line for each
+    failed case python tests/attack.py --case files:0:17                    one of these cases again, with all
+    that it says python tests/attack.py --list                               what would be tried
 
-Keys come from the declarations and options from the parsers: new ones are attacked without a change here. The inputs
-are in `attack_inputs` and `attack_files`. A case runs in a fork of this process, in a copy of a folder of good files,
-within bounds of time and memory.
+Keys come from the declarations and options from the parsers: new ones are attacked without a change here. The
+inputs are in `attack_inputs` and `attack_files`. A case runs in a fork of this process, in a copy of a folder
+of good files, within bounds of time and memory.
 """
 
 import argparse
@@ -80,7 +80,7 @@ class Ended(NamedTuple):
     killed: str = ""  # `hang` or `memory`: by whom watched it
 
 
-# -- drawing ---------------------------------------------------------------------------------------------------------
+# -- drawing -------------------------------------------------------------------------------------------------
 
 
 def block(kind, seed, number):
@@ -118,7 +118,7 @@ def case_named(name):
     return block(kind, seed, int(index) // BLOCK)[int(index) % BLOCK]
 
 
-# -- judging ---------------------------------------------------------------------------------------------------------
+# -- judging -------------------------------------------------------------------------------------------------
 
 
 def judge(ended):
@@ -127,7 +127,11 @@ def judge(ended):
     if ended.killed:
         return ended.killed, lines[-1] if lines else "without a word"
     if "Traceback" in ended.complained or ended.status not in (0, 1, 2, 130):
-        named = [line for line in lines if line[:1].isalpha() and not line.startswith(("Traceback", "Extension mod"))]
+        named = [
+            line
+            for line in lines
+            if line[:1].isalpha() and not line.startswith(("Traceback", "Extension mod"))
+        ]
         fatal = [line for line in lines if line.startswith("Fatal Python error")]
         return "traceback", f"status {ended.status}: {(fatal or named or lines or [''])[-1][:LINE]}"
     if ended.status == 2:
@@ -156,7 +160,7 @@ def tree(folder):
     return found
 
 
-# -- running ---------------------------------------------------------------------------------------------------------
+# -- running -------------------------------------------------------------------------------------------------
 
 
 def warmed():
@@ -207,7 +211,12 @@ class Attempt:
     """A case that is under way, in a fork."""
 
     def __init__(self, name, case, good, scratch, seconds, memory):
-        self.name, self.case, self.scratch, self.seconds = name, case, scratch / name.replace(":", "-"), seconds
+        self.name, self.case, self.scratch, self.seconds = (
+            name,
+            case,
+            scratch / name.replace(":", "-"),
+            seconds,
+        )
         self.memory = memory * 2**30
         self.here = self.scratch / "one" / "here"  # `..` leads nowhere else
         self.here.parent.mkdir(parents=True)
@@ -232,7 +241,8 @@ class Attempt:
         resource.setrlimit(resource.RLIMIT_FSIZE, (FILE, FILE))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         asked = os.sysconf
-        pages = int(self.memory / 2) // resource.getpagesize()  # so much a machine of this size would leave for a run
+        # so much a machine of this size would leave for a run
+        pages = int(self.memory / 2) // resource.getpagesize()
         os.sysconf = lambda name: pages if name == "SC_PHYS_PAGES" else asked(name)
         self.case.spoil(self.here)
         before = tree(self.here)
@@ -268,7 +278,9 @@ class Attempt:
         if not (self.scratch / "ready").exists():
             complained += "\nTraceback of the attack itself: its input could not be made"
         shutil.rmtree(self.scratch, ignore_errors=True)
-        return Ended(os.waitstatus_to_exitcode(status), said, complained, changed.split("\n") * bool(changed), killed)
+        return Ended(
+            os.waitstatus_to_exitcode(status), said, complained, changed.split("\n") * bool(changed), killed
+        )
 
     def _watch(self):
         now = time.monotonic()
@@ -325,15 +337,15 @@ def run(named, good, seconds=SECONDS, memory=MEMORY):
                 one.kill_all()
 
 
-# -- the command -----------------------------------------------------------------------------------------------------
+# -- the command ---------------------------------------------------------------------------------------------
 
 
 def table(counts):
     """Verdicts by class, as a table."""
     lines = ["| class | tried | " + " | ".join(VERDICTS) + " |", "|---" * (len(VERDICTS) + 2) + "|"]
     for kind, count in counts.items():
-        cells = [kind, count.total(), *(count[verdict] for verdict in VERDICTS)]
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
+        configurations = [kind, count.total(), *(count[verdict] for verdict in VERDICTS)]
+        lines.append("| " + " | ".join(map(str, configurations)) + " |")
     return "\n".join(lines)
 
 
@@ -357,8 +369,12 @@ def main():
     parser.add_argument("--class", dest="kinds", nargs="+", choices=KINDS, default=ATTACKED)
     parser.add_argument("--case", metavar="CLASS:SEED:INDEX", help="one case again, with all that it says")
     parser.add_argument("--list", action="store_true", help="say what would be tried, and try nothing")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help=f"given to a case (default: {SECONDS:.0f})")
-    parser.add_argument("--memory", type=float, default=MEMORY, help=f"GiB for a case (default: {MEMORY:.0f})")
+    parser.add_argument(
+        "--seconds", type=float, default=SECONDS, help=f"given to a case (default: {SECONDS:.0f})"
+    )
+    parser.add_argument(
+        "--memory", type=float, default=MEMORY, help=f"GiB for a case (default: {MEMORY:.0f})"
+    )
     given = parser.parse_args()
     each = -(-given.n // len(given.kinds))
     if given.list:
@@ -374,7 +390,9 @@ def main():
             case = case_named(given.case)
             print(f"{case.told[:2000]!r}")
             [(_, _, ended)] = run([(given.case, case)], good, given.seconds, given.memory)
-            print(ended.said, ended.complained, f"changed: {ended.changed}", ": ".join(judge(ended)), sep="\n")
+            print(
+                ended.said, ended.complained, f"changed: {ended.changed}", ": ".join(judge(ended)), sep="\n"
+            )
             return judge(ended)[0] not in GOOD
         counts, failed = attack(given.kinds, each, given.seed, good, given.seconds, given.memory)
     print(table(counts))

@@ -1,4 +1,6 @@
-"""Hostile study files and damaged files, as `attack_inputs` has other input; and the good files that are damaged."""
+"""Hostile study files and damaged files, as `attack_inputs` has other input; and the good files that are
+damaged.
+"""
 
 import contextlib
 import hashlib
@@ -36,18 +38,20 @@ from uavnav.studies import search, tuning
 from uavnav.tasks import layouts
 from uavnav.training.recorder import Interrupted
 
-# -- study files -----------------------------------------------------------------------------------------------------
+# -- study files ---------------------------------------------------------------------------------------------
 
 PLAIN = {
-    "what": "one cell",
+    "what": "one configuration",
     "settings": {"activation": ["tanh"], "n_seeds": 2, "evaluate": {"episodes": 2, "max_steps": 5}, **SMALL},
-    "cells": [{"algorithm": "ppo", "hidden": [[4]], **OWN["ppo"]}],
+    "configurations": [{"algorithm": "ppo", "hidden": [[4]], **OWN["ppo"]}],
 }
 FULL = {
     **PLAIN,
-    "banks": [4],
+    "obstacles": [4],
     "scripts": "baselines",
-    "cells": [{"algorithm": ["ppo", "a2c"], "folder": "rate-{lr}", "lr": [0.1, 0.2], "world.slots": "listed"}],
+    "configurations": [
+        {"algorithm": ["ppo", "a2c"], "folder": "rate-{lr}", "lr": [0.1, 0.2], "world.slots": "listed"}
+    ],
     "tune": {
         "trials": 2,
         "at_once": 1,
@@ -64,16 +68,37 @@ FULL = {
 BOMB = "a: &a [x,x]\n" + "\n".join(
     f"{b}: &{b} [*{a},*{a},*{a}]" for a, b in zip("abcdefghijk", "bcdefghijkl", strict=True)
 )
-RAW = ("", "[", "cells", "cells: [", "\t- x", "a: b: c", "cells: &a [*a]", BOMB, "[" * 5000, "{a: " * 500, "- " * 5000)
+RAW = (
+    "",
+    "[",
+    "configurations",
+    "configurations: [",
+    "\t- x",
+    "a: b: c",
+    "configurations: &a [*a]",
+    BOMB,
+    "[" * 5000,
+    "{a: " * 500,
+    "- " * 5000,
+)
 RAW += (
     "!!python/object/apply:os.mkdir [x]",
-    "cells: !!binary x",
+    "configurations: !!binary x",
     "? {a: 1}\n: 2",
-    "cells: [{algorithm: ppo}]\0",
+    "configurations: [{algorithm: ppo}]\0",
     "\ufeff",
 )
-RAW += ("cells: [" + "{algorithm: ppo}," * 20_000 + "]", "--- 1\n--- 2", "<<: 3", "2001-13-45: 1", "cells: {<<: [1]}")
-RAW += ("x" * 3_000_000, "settings: {lr: [" + "1e-3," * 3000 + "]}\ncells: [{algorithm: ppo, folder: '{lr}'}]")
+RAW += (
+    "configurations: [" + "{algorithm: ppo}," * 20_000 + "]",
+    "--- 1\n--- 2",
+    "<<: 3",
+    "2001-13-45: 1",
+    "configurations: {<<: [1]}",
+)
+RAW += (
+    "x" * 3_000_000,
+    "settings: {lr: [" + "1e-3," * 3000 + "]}\nconfigurations: [{algorithm: ppo, folder: '{lr}'}]",
+)
 
 
 def places(node, path=()):
@@ -127,7 +152,9 @@ def study_files(draw):
     words = [word(f"{key}={word(draw(hostile))}") for key in settings]
     status = ["--status"] * draw(st.integers(0, 1)) + ["--json"] * draw(st.integers(0, 1))
     bounds = ["out=new", "report=false", "jobs=1"]
-    given = [one for one in bounds if not any(other.startswith(one.partition("=")[0] + "=") for other in words)]
+    given = [
+        one for one in bounds if not any(other.startswith(one.partition("=")[0] + "=") for other in words)
+    ]
 
     def spoil(folder):
         (folder / "mine.yaml").write_bytes(text.encode(errors="surrogatepass"))
@@ -135,27 +162,37 @@ def study_files(draw):
     return command("study", "mine.yaml", *given, *words, *status, spoil=spoil, told=f"{changes} |")
 
 
-# -- damaged files ---------------------------------------------------------------------------------------------------
+# -- damaged files -------------------------------------------------------------------------------------------
 
 SAME = ["train", "ppo", *(word(f"{key}={word(value)}") for key, value in (SMALL | OWN["ppo"]).items())]
 HALF = ["train", "dqn", *(word(f"{key}={word(value)}") for key, value in (SMALL | OWN["dqn"]).items())]
 STUDY = ["study", "study.yaml", "out=study", "report=false", "jobs=1"]
 READERS = {
     "run": [
-        *([name, "run", *QUICK.get(name, [])] for name in ("evaluate", "render", "export", "verify", "runs", "play")),
+        *(
+            [name, "run", *QUICK.get(name, [])]
+            for name in ("evaluate", "render", "export", "verify", "runs", "play")
+        ),
         [*SAME, "out=run", "n_seeds=2", "evaluate=false"],
         ["compare", "run", "reactive"],
         ["report", "run", "--out", "report"],
         ["playground", "run"],
         ["evaluate", "run", "--transfer", "--episodes", "2", "--max-steps", "5"],
     ],
-    "half": [[*HALF, "out=half", "evaluate=false"], ["runs", "half"], ["evaluate", "half"], ["report", "half"]],
+    "half": [
+        [*HALF, "out=half", "evaluate=false"],
+        ["runs", "half"],
+        ["evaluate", "half"],
+        ["report", "half"],
+    ],
     "study": [[*STUDY, "--status"], STUDY, [*STUDY, "--status", "--json"], ["runs", "study"], ["WORKER"]],
-    "tuned": [["study", "tuned.yaml", "out=tuned", *words] for words in (["--status"], ["trials=2", "report=false"])],
-    "bank.safetensors": [
-        ["layouts", "--check", "bank.safetensors"],
-        ["evaluate", "reactive", *QUICK["evaluate"], "--layouts", "bank.safetensors"],
-        [*SAME, "out=new", "evaluate=false", "layouts=bank.safetensors"],
+    "tuned": [
+        ["study", "tuned.yaml", "out=tuned", *words] for words in (["--status"], ["trials=2", "report=false"])
+    ],
+    "own.safetensors": [
+        ["layouts", "--check", "own.safetensors"],
+        ["evaluate", "reactive", *QUICK["evaluate"], "--layouts", "own.safetensors"],
+        [*SAME, "out=new", "evaluate=false", "layouts=own.safetensors"],
     ],
 }
 FLOWN = [["evaluate", "{}", *QUICK["evaluate"]], ["render", "{}", *QUICK["render"]]]
@@ -187,7 +224,8 @@ def values(path, chance):
         said = yaml.safe_load(path.read_text())
         text = replaced(said, chance.choice(places(said)), other)
         return put(
-            path, (json.dumps(text) if path.suffix in (".json", ".job") else dumped(text)).encode(errors="replace")
+            path,
+            (json.dumps(text) if path.suffix in (".json", ".job") else dumped(text)).encode(errors="replace"),
         )
     except (yaml.YAMLError, UnicodeDecodeError, IndexError, TypeError):
         return lines(path, chance, other)
@@ -205,7 +243,9 @@ def header(path, chance, other):
     content = path.read_bytes()
     size = int.from_bytes(content[:8], "little")
     said = json.loads(content[8 : 8 + size])
-    inner = {key: json.loads(value) for key, value in said.get("__metadata__", {}).items() if value[:1] in "{["}
+    inner = {
+        key: json.loads(value) for key, value in said.get("__metadata__", {}).items() if value[:1] in "{["
+    }
     key = chance.choice([*inner, None]) if inner else None
     if key is not None and places(inner[key]):
         said["__metadata__"][key] = json.dumps(replaced(inner[key], chance.choice(places(inner[key])), other))
@@ -267,11 +307,18 @@ def damaged(draw):
     def spoil(folder):
         chance = random.Random(seed)
         root = folder / part
-        path = chance.choice(sorted(one for one in root.rglob("*") if one.is_file()) if root.is_dir() else [root])
+        path = chance.choice(
+            sorted(one for one in root.rglob("*") if one.is_file()) if root.is_dir() else [root]
+        )
         if words == ["WORKER"]:
             path = next(root.rglob("*.job"))
         DAMAGES[how](path, chance)
-        sign = path.parent.name == "checkpoint" and path.is_file() and not path.is_symlink() and chance.random() < 0.7
+        sign = (
+            path.parent.name == "checkpoint"
+            and path.is_file()
+            and not path.is_symlink()
+            and chance.random() < 0.7
+        )
         if sign and path.stem.startswith(("state-", "replay-")):
             signed(path)
 
@@ -285,7 +332,7 @@ def _worker():
     worker.main(["uavnav.algorithms.ppo:PPOConfig", str(next(Path("study").rglob("*.job")))])
 
 
-# -- the good files --------------------------------------------------------------------------------------------------
+# -- the good files ------------------------------------------------------------------------------------------
 
 
 def warmed():
@@ -296,16 +343,18 @@ def warmed():
         *(one.module for one in ALGORITHMS.values()),
     ]:
         __import__(name)
-    for name in ("optuna", "filelock", "uavnav.report.content", "uavnav.report.page", "uavnav.report.replays"):
+    for name in ("optuna", "filelock", "uavnav.report.content", "uavnav.report.page", "uavnav.views.replays"):
         __import__(name)
 
 
 def make_good(folder):
-    """A bank, a finished and evaluated run, a half-finished one, one in two workers, a search, a policy, a zip."""
-    layouts.save(layouts.generate(20, 4, seed=0), folder / "bank.safetensors", seed=0, split="train")
+    """A layout file, a finished and evaluated run, a half-finished one, one in two workers, a search, a
+    policy, a zip.
+    """
+    layouts.save(layouts.generate(20, 4, seed=0), folder / "own.safetensors", seed=0, split="train")
     run = ppo.train(ppo.PPOConfig(n_seeds=2, **SMALL | OWN["ppo"]), out="run", quiet=True)
     evaluation.evaluate_run(run, episodes=2, max_steps=5)
-    for path in run.path.glob("*-test-2-5.parquet"):  # stands for 200 sets and 10,000 steps
+    for path in run.path.glob("*-test-2-5.parquet"):  # stands for 200 layouts and 10,000 steps
         path.with_name(f"{path.name.partition('-')[0]}.parquet").write_bytes(path.read_bytes())
     with contextlib.suppress(Interrupted):
         dqn.train(dqn.DQNConfig(**SMALL | OWN["dqn"]), out="half", quiet=True, checkpoint_seconds=0, until=60)
@@ -322,27 +371,41 @@ def _make_zip(path):
 
 
 def _make_study(folder):
-    """One whose only cell is half-finished, in two workers."""
-    (folder / "study.yaml").write_text(yaml.safe_dump(PLAIN | {"settings": PLAIN["settings"] | {"total_frames": 256}}))
-    (cell,) = studies.cells(studies.read("study.yaml"), folder / "study")
+    """One whose only configuration is half-finished, in two workers."""
+    (folder / "study.yaml").write_text(
+        yaml.safe_dump(PLAIN | {"settings": PLAIN["settings"] | {"total_frames": 256}})
+    )
+    (configuration,) = studies.configurations(studies.read("study.yaml"), folder / "study")
     with contextlib.suppress(Interrupted):
-        ppo.train(cell.config, cell.out, quiet=True, checkpoint_seconds=0, processes=2, until=128)
-    for job in cell.out.glob("workers/*.job"):
-        told = json.loads(job.read_text()) | {"evaluation": cell.evaluation, "folder": ".", "how": {}}
+        ppo.train(
+            configuration.config, configuration.out, quiet=True, checkpoint_seconds=0, processes=2, until=128
+        )
+    for job in configuration.out.glob("workers/*.job"):
+        told = json.loads(job.read_text()) | {
+            "evaluation": configuration.evaluation,
+            "folder": ".",
+            "how": {},
+        }
         files.write(job, json.dumps(told | {"out": str(job.with_suffix("").relative_to(folder))}).encode())
 
 
 def _make_search(folder):
     """One whose trials nobody trained."""
-    searched = FULL | {"settings": PLAIN["settings"] | {"seed": 100}, "cells": PLAIN["cells"], "banks": []}
+    searched = FULL | {
+        "settings": PLAIN["settings"] | {"seed": 100},
+        "configurations": PLAIN["configurations"],
+        "obstacles": [],
+    }
     (folder / "tuned.yaml").write_text(yaml.safe_dump(searched))
     found = search.plan(studies.read("tuned.yaml"), folder / "tuned")
 
-    def train(cells):
-        for cell in cells:
-            cell.out.mkdir(parents=True, exist_ok=True)
-            table = pd.DataFrame({"mode": ["greedy", "sampled"], "reward": [1.0, float(len(str(cell.config.lr)))]})
-            table.to_parquet(cell.out / cell.flights[0])
+    def train(configurations):
+        for configuration in configurations:
+            configuration.out.mkdir(parents=True, exist_ok=True)
+            table = pd.DataFrame(
+                {"mode": ["greedy", "sampled"], "reward": [1.0, float(len(str(configuration.config.lr)))]}
+            )
+            table.to_parquet(configuration.out / configuration.episodes[0])
         return []
 
     tuning.tune(found, train, say=lambda line: None)

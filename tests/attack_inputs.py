@@ -1,4 +1,6 @@
-"""Hostile inputs by class, as strategies of Hypothesis: what `attack` tries, and the good files that it begins with."""
+"""Hostile inputs by class, as strategies of Hypothesis: what `attack` tries, and the good files that it
+begins with.
+"""
 
 import contextlib
 import functools
@@ -34,7 +36,7 @@ from uavnav.runs import POLICY, Run
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
 from uavnav.tasks.faults import Faults
-from uavnav.tasks.simulator import TASKS, make_task
+from uavnav.tasks.table import TASKS, make_task
 from uavnav.training.config import PARTS, parts_of
 from uavnav.training.recorder import Interrupted
 
@@ -49,7 +51,7 @@ QUICK = {
     "evaluate": ["--episodes", "2", "--max-steps", "5"],
     "render": ["--steps", "2", "--out", "flight.png"],
     "export": ["--out", "policy.pt2"],
-    "layouts": ["--out", "banks", "--n", "4", "--k", "4"],
+    "layouts": ["--out", "layouts", "--n", "4", "--k", "4"],
     "study": ["study.yaml", "out=study", "report=false", "jobs=1"],
     "play": ["--max-steps", "5"],
 }
@@ -60,7 +62,9 @@ TEXT_MOST = 100_000
 
 
 class Case(NamedTuple):
-    """How to spoil a folder, what to do there, and both in words; works: whether it may take for ever by itself."""
+    """How to spoil a folder, what to do there, and both in words; works: whether it may take for ever by
+    itself.
+    """
 
     told: str
     act: Callable[[], int | None]
@@ -68,15 +72,90 @@ class Case(NamedTuple):
     works: bool = False
 
 
-# -- hostile values --------------------------------------------------------------------------------------------------
+# -- hostile values ------------------------------------------------------------------------------------------
 
-NUMBERS = (0, -1, 1, 2, 3, 7, 0.5, -0.5, 2**31 - 1, 2**31, 2**63 - 1, 2**63, 10**22, 10**400, 1e308, -1e308, 5e-324)
+NUMBERS = (
+    0,
+    -1,
+    1,
+    2,
+    3,
+    7,
+    0.5,
+    -0.5,
+    2**31 - 1,
+    2**31,
+    2**63 - 1,
+    2**63,
+    10**22,
+    10**400,
+    1e308,
+    -1e308,
+    5e-324,
+)
 NUMBERS += (math.inf, -math.inf, math.nan, True, False, None)
-WORDS = ("", " ", "\0", "a\nb", "\x1b[2J", "\udc80", "\ud800", "x" * 300, "x" * 5000, "x" * TEXT_MOST, "y " * 9999)
-WORDS += ("..", ".", "a/b", "run", "half", "nowhere", "{lr}", "{0.x}", "{lr.__class__}", "{:>999999999}", "%s%n", "*")
-WORDS += ("${out}", "${oc.env:HOME}", "[", "[[1,2", "{a:", "a,b", "range(0,9)", "nan", "1e999", "null", "true", "0x1f")
-WORDS += ("2001-13-45", "é" * 300, "-", "--", "-1", "!!python/object/apply:os.mkdir [x]", "1_0", "١٢", "1e3", "on")
-WORDS += ("train", "test", "density-4/test", "density-999/test", "slalom-80/train", "bank.safetensors", "model.zip")
+WORDS = (
+    "",
+    " ",
+    "\0",
+    "a\nb",
+    "\x1b[2J",
+    "\udc80",
+    "\ud800",
+    "x" * 300,
+    "x" * 5000,
+    "x" * TEXT_MOST,
+    "y " * 9999,
+)
+WORDS += (
+    "..",
+    ".",
+    "a/b",
+    "run",
+    "half",
+    "nowhere",
+    "{lr}",
+    "{0.x}",
+    "{lr.__class__}",
+    "{:>999999999}",
+    "%s%n",
+    "*",
+)
+WORDS += (
+    "${out}",
+    "${oc.env:HOME}",
+    "[",
+    "[[1,2",
+    "{a:",
+    "a,b",
+    "range(0,9)",
+    "nan",
+    "1e999",
+    "null",
+    "true",
+    "0x1f",
+)
+WORDS += (
+    "2001-13-45",
+    "é" * 300,
+    "-",
+    "--",
+    "-1",
+    "!!python/object/apply:os.mkdir [x]",
+    "1_0",
+    "١٢",
+    "1e3",
+    "on",
+)
+WORDS += (
+    "train",
+    "test",
+    "density-4/test",
+    "density-999/test",
+    "slalom-80/train",
+    "own.safetensors",
+    "model.zip",
+)
 
 
 def deep(n, value=None):
@@ -86,7 +165,20 @@ def deep(n, value=None):
     return value
 
 
-NESTED = ([], {}, [[]], [1, "a"], {"a": None}, {"": []}, {3: 4}, {None: 1}, [None], [0] * 10_000, deep(50), [[1], [2]])
+NESTED = (
+    [],
+    {},
+    [[]],
+    [1, "a"],
+    {"a": None},
+    {"": []},
+    {3: 4},
+    {None: 1},
+    [None],
+    [0] * 10_000,
+    deep(50),
+    [[1], [2]],
+)
 numbers = st.sampled_from(NUMBERS) | st.integers() | st.floats()
 texts = st.sampled_from(WORDS) | st.text(st.characters(), max_size=20)
 hostile = numbers | texts | st.sampled_from(NESTED) | st.sampled_from(NUMBERS + WORDS)
@@ -101,7 +193,9 @@ def word(value):
     else:
         text = value if isinstance(value, str) else "null" if value is None else str(value)
         text = text.lower() if isinstance(value, bool) else text
-    return os.fsdecode(text.replace("\0", "").encode("utf-8", "surrogateescape" if _escaped(text) else "replace"))
+    return os.fsdecode(
+        text.replace("\0", "").encode("utf-8", "surrogateescape" if _escaped(text) else "replace")
+    )
 
 
 def _escaped(text):
@@ -115,7 +209,7 @@ def shown(value):
     return text if len(text) < 90 else f"{text[:60]}... of {len(text)}"
 
 
-# -- what is done ----------------------------------------------------------------------------------------------------
+# -- what is done --------------------------------------------------------------------------------------------
 
 
 def command(*words, spoil=lambda folder: None, told="", works=False):
@@ -151,7 +245,7 @@ def call(told, function, *given, spoil=lambda folder: None, works=False, **named
     return Case(f"{told}({values})", act, spoil, works)
 
 
-# -- settings --------------------------------------------------------------------------------------------------------
+# -- settings ------------------------------------------------------------------------------------------------
 
 
 @functools.cache
@@ -179,7 +273,9 @@ def settings(draw):
         if part in PARTS:
             nested[part] = {name: value} if name else value
     if draw(st.booleans()):
-        return call(f"{algorithm} in {task}: from_mapping", lambda **given: _config(algorithm, nested), **given)
+        return call(
+            f"{algorithm} in {task}: from_mapping", lambda **given: _config(algorithm, nested), **given
+        )
     return call(f"{algorithm} in {task}: train", lambda **given: _train(algorithm, nested), **given)
 
 
@@ -191,14 +287,14 @@ def _train(algorithm, mapping):
     ppo.train(_config(algorithm, mapping), out="new", quiet=True)
 
 
-# -- command lines ---------------------------------------------------------------------------------------------------
+# -- command lines -------------------------------------------------------------------------------------------
 
 
 @functools.cache
 def options(name):
     """What a command takes."""
     parser = Parser(prog=f"uavnav {name}", add_help=False)
-    commands.PARSERS[name](parser)
+    commands.COMMANDS[name](parser)
     return parser._actions
 
 
@@ -216,11 +312,25 @@ def arguments(action, draw):
 
 @st.composite
 def command_lines(draw):
-    name = draw(st.sampled_from([*commands.PARSERS, "train"]))
+    name = draw(st.sampled_from([*commands.COMMANDS]))
     if name == "train":
-        flags = ["-m", "--multirun", "--cfg", "-c", "--quiet", "--json", "--help", "ppo", "dqn", "lr=1", "job"]
+        flags = [
+            "-m",
+            "--multirun",
+            "--cfg",
+            "-c",
+            "--quiet",
+            "--json",
+            "--help",
+            "ppo",
+            "dqn",
+            "lr=1",
+            "job",
+        ]
         words = draw(st.lists(st.sampled_from(flags) | hostile.map(word), max_size=4))
-        return command("train", *words, *(["total_frames=64", "evaluate=false", "compile=off"] * draw(st.booleans())))
+        return command(
+            "train", *words, *(["total_frames=64", "evaluate=false", "compile=off"] * draw(st.booleans()))
+        )
     actions = options(name)
     chosen = draw(st.lists(st.sampled_from(actions), min_size=1, max_size=3, unique_by=id))
     words = [one for action in chosen for one in arguments(action, draw)]
@@ -240,9 +350,14 @@ def command_lines(draw):
     return command(name, *words, *stray, works=True)
 
 
-# -- the library -----------------------------------------------------------------------------------------------------
+# -- the library ---------------------------------------------------------------------------------------------
 
-TENSORS = (torch.zeros(0), torch.zeros(2, 0, 3), torch.full((2, 4, 3), math.nan), torch.ones(2, 4, 3, dtype=torch.long))
+TENSORS = (
+    torch.zeros(0),
+    torch.zeros(2, 0, 3),
+    torch.full((2, 4, 3), math.nan),
+    torch.ones(2, 4, 3, dtype=torch.long),
+)
 TENSORS += (
     torch.zeros(3),
     torch.full((1, 1, 3), 1e30),
@@ -294,8 +409,10 @@ def _generate(n=2, k=4, seed=0, **how):
     layouts.generate(n, k, seed, **how)
 
 
-def _save(bank=None, path="new.safetensors", seed=0, split="train"):
-    layouts.save(layouts.generate(2, 4, seed=0) if bank is None else bank, path, seed=seed, split=split)
+def _save(obstacles=None, path="new.safetensors", seed=0, split="train"):
+    layouts.save(
+        layouts.generate(2, 4, seed=0) if obstacles is None else obstacles, path, seed=seed, split=split
+    )
 
 
 def _load_policy(run="run", **how):
@@ -334,7 +451,10 @@ CALLS = [
     (lambda run="run", frames=None: verify(Run(run), frames, True), ["run", "frames"]),
     (studies.read, ["name"]),
     (uavnav.networks.Activation, ["name"]),
-    (lambda policy="run", path="policy.pt2": uavnav.export.export_policy(uavnav.load_policy(policy), path), ["path"]),
+    (
+        lambda policy="run", path="policy.pt2": uavnav.export.export_policy(uavnav.load_policy(policy), path),
+        ["path"],
+    ),
 ]
 NAMED_AS_GIVEN = (
     layouts.load,
@@ -357,7 +477,7 @@ def library(draw):
     return call(told, function, **given, works=True)
 
 
-# -- planted faults, which a judge must see --------------------------------------------------------------------------
+# -- planted faults, which a judge must see ------------------------------------------------------------------
 
 
 def _broken():

@@ -20,7 +20,9 @@ def rollout(*shape, dtype=torch.float32, seed=0):
 
 
 def transitions(*shape, dtype=torch.float32, seed=0):
-    """What learning from replay needs; a quarter end in a collision, and a quarter of the rest at the cap."""
+    """What learning from replay needs; a quarter end in a collision, and a quarter of the rest at the
+    time limit.
+    """
     g = torch.Generator().manual_seed(seed)
     terminated = torch.rand(*shape, 1, generator=g) < 0.25
     truncated = ~terminated & (torch.rand(*shape, 1, generator=g) < 0.25)

@@ -1,7 +1,7 @@
 """A real browser for tests of pages, and what they ask of one.
 
-Needs Debian's packages chromium and chromium-driver; without them the tests are skipped, and fail where the variable
-UAVNAV_BROWSER is `required`.
+Needs Debian's packages chromium and chromium-driver; without them the tests are skipped, and fail where the
+variable UAVNAV_BROWSER is `required`.
 """
 
 import json
@@ -61,7 +61,8 @@ def chrome():
     for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"):
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(found[1]))  # the path given: nothing is looked for
+    # the path given: nothing is looked for
+    driver = webdriver.Chrome(options=options, service=Service(found[1]))
     yield driver
     driver.quit()
 
@@ -80,7 +81,11 @@ def complaints(browser):
 def requested(browser):
     """The addresses that were asked for since."""
     events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    return [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
+    return [
+        event["params"]["request"]["url"]
+        for event in events
+        if event["method"] == "Network.requestWillBeSent"
+    ]
 
 
 def resize(browser, width, height=900):
@@ -89,7 +94,10 @@ def resize(browser, width, height=900):
 
 
 def theme(browser, name, motion="reduce"):
-    features = [{"name": "prefers-color-scheme", "value": name}, {"name": "prefers-reduced-motion", "value": motion}]
+    features = [
+        {"name": "prefers-color-scheme", "value": name},
+        {"name": "prefers-reduced-motion", "value": motion},
+    ]
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
 
 
@@ -130,7 +138,7 @@ def ask(browser, words):
 
 @pytest.fixture(scope="session")
 def playground(once):
-    """The playground of the committed cells, in a folder of its own."""
+    """The playground of the committed configurations, in a folder of its own."""
 
     def make(folder):
         from uavnav.views.browser.playground import collect, page

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from browsing import chrome, opened, playground  # noqa: F401 - a browser and a page in it, for all modules of tests
+from browsing import chrome, opened, playground  # noqa: F401 - fixtures for all modules of tests
 from filelock import FileLock
 from warm import Popen
 
@@ -14,7 +14,8 @@ import uavnav  # noqa: F401 - before PyTorch, whose threads then wait without sp
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it, its children too
+    # a shell's background job ignores it, its children too
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "slow: takes more than 30 s on one core")
     config.addinivalue_line("markers", "compiled: needs a compiler, and is skipped where there is none")
 
@@ -46,7 +47,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture(scope="session")
 def little_garbage():
-    """statsmodels collects garbage at every correction of p values; what is there before the tests is left out."""
+    """statsmodels collects garbage at every correction of p values; what is there before the tests is
+    left out.
+    """
     gc.freeze()
     yield
     gc.unfreeze()
@@ -68,7 +71,7 @@ warm_module = pytest.fixture(scope="module")(warmed)
 @pytest.fixture
 def undrawn(monkeypatch):
     """Reports without figures, and with replays of 50 steps instead of 1,000: both take most of the time."""
-    from uavnav.report import replays
+    from uavnav.views import replays
 
     monkeypatch.setattr("uavnav.report.figures.draw", lambda *anything: [])
     monkeypatch.setattr(replays.record, "__defaults__", (3, 3, 50))
@@ -77,7 +80,9 @@ def undrawn(monkeypatch):
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory, request):
-    """`once(name, make)`: a folder that `make(folder)` fills, once for all processes of this run of pytest."""
+    """`once(name, make)`: a folder that `make(folder)` fills, once for all processes of this run of
+    pytest.
+    """
     root = tmp_path_factory.getbasetemp()
     root = root.parent if hasattr(request.config, "workerinput") else root
 

@@ -1,10 +1,10 @@
-"""Episodes and cells made up of a few numbers, for tests of what a report works out of them."""
+"""Episodes and configurations made up of a few numbers, for tests of what a report works out of them."""
 
 from types import SimpleNamespace
 
 import pandas as pd
 
-from uavnav.report.cells import EMPTY, Cell
+from uavnav.report.configurations import EMPTY, Configuration
 from uavnav.report.studies import Studies
 from uavnav.runs.metrics import EPISODE_COLUMNS
 
@@ -16,7 +16,7 @@ SETTINGS = {
     "frames": 1_000_000,
     "exploration_fraction": 0.1,
     "n_envs": 16,
-    "bank": "abc",
+    "layouts": "abc",
     "obstacles": 8,
     "reward": "eq14",
     "world.slots": "nearest",
@@ -25,7 +25,9 @@ SETTINGS = {
 
 
 def episodes(columns, *rows):
-    """Episodes by the values of some columns, such as ("seed steps", (0, 10)); the rest is 0, and each crashes."""
+    """Episodes by the values of some columns, such as ("seed steps", (0, 10)); the rest is 0, and each
+    crashes.
+    """
     named = [USUAL | dict(zip(columns.split(), row, strict=False)) for row in rows]
     return pd.DataFrame(named, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
 
@@ -34,14 +36,16 @@ def run(seeds, progress=None, frames=1_000_000, **meta):
     return SimpleNamespace(seeds=[*seeds], meta=meta, frames=frames, progress=progress)
 
 
-def cell(rows, key=("ppo", "tanh"), flown=EMPTY, runs=None, n_seeds=None, label="", **settings):
-    """A cell of some episodes; n_seeds: of its one run, by default those that have an episode."""
+def configuration(rows, key=("ppo", "tanh"), flown=EMPTY, runs=None, n_seeds=None, **settings):
+    """A configuration of some episodes; n_seeds: of its one run, by default those that have an episode."""
     runs = runs or [run(range(rows["seed"].nunique() if n_seeds is None else n_seeds))]
-    return Cell(*key, settings, runs, rows, flown, label)
+    return Configuration(*key, settings, runs, rows, flown)
 
 
-def in_study(algorithm="ppo", activation="tanh", rows=None, flown=EMPTY, n_seeds=2, wall=3600.0, study="", **changes):
-    """A cell with all the settings that deal it out to a study."""
+def in_study(
+    algorithm="ppo", activation="tanh", rows=None, flown=EMPTY, n_seeds=2, wall=3600.0, study="", **changes
+):
+    """A configuration with all the settings that deal it out to a study."""
     own = SETTINGS | changes
     runs = [run(range(n_seeds), frames=own["frames"], wall_seconds=wall, study=study)]
-    return cell(episodes("") if rows is None else rows, (algorithm, activation), flown, runs, **own)
+    return configuration(episodes("") if rows is None else rows, (algorithm, activation), flown, runs, **own)

@@ -1,6 +1,8 @@
-"""The world once more, slowly: docs/world.md in scalar float64 and plain Python. It imports nothing of uavnav.
+"""The world once more, slowly: docs/world.md in scalar float64 and plain Python. It imports nothing of
+uavnav.
 
-Candidates are (d, x, y): distance in px of the nearest point, its direction's components to the right and forward.
+Candidates are (d, x, y): distance in px of the nearest point, its direction's components to the right and
+forward.
 """
 
 import itertools
@@ -9,7 +11,13 @@ from typing import NamedTuple
 
 START = (400, 300)
 BEHIND = 1e-6
-SWITCHES = [{}, {"slots": "listed"}, {"padding": "zeros"}, {"slots": "listed", "padding": "zeros"}]  # of what is sensed
+# of what is sensed
+SWITCHES = [
+    {},
+    {"slots": "listed"},
+    {"padding": "zeros"},
+    {"slots": "listed", "padding": "zeros"},
+]
 
 
 class Arena(NamedTuple):
@@ -91,7 +99,9 @@ def triple(candidate, arena=PAPER):
     return min(max(x, -1.0), 1.0), min(max(y, 0.0), 1.0), min(max(proximity, 0.0), 1.0)
 
 
-def slots_of(found, slots="nearest", padding="far", arena=PAPER, velocities=None, heading=90, fastest=2.0, hear=None):
+def slots_of(
+    found, slots="nearest", padding="far", arena=PAPER, velocities=None, heading=90, fastest=2.0, hear=None
+):
     """The slots of what `look` found; with velocities (vx, vy) of the circles, each with two numbers more.
 
     hear: of a slot's place and its true distance, the distance that comes back, or None of a lost echo.
@@ -121,7 +131,9 @@ def clearance_of(found):
 
 
 def doubtful(found, arena=PAPER):
-    """Whether float32 may rightly decide otherwise: within 1e-3 px of a threshold or a tie but not exactly on it."""
+    """Whether float32 may rightly decide otherwise: within 1e-3 px of a threshold or a tie but not
+    exactly on it.
+    """
     if 0 < abs(clearance_of(found) - arena.drone) < 1e-3:
         return True
     edge = arena.edge
@@ -180,21 +192,23 @@ def drift(rows, steps, arena=PAPER):
     return found
 
 
-class Flight:
-    """One drone through the sets of a bank: the whole of an episode, and what follows it.
+class Episode:
+    """One drone through the layouts of a layout file: the whole of an episode, and what follows it.
 
     fastest: the speed [px a step] of which sensed velocities are shares; None where they are not sensed.
     """
 
     velocities = None
 
-    def __init__(self, bank, layout=0, heading=90, variant="eq14", max_steps=None, fastest=None, **switches):
-        self.bank, self.variant, self.max_steps = bank, variant, max_steps
+    def __init__(
+        self, layouts, layout=0, heading=90, variant="eq14", max_steps=None, fastest=None, **switches
+    ):
+        self.layouts, self.variant, self.max_steps = layouts, variant, max_steps
         self.fastest, self.switches = fastest, switches
         self.begin(layout, heading)
 
     def begin(self, layout, heading=90):
-        self.layout = layout % len(self.bank)
+        self.layout = layout % len(self.layouts)
         (self.x, self.y), self.heading = START, heading
         self.steps = self.stops = self.full_stops = self.turns = self.distance = 0
         self.total = 0.0
@@ -202,7 +216,7 @@ class Flight:
         self.sense()
 
     def obstacles(self):
-        return self.bank[self.layout]
+        return self.layouts[self.layout]
 
     def look(self):
         return look(self.x, self.y, self.heading, self.obstacles())
@@ -256,26 +270,26 @@ class Flight:
         self.begin(self.layout + 1)
 
 
-class AmongMoving(Flight):
+class AmongMoving(Episode):
     """The same where obstacles move."""
 
     drift = staticmethod(drift)
 
     def obstacles(self):
-        now = self.drift(self.bank[self.layout], self.steps)
+        now = self.drift(self.layouts[self.layout], self.steps)
         if self.fastest is not None:
             self.velocities = [velocity for _, velocity in now]
         return [obstacle for obstacle, _ in now]
 
 
-class ToGoal(Flight):
+class ToGoal(Episode):
     """The same with a goal within 40 px, which is the last row of a set."""
 
     def obstacles(self):
-        return self.bank[self.layout][:-1]
+        return self.layouts[self.layout][:-1]
 
     def to_goal(self):
-        gx, gy, _ = self.bank[self.layout][-1]
+        gx, gy, _ = self.layouts[self.layout][-1]
         return gx - self.x, gy - self.y, math.hypot(gx - self.x, gy - self.y)
 
     def sensed(self, hear=None):
@@ -296,4 +310,6 @@ class ToGoal(Flight):
         hit, away = self.clearance <= PAPER.drone, self.to_goal()[-1]
         if self.variant != "goal" or hit:
             return hit or away <= 40, reward(turn, distance, hit, "eq14" if hit else self.variant)
-        return away <= 40, 10.0 * (away <= 40) + 0.01 * (self.before - away) - 0.01 * (turn != 0 or distance == 0)
+        return away <= 40, 10.0 * (away <= 40) + 0.01 * (self.before - away) - 0.01 * (
+            turn != 0 or distance == 0
+        )

@@ -7,7 +7,10 @@ from uavnav.algorithms import ALGORITHMS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
-ALL = {str(path.relative_to(ROOT)): path.read_text() for path in [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]}
+ALL = {
+    str(path.relative_to(ROOT)): path.read_text()
+    for path in [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+}
 MINE = ("start", "world", "faults", *ALGORITHMS, "extending")
 PAGES = {name: ALL[f"docs/{name}.md"] for name in MINE}
 CONFIGS = {name: one.config for name, one in ALGORITHMS.items()}
@@ -19,11 +22,11 @@ def blocks(page, language):
 
 
 def table(page, header):
-    """The rows of the first table with this header, as lists of cells."""
+    """The rows of the first table with this header, as lists of configurations."""
     rest = page.split(f"\n{header}\n", 1)[1]
     lines = rest.split("\n\n", 1)[0].splitlines()[1:]
     return [[cell.strip() for cell in line.strip("|").split(" |")] for line in lines]
 
 
-def code(cell):
-    return re.findall(r"`([^`]+)`", cell)
+def code(configuration):
+    return re.findall(r"`([^`]+)`", configuration)

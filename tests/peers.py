@@ -18,7 +18,9 @@ KINDS = {
 
 
 class _Transitions(BaseCallback):
-    """What SB3's rollout buffer does not hold: where each step really led, its bare reward, and how it ended."""
+    """What SB3's rollout buffer does not hold: where each step really led, its bare reward, and how it
+    ended.
+    """
 
     def _on_training_start(self):
         self.steps = []
@@ -38,7 +40,7 @@ class _Transitions(BaseCallback):
 
 
 def on_policy(kind, activation, steps, max_steps, **settings):
-    """An agent of SB3's that learns from so many steps of two worlds with a cap."""
+    """An agent of SB3's that learns from so many steps of two worlds with a time limit."""
     worlds = DummyVecEnv([functools.partial(gymnasium.make, "uavnav/Drone-v0", max_steps=max_steps)] * 2)
     how = {"activation_fn": KINDS[activation]}
     return kind("MlpPolicy", worlds, n_steps=steps, policy_kwargs=how, seed=0, **settings)

@@ -7,7 +7,7 @@ import pytest
 from uavnav.cli import play
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, straight_ahead
-from uavnav.tasks.simulator import make_task
+from uavnav.tasks.table import make_task
 from uavnav.tasks.world import World
 from uavnav.views.render import Pilot
 from uavnav.views.window import game as rules
@@ -21,8 +21,8 @@ STRAIGHT = Pilot("straight", straight_ahead, make_task(EMPTY))
 REACTIVE = Pilot("reactive", BASELINES["reactive"], make_task(EMPTY))
 
 
-def new(*pilots, bank=EMPTY, **how):
-    return rules.new(list(pilots), bank, **how)
+def new(*pilots, layouts=EMPTY, **how):
+    return rules.new(list(pilots), layouts, **how)
 
 
 def fly(game, steps):

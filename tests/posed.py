@@ -22,7 +22,9 @@ def random_poses(n, seed, k=8):
 
 
 def agree_with_the_oracle(poses, world=WORLD, arena=oracle.PAPER, there=lambda circle: True):
-    """Compare every pose that is not doubtful; the share of the doubtful ones. there: which circles the loop has."""
+    """Compare every pose that is not doubtful; the share of the doubtful ones. there: which circles the
+    loop has.
+    """
     slots, clearance = sense(*poses, world)
     x, y, heading, circles = (part.tolist() for part in poses)
     expected, kept = [], []
@@ -72,8 +74,8 @@ def at_the_edge_of_view(n, generator):
 def axis_headings(n, generator):
     """On whole pixels, so that directions at right angles and equal distances are exact in float32 too.
 
-    Not inside the border, where no flight gets: there, exactly on the edge of two squares, `sense` leaves out the
-    square whose nearest point is exactly 120 px along the wall (the eighth from the drone's).
+    Not inside the border, where no episode gets: there, exactly on the edge of two squares, `sense` leaves
+    out the square whose nearest point is exactly 120 px along the wall (the eighth from the drone's).
     """
     x, y, heading, circles = random_poses(n, 15)
     x, y = 21 + x * 758 / 800, 21 + y * 558 / 600

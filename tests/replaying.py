@@ -1,4 +1,4 @@
-"""Recorded flights as a player of a page reads them, beside slow flights in plain numbers."""
+"""Recorded episodes as a player of a page reads them, beside slow episodes in plain numbers."""
 
 import base64
 import json
@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from uavnav.envs import scalar
-from uavnav.report.cells import collect
-from uavnav.report.replays import record
+from uavnav.report.configurations import collect
 from uavnav.runs.policies import load_policy
 from uavnav.tasks import layouts
+from uavnav.views.replays import Trained, record
 
 STRAIGHT, STAY = 9, 0  # actions
 MAX_STEPS = 60
@@ -21,20 +21,25 @@ EPISODES = 30
 
 
 def few_sets():
-    """Within, flights are recorded beside those of 30 sets of obstacles: 200 take most of the time."""
-    return mock.patch("uavnav.report.replays.EPISODES", EPISODES)
+    """Within, episodes are recorded beside those of 30 layouts: 200 take most of the time."""
+    return mock.patch("uavnav.views.replays.EPISODES", EPISODES)
+
+
+def of_folder(folder):
+    """What flies of a folder's runs."""
+    return [Trained(one.algorithm, one.activation, one.runs) for one in collect([folder])[0]]
 
 
 def recorded(folder, **counts):
     """The dict of a folder's runs, as a page reads it: out of text."""
-    return json.loads(json.dumps(record(collect([folder])[0], max_steps=MAX_STEPS, **counts)))
+    return json.loads(json.dumps(record(of_folder(folder), max_steps=MAX_STEPS, **counts)))
 
 
-def unpack(flight, fields):
+def unpack(episode, fields):
     """What the player does: each field as [steps (+ 1), columns]."""
-    content, found = zlib.decompress(base64.b64decode(flight["bytes"])), {}
+    content, found = zlib.decompress(base64.b64decode(episode["bytes"])), {}
     for field in fields:
-        rows = flight["steps"] + (not field["chosen"])
+        rows = episode["steps"] + (not field["chosen"])
         kind = np.dtype(field["type"]).newbyteorder("<")
         part, content = np.split(np.frombuffer(content, np.uint8), [rows * field["columns"] * kind.itemsize])
         found[field["name"]] = part.view(kind).reshape(field["columns"], rows).T * field["unit"]
@@ -43,9 +48,10 @@ def unpack(flight, fields):
 
 
 def flown(path, seed, n_layouts):
-    """The same flights, each drone in plain numbers and beside those of all sets, as an evaluation flies them.
+    """The same episodes, each drone in plain numbers and beside those of all layouts, as an evaluation flies
+    them.
 
-    Lists of poses and of choices, a set of obstacles.
+    Lists of poses and of choices, a layout.
     """
     policy = load_policy(path, seed, greedy=False)
     generator = torch.Generator().manual_seed(seed)
@@ -75,21 +81,25 @@ def flown(path, seed, n_layouts):
             if collided or capped:
                 ended[layout] = "collision" if collided else "cut off"
                 del seen[layout]
-    return {place: (np.array(poses[place]), np.array(choices[place]), ended[place]) for place in range(n_layouts)}
+    return {
+        place: (np.array(poses[place]), np.array(choices[place]), ended[place]) for place in range(n_layouts)
+    }
 
 
-def as_flown(flight, fields, poses, choices, ended):
-    """Compare a flight of a page with one in plain numbers: the poses, the actions, and the values behind them."""
-    found = unpack(flight, fields)
-    assert flight["steps"] == len(choices) == len(poses) - 1
-    assert flight["ended"] == ended
+def as_flown(episode, fields, poses, choices, ended):
+    """Compare an episode of a page with one in plain numbers: the poses, the actions, and the values
+    behind them.
+    """
+    found = unpack(episode, fields)
+    assert episode["steps"] == len(choices) == len(poses) - 1
+    assert episode["ended"] == ended
     kept = np.hstack([found[name] for name in ("x", "y", "heading", "clearance", "reward")])
     tolerance = np.array([0.05, 0.05, 0, 0.05, 1e-4]) + 1e-4
     assert (np.abs(kept - poses[:, :5]) <= tolerance).all()
     assert np.abs(found["right"] - poses[:, 5:15]).max() <= 0.5 / 127 + 1e-4
     assert np.abs(found["forward"] - poses[:, 15:25]).max() <= 0.5 / 255 + 1e-4
     assert np.abs(found["proximity"] - poses[:, 25:]).max() <= 0.5 / 255 + 1e-4
-    assert flight["reward"] == pytest.approx(poses[-1, 4], abs=0.006)
+    assert episode["reward"] == pytest.approx(poses[-1, 4], abs=0.006)
     assert (found["action"][:, 0] == choices[:, 0]).all()
     span = found["high"] - found["low"]
     assert (span > 0).all()

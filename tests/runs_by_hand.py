@@ -14,32 +14,60 @@ from uavnav.evaluation import BEHAVIOUR_COLUMNS
 from uavnav.networks import mlp
 from uavnav.runs import FILES, POLICY
 from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.tasks.faults import NO_FAULTS
+from uavnav.tasks.world import World
 from uavnav.training.config import TrainConfig
 from uavnav.training.weights import serialize
 
-CONFIG = {"preset": "vectorised", "total_frames": 1000, "n_envs": 16, "reward": "eq14", "init": "default", "lr": 1e-4}
-BANK = {"n": "10000", "k": "8", "split": "train", "generator_seed": "0", "sha256": "abc"}
+CONFIG = {
+    "preset": "vectorised",
+    "total_frames": 1000,
+    "n_envs": 16,
+    "reward": "eq14",
+    "init": "default",
+    "lr": 1e-4,
+}
+CONFIG |= {"task": "drone", "stack": 1, "faults": NO_FAULTS.model_dump()}
+LAYOUTS = {"n": "10000", "k": "8", "split": "train", "generator_seed": "0", "sha256": "abc"}
 
 
 def rows(seed, *episodes):
-    """Episodes (frame, steps, stops, full stops, turns, distance, reward[, terminated, truncated]) of one seed."""
+    """Episodes (frame, steps, stops, full stops, turns, distance, reward[, terminated, truncated]) of one
+    seed.
+    """
     padded = [(*episode, True, False)[:9] for episode in episodes]
     full = [(seed, frame, 0, 0, *counts) for frame, *counts in padded]
     return pd.DataFrame(full, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS)
 
 
 def two(seed, reward):
-    """100 steps at 4 px/step and 300 at 8: the mean of speeds is 6, the speed of the means 7; stops 10 and 0 %."""
+    """100 steps at 4 px/step and 300 at 8: the mean of speeds is 6, the speed of the means 7; stops 10
+    and 0 %.
+    """
     return rows(seed, (100, 100, 10, 1, 90, 400, reward), (400, 300, 0, 0, 150, 2400, reward))
 
 
-def write_run(path, *tables, algorithm="dqn", activation="tanh", seed=0, evaluation=None, meta=None, **changes):
+def write_run(
+    path, *tables, algorithm="dqn", activation="tanh", seed=0, evaluation=None, meta=None, **changes
+):
     path.mkdir(parents=True)
     config = {"algorithm": algorithm, "activation": activation, "seed": seed, "n_seeds": len(tables)}
     config |= {"gamma": 0.99} if algorithm == "dqn" else {}
-    (path / "config.yaml").write_text(yaml.safe_dump(config | CONFIG | changes))
-    facts = {"status": "finished", "frames": 1000, "wall_seconds": 3725.4, "git_commit": "c0ffee", "bank": BANK}
-    facts |= {"versions": {"torch": "2.13.0", "world": "1"}, "machine": {"processor": "an abacus", "cores": 2}}
+    config |= CONFIG | {"world": {}} | changes
+    if config["task"] == "drone" and isinstance(config["world"], dict):
+        config["world"] = World().model_dump() | config["world"]
+    (path / "config.yaml").write_text(yaml.safe_dump(config))
+    facts = {
+        "status": "finished",
+        "frames": 1000,
+        "wall_seconds": 3725.4,
+        "git_commit": "c0ffee",
+        "layouts": LAYOUTS,
+    }
+    facts |= {
+        "versions": {"torch": "2.13.0", "world": "1"},
+        "machine": {"processor": "an abacus", "cores": 2},
+    }
     (path / "meta.json").write_text(json.dumps(facts | (meta or {})))
     pd.concat(tables).to_parquet(path / "episodes.parquet")
     pd.DataFrame({"seed": [seed], "frame": [1000]}).to_parquet(path / "progress.parquet")
@@ -50,28 +78,35 @@ def write_run(path, *tables, algorithm="dqn", activation="tanh", seed=0, evaluat
 
 def found(text, *start):
     """The cells after the given first cells, of each line of the report's tables that starts with them."""
-    lines = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in text.splitlines() if line[:1] == "|"]
+    lines = [
+        [cell.strip() for cell in line.strip("| ").split(" | ")]
+        for line in text.splitlines()
+        if line[:1] == "|"
+    ]
     return [line[len(start) :] for line in lines if line[: len(start)] == list(start)]
 
 
 def write_results(path):
-    """Two seeds of dqn tanh, evaluated on two sets, and one of ppo relu, not evaluated."""
+    """Two seeds of dqn tanh, evaluated on two layouts, and one of ppo relu, not evaluated."""
     flown = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True))
-    flights = pd.concat([flown.assign(mode="greedy"), flown.assign(mode="sampled", reward=0.5)])
-    write_run(path / "dqn" / "tanh", two(0, -6.0), two(1, -8.0), evaluation=flights)
+    episodes = pd.concat([flown.assign(mode="greedy"), flown.assign(mode="sampled", reward=0.5)])
+    write_run(path / "dqn" / "tanh", two(0, -6.0), two(1, -8.0), evaluation=episodes)
     write_run(path / "ppo" / "relu", two(0, 5.0), algorithm="ppo", activation="relu")
     return path
 
 
 def policy_bytes(network, algorithm, epsilon=0.05, **settings):
     """A policy file whose algorithm and epsilon are given, and no configuration of its own."""
-    kind = type("Config", (TrainConfig,), {"algorithm": algorithm, "final_epsilon": property(lambda self: epsilon)})
+    kind = type(
+        "Config", (TrainConfig,), {"algorithm": algorithm, "final_epsilon": property(lambda self: epsilon)}
+    )
     actor = SimpleNamespace(acts=ALGORITHMS[algorithm].acts, head=ALGORITHMS[algorithm].head)
     return serialize({"policy": nn.ModuleList(network)}, kind(**settings), actor)
 
 
 def behaved(path):
-    """Give a run the steps of two sampled flights, seed 0 straight up, seed 1 turning on the spot, and more beside.
+    """Give a run the steps of two sampled episodes, seed 0 straight up, seed 1 turning on the spot, and more
+    beside.
 
     In the empty arena both fly straight at full speed. They expect 50.
     """
@@ -114,9 +149,13 @@ def write_policies(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs
     (path / POLICY).write_bytes(policy_bytes(network, algorithm, epsilon=0.2, **settings))
     facts = {"algorithm": algorithm, "activation": "tanh", "seed": seed, "n_seeds": n_seeds, "n_envs": 16}
     (path / "config.yaml").write_text(yaml.safe_dump(facts | changes))
-    (path / "meta.json").write_text(json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}}))
+    (path / "meta.json").write_text(
+        json.dumps({"status": "finished", "frames": 100, "versions": {"world": "1"}})
+    )
     counts = [(seed, 10, 0, 0, 10, 0, 0, 0, 90, -10.0, True, False)]
-    pd.DataFrame(counts, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS).to_parquet(path / "episodes.parquet")
+    pd.DataFrame(counts, columns=list(EPISODE_COLUMNS)).astype(EPISODE_COLUMNS).to_parquet(
+        path / "episodes.parquet"
+    )
     pd.DataFrame({"seed": [seed], "frame": [100]}).to_parquet(path / "progress.parquet")
     return path
 
@@ -124,8 +163,11 @@ def write_policies(path, algorithm="ppo", seed=0, n_seeds=3, prefer=(), n_inputs
 def same(a, b):
     """Two folders hold the same run, bit for bit."""
     for name in ("episodes.parquet", "progress.parquet"):
-        tables = [pd.read_parquet(path / name).drop(columns="frames_per_second", errors="ignore") for path in (a, b)]
+        tables = [
+            pd.read_parquet(path / name).drop(columns="frames_per_second", errors="ignore") for path in (a, b)
+        ]
         pd.testing.assert_frame_equal(*tables, check_exact=True)
     weights = [load_file(path / "policy.safetensors") for path in (a, b)]
+    assert weights[0].keys() == weights[1].keys()
     assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
     assert sorted(path.name for path in b.iterdir()) == sorted(FILES)

@@ -1,12 +1,16 @@
-"""Whole episodes in every task as slow loops, in float64 and plain Python, a drone each."""
+"""Whole episodes in every task as slow loops, in float64 and plain Python, a drone each; and a task of a
+user's own.
+"""
 
 import oracle
 import space_by_hand
 
-from uavnav.tasks.simulator import name_of
+from uavnav import World
+from uavnav.tasks.table import name_of
+from uavnav.tasks.task import Task
 
 KINDS = {
-    "drone": oracle.Flight,
+    "drone": oracle.Episode,
     "moving": oracle.AmongMoving,
     "goal": oracle.ToGoal,
     "space": space_by_hand.InTheBox,
@@ -16,11 +20,16 @@ KINDS = {
 
 def slow_episodes(task, layouts, headings):
     """One for each layout and start heading."""
-    bank, world = task.bank.tolist(), task.world
+    all_layouts, world = task.layouts.tolist(), task.world
     fastest = world.speed_max if getattr(world, "sense_velocity", False) else None
-    how = {"variant": task.reward, "max_steps": task.max_steps, "slots": world.slots, "padding": world.padding}
+    how = {
+        "variant": task.reward,
+        "max_steps": task.max_steps,
+        "slots": world.slots,
+        "padding": world.padding,
+    }
     kind = KINDS[name_of(task)]
-    return [kind(bank, *pose, fastest=fastest, **how) for pose in zip(layouts, headings, strict=True)]
+    return [kind(all_layouts, *pose, fastest=fastest, **how) for pose in zip(layouts, headings, strict=True)]
 
 
 def take_over(episode, state, row):
@@ -29,3 +38,14 @@ def take_over(episode, state, row):
         found = float(getattr(state, axis)[row])
         assert abs(getattr(episode, axis) - found) < 1e-4
         setattr(episode, axis, found)
+
+
+class NarrowWorld(World):
+    sensor_arc: float = 90.0
+    fog: float = 0.5
+
+
+class Narrow(Task):
+    """The paper's task with a sensor that covers 90 degrees instead of 180."""
+
+    WORLD = NarrowWorld

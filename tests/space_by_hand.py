@@ -16,7 +16,7 @@ START = 400, 300, 300
 
 def at(task, place, yaw, pitch, layout=0, steps=0):
     """A state without a batch."""
-    state = task.place(torch.tensor(layout), torch.tensor(yaw))
+    state = task.task.start(torch.tensor(layout), torch.tensor(yaw))
     x, y, z = (torch.tensor(float(one)) for one in place)
     return state._replace(x=x, y=y, z=z, pitch=torch.tensor(pitch), steps=torch.tensor(steps))
 
@@ -58,7 +58,9 @@ def numbers(candidate):
 
 
 def slots_of(found, velocities=None, yaw=90, pitch=0, fastest=2.0, slots="nearest", padding="far", hear=None):
-    """Ten in view; with velocities (vx, vy, vz) of the spheres, three numbers more each; hear: as of the oracle."""
+    """Ten in view; with velocities (vx, vy, vz) of the spheres, three numbers more each; hear: as of the
+    oracle.
+    """
     seen = [index for index, one in enumerate(found) if in_view(one)]
     if slots == "nearest":
         seen.sort(key=lambda index: found[index][0])
@@ -77,7 +79,9 @@ def clearance_of(found):
 
 
 def doubtful(found):
-    """Whether float32 may rightly decide otherwise: within 1e-3 px of a threshold or a tie but not exactly on it."""
+    """Whether float32 may rightly decide otherwise: within 1e-3 px of a threshold or a tie but not
+    exactly on it.
+    """
     if 0 < abs(clearance_of(found) - 30) < 1e-3:
         return True
     for d, *_, forward in found:
@@ -103,7 +107,9 @@ def move(place, yaw, pitch, action):
 
 
 def drift(rows, steps):
-    """Spheres (x, y, z, radius, vx, vy, vz) after so many steps: (x, y, z, radius) and (vx, vy, vz) of each."""
+    """Spheres (x, y, z, radius, vx, vy, vz) after so many steps: (x, y, z, radius) and (vx, vy, vz) of
+    each.
+    """
     found = []
     for row in rows:
         ways = [bounce(p, v, size, steps) for p, v, size in zip(row[:3], row[4:], BOX, strict=True)]
@@ -111,8 +117,8 @@ def drift(rows, steps):
     return found
 
 
-class InTheBox(oracle.Flight):
-    """One drone through the sets of a bank of spheres."""
+class InTheBox(oracle.Episode):
+    """One drone through the layouts of a layout file of spheres."""
 
     def begin(self, layout, heading=90):
         self.z, self.pitch = START[2], 0

@@ -9,7 +9,7 @@ from uavnav.evaluation.agents import Policies
 from uavnav.networks import made_of, stacked
 from uavnav.runs.policies import Policy
 from uavnav.tasks.baselines import reactive
-from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.table import EMPTY, make_task
 
 
 def explores(seed, epsilon=0.3):
@@ -46,7 +46,9 @@ def test_a_policy_beside_others_acts_as_alone_to_the_last_bit(n_layouts):
 def shapes(monkeypatch):
     """What each product of a network is given."""
     seen, of_agents = [], Policy.of_agents
-    monkeypatch.setattr(Policy, "of_agents", lambda self, rows: seen.append(tuple(rows.shape)) or of_agents(self, rows))
+    monkeypatch.setattr(
+        Policy, "of_agents", lambda self, rows: seen.append(tuple(rows.shape)) or of_agents(self, rows)
+    )
     return seen
 
 
@@ -74,7 +76,8 @@ def test_policies_are_one_product_if_they_differ_in_weights_and_ways_to_act_alon
     seen, sizes = torch.rand(20, 30), [5, 8, 7]
     flown = [(0, explores(0)), (1, other), (2, explores(2))]
     actions, values = Policies(flown, 100).act(seen, sizes)
-    assert len(shapes) == products + (other is reactive or products == 2)  # whoever differs parts its neighbours
+    # whoever differs parts its neighbours
+    assert len(shapes) == products + (other is reactive or products == 2)
     assert (values is None) == (other is reactive)
     for (seed, one), rows, chosen in zip(flown, seen.split(sizes), actions.split(sizes), strict=True):
         assert torch.equal(chosen, one(rows, torch.Generator().manual_seed(seed)))

@@ -1,19 +1,20 @@
 """What every algorithm of the table keeps, whatever it does inside: add one, and all of this asks it too."""
 
+import functools
 import shutil
 
 import numpy as np
 import onnxruntime
-import pandas as pd
 import pytest
 import torch
 from PIL import Image
 from replaying import as_flown, few_sets, flown, recorded
+from runs_by_hand import same
 from safetensors.torch import load_file
 
 from uavnav.acting import ACTS, values_of
 from uavnav.algorithms import ALGORITHMS
-from uavnav.cli.render import main as render_command
+from uavnav.cli import commands
 from uavnav.evaluation import evaluate_run
 from uavnav.evaluation.verify import verify
 from uavnav.report import report
@@ -26,21 +27,32 @@ from uavnav.training.loop import make_collector, make_env, train
 from uavnav.training.recorder import Interrupted, Recorder
 from uavnav.training.update import Learner
 
+render_command = functools.partial(commands.run, "render")
+
 SMALL = {"n_seeds": 2, "n_envs": 8, "total_frames": 640, "hidden": (16,), "lr": 1e-2, "compile": "off"}
 """Of every run here."""
 TINY = {
     "ppo": {"frames_per_batch": 128, "epochs": 2},
     "dqn": {"learning_starts": 64, "target_update_frames": 64, "frames_per_update": 4},
-    "sac": {"learning_starts": 64, "target_entropy": 0.3, "frames_per_update": 8},
+    "sac": {"learning_starts": 64, "target_entropy": 0.3, "frames_per_update": 4},
     "c51": {
         "learning_starts": 64,
         "target_update_frames": 64,
-        "frames_per_update": 16,
+        "frames_per_update": 4,
         "n_atoms": 11,
         "epsilon_end": 0.05,
+        "n_steps": 3,
+        "max_steps": 40,
+        "double": True,
+        "dueling": True,
     },
 }
-"""And what an algorithm needs beside that, so that it learns within 640 frames; a new one often needs nothing."""
+"""And what an algorithm needs beside that, so that it learns within 640 frames; a new one often needs
+nothing.
+
+DQN learns here as it is, C51 with all that both have: two streams, targets of several steps, and a time
+    limit.
+"""
 
 pytestmark = pytest.mark.parametrize("algorithm", list(ALGORITHMS), scope="module")
 
@@ -68,24 +80,17 @@ def left_at(frames, folder, monkeypatch):
     monkeypatch.setattr(Recorder, "checkpoint", copied)
 
 
-def assert_same(one, other):
-    pd.testing.assert_frame_equal(one.episodes, other.episodes, check_exact=True)
-    tables = (each.progress.drop(columns="frames_per_second") for each in (one, other))
-    pd.testing.assert_frame_equal(*tables, check_exact=True)
-    here, there = (load_file(each.path / POLICY) for each in (one, other))
-    assert here.keys() == there.keys()
-    assert all(torch.equal(here[name], there[name]) for name in here)
-
-
 def weights(trainee):
-    return torch.cat([value.detach().flatten() for one in trainee.networks().values() for value in one.parameters()])
+    return torch.cat(
+        [value.detach().flatten() for one in trainee.networks().values() for value in one.parameters()]
+    )
 
 
 def observations(n=50):
     return torch.rand(n, 30, generator=torch.Generator().manual_seed(0))
 
 
-# -- seeds, bits and stops -------------------------------------------------------------------------------------------
+# -- seeds, bits and stops -----------------------------------------------------------------------------------
 
 
 def test_seed_1_among_3_is_seed_1_alone(algorithm, tmp_path):
@@ -103,7 +108,7 @@ def test_seed_1_among_3_is_seed_1_alone(algorithm, tmp_path):
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_others(algorithm, run, tmp_path):
     torch.manual_seed(12345)  # the global state plays no part
-    assert_same(train(configured(algorithm), tmp_path / "again", quiet=True), run)
+    same(run.path, train(configured(algorithm), tmp_path / "again", quiet=True).path)
     other = train(configured(algorithm, seed=5), tmp_path / "other", quiet=True)
     for name, tensor in load_file(other.path / POLICY).items():
         assert not torch.equal(tensor, load_file(run.path / POLICY)[name])
@@ -115,12 +120,14 @@ def test_a_run_stopped_at_160_and_at_400_frames_and_resumed_ends_the_same(algori
             train(configured(algorithm), tmp_path / "run", quiet=True, until=until)
         assert stop.value.wanted
         assert until <= stop.value.frames < 640
-    assert_same(train(configured(algorithm), tmp_path / "run", quiet=True), run)
+    same(run.path, train(configured(algorithm), tmp_path / "run", quiet=True).path)
 
 
 @pytest.mark.slow
 @pytest.mark.compiled
-def test_compiled_a_kill_changes_no_bit_and_the_eager_run_differs_by_rounding(algorithm, run, tmp_path, monkeypatch):
+def test_compiled_a_kill_changes_no_bit_and_the_eager_run_differs_by_rounding(
+    algorithm, run, tmp_path, monkeypatch
+):
     left_at(320, tmp_path / "run", monkeypatch)
     whole = train(configured(algorithm, compile="on"), tmp_path / "whole", quiet=True, processes=1)
     assert whole.meta["compiled"]
@@ -128,7 +135,7 @@ def test_compiled_a_kill_changes_no_bit_and_the_eager_run_differs_by_rounding(al
     tell = lambda frames, _: told.append(frames)  # noqa: E731
     again = train(configured(algorithm, compile="on"), tmp_path / "run", quiet=True, processes=1, tell=tell)
     assert told[0] > 320  # it does not begin anew
-    assert_same(again, whole)
+    same(whole.path, again.path)
     for seed in (0, 1):
         values = [load_policy(one.path, seed=seed).values(observations()) for one in (whole, run)]
         torch.testing.assert_close(values[0], values[1], rtol=1e-3, atol=1e-3)
@@ -144,7 +151,9 @@ def test_compiled_updates_are_eager_ones_from_the_same_batches_call_after_call(a
     flown = make_collector(make_env(config, True), config.make(compile=False).actor, config)
     eager, compiled = (config.make(compile=compile) for compile in (False, True))
     rows = []
-    for frames, batch in zip(range(config.frames_per_iteration, 257, config.frames_per_iteration), flown, strict=False):
+    for frames, batch in zip(
+        range(config.frames_per_iteration, 257, config.frames_per_iteration), flown, strict=False
+    ):
         rows.append([eager.learn(batch.clone(), frames), compiled.learn(batch, frames)])
         torch.testing.assert_close(weights(compiled), weights(eager), rtol=1e-4, atol=1e-5)
     for one, other in rows:
@@ -158,7 +167,9 @@ def test_the_gradient_of_3_agents_is_each_ones_own(algorithm, monkeypatch):
     """In double precision, for the first minibatch that they learn from."""
     config, seen = configured(algorithm, n_seeds=3), []
     with monkeypatch.context() as patch:
-        patch.setattr(Learner, "learn", lambda self, minibatches: seen.append(minibatches[:, 0].clone()) or {})
+        patch.setattr(
+            Learner, "learn", lambda self, minibatches: seen.append(minibatches[:, 0].clone()) or {}
+        )
         trainee = config.make(compile=False)
         collected = make_collector(make_env(config, False), trainee.actor, config)
         for frames, batch in zip(
@@ -169,7 +180,9 @@ def test_the_gradient_of_3_agents_is_each_ones_own(algorithm, monkeypatch):
 
     def gradient(config, rows):
         trainee = config.make(compile=False)
-        learned = {name: value for name, value in trainee.loss.double().named_parameters() if value.requires_grad}
+        learned = {
+            name: value for name, value in trainee.loss.double().named_parameters() if value.requires_grad
+        }
         found = trainee.loss(rows.clone())
         losses = sum(found[name].flatten(1).mean(1) for name in trainee.learner.names[:-1])
         return dict(zip(learned, torch.autograd.grad(losses.sum(), list(learned.values())), strict=True))
@@ -182,11 +195,11 @@ def test_the_gradient_of_3_agents_is_each_ones_own(algorithm, monkeypatch):
             torch.testing.assert_close(population[name][agent], part[0], rtol=1e-12, atol=1e-12)
 
 
-# -- what it learns from ---------------------------------------------------------------------------------------------
+# -- what it learns from -------------------------------------------------------------------------------------
 
 
 def test_a_cap_bootstraps_from_its_own_last_observation_and_a_collision_does_not(algorithm):
-    """The same steps four times: ended by the cap or by a collision, in one place or in another."""
+    """The same steps four times: ended by the time limit or by a collision, in one place or in another."""
     config = configured(algorithm, max_steps=3, total_frames=256, n_seeds=1)
     flown = make_collector(make_env(config, False), config.make(compile=False).actor, config)
     batches = [batch.clone() for batch, _ in zip(flown, range(config.iterations), strict=False)]
@@ -195,7 +208,7 @@ def test_a_cap_bootstraps_from_its_own_last_observation_and_a_collision_does_not
     elsewhere = torch.Generator().manual_seed(0)
 
     def learned(collided, moved):
-        """The weights after those steps, where the ended flights ended so."""
+        """The weights after those steps, where the ended episodes ended so."""
         trainee = config.make(compile=False)
         before = weights(trainee)
         for index, original in enumerate(batches, start=1):
@@ -210,11 +223,13 @@ def test_a_cap_bootstraps_from_its_own_last_observation_and_a_collision_does_not
         assert (weights(trainee) - before).abs().max() > 1e-3
         return weights(trainee)
 
-    at_cap = learned(collided=False, moved=False)
-    assert torch.equal(at_cap, learned(collided=False, moved=False))
-    assert (at_cap - learned(collided=False, moved=True)).abs().max() > 1e-4  # V(s') counts, of this very s'
+    at_limit = learned(collided=False, moved=False)
+    assert torch.equal(at_limit, learned(collided=False, moved=False))
+    assert (
+        at_limit - learned(collided=False, moved=True)
+    ).abs().max() > 1e-4  # V(s') counts, of this very s'
     collision = learned(collided=True, moved=False)
-    assert (at_cap - collision).abs().max() > 1e-4
+    assert (at_limit - collision).abs().max() > 1e-4
     assert (collision - learned(collided=True, moved=True)).abs().max() < 1e-5  # and here it does not
 
 
@@ -227,8 +242,11 @@ def paid_turn(monkeypatch):
 
 
 def paid(algorithm, reward, folder, **more):
-    """Each seed's reward a step over a run's first 512 frames and its last 1,024: a tenth, where actions are random."""
+    """Each seed's reward a step over a run's first 512 frames and its last 1,024: a tenth, where actions
+    are random.
+    """
     how = {"n_seeds": 3, "total_frames": 4096, "gamma": 0.0, "max_steps": 10, "reward": reward}
+    how |= {"sac": {"frames_per_update": 8}, "c51": {"frames_per_update": 16}}.get(algorithm, {})
     found = train(configured(algorithm, **how | more), folder, quiet=True)
     episodes = found.episodes
     parts = [episodes[episodes.frame <= 512], episodes[episodes.frame > found.frames - 1024]]
@@ -246,10 +264,10 @@ def test_every_one_of_3_seeds_learns_which_of_10_turns_is_paid_and_without_a_lea
     assert max(last.max(), first.max()) < 0.3
 
 
-# -- what it leaves --------------------------------------------------------------------------------------------------
+# -- what it leaves ------------------------------------------------------------------------------------------
 
 
-def test_sampled_flights_act_as_training_acted_with_the_same_uniform_numbers(algorithm, run):
+def test_sampled_episodes_act_as_training_acted_with_the_same_uniform_numbers(algorithm, run):
     """The actor of a run that has ended, beside the policies of its file: 2 seeds, 500 places each."""
     config = configured(algorithm)
     trainee, saved = config.make(compile=False), load_file(run.path / POLICY)
@@ -273,7 +291,9 @@ def test_sampled_flights_act_as_training_acted_with_the_same_uniform_numbers(alg
 
 def test_an_evaluation_has_a_row_for_each_seed_way_and_set(algorithm, run):
     rows = evaluate_run(run, episodes=4, max_steps=50, quiet=True)
-    assert rows.groupby(["seed", "mode"]).size().to_dict() == {(seed, mode): 4 for seed in (0, 1) for mode in MODES}
+    assert rows.groupby(["seed", "mode"]).size().to_dict() == {
+        (seed, mode): 4 for seed in (0, 1) for mode in MODES
+    }
     assert rows.steps.between(1, 50).all()
     assert (rows.terminated ^ rows.truncated).all()
 
@@ -291,17 +311,17 @@ def test_verify_repeats_it_bit_for_bit(algorithm, run):
     assert verdict.same, verdict.lines
 
 
-def test_a_page_replays_its_flights_as_they_are_flown_one_by_one(algorithm, run):
+def test_a_page_replays_its_episodes_as_they_are_flown_one_by_one(algorithm, run):
     with few_sets():
         data = recorded(run.path.parent, n_seeds=1, n_layouts=2)
-    (cell,) = data["cells"]
-    assert cell["values"] == ALGORITHMS[algorithm].shown
+    (configuration,) = data["configurations"]
+    assert configuration["values"] == ALGORITHMS[algorithm].shown
     expected = flown(run.path, 0, 2)
-    for flight in cell["flights"]:
-        as_flown(flight, data["fields"], *expected[flight["layout"]])
+    for episode in configuration["episodes"]:
+        as_flown(episode, data["fields"], *expected[episode["layout"]])
 
 
-def test_a_flight_of_it_is_a_gif_of_more_than_one_picture(algorithm, run, tmp_path):
+def test_an_episode_of_it_is_a_gif_of_more_than_one_picture(algorithm, run, tmp_path):
     path = tmp_path / "flight.gif"
     assert render_command([str(run.path), "--out", str(path), "--steps", "12", "--width", "160"]) == 0
     with Image.open(path) as film:
@@ -309,7 +329,7 @@ def test_a_flight_of_it_is_a_gif_of_more_than_one_picture(algorithm, run, tmp_pa
 
 
 @pytest.mark.usefixtures("warm")
-def test_a_report_of_it_has_its_cell(algorithm, run, tmp_path, request):
+def test_a_report_of_it_has_its_configuration(algorithm, run, tmp_path, request):
     if (algorithm, "tanh") in TABLES:  # its figures are drawn in test_page.py, from runs as small
         request.getfixturevalue("undrawn")
     report([run.path], tmp_path / "report")

@@ -1,7 +1,8 @@
 """Hostile input is refused in one line, or accepted; and the judge of that sees what is planted for it.
 
-`attack` has the cases and the judge. The same cases are tried every time, so many that they end within a minute on an
-idle machine of two cores; on a busy one they take longer, and the bounds of each case grow with the load.
+`attack` has the cases and the judge. The same cases are tried every time, so many that they end within a
+minute on an idle machine of two cores; on a busy one they take longer, and the bounds of each case grow with
+the load.
 """
 
 import re
@@ -26,7 +27,9 @@ def attacked(*words):
     """The rows of the table by class, each with a number by verdict; and the lines of what failed."""
     done = subprocess.run([sys.executable, ATTACK, *words], capture_output=True, text=True, check=False)
     rows = [
-        [cell.strip() for cell in line.strip("|").split("|")] for line in done.stdout.splitlines() if line[:1] == "|"
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in done.stdout.splitlines()
+        if line[:1] == "|"
     ]
     assert rows, done.stderr
     head, _, *found = rows
@@ -51,7 +54,9 @@ def test_hostile_input_is_refused_in_one_line_or_accepted(kind, outcome):
 
 @pytest.fixture(scope="module")
 def planted():
-    """A machine may need many seconds to hand out 4 GiB, so the bound of memory is met long before that of time."""
+    """A machine may need many seconds to hand out 4 GiB, so the bound of memory is met long before that
+    of time.
+    """
     return attacked("--class", "planted", "--n", "8", "--seconds", "15", "--memory", "1")
 
 
@@ -70,7 +75,8 @@ def test_the_judge_sees_each_fault_that_is_planted(verdict, planted):
 def test_a_seed_stands_for_the_same_300_cases_in_every_process():
     words = [sys.executable, ATTACK, "--list", "--n", "300", "--seed", "0"]
     first, again = (
-        subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines() for _ in range(2)
+        subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
+        for _ in range(2)
     )
     assert first == again
     assert len(first) == 300

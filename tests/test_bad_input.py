@@ -1,9 +1,12 @@
-"""Every case of the table `bad_input`, in the library and on the command line; and what a full disk leaves."""
+"""Every case of the table `bad_input`, in the library and on the command line; and what a full disk
+leaves.
+"""
 
 import contextlib
 import errno
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -26,7 +29,7 @@ from bad_input import (
     make_good,
     put,
     replaced,
-    save_bank,
+    save_layouts,
     save_picture,
     tree,
     unfolding,
@@ -37,7 +40,7 @@ from uavnav import LayoutError, RunError, runs
 from uavnav.__main__ import main
 from uavnav.algorithms import dqn
 from uavnav.cli import commands
-from uavnav.report.cells import collect
+from uavnav.report.configurations import collect
 from uavnav.runs import POLICY
 from uavnav.views import render
 
@@ -49,7 +52,9 @@ def good(tmp_path_factory):
 
 @pytest.fixture
 def folder(good, monkeypatch):
-    """A copy of the good folder to spoil, and the current directory; its path is short, so that no line is cut."""
+    """A copy of the good folder to spoil, and the current directory; its path is short, so that no line
+    is cut.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         here = Path(shutil.copytree(good, Path(scratch) / "here"))
         monkeypatch.chdir(here)
@@ -91,7 +96,7 @@ def test_in_the_library_it_is_one_line_of_a_typed_exception_and_nothing_changes(
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name) for case in CASES if case.command])
 def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, folder, capfd, monkeypatch):
     monkeypatch.setattr(render, "fly", None)  # nobody flies
-    program, *arguments = [word.replace("{}", str(folder)) for word in case.command]
+    program, *arguments = [word.replace("{}", str(folder)) for word in shlex.split(case.command)]
     if program not in commands.COMMANDS:
         program, arguments = "train", [program, *arguments]
     if program == "play":
@@ -113,8 +118,14 @@ def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, f
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        (["-m", "uavnav", "layouts", "--check", "{}/thesis"], "uavnav layouts: layouts='{}/thesis': no such bank; "),
-        (["-m", "uavnav", "evaluate", "{}/thesis"], "uavnav evaluate: {}/thesis/config.yaml: missing or damaged; "),
+        (
+            ["-m", "uavnav", "layouts", "--check", "{}/thesis"],
+            "uavnav layouts: layouts='{}/thesis': no such layout file; ",
+        ),
+        (
+            ["-m", "uavnav", "evaluate", "{}/thesis"],
+            "uavnav evaluate: {}/thesis/config.yaml: missing or damaged; ",
+        ),
         ([RECIPES / "dqn.py", "out={}/policy"], "uavnav train: out={}/policy: is a file; give a folder"),
     ],
 )
@@ -139,7 +150,13 @@ def three(folder):
 
 
 OF_ANY = {
-    **{"a folder": a_folder, "a pipe": a_pipe, "without end": endless, "of 2^40 bytes": large, "itself": itself},
+    **{
+        "a folder": a_folder,
+        "a pipe": a_pipe,
+        "without end": endless,
+        "of 2^40 bytes": large,
+        "itself": itself,
+    },
     **{"empty": written(b""), "zeros": written(bytes(3000)), "brackets": written("[" * 100_000)},
     **{"a number": written("3"), "a bomb of aliases": written(YAML_BOMB), "unfolding": unfolding},
 }
@@ -157,20 +174,25 @@ def test_a_damaged_run_costs_one_line_and_the_others_are_told(three, part, how, 
     assert [Path(row["run"]).name for row in json.loads(told)] == (["a", "c"] if read else ["a", "b", "c"])
     lines = complained.splitlines()
     assert len(lines) == read
-    assert all(line.startswith(f"uavnav runs: left out: {three / 'b' / part}: ") and len(line) <= 300 for line in lines)
-    cells, left_out = collect([three])
-    assert [cell.activation for cell in cells] == ["tanh", "elu"]
+    assert all(
+        line.startswith(f"uavnav runs: left out: {three / 'b' / part}: ") and len(line) <= 300
+        for line in lines
+    )
+    configurations, left_out = collect([three])
+    assert [configuration.activation for configuration in configurations] == ["tanh", "elu"]
     (line,) = left_out
     assert line.startswith(f"{three / 'b' / part}: ")
     assert len(line) <= 270
 
 
-# -- a full disk -----------------------------------------------------------------------------------------------------
+# -- a full disk ---------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def full(name, forever):
-    """The disk is full when a file of this name is half-written; and stays so, or only that file is refused."""
+    """The disk is full when a file of this name is half-written; and stays so, or only that file is
+    refused.
+    """
     write, out_of_space = Path.write_bytes, []
 
     def write_half(path, content):
@@ -187,7 +209,9 @@ def full(name, forever):
 
 @pytest.mark.parametrize("forever", [False, True])
 @pytest.mark.parametrize("name", ["config.yaml", "meta.json", "state-", "replay-", *runs.FILES[2:]])
-def test_a_run_whose_disk_is_full_says_so_in_one_line_and_goes_on_when_there_is_space(tmp_path, name, forever):
+def test_a_run_whose_disk_is_full_says_so_in_one_line_and_goes_on_when_there_is_space(
+    tmp_path, name, forever
+):
     def train(folder):
         return dqn.train(dqn.DQNConfig(**DQN), folder, quiet=True, checkpoint_seconds=0)
 
@@ -209,7 +233,10 @@ def test_a_run_whose_disk_is_full_says_so_in_one_line_and_goes_on_when_there_is_
 def test_an_evaluation_whose_disk_is_full_leaves_the_old_rows(folder, name):
     put(folder / "run" / name, "the old rows")
     before = tree(folder)
-    with full(name, True), pytest.raises(RunError, match=rf"{name}: cannot be written .*No space left") as refused:
+    with (
+        full(name, True),
+        pytest.raises(RunError, match=rf"{name}: cannot be written .*No space left") as refused,
+    ):
         evaluate(folder)
     assert "\n" not in str(refused.value)
     after = tree(folder)
@@ -219,11 +246,17 @@ def test_an_evaluation_whose_disk_is_full_leaves_the_old_rows(folder, name):
     assert tree(folder)[f"run/{name}"] != b"the old rows"
 
 
-def test_a_bank_or_a_picture_whose_disk_is_full_is_the_old_one(folder):
+def test_a_layout_file_or_a_picture_whose_disk_is_full_is_the_old_one(folder):
     save_picture(folder / "flight.gif")
     before = tree(folder)
-    with full("bank", True), pytest.raises(LayoutError, match=r"bank: cannot be written .*No space left"):
-        save_bank(folder / "bank")
-    with full("flight", True), pytest.raises(ValueError, match=r"flight.gif: cannot be written .*No space left"):
+    with (
+        full("layouts", True),
+        pytest.raises(LayoutError, match=r"layouts: cannot be written .*No space left"),
+    ):
+        save_layouts(folder / "layouts")
+    with (
+        full("flight", True),
+        pytest.raises(ValueError, match=r"flight.gif: cannot be written .*No space left"),
+    ):
         save_picture(folder / "flight.gif")
     assert tree(folder) == before

@@ -1,4 +1,6 @@
-"""Scripted policies, whose flights are known: by chance, by arithmetic, or by a proof that they never collide."""
+"""Scripted policies, whose episodes are known: by chance, by arithmetic, or by a proof that they never
+collide.
+"""
 
 import math
 
@@ -8,20 +10,21 @@ import torch
 import uavnav
 from uavnav.evaluation import evaluate_policy, fly
 from uavnav.tasks.baselines import BASELINES, reactive, straight_ahead, suited, uniform_random
-from uavnav.tasks.simulator import make_task
+from uavnav.tasks.table import make_task
 
 EMPTY = uavnav.layouts.generate(3, k=0)
 LEFT_IN_PLACE = 50  # 5 degrees, 0 px
 
 
-def test_the_uniform_policy_turns_in_90_stops_in_10_and_fully_stops_in_1_percent_of_its_steps_at_4_5_px_each():
+def test_uniform_policy_turns_in_90_stops_in_10_and_fully_stops_in_1_percent_of_its_steps_at_4_5_px_each():
     rows = evaluate_policy(uniform_random, episodes=200)
     total = rows[["steps", "stops", "full_stops", "turns", "distance"]].sum()
     n = total.steps
     assert n > 5_000
     for count, share in ((total.turns, 0.9), (total.stops, 0.1), (total.full_stops, 0.01)):
         assert count / n == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / n))
-    assert total.distance / n == pytest.approx(4.5, abs=4 * math.sqrt(8.25 / n))  # (10^2 - 1) / 12 px^2 a step
+    # (10^2 - 1) / 12 px^2 a step
+    assert total.distance / n == pytest.approx(4.5, abs=4 * math.sqrt(8.25 / n))
     assert rows.terminated.all()
 
 
@@ -33,8 +36,12 @@ def test_the_uniform_policy_takes_all_100_actions_by_its_generator_alone():
 
 
 def test_straight_ahead_in_an_empty_arena_earns_27_times_0_09_less_10():
-    rows = evaluate_policy(straight_ahead, EMPTY, episodes=3)  # contact at 580 - 30 px: ceil(250 / 9) = 28 steps
-    assert rows[["steps", "distance", "turns", "stops", "full_stops"]].to_numpy().tolist() == [[28, 252, 0, 0, 0]] * 3
+    # contact at 580 - 30 px: ceil(250 / 9) = 28 steps
+    rows = evaluate_policy(straight_ahead, EMPTY, episodes=3)
+    assert (
+        rows[["steps", "distance", "turns", "stops", "full_stops"]].to_numpy().tolist()
+        == [[28, 252, 0, 0, 0]] * 3
+    )
     assert rows.reward.tolist() == pytest.approx([27 * 0.09 - 10] * 3, abs=1e-9)
     assert rows.terminated.all()
     capped = evaluate_policy(straight_ahead, EMPTY, episodes=3, max_steps=27)
@@ -58,7 +65,9 @@ def test_reactive_flies_10000_steps_and_over_3000_px_on_each_of_200_test_sets_wi
     assert rows.distance.min() > 3_000
     assert rows.full_stops.sum() == 0  # where it stops it turns
     assert (rows.distance == 9 * (rows.steps - rows.turns)).all()
-    assert rows.reward.tolist() == pytest.approx((0.01 * rows.distance - 0.01 * rows.turns).tolist(), abs=1e-8)
+    assert rows.reward.tolist() == pytest.approx(
+        (0.01 * rows.distance - 0.01 * rows.turns).tolist(), abs=1e-8
+    )
 
 
 def observation(right, forward, distance):
@@ -78,7 +87,9 @@ def observation(right, forward, distance):
         (0.8, 0.6, 35.3, LEFT_IN_PLACE),
     ],
 )
-def test_reactive_goes_straight_as_long_as_9_px_towards_the_obstacle_leave_30(right, forward, distance, action):
+def test_reactive_goes_straight_as_long_as_9_px_towards_the_obstacle_leave_30(
+    right, forward, distance, action
+):
     assert reactive(observation(right, forward, distance)).item() == action
 
 
@@ -104,7 +115,13 @@ FREE = {
 @pytest.mark.parametrize("task", FREE)
 @pytest.mark.parametrize(
     "world",
-    [{"n_slots": 12}, {"padding": "zeros"}, {"drone_radius": 40.0}, {"sensor_radius": 70.0}, {"sensor_radius": 130.0}],
+    [
+        {"n_slots": 12},
+        {"padding": "zeros"},
+        {"drone_radius": 40.0},
+        {"sensor_radius": 70.0},
+        {"sensor_radius": 130.0},
+    ],
     ids=str,
 )
 def test_in_a_world_of_other_fields_reactive_flies_on_and_touches_no_wall(task, world):
@@ -115,8 +132,12 @@ def test_in_a_world_of_other_fields_reactive_flies_on_and_touches_no_wall(task, 
 
 
 @pytest.mark.parametrize("name", BASELINES)
-@pytest.mark.parametrize(("task", "chosen"), [("drone", "10 turns and 10"), ("space-moving", "5 turns and 4")])
+@pytest.mark.parametrize(
+    ("task", "chosen"), [("drone", "10 turns and 10"), ("space-moving", "5 turns and 4")]
+)
 def test_a_script_refuses_a_world_of_other_actions_in_one_line(name, task, chosen):
     whole = make_task("test", {"n_distances": 3}, task=task)
-    with pytest.raises(ValueError, match=f"n_distances=3: scripts choose among {chosen} distances; leave them out"):
+    with pytest.raises(
+        ValueError, match=f"n_distances=3: scripts choose among {chosen} distances; leave them out"
+    ):
         suited(BASELINES[name], whole)

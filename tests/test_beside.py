@@ -1,4 +1,5 @@
-"""What an evaluation keeps beside its rows: flights in the empty arena, and what seeds expect against what they get.
+"""What an evaluation keeps beside its rows: episodes in the empty arena, and what seeds expect against what
+they get.
 
 The networks are made by hand; their numbers are known in closed form.
 """
@@ -11,18 +12,17 @@ import pytest
 import torch
 from runs_by_hand import policy_bytes
 
-from uavnav import evaluation
 from uavnav.algorithms import dqn, ppo
-from uavnav.evaluation import evaluate_run, fly, in_empty_arena, on
+from uavnav.evaluation import Protocol, evaluate_run, fly, in_empty_arena, on
 from uavnav.evaluation.values import overestimation
 from uavnav.networks import mlp
 from uavnav.runs import ARENA, VALUES
 from uavnav.runs.policies import by_mode, load_policies
 from uavnav.runs.tables import write_table
-from uavnav.studies import Cell
-from uavnav.studies.run import _join_flights
+from uavnav.studies import Configuration
+from uavnav.studies.run import _join_episodes
 from uavnav.tasks.baselines import BASELINES
-from uavnav.tasks.simulator import make_task
+from uavnav.tasks.table import make_task
 
 STOP, FULL_SPEED = 0, 9  # straight ahead, 0 and 9 px
 
@@ -45,30 +45,34 @@ def population(path, seeds=(0,), algorithm="dqn", mode="greedy", constant=None):
     return load_policies(file, seeds, greedy=mode == "greedy")
 
 
-# -- the empty arena ---------------------------------------------------------------------------------------------------
+# -- the empty arena -----------------------------------------------------------------------------------------
 
 
 def test_who_stands_still_in_the_empty_arena_does_so_for_500_steps_from_each_of_4_headings(tmp_path):
     flown = in_empty_arena({"greedy": population(tmp_path, (4, 5), constant=[(STOP, 1.0)] * 2)})
-    assert flown.groupby(["seed", "layout"]).size().to_dict() == {(s, h): 500 for s in (4, 5) for h in range(4)}
+    assert flown.groupby(["seed", "layout"]).size().to_dict() == {
+        (s, h): 500 for s in (4, 5) for h in range(4)
+    }
     assert {*flown["action"]} == {STOP}
     assert len(in_empty_arena({"greedy": population(tmp_path)}, steps=1)) == 4
     with pytest.raises(ValueError, match="max_steps=0"):
         in_empty_arena({"greedy": population(tmp_path)}, steps=0)
 
 
-def test_straight_flights_from_the_centre_end_at_the_four_walls(tmp_path):
+def test_straight_episodes_from_the_centre_end_at_the_four_walls(tmp_path):
     flown = in_empty_arena({"greedy": population(tmp_path, constant=[(FULL_SPEED, 1.0)])})
     assert flown.groupby("layout").size().tolist() == [39, 28, 39, 28]  # ceil(350 / 9), ceil(250 / 9)
 
 
 @pytest.mark.parametrize(("algorithm", "mode"), [("ppo", "sampled"), ("dqn", "greedy"), ("dqn", "sampled")])
 def test_in_the_empty_arena_seeds_do_not_see_each_other(tmp_path, algorithm, mode):
-    both, only = (in_empty_arena({mode: population(tmp_path, seeds, algorithm, mode)}, 40) for seeds in ((4, 5), (5,)))
+    both, only = (
+        in_empty_arena({mode: population(tmp_path, seeds, algorithm, mode)}, 40) for seeds in ((4, 5), (5,))
+    )
     pd.testing.assert_frame_equal(both[both["seed"] == 5].reset_index(drop=True), only)
 
 
-# -- values against returns --------------------------------------------------------------------------------------------
+# -- values against returns ----------------------------------------------------------------------------------
 
 
 def test_overestimation_of_a_drone_that_stands_still_for_ever(tmp_path):
@@ -77,7 +81,9 @@ def test_overestimation_of_a_drone_that_stands_still_for_ever(tmp_path):
     realised = np.mean(-0.01 * (1 - 0.99**steps_left) / (1 - 0.99))
     assert -1 < realised < -0.99
     expected = [[2, 5, realised, 5 - realised], [3, 0, realised, -realised]]
-    found = overestimation(population(tmp_path, (2, 3), constant=[(STOP, 5.0), (STOP, 0.0)]), 0.99, n_layouts=2)
+    found = overestimation(
+        population(tmp_path, (2, 3), constant=[(STOP, 5.0), (STOP, 0.0)]), 0.99, n_layouts=2
+    )
     assert list(found.columns) == ["seed", "q", "realised", "overestimation"]
     assert np.allclose(found.to_numpy(), expected, atol=1e-6)
 
@@ -98,7 +104,7 @@ def test_overestimation_of_a_drone_that_flies_straight_into_what_comes(tmp_path,
 
 
 def test_states_without_enough_future_count_only_before_a_collision(tmp_path):
-    """Of the 459 steps that a flight without a collision would need there are 60."""
+    """Of the 459 steps that an episode without a collision would need there are 60."""
     both = population(tmp_path, (0, 1), constant=[(STOP, 1.0), (FULL_SPEED, 1.0)])
     found = overestimation(both, 0.99, n_layouts=3, max_steps=60)["overestimation"]
     assert math.isnan(found[0])
@@ -113,14 +119,15 @@ def test_overestimation_of_a_seed_does_not_depend_on_the_others(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("gamma", "n_layouts", "message"), [(None, 3, "gamma=None; give a discount"), (0.9, 1001, "give 1 to 1000 layouts")]
+    ("gamma", "n_layouts", "message"),
+    [(None, 3, "gamma=None; give a discount"), (0.9, 1001, "give 1 to 1000 layouts")],
 )
 def test_what_has_no_overestimation_is_refused(tmp_path, gamma, n_layouts, message):
     with pytest.raises(ValueError, match=message):
         overestimation(population(tmp_path), gamma, n_layouts=n_layouts)
 
 
-# -- their files -------------------------------------------------------------------------------------------------------
+# -- their files ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -132,8 +139,7 @@ def test_what_has_no_overestimation_is_refused(tmp_path, gamma, n_layouts, messa
     ids=["ppo", "dqn"],
 )
 def test_the_runs_own_protocol_leaves_them_and_another_does_not(train, config, tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluation, "EPISODES", 3)
-    monkeypatch.setattr(evaluation, "MAX_STEPS", 40)
+    monkeypatch.setattr(Protocol.__new__, "__defaults__", ("test", 3, 40, None, "drone"))
     run = train(config, out=tmp_path / "run", quiet=True)
     evaluate_run(run, 2, 40)
     assert [name for name in (ARENA, VALUES) if (run.path / name).exists()] == []
@@ -142,13 +148,19 @@ def test_the_runs_own_protocol_leaves_them_and_another_does_not(train, config, t
     modes = by_mode(load_policies(run.path))
     pd.testing.assert_frame_equal(empty, in_empty_arena(modes))
     if run.algorithm == "dqn":
-        pd.testing.assert_frame_equal(pd.read_parquet(run.path / VALUES), overestimation(modes["greedy"], 0.99))
+        pd.testing.assert_frame_equal(
+            pd.read_parquet(run.path / VALUES), overestimation(modes["greedy"], 0.99)
+        )
     assert (run.path / VALUES).exists() == (run.algorithm == "dqn")
 
 
-def test_what_the_workers_of_a_cell_leave_is_joined_to_what_one_evaluation_of_all_seeds_leaves(tmp_path):
+def test_what_the_workers_of_a_configuration_leave_is_joined_to_what_one_evaluation_of_all_seeds_leaves(
+    tmp_path,
+):
     whole = {
-        ARENA: pd.DataFrame({"seed": [4, 4, 5, 4, 5], "action": range(5), "mode": ["greedy"] * 3 + ["sampled"] * 2}),
+        ARENA: pd.DataFrame(
+            {"seed": [4, 4, 5, 4, 5], "action": range(5), "mode": ["greedy"] * 3 + ["sampled"] * 2}
+        ),
         VALUES: pd.DataFrame({"seed": [4, 5], "q": [1.5, 2.5]}),
     }
     folders = [tmp_path / str(seed) for seed in (4, 5)]
@@ -156,11 +168,11 @@ def test_what_the_workers_of_a_cell_leave_is_joined_to_what_one_evaluation_of_al
         for seed, part in table.groupby("seed"):
             (tmp_path / str(seed)).mkdir(exist_ok=True)
             write_table(tmp_path / str(seed) / name, part)
-    (tmp_path / "cell").mkdir()
-    _join_flights(Cell(dqn.DQNConfig(), tmp_path / "cell", None), folders)
+    (tmp_path / "configuration").mkdir()
+    _join_episodes(Configuration(dqn.DQNConfig(), tmp_path / "configuration", None), folders)
     for name, table in whole.items():
-        pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "cell" / name), table)
+        pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "configuration" / name), table)
     (folders[1] / VALUES).unlink()
-    (tmp_path / "cell" / VALUES).unlink()
-    _join_flights(Cell(dqn.DQNConfig(), tmp_path / "cell", None), folders)
-    assert not (tmp_path / "cell" / VALUES).exists()  # of seed 4 alone
+    (tmp_path / "configuration" / VALUES).unlink()
+    _join_episodes(Configuration(dqn.DQNConfig(), tmp_path / "configuration", None), folders)
+    assert not (tmp_path / "configuration" / VALUES).exists()  # of seed 4 alone

@@ -1,5 +1,6 @@
 """Policies of Stable-Baselines3 act here as they do there, and no zip is ever unpickled."""
 
+import functools
 import io
 import os
 import pickle
@@ -14,11 +15,12 @@ from torch import nn
 import uavnav
 from uavnav import PolicyError, evaluate_policy, load_policy
 from uavnav.__main__ import main
-from uavnav.cli import play
-from uavnav.cli.render import main as render_command
+from uavnav.cli import commands, play
 from uavnav.envs.sb3 import DroneVecEnv
 from uavnav.runs import policies
 from uavnav.views import render
+
+render_command = functools.partial(commands.run, "render")
 
 SHORT = {"ppo": {"n_steps": 16, "batch_size": 64}, "dqn": {"learning_starts": 64, "buffer_size": 1000}}
 MODELS = {
@@ -77,7 +79,9 @@ def test_on_3200_observations_it_chooses_what_their_predict_does(saved, observat
 
 def test_its_values_are_theirs_in_any_batch_shape(saved, observations):
     model, policy, _, _ = saved
-    torch.testing.assert_close(policy.values(observations), their_values(model, observations), rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(
+        policy.values(observations), their_values(model, observations), rtol=1e-5, atol=1e-6
+    )
     one = policy.values(observations[:6].reshape(2, 3, 30))
     torch.testing.assert_close(one.reshape(6, 100), policy.values(observations[:6]))
     assert policy.algorithm == ("dqn" if hasattr(model, "q_net") else "ppo")
@@ -98,7 +102,7 @@ def test_sampled_it_acts_as_theirs_in_training(saved, observations):
     assert ((shares - expected).abs() < 5 * (expected * (1 - expected) / len(draws)).sqrt() + 1e-9).all()
 
 
-def test_its_flights_are_those_of_their_own_model_as_a_callable(saved):
+def test_its_episodes_are_those_of_their_own_model_as_a_callable(saved):
     model, policy, _, _ = saved
 
     def theirs(observation, generator):
@@ -106,10 +110,12 @@ def test_its_flights_are_those_of_their_own_model_as_a_callable(saved):
 
     mine, other = (evaluate_policy(one, episodes=20, max_steps=60) for one in (policy, theirs))
     assert mine.equals(other)
-    assert evaluate_policy(load_policy(saved[2], greedy=False, activation=saved[3]), episodes=5, max_steps=60).shape[0]
+    assert evaluate_policy(
+        load_policy(saved[2], greedy=False, activation=saved[3]), episodes=5, max_steps=60
+    ).shape[0]
 
 
-# -- zips that are none ----------------------------------------------------------------------------------------------
+# -- zips that are none --------------------------------------------------------------------------------------
 
 
 def weights(algorithm="ppo", inputs=30, outputs=100):
@@ -123,7 +129,10 @@ def weights(algorithm="ppo", inputs=30, outputs=100):
     generator = torch.Generator().manual_seed(0)
     found = {}
     for name, shape in layers.items():
-        found |= {f"{name}.weight": torch.randn(shape, generator=generator), f"{name}.bias": torch.zeros(shape[0])}
+        found |= {
+            f"{name}.weight": torch.randn(shape, generator=generator),
+            f"{name}.bias": torch.zeros(shape[0]),
+        }
     return found
 
 
@@ -168,7 +177,9 @@ def inner_bomb():
         zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as bad,
     ):
         for member in good.infolist():
-            bad.writestr(member.filename, bytes(80 * 2**20) if "data/0" in member.filename else good.read(member))
+            bad.writestr(
+                member.filename, bytes(80 * 2**20) if "data/0" in member.filename else good.read(member)
+            )
     return buffer.getvalue()
 
 
@@ -181,7 +192,10 @@ REFUSED = {
     "a zip of something else": ({"thesis.txt": b"It was a dark night."}, NOT_READABLE),
     "its weights empty": ({"policy.pth": b""}, NOT_READABLE),
     "its weights a pickle": ({"policy.pth": pickle.dumps(Bomb())}, NOT_READABLE),
-    "its weights more than tensors": ({"policy.pth": pth({"action_net.weight": Bomb()})}, "more than tensors"),
+    "its weights more than tensors": (
+        {"policy.pth": pth({"action_net.weight": Bomb()})},
+        "more than tensors",
+    ),
     "its weights in the old format": (
         {"policy.pth": pth(weights(), _use_new_zipfile_serialization=False)},
         NOT_READABLE,
@@ -191,8 +205,14 @@ REFUSED = {
         {"policy.pth": pth({key: value.double() for key, value in weights().items()})},
         "not a table of float32",
     ),
-    "a tensor without numbers": ({"policy.pth": changed(action_net__bias=lambda old: old.to("meta"))}, NOT_READABLE),
-    "a sparse tensor": ({"policy.pth": changed(action_net__weight=torch.Tensor.to_sparse)}, "not a table of float32"),
+    "a tensor without numbers": (
+        {"policy.pth": changed(action_net__bias=lambda old: old.to("meta"))},
+        NOT_READABLE,
+    ),
+    "a sparse tensor": (
+        {"policy.pth": changed(action_net__weight=torch.Tensor.to_sparse)},
+        "not a table of float32",
+    ),
     "80 MB of zeros": ({"policy.pth": bytes(80 * 2**20)}, "policy.pth has more than 67,108,864 bytes"),
     "80 MB of zeros within": ({"policy.pth": inner_bomb()}, "more than 67,108,864 bytes of weights"),
     "a tensor of a terabyte": (
@@ -200,15 +220,39 @@ REFUSED = {
         "more than 67,108,864 bytes of weights",
     ),
     "no layers": ({"policy.pth": pth({})}, "no MlpPolicy of PPO or DQN"),
-    "SAC": ({"policy.pth": pth({"actor.mu.weight": torch.zeros(2, 8)})}, "for its action_net.bias, action_net.weight"),
-    "CnnPolicy": ({"policy.pth": pth(weights() | CONVOLUTIONS)}, "for its features_extractor.cnn.0.weight; give one"),
-    "a bias missing": ({"policy.pth": changed(action_net__bias=nothing)}, "for its action_net.bias; give one"),
-    "layers that do not fit": ({"policy.pth": changed(action_net__weight=lambda old: old[:, :7])}, "do not fit each"),
+    "SAC": (
+        {"policy.pth": pth({"actor.mu.weight": torch.zeros(2, 8)})},
+        "for its action_net.bias, action_net.weight",
+    ),
+    "CnnPolicy": (
+        {"policy.pth": pth(weights() | CONVOLUTIONS)},
+        "for its features_extractor.cnn.0.weight; give one",
+    ),
+    "a bias missing": (
+        {"policy.pth": changed(action_net__bias=nothing)},
+        "for its action_net.bias; give one",
+    ),
+    "layers that do not fit": (
+        {"policy.pth": changed(action_net__weight=lambda old: old[:, :7])},
+        "do not fit each",
+    ),
     "a flat layer": ({"policy.pth": changed(action_net__weight=torch.flatten)}, "do not fit each other"),
-    "a number for a layer": ({"policy.pth": changed(action_net__weight=lambda old: old[0, 0])}, "do not fit each"),
-    "31 inputs": ({"policy.pth": pth(weights(inputs=31))}, "sees 31 numbers and chooses from 100 actions, not 30"),
-    "20 actions": ({"policy.pth": pth(weights("dqn", outputs=20))}, "sees 30 numbers and chooses from 20 actions"),
-    "nan": ({"policy.pth": changed("dqn", **{"q_net__q_net__2__bias": lambda old: old * torch.nan})}, "is not finite"),
+    "a number for a layer": (
+        {"policy.pth": changed(action_net__weight=lambda old: old[0, 0])},
+        "do not fit each",
+    ),
+    "31 inputs": (
+        {"policy.pth": pth(weights(inputs=31))},
+        "sees 31 numbers and chooses from 100 actions, not 30",
+    ),
+    "20 actions": (
+        {"policy.pth": pth(weights("dqn", outputs=20))},
+        "sees 30 numbers and chooses from 20 actions",
+    ),
+    "nan": (
+        {"policy.pth": changed("dqn", **{"q_net__q_net__2__bias": lambda old: old * torch.nan})},
+        "is not finite",
+    ),
 }
 
 
@@ -232,7 +276,11 @@ def test_any_other_zip_is_refused_in_one_line_and_nothing_is_executed(name, tmp_
 @pytest.mark.parametrize("algorithm", ["ppo", "dqn"])
 def test_only_the_weights_of_a_zip_are_read(algorithm, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    members = {"policy.pth": pth(weights(algorithm)), "data": pickle.dumps(Bomb()), "pytorch_variables.pth": b"x"}
+    members = {
+        "policy.pth": pth(weights(algorithm)),
+        "data": pickle.dumps(Bomb()),
+        "pytorch_variables.pth": b"x",
+    }
     policy = load_policy(zipped(tmp_path / "model.zip", members), activation="relu")
     assert (policy.algorithm, policy.world, policy.reward) == (algorithm, uavnav.World(), "eq14")
     assert policy(torch.rand(5, 30)).shape == (5,)
@@ -241,11 +289,15 @@ def test_only_the_weights_of_a_zip_are_read(algorithm, tmp_path, monkeypatch):
 
 def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
     path = zipped(tmp_path / "model.zip", {"policy.pth": pth(weights())})
-    with pytest.raises(PolicyError, match=r"do not tell the activation; give activation=\.\.\., one of elu, .*tanh"):
+    with pytest.raises(
+        PolicyError, match=r"do not tell the activation; give activation=\.\.\., one of elu, .*tanh"
+    ):
         load_policy(path)
     with pytest.raises(PolicyError, match="unknown activation 'Tanh'; choose from elu, "):
         load_policy(path, activation="Tanh")
-    with pytest.raises(PolicyError, match="seed=3; a zip of Stable-Baselines3 holds one policy: give no seed"):
+    with pytest.raises(
+        PolicyError, match="seed=3; a zip of Stable-Baselines3 holds one policy: give no seed"
+    ):
         load_policy(path, seed=3, activation="tanh")
     with pytest.raises(PolicyError, match=r"activation=tanh; a run knows its own: give it for a \.zip alone"):
         load_policy(tmp_path, activation="tanh")
@@ -253,11 +305,21 @@ def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
 
 def test_beside_a_script_in_another_world_a_zips_rows_are_of_its_own(saved, tmp_path, capsys):
     *_, path, activation = saved
-    words = ["--task", "goal", "--activation", activation, "--layouts", "validation", "--episodes", "2", "--out"]
+    words = [
+        "--task",
+        "goal",
+        "--activation",
+        activation,
+        "--layouts",
+        "validation",
+        "--episodes",
+        "2",
+        "--out",
+    ]
     assert main(["evaluate", "reactive", str(path), *words, str(tmp_path), "--max-steps", "5"]) == 0
     files = ["model-greedy-validation-2-5", "model-sampled-validation-2-5", "reactive-goal-validation-2-5"]
     assert sorted(one.stem for one in tmp_path.glob("*.parquet")) == files
-    assert "reactive on 2 validation sets" in capsys.readouterr().out
+    assert "reactive on 2 validation layouts" in capsys.readouterr().out
 
 
 def test_a_zip_is_drawn_with_its_activation_beside_a_script(tmp_path, capsys):
@@ -276,21 +338,9 @@ def test_a_zip_flies_in_the_window_with_its_activation(tmp_path, monkeypatch):
     flown = []
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setattr(play, "play", lambda game: flown.append(game) or game)
-    assert play.main([str(path), "--activation", "tanh"]) == 0
+    assert commands.run("play", [str(path), "--activation", "tanh"]) == 0
     assert flown[0].pilots[1].name == f"{tmp_path.name}/theirs.zip"
     assert flown[0].choice.meaning == "logits"
-
-
-@pytest.mark.parametrize(("name", "out"), [("render", "a.gif"), ("play", "rows.parquet"), ("export", "a.onnx")])
-def test_a_command_asks_for_the_activation_of_a_zip_by_its_option(name, out, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
-    assert main([name, "theirs.zip", "--out", out]) == 2
-    line = "theirs.zip: its weights do not tell the activation; give --activation, one of elu, "
-    assert capsys.readouterr().err.startswith(f"uavnav {name}: {line}")
-    assert main([name, "reactive", "--activation", "tanh", "--out", out]) == 2
-    line = "--activation tanh: runs know their own; give it with a .zip\n"
-    assert capsys.readouterr().err == f"uavnav {name}: {line}"
 
 
 def test_the_package_unpickles_nowhere():

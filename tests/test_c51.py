@@ -1,4 +1,6 @@
-"""C51: its projection, its loss by hand and as TorchRL has it, each agent alone, its support, and a dueling run."""
+"""C51: its projection, its loss by hand and as TorchRL has it, each agent alone, its support, and a
+dueling run.
+"""
 
 import numpy as np
 import pytest
@@ -11,18 +13,13 @@ from torchrl.objectives import DistributionalDQNLoss
 
 from uavnav import load_policy
 from uavnav.__main__ import main
-from uavnav.algorithms.c51 import PRESETS, C51Config, project, train
-from uavnav.algorithms.dqn import DQNConfig, make_network
+from uavnav.algorithms.c51 import C51Config, project, train
+from uavnav.algorithms.dqn import make_network
 from uavnav.errors import ConfigError
-from uavnav.evaluation import evaluate_run
 from uavnav.evaluation.agents import Agents
-from uavnav.evaluation.verify import verify
-from uavnav.runs import POLICY
 from uavnav.runs.export import export_policy
 from uavnav.runs.policies import PolicyError
 from uavnav.tasks.rewards import BOUNDS, REWARDS
-from uavnav.training.loop import make_collector, make_env
-from uavnav.training.recorder import Interrupted
 
 SMALL = {"hidden": (8,), "n_atoms": 7, "activation": "relu"}
 
@@ -36,7 +33,9 @@ def transitions(*shape, dtype=torch.float64, seed=0):
         "terminated": torch.rand(*shape, 1, generator=g) < 0.25,
     }
     following["done"] = following["terminated"]
-    batch = TensorDict({"action": torch.randint(100, shape, generator=g), "next": TensorDict(following, shape)}, shape)
+    batch = TensorDict(
+        {"action": torch.randint(100, shape, generator=g), "next": TensorDict(following, shape)}, shape
+    )
     return batch.set("observation", torch.rand(*shape, 30, generator=g, dtype=dtype))
 
 
@@ -79,11 +78,15 @@ def test_the_projection_is_that_of_a_slow_loop_and_keeps_mass_and_a_mean_within_
     n, least, width, reward, gamma, seed
 ):
     atoms = torch.linspace(least, least + width, n, dtype=torch.float64)
-    probabilities = torch.rand(3, n, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)).softmax(-1)
+    probabilities = torch.rand(
+        3, n, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
+    ).softmax(-1)
     places = (reward + gamma * atoms).expand(3, n)
     found = project(probabilities, places, atoms)
     for row, one, there in zip(found, probabilities, places, strict=True):
-        np.testing.assert_allclose(row, slowly_projected(one.numpy(), there.numpy(), atoms.numpy()), atol=1e-9)
+        np.testing.assert_allclose(
+            row, slowly_projected(one.numpy(), there.numpy(), atoms.numpy()), atol=1e-9
+        )
     torch.testing.assert_close(found.sum(-1), torch.ones(3, dtype=torch.float64))
     mean = (probabilities * places.clamp(atoms[0], atoms[-1])).sum(-1)
     torch.testing.assert_close((found * atoms).sum(-1), mean, atol=1e-6, rtol=0)
@@ -99,9 +102,11 @@ def test_an_atom_that_lands_on_an_atom_stays_whole():
 @pytest.mark.parametrize("double", [False, True])
 @pytest.mark.parametrize("dueling", [False, True])
 def test_the_loss_of_each_row_is_the_cross_entropy_by_hand(double, dueling):
-    config = C51Config(**SMALL, gamma=0.9, n_steps=2, double=double, dueling=dueling)
+    """Under a time limit, each row says after how many of its two steps it bootstraps."""
+    config = C51Config(**SMALL, gamma=0.9, n_steps=2, max_steps=9, double=double, dueling=dueling)
     network, other, loss = made(config)
-    batch = transitions(1, 40)
+    steps = torch.arange(40).reshape(1, 40, 1) % 2 + 1
+    batch = transitions(1, 40).set("steps_to_next_obs", steps)
     atoms = np.linspace(-10, 0.09 / (1 - 0.9), 7)
 
     def distributions(one, observation):
@@ -116,7 +121,7 @@ def test_the_loss_of_each_row_is_the_cross_entropy_by_hand(double, dueling):
         before, after = batch["observation"][:, row], batch["next", "observation"][:, row]
         best = (distributions(network if double else other, after) * atoms).sum(-1).argmax()
         chosen.add((best == (distributions(network, after) * atoms).sum(-1).argmax()).item())
-        gamma = 0.0 if batch["next", "terminated"][0, row] else 0.9**2
+        gamma = 0.0 if batch["next", "terminated"][0, row] else 0.9 ** steps[0, row].item()
         places = batch["next", "reward"][0, row].item() + gamma * atoms
         target = slowly_projected(distributions(other, after)[best], places, atoms)
         expected = -(target * np.log(distributions(network, before)[batch["action"][0, row]])).sum()
@@ -142,10 +147,16 @@ def test_for_one_agent_it_is_torchrls_own_loss_and_gradient():
         def forward(self, observation):
             return logits(observation)
 
-    actor = DistributionalQValueActor(Theirs(), ours.atoms, in_keys=["observation"], action_space="categorical")
+    actor = DistributionalQValueActor(
+        Theirs(), ours.atoms, in_keys=["observation"], action_space="categorical"
+    )
     theirs = DistributionalDQNLoss(actor, gamma=0.9, delay_value=True, reduction="none")
     targets = [
-        [value for _, value in sorted(one.target_value_network_params.flatten_keys().items()) if value.ndim == 3]
+        [
+            value
+            for _, value in sorted(one.target_value_network_params.flatten_keys().items())
+            if value.ndim == 3
+        ]
         for one in (theirs, ours)
     ]
     for there, here in zip(*targets, strict=True):
@@ -160,27 +171,7 @@ def test_for_one_agent_it_is_torchrls_own_loss_and_gradient():
         torch.testing.assert_close(here, there, rtol=1e-4, atol=1e-6)
 
 
-def test_the_gradient_of_3_agents_is_each_ones_own_and_a_target_of_fewer_steps_has_another():
-    batch = transitions(3, 16).set("steps_to_next_obs", torch.full((3, 16, 1), 2))
-    how = {**SMALL, "n_steps": 5, "max_steps": 9, "dueling": True}
-
-    def gradient(config, rows):
-        loss = made(config)[2]
-        names, parameters = zip(*loss.named_parameters(), strict=True)
-        total = loss(rows.clone())["loss"].mean(1).sum()
-        return dict(zip(names, torch.autograd.grad(total, parameters), strict=True))
-
-    population = gradient(C51Config(n_seeds=3, **how), batch)
-    for agent in range(3):
-        alone, config = batch[agent : agent + 1], C51Config(seed=agent, **how)
-        own = gradient(config, alone)
-        later = gradient(config, alone.clone().set("steps_to_next_obs", torch.full((1, 16, 1), 5)))
-        for name, part in own.items():
-            torch.testing.assert_close(population[name][agent], part[0], rtol=1e-12, atol=1e-12)
-            assert (part - later[name]).abs().max() > 1e-6
-
-
-# -- its settings -----------------------------------------------------------------------------------------------------
+# -- its settings --------------------------------------------------------------------------------------------
 
 
 def test_the_support_follows_from_gamma_the_reward_and_the_world_unless_it_is_given():
@@ -194,12 +185,21 @@ def test_the_support_follows_from_gamma_the_reward_and_the_world_unless_it_is_gi
 def test_a_reward_without_bounds_needs_a_support_and_a_support_has_an_order(monkeypatch):
     monkeypatch.setitem(REWARDS, "mine", REWARDS["eq14"])
     for given_, line in (
-        ({"reward": "mine"}, "reward=mine, gamma=0.99: it declares no bounds of returns; give v_min and v_max"),
+        (
+            {"reward": "mine"},
+            "reward=mine, gamma=0.99: it declares no bounds of returns; give v_min and v_max",
+        ),
         ({"reward": "mine", "v_min": -1}, "give v_min and v_max"),
         ({"gamma": 1.0}, "reward=eq14, gamma=1: it declares no bounds of returns; give v_min and v_max"),
         ({"v_min": 9.5}, "v_min=9.5, v_max=9; give a v_min below v_max"),
-        ({"v_max": 1e300}, r"v_min=-10, v_max=1e\+300; give a v_min below v_max, both finite in single precision"),
-        ({"v_min": -3e38, "v_max": 3e38}, r"v_min=-3e\+38, v_max=3e\+38; give a v_min below v_max, both finite"),
+        (
+            {"v_max": 1e300},
+            r"v_min=-10, v_max=1e\+300; give a v_min below v_max, both finite in single precision",
+        ),
+        (
+            {"v_min": -3e38, "v_max": 3e38},
+            r"v_min=-3e\+38, v_max=3e\+38; give a v_min below v_max, both finite",
+        ),
         ({"v_min": 8.99999999}, "v_min=9, v_max=9; give a v_min below v_max"),
         ({"n_atoms": 1}, "n_atoms=1; give a number of at least 2"),
     ):
@@ -209,38 +209,38 @@ def test_a_reward_without_bounds_needs_a_support_and_a_support_has_an_order(monk
 
 
 @pytest.mark.parametrize("bounded", [True, False])
-def test_it_trains_where_the_tasks_reward_has_bounds_and_where_its_support_is_given(bounded, tmp_path, monkeypatch):
+def test_it_trains_where_the_tasks_reward_has_bounds_and_where_its_support_is_given(
+    bounded, tmp_path, monkeypatch
+):
     if not bounded:
         monkeypatch.delitem(BOUNDS, "goal")
     given_ = {} if bounded else {"v_min": -20, "v_max": 20}
-    words = ["train", "c51", "task=goal", "total_frames=64", "n_envs=4", "learning_starts=8", "buffer_size=64"]
+    words = [
+        "train",
+        "c51",
+        "task=goal",
+        "total_frames=64",
+        "n_envs=4",
+        "learning_starts=8",
+        "buffer_size=64",
+    ]
     words += [f"{name}={value}" for name, value in given_.items()]
     assert main([*words, "hidden=[4]", "evaluate=false", f"out={tmp_path}", "--quiet"]) == 0
     assert load_policy(tmp_path).task.reward == "goal"
 
 
-def test_the_presets_are_the_authors_numbers_dqns_fast_and_three_parts_of_rainbow():
-    p = PRESETS["vectorised"]
-    assert (p.n_atoms, p.lr, p.adam_eps, p.batch_size, p.epsilon_end) == (51, 2.5e-4, 0.01 / 32, 32, 0.01)
-    assert (p.double, p.dueling, p.n_steps, p.target_update_frames, p.frames_per_update) == (False, False, 1, 10_000, 4)
-    r = PRESETS["rainbow-lite"]
-    assert (r.double, r.dueling, r.n_steps, r.lr) == (True, True, 5, p.lr)
-    f = PRESETS["fast"]
-    assert (f.double, f.dueling, f.n_steps, f.gamma, f.lr) == (True, False, 5, 0.98, 2.5e-4)
-
-
-# -- a run whose head has two parts -----------------------------------------------------------------------------------
+# -- a run whose head has two parts --------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Two seeds of rainbow-lite under a cap."""
+    """Two seeds of rainbow-lite under a time limit."""
     settings = {"n_seeds": 2, "n_envs": 8, "total_frames": 320, "learning_starts": 64, "frames_per_update": 8}
     settings |= {"max_steps": 12, "compile": "off", **SMALL, "preset": "rainbow-lite"}
     return train(C51Config(**settings), tmp_path_factory.mktemp("rainbow") / "run", quiet=True)
 
 
-def test_a_dueling_distribution_is_read_by_policies_agents_files_and_verify(run, tmp_path):
+def test_a_dueling_distribution_is_read_by_policies_agents_and_files(run, tmp_path):
     observation = torch.rand(20, 30)
     policies = [load_policy(run.path, seed, greedy=True) for seed in (0, 1)]
     assert policies[0].network[-1].weight.shape == (1, 8, 101 * 7)
@@ -255,35 +255,7 @@ def test_a_dueling_distribution_is_read_by_policies_agents_files_and_verify(run,
     assert torch.equal(actions, torch.cat(alone))
     archive = torch.export.load(export_policy(policies[1], tmp_path / "policy.pt2")).module()
     torch.testing.assert_close(archive(observation), policies[1].values(observation), rtol=1e-4, atol=1e-4)
-    assert len(evaluate_run(run, episodes=2, max_steps=20, quiet=True)) == 8
-    assert verify(run, quiet=True).same
     assert {*run.progress.columns} >= {"dormant", "saturated", "effective_rank", "q_value"}
-
-
-def test_stopped_after_160_of_320_frames_and_resumed_it_ends_the_same(run, tmp_path):
-    config = C51Config.from_mapping({key: value for key, value in run.config.items() if key != "algorithm"})
-    with pytest.raises(Interrupted):
-        train(config, tmp_path / "run", quiet=True, until=160)
-    again = train(config, tmp_path / "run", quiet=True)
-    assert (again.path / POLICY).read_bytes() == (run.path / POLICY).read_bytes()
-
-
-@pytest.mark.slow
-@pytest.mark.compiled
-@pytest.mark.parametrize("kind", [C51Config, DQNConfig])
-def test_compiled_updates_of_a_dueling_network_from_several_steps_are_eager_ones(kind):
-    """Double, three steps, caps of five: what each row says of its steps reaches the graph."""
-    small = {"n_seeds": 2, "n_envs": 8, "total_frames": 256, "learning_starts": 64, "hidden": (16,), "lr": 1e-3}
-    config = kind(**small, n_steps=3, max_steps=5, double=True, dueling=True, target_update_frames=64)
-    flown = make_collector(make_env(config, False), config.make(compile=False).actor, config)
-    eager, compiled = (config.make(compile=compile) for compile in (False, True))
-    for frames, batch in zip(range(8, 257, 8), flown, strict=False):
-        eager.learn(batch.clone(), frames)
-        compiled.learn(batch, frames)
-    first = config.make(compile=False).network
-    for one, other, before in zip(*(net.parameters() for net in (eager.network, compiled.network, first)), strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
-        assert (one - before).abs().max() > 1e-3
 
 
 def test_a_head_whose_numbers_do_not_fit_the_weights_is_one_line(run, tmp_path):

@@ -1,4 +1,6 @@
-"""What is random in a flight: a row's numbers follow from its seed, whatever other rows do and whoever steps."""
+"""What is random in an episode: a row's numbers follow from its seed, whatever other rows do and whoever
+steps.
+"""
 
 import gymnasium
 import numpy as np
@@ -8,7 +10,9 @@ import torch
 import uavnav
 
 
-@pytest.mark.parametrize("how", [{"faults": {"noise": 5, "sticky": 0.2}}, {"world": {"start_heading": "random"}}])
+@pytest.mark.parametrize(
+    "how", [{"faults": {"noise": 5, "sticky": 0.2}}, {"world": {"start_heading": "random"}}]
+)
 def test_a_row_depends_on_its_seed_alone_in_300_steps_where_something_is_random(how):
     single = gymnasium.make("uavnav/Drone-v0", layouts="test", **how)
     one, three = (gymnasium.make_vec("uavnav/Drone-v0", n, layouts="test", **how) for n in (1, 3))
@@ -22,7 +26,11 @@ def test_a_row_depends_on_its_seed_alone_in_300_steps_where_something_is_random(
         _, there = env.step_and_maybe_reset(there.set("action", torch.tensor(actions)))
         observation, _, over, *_ = single.step(actions[0])
         ends += over
-        seen = [single.reset()[0] if over else observation, one.step(actions[:1])[0][0], three.step(actions)[0][0]]
+        seen = [
+            single.reset()[0] if over else observation,
+            one.step(actions[:1])[0][0],
+            three.step(actions)[0][0],
+        ]
     assert ends >= 5
 
 

@@ -9,8 +9,8 @@ from verdict_evidence import EIGHT, evidence, nothing, of_metric, of_paper_per_f
 
 from uavnav.report import claims
 from uavnav.report.claims import (
-    CELLS,
     CLAIMS,
+    CONFIGURATIONS,
     DISCUSSION,
     RANKED,
     SCATTER,
@@ -65,28 +65,35 @@ def test_the_weights_of_every_contrast_sum_to_zero_but_where_the_claim_says_how_
 
 def test_the_note_of_claim_2_is_what_the_papers_table_says():
     tanh, relu = (
-        np.array([of_paper("ppo", one, metric)[0] for metric in ("steps", "distance")]) for one in ("tanh", "relu")
+        np.array([of_paper("ppo", one, metric)[0] for metric in ("steps", "distance")])
+        for one in ("tanh", "relu")
     )
     steps, distance = tanh / relu
     assert (
         BY_NUMBER[2].note
-        == f"In its own table the steps are {steps:.2f} and the distance {distance:.2f} times the runner-up's."
+        == f"In its own table the steps are {steps:.2f} and the distance {distance:.2f} times the "
+        f"runner-up's."
     )
 
 
 def against_itself(paper):
-    means = {(*cell, metric): 0.0 for cell in CELLS for metric in SIX}
-    return [(one.claim, one.text) for one in audit(evidence(means), paper) if one.standing == AGAINST_ITSELF and one.n]
+    means = {(*configuration, metric): 0.0 for configuration in CONFIGURATIONS for metric in SIX}
+    return [
+        (one.claim, one.text)
+        for one in audit(evidence(means), paper)
+        if one.standing == AGAINST_ITSELF and one.n
+    ]
 
 
 def test_the_papers_printed_tables_speak_against_seven_parts():
-    """By hand: PPO's mean speed is 4.00 and DQN's 4.35; PPO's sigmoid turns in 60.7 % of its steps, DQN's in 60.0, at
-    3.4 against 5.0 px a step; of PPO's cells ReLU stops least (0.074 %), and leaky ReLU is fastest (4.269); DQN's ReLU
-    and leaky ReLU fly 208 steps and 767 px, its tanh and sigmoid 185 and 724."""
+    """By hand: PPO's mean speed is 4.00 and DQN's 4.35; PPO's sigmoid turns in 60.7 % of its steps, DQN's in
+    60.0, at 3.4 against 5.0 px a step; of PPO's configurations ReLU stops least (0.074 %), and leaky ReLU is
+    fastest (4.269); DQN's ReLU and leaky ReLU fly 208 steps and 767 px, its tanh and sigmoid 185 and 724.
+    """
     assert against_itself(of_paper) == [
         (1, "speed: PPO better than DQN, means of four activations"),
-        (1, "turning: each PPO cell better than each DQN cell"),
-        (1, "speed: each PPO cell better than each DQN cell"),
+        (1, "turning: each PPO configuration better than each DQN configuration"),
+        (1, "speed: each PPO configuration better than each DQN configuration"),
         (2, "full stops: PPO with tanh better than each other activation"),
         (2, "speed: PPO with tanh better than each other activation"),
         (7, "steps: DQN's tanh and sigmoid above its ReLU and leaky ReLU"),
@@ -95,8 +102,9 @@ def test_the_papers_printed_tables_speak_against_seven_parts():
 
 
 def test_per_frame_two_of_these_hold_and_two_others_do_not():
-    """By hand: distance / steps is 4.36 for PPO and 3.81 for DQN, 4.07 for DQN's tanh and 3.77 for its sigmoid, 4.69
-    for PPO's tanh; a frame of PPO's tanh earns 0.0325, which is 1.29 times the 0.0252 of ReLU."""
+    """By hand: distance / steps is 4.36 for PPO and 3.81 for DQN, 4.07 for DQN's tanh and 3.77 for its
+    sigmoid, 4.69 for PPO's tanh; a frame of PPO's tanh earns 0.0325, which is 1.29 times the 0.0252 of ReLU.
+    """
     printed, per_frame = against_itself(of_paper), against_itself(of_paper_per_frame)
     assert [one for one in per_frame if one not in printed] == [
         (2, "reward: PPO with tanh at least 1.5 times each other activation"),
@@ -110,14 +118,21 @@ def test_per_frame_two_of_these_hold_and_two_others_do_not():
 
 def test_the_papers_own_effects_of_some_parts():
     own = {(finding.claim, finding.text): finding.paper for finding in audit(nothing, of_paper)}
-    per_frame = {(finding.claim, finding.text): finding.paper for finding in audit(nothing, of_paper_per_frame)}
-    assert own[3, "full stops: DQN with sigmoid better than each other activation"] == pytest.approx(1.497 - 0.626)
+    per_frame = {
+        (finding.claim, finding.text): finding.paper for finding in audit(nothing, of_paper_per_frame)
+    }
+    assert own[3, "full stops: DQN with sigmoid better than each other activation"] == pytest.approx(
+        1.497 - 0.626
+    )
     stops = "full stops: PPO's ReLU and leaky ReLU each below its tanh and its sigmoid"
     assert own[5, stops] == per_frame[5, stops] == pytest.approx(0.13 - 0.088)
     assert own[6, "speed: PPO with sigmoid worse than each other activation"] == pytest.approx(4.12 - 3.428)
-    assert own[6, "steps: PPO with sigmoid above at least one other activation"] == pytest.approx(1538.434 - 1444.961)
+    assert own[6, "steps: PPO with sigmoid above at least one other activation"] == pytest.approx(
+        1538.434 - 1444.961
+    )
     sigmoid = [
-        (8, f"reward: {word} the mean of its three others") for word in ("DQN's sigmoid above", "PPO's sigmoid below")
+        (8, f"reward: {word} the mean of its three others")
+        for word in ("DQN's sigmoid above", "PPO's sigmoid below")
     ]
     assert [own[one] for one in sigmoid] == pytest.approx([1.669, 24.191], abs=1e-3)
     assert per_frame[sigmoid[1]] == pytest.approx(
@@ -154,12 +169,18 @@ def surge(before, between, after):
 def corridors():
     ppo, dqn = (0.1, 0.1, 0.2, 0.2), (0.4, 0.4, 0.3, 0.3)
     means = of_metric("corridor", ppo, dqn) | of_metric("corridor_flown", dqn, ppo)
-    means |= of_metric("clearance", (90,) * 4, (60,) * 4) | of_metric("empty_clearance", (100,) * 4, (140,) * 4)
-    return means | of_metric("corridor_early", dqn, ppo) | of_metric("clearance_by_layout", (90,) * 4, (60,) * 4)
+    means |= of_metric("clearance", (90,) * 4, (60,) * 4) | of_metric(
+        "empty_clearance", (100,) * 4, (140,) * 4
+    )
+    return (
+        means | of_metric("corridor_early", dqn, ppo) | of_metric("clearance_by_layout", (90,) * 4, (60,) * 4)
+    )
 
 
 def first_reward():
-    """Under the first reward DQN is worse than in the shorter study, PPO better; the main study plays no part."""
+    """Under the first reward DQN is worse than in the shorter study, PPO better; the main study plays no
+    part.
+    """
     means = {}
     for metric, activation in itertools.product(("full_stops", "turns", "reversals"), ("tanh", "relu")):
         for algorithm, short in (("dqn", 30), ("ppo", 70)):
@@ -171,7 +192,12 @@ def first_reward():
 PPO = (88, 31, 44, 34)
 CASES = [
     *of_each_metric(),
-    (1, of_metric("reward", (100, 100, 100, 1), (0, 0, 0, 5)), [(74, YES), (-4, NO)]),  # means; the worst and the best
+    # means; the worst and the best
+    (
+        1,
+        of_metric("reward", (100, 100, 100, 1), (0, 0, 0, 5)),
+        [(74, YES), (-4, NO)],
+    ),
     # about twice is 1.5 times each other, and a loss is never so many times another
     (2, of_metric("steps", (28, 10, 20, 5)), [(8, YES), (-2, NO)]),
     (2, of_metric("steps", (30, 10, 20, 5)), [(10, YES), (0, OPEN_)]),
@@ -202,7 +228,7 @@ def test_the_parts_of_a_claim_have_their_effects_in_the_claimed_direction(number
     assert verdicts_of(found) == [verdict for _, verdict in expected]
 
 
-def test_the_worst_and_the_best_cells_are_named():
+def test_the_worst_and_the_best_configurations_are_named():
     _, each = known(1, of_metric("reward", (100, 100, 100, 1), (0, 0, 0, 5)))
     assert each.nearest == "PPO leaky ReLU against DQN leaky ReLU"
 
@@ -213,25 +239,36 @@ def test_the_worst_and_the_best_cells_are_named():
         (7, of_metric("reward", (100, 30, 40, 44), (-5, -6, -9, -10)), "replicates"),
         (7, of_metric("reward", (30, 60, 40, 44), (-5, -6, -3, -2)), "in part (1 of 3)"),
         (8, of_metric("reward", PPO, (-7, -5, -9, -8)), "replicates"),
-        (8, of_metric("reward", PPO, [-20 + value / 50 for value in PPO]), "in part (1 of 2)"),  # another scale alone
+        # another scale alone
+        (
+            8,
+            of_metric("reward", PPO, [-20 + value / 50 for value in PPO]),
+            "in part (1 of 2)",
+        ),
         (10, first_reward(), "in part (3 of 6)"),
-        (11, {(*cell, "hours"): 0.1 for cell in CELLS}, "context"),
+        (11, {(*configuration, "hours"): 0.1 for configuration in CONFIGURATIONS}, "context"),
         (11, {}, "context"),
     ],
 )
 def test_the_grade_of_a_claim_is_of_the_parts_that_count(number, means, graded):
     found = of_claim(number, means, spread=0.01)
     assert str(grade(found)) == graded
-    assert all(finding.standing == "beside the claim" for finding in found if number == 8 and "ReLU" in finding.text)
+    assert all(
+        finding.standing == "beside the claim" for finding in found if number == 8 and "ReLU" in finding.text
+    )
 
 
 def test_claim_4_is_of_the_same_seeds_before_and_after_however_much_seeds_differ():
-    """Every seed rises by 1 or a little more, seeds lie 100 apart: taken as independent no rise would be seen."""
+    """Every seed rises by 1 or a little more, seeds lie 100 apart: taken as independent no rise would be
+    seen.
+    """
     seeds, wobble = 100.0 * np.arange(8), 0.01 * np.arange(8)
     rewards = {"reward_before": seeds, "reward_surge": seeds + 1 + wobble, "reward_after": seeds + 0.25}
 
     def of_seeds(algorithm, activation, metric, study="main"):
-        return rewards.get(metric, np.empty(0)) if (algorithm, activation) == ("dqn", "sigmoid") else np.empty(0)
+        return (
+            rewards.get(metric, np.empty(0)) if (algorithm, activation) == ("dqn", "sigmoid") else np.empty(0)
+        )
 
     found = audit(of_seeds, nothing, [CLAIMS[3]])
     assert [finding.value for finding in found] == pytest.approx([1.035, 0.785, 0.785 - 1.035 / 2])
@@ -254,7 +291,7 @@ def test_claim_10_is_not_asked_of_the_main_study():
 
 
 def test_claim_11_is_our_hours_to_the_papers_ten():
-    (found,) = of_claim(11, {(*cell, "hours"): 0.1 for cell in CELLS}, of_paper)
+    (found,) = of_claim(11, {(*configuration, "hours"): 0.1 for configuration in CONFIGURATIONS}, of_paper)
     assert (found.paper, found.value, found.ratio) == pytest.approx((10, 0.1, 0.01))
 
 
@@ -272,14 +309,16 @@ def test_rows_of_seeds_for_the_test_of_interaction():
     assert table.to_numpy().tolist() == [["ppo", "tanh", 1.0], ["ppo", "tanh", 2.0], ["dqn", "relu", 3.0]]
 
 
-# -- claims 12 to 16: a study as the paper says, the other way round, or in which nothing differs ----------------------
+# -- claims 12 to 16: a study as the paper says, the other way round, or in which nothing differs ------------
 
 ORDER = {"sac": 2.0, "dqn": 1.0, "ppo": 0.0, "a2c": 0.0, "c51": 0.0}
 """How the paper has algorithms in dense, narrow and 3D places."""
 
 
 def as_claimed(sign, without=()):
-    """Evidence of the claims' truth (sign 1), of its reverse (-1), or of no difference (0); without: some studies."""
+    """Evidence of the claims' truth (sign 1), of its reverse (-1), or of no difference (0); without: some
+    studies.
+    """
 
     def found(algorithm, activation, metric, study="main"):
         if study in without:
@@ -310,7 +349,10 @@ def test_a_study_as_the_paper_says_replicates_its_claim_and_a_reversed_one_does_
 
 def test_worlds_that_nobody_has_flown_leave_their_claims_open_and_the_others_as_they_are():
     found = grades(as_claimed(1, without=("space", "space-moving")))
-    assert {number: one.name for number, one in found.items() if one.name != REPLICATES} == {14: OPEN, 15: OPEN}
+    assert {number: one.name for number, one in found.items() if one.name != REPLICATES} == {
+        14: OPEN,
+        15: OPEN,
+    }
     findings = audit(as_claimed(1, without=("space",)), nothing, DISCUSSION)
     assert parts_of(findings, 14)[0].standing == NO_RUNS
 
@@ -329,7 +371,10 @@ def test_slopes_are_those_of_least_squares_and_the_one_of_own_rungs_is_of_ppo_mi
     assert slopes(rungs) @ values == pytest.approx(np.polyfit(rungs, values, 1)[0])
     (part,) = [part for part in DISCUSSION[0].parts if "trained among" in part.text]
     means = [
-        (0.0 if algorithm == "dqn" else 20.0 - rung) for rung in rungs for algorithm in ("dqn", "ppo") for _ in range(2)
+        (0.0 if algorithm == "dqn" else 20.0 - rung)
+        for rung in rungs
+        for algorithm in ("dqn", "ppo")
+        for _ in range(2)
     ]
     assert np.array(part.weights[0]) @ means == pytest.approx(1.0)  # PPO loses 1 an obstacle more than DQN
     assert part.beside

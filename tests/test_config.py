@@ -1,4 +1,6 @@
-"""Configurations answer back: a wrong key, type, name, count or device is one line with what would be right."""
+"""Configurations answer back: a wrong key, type, name, count or device is one line with what would be
+right.
+"""
 
 import pickle
 from pathlib import Path
@@ -28,7 +30,10 @@ WRONG = [
     ({"activation": "rleu"}, "activation=rleu; choose from elu, .* (did you mean relu?)"),
     ({"activation": 3}, "activation=3; give a name"),
     ({"activation": None}, "activation=None; give a name"),
-    ({"activatoin": "relu"}, "there is no key 'activatoin'; choose from .*activation .*(did you mean activation?)"),
+    (
+        {"activatoin": "relu"},
+        "there is no key 'activatoin'; choose from .*activation .*(did you mean activation?)",
+    ),
     ({"n_seeds": 0}, "n_seeds=0; give a number of at least 1"),
     ({"n_seeds": "two"}, "n_seeds=two; give a whole number"),
     ({"n_seeds": True}, "n_seeds=True; give a whole number"),
@@ -48,11 +53,17 @@ WRONG = [
     ({"hidden": [64, 0]}, "hidden=[64, 0]; give at least one layer, each of at least 1 unit"),
     ({"hidden": [64, "x"]}, "hidden=x; give a whole number"),
     ({"reward": "eq15"}, "reward=eq15; choose from additive, eq14, goal, initial (did you mean eq14?)"),
-    ({"task": "dron"}, "task=dron; choose from drone, goal, moving, space, space-moving (did you mean drone?)"),
+    (
+        {"task": "dron"},
+        "task=dron; choose from drone, goal, moving, space, space-moving (did you mean drone?)",
+    ),
     ({"world": {"slots": "first"}}, "world.slots=first; choose from listed, nearest"),
     ({"world": {"padding": "ones"}}, "world.padding=ones; choose from far, zeros"),
     ({"world": {"start_heading": "down"}}, "world.start_heading=down; choose from random, up"),
-    ({"world": {"slot": "listed"}}, "there is no key 'world.slot'; choose from .*(did you mean world.slots?)"),
+    (
+        {"world": {"slot": "listed"}},
+        "there is no key 'world.slot'; choose from .*(did you mean world.slots?)",
+    ),
     ({"world": {"sensor_arc": "wide"}}, "world.sensor_arc=wide; give a number"),
     ({"world": {"n_slots": 0}}, "world.n_slots=0"),
     ({"world": {"drone_radius": True}}, "world.drone_radius=True; give a number"),
@@ -136,24 +147,62 @@ def test_one_million_frames_are_run_in_whole_iterations():
     assert (A2CConfig().iterations, A2CConfig().frames) == (12_500, 1_000_000)
 
 
-def test_the_preset_paper_of_ppo_is_sb3s_defaults():
-    p = PPO_PRESETS["vectorised"]
-    assert (p.lr, p.adam_eps, p.frames_per_batch, p.minibatch_size, p.epochs) == (3e-4, 1e-5, 2048, 64, 10)
-    assert (p.gamma, p.gae_lambda, p.clip_epsilon, p.critic_coeff, p.entropy_coeff) == (0.99, 0.95, 0.2, 0.5, 0.0)
-    assert (p.max_grad_norm, p.hidden, p.init, p.n_envs, p.total_frames) == (0.5, (64, 64), "orthogonal", 16, 10**6)
+NETWORK = {"hidden": (64, 64), "total_frames": 10**6, "gamma": 0.99}
+ON_POLICY = NETWORK | {"init": "orthogonal", "n_envs": 16, "critic_coeff": 0.5, "entropy_coeff": 0.0}
+OFF_POLICY = NETWORK | {"init": "default", "n_envs": 64, "buffer_size": 10**6, "frames_per_update": 4}
+OF_DQN = OFF_POLICY | {"batch_size": 32, "target_update_frames": 10_000}
+PUBLISHED = {
+    "SB3's PPO": (
+        PPOConfig,
+        ON_POLICY
+        | {"lr": 3e-4, "adam_eps": 1e-5, "frames_per_batch": 2048, "minibatch_size": 64, "epochs": 10},
+        {"gae_lambda": 0.95, "clip_epsilon": 0.2, "max_grad_norm": 0.5},
+    ),
+    "SB3's A2C": (
+        A2CConfig,
+        ON_POLICY | {"lr": 7e-4, "rms_eps": 1e-5, "n_steps": 5, "gae_lambda": 1.0, "max_grad_norm": 0.5},
+        {"iterations": 12_500},
+    ),
+    "SB3's DQN": (
+        DQNConfig,
+        OF_DQN
+        | {"lr": 1e-4, "adam_eps": 1e-8, "learning_starts": 50_000, "loss": "huber", "max_grad_norm": 10.0},
+        {"epsilon_start": 1.0, "epsilon_end": 0.05, "exploration_fraction": 0.1},
+    ),
+    "the authors' C51": (
+        C51Config,
+        OF_DQN | {"n_atoms": 51, "lr": 2.5e-4, "adam_eps": 0.01 / 32, "epsilon_end": 0.01},
+        {"double": False, "dueling": False, "n_steps": 1},
+    ),
+    "CleanRL's SAC with SB3's soft targets": (
+        SACConfig,
+        OFF_POLICY | {"lr": 3e-4, "adam_eps": 1e-4, "learning_starts": 20_000, "batch_size": 64},
+        {"target_entropy": 0.89, "tau": 0.005, "max_grad_norm": None},
+    ),
+}
+"""The numbers of the preset `vectorised`."""
 
 
-def test_the_preset_paper_of_dqn_is_sb3s_defaults_and_paper_2_3_learns_from_frame_100():
-    p = DQN_PRESETS["vectorised"]
-    assert (p.lr, p.adam_eps, p.buffer_size, p.learning_starts, p.batch_size) == (1e-4, 1e-8, 10**6, 50_000, 32)
-    assert (p.gamma, p.frames_per_update, p.target_update_frames, p.loss) == (0.99, 4, 10_000, "huber")
-    assert (p.epsilon_start, p.epsilon_end, p.exploration_fraction, p.max_grad_norm) == (1.0, 0.05, 0.1, 10.0)
-    assert (p.hidden, p.init, p.n_envs, p.total_frames) == ((64, 64), "default", 64, 10**6)
-    newer = DQN_PRESETS["vectorised-2.3"]
-    assert {key: value for key, value in vars(newer).items() if vars(p)[key] != value} == {
+@pytest.mark.parametrize(("kind", "numbers", "more"), PUBLISHED.values(), ids=PUBLISHED)
+def test_the_default_preset_has_the_published_numbers(kind, numbers, more):
+    numbers = numbers | more
+    assert {name: getattr(kind(), name) for name in numbers} == numbers
+
+
+def test_other_presets_differ_from_it_where_they_say():
+    def those(preset, *names):
+        return {name: getattr(preset, name) for name in names}
+
+    newer, first = vars(DQN_PRESETS["vectorised-2.3"]), vars(DQN_PRESETS["vectorised"])
+    assert {key: value for key, value in newer.items() if first[key] != value} == {
         "preset": "vectorised-2.3",
         "learning_starts": 100,
     }
+    names = "double", "dueling", "n_steps", "lr"
+    rainbow = those(C51_PRESETS["rainbow-lite"], *names)
+    assert rainbow == {"double": True, "dueling": True, "n_steps": 5, "lr": 2.5e-4}
+    fast = those(C51_PRESETS["fast"], *names, "gamma")
+    assert fast == {"double": True, "dueling": False, "n_steps": 5, "lr": 2.5e-4, "gamma": 0.98}
 
 
 @pytest.mark.parametrize(
@@ -186,7 +235,11 @@ def test_what_a_run_changes_of_its_preset_is_named_but_for_what_every_table_says
     changed = PPOConfig(lr=1e-3, hidden=[32], n_envs=32, activation="relu", seed=3)
     assert changed.beyond_preset() == {"lr": 1e-3, "hidden": [32]}
     elsewhere = PPOConfig(world={"sensor_arc": 90, "slots": "listed"}, reward="initial")
-    assert elsewhere.beyond_preset() == {"reward": "initial", "world.sensor_arc": 90.0, "world.slots": "listed"}
+    assert elsewhere.beyond_preset() == {
+        "reward": "initial",
+        "world.sensor_arc": 90.0,
+        "world.slots": "listed",
+    }
 
 
 def test_a_configuration_of_a_plugin_says_what_is_new_and_keeps_the_meaning_of_what_it_sets_anew():
@@ -215,7 +268,9 @@ def test_keys_with_a_dot_are_fields_of_a_part_beside_those_that_are_given_whole(
     assert (config.world, config.faults.late) == (World(n_slots=5, sensor_arc=90), 2)
     with pytest.raises(ConfigError, match="world=flat; give fields of the world"):
         PPOConfig.from_mapping({"world": "flat", "world.sensor_arc": 90})
-    with pytest.raises(ConfigError, match=r"there is no key 'world\.sensor_arc' beside world=World; give one of them"):
+    with pytest.raises(
+        ConfigError, match=r"there is no key 'world\.sensor_arc' beside world=World; give one of them"
+    ):
         PPOConfig.from_mapping({"world": World(), "world.sensor_arc": 90})
 
 

@@ -1,7 +1,5 @@
 """Another device than the CPU: torch's `meta` device computes nothing, and refuses what would mix devices."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -10,7 +8,7 @@ from uavnav.acting import Actor
 from uavnav.algorithms import a2c, dqn, ppo, sac
 from uavnav.envs.env import DroneEnv
 from uavnav.tasks.seeding import Streams
-from uavnav.tasks.simulator import make_task
+from uavnav.tasks.table import make_task
 from uavnav.training import probes
 
 ALGORITHMS = {
@@ -23,21 +21,23 @@ ALGORITHMS = {
 
 @pytest.fixture(scope="module")
 def meta():
-    """The paper's task on the test bank [L, K, 3], and the poses of the probe [P, 30]."""
+    """The paper's task on the test split [L, K, 3], and the poses of the probe [P, 30]."""
     task = make_task("test", max_steps=10)
-    return task.with_bank(task.bank.to("meta")), probes.poses(task).to("meta")
+    return task.replace(layouts=task.layouts.to("meta")), probes.poses(task).to("meta")
 
 
 def test_a_hidden_cpu_tensor_would_be_refused(meta):
-    bank = meta[0].bank
+    layouts = meta[0].layouts
     with pytest.raises(RuntimeError, match="device cpu"):
-        bank + torch.rand(bank.shape)
+        layouts + torch.rand(layouts.shape)
 
 
 @pytest.mark.parametrize("reward", ["eq14", "additive", "initial"])
 def test_a_step_of_the_world_stays_on_its_device(meta, reward):
-    task = replace(meta[0], reward=reward)
-    state = task.start(torch.zeros(2, 5, dtype=torch.int64, device="meta"), torch.full((2, 5), 90, device="meta"))
+    task = meta[0].replace(reward=reward)
+    state = task.start(
+        torch.zeros(2, 5, dtype=torch.int64, device="meta"), torch.full((2, 5), 90, device="meta")
+    )
     state, outcome = task.step(state, torch.full((2, 5), 37, device="meta"))
     assert {value.device.type for value in (*state, *outcome)} == {"meta"}
 
@@ -118,7 +118,11 @@ def test_two_iterations_of_a2c_collect_and_learn_on_one_device(unspecified):
     for frames in (80, 2 * a2c.LOG_FRAMES):
         batch = collected(env, trainee.actor, 5)
         row = trainee.learn(batch, frames)
-    found = [*batch.values(include_nested=True, leaves_only=True), *row.values(), *trainee.policy.parameters()]
+    found = [
+        *batch.values(include_nested=True, leaves_only=True),
+        *row.values(),
+        *trainee.policy.parameters(),
+    ]
     assert {value.device.type for value in found} == {"meta"}
     assert {tuple(value.shape) for value in row.values()} == {(2,)}
 

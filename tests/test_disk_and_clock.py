@@ -1,10 +1,12 @@
 """A disk that is full or read-only, a folder that goes away, a second process, and a clock that is set back.
 
-Each is one line; the same command then goes on, and ends with the bits of a run that nothing befell. A test that needs
-a disk of its own mounts one, and is skipped where that is not allowed.
+Each is one line; the same command then goes on, and ends with the bits of a run that nothing befell. A test
+that needs a disk of its own mounts one, and is skipped where that is not allowed.
 """
 
 import contextlib
+import functools
+import itertools
 import json
 import shutil
 import subprocess
@@ -125,12 +127,17 @@ def once(act, frames=64):
     assert acted
 
 
-# -- a full and a read-only disk -------------------------------------------------------------------------------------
+TWO = functools.partial(pytest.param, 2, marks=pytest.mark.slow)
+"""Two processes, which take half a minute: each value of the other parameters once, not each combination."""
 
 
-@pytest.mark.parametrize("seconds", [0, 3600])
-@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("trouble", TROUBLES)
+# -- a full and a read-only disk -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("processes", "seconds", "trouble"),
+    [*itertools.product([1], [0, 3600], TROUBLES), TWO(0, "full"), TWO(3600, "read-only")],
+)
 def test_a_run_whose_disk_gets_full_or_read_only_says_so_in_one_line_and_goes_on_later(
     trouble, processes, seconds, disk, whole, capfd
 ):
@@ -148,7 +155,10 @@ def test_a_run_whose_disk_gets_full_or_read_only_says_so_in_one_line_and_goes_on
 
 COMMANDS = {
     "train": (["train", "ppo", *WORDS, "evaluate=false", "out={}/new"], "new/" + POLICY),
-    "evaluate": (["evaluate", "{}/run", "--episodes", "2", "--max-steps", "5"], "run/evaluation-test-2-5.parquet"),
+    "evaluate": (
+        ["evaluate", "{}/run", "--episodes", "2", "--max-steps", "5"],
+        "run/evaluation-test-2-5.parquet",
+    ),
     "evaluate, a script": (
         ["evaluate", "reactive", "--episodes", "2", "--max-steps", "5", "--out", "{}/new"],
         "new/reactive-test-2-5.parquet",
@@ -165,13 +175,15 @@ COMMANDS = {
     "command", [name if name != "study" else pytest.param(name, marks=pytest.mark.slow) for name in COMMANDS]
 )
 @pytest.mark.parametrize("trouble", TROUBLES)
-def test_a_command_on_such_a_disk_is_one_line_and_leaves_nothing_half_written(trouble, command, disk, whole, capfd):
+def test_a_command_on_such_a_disk_is_one_line_and_leaves_nothing_half_written(
+    trouble, command, disk, whole, capfd
+):
     begin, end = TROUBLES[trouble]
     words, leaves = COMMANDS[command]
     words = [word.replace("{}", str(disk.path)) for word in words]
     run = shutil.copytree(whole[1], disk.path / "run")
-    cell = {"algorithm": "ppo", **SMALL, "hidden": [[4]], "evaluate": False}
-    (disk.path / "study.yaml").write_text(yaml.safe_dump({"cells": [cell]}))
+    configuration = {"algorithm": "ppo", **SMALL, "hidden": [[4]], "evaluate": False}
+    (disk.path / "study.yaml").write_text(yaml.safe_dump({"configurations": [configuration]}))
     begin(disk)
     assert main(words) == 2
     (line,) = capfd.readouterr().err.splitlines()
@@ -185,12 +197,13 @@ def test_a_command_on_such_a_disk_is_one_line_and_leaves_nothing_half_written(tr
     assert (disk.path / leaves).exists()
 
 
-# -- a folder that goes away -----------------------------------------------------------------------------------------
+# -- a folder that goes away ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("seconds", [0, 3600])
-@pytest.mark.parametrize("told", [0.01, 3600.0])
+@pytest.mark.parametrize(
+    ("processes", "seconds", "told"),
+    [*itertools.product([1], [0, 3600], [0.01, 3600.0]), TWO(0, 0.01), TWO(3600, 3600.0)],
+)
 def test_a_run_whose_folder_is_removed_says_so_in_one_line_and_begins_anew(
     processes, seconds, told, tmp_path, whole, monkeypatch, capfd
 ):
@@ -207,8 +220,7 @@ def test_a_run_whose_folder_is_removed_says_so_in_one_line_and_begins_anew(
     assert_same(train(folder, **how).path, whole[processes])
 
 
-@pytest.mark.parametrize("processes", [1, pytest.param(2, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("seconds", [0, 3600])
+@pytest.mark.parametrize(("processes", "seconds"), [(1, 0), (1, 3600), TWO(0)])
 def test_a_run_whose_folder_is_renamed_says_so_in_one_line_and_goes_on_under_the_old_name(
     processes, seconds, tmp_path, whole, capfd
 ):
@@ -223,7 +235,7 @@ def test_a_run_whose_folder_is_renamed_says_so_in_one_line_and_goes_on_under_the
     assert_same(train(folder, **how).path, whole[processes])
 
 
-# -- two processes ---------------------------------------------------------------------------------------------------
+# -- two processes -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("processes", [1, 2])
@@ -246,7 +258,7 @@ def test_a_second_process_with_the_folder_of_the_first_is_refused_in_one_line_an
     assert_same(run.path, whole[processes])
 
 
-# -- a clock that is set -----------------------------------------------------------------------------------------------
+# -- a clock that is set -------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -293,9 +305,13 @@ def under_way(tmp_path):
 @pytest.mark.parametrize(
     ("seconds", "status"), [(0, "running"), (30, "running"), (-HOUR, "stopped"), (HOUR, "stopped")]
 )
-def test_a_run_that_was_heard_an_hour_ago_or_in_an_hour_does_not_run_and_no_age_is_negative(seconds, status, under_way):
+def test_a_run_that_was_heard_an_hour_ago_or_in_an_hour_does_not_run_and_no_age_is_negative(
+    seconds, status, under_way
+):
     now = time.time()
-    (under_way / PROGRESS).write_text(json.dumps({"frames": 64, "total": 256, "rate": 10.0, "at": now + seconds}))
+    (under_way / PROGRESS).write_text(
+        json.dumps({"frames": 64, "total": 256, "rate": 10.0, "at": now + seconds})
+    )
     found = listing.row(under_way, now)
     assert found["status"] == status
     assert listing.row(under_way, now - HOUR)["age"] == 0
@@ -312,7 +328,7 @@ def test_a_snapshot_is_due_by_the_time_that_passes_and_not_by_the_clock(clock, t
     assert not (tmp_path / "run" / "checkpoint").exists()
 
 
-def test_a_flight_that_is_evaluated_while_the_clock_is_set_has_the_same_rows(clock, whole, tmp_path):
+def test_an_episode_that_is_evaluated_while_the_clock_is_set_has_the_same_rows(clock, whole, tmp_path):
     from uavnav.runs import Run
 
     run = Run(shutil.copytree(whole[1], tmp_path / "run"))

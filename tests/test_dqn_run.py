@@ -1,4 +1,6 @@
-"""Whole runs of DQN, watched: what they stored, drew and learned, against Gymnasium's worlds and plain PyTorch."""
+"""Whole runs of DQN, watched: what they stored, drew and learned, against Gymnasium's worlds and plain
+PyTorch.
+"""
 
 import copy
 import itertools
@@ -44,11 +46,15 @@ WATCHED = DQNConfig(
     compile="off",
     world=SWITCHES,
 )
-"""40 steps of 16 environments, of which the last 24 are each followed by 4 updates, and no default that matters."""
+"""40 steps of 16 environments, of which the last 24 are each followed by 4 updates, and no default that
+matters.
+"""
 
 
 def watch(config, folder):
-    """A run, its buffer, and what each step saw of it: epsilon, minibatches [A, N] and what they were learned with."""
+    """A run, its buffer, and what each step saw of it: epsilon, minibatches [A, N] and what they were
+    learned with.
+    """
     seen = SimpleNamespace(epsilons=[], minibatches=[], losses=[], learned=[])
     step, act, checkpoint = Learner.step, Actor.act, Recorder.checkpoint
 
@@ -133,14 +139,18 @@ def test_each_agent_learns_from_4_draws_of_its_own_a_round_from_all_that_it_did_
         stored = whole(watched.buffer[:][:, agent])
         draws = Streams([seed], "replay")
         for index in range(24):
-            used = whole(torch.cat([batch[agent] for batch in watched.minibatches[4 * index : 4 * index + 4]]))
+            used = whole(
+                torch.cat([batch[agent] for batch in watched.minibatches[4 * index : 4 * index + 4]])
+            )
             frames = 256 + 16 * (index + 1)
             assert torch.equal(used, stored[draws.draw(torch.randint, frames, (4 * 8,), device="cpu")[0]])
 
 
 @pytest.mark.parametrize("agent", [0, 1])
 def test_the_runs_96_updates_are_those_of_plain_pytorch_with_the_runs_own_numbers(watched, agent):
-    """Every number that is not a default is written out here once more; the target is copied at 96, 192, ... 576."""
+    """Every number that is not a default is written out here once more; the target is copied at 96, 192,
+    ... 576.
+    """
     network = make_network(DQNConfig(**vars(WATCHED) | {"n_seeds": 1, "seed": 3 + agent}))
     optimiser = torch.optim.Adam(network.parameters(), lr=5e-3, eps=1e-3)
     target, norms = copy.deepcopy(network), []
@@ -168,8 +178,12 @@ def test_the_runs_96_updates_are_those_of_plain_pytorch_with_the_runs_own_number
 
 
 def test_every_step_explores_with_the_epsilon_of_the_frames_before_it(watched):
-    assert watched.epsilons == pytest.approx([WATCHED.epsilon(frames) for frames in range(0, 640, 16)], abs=1e-6)
-    assert watched.epsilons[15:18] == pytest.approx([1.0, 0.9 - 0.7 * 256 / 480, 0.9 - 0.7 * 272 / 480], abs=1e-6)
+    assert watched.epsilons == pytest.approx(
+        [WATCHED.epsilon(frames) for frames in range(0, 640, 16)], abs=1e-6
+    )
+    assert watched.epsilons[15:18] == pytest.approx(
+        [1.0, 0.9 - 0.7 * 256 / 480, 0.9 - 0.7 * 272 / 480], abs=1e-6
+    )
     assert watched.epsilons[-1] == pytest.approx(0.2, abs=1e-6)
 
 
@@ -177,7 +191,9 @@ def test_a_row_of_progress_every_32_frames_has_its_epsilon_and_the_means_of_its_
     progress = watched.run.progress
     assert progress.frame.tolist() == [frames for frames in range(32, 641, 32) for _ in (3, 4)]
     assert progress.seed.tolist() == [3, 4] * 20
-    assert progress.epsilon.tolist() == pytest.approx([WATCHED.epsilon(frames) for frames in progress.frame], abs=1e-6)
+    assert progress.epsilon.tolist() == pytest.approx(
+        [WATCHED.epsilon(frames) for frames in progress.frame], abs=1e-6
+    )
     for name in ("loss", "grad_norm"):
         assert progress[name][progress.frame <= 256].isna().all()
         by_round = torch.stack([losses[name] for losses in watched.losses]).reshape(24, 4, 2)
@@ -193,7 +209,9 @@ def test_the_run_flew_in_the_world_that_its_settings_and_its_cap_describe(watche
     torch.testing.assert_close(stored["next", "reward"].squeeze(-1), expected)
     slots = stored["observation"].unflatten(-1, (10, 3))
     assert (slots == 0).all(-1).any()  # padding=zeros
-    assert (slots[..., -1].diff(dim=-1)[(slots != 0).any(-1)[..., 1:]] < 0).any()  # slots=listed: not by distance
+    assert (
+        slots[..., -1].diff(dim=-1)[(slots != 0).any(-1)[..., 1:]] < 0
+    ).any()  # slots=listed: not by distance
     episodes = watched.run.episodes
     assert episodes.steps.max() == 20
     assert (episodes.steps[episodes.truncated] == 20).all()
@@ -201,7 +219,8 @@ def test_the_run_flew_in_the_world_that_its_settings_and_its_cap_describe(watche
     assert episodes.terminated.sum() == terminated.sum() >= 3
     earned = (0.01 * episodes.distance - episodes.reward).round(9)
     assert (earned[~episodes.terminated] == 0).all()
-    assert earned[episodes.terminated].between(10, 10.09).all()  # the step into the collision pays nothing else
+    # the step into the collision pays nothing else
+    assert earned[episodes.terminated].between(10, 10.09).all()
 
 
 def test_half_of_4000_actions_at_epsilon_one_half_are_explored_and_q_value_is_the_mean_of_the_best(tmp_path):
@@ -244,11 +263,19 @@ def test_a_buffer_of_48_keeps_the_newest_48_of_80_frames(tmp_path):
 
 @pytest.mark.parametrize("size", [400, 88])
 def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_them_holds(tmp_path, size):
-    """25 steps of 16 environments, nothing is learned: the two runs fly alike, one of them under a cap out of reach.
+    """25 steps of 16 environments, nothing is learned: the two runs fly alike, one of them under a time limit
+    out of reach.
 
     A buffer of 88 rows is full after five and a half steps, so that later ones lie across its end.
     """
-    settings = {"n_seeds": 2, "n_envs": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
+    settings = {
+        "n_seeds": 2,
+        "n_envs": 16,
+        "total_frames": 400,
+        "learning_starts": 32,
+        "lr": 0.0,
+        "batch_size": 64,
+    }
     config = DQNConfig(**settings, buffer_size=size, compile="off")
     lean = watch(config, tmp_path / "lean")
     full = watch(config.replace(max_steps=10_000, buffer_size=400), tmp_path / "full")
@@ -257,7 +284,9 @@ def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_
     for agent in (0, 1):
         everything = full.buffer[:][:, agent]
         collided = everything["next", "terminated"].squeeze(-1)
-        everything["next", "observation"][collided] = 0.0  # worth nothing, and in the lean buffer another episode's
+        everything["next", "observation"][collided] = (
+            0.0  # worth nothing, and in the lean buffer another episode's
+        )
         places = defaultdict(list)  # those of equal transitions are told apart by none
         for place, row in enumerate(whole(everything).tolist()):
             places[tuple(row)].append(place)
@@ -270,16 +299,26 @@ def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_
             assert all(any(place in known for place in places[tuple(row)]) for row in whole(drawn).tolist())
 
 
-@pytest.mark.parametrize("cap", [None, 7])
+@pytest.mark.parametrize("limit", [None, 7])
 def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_or_cap_and_bootstrap_where_no_collision_was(
-    tmp_path, cap
+    tmp_path, limit
 ):
-    """25 steps of 16 environments in which nothing is learned, and every world's flight once more by a slow loop.
+    """25 steps of 16 environments in which nothing is learned, and every world's episode once more by a slow
+    loop.
 
-    A cap has an observation of its own, after as many steps as there were.
+    A time limit has an observation of its own, after as many steps as there were.
     """
-    settings = {"n_seeds": 2, "n_envs": 16, "total_frames": 400, "learning_starts": 32, "lr": 0.0, "batch_size": 64}
-    seen = watch(DQNConfig(**settings, n_steps=3, gamma=0.5, max_steps=cap, compile="off"), tmp_path / "run")
+    settings = {
+        "n_seeds": 2,
+        "n_envs": 16,
+        "total_frames": 400,
+        "learning_starts": 32,
+        "lr": 0.0,
+        "batch_size": 64,
+    }
+    seen = watch(
+        DQNConfig(**settings, n_steps=3, gamma=0.5, max_steps=limit, compile="off"), tmp_path / "run"
+    )
     stored = seen.buffer[:]
     assert len(seen.minibatches) == 22 * 4  # the first step after frame 48
     for agent in (0, 1):
@@ -287,27 +326,28 @@ def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_or_cap_and_bootstr
         names = ("reward", "terminated", "done")
         reward, over, done = (own["next", name].squeeze(-1) for name in names)
         expected = {}
-        for step, world in itertools.product(range(23 if cap else 22), range(16)):
+        for step, world in itertools.product(range(23 if limit else 22), range(16)):
             total, n, ended = 0.0, 0, False
             while n < 3 and not ended:
                 total += 0.5**n * reward[step + n, world].item()
                 collided, ended = over[step + n, world].item(), done[step + n, world].item()
                 n += 1
             start = tuple(own["observation"][step, world].tolist()), own["action"][step, world].item()
-            then = own["next", "observation"][step + n - 1] if cap else own["observation"][(step + 3) % 25]
+            then = own["next", "observation"][step + n - 1] if limit else own["observation"][(step + 3) % 25]
             following = None if collided else (tuple(then[world].tolist()), n)
             expected.setdefault(start, []).append((total, collided, following))
         drawn = torch.cat([batch[agent] for batch in seen.minibatches])
         assert 100 < drawn["next", "terminated"].sum() < 5000
-        if cap:
+        if limit:
             early = (drawn["steps_to_next_obs"] < 3) & ~drawn["next", "terminated"]
             assert early.sum() > 500
         for row in drawn:
             worth = expected[tuple(row["observation"].tolist()), row["action"].item()]
             collided = row["next", "terminated"].item()
-            n = row["steps_to_next_obs"].item() if cap else 3
+            n = row["steps_to_next_obs"].item() if limit else 3
             following = None if collided else (tuple(row["next", "observation"].tolist()), n)
             assert any(
-                total == pytest.approx(row["next", "reward"].item(), abs=1e-5) and (ends, then) == (collided, following)
+                total == pytest.approx(row["next", "reward"].item(), abs=1e-5)
+                and (ends, then) == (collided, following)
                 for total, ends, then in worth
             )

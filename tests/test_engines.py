@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from uavnav.evaluation import evaluate_run, files_of
+from uavnav.evaluation import evaluate_run
 from uavnav.evaluation.verify import _parting as parting
 from uavnav.evaluation.verify import _weights as weights
 from uavnav.evaluation.verify import _weights_parting as weights_parting
@@ -19,10 +19,11 @@ from uavnav.evaluation.verify import verify
 from uavnav.runs import Run
 
 STUDY = """
-what: two cells of eight seeds
+what: two configurations of eight seeds
 settings:
-  {n_seeds: 8, total_frames: 20000, hidden: [8], compile: "off", max_steps: 300, evaluate: {episodes: 3, max_steps: 50}}
-cells:
+  {n_seeds: 8, total_frames: 20000, hidden: [8], compile: "off", max_steps: 300,
+   evaluate: {episodes: 3, max_steps: 50}}
+configurations:
   - {algorithm: ppo, frames_per_batch: 512, epochs: 1}
 """
 SECOND = "  - {algorithm: dqn, n_seeds: 4, learning_starts: 1_000, frames_per_update: 16}\n"
@@ -43,7 +44,7 @@ class Started:
         self.limit = time.monotonic() + SECONDS
 
     def __call__(self, *settings, env=None):
-        words = [sys.executable, "-m", "uavnav.cli.study", "mine.yaml", "out=out", *GIVEN, *settings]
+        words = [sys.executable, "-m", "uavnav", "study", "mine.yaml", "out=out", *GIVEN, *settings]
         how = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "process_group": 0}
         process = subprocess.Popen(words, cwd=self.folder, env=os.environ | (env or {}), **how)
         self.processes.append(process)
@@ -100,7 +101,7 @@ def study(tmp_path):
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory, warm_module):
-    """What one machine gives: both cells, undisturbed."""
+    """What one machine gives: both configurations, undisturbed."""
     started = Started(tmp_path_factory.mktemp("alone"), STUDY + SECOND)
     started.finished(started("checkpoint_seconds=60"))
     return started.out
@@ -112,20 +113,20 @@ def signal_all(number, processes):
             os.kill(process, number)
 
 
-def assert_same_bits(out, alone, cells=("ppo/tanh",)):
-    for cell in cells:
-        there, here = Run(alone / cell), Run(out / cell)
+def assert_same_bits(out, alone, configurations=("ppo/tanh",)):
+    for configuration in configurations:
+        there, here = Run(alone / configuration), Run(out / configuration)
         assert not parting("episodes", there.episodes, here.episodes)
         assert not parting("progress", there.progress, here.progress)
-        (mine, seeds), (theirs, others) = weights(alone / cell), weights(out / cell)
+        (mine, seeds), (theirs, others) = weights(alone / configuration), weights(out / configuration)
         assert seeds == others
         assert not weights_parting(mine, theirs)
-        for name in files_of("test", 3, 50):
-            assert (alone / cell / name).read_bytes() == (out / cell / name).read_bytes()
-        assert not (out / cell / "workers").exists()
+        for name in ("evaluation-test-3-50.parquet", "behaviour-test-3-50.parquet"):
+            assert (alone / configuration / name).read_bytes() == (out / configuration / name).read_bytes()
+        assert not (out / configuration / "workers").exists()
 
 
-def test_a_cell_of_two_workers_is_the_run_that_verify_trains_again(alone):
+def test_a_configuration_of_two_workers_is_the_run_that_verify_trains_again(alone):
     run = Run(alone / "ppo/tanh")
     assert run.meta["processes"] == 2
     assert run.meta["study"] == "mine"
@@ -135,7 +136,7 @@ def test_a_cell_of_two_workers_is_the_run_that_verify_trains_again(alone):
 def test_what_workers_have_flown_is_the_evaluation_of_all_seeds(alone, tmp_path):
     shutil.copytree(alone / "ppo/tanh", tmp_path / "run")
     evaluate_run(Run(tmp_path / "run"), 3, 50, quiet=True)
-    for name in files_of("test", 3, 50):
+    for name in ("evaluation-test-3-50.parquet", "behaviour-test-3-50.parquet"):
         assert (alone / "ppo/tanh" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
 
 
@@ -174,7 +175,8 @@ def test_a_ray_cluster_that_loses_a_machine_gives_the_same_bits(alone, tmp_path,
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
-    monkeypatch.setenv("RAY_worker_niceness", "0")  # 15 is Ray's own: other tests would leave its jobs no time
+    # 15 is Ray's own: other tests would leave its jobs no time
+    monkeypatch.setenv("RAY_worker_niceness", "0")
     study = Started(tmp_path, STUDY + SECOND)
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     try:
@@ -238,7 +240,9 @@ def test_slurm_is_asked_for_an_array_with_partition_time_and_memory(study, alone
         (tools / name).chmod(0o755)
     path = {"PATH": f"{tools}:{os.environ['PATH']}"}
     study.finished(study("engine=slurm", "partition=long", "time=90", "memory=3", "jobs=4", env=path))
-    (array,) = [script for script in (file.read_text() for file in asked.iterdir()) if "--array=0-1%2" in script]
+    (array,) = [
+        script for script in (file.read_text() for file in asked.iterdir()) if "--array=0-1%2" in script
+    ]
     for line in ("--partition=long", "--time=90", "--mem=3GB", "--cpus-per-task=1"):
         assert f"#SBATCH {line}" in array
     assert_same_bits(study.out, alone)

@@ -18,7 +18,7 @@ STRAIGHT = 9  # no turn, 9 px
 
 
 @pytest.fixture(scope="module")
-def bank():
+def all_layouts():
     return layouts.load("test")
 
 
@@ -53,28 +53,28 @@ def close(got, expected):
     torch.testing.assert_close(got, torch.tensor(expected), rtol=0, atol=1e-4)
 
 
-def flights_of(env, **how):
-    bank = env.bank.tolist()
+def episodes_of(env, **how):
+    all_layouts = env.layouts.tolist()
     state = env.state
     return [
-        oracle.Flight(bank, layout, heading, max_steps=env.task.max_steps, **how)
+        oracle.Episode(all_layouts, layout, heading, max_steps=env.task.max_steps, **how)
         for layout, heading in zip(state.layout.tolist(), state.heading.tolist(), strict=True)
     ]
 
 
-def judge(flight, after, row):
+def judge(episode, after, row):
     """One row's step against the oracle's; whether it was too near a threshold to compare what is sensed."""
-    assert after["terminated"][row].item() == flight.terminated
-    assert after["truncated"][row].item() == flight.truncated
-    assert after["done"][row].item() == (flight.terminated or flight.truncated)
-    assert after["reward"][row].item() == pytest.approx(flight.reward, abs=1e-6)
-    episode = after["episode"][row]
-    assert {name: episode[name].item() for name in COUNTS} == {name: getattr(flight, name) for name in COUNTS}
-    assert episode["layout"].item() == flight.layout
-    assert episode["reward"].item() == pytest.approx(flight.total, abs=1e-9)
-    doubtful = oracle.doubtful(flight.found)
+    assert after["terminated"][row].item() == episode.terminated
+    assert after["truncated"][row].item() == episode.truncated
+    assert after["done"][row].item() == (episode.terminated or episode.truncated)
+    assert after["reward"][row].item() == pytest.approx(episode.reward, abs=1e-6)
+    found = after["episode"][row]
+    assert {name: found[name].item() for name in COUNTS} == {name: getattr(episode, name) for name in COUNTS}
+    assert found["layout"].item() == episode.layout
+    assert found["reward"].item() == pytest.approx(episode.total, abs=1e-9)
+    doubtful = oracle.doubtful(episode.found)
     if not doubtful:
-        close(after["observation"][row], sum(flight.slots, ()))
+        close(after["observation"][row], sum(episode.slots, ()))
     return doubtful
 
 
@@ -86,60 +86,65 @@ def test_torchrl_finds_no_fault_in_the_specs_of_three_batch_shapes(shape):
     assert env.action_spec.n == 100
 
 
-# The ways to step are bit-identical, as another test shows, so that each meets the oracle with one cap.
+# The ways to step are bit-identical, as another test shows, so that each meets the oracle with one time
+# limit.
 @pytest.mark.parametrize("variant", ["eq14", "additive", "initial"])
 @pytest.mark.parametrize(("driver", "max_steps"), [(step_then_reset, None), (at_once, 40)])
-def test_300_steps_of_4_rows_equal_the_oracle_through_collisions_and_caps(bank, driver, variant, max_steps):
-    env = uavnav.DroneEnv([4], layouts=bank, reward=variant, max_steps=max_steps, seeds=7)
-    flights = flights_of(env, variant=variant)
-    collisions, caps, doubts = 0, 0, 0
+def test_300_steps_of_4_rows_equal_the_oracle_through_collisions_and_caps(
+    all_layouts, driver, variant, max_steps
+):
+    env = uavnav.DroneEnv([4], layouts=all_layouts, reward=variant, max_steps=max_steps, seeds=7)
+    episodes = episodes_of(env, variant=variant)
+    collisions, limits, doubts = 0, 0, 0
     actions = actions_of(env, 300)
     for action, (after, state, following) in zip(actions, drive(env, actions, driver), strict=True):
         places = state or env.state
-        for row, flight in enumerate(flights):
-            flight.step(action[row].item())
-            done = flight.terminated or flight.truncated
+        for row, episode in enumerate(episodes):
+            episode.step(action[row].item())
+            done = episode.terminated or episode.truncated
             if state is not None or not done:
-                flight.at(places.x[row].item(), places.y[row].item())
-                assert places.heading[row].item() == flight.heading
-            doubts += judge(flight, after, row)
-            collisions, caps = collisions + flight.terminated, caps + flight.truncated
+                episode.at(places.x[row].item(), places.y[row].item())
+                assert places.heading[row].item() == episode.heading
+            doubts += judge(episode, after, row)
+            collisions, limits = collisions + episode.terminated, limits + episode.truncated
             if done:
-                flight.next_episode()
-                close(following["observation"][row], sum(flight.slots, ()))
+                episode.next_episode()
+                close(following["observation"][row], sum(episode.slots, ()))
                 assert following["episode", "steps"][row] == 0
-                assert following["episode", "layout"][row] == flight.layout
-            assert env.state.layout[row] == flight.layout
-            assert env.state.steps[row] == flight.steps
+                assert following["episode", "layout"][row] == episode.layout
+            assert env.state.layout[row] == episode.layout
+            assert env.state.steps[row] == episode.steps
             assert not following["done"][row]
     assert collisions >= 5
-    assert (caps >= 5) == (max_steps is not None)
-    assert doubts < 24  # of 1,200 poses, which a flight strings together
+    assert (limits >= 5) == (max_steps is not None)
+    assert doubts < 24  # of 1,200 poses, which an episode strings together
 
 
-def test_a_rollout_of_500_steps_equals_the_oracle_through_all_its_episodes(bank):
-    env = uavnav.DroneEnv([3], layouts=bank, seeds=11)
-    flights = flights_of(env)
+def test_a_rollout_of_500_steps_equals_the_oracle_through_all_its_episodes(all_layouts):
+    env = uavnav.DroneEnv([3], layouts=all_layouts, seeds=11)
+    episodes = episodes_of(env)
     actions = iter(actions_of(env, 500, seed=1))
     rollout = env.rollout(500, lambda td: td.set("action", next(actions)), break_when_any_done=False)
     assert rollout.shape == (3, 500)
     doubts = 0
-    for row, flight in enumerate(flights):
+    for row, episode in enumerate(episodes):
         for now in rollout[row].unbind(0):
-            if not oracle.doubtful(flight.found):
-                close(now["observation"], sum(flight.slots, ()))
-            flight.step(now["action"].item())
-            doubts += judge(flight, now["next"][None], 0)
-            if flight.terminated:
-                flight.next_episode()
+            if not oracle.doubtful(episode.found):
+                close(now["observation"], sum(episode.slots, ()))
+            episode.step(now["action"].item())
+            doubts += judge(episode, now["next"][None], 0)
+            if episode.terminated:
+                episode.next_episode()
     assert rollout["next", "terminated"].sum() >= 10
     assert doubts < 30
 
 
 @pytest.mark.parametrize("variant", ["eq14", "additive", "initial"])
-def test_both_ways_to_step_are_bit_identical_over_200_steps(bank, variant):
+def test_both_ways_to_step_are_bit_identical_over_200_steps(all_layouts, variant):
     for max_steps in (None, 40):
-        envs = [uavnav.DroneEnv([5], layouts=bank, reward=variant, max_steps=max_steps) for _ in DRIVERS]
+        envs = [
+            uavnav.DroneEnv([5], layouts=all_layouts, reward=variant, max_steps=max_steps) for _ in DRIVERS
+        ]
         actions = actions_of(envs[0], 200)
         for (after, _, now), (also, _, then) in zip(
             *(drive(env, actions, driver) for env, driver in zip(envs, DRIVERS, strict=True)), strict=True
@@ -151,25 +156,30 @@ def test_both_ways_to_step_are_bit_identical_over_200_steps(bank, variant):
 
 def same_rows(env, rows, other, actions):
     """Rows of one environment and the whole of another, under the same actions, bit by bit."""
-    for (after, _, now), (also, _, then) in zip(drive(env, actions), drive(other, actions[:, rows]), strict=True):
+    for (after, _, now), (also, _, then) in zip(
+        drive(env, actions), drive(other, actions[:, rows]), strict=True
+    ):
         assert (after[rows] == also).all()
         assert (now[rows] == then).all()
     assert all(torch.equal(a[rows], b) for a, b in zip(env.state, other.state, strict=True))
 
 
-def test_one_world_alone_is_world_0_of_16(bank):
-    many, one = uavnav.DroneEnv([16], layouts=bank, seeds=5), uavnav.DroneEnv([1], layouts=bank, seeds=5)
+def test_one_world_alone_is_world_0_of_16(all_layouts):
+    many, one = (
+        uavnav.DroneEnv([16], layouts=all_layouts, seeds=5),
+        uavnav.DroneEnv([1], layouts=all_layouts, seeds=5),
+    )
     same_rows(many, slice(0, 1), one, actions_of(many, 200))
 
 
-def test_each_of_3_seeds_flies_as_it_would_alone(bank):
+def test_each_of_3_seeds_flies_as_it_would_alone(all_layouts):
     for heading in ("up", "random"):
         world = uavnav.World(start_heading=heading)
-        together = uavnav.DroneEnv([3, 4], layouts=bank, world=world, seeds=[7, 8, 9])
+        together = uavnav.DroneEnv([3, 4], layouts=all_layouts, world=world, seeds=[7, 8, 9])
         actions = actions_of(together, 150)
         for agent, seed in enumerate(together.seeds):
             together.set_seed(7)
-            alone = uavnav.DroneEnv([1, 4], layouts=bank, world=world, seeds=[seed])
+            alone = uavnav.DroneEnv([1, 4], layouts=all_layouts, world=world, seeds=[seed])
             same_rows(together, slice(agent, agent + 1), alone, actions)
 
 
@@ -182,21 +192,21 @@ def test_adding_worlds_up_to_64_keeps_the_places_of_the_earlier_ones():
     assert len(set(places.flatten().tolist())) > 120
 
 
-def test_setting_seed_6_again_repeats_the_flight(bank):
-    env = uavnav.DroneEnv([4], layouts=bank, world=uavnav.World(start_heading="random"), seeds=2)
+def test_setting_seed_6_again_repeats_the_episode(all_layouts):
+    env = uavnav.DroneEnv([4], layouts=all_layouts, world=uavnav.World(start_heading="random"), seeds=2)
     actions = actions_of(env, 100)
-    flights = []
+    episodes = []
     for _ in range(2):
         env.set_seed(6)
-        flights.append(torch.stack([after for after, _, _ in drive(env, actions)]))
-    fresh = uavnav.DroneEnv([4], layouts=bank, world=uavnav.World(start_heading="random"), seeds=6)
-    flights.append(torch.stack([after for after, _, _ in drive(fresh, actions)]))
-    assert (flights[0] == flights[1]).all()
-    assert (flights[0] == flights[2]).all()
+        episodes.append(torch.stack([after for after, _, _ in drive(env, actions)]))
+    fresh = uavnav.DroneEnv([4], layouts=all_layouts, world=uavnav.World(start_heading="random"), seeds=6)
+    episodes.append(torch.stack([after for after, _, _ in drive(fresh, actions)]))
+    assert (episodes[0] == episodes[1]).all()
+    assert (episodes[0] == episodes[2]).all()
 
 
-def test_a_masked_reset_restarts_2_of_5_rows_and_leaves_the_others_bit_identical(bank):
-    env = uavnav.DroneEnv([5], layouts=bank)
+def test_a_masked_reset_restarts_2_of_5_rows_and_leaves_the_others_bit_identical(all_layouts):
+    env = uavnav.DroneEnv([5], layouts=all_layouts)
     for _, _, now in drive(env, actions_of(env, 20)):
         before, seen = env.state, now.clone()
     mask = torch.tensor([False, True, False, False, True])
@@ -209,7 +219,7 @@ def test_a_masked_reset_restarts_2_of_5_rows_and_leaves_the_others_bit_identical
     assert env.state.x[mask].tolist() == [400, 400]
 
 
-def test_after_an_episode_the_drone_is_at_the_centre_in_the_next_of_3_sets_and_the_last_is_followed_by_the_first():
+def test_after_an_episode_drone_is_at_centre_in_the_next_of_3_sets_and_the_last_is_followed_by_the_first():
     env = uavnav.DroneEnv([1], layouts=layouts.generate(3, 8, seed=1))
     order = [env.state.layout.item()]
     for after, _, following in drive(env, actions_of(env, 600)):
@@ -250,13 +260,15 @@ def test_action_9_earns_7_57_less_than_nothing_in_28_steps():
     assert after["episode", "reward"].item() == pytest.approx(0.09 * 27 - 10, abs=1e-9)
 
 
-@pytest.mark.parametrize(("cap", "terminated", "truncated"), [(27, False, True), (28, True, False), (29, True, False)])
+@pytest.mark.parametrize(
+    ("limit", "terminated", "truncated"), [(27, False, True), (28, True, False), (29, True, False)]
+)
 @pytest.mark.parametrize("driver", DRIVERS)
 def test_a_cap_of_27_truncates_and_the_collision_in_step_28_terminates_even_at_the_cap(
-    driver, cap, terminated, truncated
+    driver, limit, terminated, truncated
 ):
-    env = uavnav.DroneEnv([1], layouts=layouts.generate(1, 0), max_steps=cap)
-    *early, (last, _, following) = drive(env, torch.full((min(cap, 28), 1), STRAIGHT), driver)
+    env = uavnav.DroneEnv([1], layouts=layouts.generate(1, 0), max_steps=limit)
+    *early, (last, _, following) = drive(env, torch.full((min(limit, 28), 1), STRAIGHT), driver)
     assert not any(after["done"].item() for after, _, _ in early)
     assert last["done"].item()
     assert last["terminated"].item() == terminated
@@ -302,24 +314,28 @@ def test_with_random_headings_the_next_episode_starts_in_a_new_one_and_the_same_
 
 
 @pytest.mark.parametrize("driver", DRIVERS)
-def test_no_tensor_of_the_first_40_steps_is_changed_by_later_ones(bank, driver):
-    env = uavnav.DroneEnv([4], layouts=bank, max_steps=15)
-    flight = drive(env, actions_of(env, 120), driver)
+def test_no_tensor_of_the_first_40_steps_is_changed_by_later_ones(all_layouts, driver):
+    env = uavnav.DroneEnv([4], layouts=all_layouts, max_steps=15)
+    episode = drive(env, actions_of(env, 120), driver)
     kept = []
-    for after, _, now in flight:
+    for after, _, now in episode:
         if len(kept) < 40:
             kept.append([part for td in (after, now) for part in (td, td.clone())] + [env.state])
             kept[-1].append([field.clone() for field in env.state])
     for after, after_then, now, now_then, state, state_then in kept:
         assert (after == after_then).all()
         assert all(
-            (now[key] == now_then[key]).all() for key in now_then.keys(True, True) if key in now.keys(True, True)
+            (now[key] == now_then[key]).all()
+            for key in now_then.keys(True, True)
+            if key in now.keys(True, True)
         )
         assert all(torch.equal(a, b) for a, b in zip(state, state_then, strict=True))
 
 
-def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_flies_4_5_px_a_step(bank):
-    env = uavnav.DroneEnv([100], layouts=bank)
+def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_flies_4_5_px_a_step(
+    all_layouts,
+):
+    env = uavnav.DroneEnv([100], layouts=all_layouts)
     totals, n = dict.fromkeys(COUNTS, 0), 100 * 200
     for after, _, _ in drive(env, actions_of(env, 200, seed=3)):
         ended = after["done"].squeeze(-1)
@@ -347,7 +363,7 @@ def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_f
         (
             {"layouts": "trian"},
             uavnav.LayoutError,
-            "layouts='trian': no such bank; choose from train, validation, test",
+            "layouts='trian': no such layout file; choose from train, validation, test",
         ),
         ({"layouts": torch.zeros(2, 8, 3)}, uavnav.LayoutError, "radius outside 30 ... 100 px"),
     ],
@@ -366,11 +382,13 @@ def test_step_refuses_an_action_outside_0_to_99(action):
 
 
 @pytest.mark.parametrize("start_heading", ["up", "random"])
-def test_a_restored_environment_goes_on_after_its_reset_where_the_saved_one_went_on(bank, start_heading):
+def test_a_restored_environment_goes_on_after_its_reset_where_the_saved_one_went_on(
+    all_layouts, start_heading
+):
     world = uavnav.World(start_heading=start_heading)
 
     def make():
-        return uavnav.DroneEnv([2, 4], layouts=bank, seeds=[1, 2], world=world)
+        return uavnav.DroneEnv([2, 4], layouts=all_layouts, seeds=[1, 2], world=world)
 
     def fly(env, chosen, **how):
         chosen = iter(chosen)
@@ -401,8 +419,10 @@ def test_the_first_reset_after_a_step_begins_anew_though_none_came_before():
 
 
 @pytest.mark.compiled
-def test_50_compiled_steps_equal_the_eager_ones(bank):
-    eager, compiled = (uavnav.DroneEnv([2, 3], layouts=bank, max_steps=20, seeds=[1, 2]) for _ in range(2))
+def test_50_compiled_steps_equal_the_eager_ones(all_layouts):
+    eager, compiled = (
+        uavnav.DroneEnv([2, 3], layouts=all_layouts, max_steps=20, seeds=[1, 2]) for _ in range(2)
+    )
     assert compiled.compile() is compiled
     actions = actions_of(eager, 50)
     for (after, _, now), (also, _, then) in zip(drive(eager, actions), drive(compiled, actions), strict=True):
@@ -411,11 +431,16 @@ def test_50_compiled_steps_equal_the_eager_ones(bank):
         torch.testing.assert_close(then["observation"], now["observation"], rtol=1e-5, atol=1e-6)
     assert compiled.eager() is compiled
     compiled.set_seed(1)
-    same_rows(uavnav.DroneEnv([2, 3], layouts=bank, max_steps=20, seeds=[1, 2]), slice(None), compiled, actions)
+    same_rows(
+        uavnav.DroneEnv([2, 3], layouts=all_layouts, max_steps=20, seeds=[1, 2]),
+        slice(None),
+        compiled,
+        actions,
+    )
 
 
-def test_without_tensordicts_private_constructor_50_steps_are_the_same(bank, monkeypatch):
-    usual, other = (uavnav.DroneEnv([2, 3], layouts=bank, seeds=[1, 2]) for _ in range(2))
+def test_without_tensordicts_private_constructor_50_steps_are_the_same(all_layouts, monkeypatch):
+    usual, other = (uavnav.DroneEnv([2, 3], layouts=all_layouts, seeds=[1, 2]) for _ in range(2))
     expected = [after for after, _, _ in drive(usual, actions_of(usual, 50))]
     monkeypatch.setattr(torchrl_env, "unchecked", TensorDict)
     found = [after for after, _, _ in drive(other, actions_of(other, 50))]
@@ -423,9 +448,11 @@ def test_without_tensordicts_private_constructor_50_steps_are_the_same(bank, mon
 
 
 @pytest.mark.parametrize("start_heading", ["up", "random"])
-def test_a_restored_environment_flies_the_same_200_steps_again(bank, start_heading):
+def test_a_restored_environment_flies_the_same_200_steps_again(all_layouts, start_heading):
     def make():
-        return uavnav.DroneEnv([2, 4], layouts=bank, seeds=[1, 2], world=uavnav.World(start_heading=start_heading))
+        return uavnav.DroneEnv(
+            [2, 4], layouts=all_layouts, seeds=[1, 2], world=uavnav.World(start_heading=start_heading)
+        )
 
     def fly(env, root, steps):
         g = torch.Generator().manual_seed(0)

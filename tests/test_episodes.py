@@ -11,8 +11,8 @@ from uavnav import evaluation
 from uavnav.evaluation import episodes, evaluate_policy, on
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import BASELINES, straight_ahead
-from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.tasks.state import COUNTS
+from uavnav.tasks.table import EMPTY, make_task
 from uavnav.tasks.world import World
 from uavnav.training import machine
 from uavnav.views import render
@@ -39,25 +39,25 @@ def compiled_steps(monkeypatch):
         ran.append(1)
         return advance(*how)
 
-    monkeypatch.setattr(machine, "FLIGHTS_PAY_FROM", 1)
+    monkeypatch.setattr(machine, "EPISODES_PAY_FROM", 1)
     monkeypatch.setattr(machine, "EAGER_STEPS", 5)
     monkeypatch.setattr(episodes, "_advance", counted)
     return ran
 
 
-# -- a film is a row -------------------------------------------------------------------------------------------------
+# -- a film is a row -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("task", WORLDS.values(), ids=WORLDS)
 @pytest.mark.parametrize("greedy", [True, False])
 @pytest.mark.parametrize("algorithm", ACTS)
 def test_a_films_numbers_are_the_row_of_the_evaluation_to_the_last_bit(algorithm, greedy, task):
-    policy, bank = untrained(algorithm, greedy, task), layouts.load("test")
+    policy, all_layouts = untrained(algorithm, greedy, task), layouts.load("test")
     rows = evaluate_policy(policy, max_steps=300, seed=policy.seed)
     assert (len(rows), rows.steps.nunique() > 20) == (200, True)
     assert rows.terminated.sum() > 0
     for layout in (0, 3, 40, 199):
-        flown = render.fly(Pilot("", policy, policy.task, policy.seed), bank, layout, 300)
+        flown = render.fly(Pilot("", policy, policy.task, policy.seed), all_layouts, layout, 300)
         row, last = rows.iloc[layout], flown.states[-1]
         assert row.layout == layout
         assert len(flown.states) == row.steps + 1
@@ -73,11 +73,11 @@ def test_a_film_of_set_260_is_the_row_of_an_evaluation_of_261_sets():
 
 
 def test_the_window_starts_at_the_heading_of_the_film_and_flies_it_greedily():
-    policy, bank = untrained(task=WORLDS["random, additive"]), layouts.load("test")
+    policy, all_layouts = untrained(task=WORLDS["random, additive"]), layouts.load("test")
     pilot = Pilot("", policy, policy.task, policy.seed)
     for index in (0, 7):
-        film = render.fly(pilot, bank, index, 60)
-        game = rules.new([pilot], bank, index=index, max_steps=60)
+        film = render.fly(pilot, all_layouts, index, 60)
+        game = rules.new([pilot], all_layouts, index=index, max_steps=60)
         assert game.state.heading == film.states[0].heading
         while not game.ended:
             game = rules.step(game)
@@ -96,7 +96,7 @@ def test_random_headings_belong_to_the_set_whoever_flies_and_however_many_sets_t
     assert torch.equal(episodes.headings(on(WORLDS["up, eq14"]), 3), torch.tensor([90, 90, 90]))
 
 
-# -- steps -----------------------------------------------------------------------------------------------------------
+# -- steps ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("greedy", [True, False])
@@ -121,7 +121,8 @@ def test_an_episode_that_has_ended_is_not_there_any_more_and_steps_count_from_1(
 
     steps = list(episodes.steps([(0, policy)], task))
     assert [step.number for step in steps] == list(range(1, 101))
-    assert [len(step.episode) for step in steps] == [3] * 28 + [2] * (84 - 28) + [1] * (100 - 84)  # ceil(250 / 9), / 3
+    # ceil(250 / 9), / 3
+    assert [len(step.episode) for step in steps] == [3] * 28 + [2] * (84 - 28) + [1] * (100 - 84)
     assert steps[28].episode.tolist() == [1, 2]
     assert steps[99].episode.tolist() == [2]
     assert steps[99].ended.tolist() == [True]
@@ -136,18 +137,20 @@ def test_a_heading_that_is_given_is_that_of_the_start():
     assert ends == {0: 39, 1: 28}  # ceil(350 / 9) to the right, ceil(250 / 9) upwards
 
 
-# -- compiled --------------------------------------------------------------------------------------------------------
+# -- compiled ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 @pytest.mark.compiled
-def test_compiled_flights_give_the_rows_of_eager_ones(monkeypatch, compiled_steps):
-    """Scripted policies, which do not depend on the last bit of what they see; flights end at many different steps."""
+def test_compiled_episodes_give_the_rows_of_eager_ones(monkeypatch, compiled_steps):
+    """Scripted policies, which do not depend on the last bit of what they see; episodes end at many
+    different steps.
+    """
     population = {0: BASELINES["random"], 1: BASELINES["reactive"], 2: BASELINES["straight"]}
     task = on(make_task(EMPTY), episodes=40, max_steps=300)
     compiled = evaluation.fly(population, task)
     assert len(compiled_steps) == 300 - 5 + 1
-    monkeypatch.setattr(machine, "FLIGHTS_PAY_FROM", 301)
+    monkeypatch.setattr(machine, "EPISODES_PAY_FROM", 301)
     eager = evaluation.fly(population, task)
     assert len(compiled_steps) == 300 - 5 + 1
     assert compiled.episodes.steps.nunique() > 20
@@ -155,7 +158,7 @@ def test_compiled_flights_give_the_rows_of_eager_ones(monkeypatch, compiled_step
     pd.testing.assert_frame_equal(compiled.behaviour, eager.behaviour, rtol=1e-5)
 
 
-def test_many_flights_are_stepped_in_chunks_of_256_and_only_as_many_as_still_fly(monkeypatch):
+def test_many_episodes_are_stepped_in_chunks_of_256_and_only_as_many_as_still_fly(monkeypatch):
     """The graph itself is left out, so that rows are the same to the last bit."""
     population = {seed: untrained(greedy=False, seed=seed) for seed in range(4)}
     task, calls = on(make_task(EMPTY), episodes=200, max_steps=120), []
@@ -169,7 +172,7 @@ def test_many_flights_are_stepped_in_chunks_of_256_and_only_as_many_as_still_fly
         return counted
 
     monkeypatch.setattr(machine, "EAGER_STEPS", 1)
-    monkeypatch.setattr(machine, "flights", lambda max_steps: True)
+    monkeypatch.setattr(machine, "episodes", lambda max_steps: True)
     monkeypatch.setattr(episodes.graph, "Graph", graph)
     episodes._graph.cache_clear()
     chunked = evaluation.fly(population, task)
@@ -195,15 +198,15 @@ def test_a_compiled_film_is_the_row_of_a_compiled_evaluation(greedy, compiled_st
     }
 
 
-def test_flights_of_fewer_than_2000_steps_or_without_a_cap_or_a_compiler_are_not_compiled(monkeypatch):
+def test_episodes_of_fewer_than_2000_steps_or_without_a_cap_or_a_compiler_are_not_compiled(monkeypatch):
     monkeypatch.setattr(machine.graph, "problem", lambda device: None)
-    assert (machine.flights(1_999), machine.flights(None)) == (False, False)
-    assert machine.flights(2_000)
+    assert (machine.episodes(1_999), machine.episodes(None)) == (False, False)
+    assert machine.episodes(2_000)
     monkeypatch.setattr(machine.graph, "problem", lambda device: "no compiler")
-    assert not machine.flights(10_000)
+    assert not machine.episodes(10_000)
 
 
-def test_flights_that_have_ended_before_are_not_compiled(monkeypatch):
+def test_episodes_that_have_ended_before_are_not_compiled(monkeypatch):
     monkeypatch.setattr(episodes.graph, "Graph", None)
     rows = evaluate_policy(straight_ahead, max_steps=10_000)
     assert rows.steps.max() < machine.EAGER_STEPS

@@ -1,5 +1,6 @@
-"""Evaluation: one row a set of obstacles, repeatable, censored where it was cut off."""
+"""Evaluation: one row a layout, repeatable, censored where it was cut off."""
 
+import functools
 import json
 import math
 import re
@@ -7,30 +8,35 @@ import shutil
 import subprocess
 import sys
 import types
-import zipfile
 
 import pandas as pd
 import pytest
 import torch
+from policies_by_hand import write_zip
 
 import uavnav
-from uavnav import evaluation
 from uavnav.algorithms import dqn, ppo
-from uavnav.cli.evaluate import main as fly_command
-from uavnav.evaluation import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, files_of, fly, on, summary
+from uavnav.cli import commands
+from uavnav.evaluation import BEHAVIOUR_COLUMNS, evaluate_policy, evaluate_run, fly, on, summary
 from uavnav.report import behaviour
-from uavnav.runs import Run, own_evaluation
+from uavnav.runs import Run
+from uavnav.runs.evaluations import Protocol, usual
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.paper import TABLES
 from uavnav.runs.tables import read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
-from uavnav.tasks.faults import Faults
+from uavnav.tasks.faults import NO_FAULTS, Faults
 from uavnav.tasks.protocol import TASK_NAMES
-from uavnav.tasks.simulator import EMPTY, TASKS, make_task
+from uavnav.tasks.table import EMPTY, TASKS, make_task
+
+fly_command = functools.partial(commands.run, "evaluate")
 
 RUNS = {
-    "ppo": (ppo.train, ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off")),
+    "ppo": (
+        ppo.train,
+        ppo.PPOConfig(n_seeds=3, seed=4, total_frames=512, frames_per_batch=512, compile="off"),
+    ),
     "dqn": (dqn.train, dqn.DQNConfig(n_seeds=3, seed=4, total_frames=512, learning_starts=64, compile="off")),
 }
 
@@ -52,9 +58,11 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_a_flight_that_never_hits_is_truncated_at_the_cap_and_no_collision():
+def test_an_episode_that_never_hits_is_truncated_at_the_cap_and_no_collision():
     rows = evaluate_policy(
-        lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64), episodes=3, max_steps=7
+        lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64),
+        episodes=3,
+        max_steps=7,
     )
     assert rows.truncated.all()
     assert not rows.terminated.any()
@@ -66,12 +74,6 @@ def test_evaluating_twice_gives_the_same_rows_and_another_seed_others():
     first, second = (evaluate_policy(uniform_random, episodes=50) for _ in range(2))
     assert first.equals(second)
     assert not first.equals(evaluate_policy(uniform_random, episodes=50, seed=1))
-
-
-@pytest.mark.parametrize("wrong", [{"episodes": 0}, {"episodes": 1001}, {"max_steps": 0}])
-def test_counts_out_of_range_are_refused(wrong):
-    with pytest.raises(ValueError, match="give 1 to 1000 episodes of at least 1 step"):
-        evaluate_policy(straight_ahead, **wrong)
 
 
 @pytest.mark.parametrize("greedy", [True, False])
@@ -86,8 +88,8 @@ def test_a_trained_policy_evaluated_twice_gives_the_same_20_rows(trained, greedy
 
 @pytest.mark.parametrize("greedy", [True, False])
 def test_3_seeds_in_one_batch_fly_as_each_does_alone(trained, greedy):
-    # Exactly so, though they share a batch: each policy is called on its own rows alone, so that its products have the
-    # same shape and round alike, and the world's arithmetic is elementwise.
+    # Exactly so, though they share a batch: each policy is called on its own rows alone, so that its products
+    # have the same shape and round alike, and the world's arithmetic is elementwise.
     population = {seed: uavnav.load_policy(trained.path, seed, greedy) for seed in trained.seeds}
     task = on(make_task(EMPTY), episodes=12, max_steps=80)
     together = fly(population, task)
@@ -112,14 +114,14 @@ def test_evaluation_leaves_training_its_files_and_the_global_random_state_alone(
     assert again.episodes.equals(run.episodes)
 
 
-@pytest.mark.parametrize("cap", [1, 27, 28])
-def test_an_episode_that_the_cap_cuts_off_is_truncated_and_one_that_hits_in_that_step_terminated(cap):
-    rows = evaluate_policy(straight_ahead, uavnav.layouts.generate(2, k=0), episodes=2, max_steps=cap)
+@pytest.mark.parametrize("limit", [1, 27, 28])
+def test_an_episode_that_the_cap_cuts_off_is_truncated_and_one_that_hits_in_that_step_terminated(limit):
+    rows = evaluate_policy(straight_ahead, uavnav.layouts.generate(2, k=0), episodes=2, max_steps=limit)
     assert dict(rows.dtypes.astype(str)) == EPISODE_COLUMNS
     assert rows.layout.tolist() == [0, 1]
-    assert rows.steps.tolist() == [cap] * 2
-    assert rows.truncated.tolist() == [cap < 28] * 2
-    assert rows.terminated.tolist() == [cap == 28] * 2
+    assert rows.steps.tolist() == [limit] * 2
+    assert rows.truncated.tolist() == [limit < 28] * 2
+    assert rows.terminated.tolist() == [limit == 28] * 2
 
 
 def test_each_seed_and_mode_of_a_run_has_a_row_a_test_set_and_the_run_reads_them_back(run):
@@ -133,36 +135,43 @@ def test_each_seed_and_mode_of_a_run_has_a_row_a_test_set_and_the_run_reads_them
     assert (rows.truncated | rows.terminated).all()
 
 
-def test_behaviour_is_the_flight_step_by_step_whose_counts_are_the_episodes(run):
-    episodes = evaluate_run(run, episodes=12, max_steps=90)
+def test_behaviour_is_the_episode_step_by_step_whose_counts_are_the_episodes(run):
+    rows = evaluate_run(run, episodes=12, max_steps=90)
     assert list(pd.read_parquet(run.behaviour_file()).columns) == [*BEHAVIOUR_COLUMNS, "mode"]
-    flights = dict(list(behaviour.read(run).groupby(["mode", "seed", "layout"])))
-    assert len(flights) == 2 * 3 * 10  # of the first ten sets
+    episodes = dict(list(behaviour.read(run).groupby(["mode", "seed", "layout"])))
+    assert len(episodes) == 2 * 3 * 10  # of the first ten layouts
     collisions = 0
-    for row in episodes[episodes.layout < 10].itertuples():
-        flight = flights[row.mode, row.seed, row.layout]
-        assert flight.step.tolist() == list(range(1, row.steps + 1))
-        distance, turn = flight.action % 10, flight.action // 10
-        assert (distance.sum(), (turn != 0).sum(), (distance == 0).sum()) == (row.distance, row.turns, row.stops)
-        assert (flight.action == 0).sum() == row.full_stops
-        headings = [90, *flight.heading.tolist()]
-        places = [(400, 300), *zip(flight.x.tolist(), flight.y.tolist(), strict=True)]
+    for row in rows[rows.layout < 10].itertuples():
+        episode = episodes[row.mode, row.seed, row.layout]
+        assert episode.step.tolist() == list(range(1, row.steps + 1))
+        distance, turn = episode.action % 10, episode.action // 10
+        assert (distance.sum(), (turn != 0).sum(), (distance == 0).sum()) == (
+            row.distance,
+            row.turns,
+            row.stops,
+        )
+        assert (episode.action == 0).sum() == row.full_stops
+        headings = [90, *episode.heading.tolist()]
+        places = [(400, 300), *zip(episode.x.tolist(), episode.y.tolist(), strict=True)]
         for index, (pixels, quotient) in enumerate(zip(distance, turn, strict=True)):
-            assert headings[index + 1] == (headings[index] + (quotient if quotient <= 5 else quotient - 10)) % 360
+            assert (
+                headings[index + 1]
+                == (headings[index] + (quotient if quotient <= 5 else quotient - 10)) % 360
+            )
             angle, (x, y) = math.radians(headings[index + 1]), places[index]
             ahead = (x + pixels * math.cos(angle), y + pixels * math.sin(angle))
             assert places[index + 1] == pytest.approx(ahead, abs=1e-3)
-        assert (flight.clearance.iloc[:-1] > 30).all()
-        assert (flight.clearance.iloc[-1] <= 30) == row.terminated
+        assert (episode.clearance.iloc[:-1] > 30).all()
+        assert (episode.clearance.iloc[-1] <= 30) == row.terminated
         collisions += row.terminated
     assert collisions >= 5
 
 
-def test_of_a_flight_of_600_steps_500_are_watched():
+def test_of_an_episode_of_600_steps_500_are_watched():
     task = on(make_task(EMPTY), episodes=20, max_steps=600)
-    flights = fly({0: lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64)}, task)
-    assert (flights.episodes.steps == 600).all()
-    assert flights.behaviour.groupby("layout").size().tolist() == [500] * 10
+    episodes = fly({0: lambda observation, generator: torch.zeros(len(observation), dtype=torch.int64)}, task)
+    assert (episodes.episodes.steps == 600).all()
+    assert episodes.behaviour.groupby("layout").size().tolist() == [500] * 10
 
 
 def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
@@ -175,52 +184,41 @@ def test_rows_of_a_baseline_are_kept_where_a_report_looks_for_them(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("protocol", "name"),
+    ("protocol", "file", "header"),
     [
-        (("test", 200, 10_000), ""),
-        (("test", 10, 500), "-test-10-500"),
-        (("density-12/test", 200, 10_000), "-density-12-test-200-10000"),
-        (("test", 200, 10_000, Faults(noise=5)), "-test-200-10000-noise=5"),
-        (("test", 200, 10_000, Faults()), "-test-200-10000-none"),
-        (("test", 200, 10_000, None, "moving"), "-moving-test-200-10000"),
+        (("test", 200, 10_000), "rows", {}),
+        (("test", 10, 500), "rows-test-10-500", {"episodes": 10, "max_steps": 500}),
+        (("train", 200, 10_000), "rows-train-200-10000", {"layouts": "train"}),
+        (("density-12/test", 200, 10_000), "rows-density-12-test-200-10000", {"layouts": "density-12/test"}),
+        (("test", 200, 10_000, NO_FAULTS), "rows-test-200-10000-none", {"faults": "none"}),
+        (
+            ("test", 200, 10_000, Faults(noise=5, lost=0.05)),
+            "rows-test-200-10000-noise=5,lost=0.05",
+            {"faults": "noise=5,lost=0.05"},
+        ),
+        (("test", 200, 10_000, None, "moving"), "rows-moving-test-200-10000", {"task": "moving"}),
     ],
 )
-def test_each_protocol_has_a_file_of_its_own(protocol, name):
-    assert evaluation.protocol_name(*protocol) == name
+def test_each_protocol_has_a_file_of_its_own_whose_header_says_it(protocol, file, header):
+    protocol = Protocol(*protocol)
+    assert protocol.file("rows") == f"{file}.parquet"
+    assert protocol.header() == {"layouts": "test", "episodes": 200, "max_steps": 10_000} | header
 
 
-@pytest.mark.parametrize("out", ["/proc/x", "file", "file/rows"])
-def test_a_folder_for_rows_that_cannot_be_is_refused_before_anyone_flies(out, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr(evaluation, "fly_modes", None)
-    assert fly_command(["random", "--out", out]) == 2
-    printed, err = capsys.readouterr()
-    assert err.startswith(f"uavnav evaluate: {out}/random.parquet: cannot be written (")
-    assert err.endswith("); give a path that can be written\n")
-    assert (printed, err.count("\n")) == ("", 1)
-
-
-def test_a_run_that_is_spelt_wrongly_is_the_nearest_folder_beside_it(run, capsys):
-    assert fly_command([str(run.path.parent / "rum")]) == 2
-    assert capsys.readouterr().err.endswith(f"give a run's folder (did you mean {run.path}?)\n")
-
-
-@pytest.fixture
-def zipped(tmp_path):
-    """What Stable-Baselines3 saves of a DQN, as far as it is read."""
-    generator, path = torch.Generator().manual_seed(0), tmp_path / "theirs.zip"
-    shapes = {"q_net.q_net.0": (8, 30), "q_net.q_net.2": (100, 8)}
-    weights = {f"{name}.weight": torch.randn(shape, generator=generator) for name, shape in shapes.items()}
-    weights |= {f"{name}.bias": torch.zeros(shape[0]) for name, shape in shapes.items()}
-    with zipfile.ZipFile(path, "w") as archive, archive.open("policy.pth", "w") as file:
-        torch.save(weights, file)
-    return path
-
-
-def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(zipped, tmp_path, capsys):
-    out = tmp_path / "baselines"
-    words = [str(zipped), "random", "--activation", "relu", "--episodes", "5", "--max-steps", "50", "--out", str(out)]
+def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(tmp_path, capsys):
+    zipped, out = write_zip(tmp_path / "theirs.zip"), tmp_path / "baselines"
+    words = [
+        str(zipped),
+        "random",
+        "--activation",
+        "relu",
+        "--episodes",
+        "5",
+        "--max-steps",
+        "50",
+        "--out",
+        str(out),
+    ]
     assert fly_command(words) == 0
     assert sorted(path.name for path in out.iterdir()) == [
         "random-test-5-50.parquet",
@@ -232,57 +230,40 @@ def test_rows_of_a_policy_of_stable_baselines3_are_kept_greedy_and_sampled(zippe
         policy = uavnav.load_policy(zipped, greedy=mode == "greedy", activation="relu")
         pd.testing.assert_frame_equal(rows, evaluate_policy(policy, episodes=5, max_steps=50))
     printed = capsys.readouterr().out
-    for word in ("theirs on 5 test sets", "greedy", "sampled", "theirs-sampled-test-5-50.parquet"):
+    for word in ("theirs on 5 test layouts", "greedy", "sampled", "theirs-sampled-test-5-50.parquet"):
         assert word in printed, word
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["theirs.zip"], "theirs.zip: its weights do not tell the activation; give --activation, one of elu, "),
-        (["theirs.zip", "--activation", "rleu"], "theirs.zip: unknown activation 'rleu'; choose from elu, "),
-        (
-            ["nowhere.zip", "--activation", "relu"],
-            "nowhere.zip: no such file; give what model.save of PPO or DQN wrote",
-        ),
-        (["random", "--activation", "relu"], "--activation relu: runs know their own; give it with a .zip"),
-        (
-            ["theirs.zip", "other/theirs.zip", "--activation", "relu", "--out", "rows"],
-            "--out rows: two zips of one name would share a file; rename one",
-        ),
-    ],
-)
-def test_a_zip_that_cannot_be_flown_is_one_line_and_no_rows(zipped, monkeypatch, capsys, words, line):
-    monkeypatch.chdir(zipped.parent)
-    assert fly_command(words) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(f"uavnav evaluate: {line}")
-    assert err.count("\n") == 1
-    assert [path.name for path in zipped.parent.iterdir()] == ["theirs.zip"]
 
 
 @pytest.mark.usefixtures("warm")
 def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_ends_with_0(run):
-    command = [sys.executable, "-m", "uavnav", "evaluate", run.path, "reactive", "--episodes", "5", "--max-steps", "50"]
+    command = [
+        sys.executable,
+        "-m",
+        "uavnav",
+        "evaluate",
+        run.path,
+        "reactive",
+        "--episodes",
+        "5",
+        "--max-steps",
+        "50",
+    ]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")
-    for words in (f"{run.algorithm} tanh on 5 test sets", "reactive", "3 seeds", "1 seed", "greedy", "sampled"):
+    for words in (
+        f"{run.algorithm} tanh on 5 test layouts",
+        "reactive",
+        "3 seeds",
+        "1 seed",
+        "greedy",
+        "sampled",
+    ):
         assert words in result.stdout, words
     assert result.stdout.count("reward per episode") == 2
     rows = Run(run.path).evaluation()
     assert rows.groupby(["mode", "seed"]).size().tolist() == [5] * 6
     assert run.behaviour_file().name == "behaviour-test-5-50.parquet"
     assert run.behaviour_file().is_file()
-
-
-def test_the_command_evaluates_nothing_where_one_of_two_runs_is_not_there(run, capsys):
-    assert fly_command([str(run.path), str(run.path.parent / "nowhere"), "--episodes", "2"]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.endswith("nowhere: no such run folder; give a run's folder\n")
-    assert err.count("\n") == 1
-    assert Run(run.path).evaluation() is None
 
 
 @pytest.mark.parametrize(
@@ -297,12 +278,14 @@ def test_the_command_evaluates_nothing_where_one_of_two_runs_is_not_there(run, c
     ],
 )
 def test_a_policy_that_gives_no_actions_is_refused_in_one_line(action):
-    with pytest.raises(ValueError, match=r"a policy chose .*; it must give int64 \[4\] from 0 to 99") as refused:
+    with pytest.raises(
+        ValueError, match=r"a policy chose .*; it must give int64 \[4\] from 0 to 99"
+    ) as refused:
         evaluate_policy(lambda observation, generator: action(len(observation)), episodes=4, max_steps=5)
     assert "\n" not in str(refused.value)
 
 
-# -- protocols --------------------------------------------------------------------------------------------------------
+# -- protocols -----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -311,40 +294,42 @@ def small(tmp_path_factory):
     return ppo.train(config, out=tmp_path_factory.mktemp("protocols") / "run", quiet=True)
 
 
-def test_200_test_sets_and_10000_steps_alone_are_evaluation_parquet():
-    assert files_of("test", 200, 10_000) == ("evaluation.parquet", "behaviour.parquet")
-    assert files_of("test", 100, 10_000)[0] == "evaluation-test-100-10000.parquet"
-    assert files_of("test", 200, 500)[0] == "evaluation-test-200-500.parquet"
-    assert files_of("train", 200, 10_000)[0] == "evaluation-train-200-10000.parquet"
-    assert files_of("validation", 200, 10_000)[1] == "behaviour-validation-200-10000.parquet"
-
-
-def test_banks_of_one_name_and_other_obstacles_have_files_of_their_own(tmp_path):
+def test_layout_files_of_one_name_and_other_obstacles_have_files_of_their_own(tmp_path):
     names = set()
     for folder, seed in (("a", 0), ("b", 0), ("c", 1)):
-        path = tmp_path / folder / "bank.safetensors"
+        path = tmp_path / folder / "own.safetensors"
         layouts.save(layouts.generate(3, 4, seed), path, seed=seed, split="train")
-        names.add(files_of(path, 3, 50)[0])
+        names.add(Protocol(path, 3, 50).file("evaluation"))
     assert len(names) == 2
-    assert all(re.fullmatch(r"evaluation-bank-[0-9a-f]{8}-3-50\.parquet", name) for name in names)
+    assert all(re.fullmatch(r"evaluation-own-[0-9a-f]{8}-3-50\.parquet", name) for name in names)
 
 
-def test_another_number_of_episodes_cap_or_bank_goes_to_its_own_file_and_replaces_no_other(
+def test_another_number_of_episodes_cap_or_split_goes_to_its_own_file_and_replaces_no_other(
     small, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(evaluation, "EPISODES", 4)
-    monkeypatch.setattr(evaluation, "MAX_STEPS", 9)
+    monkeypatch.setattr(Protocol.__new__, "__defaults__", ("test", 4, 9, None, "drone"))
     run = Run(shutil.copytree(small.path, tmp_path / "run"))
-    bank = tmp_path / "own"
-    layouts.save(layouts.generate(5, 4), bank, seed=0, split="train")
-    protocols = [("test", 4, 9), ("test", 3, 9), ("test", 4, 8), ("train", 4, 9), ("validation", 4, 9), (bank, 4, 9)]
+    all_layouts = tmp_path / "own"
+    layouts.save(layouts.generate(5, 4), all_layouts, seed=0, split="train")
+    protocols = [
+        ("test", 4, 9),
+        ("test", 3, 9),
+        ("test", 4, 8),
+        ("train", 4, 9),
+        ("validation", 4, 9),
+        (all_layouts, 4, 9),
+    ]
     written = {}
     for protocol in protocols:
-        layouts_, episodes, cap = protocol
-        rows = evaluate_run(run, episodes, cap, layouts_)
-        path = run.path / files_of(*protocol)[0]
+        layouts_, episodes, limit = protocol
+        rows = evaluate_run(run, episodes, limit, layouts_)
+        path = run.path / Protocol(*protocol).file("evaluation")
         pd.testing.assert_frame_equal(pd.read_parquet(path), rows, check_exact=True)
-        assert pd.read_parquet(path).attrs == {"layouts": str(layouts_), "episodes": episodes, "max_steps": cap}
+        assert pd.read_parquet(path).attrs == {
+            "layouts": str(layouts_),
+            "episodes": episodes,
+            "max_steps": limit,
+        }
         there = contents(run.path)
         assert {name: there[name] for name in written} == written
         written = {name: there[name] for name in there if name.startswith(("evaluation", "behaviour"))}
@@ -354,7 +339,7 @@ def test_another_number_of_episodes_cap_or_bank_goes_to_its_own_file_and_replace
 
 @pytest.mark.parametrize("task", TASK_NAMES)
 def test_the_evaluation_that_is_read_first_is_the_one_that_a_run_has_by_default(task):
-    assert own_evaluation(task) == files_of("test", 200, TASKS[task].cap(10_000))[0]
+    assert usual(task) == Protocol("test", 200, TASKS[task].limit(10_000))
 
 
 def test_an_evaluation_of_another_protocol_is_read_where_there_is_no_evaluation_parquet(small, tmp_path):
@@ -372,12 +357,17 @@ def test_the_command_says_in_which_file_the_rows_of_a_protocol_are(small, tmp_pa
     assert len(pd.read_parquet(path)) == 2 * 3
 
 
-# -- worlds -----------------------------------------------------------------------------------------------------------
+# -- worlds --------------------------------------------------------------------------------------------------
 
 
 def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained_in(tmp_path):
     config = ppo.PPOConfig(
-        total_frames=64, frames_per_batch=64, hidden=[8], compile="off", reward="additive", world={"sensor_arc": 90}
+        total_frames=64,
+        frames_per_batch=64,
+        hidden=[8],
+        compile="off",
+        reward="additive",
+        world={"sensor_arc": 90},
     )
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     rows = evaluate_run(run, episodes=6, max_steps=40)
@@ -387,7 +377,10 @@ def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained
     own = evaluate_policy(policy, episodes=6, max_steps=40)
     pd.testing.assert_frame_equal(greedy, own, check_exact=True)
     pd.testing.assert_frame_equal(
-        own, evaluate_policy(policy, episodes=6, max_steps=40, world=uavnav.World(sensor_arc=90), reward="additive")
+        own,
+        evaluate_policy(
+            policy, episodes=6, max_steps=40, world=uavnav.World(sensor_arc=90), reward="additive"
+        ),
     )
     other = evaluate_policy(policy, episodes=6, max_steps=40, reward="initial")
     assert (other.reward >= own.reward).all()
@@ -411,8 +404,10 @@ def test_a_run_is_evaluated_in_the_world_and_with_the_reward_that_it_was_trained
         ({}, {"faults": "noise=5"}, False),
     ],
 )
-def test_the_papers_column_stands_beside_runs_and_flights_of_its_place_alone(trained_in, flown_in, beside):
-    run = types.SimpleNamespace(algorithm="ppo", config={"activation": "tanh", "layouts": "train"} | trained_in)
+def test_the_papers_column_stands_beside_runs_and_episodes_of_its_place_alone(trained_in, flown_in, beside):
+    run = types.SimpleNamespace(
+        algorithm="ppo", config={"activation": "tanh", "layouts": "train"} | trained_in
+    )
     assert (summary.of_paper(run, flown_in) == TABLES["ppo", "tanh"]) == beside
     assert bool(summary.of_paper(run, flown_in)) == beside
 

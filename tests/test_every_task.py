@@ -16,7 +16,7 @@ from uavnav.algorithms import ppo
 from uavnav.evaluation import verify
 from uavnav.evaluation.summary import of_evaluation, of_run
 from uavnav.tasks import layouts
-from uavnav.tasks.simulator import TASKS
+from uavnav.tasks.table import TASKS
 
 FIELDS = {
     "moving": {"speed_max": 3.0, "sense_velocity": True},
@@ -29,7 +29,13 @@ pytestmark = pytest.mark.parametrize("task", TASKS)
 
 
 def test_a_run_of_two_seeds_stopped_and_resumed_ends_the_same_is_evaluated_and_verified(task, tmp_path):
-    given = {"task": task, "world": FIELDS.get(task, {}), "layouts": "validation", "n_seeds": 2, "max_steps": 9}
+    given = {
+        "task": task,
+        "world": FIELDS.get(task, {}),
+        "layouts": "validation",
+        "n_seeds": 2,
+        "max_steps": 9,
+    }
     config = ppo.PPOConfig(**given, total_frames=128, n_envs=2, frames_per_batch=64, hidden=(8,), epochs=1)
     with pytest.raises(uavnav.RunError):
         ppo.train(config, out=tmp_path / "run", quiet=True, until=64)
@@ -38,9 +44,13 @@ def test_a_run_of_two_seeds_stopped_and_resumed_ends_the_same_is_evaluated_and_v
     with safe_open(run.path / "policy.safetensors", framework="pt") as file:
         header = json.loads(file.metadata()["uavnav"])
     assert (header["task"], header["world"]) == (task, vars(config.world))
-    assert header["bank"] == run.meta["bank"]["sha256"] == layouts.read("validation", config.world)[1]["sha256"]
+    assert (
+        header["layouts"]
+        == run.meta["layouts"]["sha256"]
+        == layouts.read("validation", config.world)[1]["sha256"]
+    )
     found = load_policy(run.path).task
-    assert (type(found), found.world) == (TASKS[task], config.world)
+    assert (type(found.task), found.world) == (TASKS[task], config.world)
     rows = evaluation.evaluate_run(run, episodes=3, max_steps=40, quiet=True)
     assert len(rows) == 12
     titles = [column.header for table in (of_run(run), of_evaluation(rows, run)) for column in table.columns]

@@ -29,7 +29,7 @@ def shown():
 
 
 def words(command):
-    """A shown command, with few frames and flights, as it is run in another folder."""
+    """A shown command, with few frames and episodes, as it is run in another folder."""
     return [sys.executable, "-m", *command, *FEWER.get(command[1], [])]
 
 

@@ -6,9 +6,11 @@ import pytest
 import torch
 
 from uavnav import World
-from uavnav.tasks.faults import NO_FAULTS, RUNGS, Faults, from_words, rung
+from uavnav.tasks.faults import NO_FAULTS, RUNGS, Faults, from_words
+from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.seeding import stream
-from uavnav.tasks.simulator import TASKS, Task, make_task
+from uavnav.tasks.table import TASKS, make_task
+from uavnav.tasks.task import Task
 
 
 @pytest.mark.parametrize(
@@ -58,11 +60,11 @@ def test_words_of_a_command_become_faults_and_back():
 @pytest.mark.parametrize("name", RUNGS)
 def test_each_rung_of_a_ladder_changes_one_fault_and_the_first_is_none(name):
     task = make_task("test", World(sensor_arc=90), stack=2)
-    climbed = [rung(task, name, value) for value in RUNGS[name]]
+    climbed = [LADDERS[name].task(task, value, "test") for value in RUNGS[name]]
     assert [getattr(one.faults, name) for one in climbed] == list(RUNGS[name])
     assert climbed[0].faults == NO_FAULTS
-    assert {(type(one), one.world, one.stack) for one in climbed} == {(Task, task.world, 2)}
-    both = rung(rung(task, "noise", 5), name, RUNGS[name][-1])
+    assert {(type(one.task), one.world, one.stack) for one in climbed} == {(Task, task.world, 2)}
+    both = LADDERS[name].task(LADDERS["noise"].task(task, 5, "test"), RUNGS[name][-1], "test")
     assert both.faults == Faults(noise=5).replace(**{name: RUNGS[name][-1]})
 
 
@@ -76,9 +78,11 @@ VELOCITIES = [(task, {"sense_velocity": True}) for task in ("moving", "space-mov
 def test_what_is_truly_there_and_then_disturbed_is_what_is_sensed(task, world):
     faulty = make_task("train", task=task, world=world, faults={"noise": 20.0, "lost": 0.3})
     layout = torch.arange(200)
-    place = faulty.place(layout, torch.full_like(layout, 90))
+    up = torch.full_like(layout, 90)
+    place = faulty.task.start(layout, up)
     draws = faulty.draw(200, stream(0, "draws"))
-    kept = faulty.remember(place, draws, *faulty.truly(place))
-    for mine, wanted in zip(kept, faulty.start(layout, place.heading, draws), strict=True):
+    first, _ = faulty.sense(place)
+    kept = faulty.start(layout.flip(0), up, draws, *first)
+    for mine, wanted in zip(kept, faulty.start(layout.flip(0), up, draws), strict=True):
         assert torch.equal(mine, wanted)
-    assert not torch.equal(kept.seen, faulty.remember(place).seen)
+    assert not torch.equal(kept.seen, faulty.remember(kept).seen)

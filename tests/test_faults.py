@@ -1,6 +1,7 @@
-"""Faults and stacks: a slow loop over whole episodes, closed forms, streams, and that nothing else changes."""
+"""Faults and stacks: a slow loop over whole episodes, closed forms, streams, and that nothing else
+changes.
+"""
 
-import dataclasses
 import math
 
 import oracle
@@ -10,12 +11,10 @@ from slow_episodes import slow_episodes, take_over
 
 from uavnav import DroneEnv
 from uavnav.envs import scalar
-from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
 from uavnav.tasks.baselines import reactive
-from uavnav.tasks.faults import NAMES, rung
+from uavnav.tasks.faults import NAMES
 from uavnav.tasks.seeding import stream
-from uavnav.tasks.simulator import TASKS, make_task
-from uavnav.tasks.state import State
+from uavnav.tasks.table import TASKS, make_task
 
 ALL = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
 SWITCHES = {
@@ -28,14 +27,16 @@ SWITCHES = {
 }
 
 
-# -- a slow loop -----------------------------------------------------------------------------------------------------
+# -- a slow loop ---------------------------------------------------------------------------------------------
 
 
 class SlowDrone:
-    """One drone with faults, in float64 and plain Python: what it senses goes into a list, the newest last."""
+    """One drone with faults, in float64 and plain Python: what it senses goes into a list, the newest
+    last.
+    """
 
-    def __init__(self, flight, task, draws):
-        self.flight, self.task = flight, task
+    def __init__(self, episode, task, draws):
+        self.episode, self.task = episode, task
         self.begin(draws)
 
     def begin(self, draws):
@@ -49,11 +50,13 @@ class SlowDrone:
             lost = faults.lost and draws["lost"][nth] < faults.lost
             return None if lost else distance + (faults.noise * draws["noise"][nth] if faults.noise else 0)
 
-        self.seen.append(sum(self.flight.sensed(hear), ()))
-        self.doubts.append(self.flight.doubtful())
+        self.seen.append(sum(self.episode.sensed(hear), ()))
+        self.doubts.append(self.episode.doubtful())
 
     def executed(self, action, draws):
-        sticks = self.last is not None and self.task.faults.sticky and draws["sticky"] < self.task.faults.sticky
+        sticks = (
+            self.last is not None and self.task.faults.sticky and draws["sticky"] < self.task.faults.sticky
+        )
         self.last = self.last if sticks else action
         return self.last
 
@@ -82,10 +85,12 @@ def drawn(generator, faults, rows):
 @pytest.mark.parametrize("name", TASKS)
 @pytest.mark.parametrize("switch", SWITCHES)
 def test_a_slow_loop_sees_and_earns_the_same_in_1056_poses_of_whole_episodes(switch, name):
-    """Each of 6 switches in 5 worlds: 22 rows of 2 seeds for 48 steps; the draws come from the streams of each seed."""
+    """Each of 6 switches in 5 worlds: 22 rows of 2 seeds for 48 steps; the draws come from the streams of
+    each seed.
+    """
     world = SWITCHES[switch].get("world", {}) | ({"sense_velocity": True} if "moving" in name else {})
-    bank = make_task("test", task=name).bank[:40]
-    env = DroneEnv([2, 11], layouts=bank, seeds=[3, 8], task=name, **SWITCHES[switch] | {"world": world})
+    layouts = make_task("test", task=name).layouts[:40]
+    env = DroneEnv([2, 11], layouts=layouts, seeds=[3, 8], task=name, **SWITCHES[switch] | {"world": world})
     task = env.task
     streams = {name: [stream(seed, name) for seed in (3, 8)] for name in ("first_faults", "faults")}
 
@@ -93,8 +98,10 @@ def test_a_slow_loop_sees_and_earns_the_same_in_1056_poses_of_whole_episodes(swi
         return [one for generator in streams[name] for one in drawn(generator, task.faults, 11)]
 
     root, first = env.reset(), draw("first_faults")
-    flights = slow_episodes(task, *(part.flatten().tolist() for part in (env.state.layout, env.state.heading)))
-    drones = [SlowDrone(flight, task, own) for flight, own in zip(flights, first, strict=True)]
+    episodes = slow_episodes(
+        task, *(part.flatten().tolist() for part in (env.state.layout, env.state.heading))
+    )
+    drones = [SlowDrone(episode, task, own) for episode, own in zip(episodes, first, strict=True)]
     generator, ended, doubtful = torch.Generator().manual_seed(1), 0, 0
 
     def compare(observation):
@@ -107,43 +114,47 @@ def test_a_slow_loop_sees_and_earns_the_same_in_1056_poses_of_whole_episodes(swi
         actions = torch.randint(100, (2, 11), generator=generator)
         step, root = env.step_and_maybe_reset(root.set("action", actions))
         later, first = draw("faults"), draw("first_faults")
-        after, now = step["next"].flatten(), type(env.state)(*(part.flatten(0, 1).tolist() for part in env.state))
+        after, now = (
+            step["next"].flatten(),
+            type(env.state)(*(part.flatten(0, 1).tolist() for part in env.state)),
+        )
         for drone, action, own in zip(drones, actions.flatten().tolist(), later, strict=True):
-            drone.flight.step(drone.executed(action, own))
+            drone.episode.step(drone.executed(action, own))
             drone.sense(own)
         for name in ("steps", "stops", "turns", "distance"):
-            assert after["episode", name].tolist() == [getattr(flight, name) for flight in flights]
+            assert after["episode", name].tolist() == [getattr(episode, name) for episode in episodes]
         for name in ("terminated", "truncated"):
-            assert after[name].flatten().tolist() == [getattr(flight, name) for flight in flights]
-        assert after["reward"].flatten().tolist() == pytest.approx([one.reward for one in flights], abs=2e-6)
+            assert after[name].flatten().tolist() == [getattr(episode, name) for episode in episodes]
+        assert after["reward"].flatten().tolist() == pytest.approx([one.reward for one in episodes], abs=2e-6)
         doubtful += compare(step["next", "observation"])
-        for row, (flight, drone) in enumerate(zip(flights, drones, strict=True)):
-            if flight.terminated or flight.truncated:
+        for row, (episode, drone) in enumerate(zip(episodes, drones, strict=True)):
+            if episode.terminated or episode.truncated:
                 ended += 1
-                flight.begin(flight.layout + 1, now.heading[row])
+                episode.begin(episode.layout + 1, now.heading[row])
                 drone.begin(first[row])
             else:
-                take_over(flight, now, row)
+                take_over(episode, now, row)
         compare(root["observation"])
     assert ended >= 4
     assert doubtful < 50
 
 
-# -- closed forms ----------------------------------------------------------------------------------------------------
+# -- closed forms --------------------------------------------------------------------------------------------
 
 
 def in_a_corner(n, heading=225, **how):
     """n rows at the same pose, where all ten slots are filled, and the draws of as many."""
     task = make_task("test", **how)
-    state = task.place(torch.zeros(n, dtype=torch.int64), torch.full((n,), heading))
+    state = task.task.start(torch.zeros(n, dtype=torch.int64), torch.full((n,), heading))
     state = state._replace(x=torch.full((n,), 80.0), y=torch.full((n,), 85.0))
     return task, state, task.draw(n, torch.Generator().manual_seed(0))
 
 
 def test_of_100_000_echoes_a_share_of_p_is_lost_and_the_others_stay_where_they_are():
     task, state, draws = in_a_corner(10_000, faults={"lost": 0.2})
-    true, clearance = task.sense(state)
-    sensed, same_clearance = task.sense(state, draws)
+    true, clearance = task.task.observe(state)
+    memory = task.remember(state, draws)
+    sensed, same_clearance = memory.seen[:, 0], task.observe(memory)[1]
     true, sensed = true.unflatten(-1, (10, 3)), sensed.unflatten(-1, (10, 3))
     empty = (sensed == torch.tensor([0.0, 0.0, 1.0])).all(-1)
     assert not (true == torch.tensor([0.0, 0.0, 1.0])).all(-1).any()
@@ -155,7 +166,10 @@ def test_of_100_000_echoes_a_share_of_p_is_lost_and_the_others_stay_where_they_a
 
 def test_the_noise_of_100_000_echoes_has_mean_0_and_the_standard_deviation_asked_for():
     task, state, draws = in_a_corner(10_000, faults={"noise": 2.0})
-    true, sensed = (one.unflatten(-1, (10, 3)) for one in (task.sense(state)[0], task.sense(state, draws)[0]))
+    true, sensed = (
+        one.unflatten(-1, (10, 3))
+        for one in (task.task.observe(state)[0], task.remember(state, draws).seen[:, 0])
+    )
     assert torch.equal(true[..., :2], sensed[..., :2])
     error = (sensed - true)[..., 2] * 90  # [px], of slots that no clamp touches
     error = error[(true[..., 2] > 0.15) & (true[..., 2] < 0.85)]
@@ -167,19 +181,21 @@ def test_the_noise_of_100_000_echoes_has_mean_0_and_the_standard_deviation_asked
 def test_a_slot_at_the_sensors_reach_is_clamped_after_the_noise_and_stays_in_view():
     task, state, _ = in_a_corner(2, faults={"noise": 20.0})
     shifts = torch.tensor([[100.0] * 10, [-100.0] * 10])
-    sensed = task.sense(state, shifts)[0].unflatten(-1, (10, 3))
+    sensed = task.remember(state, shifts).seen[:, 0].unflatten(-1, (10, 3))
     assert torch.equal(sensed[0, :, 2], torch.ones(10))
     assert torch.equal(sensed[1, :, 2], torch.zeros(10))
-    assert torch.equal(sensed[..., :2], task.sense(state)[0].unflatten(-1, (10, 3))[..., :2])
+    assert torch.equal(sensed[..., :2], task.task.observe(state)[0].unflatten(-1, (10, 3))[..., :2])
 
 
 def test_among_moving_obstacles_noise_leaves_velocities_and_a_lost_slot_has_none():
-    task = make_task("test", {"sense_velocity": True}, task="moving", stack=2, faults={"noise": 4.0, "lost": 0.3})
+    task = make_task(
+        "test", {"sense_velocity": True}, task="moving", stack=2, faults={"noise": 4.0, "lost": 0.3}
+    )
     n = 400
     draws = [task.draw(n, torch.Generator().manual_seed(nth)) for nth in range(2)]
     state = task.start(torch.arange(n), torch.full((n,), 90), draws[0])
     state, outcome = task.step(state, torch.full((n,), 9), draws[1])
-    true = task.sense(state)[0].unflatten(-1, (10, 5))
+    true = task.task.observe(state)[0].unflatten(-1, (10, 5))
     seen = outcome.observation[:, :50].unflatten(-1, (10, 5))
     filled = true[..., 2] < 1
     lost = filled & (draws[1][:, 10:] < 0.3)
@@ -195,7 +211,9 @@ def test_among_moving_obstacles_noise_leaves_velocities_and_a_lost_slot_has_none
 
 
 def flown(task, actions, draws=None):
-    """Observations of all steps of a batch, the first included: [T + 1, B, n]; actions [T, B], draws [T + 1, B, n]."""
+    """Observations of all steps of a batch, the first included: [T + 1, B, n]; actions [T, B], draws [T +
+    1, B, n].
+    """
     given = [None] * (len(actions) + 1) if draws is None else draws
     n = actions.shape[1]
     state = task.start(torch.arange(n), torch.full((n,), 90), given[0])
@@ -214,7 +232,7 @@ def test_late_by_n_steps_shifts_observations_by_n_exactly_with_the_noise_they_we
     prompt = make_task("test", faults={"noise": noise})
     draws = torch.randn(21, 6, prompt.n_draws, generator=torch.Generator().manual_seed(1))
     now = flown(prompt, actions, draws)
-    then = flown(rung(prompt, "late", late), actions, draws)
+    then = flown(prompt.replace(faults=prompt.faults.replace(late=late)), actions, draws)
     assert torch.equal(then[late:], now[:-late])
     assert torch.equal(then[:late], now[:1].expand(late, -1, -1))
     assert not torch.equal(now[1:], now[:-1])
@@ -224,7 +242,7 @@ def test_late_by_n_steps_shifts_observations_by_n_exactly_with_the_noise_they_we
 def test_a_stack_of_4_is_the_newest_4_observations_the_newest_first_and_begins_with_the_first_4_times(late):
     actions = torch.randint(100, (12, 5), generator=torch.Generator().manual_seed(0))
     single = make_task("test", faults={"late": late})
-    one, four = flown(single, actions), flown(dataclasses.replace(single, stack=4), actions)
+    one, four = flown(single, actions), flown(single.replace(stack=4), actions)
     assert four.shape == (13, 5, 120)
     for step in range(13):
         expected = torch.cat([one[max(step - back, 0)] for back in range(4)], -1)
@@ -249,8 +267,12 @@ def test_of_40_000_steps_a_share_of_p_repeats_the_last_executed_action_and_never
         turn, distance = zip(*map(oracle.decode, state.executed.tolist()), strict=True)
         assert torch.equal(state.distance - before.distance, torch.tensor(distance))
         assert torch.equal((state.heading - before.heading) % 360, torch.tensor(turn) % 360)
-        earned = [oracle.reward(*one) for one in zip(turn, distance, outcome.terminated.tolist(), strict=True)]
-        torch.testing.assert_close(outcome.reward, torch.tensor(earned, dtype=torch.float64), rtol=0, atol=1e-12)
+        earned = [
+            oracle.reward(*one) for one in zip(turn, distance, outcome.terminated.tolist(), strict=True)
+        ]
+        torch.testing.assert_close(
+            outcome.reward, torch.tensor(earned, dtype=torch.float64), rtol=0, atol=1e-12
+        )
         last = state.executed
     assert abs(repeated / 40_000 - 0.25) < 4 * math.sqrt(0.25 * 0.75 / 40_000)
 
@@ -270,115 +292,21 @@ def test_faults_of_0_and_1_are_nothing_and_certain():
     assert torch.equal(flown(nothing, actions), plain)
 
 
-# -- rows, seeds, streams --------------------------------------------------------------------------------------------
+# -- rows, seeds, streams ------------------------------------------------------------------------------------
 
 
-def rolled(env, steps, seed=0):
-    """Observations and rewards of random flights through several episodes."""
-    root, found, generator = env.root(), [], torch.Generator().manual_seed(seed)
-    for _ in range(steps):
-        action = torch.randint(100, env.batch_size, generator=generator)
-        step, root = env.step_and_maybe_reset(root.set("action", action))
-        found.append(torch.cat([root["observation"], step["next", "observation"], step["next", "reward"]], -1))
-    return torch.stack(found)
-
-
-def test_rows_do_not_see_each_other():
-    task = make_task("test", stack=2, faults=ALL)
-    generator = torch.Generator().manual_seed(0)
-    draws = torch.rand(30, 5, task.n_draws, generator=generator)
-    actions = torch.randint(100, (29, 5), generator=generator)
-    other_draws, other_actions = draws.clone(), actions.clone()
-    other_draws[:, 2], other_actions[:, 2] = 0.9, 17
-    one, other = flown(task, actions, draws), flown(task, other_actions, other_draws)
-    rest = [0, 1, 3, 4]
-    assert torch.equal(one[:, rest], other[:, rest])
-    assert not torch.equal(one[:, 2], other[:, 2])
-
-
-def test_a_seed_flies_among_others_as_alone_and_another_seed_has_another_noise():
-    how = {"layouts": "test", "faults": ALL, "stack": 2}
-    among = DroneEnv([3, 4], seeds=[5, 6, 7], **how)
-    alone = DroneEnv([1, 4], seeds=[6], **how)
-    root, own, generator = among.reset(), alone.reset(), torch.Generator().manual_seed(0)
-    for _ in range(80):
-        action = torch.randint(100, (3, 4), generator=generator)
-        assert torch.equal(root["observation"][1], own["observation"][0])
-        _, root = among.step_and_maybe_reset(root.set("action", action))
-        _, own = alone.step_and_maybe_reset(own.set("action", action[1:2]))
+def test_another_seed_has_another_noise():
     here = {"layouts": torch.tensor([[[400.0, 420.0, 50.0]]]), "faults": {"noise": 5.0}}
     first = [DroneEnv([1], seeds=seed, **here).reset()["observation"] for seed in (0, 0, 1)]
     assert torch.equal(first[0], first[1])
     assert not torch.equal(first[0], first[2])
 
 
-def test_an_environment_goes_on_from_its_state_bit_for_bit():
-    env = DroneEnv([2, 3], layouts="test", seeds=[0, 1], stack=3, faults=ALL, max_steps=30)
-    rolled(env, 40)
-    kept = env.state_dict()
-    assert set(kept) == {"state", "observation", "headings", "first_faults", "faults"}
-    assert set(kept["state"]) == {*State._fields, "seen", "executed"}
-    rest = rolled(env, 40, seed=9)
-    again = DroneEnv([2, 3], layouts="test", seeds=[0, 1], stack=3, faults=ALL, max_steps=30)
-    again.load_state_dict(kept)
-    assert torch.equal(rolled(again, 40, seed=9), rest)
-    without = {name: kept[name] for name in ("state", "observation", "headings")}
-    again.load_state_dict(without | {"first_faults": kept["faults"], "faults": kept["first_faults"]})
-    assert not torch.equal(rolled(again, 40, seed=9), rest)  # the streams do matter
-
-
-def test_without_faults_and_stack_an_environment_keeps_what_it_always_kept_and_draws_nothing():
-    env = DroneEnv([2, 3], layouts="test", seeds=[0, 1])
-    assert set(env.state_dict()) == {"state", "observation", "headings"}
-    assert type(env.state) is State
-    assert set(env.state_dict()["state"]) == set(State._fields)
-    assert env.task.n_draws == 0
-    assert env.task.draw(4, torch.Generator()).shape == (4, 0)
-
-
-# -- shells ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "how", [{"faults": ALL}, {"stack": 4}, {"faults": ALL, "stack": 2}], ids=["faults", "stack", "both"]
-)
-def test_one_drone_of_gymnasium_flies_120_steps_as_a_batch_of_one_bit_for_bit(how):
-    single, vector = DroneGymEnv("test", **how), DroneVectorEnv(1, "test", **how)
-    size = 30 * how.get("stack", 1)
-    assert single.observation_space.shape == vector.single_observation_space.shape == (size,)
-    alone, (seen, _) = single.reset(seed=4)[0], vector.reset(seed=4)
-    generator = torch.Generator().manual_seed(0)
-    for action in torch.randint(100, (120,), generator=generator).tolist():
-        assert (alone == seen[0]).all()
-        assert single.observation_space.contains(alone)
-        alone, earned, *over, _ = single.step(action)
-        seen, reward, *flags, info = vector.step(torch.tensor([action]).numpy())
-        assert (earned, over) == (reward[0], [flag[0] for flag in flags])
-        if any(over):
-            assert (alone == info["final_obs"][0]).all()
-            alone, _ = single.reset()
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_every_task_of_the_table_flies_with_a_stack_and_all_faults_and_goes_on_from_its_state(task):
-    how = {"layouts": "test", "task": task, "stack": 2, "faults": ALL, "max_steps": 15}
-    env, again = DroneEnv([2, 2], seeds=[0, 1], **how), DroneEnv([2, 2], seeds=[0, 1], **how)
-    size = 2 * env.world.observation_size
-    assert env.observation_spec["observation"].shape == (2, 2, size)
-    rolled(env, 20)
-    again.load_state_dict(env.state_dict())
-    rest = rolled(env, 20, seed=5)
-    assert rest.shape[-1] == 2 * size + 1
-    assert torch.equal(rolled(again, 20, seed=5), rest)
-    assert env.observation_spec.is_in(env.root().select("observation", "episode"))
-    single = DroneGymEnv(**how)
-    alone, _ = single.reset(seed=0)
-    assert single.observation_space.contains(alone)
-    assert single.observation_space.contains(single.step(9)[0])
+# -- shells --------------------------------------------------------------------------------------------------
 
 
 def test_the_scalar_core_hands_faults_and_stacks_to_a_batch_of_one():
-    assert type(scalar.fly(make_task("test"))) is scalar.Flight
+    assert type(scalar.fly(make_task("test"))) is scalar.Episode
     for how in ({"stack": 2}, {"faults": {"sticky": 0.1}}, {"faults": {"late": 1}}):
         assert type(scalar.fly(make_task("test", **how))) is scalar.BatchOfOne
 

@@ -1,5 +1,8 @@
-"""Faults and stacks in runs: trained with, kept, resumed, flown, shown; and what older runs and policies are."""
+"""Faults and stacks in runs: trained with, kept, resumed, flown, shown; and what older runs and policies
+are.
+"""
 
+import functools
 import json
 
 import pandas as pd
@@ -11,25 +14,35 @@ from safetensors.torch import load_file, save_file
 
 from uavnav import ConfigError, Run, evaluation, load_policy
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
-from uavnav.cli.evaluate import main as fly_command
-from uavnav.evaluation import episodes, evaluate_policy, evaluate_run, files_of, header, on
+from uavnav.cli import commands
+from uavnav.evaluation import episodes, evaluate_policy, evaluate_run, on
 from uavnav.networks import mlp
-from uavnav.report import behaviour, cells, replays
+from uavnav.report import behaviour, configurations
 from uavnav.runs.export import export_policy
 from uavnav.runs.policies import Policy
 from uavnav.tasks import layouts
 from uavnav.tasks.baselines import straight_ahead, uniform_random
 from uavnav.tasks.faults import NO_FAULTS, Faults
-from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.table import EMPTY, make_task
 from uavnav.training import machine, probes
 from uavnav.training.config import plain
 from uavnav.training.recorder import Interrupted
-from uavnav.views import render
+from uavnav.views import render, replays
 from uavnav.views.render import Pilot
 from uavnav.views.window import game as rules
 
+fly_command = functools.partial(commands.run, "evaluate")
+
 ALL = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
-HOW = {"stack": 2, "faults": ALL, "hidden": (8,), "n_seeds": 2, "n_envs": 4, "compile": "off", "max_steps": 40}
+HOW = {
+    "stack": 2,
+    "faults": ALL,
+    "hidden": (8,),
+    "n_seeds": 2,
+    "n_envs": 4,
+    "compile": "off",
+    "max_steps": 40,
+}
 CONFIGS = {
     "ppo": ppo.PPOConfig(total_frames=512, frames_per_batch=128, minibatch_size=64, epochs=1, **HOW),
     "dqn": dqn.DQNConfig(total_frames=512, learning_starts=64, frames_per_update=16, buffer_size=128, **HOW),
@@ -64,7 +77,9 @@ def test_a_run_with_faults_and_a_stack_resumes_bit_for_bit_and_its_policy_knows_
     assert len(whole.episodes) > 8
 
 
-def test_one_training_is_flown_exported_and_replayed_and_its_evaluations_with_other_faults_lie_apart(tmp_path):
+def test_one_training_is_flown_exported_and_replayed_and_its_evaluations_with_other_faults_lie_apart(
+    tmp_path,
+):
     run = ppo.train(CONFIGS["ppo"], out=tmp_path / "run", quiet=True)
     rows = evaluate_run(run, 12, 30, quiet=True)
     plain_rows = evaluate_run(run, 12, 30, quiet=True, faults=NO_FAULTS)
@@ -84,22 +99,13 @@ def test_one_training_is_flown_exported_and_replayed_and_its_evaluations_with_ot
         rows[(rows["mode"] == "greedy") & (rows["seed"] == 0)].drop(columns="mode").reset_index(drop=True),
     )
     assert export_policy(policy, tmp_path / "policy.pt2").exists()
-    settings = cells.read(run.path).settings
+    settings = configurations.read(run.path).settings
     assert (settings["stack"], settings["faults.noise"], settings["faults.late"]) == (2, 5.0, 2)
 
 
-def test_files_and_headers_of_an_evaluation_name_its_faults_and_the_protocol_itself_stays_as_it_was():
-    assert files_of("test", 200, 10_000)[0] == "evaluation.parquet"
-    assert files_of("test", 200, 10_000, NO_FAULTS)[0] == "evaluation-test-200-10000-none.parquet"
-    assert files_of("test", 200, 10_000, Faults(noise=5, lost=0.05)) == (
-        "evaluation-test-200-10000-noise=5,lost=0.05.parquet",
-        "behaviour-test-200-10000-noise=5,lost=0.05.parquet",
-    )
-    assert header("test", 9, 8) == {"layouts": "test", "episodes": 9, "max_steps": 8}
-    assert header("test", 9, 8, Faults(late=2))["faults"] == "late=2"
-
-
-@pytest.mark.parametrize(("words", "says"), [("nois=5", "did you mean noise?"), ("lost=2", "at least 0 and at most 1")])
+@pytest.mark.parametrize(
+    ("words", "says"), [("nois=5", "did you mean noise?"), ("lost=2", "at least 0 and at most 1")]
+)
 def test_evaluate_refuses_wrong_faults_in_one_line(words, says, capsys):
     assert fly_command(["random", "--faults", words]) == 2
     said = capsys.readouterr().err
@@ -115,7 +121,7 @@ def test_evaluate_flies_a_baseline_with_faults(capsys):
     assert capsys.readouterr().out.count('"run": "random"') == 2
 
 
-# -- flights ---------------------------------------------------------------------------------------------------------
+# -- episodes ------------------------------------------------------------------------------------------------
 
 
 def untrained(task, greedy=True, seed=5):
@@ -134,11 +140,15 @@ def test_a_flyer_with_faults_flies_among_others_as_alone_and_its_film_is_its_row
     film = render.fly(Pilot("own", policies[6], own, 6), layouts.load("test")[:20], 7, 60)
     row = alone[alone["layout"] == 7].iloc[0]
     last = film.states[-1]
-    assert (int(last.steps), int(last.distance), float(last.reward)) == (row["steps"], row["distance"], row["reward"])
+    assert (int(last.steps), int(last.distance), float(last.reward)) == (
+        row["steps"],
+        row["distance"],
+        row["reward"],
+    )
     assert (film.ended == "collided") == row["terminated"]
 
 
-def test_draws_of_a_flight_depend_on_its_seed_its_set_and_the_step_and_not_on_who_has_ended():
+def test_draws_of_an_episode_depend_on_its_seed_its_set_and_the_step_and_not_on_who_has_ended():
     task = on(make_task(EMPTY, faults={"sticky": 0.5}), "test", 30, 50)
     rows = evaluation.fly({3: uniform_random}, task).behaviour
     first = on(task, "test", 30, 50)
@@ -153,12 +163,12 @@ def test_draws_of_a_flight_depend_on_its_seed_its_set_and_the_step_and_not_on_wh
 
 
 def test_a_compiled_step_takes_the_same_draws_as_a_step_that_is_not_compiled(monkeypatch):
-    """Flights that have ended keep their places in the batch of a graph; here the graph is left out."""
+    """Episodes that have ended keep their places in the batch of a graph; here the graph is left out."""
     own = make_task(EMPTY, stack=2, faults=ALL)
     task, policies = on(own, "test", 40, 60), {seed: untrained(own, seed=seed) for seed in (5, 6)}
     eager = evaluation.fly(policies, task)
     monkeypatch.setattr(machine, "EAGER_STEPS", 9)
-    monkeypatch.setattr(machine, "flights", lambda max_steps: True)
+    monkeypatch.setattr(machine, "episodes", lambda max_steps: True)
     monkeypatch.setattr(episodes.graph, "Graph", lambda function: function)
     episodes._graph.cache_clear()
     padded = evaluation.fly(policies, task)
@@ -172,16 +182,16 @@ def test_behaviour_keeps_executed_actions_which_lead_where_the_drone_was():
     task = on(own, "test", 5, 40)
     flown = evaluation.fly({3: uniform_random}, task)
     table = flown.behaviour.assign(mode="sampled")
-    traced = behaviour.retrace(table, task.bank, episodes.headings(task, 5), task.world)
+    traced = behaviour.retrace(table, task.layouts, episodes.headings(task, 5), task.world)
     ends = traced.groupby("layout").last()
     states = {}
     for step in episodes.steps([(3, uniform_random)], task):
-        for nth, flight in enumerate(step.episode.tolist()):
-            states[flight] = float(step.state.x[nth]), float(step.state.y[nth])
+        for nth, episode in enumerate(step.episode.tolist()):
+            states[episode] = float(step.state.x[nth]), float(step.state.y[nth])
     assert {layout: (row.x, row.y) for layout, row in ends.iterrows()} == states
 
 
-def test_greedy_flights_with_a_memory_are_flown_and_not_counted():
+def test_greedy_episodes_with_a_memory_are_flown_and_not_counted():
     policy = untrained(make_task(EMPTY))
     assert evaluation._repeatable(policy, make_task(EMPTY))
     for how in ({"stack": 2}, {"faults": {"late": 1}}, {"faults": {"noise": 1.0}}):
@@ -189,14 +199,19 @@ def test_greedy_flights_with_a_memory_are_flown_and_not_counted():
 
 
 def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch():
-    tasks = [make_task(EMPTY), make_task(EMPTY, stack=2), make_task(EMPTY, faults={"noise": 1.0}), make_task(EMPTY)]
+    tasks = [
+        make_task(EMPTY),
+        make_task(EMPTY, stack=2),
+        make_task(EMPTY, faults={"noise": 1.0}),
+        make_task(EMPTY),
+    ]
     assert episodes.alike([untrained(task) for task in tasks]) == [[0, 3], [1], [2]]
 
 
 def test_a_replay_shows_the_newest_ten_slots_of_a_stack():
     own = make_task(EMPTY, stack=3, faults={"noise": 2.0})
-    ((flight,),) = replays.fly([(0, untrained(own))], layouts.load("test")[:4], 1, 12)
-    assert flight.poses["slots"].shape[1:] == (10, 3)
+    ((episode,),) = replays.fly([(0, untrained(own))], layouts.load("test")[:4], 1, 12)
+    assert episode.poses["slots"].shape[1:] == (10, 3)
 
 
 def test_probes_show_a_pose_as_if_an_episode_began_there_and_without_faults():
@@ -220,7 +235,7 @@ def test_the_window_hands_a_drone_from_pilot_to_pilot_whatever_each_remembers():
     assert not int(rules.reset(game).state.steps)
 
 
-# -- configurations, older files -------------------------------------------------------------------------------------
+# -- configurations, older files -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

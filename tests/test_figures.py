@@ -10,15 +10,15 @@ import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
-from made_up import cell, episodes
+from made_up import configuration, episodes
 from PIL import Image
 
 from uavnav import stats, style
 from uavnav.report import arena, charts, curves, figures
-from uavnav.report.cells import BINS
+from uavnav.report.configurations import BINS
 from uavnav.report.page import _embedded
 from uavnav.runs import paper
-from uavnav.runs.readings import SAMPLED
+from uavnav.runs.definitions import SAMPLED
 from uavnav.tasks.world import World
 
 FRAMES = 1000
@@ -48,15 +48,23 @@ def switches(**values):
     return pd.DataFrame(rows, columns=["switch", "conclusion", "value", "low", "high", "n"])
 
 
-def trained(*seeds, algorithm="ppo", activation="tanh", label=""):
-    """A cell from the rewards per frame of each seed, one episode a bin; the bins after the last are like it."""
+def trained(*seeds, algorithm="ppo", activation="tanh"):
+    """A configuration from the rewards per frame of each seed, one episode a bin; the bins after the last
+    are like it.
+    """
     rows = [
         (seed, (place + 1) * WIDTH, WIDTH, WIDTH * reward)
         for seed, rewards in enumerate(seeds)
         for place, reward in enumerate([*rewards, *rewards[-1:] * (BINS - len(rewards))])
     ]
     made = episodes("seed frame steps reward", *rows)
-    return cell(made, (algorithm, activation), n_seeds=len(seeds), label=label, frames=FRAMES, n_envs=1)
+    return configuration(made, (algorithm, activation), n_seeds=len(seeds), frames=FRAMES, n_envs=1)
+
+
+def drawn(configurations, column="reward", title=""):
+    """Learning curves of configurations by label, with the paper's mean of PPO with tanh."""
+    printed = {"tanh": 88.527 / 2727.577} if column == "reward" else {}
+    return curves.curves(configurations, column, printed, title)
 
 
 def heights(band):
@@ -65,20 +73,22 @@ def heights(band):
     return vertices.min().tolist(), vertices.max().tolist()
 
 
-def flights(*paths, seed=0, mode="greedy"):
-    """Behaviour of one seed, a path of (x, y) a set of obstacles; the last clearance is 20 px: a crash."""
+def own_episodes(*paths, seed=0, mode="greedy"):
+    """Behaviour of one seed, a path of (x, y) a layout; the last clearance is 20 px: a crash."""
     rows = [
         (seed, layout, step + 1, x, y, 90, 20.0 if step == len(path) - 1 else 60.0, 0, mode)
         for layout, path in enumerate(paths)
         for step, (x, y) in enumerate(path)
     ]
-    return pd.DataFrame(rows, columns=["seed", "layout", "step", "x", "y", "heading", "clearance", "action", "mode"])
+    return pd.DataFrame(
+        rows, columns=["seed", "layout", "step", "x", "y", "heading", "clearance", "action", "mode"]
+    )
 
 
 def behaviours_of(names, **measures):
-    """Two seeds a cell, with each measure's two values."""
+    """Two seeds a configuration, with each measure's two values."""
     rows = [
-        {"cell": name, "algorithm": name.split()[0], "activation": name.split()[1], "seed": seed}
+        {"configuration": name, "algorithm": name.split()[0], "activation": name.split()[1], "seed": seed}
         | {measure: values[seed] for measure, values in measures.items()}
         for name in names
         for seed in range(2)
@@ -87,25 +97,25 @@ def behaviours_of(names, **measures):
 
 
 WORLD = World()
-BANK = np.array([[[100.0, 100.0, 50.0], [600.0, 400.0, 80.0]]] * 3)
-PATHS = flights([(400.0, 310.0), (400.0, 320.0)], [(400.0, 330.0)], [(410.0, 300.0)] * 5)
+LAYOUTS = np.array([[[100.0, 100.0, 50.0], [600.0, 400.0, 80.0]]] * 3)
+PATHS = own_episodes([(400.0, 310.0), (400.0, 320.0)], [(400.0, 330.0)], [(410.0, 300.0)] * 5)
 EXAMPLES = {
-    "curves": lambda: curves.curves([trained([1.0, 2.0], [3.0, 4.0])], "reward"),
+    "curves": lambda: drawn({"tanh": trained([1.0, 2.0], [3.0, 4.0])}),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([1.0, 2.0])}, {"PPO tanh": 3.0}, "reward"),
     "behaviours": lambda: charts.behaviours(behaviours_of(["PPO tanh"], clearance=(60.0, 80.0))),
     "survival": lambda: curves.survival({"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0])}, 10),
-    "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS}, BANK, [0, 1], WORLD),
+    "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS}, LAYOUTS, [0, 1], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.full((3, 4), 1 / 12)}, WORLD),
     "sensitivity": lambda: charts.sensitivity(switches(default=5.0)),
 }
 NOTHING = {
-    "curves": lambda: curves.curves([], "reward"),
-    "curves of no episode": lambda: curves.curves([trained([])], "reward"),
+    "curves": lambda: drawn({}),
+    "curves of no episode": lambda: drawn({"tanh": trained([])}),
     "intervals": lambda: charts.intervals({"PPO tanh": np.array([np.nan])}, {}, "reward"),
     "behaviours": lambda: charts.behaviours(behaviours_of(["PPO tanh"], clearance=(np.nan, np.nan))),
     "behaviours of none": lambda: charts.behaviours(pd.DataFrame()),
     "survival": lambda: curves.survival({}, 10),
-    "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS[:0]}, BANK, [0], WORLD),
+    "trajectories": lambda: arena.trajectories({"PPO tanh": PATHS[:0]}, LAYOUTS, [0], WORLD),
     "heat maps": lambda: arena.heat_maps({"PPO tanh": np.zeros((3, 4))}, WORLD),
     "sensitivity": lambda: charts.sensitivity(switches()),
 }
@@ -134,15 +144,21 @@ def scattered():
 def test_a_page_holds_of_a_figure_each_word_mark_and_place_to_a_hundredth_of_a_point(name):
     svg = style.drawing(scattered() if name == "scatter" else EXAMPLES[name]().figure)
     full, short = (ElementTree.fromstring(text) for text in (svg, unquote(_embedded(svg))))
-    words = [[text.strip() for one in tree.iter(f"{SVG}text") for text in one.itertext()] for tree in (full, short)]
+    words = [
+        [text.strip() for one in tree.iter(f"{SVG}text") for text in one.itertext()] for tree in (full, short)
+    ]
     words = [[word for word in of if word] for of in words]
     assert words[0] == words[1]
     for tag in ("path", "use", "text", "image", "clipPath"):
         places = [[places_of(one) for one in tree.iter(f"{SVG}{tag}")] for tree in (full, short)]
         assert [len(one) for one in places[0]] == [len(one) for one in places[1]]
-        np.testing.assert_allclose(np.concatenate(places[1] or [[]]), np.concatenate(places[0] or [[]]), atol=0.01)
+        np.testing.assert_allclose(
+            np.concatenate(places[1] or [[]]), np.concatenate(places[0] or [[]]), atol=0.01
+        )
     assert styles_of_marks(full) == styles_of_marks(short)
-    asked = set(re.findall(r"(?:href='#|url\(#)(\w+)", ElementTree.tostring(short).decode().replace('"', "'")))
+    asked = set(
+        re.findall(r"(?:href='#|url\(#)(\w+)", ElementTree.tostring(short).decode().replace('"', "'"))
+    )
     assert asked
     assert asked <= {one.get("id") for one in short.iter()}
 
@@ -176,8 +192,8 @@ def test_a_figure_of_nothing_says_no_data(name):
 
 
 def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_mean_is_dashed():
-    drawn = curves.curves([trained([0.0, 3.0], [3.0, 3.0], [6.0, 3.0])], "reward")
-    (axes,) = drawn.figure.axes
+    shown = drawn({"tanh": trained([0.0, 3.0], [3.0, 3.0], [6.0, 3.0])}, title="PPO: ")
+    (axes,) = shown.figure.axes
     line, dashed = axes.lines
     assert line.get_ydata().tolist() == pytest.approx([3.0] * BINS)
     assert line.get_xdata().tolist()[:2] == [20.0, 60.0]  # the middles of the first two 25ths of 1,000 frames
@@ -188,8 +204,8 @@ def test_a_curve_is_the_mean_of_3_seeds_within_their_bootstrap_and_the_papers_me
     assert (dashed.get_linestyle(), dashed.get_ydata()) == ("--", [88.527 / 2727.577] * 2)
     assert dashed.get_color() == line.get_color() == style.COLOURS["tanh"]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("frames per seed", "reward per frame")
-    assert {"tanh, n = 3", "tanh 0.0325"} <= set(texts(drawn.figure))
-    assert drawn.alt == (
+    assert {"tanh, n = 3", "tanh 0.0325"} <= set(texts(shown.figure))
+    assert shown.alt == (
         "PPO: reward per frame in training against frames per seed; in the last bin: "
         "tanh 3.00 (95 % interval 3.00 to 3.00; n = 3; the paper's mean 0.0325)."
     )
@@ -213,35 +229,37 @@ def test_a_seed_without_a_value_counts_for_none_in_its_bin():
 
 
 def test_steps_per_collision_are_all_frames_over_all_collisions_so_that_a_seed_without_one_counts():
-    """Seed 0 collides in every 40th frame and seed 1 never: 80 frames a collision, and of seed 1 alone no number."""
+    """Seed 0 collides in every 40th frame and seed 1 never: 80 frames a collision, and of seed 1 alone no
+    number.
+    """
     both = trained([0.0], [0.0])
     both.episodes["terminated"] = both.episodes["seed"] == 0
     line = curves.learning(both, "steps")
     assert line["mean"].tolist() == pytest.approx([80.0] * BINS)
     assert line["low"].tolist() == pytest.approx([40.0] * BINS)  # both draws of seed 0
     assert line["high"].isna().all()  # both of seed 1
-    assert "tanh 80.0" in curves.curves([both], "steps").alt
+    assert "tanh 80.0" in drawn({"tanh": both}, "steps").alt
     never = trained([0.0])
     never.episodes["terminated"] = False
-    assert curves.curves([never], "steps").alt.endswith("in the last bin: tanh no data.")
+    assert drawn({"tanh": never}, "steps").alt.endswith("in the last bin: tanh no data.")
 
 
 def test_one_seed_gives_a_line_and_no_band():
-    drawn = curves.curves([trained([1.0, 2.0])], "reward")
-    (axes,) = drawn.figure.axes
+    shown = drawn({"tanh": trained([1.0, 2.0])})
+    (axes,) = shown.figure.axes
     assert len(axes.collections) == 0
-    assert "tanh 2.00 (n = 1; the paper's mean 0.0325)" in drawn.alt
+    assert "tanh 2.00 (n = 1; the paper's mean 0.0325)" in shown.alt
 
 
-def test_a_cell_without_an_episode_is_said_beside_one_that_has_some():
-    drawn = curves.curves([trained([]), trained([1.0], activation="relu")], "reward")
-    assert "tanh no data; relu 1.00 (n = 1;" in drawn.alt
-    style.save(drawn.figure)
+def test_a_configuration_without_an_episode_is_said_beside_one_that_has_some():
+    shown = drawn({"tanh": trained([]), "relu": trained([1.0])})
+    assert "tanh no data; relu 1.00 (n = 1)" in shown.alt
+    style.save(shown.figure)
 
 
-def test_two_cells_of_one_activation_differ_in_their_lines_and_an_unknown_activation_has_a_colour():
-    cells = [trained([1.0], label="tanh"), trained([2.0], label="tanh (lr=1)"), trained([3.0], activation="mish")]
-    first, dashed, second, third = curves.curves(cells, "reward").figure.axes[0].lines
+def test_two_configurations_of_one_activation_differ_in_their_lines_and_an_unknown_activation_has_a_colour():
+    configurations = {"tanh": trained([1.0]), "tanh (lr=1)": trained([2.0]), "mish": trained([3.0])}
+    first, dashed, second, third = drawn(configurations).figure.axes[0].lines
     assert (first.get_linestyle(), dashed.get_linestyle(), second.get_linestyle()) == ("-", "--", ":")
     assert first.get_color() == second.get_color() != third.get_color()
 
@@ -275,37 +293,44 @@ def test_algorithms_share_a_scale_unless_one_would_take_less_than_a_fifth_of_it(
 def test_nan_seeds_and_a_single_one_have_no_interval_and_do_not_crash():
     rows = {"PPO tanh": np.array([2.0, np.nan]), "PPO relu": np.array([np.nan]), "PPO sigmoid": np.array([])}
     drawn = charts.intervals(rows, {}, "reward")
-    assert drawn.alt == "reward, mean over seeds: PPO tanh 2.00 (n = 1); PPO relu no data; PPO sigmoid no data."
+    assert (
+        drawn.alt == "reward, mean over seeds: PPO tanh 2.00 (n = 1); PPO relu no data; PPO sigmoid no data."
+    )
     assert not any(line.get_linewidth() == 2.4 for line in drawn.figure.axes[0].lines)
 
 
 def test_behaviours_are_a_panel_a_measure_with_its_unit_and_a_row_a_trained():
-    table = behaviours_of(["PPO tanh", "DQN tanh"], clearance=(60.0, 80.0), corridor=(0.25, 0.35), other=(1.0, 1.0))
+    table = behaviours_of(
+        ["PPO tanh", "DQN tanh"], clearance=(60.0, 80.0), corridor=(0.25, 0.35), other=(1.0, 1.0)
+    )
     drawn = charts.behaviours(table)
     shown = [axes for axes in drawn.figure.axes if axes.axison]
     assert [axes.get_xlabel() for axes in shown] == ["clearance [px]", "steps in corridors [share]", "other"]
-    assert [label.get_text() for label in shown[0].get_yticklabels()] == ["PPO tanh, n = 2", "DQN tanh, n = 2"]
+    assert [label.get_text() for label in shown[0].get_yticklabels()] == [
+        "PPO tanh, n = 2",
+        "DQN tanh, n = 2",
+    ]
     assert "clearance [px]: PPO tanh 70.0, DQN tanh 70.0" in drawn.alt
     assert "steps in corridors [share]: PPO tanh 0.3," in drawn.alt
 
 
-def test_survival_steps_down_where_flights_end_and_marks_the_cap():
+def test_survival_steps_down_where_episodes_end_and_marks_the_cap():
     shares = stats.survival(np.array([10.0, 20.0, 100.0, 100.0]), np.array([True, True, False, False]))
-    drawn = curves.survival({"PPO tanh (n = 1)": shares}, cap=100)
+    drawn = curves.survival({"PPO tanh (n = 1)": shares}, limit=100)
     (axes,) = drawn.figure.axes
-    line, cap = axes.lines
+    line, limit = axes.lines
     assert line.get_xdata().tolist() == [0, 10, 20, 100]
     assert line.get_ydata().tolist() == pytest.approx([1.0, 0.75, 0.5, 0.5])
     assert line.get_drawstyle() == "steps-post"
-    assert list(cap.get_xdata()) == [100, 100]
+    assert list(limit.get_xdata()) == [100, 100]
     assert axes.get_xscale() == "log"
     assert "PPO tanh (n = 1)" in texts(drawn.figure)
     assert drawn.alt.endswith("PPO tanh (n = 1) half of them after 20 steps, 50 % up at 100.")
 
 
-def test_flights_that_all_stay_up_have_a_flat_line():
+def test_episodes_that_all_stay_up_have_a_flat_line():
     shares = stats.survival(np.array([50.0, 50.0]), np.array([False, False]))
-    drawn = curves.survival({"PPO tanh": shares}, cap=50)
+    drawn = curves.survival({"PPO tanh": shares}, limit=50)
     assert set(drawn.figure.axes[0].lines[0].get_ydata()) == {1.0}
     assert "half of them never, 100 % up at 50" in drawn.alt
     style.save(drawn.figure)
@@ -313,7 +338,7 @@ def test_flights_that_all_stay_up_have_a_flat_line():
 
 def test_a_path_runs_from_the_start_to_its_crash_among_2_obstacles():
     up = PATHS.assign(clearance=60.0)
-    drawn = arena.trajectories({"PPO tanh": PATHS, "DQN relu": up}, BANK, [0, 2], WORLD)
+    drawn = arena.trajectories({"PPO tanh": PATHS, "DQN relu": up}, LAYOUTS, [0, 2], WORLD)
     first, other, _, _ = drawn.figure.axes
     path, start, end = first.lines
     assert np.asarray(path.get_xydata()).tolist() == [[400, 300], [400, 310], [400, 320]]
@@ -322,14 +347,14 @@ def test_a_path_runs_from_the_start_to_its_crash_among_2_obstacles():
     assert len(first.collections[0].get_paths()) == 2
     assert first.get_aspect() == 1.0
     assert drawn.alt == (
-        "Paths flown, greedy, and their steps on obstacle sets 0, 2: "
+        "Paths flown, greedy, and their steps on layouts 0, 2: "
         "PPO tanh, seed 0: 2 crash, 5 crash; DQN relu, seed 0: 2 still up, 5 still up."
     )
 
 
 def test_paths_are_of_one_seed_and_mode():
     others = pd.concat([PATHS.assign(seed=2), PATHS.assign(seed=1), PATHS.assign(mode="sampled")])
-    drawn = arena.trajectories({"PPO tanh": others, "DQN tanh": others}, BANK, [0], WORLD)
+    drawn = arena.trajectories({"PPO tanh": others, "DQN tanh": others}, LAYOUTS, [0], WORLD)
     assert len(drawn.figure.axes) == 2
     assert len(drawn.figure.axes[0].lines[0].get_xydata()) == 3
     assert drawn.alt.count("seed 1: 2 crash") == 2
@@ -347,9 +372,8 @@ def test_heat_maps_share_a_scale_up_to_the_largest_share_and_lie_the_right_way_u
 
 
 def test_the_papers_means_of_dqn_are_named_at_the_right_end_a_line_of_words_apart():
-    cells = [trained([0.0], [1.0], algorithm="dqn", activation=one) for _, one in [*paper.TABLES][:4]]
-    drawn = curves.curves(cells, "reward")
-    (axes,) = drawn.figure.axes
+    means = {one: paper.printed("dqn", one, "reward", per_frame=True) for one in paper.ACTIVATIONS}
+    (axes,) = curves.curves({one: trained([0.0], [1.0]) for one in means}, "reward", means).figure.axes
     named = {text.get_text(): text.xyann for text in axes.texts}
     assert set(named) == {"tanh -0.0438", "sigmoid -0.0268", "relu -0.037", "leaky_relu -0.0353"}
     heights = sorted(place for _, place in named.values())
@@ -379,26 +403,34 @@ def test_a_forest_without_a_default_or_an_interval_has_no_shade():
 
 def test_the_first_figure_shows_the_means_and_intervals_of_the_table_of_gaps():
     gaps = pd.DataFrame(
-        [("PPO tanh", "sampled", 10_000, 2, 4.0, -1.5, 9.5), ("PPO relu", "greedy", 10_000, 2, 9.0, 8.0, 10.0)],
-        columns=["who", "mode", "cap", "n", "reward", "low", "high"],
+        [
+            ("PPO tanh", "sampled", 10_000, 2, 4.0, -1.5, 9.5),
+            ("PPO relu", "greedy", 10_000, 2, 9.0, 8.0, 10.0),
+        ],
+        columns=["who", "mode", "limit", "n", "reward", "low", "high"],
     )
     seeds = pd.DataFrame({"algorithm": "ppo", "activation": ["tanh"] * 2, "value": [3.0, 5.0]})
-    figure = figures._first(seeds.assign(reading=SAMPLED, metric="reward"), gaps, style.WIDTH)
-    assert figure.drawn.alt == "reward a flight, new obstacles: PPO tanh 4.00 (95 % interval -1.50 to 9.50; n = 2)."
+    figure = figures._first(seeds.assign(definition=SAMPLED, metric="reward"), gaps, style.WIDTH)
+    assert (
+        figure.drawn.alt
+        == "reward an episode, new obstacles: PPO tanh 4.00 (95 % interval -1.50 to 9.50; n = 2)."
+    )
     assert "after 10,000 steps" in figure.caption
 
 
-def test_the_rule_is_a_dashed_line_beside_cells_and_among_flights_and_cells_without_it_have_none():
+def test_the_rule_is_a_dashed_line_beside_configurations_and_where_there_is_none_there_is_no_line():
     rows = {"PPO tanh": np.array([1.0, 2.0]), "DQN tanh": np.array([0.0, 1.0])}
     drawn = charts.intervals(rows, {}, "reward", 428.0)
     for axes in drawn.figure.axes:
         assert [line.get_xdata()[0] for line in axes.lines if line.get_linestyle() == "--"] == [428.0]
-    assert drawn.alt.endswith("; hand-written rule 428.0.")
+    assert drawn.alt.endswith("; scripted policy 428.0.")
     assert "the paper" not in texts(drawn.figure)  # of which there is no number
     assert style.RULE in texts(drawn.figure)
     assert style.RULE not in texts(charts.intervals(rows, {}, "reward").figure)
     up = pd.Series([1.0, 1.0], index=[0.0, 100.0])
-    (axes,) = curves.survival({"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0]), style.RULE: up}, 100).figure.axes
+    (axes,) = curves.survival(
+        {"PPO tanh": pd.Series([1.0, 0.5], index=[0.0, 10.0]), style.RULE: up}, 100
+    ).figure.axes
     mine, rule, _ = axes.lines
     assert (mine.get_linestyle(), rule.get_linestyle(), rule.get_label()) == ("-", "--", style.RULE)
     assert rule.get_ydata().tolist() == [1.0, 1.0]

@@ -32,10 +32,12 @@ def python(*words, cwd, **environment):
     )
 
 
-# -- what a run says -------------------------------------------------------------------------------------------------
+# -- what a run says -----------------------------------------------------------------------------------------
 
 RATES = {("ppo", 1): 19_762, ("ppo", 10): 64_829, ("dqn", 1): 17_802, ("dqn", 10): 62_120}
-"""Frames/s of all seeds together, compiled, when the estimate was made; a new measurement need not change it."""
+"""Frames/s of all seeds together, compiled, when the estimate was made; a new measurement need not change
+it.
+"""
 
 
 @pytest.mark.parametrize(("algorithm", "n_seeds"), RATES)
@@ -45,7 +47,7 @@ def test_the_estimate_gives_the_measured_rates_back(algorithm, n_seeds):
     assert found == pytest.approx(1_000_000 * n_seeds / RATES[algorithm, n_seeds], rel=0.01)
 
 
-def test_the_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_docs_and_the_rate_of_five_seeds():
+def test_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_docs_and_the_rate_of_five_seeds():
     found = display.seconds(PPOConfig(preset="fast"), 200_000, processes=1, compiled=True)
     assert found == pytest.approx(8, rel=0.01)
     text = (PACKAGE.parent / "docs" / "performance.md").read_text()
@@ -56,7 +58,9 @@ def test_the_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_d
     assert found == pytest.approx(run.frames / rate, rel=0.2)
 
 
-def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_long_it_still_takes(monkeypatch, capsys):
+def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_long_it_still_takes(
+    monkeypatch, capsys
+):
     clock = [0.0]
     monkeypatch.setattr(display.time, "monotonic", lambda: clock[0])
     config = DQNConfig(n_envs=32, learning_starts=1000, total_frames=80_000)
@@ -65,10 +69,13 @@ def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_l
         for clock[0], frames in [(0.0, 500), (9.0, 1000), (13.0, 3000), (14.0, 6000), (20.0, 9000)]:
             shown.update(frames, [0.0])
     lines = [line for line in capsys.readouterr().out.splitlines() if "at this rate" in line]
-    assert lines == ["about 70 s more at this rate"]  # 1,000 frames/s from frame 1,000 on, and 74,000 are left
+    # 1,000 frames/s from frame 1,000 on, and 74,000 are left
+    assert lines == ["about 70 s more at this rate"]
 
 
-@pytest.mark.parametrize("given", [{"epochs": 3}, {"n_envs": 32}, {"hidden": (256, 256)}, {"preset": "fast", "lr": 1}])
+@pytest.mark.parametrize(
+    "given", [{"epochs": 3}, {"n_envs": 32}, {"hidden": (256, 256)}, {"preset": "fast", "lr": 1}]
+)
 def test_there_is_no_estimate_of_what_was_not_measured(given, tmp_path):
     config = PPOConfig(**given)
     assert display.seconds(config, 1_000_000, processes=1, compiled=True) is None
@@ -84,7 +91,8 @@ def test_a_run_says_what_it_does_how_and_about_how_long():
         " into runs/ppo/tanh"
     )
     assert how == (
-        "compiled (takes 3 s, or 15 to 30 s the first time), 2 processes of 1 thread: about 3 min on the two cores of"
+        "compiled (takes 3 s, or 15 to 30 s the first time), 2 processes of 1 thread: about 3 min on the "
+        "two cores of"
         " docs/benchmarks.md"
     )
 
@@ -100,7 +108,10 @@ def test_a_run_says_what_it_does_how_and_about_how_long():
 )
 def test_a_run_that_ends_before_its_first_update_says_so(kind, given, before, tmp_path):
     facts, beyond = {"compiled": True, "threads": 1}, before + kind(**given).n_envs
-    for total, words in ((before - 65, f", too few to learn (updates begin after {before:,}), into"), (beyond, "")):
+    for total, words in (
+        (before - 65, f", too few to learn (updates begin after {before:,}), into"),
+        (beyond, ""),
+    ):
         what, _ = display.opening(kind(**given, total_frames=total), 10, tmp_path, facts)
         assert words in what
         assert ("too few" in what) == bool(words)
@@ -122,10 +133,12 @@ def test_training_opens_with_these_lines_unless_it_is_quiet(processes, quiet, tm
             "ppo tanh, preset vectorised: 2 seeds (0 to 1), 512 frames each in 4 parallel environments, into "
             + str(tmp_path / "run")
         )
-        assert second.startswith(f"not compiled, {processes} process{'es' if processes > 1 else ''} of 1 thread: ")
+        assert second.startswith(
+            f"not compiled, {processes} process{'es' if processes > 1 else ''} of 1 thread: "
+        )
 
 
-# -- no warnings -----------------------------------------------------------------------------------------------------
+# -- no warnings ---------------------------------------------------------------------------------------------
 
 
 ONE_BY_ONE = """
@@ -138,10 +151,10 @@ for words in json.loads(sys.argv[2]):
             told.clear()  # what one command has warned of may not hide another's
     if words[2:3] == ["play"]:  # the first event closes the window
         import pygame
-        from uavnav.cli import play
+        from uavnav.cli import commands, play
         show = play.show
         play.show = lambda game: (show(game), pygame.event.post(pygame.event.Event(pygame.QUIT)))
-        assert play.main(words[3:]) == 0
+        assert commands.run("play", words[3:]) == 0
         continue
     try:
         execute(*words)
@@ -156,7 +169,14 @@ def test_no_command_lets_a_dependency_talk(tmp_path):
     small = ["--episodes", 5, "--max-steps", 50]
     recipes = [
         [RECIPES / "ppo.py", *short, "epochs=2", "out=runs/ppo"],
-        [RECIPES / "dqn.py", *short, "learning_starts=2000", "frames_per_update=16", "n_seeds=2", "out=runs/dqn"],
+        [
+            RECIPES / "dqn.py",
+            *short,
+            "learning_starts=2000",
+            "frames_per_update=16",
+            "n_seeds=2",
+            "out=runs/dqn",
+        ],
     ]
     commands = [
         ["evaluate", "runs/ppo", "random", *small],
@@ -175,7 +195,8 @@ def test_no_command_lets_a_dependency_talk(tmp_path):
     if importlib.util.find_spec("pygame"):
         commands.append(["play", "runs/ppo"])
     words = [
-        [str(word) for word in command] for command in [*recipes, *(["-m", "uavnav", *command] for command in commands)]
+        [str(word) for word in command]
+        for command in [*recipes, *(["-m", "uavnav", *command] for command in commands)]
     ]
     screen = {"SDL_VIDEODRIVER": "dummy", "MPLBACKEND": "agg"}
     result = python("-c", ONE_BY_ONE, Path(__file__).parent, json.dumps(words), cwd=tmp_path, **screen)

@@ -1,4 +1,6 @@
-"""The first screen of the committed report in a real browser: a sentence, drones that fly by themselves, one figure."""
+"""The first screen of the committed report in a real browser: a sentence, drones that fly by themselves,
+one figure.
+"""
 
 import time
 
@@ -44,7 +46,10 @@ def visit(browser, width=WIDE, height=800, motion="reduce", colours="light"):
 @pytest.mark.parametrize(("width", "height"), SCREENS)
 def test_sentence_three_drones_and_figure_lie_within_the_first_screen(chrome, width, height):
     visit(chrome, width, height)
-    seen = find(chrome, "h1, .together canvas, .together figcaption, .together button, #figure-cells-flights img")
+    seen = find(
+        chrome,
+        "h1, .together canvas, .together figcaption, .together button, #figure-configurations-episodes img",
+    )
     assert len(seen) == 1 + 3 + 3 + 1 + 1
     for element in seen:
         box = element.rect
@@ -71,7 +76,7 @@ def test_the_drones_fly_without_a_click_and_a_button_stops_them(chrome):
     assert complaints(chrome) == []
 
 
-def test_under_reduced_motion_the_drones_wait_in_flight_until_they_are_asked(chrome):
+def test_under_reduced_motion_the_drones_wait_in_mid_episode_until_they_are_asked(chrome):
     visit(chrome)
     before = chrome.execute_script(PICTURES)
     time.sleep(0.5)
@@ -81,12 +86,15 @@ def test_under_reduced_motion_the_drones_wait_in_flight_until_they_are_asked(chr
     wait(chrome, lambda: chrome.execute_script(PICTURES) != before)
 
 
-def test_a_flight_that_ends_says_how_and_when(chrome):
+def test_an_episode_that_ends_says_how_and_when(chrome):
     visit(chrome)
     words = "const page = document.getElementById('together').cloneNode(true);"
     words += "const data = JSON.parse(document.getElementById('together-data').textContent);"
-    words += "const one = startTogether(page, data); return one.load(0).then(() => { one.step = 1e9; one.draw();"
-    words += "return one.drones.map(({ output, flight }) => [output.textContent, flight.ended, flight.steps]); })"
+    words += (
+        "const one = startTogether(page, data); return one.load(0).then(() => { one.step = 1e9; one.draw();"
+    )
+    words += "return one.drones.map(({ output, episode }) =>"
+    words += " [output.textContent, episode.ended, episode.steps]); })"
     for said, ended, n in chrome.execute_script(words):
         assert said.endswith(f", {'collided' if ended == 'collision' else 'stopped'} at step {n:,}")
 
@@ -105,8 +113,10 @@ def test_the_sentence_is_short_and_its_number_leads_to_its_row_and_the_drones_ha
     visit(chrome)
     assert 5 < len(words(one(chrome, "h1").text)) <= MOST_WORDS
     assert one(chrome, "h1 a").get_dom_attribute("href").startswith("tables/gaps.csv#L")
-    names = [canvas.get_dom_attribute("aria-label").split(",")[0] for canvas in find(chrome, ".together canvas")]
-    assert [name.split()[0] for name in names] == ["PPO", "DQN", "hand-written"]
+    names = [
+        canvas.get_dom_attribute("aria-label").split(",")[0] for canvas in find(chrome, ".together canvas")
+    ]
+    assert [name.split()[0] for name in names] == ["PPO", "DQN", "scripted"]
     shown = "return [...document.querySelectorAll('.together strong')].map((one) => one.textContent)"
     assert chrome.execute_script(shown) == names
 
@@ -137,5 +147,7 @@ def test_the_page_takes_less_than_6_mb():
 @pytest.mark.parametrize(("width", "colours"), [(WIDE, "light"), (NARROW, "dark")])
 def test_axe_finds_nothing_on_the_page_as_it_opens(chrome, width, colours):
     visit(chrome, width, colours=colours)
-    chrome.execute_script("document.querySelectorAll('details > :not(summary)').forEach((one) => one.remove())")
+    chrome.execute_script(
+        "document.querySelectorAll('details > :not(summary)').forEach((one) => one.remove())"
+    )
     assert violations(chrome) == []

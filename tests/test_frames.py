@@ -1,26 +1,28 @@
-"""The report's tables of numbers, on made-up cells: each is what the statistics say of values known by hand."""
+"""The report's tables of numbers, on made-up configurations: each is what the statistics say of values
+known by hand.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
-from made_up import NO_STUDIES, cell, episodes, run
+from made_up import NO_STUDIES, configuration, episodes, run
 from scipy.stats import spearmanr
 
 from uavnav import stats
 from uavnav.report import frames, tables
-from uavnav.report.cells import read_as
 from uavnav.report.claims import PRIMARY
+from uavnav.report.configurations import read_as
 from uavnav.report.studies import of_paper
 from uavnav.report.verdicts import audit
 from uavnav.runs import paper
-from uavnav.runs.readings import ALL, EVALUATIONS, PER_FRAME, READINGS, TOTALS
+from uavnav.runs.definitions import ALL, DEFINITIONS, EVALUATIONS, PER_FRAME, TOTALS
 
 SPREAD = (-1.0, 0.0, 1.0)
 
 
-def flights(*rows):
+def own_episodes(*rows):
     """From (seed, steps, distance, reward[, terminated, truncated]); half of the steps turn."""
     made = episodes("seed steps distance reward terminated truncated", *rows)
     return made.assign(frame=10, turns=made["steps"] // 2)
@@ -28,28 +30,39 @@ def flights(*rows):
 
 def of_rewards(rewards, key=("ppo", "tanh"), frames=100, **more):
     """A seed for each reward, with one episode of 100 steps at 4 px."""
-    return cell(flights(*((seed, 100, 400, reward) for seed, reward in enumerate(rewards))), key, frames=frames, **more)
+    return configuration(
+        own_episodes(*((seed, 100, 400, reward) for seed, reward in enumerate(rewards))),
+        key,
+        frames=frames,
+        **more,
+    )
 
 
-def cells(**means):
-    """Cells by `ppo_tanh` and so on: three seeds around a mean."""
+def configurations(**means):
+    """Configurations by `ppo_tanh` and so on: three seeds around a mean."""
     keys = {name: tuple(name.split("_", 1)) for name in means}
-    return {keys[name]: of_rewards([mean + one for one in SPREAD], keys[name]) for name, mean in means.items()}
+    return {
+        keys[name]: of_rewards([mean + one for one in SPREAD], keys[name]) for name, mean in means.items()
+    }
 
 
-# -- values and estimates ---------------------------------------------------------------------------------------------
+# -- values and estimates ------------------------------------------------------------------------------------
 
 
 def test_a_row_for_each_seed_metric_and_reading():
-    one = cell(flights((0, 100, 400, -6.0), (0, 300, 2400, -2.0), (1, 400, 800, 3.0)), ("dqn", "tanh"), frames=400)
+    one = configuration(
+        own_episodes((0, 100, 400, -6.0), (0, 300, 2400, -2.0), (1, 400, 800, 3.0)),
+        ("dqn", "tanh"),
+        frames=400,
+    )
     found = frames.per_seed_values({("dqn", "tanh"): one})
-    assert [*found] == ["algorithm", "activation", "reading", "metric", "seed", "value"]
-    keyed = found.set_index(["reading", "metric", "seed"])["value"].sort_index()
+    assert [*found] == ["algorithm", "activation", "definition", "metric", "seed", "value"]
+    keyed = found.set_index(["definition", "metric", "seed"])["value"].sort_index()
     assert keyed[PER_FRAME, "reward"].tolist() == [-8 / 400, 3 / 400]
     assert keyed[PER_FRAME, "speed"].tolist() == keyed[TOTALS, "speed"].tolist() == [7, 2]
     assert keyed[ALL, "speed"].tolist() == [6, 2]
     assert keyed[ALL, "reward"].tolist() == [-4, 3]
-    assert {*found["reading"]} == {*READINGS} - {*EVALUATIONS}  # there is none
+    assert {*found["definition"]} == {*DEFINITIONS} - {*EVALUATIONS}  # there is none
     assert frames.per_seed_values({}).shape == (0, 6)
 
 
@@ -58,7 +71,7 @@ def test_estimates_are_the_statistics_of_the_seeds_beside_the_papers_number():
     values = frames.per_seed_values(
         {("ppo", "tanh"): of_rewards(rewards), ("ppo", "mish"): of_rewards([1.0], ("ppo", "mish"))}
     )
-    found = frames.estimates(values).set_index(["activation", "reading", "metric"])
+    found = frames.estimates(values).set_index(["activation", "definition", "metric"])
     row = found.loc["tanh", ALL, "reward"]
     mean, middle = stats.interval(rewards), stats.interval(rewards, stats.interquartile_mean)
     assert row[["mean", "low", "high", "n"]].tolist() == [112, mean.low, mean.high, 5]
@@ -76,11 +89,13 @@ def test_estimates_of_nothing_are_no_rows():
     assert (len(found), found.columns[0], found.columns[-1]) == (0, "algorithm", "paper")
 
 
-# -- comparisons ------------------------------------------------------------------------------------------------------
+# -- comparisons ---------------------------------------------------------------------------------------------
 
 
-def test_every_pair_of_cells_and_how_probably_the_first_is_better():
-    found = frames.improvement(cells(ppo_tanh=10, ppo_relu=0, dqn_tanh=10)).set_index(["a", "b"])["probability"]
+def test_every_pair_of_configurations_and_how_probably_the_first_is_better():
+    found = frames.improvement(configurations(ppo_tanh=10, ppo_relu=0, dqn_tanh=10)).set_index(["a", "b"])[
+        "probability"
+    ]
     assert found.to_dict() == {
         ("PPO tanh", "PPO relu"): 1,
         ("PPO tanh", "DQN tanh"): 0.5,
@@ -88,9 +103,11 @@ def test_every_pair_of_cells_and_how_probably_the_first_is_better():
     }
 
 
-def test_interactions_by_metric_and_reading_of_the_papers_cells_alone():
-    means = {f"{algorithm}_{activation}": 20 * place for place, (algorithm, activation) in enumerate(paper.TABLES)}
-    found = frames.interactions(cells(**means, ppo_mish=1e6)).set_index(["reading", "metric"])
+def test_interactions_by_metric_and_reading_of_the_papers_configurations_alone():
+    means = {
+        f"{algorithm}_{activation}": 20 * place for place, (algorithm, activation) in enumerate(paper.TABLES)
+    }
+    found = frames.interactions(configurations(**means, ppo_mish=1e6)).set_index(["definition", "metric"])
     assert len(found) == 6
     row = found.loc[PRIMARY, "reward"]
     assert row["n"] == 3
@@ -99,40 +116,48 @@ def test_interactions_by_metric_and_reading_of_the_papers_cells_alone():
 
 
 def test_seeds_that_find_the_papers_difference_are_of_pairs_within_an_algorithm():
-    study = cells(ppo_tanh=1, ppo_relu=0, dqn_tanh=5, dqn_sigmoid=5, ppo_mish=9)
+    study = configurations(ppo_tanh=1, ppo_relu=0, dqn_tanh=5, dqn_sigmoid=5, ppo_mish=9)
     found = frames.power(study)
-    assert found[["pair", "n"]].to_numpy().tolist() == [["DQN: tanh and sigmoid", 3], ["PPO: tanh and relu", 3]]
+    assert found[["pair", "n"]].to_numpy().tolist() == [
+        ["DQN: tanh and sigmoid", 3],
+        ["PPO: tanh and relu", 3],
+    ]
     seeds = [frames.of_seeds(study["ppo", one], PRIMARY) for one in ("tanh", "relu")]
     effect = 88.527 / 2727.577 - 43.598 / 1730.587
     assert found["seeds"][1] == stats.seeds_needed(*seeds, effect) > 17
     assert frames.power({}).shape == (0, 3)
 
 
-# -- survival ---------------------------------------------------------------------------------------------------------
+# -- survival ------------------------------------------------------------------------------------------------
 
 
 def test_a_cap_censors_and_the_restricted_mean_is_the_area_below_the_curve():
-    """Seed 0 collides at 10 and 20 steps and is cut off at 30 and 40, so that half of it never ends; seed 1 collides
-    at 100 and 300 steps: a mean of 200."""
+    """Seed 0 collides at 10 and 20 steps and is cut off at 30 and 40, so that half of it never ends; seed 1
+    collides at 100 and 300 steps: a mean of 200.
+    """
     cut = (False, True)
     first = [(0, 10, 0, 0.0), (0, 20, 0, 0.0), (0, 30, 0, 0.0, *cut), (0, 40, 0, 0.0, *cut)]
-    flown = flights(*first, (1, 100, 0, 0.0), (1, 300, 0, 0.0)).assign(mode="sampled")
-    one = of_rewards([0.0, 0.0], flown=pd.concat([flown, flights((0, 9999, 0, 0.0)).assign(mode="greedy")]))
-    curves, table = frames.survival({("ppo", "tanh"): one, ("ppo", "relu"): of_rewards([0.0], ("ppo", "relu"))}, {})
+    flown = own_episodes(*first, (1, 100, 0, 0.0), (1, 300, 0, 0.0)).assign(mode="sampled")
+    one = of_rewards(
+        [0.0, 0.0], flown=pd.concat([flown, own_episodes((0, 9999, 0, 0.0)).assign(mode="greedy")])
+    )
+    curves, table = frames.survival(
+        {("ppo", "tanh"): one, ("ppo", "relu"): of_rewards([0.0], ("ppo", "relu"))}, {}
+    )
     (row,) = table.to_dict("records")
-    of_first = 10 + 0.75 * 10 + 0.5 * (frames.CAP - 20)
+    of_first = 10 + 0.75 * 10 + 0.5 * (frames.LIMIT - 20)
     assert row["restricted_mean"] == pytest.approx((of_first + 200) / 2)
-    assert (row["cell"], row["n"], row["episodes"]) == ("PPO tanh", 2, 6)
+    assert (row["configuration"], row["n"], row["episodes"]) == ("PPO tanh", 2, 6)
     assert row["cut_off"] == pytest.approx(2 / 6)
     assert (row["low"], row["high"]) == pytest.approx((200, of_first))
     assert [*curves] == ["PPO tanh"]
     assert curves["PPO tanh"].loc[20.0] == pytest.approx(4 / 6)
     naive = flown.groupby("seed")["steps"].mean().mean()
-    assert row["restricted_mean"] > 10 * naive  # as if a cap were a collision
+    assert row["restricted_mean"] > 10 * naive  # as if a time limit were a collision
     assert frames.survival({}, {})[1].shape == (0, 7)
 
 
-# -- sensitivity ------------------------------------------------------------------------------------------------------
+# -- sensitivity ---------------------------------------------------------------------------------------------
 
 
 def studies(baseline, **switches):
@@ -145,13 +170,13 @@ def flips(table):
 
 
 def test_a_switch_flips_a_conclusion_if_its_interval_lies_wholly_on_the_other_side_of_zero():
-    base = cells(ppo_tanh=10, ppo_relu=0)
+    base = configurations(ppo_tanh=10, ppo_relu=0)
     found = frames.sensitivity(
         studies(
             base,
-            slots__same=cells(ppo_tanh=20, ppo_relu=0),
-            slots__flipped=cells(ppo_tanh=0, ppo_relu=10),
-            slots__unclear=cells(ppo_tanh=0, ppo_relu=0.5),
+            slots__same=configurations(ppo_tanh=20, ppo_relu=0),
+            slots__flipped=configurations(ppo_tanh=0, ppo_relu=10),
+            slots__unclear=configurations(ppo_tanh=0, ppo_relu=0.5),
         )
     )
     (conclusion,) = set(found["conclusion"])
@@ -168,16 +193,22 @@ def test_a_switch_flips_a_conclusion_if_its_interval_lies_wholly_on_the_other_si
 
 
 def test_an_unclear_conclusion_cannot_be_flipped_and_one_seed_neither():
-    found = frames.sensitivity(studies(cells(ppo_tanh=0.1, ppo_relu=0), a__b=cells(ppo_tanh=0, ppo_relu=10)))
+    found = frames.sensitivity(
+        studies(configurations(ppo_tanh=0.1, ppo_relu=0), a__b=configurations(ppo_tanh=0, ppo_relu=10))
+    )
     assert flips(found)["a=b", "PPO: tanh above ReLU"] == "sign"
-    base = {key: of_rewards([mean], key) for key, mean in {("ppo", "tanh"): 9.0, ("ppo", "relu"): 0.0}.items()}
-    other = {key: of_rewards([mean], key) for key, mean in {("ppo", "tanh"): 0.0, ("ppo", "relu"): 9.0}.items()}
+    base = {
+        key: of_rewards([mean], key) for key, mean in {("ppo", "tanh"): 9.0, ("ppo", "relu"): 0.0}.items()
+    }
+    other = {
+        key: of_rewards([mean], key) for key, mean in {("ppo", "tanh"): 0.0, ("ppo", "relu"): 9.0}.items()
+    }
     assert flips(frames.sensitivity(studies(base, a__b=other)))["a=b", "PPO: tanh above ReLU"] == "sign"
 
 
 def test_an_algorithm_that_a_switch_does_not_touch_is_taken_as_decided():
-    base = cells(ppo_tanh=50, ppo_relu=30, dqn_tanh=-5, dqn_relu=-7)
-    found = frames.sensitivity(studies(base, n_envs__1=cells(dqn_tanh=99, dqn_relu=77)))
+    base = configurations(ppo_tanh=50, ppo_relu=30, dqn_tanh=-5, dqn_relu=-7)
+    found = frames.sensitivity(studies(base, n_envs__1=configurations(dqn_tanh=99, dqn_relu=77)))
     values = found.set_index(["switch", "conclusion"])["value"]
     assert values["default", "PPO above DQN"] == pytest.approx(0.46)
     assert values["n_envs=1", "PPO above DQN"] == pytest.approx(0.40 - 0.88)
@@ -189,19 +220,22 @@ def test_an_algorithm_that_a_switch_does_not_touch_is_taken_as_decided():
 
 
 def test_without_a_study_as_decided_nothing_is_compared():
-    found = frames.sensitivity(studies({}, a__b=cells(ppo_tanh=1)))
+    found = frames.sensitivity(studies({}, a__b=configurations(ppo_tanh=1)))
     assert [*found] == ["switch", "conclusion", "value", "low", "high", "n", "flips"]
     assert len(found) == 0
-    alone = frames.sensitivity(studies({}, a__b=cells(ppo_tanh=9, ppo_relu=0)))
+    alone = frames.sensitivity(studies({}, a__b=configurations(ppo_tanh=9, ppo_relu=0)))
     assert alone["flips"].tolist() == [""]
 
 
-# -- tuned ------------------------------------------------------------------------------------------------------------
+# -- tuned ---------------------------------------------------------------------------------------------------
 
 
 def evaluated(**means):
-    """Cells as of `cells` that were evaluated, with the same rewards."""
-    return {key: replace(one, evaluation=one.episodes.assign(mode="sampled")) for key, one in cells(**means).items()}
+    """Configurations as of `configurations` that were evaluated, with the same rewards."""
+    return {
+        key: replace(one, evaluation=one.episodes.assign(mode="sampled"))
+        for key, one in configurations(**means).items()
+    }
 
 
 def test_ppo_minus_dqn_tuned_is_of_the_activations_that_both_have_and_of_the_same_in_the_main_study():
@@ -221,11 +255,11 @@ def test_without_an_activation_of_both_nothing_is_said_of_tuned():
     found = frames.by_default(NO_STUDIES._replace(tuned=evaluated(ppo_tanh=30, dqn_relu=10)))
     assert found["n"].tolist() == [0, 0]
     assert all(row[1:] == ["", "0", "–"] for row in tables.listed(found, tables.BY_DEFAULT)[1:])
-    unevaluated = frames.by_default(NO_STUDIES._replace(tuned=cells(ppo_tanh=1, dqn_tanh=2)))
+    unevaluated = frames.by_default(NO_STUDIES._replace(tuned=configurations(ppo_tanh=1, dqn_tanh=2)))
     assert unevaluated["value"].isna().all()
 
 
-# -- the rest ---------------------------------------------------------------------------------------------------------
+# -- the rest ------------------------------------------------------------------------------------------------
 
 
 def test_wall_times_stand_beside_their_own_machine_even_where_a_run_has_none():
@@ -235,31 +269,36 @@ def test_wall_times_stand_beside_their_own_machine_even_where_a_run_has_none():
         run([3], wall_seconds=60, machine="a slide rule"),
     ]
     found = frames.speed({("ppo", "tanh"): of_rewards([0.0] * 4, runs=runs)})
-    assert found.to_numpy().tolist() == [["PPO tanh", 3600, 2, "an abacus"], ["PPO tanh", 60, 1, "a slide rule"]]
+    assert found.to_numpy().tolist() == [
+        ["PPO tanh", 3600, 2, "an abacus"],
+        ["PPO tanh", 60, 1, "a slide rule"],
+    ]
 
 
 def test_diagnostics_are_of_the_last_tenth_and_columns_that_a_run_lacks_have_no_row():
     progress = pd.DataFrame(
         {"seed": [0, 0, 0, 1, 1], "frame": [900, 901, 1000, 950, 1], "dormant": [9.0, 0.2, 0.4, 0.1, 9.0]}
     )
-    found = frames.diagnostics({("ppo", "tanh"): of_rewards([0, 0], runs=[run([0, 1], progress)], frames=1000)})
+    found = frames.diagnostics(
+        {("ppo", "tanh"): of_rewards([0, 0], runs=[run([0, 1], progress)], frames=1000)}
+    )
     (row,) = found.to_dict("records")
-    assert (row["cell"], row["diagnostic"], row["n"]) == ("PPO tanh", "dormant", 2)
+    assert (row["configuration"], row["diagnostic"], row["n"]) == ("PPO tanh", "dormant", 2)
     assert row["value"] == pytest.approx(0.2)
     assert (row["low"], row["high"]) == pytest.approx((0.1, 0.3))
 
 
-def test_flights_of_the_main_study_by_cell():
+def test_episodes_of_the_main_study_by_configuration():
     table = pd.DataFrame({"mode": ["greedy"], "seed": [0], "corridor": [0.5]})
     found = frames.flown({("main", "ppo", "leaky_relu"): table, ("initial", "ppo", "tanh"): table})
-    assert found["cell"].tolist() == ["PPO leaky_relu"]
+    assert found["configuration"].tolist() == ["PPO leaky_relu"]
     assert len(frames.flown({})) == 0
 
 
 def test_baselines_are_read_and_a_foreign_file_is_named(tmp_path):
     folder = tmp_path / "baselines"
     folder.mkdir()
-    flights((0, 10, 90, -9.0)).to_parquet(folder / "straight.parquet")
+    own_episodes((0, 10, 90, -9.0)).to_parquet(folder / "straight.parquet")
     (folder / "damaged.parquet").write_bytes(b"PAR1")
     pd.DataFrame({"price": [1.0]}).to_parquet(folder / "foreign.parquet")
     (folder / "notes.txt").write_text("x")
@@ -280,7 +319,7 @@ def test_a_claims_grade_stands_beside_each_of_its_parts_in_every_reading():
     }
     found = frames.verdicts(audits)
     assert found["grade_of_claim"].tolist() == ["replicates", "replicates", "open", *["in part (1 of 2)"] * 2]
-    assert found["reading"].tolist() == ["first"] * 3 + ["second"] * 2
+    assert found["definition"].tolist() == ["first"] * 3 + ["second"] * 2
 
 
 def test_each_of_the_papers_numbers_is_held_against_one_more_seed_in_its_own_reading():
@@ -293,7 +332,7 @@ def test_each_of_the_papers_numbers_is_held_against_one_more_seed_in_its_own_rea
 
     found = frames.predictions({PER_FRAME: evidence, ALL: evidence})
     assert len(found) == 2 * 48
-    known = found[found["n"] > 0].set_index("reading")
+    known = found[found["n"] > 0].set_index("definition")
     assert known["paper"].to_dict() == pytest.approx({PER_FRAME: 88.527 / 2727.577, ALL: 88.527})
     assert known["within"].to_dict() == {PER_FRAME: True, ALL: False}
     assert known["percentile"].to_dict() == pytest.approx({PER_FRAME: 200 / 3, ALL: 100})
@@ -310,26 +349,28 @@ def test_the_first_rules_verdicts_are_read_where_they_were_kept(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("counts", "said"), [((), "0 seeds"), ((1, 1), "1 seed"), ((3, 3), "3 seeds"), ((10, 1, 5), "1 to 10 seeds")]
+    ("counts", "said"),
+    [((), "0 seeds"), ((1, 1), "1 seed"), ((3, 3), "3 seeds"), ((10, 1, 5), "1 to 10 seeds")],
 )
 def test_how_many_seeds_there_are_in_words(counts, said):
     assert frames.least_to_most(counts, "seed") == said
 
 
-def test_a_reading_is_worked_out_once_and_known_under_a_label_too(monkeypatch):
+def test_a_reading_is_worked_out_once(monkeypatch):
     asked = []
-    monkeypatch.setattr("uavnav.report.cells.per_frame", lambda rows, n: asked.append(n) or rows[["seed", "reward"]])
-    (one,) = cells(ppo_tanh=3).values()
+    monkeypatch.setattr(
+        "uavnav.report.configurations.per_frame", lambda rows, n: asked.append(n) or rows[["seed", "reward"]]
+    )
+    (one,) = configurations(ppo_tanh=3).values()
     first = read_as(one, PER_FRAME)
     assert read_as(one, PER_FRAME) is first
-    assert read_as(one.labelled("tanh (k=4)"), PER_FRAME) is first
     assert len(asked) == 1
     other = replace(one, episodes=one.episodes.assign(reward=5.0))  # other rows are read anew
     assert (read_as(other, PER_FRAME)["reward"] == 5).all()
     assert len(asked) == 2
 
 
-# -- gaps to the rule, effects, peaks, fits, sizes of studies ---------------------------------------------------------
+# -- gaps to the rule, effects, peaks, fits, sizes of studies ------------------------------------------------
 
 KEY = ("dqn", "sigmoid")
 
@@ -341,13 +382,15 @@ def on_sets(*rows):
 
 
 def in_stretches(*seeds, frames=1_000_000, key=KEY, **more):
-    """A cell from the rewards of each seed's ten stretches of 100,000 frames, each one flight."""
+    """A configuration from the rewards of each seed's ten stretches of 100,000 frames, each one episode."""
     rows = [
         (seed, (place + 1) * 100_000, 100_000, reward - 10)
         for seed, rewards in enumerate(seeds)
         for place, reward in enumerate(rewards)
     ]
-    return cell(episodes("seed frame steps reward", *rows), key, frames=frames, n_envs=1, n_seeds=len(seeds), **more)
+    return configuration(
+        episodes("seed frame steps reward", *rows), key, frames=frames, n_envs=1, n_seeds=len(seeds), **more
+    )
 
 
 RULE = on_sets((0, 0, 100, 40.0, True), (0, 1, 100, 60.0, True))
@@ -355,15 +398,33 @@ RULE = on_sets((0, 0, 100, 40.0, True), (0, 1, 100, 60.0, True))
 
 def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_students_interval():
     """Seed 0 is 10 and 30 below the rule, seed 1 20 above and 0: gaps of -20 and 10, which differ by 30."""
-    mine = [(0, 0, 100, 30.0, True), (0, 1, 50, 30.0, False), (1, 0, 100, 60.0, True), (1, 1, 100, 60.0, True)]
+    mine = [
+        (0, 0, 100, 30.0, True),
+        (0, 1, 50, 30.0, False),
+        (1, 0, 100, 60.0, True),
+        (1, 1, 100, 60.0, True),
+    ]
     greedy = [(0, 0, 100, 40.0, True)]
     flown = pd.concat([on_sets(*mine).assign(mode="sampled"), on_sets(*greedy).assign(mode="greedy")])
-    rule, first, second = frames.gaps({KEY: in_stretches([0.0], flown=flown)}, {"reactive": RULE}).to_dict("records")
-    assert (rule["who"], rule["reward"], rule["up"], rule["per_frame"], rule["cap"]) == ("reactive", 50, 1, 0.5, 100)
+    rule, first, second = frames.gaps({KEY: in_stretches([0.0], flown=flown)}, {"reactive": RULE}).to_dict(
+        "records"
+    )
+    assert (rule["who"], rule["reward"], rule["up"], rule["per_frame"], rule["limit"]) == (
+        "reactive",
+        50,
+        1,
+        0.5,
+        100,
+    )
     assert np.isnan([rule["gap"], rule["above"], rule["low"]]).all()
     assert (first["mode"], first["gap"], first["n"], first["above"]) == ("greedy", 0, 1, 0)
     assert np.isnan(first["gap_low"])
-    assert (second["who"], second["mode"], second["n"], second["flights"]) == ("DQN sigmoid", "sampled", 2, 4)
+    assert (second["who"], second["mode"], second["n"], second["episodes"]) == (
+        "DQN sigmoid",
+        "sampled",
+        2,
+        4,
+    )
     assert (second["reward"], second["up"], second["gap"], second["above"]) == (45, 0.75, -5, 0.5)
     half = 12.706 * 15  # t with one degree of freedom, times 30 / 2
     assert (second["gap_low"], second["gap_high"]) == pytest.approx((-5 - half, -5 + half), rel=1e-4)
@@ -373,11 +434,11 @@ def test_the_gap_is_each_seeds_mean_over_the_sets_that_the_rule_flew_with_studen
 @pytest.mark.parametrize(
     "mine",
     [
-        [(0, 0, 40, 30.0, True)],  # below another cap
+        [(0, 0, 40, 30.0, True)],  # below another time limit
         [(0, 2, 100, 30.0, True)],  # on a set that the rule did not fly
     ],
 )
-def test_flights_of_another_test_have_no_gap(mine):
+def test_episodes_of_another_test_have_no_gap(mine):
     own = in_stretches([0.0], flown=on_sets(*mine).assign(mode="sampled"))
     found = frames.gaps({KEY: own}, {"reactive": RULE})
     assert found["gap"].isna().all()
@@ -405,18 +466,26 @@ def test_an_effect_is_the_setting_minus_as_decided_over_the_activations_of_both(
     assert frames.effects(NO_STUDIES).empty
 
 
-def test_a_cell_that_rises_by_100_and_falls_by_75_loses_three_quarters_and_peaks_where_it_is_best():
-    """Rewards of 0 a stretch of 100,000 frames, 100 in the next three, 25 at the end; others up to 1.4 times it."""
+def test_a_configuration_that_rises_by_100_and_falls_by_75_loses_three_quarters_and_peaks_where_it_is_best():
+    """Rewards of 0 a stretch of 100,000 frames, 100 in the next three, 25 at the end; others up to 1.4
+    times it.
+    """
     seed = np.array([0, 0, 0, 100, 100, 101, 25, 25, 25, 25.0])
-    found = frames.peaks({KEY: in_stretches(*(seed * times for times in (1, 1.1, 1.2, 1.3, 1.4)))}).set_index("measure")
+    found = frames.peaks({KEY: in_stretches(*(seed * times for times in (1, 1.1, 1.2, 1.3, 1.4)))}).set_index(
+        "measure"
+    )
     assert found.loc["lost", "value"] == pytest.approx((301 / 3 - 25) / (301 / 3))
-    assert found.loc["lost", "low"] == pytest.approx(found.loc["lost", "high"])  # the share is the same in both
-    assert found.loc["peak", "value"] == pytest.approx(540_000)  # the first of the stretches of 40,000 frames within
+    # the share is the same in both
+    assert found.loc["lost", "low"] == pytest.approx(found.loc["lost", "high"])
+    # the first of the stretches of 40,000 frames within
+    assert found.loc["peak", "value"] == pytest.approx(540_000)
     assert frames.peaks({KEY: in_stretches(seed, frames=600_000)}).empty
 
 
-def test_numbers_within_are_counted_for_all_cells_and_for_each_and_those_without_seeds_are_left_out():
-    """A number of 10 in an interval of 4 scores 4 / 10; one 3 beside an interval of 6 scores (6 + 40 x 3) / 10."""
+def test_numbers_within_are_counted_for_all_configurations_and_for_and_those_without_seeds_are_left_out():
+    """A number of 10 in an interval of 4 scores 4 / 10; one 3 beside an interval of 6 scores (6 + 40 x 3)
+    / 10.
+    """
     rows = [
         ("ppo", "tanh", 10.0, 8.0, 12.0, True, 8),
         ("ppo", "tanh", -10.0, -7.0, -1.0, False, 8),
@@ -424,45 +493,54 @@ def test_numbers_within_are_counted_for_all_cells_and_for_each_and_those_without
         ("dqn", "tanh", 10.0, np.nan, np.nan, False, 0),
     ]
     columns = ["algorithm", "activation", "paper", "low", "high", "within", "n"]
-    table = pd.DataFrame(rows, columns=columns).assign(reading="per frame")
-    found = frames.fits(table).set_index("cell")
+    table = pd.DataFrame(rows, columns=columns).assign(definition="per frame")
+    found = frames.fits(table).set_index("configuration")
     assert found[["within", "numbers"]].T.to_dict("list") == {
-        "all cells": [2, 3],
+        "all configurations": [2, 3],
         "DQN relu": [1, 1],
         "PPO tanh": [1, 2],
     }
-    assert found["score"].round(9).to_dict() == {"all cells": 4.533333333, "DQN relu": 0.6, "PPO tanh": 6.5}
+    assert found["score"].round(9).to_dict() == {
+        "all configurations": 4.533333333,
+        "DQN relu": 0.6,
+        "PPO tanh": 6.5,
+    }
     assert frames.fits(table[:0]).empty
 
 
-def test_each_study_has_a_row_a_cell_and_the_main_one_those_of_the_papers_activations():
+def test_each_study_has_a_row_a_configuration_and_the_main_one_those_of_the_papers_activations():
     key, other = ("ppo", "tanh"), ("ppo", "mish")
     main = {key: in_stretches([0.0], [0.0], key=key), other: in_stretches([0.0], key=other)}
     found = frames.sizes(
-        NO_STUDIES._replace(main=main, switches={"k=4": {other: in_stretches([0.0], key=other, frames=300_000)}})
+        NO_STUDIES._replace(
+            main=main, switches={"k=4": {other: in_stretches([0.0], key=other, frames=300_000)}}
+        )
     )
     assert found.to_numpy().tolist() == [["main", *key, 2, 1_000_000, 1], ["k=4", *other, 1, 300_000, 1]]
 
 
-# -- one environment a seed against many: studies with known scatter, open flights and order -----------------------
+# -- one environment a seed against many: studies with known scatter, open episodes and order ----------------
 
 FRAMES = 1_000_000
 
 
-def in_worlds(n_envs=1, **cells):
-    """Cells of DQN, an activation each, from (reward in the last 100,000 frames, steps of each open flight) a seed.
+def in_worlds(n_envs=1, **configurations):
+    """Configurations of DQN, an activation each, from (reward in the last 100,000 frames, steps of each open
+    episode) a seed.
 
-    Whatever is not open is one flight of all frames until then; each open flight earns nothing.
+    Whatever is not open is one episode of all frames until then; each open episode earns nothing.
     """
     made = {}
-    for activation, seeds in cells.items():
+    for activation, seeds in configurations.items():
         rows = []
-        for seed, (reward, *open_flights) in enumerate(seeds):
+        for seed, (reward, *open_episodes) in enumerate(seeds):
             rows.append((seed, FRAMES - 100_000, 800_000, -10.0))
             rows.append((seed, FRAMES, 100_000 // n_envs, reward - 10))
-            rows += [(seed, FRAMES, steps, 0.0, False) for steps in open_flights]
+            rows += [(seed, FRAMES, steps, 0.0, False) for steps in open_episodes]
         key = ("dqn", activation)
-        made[key] = cell(episodes("seed frame steps reward terminated", *rows), key, frames=FRAMES, n_envs=n_envs)
+        made[key] = configuration(
+            episodes("seed frame steps reward terminated", *rows), key, frames=FRAMES, n_envs=n_envs
+        )
     return made
 
 
@@ -479,18 +557,22 @@ def test_scatter_is_the_difference_of_standard_deviations_late_in_training_mean_
     one = in_worlds(tanh=spread(5e3, 1000.0), relu=spread(9e3, 3000.0))
     many = in_worlds(16, tanh=spread(0.0, 500.0), relu=spread(3e3, 500.0), sigmoid=spread(0.0, 9e9))
     row = worlds(one, many).loc["scatter"]
-    scale = stats.deviations(np.array([-1.0, -1.0, 0.0, 1.0, 1.0])).mean()  # the jackknife's, of a deviation of 1
+    scale = stats.deviations(
+        np.array([-1.0, -1.0, 0.0, 1.0, 1.0])
+    ).mean()  # the jackknife's, of a deviation of 1
     assert scale == pytest.approx(1, abs=0.1)
     assert row["value"] == pytest.approx(scale * (0.01 + 0.03 - 0.005 - 0.005) / 2)
     assert (row["algorithm"], row["n"]) == ("dqn", 5)
     assert row["low"] < row["value"] < row["high"]
 
 
-def test_open_flights_are_those_of_each_seed_that_no_crash_ended():
+def test_open_episodes_are_those_of_each_seed_that_no_crash_ended():
     one = in_worlds(tanh=[(0.0, 600_000), (0.0, 200_000), (0.0,)])
     many = in_worlds(16, tanh=[(0.0, 30_000, 10_000), (0.0, 20_000, 20_000), (0.0, 40_000)])
     found = worlds(one, many)
-    assert found.loc["longest", "value"] == pytest.approx((600_000 + 200_000 + 0 - 30_000 - 20_000 - 40_000) / 3)
+    assert found.loc["longest", "value"] == pytest.approx(
+        (600_000 + 200_000 + 0 - 30_000 - 20_000 - 40_000) / 3
+    )
     assert found.loc["open", "value"] == pytest.approx((0.6 + 0.2 + 0 - 3 * 0.04) / 3)
 
 
@@ -511,7 +593,9 @@ def test_without_a_study_in_one_world_there_is_nothing_to_compare():
 
 def test_the_jackknifes_deviations_are_a_slow_loops_and_their_mean_is_nearly_the_standard_deviation():
     seeds = np.random.default_rng(0).normal(3, 2, size=12)
-    slow = [12 * np.std(seeds, ddof=1) - 11 * np.std([*seeds[:i], *seeds[i + 1 :]], ddof=1) for i in range(12)]
+    slow = [
+        12 * np.std(seeds, ddof=1) - 11 * np.std([*seeds[:i], *seeds[i + 1 :]], ddof=1) for i in range(12)
+    ]
     assert stats.deviations(seeds) == pytest.approx(slow)
     assert stats.deviations(seeds).mean() == pytest.approx(seeds.std(ddof=1), rel=0.05)
     assert np.isnan(stats.deviations(np.array([1.0, 2.0]))).all()
@@ -540,7 +624,7 @@ def test_ranks_correlate_as_scipys_do_and_their_interval_widens_with_scatter():
     assert wide.high - wide.low > 0.5
 
 
-def test_ranks_of_one_cell_of_one_seed_or_of_equal_means_have_no_correlation():
+def test_ranks_of_one_configuration_of_one_seed_or_of_equal_means_have_no_correlation():
     two = [np.array([1.0, 2.0]), np.array([3.0, 4.0])]
     for first in (two[:1], [np.array([1.0]), two[1]], [two[0], two[0]]):
         assert np.isnan(stats.rank_correlation(first, two[: len(first)])[:3]).all()

@@ -1,4 +1,6 @@
-"""A goal to fly to: banks, shortest ways, what is sensed and earned, against slow loops and closed forms."""
+"""A goal to fly to: layouts, shortest ways, what is sensed and earned, against slow loops and closed
+forms.
+"""
 
 import heapq
 import json
@@ -23,16 +25,16 @@ from uavnav.runs import metrics
 from uavnav.tasks import goal, layouts
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.goal import GoalWorld
-from uavnav.tasks.simulator import make_task
+from uavnav.tasks.table import make_task
 
 
 @pytest.fixture(scope="module")
-def bank():
+def all_layouts():
     return layouts.load("test", GoalWorld())
 
 
 def one(x=600.0, y=300.0, shortest=160.0, circles=()):
-    """A bank of one set."""
+    """A layout file of one set."""
     return torch.tensor([[*circles, (x, y, shortest)]], dtype=torch.float32)
 
 
@@ -65,7 +67,7 @@ def way_to(target, circles, radius=40):
     return None
 
 
-# -- banks -----------------------------------------------------------------------------------------------------------
+# -- layouts -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("split", layouts.SPLITS)
@@ -77,7 +79,9 @@ def test_each_split_has_a_goal_a_set_and_its_first_30_are_what_the_seed_generate
     assert header["generator_seed"] == str(seed)
     assert torch.equal(found[:30, :8], layouts.generate(n, 8, seed)[:30])
     streams = [np.random.Generator(np.random.PCG64([seed, 2, index])) for index in range(30)]
-    again = [goal._draw_goal(one[:8].numpy(), rng, GoalWorld()) for one, rng in zip(found, streams, strict=False)]
+    again = [
+        goal._draw_goal(one[:8].numpy(), rng, GoalWorld()) for one, rng in zip(found, streams, strict=False)
+    ]
     assert np.array_equal(np.stack(again).astype(np.float32), found[:30, 8].numpy())
     assert layouts.checksum(found) == header["sha256"]
 
@@ -99,8 +103,8 @@ def test_goals_are_the_same_whatever_follows_them():
     assert torch.equal(goal.generate(4, 0, 7)[:2], goal.generate(2, 0, 7))
 
 
-def test_1000_goals_have_60_px_of_room_are_200_px_away_and_no_shorter_way_than_a_straight_one(bank):
-    for *circles, (x, y, shortest) in bank.double().tolist():
+def test_1000_goals_have_60_px_of_room_are_200_px_away_and_no_shorter_way_than_a_straight_one(all_layouts):
+    for *circles, (x, y, shortest) in all_layouts.double().tolist():
         away = math.hypot(x - 400, y - 300)
         assert room(x, y, circles) >= 60 - 1e-3
         assert away >= 200 - 1e-3
@@ -108,8 +112,8 @@ def test_1000_goals_have_60_px_of_room_are_200_px_away_and_no_shorter_way_than_a
 
 
 @pytest.mark.parametrize("index", [0, 1, 517])
-def test_the_shortest_way_is_that_of_a_search_place_by_place(bank, index):
-    *circles, (x, y, shortest) = bank[index].double().tolist()
+def test_the_shortest_way_is_that_of_a_search_place_by_place(all_layouts, index):
+    *circles, (x, y, shortest) = all_layouts[index].double().tolist()
     assert way_to((x, y), circles) == pytest.approx(shortest, abs=1e-3)
 
 
@@ -123,12 +127,14 @@ def test_in_an_empty_arena_the_way_to_a_goal_straight_ahead_is_its_distance_less
 
 
 def test_a_goal_behind_a_closed_ring_of_circles_is_never_drawn():
-    ring = [[400 + 160 * math.cos(a), 300 + 160 * math.sin(a), 60] for a in np.linspace(0, 2 * math.pi, 13)[:-1]]
+    ring = [
+        [400 + 160 * math.cos(a), 300 + 160 * math.sin(a), 60] for a in np.linspace(0, 2 * math.pi, 13)[:-1]
+    ]
     assert goal._draw_goal(np.array(ring), np.random.default_rng(0), GoalWorld()) is None
 
 
 @pytest.mark.parametrize(
-    ("bank", "says"),
+    ("all_layouts", "says"),
     [
         (one(x=790.0), "the goal of set 0 is nearer than 60 px to an edge"),
         (one(x=450.0), "the goal of set 0 is nearer than 200 px to the start"),
@@ -136,21 +142,21 @@ def test_a_goal_behind_a_closed_ring_of_circles_is_never_drawn():
         (one(shortest=-1.0), "the goal of set 0 has a way of less than 0 px"),
         (one(y=math.nan), "the goal of set 0 is not finite"),
         (one(circles=[(400.0, 300.0, 50.0)]), "obstacle 0 of set 0 is nearer than 50 px to the start"),
-        (torch.zeros(1, 0, 3), "a bank has the shape [n > 0, k + 1, 3], not [1, 0, 3]"),
+        (torch.zeros(1, 0, 3), "layouts have the shape [n > 0, k + 1, 3], not [1, 0, 3]"),
     ],
 )
-def test_each_wrong_bank_is_refused_in_one_line(bank, says):
+def test_each_wrong_split_is_refused_in_one_line(all_layouts, says):
     with pytest.raises(uavnav.LayoutError, match=re.escape(says)):
-        make_task(bank, task="goal")
+        make_task(all_layouts, task="goal")
 
 
-# -- the task --------------------------------------------------------------------------------------------------------
+# -- the task ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("drawn", oracle.SWITCHES)
-def test_what_is_sensed_at_5000_poses_equals_the_papers_slots_and_a_slow_loop_to_the_goal(bank, drawn):
+def test_what_is_sensed_at_5000_poses_equals_the_papers_slots_and_a_slow_loop_to_the_goal(all_layouts, drawn):
     n, generator = 5000, torch.Generator().manual_seed(6)
-    task, paper = make_task(bank, drawn, task="goal"), make_task(bank[:, :8], drawn)
+    task, paper = make_task(all_layouts, drawn, task="goal"), make_task(all_layouts[:, :8], drawn)
     heading, layout = (torch.randint(most, (n,), generator=generator) for most in (360, 1000))
     x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
     state = task.start(layout, heading)._replace(x=x, y=y)
@@ -158,11 +164,15 @@ def test_what_is_sensed_at_5000_poses_equals_the_papers_slots_and_a_slow_loop_to
     assert torch.equal(near, clearance)
     assert torch.equal(seen[:, :30], slots)  # which equal a slow loop in test_sensing
     for row, (right, forward, away) in enumerate(seen[:, 30:].tolist()):
-        gx, gy, _ = bank[layout[row], 8].tolist()
+        gx, gy, _ = all_layouts[layout[row], 8].tolist()
         dx, dy, angle = gx - x[row].item(), gy - y[row].item(), heading[row].item()
         length = math.hypot(dx, dy)
-        assert right == pytest.approx((dx * oracle.sine(angle) - dy * oracle.cosine(angle)) / length, abs=1e-4)
-        assert forward == pytest.approx((dx * oracle.cosine(angle) + dy * oracle.sine(angle)) / length, abs=1e-4)
+        assert right == pytest.approx(
+            (dx * oracle.sine(angle) - dy * oracle.cosine(angle)) / length, abs=1e-4
+        )
+        assert forward == pytest.approx(
+            (dx * oracle.cosine(angle) + dy * oracle.sine(angle)) / length, abs=1e-4
+        )
         assert away == pytest.approx(min(length / 1000, 1), abs=1e-5)
 
 
@@ -178,7 +188,7 @@ def test_18_steps_straight_to_a_goal_200_px_away_earn_11_point_62_and_end_there(
 def test_a_collision_at_the_goal_earns_minus_10_and_is_no_success():
     task = make_task(one(x=400.0, y=500.0), task="goal")
     blocked = torch.cat([one(400.0, 500.0, circles=[(400.0, 520.0, 30.0)])])
-    task = task.with_bank(blocked)
+    task = task.replace(layouts=blocked)
     state = task.start(torch.tensor([0]), torch.tensor([90]))._replace(y=torch.tensor([459.0]))
     state, outcome = task.step(state, torch.tensor([3]))
     assert outcome.terminated.item()
@@ -188,7 +198,7 @@ def test_a_collision_at_the_goal_earns_minus_10_and_is_no_success():
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(0, 99), min_size=1, max_size=40), st.integers(0, 999))
-def test_until_a_flight_ends_its_reward_is_the_way_gained_less_a_hundredth_a_penalty(actions, index):
+def test_until_an_episode_ends_its_reward_is_the_way_gained_less_a_hundredth_a_penalty(actions, index):
     task = make_task("test", task="goal")
     state = task.start(torch.tensor([index]), torch.tensor([90]))
     first, penalties = task.to_goal(state)[-1].item(), 0
@@ -201,20 +211,17 @@ def test_until_a_flight_ends_its_reward_is_the_way_gained_less_a_hundredth_a_pen
     assert state.reward.item() == pytest.approx(0.01 * gained - 0.01 * penalties, abs=1e-4)
 
 
-def test_rows_do_not_see_each_other(bank):
-    task = make_task(bank, task="goal")
-    start = task.start(torch.arange(6), torch.arange(6) * 60)
-    together, outcomes = task.step(start, torch.arange(6) * 13)
-    for row in range(6):
-        alone, outcome = task.step(type(start)(*(part[row] for part in start)), torch.tensor(row * 13))
-        for a, b in zip((*together, *outcomes), (*alone, *outcome), strict=True):
-            assert torch.equal(a[row], b)
-
-
-def test_its_own_reward_and_a_cap_of_1000_steps_are_what_is_not_given(bank):
-    assert (make_task(bank, task="goal").reward, make_task(bank, task="goal").max_steps) == ("goal", 1000)
-    assert make_task(bank, task="goal", reward="eq14").reward == make_task(bank[:, :8]).reward == "eq14"
-    assert make_task(bank, reward="eq14", max_steps=7, task="goal").max_steps == 7
+def test_its_own_reward_and_a_cap_of_1000_steps_are_what_is_not_given(all_layouts):
+    assert (make_task(all_layouts, task="goal").reward, make_task(all_layouts, task="goal").max_steps) == (
+        "goal",
+        1000,
+    )
+    assert (
+        make_task(all_layouts, task="goal", reward="eq14").reward
+        == make_task(all_layouts[:, :8]).reward
+        == "eq14"
+    )
+    assert make_task(all_layouts, reward="eq14", max_steps=7, task="goal").max_steps == 7
     with pytest.raises(ValueError, match="reward=goal: this task has no goal; choose task=goal"):
         make_task("test", reward="goal")
     with pytest.raises(ConfigError, match="reward=goal: this task has no goal; choose task=goal"):
@@ -226,7 +233,7 @@ def test_its_own_reward_and_a_cap_of_1000_steps_are_what_is_not_given(bank):
     assert ppo.PPOConfig(preset="fast").reward == "eq14"
 
 
-# -- the shells ------------------------------------------------------------------------------------------------------
+# -- the shells ----------------------------------------------------------------------------------------------
 
 
 def test_gymnasium_tells_where_the_goal_is_and_whether_it_is_reached():
@@ -256,7 +263,7 @@ def test_a_picture_shows_the_goal_in_its_colour():
     assert (abs(picture[300, 638:642].astype(int) - [0, 158, 115]).sum(-1) < 60).any()
 
 
-def test_a_run_trains_and_is_evaluated_with_four_metrics_more(tmp_path, bank):
+def test_a_run_trains_and_is_evaluated_with_four_metrics_more(tmp_path, all_layouts):
     config = ppo.PPOConfig(task="goal", layouts="validation", total_frames=64, n_envs=1, frames_per_batch=64,
                            hidden=(8,), epochs=1)  # fmt: skip
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
@@ -266,14 +273,17 @@ def test_a_run_trains_and_is_evaluated_with_four_metrics_more(tmp_path, bank):
     rows = evaluation.evaluate_run(run, episodes=3, quiet=True)
     assert (run.path / "evaluation-test-3-1000.parquet").exists()
     assert rows["steps"].max() <= 1000
-    assert evaluation.usual_files(run)[0] == "evaluation-test-200-1000.parquet"  # if it is there, `train` adds none
-    for name, cap in (("evaluation.parquet", 10_000), ("evaluation-test-200-1000.parquet", 1000)):  # of both versions
-        rows.attrs["max_steps"] = cap
+    # of both versions
+    for name, limit in (
+        ("evaluation.parquet", 10_000),
+        ("evaluation-test-200-1000.parquet", 1000),
+    ):
+        rows.attrs["max_steps"] = limit
         rows.to_parquet(run.path / name)
-        assert run.evaluation().attrs["max_steps"] == cap
+        assert run.evaluation().attrs["max_steps"] == limit
     assert run.behaviour_file().name == "behaviour-test-200-1000.parquet"
     assert set(metrics.own(rows).columns) == {"success", "collision", "time_out", "spl"}
-    np.testing.assert_allclose(rows["shortest"], np.tile(bank[:3, 8, 2].numpy(), 2))
+    np.testing.assert_allclose(rows["shortest"], np.tile(all_layouts[:3, 8, 2].numpy(), 2))
 
 
 def test_success_collision_and_time_out_add_up_and_spl_weighs_success_by_the_way_flown():
@@ -284,10 +294,14 @@ def test_success_collision_and_time_out_add_up_and_spl_weighs_success_by_the_way
     assert own.to_dict() == {"success": 50, "collision": 25, "time_out": 25, "spl": (1 + 0.75) / 4}
 
 
-def test_the_reactive_rule_reaches_at_least_60_percent_of_60_goals(bank):
-    rows = evaluation.fly({0: BASELINES["reactive"]}, make_task(bank[:60], task="goal", max_steps=300)).episodes
+def test_the_reactive_rule_reaches_at_least_60_percent_of_60_goals(all_layouts):
+    rows = evaluation.fly(
+        {0: BASELINES["reactive"]}, make_task(all_layouts[:60], task="goal", max_steps=300)
+    ).episodes
     assert rows["succeeded"].mean() > 0.6
-    assert (rows["distance"][rows["succeeded"] == 1] + 9 >= rows["shortest"][rows["succeeded"] == 1] * 0.98).all()
+    assert (
+        rows["distance"][rows["succeeded"] == 1] + 9 >= rows["shortest"][rows["succeeded"] == 1] * 0.98
+    ).all()
 
 
 @pytest.mark.parametrize(
@@ -296,5 +310,5 @@ def test_the_reactive_rule_reaches_at_least_60_percent_of_60_goals(bank):
 def test_what_learns_from_replay_bootstraps_at_the_cap_that_the_task_has_by_default(kind, more):
     config = kind(task="goal", **more)
     assert config.max_steps == config.make_task().max_steps == 1000
-    assert config.keeps_next_observations  # no other row has what is seen at the cap
+    assert config.keeps_next_observations  # no other row has what is seen at the time limit
     assert kind(task="goal", max_steps=70, **more).max_steps == 70

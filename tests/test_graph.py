@@ -1,4 +1,6 @@
-"""Compiled graphs; and where nothing can be compiled, one line that says so and why, or an error where it was asked."""
+"""Compiled graphs; and where nothing can be compiled, one line that says so and why, or an error where it
+was asked.
+"""
 
 import os
 import subprocess
@@ -15,9 +17,6 @@ from uavnav.networks import mlp
 from uavnav.tasks.seeding import stream
 
 COMMAND = """
-import os
-from torch._inductor import config as inductor
-inductor.cpp.cxx = None, os.environ.get("CXX", "g++")  # as it does itself when it is imported
 from uavnav.algorithms.ppo import PPOConfig, train
 from uavnav.training import machine
 machine.PAYS_FROM = 1
@@ -32,19 +31,26 @@ exit 1
 
 
 def trained(tmp_path, compile, n_seeds=1, **environment):
-    """A small run in a process whose tool chain is what the environment says."""
+    """A small run in a process, and its workers, whose tool chain is what the environment says; see
+    `warm.run`.
+    """
     command = COMMAND.format(compile=compile, n_seeds=n_seeds, out=str(tmp_path / "run"))
     env = os.environ | {"TORCHINDUCTOR_CACHE_DIR": str(tmp_path / "graphs")} | environment
-    return subprocess.run([sys.executable, "-c", command], env=env, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", command], env=env, capture_output=True, text=True, check=False
+    )
 
 
 def warnings(result):
-    return [line for line in result.stderr.splitlines() if "runs without compilation" in line and "warn(" not in line]
+    return [
+        line
+        for line in result.stderr.splitlines()
+        if "runs without compilation" in line and "warn(" not in line
+    ]
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("warm")
 def test_without_a_compiler_a_run_of_2_processes_goes_on_with_one_line_that_says_why(tmp_path):
-    """Without the fixture `warm`: the shares are processes of their own from the first import."""
     result = trained(tmp_path, "auto", n_seeds=2, CXX="/bin/false")
     assert result.stdout == "False\n"
     (line,) = warnings(result)
@@ -55,19 +61,21 @@ def test_without_a_compiler_a_run_of_2_processes_goes_on_with_one_line_that_says
 def test_without_a_compiler_compile_on_is_refused_in_one_line_before_anything_is_written(tmp_path):
     result = trained(tmp_path, "on", CXX="/bin/false")
     last = result.stderr.splitlines()[-1]
-    assert "ConfigError: compile=on: no graph can be compiled here (InvalidCxxCompiler: No working C++ compiler" in last
+    assert (
+        "ConfigError: compile=on: no graph can be compiled here (InvalidCxxCompiler: No working C++ compiler"
+        in last
+    )
     assert "install g++ and Python's headers" in last
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.usefixtures("warm")
-@pytest.mark.parametrize("cause", ["compiler", "header", "cache"])
-def test_a_missing_compiler_or_header_and_a_cache_that_cannot_be_written_are_named_and_the_run_goes_on(tmp_path, cause):
+@pytest.mark.parametrize("cause", ["header", "cache"])
+def test_a_missing_header_and_a_cache_that_cannot_be_written_are_named_and_the_run_goes_on(tmp_path, cause):
     compiler = tmp_path / "c++"
     compiler.write_text(NO_HEADER)
     compiler.chmod(0o755)
     environment, says = {
-        "compiler": ({"CXX": "/bin/false"}, "several times slower: InvalidCxxCompiler: No working C++ compiler found"),
         "header": ({"CXX": str(compiler)}, "fatal error: Python.h: No such file or directory"),
         "cache": ({"TORCHINDUCTOR_CACHE_DIR": "/proc"}, "No such file or directory: '/proc/"),
     }[cause]
@@ -88,35 +96,38 @@ def counted(function):
     return Graph(traced), runs
 
 
-def test_a_graph_is_traced_once_for_each_shape_type_and_stride_and_says_what_its_function_says():
-    graph, runs = counted(lambda x, y: (x.sin() + y, x.sum(-1)))
+def test_a_graph_is_traced_once_for_each_shape_type_and_stride_and_says_what_its_function_says(monkeypatch):
+    """Its traces are run as they are: what inductor makes of one, other tests ask."""
+    monkeypatch.setattr(graph, "standalone_compile", lambda traced, *given, **how: traced)
+    of_sines, runs = counted(lambda x, y: (x.sin() + y, x.sum(-1)))
     rows = torch.arange(12.0).reshape(3, 4)
     given = [rows, rows.double(), rows[:2], rows.T, rows[:, ::2], rows[1:]]  # the last is as the third
     for _ in range(2):
         for x in given:
             y = torch.full_like(x, 0.5)
-            for found, right in zip(graph(x, y), (x.sin() + y, x.sum(-1)), strict=True):
+            for found, right in zip(of_sines(x, y), (x.sin() + y, x.sum(-1)), strict=True):
                 torch.testing.assert_close(found, right)
                 assert found.dtype == right.dtype
     assert len(runs) == 5
 
 
 def test_a_graph_that_writes_into_what_it_is_given_does_so_once_a_call():
-    graph, _ = counted(lambda total, x: (total.add_(x), x + 0)[1:])
+    adds, _ = counted(lambda total, x: (total.add_(x), x + 0)[1:])
     total = torch.zeros(3)
     for count in range(1, 4):
-        graph(total, torch.ones(3))
+        adds(total, torch.ones(3))
         assert total.tolist() == [count] * 3
 
 
 @pytest.mark.parametrize("acts", list(ACTS))
 def test_compiled_policies_choose_by_the_weights_of_now(acts):
-    network = mlp([30, 64, 64, 100], "tanh", [stream(seed, "test") for seed in range(2)], "default")
+    network = mlp([30, 16, 100], "tanh", [stream(seed, "test") for seed in range(2)], "default")
     compiled, eager = (
-        Actor(network, [0, 1], acts, "direct", compile, epsilon=lambda frames: 0.1) for compile in (True, False)
+        Actor(network, [0, 1], acts, "direct", compile, epsilon=lambda frames: 0.1)
+        for compile in (True, False)
     )
     generator = torch.Generator().manual_seed(0)
-    observation = torch.rand(2, 16, 30, generator=generator)
+    observation = torch.rand(2, 8, 30, generator=generator)
     chosen = []
     for _ in range(3):
         chosen.append(compiled.act(observation))
@@ -146,7 +157,9 @@ def descend(rate, weight, target, batch):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("missing", [None, "standalone_compile", "make_fx", "while_loop_op", "fx_graph_cse"])
-def test_five_updates_as_a_graph_are_those_of_a_slow_loop_also_where_torch_compile_must_do(missing, monkeypatch):
+def test_five_updates_as_a_graph_are_those_of_a_slow_loop_also_where_torch_compile_must_do(
+    missing, monkeypatch
+):
     if missing:
         monkeypatch.setattr(graph, missing, None)
     rates, target = torch.full((5,), 0.1), torch.tensor(0.5)
@@ -178,7 +191,9 @@ def refuses(*given, **how):
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("part", ["standalone_compile", "make_fx"])
-@pytest.mark.parametrize("changed", [lambda function, given: None, refuses], ids=["other arguments", "refuses"])
+@pytest.mark.parametrize(
+    "changed", [lambda function, given: None, refuses], ids=["other arguments", "refuses"]
+)
 def test_a_pytorch_whose_parts_have_changed_is_left_to_torch_compile(part, changed, monkeypatch):
     monkeypatch.setattr(graph, part, changed)
     (found,) = Graph(lambda x: (2 * x,))(torch.ones(3))

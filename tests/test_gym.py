@@ -1,4 +1,4 @@
-"""Gymnasium's and Stable-Baselines3's views of the world: the same flights, info, autoreset and pictures."""
+"""Gymnasium's and Stable-Baselines3's views of the world: the same episodes, info, autoreset and pictures."""
 
 import itertools
 import math
@@ -20,7 +20,7 @@ STRAIGHT = 9  # no turn, 9 px
 
 
 @pytest.fixture(scope="module")
-def bank():
+def all_layouts():
     return layouts.load("test").tolist()
 
 
@@ -59,32 +59,32 @@ def test_the_spaces_are_30_numbers_and_100_actions():
     assert env.observation_space.high.tolist() == [1] * 30
 
 
-def agree(observation, info, flight):
+def agree(observation, info, episode):
     """Info, and the observation unless too near a threshold; takes over the place that float32 rounded."""
-    assert (info["layout"], info["heading"]) == (flight.layout, flight.heading)
-    assert info["clearance"] == pytest.approx(flight.clearance, abs=1e-4)
-    flight.at(info["x"], info["y"])
-    if not oracle.doubtful(flight.found):
-        np.testing.assert_allclose(observation, sum(flight.slots, ()), rtol=0, atol=1e-4)
+    assert (info["layout"], info["heading"]) == (episode.layout, episode.heading)
+    assert info["clearance"] == pytest.approx(episode.clearance, abs=1e-4)
+    episode.at(info["x"], info["y"])
+    if not oracle.doubtful(episode.found):
+        np.testing.assert_allclose(observation, sum(episode.slots, ()), rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("variant", ["eq14", "additive", "initial"])
-def test_ten_episodes_equal_the_oracle_step_by_step(bank, variant):
+def test_ten_episodes_equal_the_oracle_step_by_step(all_layouts, variant):
     env = make(reward=variant)
     observation, info = env.reset(seed=3)
-    flight = oracle.Flight(bank, info["layout"], variant=variant)
-    agree(observation, info, flight)
+    episode = oracle.Episode(all_layouts, info["layout"], variant=variant)
+    agree(observation, info, episode)
     ended, actions = 0, random_actions(3000)
     for action in actions:
         observation, reward, terminated, truncated, info = env.step(action)
-        flight.step(int(action))
-        agree(observation, info, flight)
-        assert (terminated, truncated) == (flight.terminated, False)
-        assert reward == pytest.approx(flight.reward, abs=1e-12)
+        episode.step(int(action))
+        agree(observation, info, episode)
+        assert (terminated, truncated) == (episode.terminated, False)
+        assert reward == pytest.approx(episode.reward, abs=1e-12)
         if terminated:
             ended += 1
-            flight.next_episode()
-            agree(*env.reset(), flight)
+            episode.next_episode()
+            agree(*env.reset(), episode)
         if ended == 10:
             break
     assert ended == 10
@@ -171,22 +171,24 @@ def test_the_straight_flight_earns_0_09_in_27_steps_and_minus_10_in_the_28th():
     assert steps[-1][4]["clearance"] == 28
 
 
-@pytest.mark.parametrize(("cap", "terminated", "truncated"), [(27, False, True), (28, True, False)])
-def test_a_cap_of_27_truncates_and_a_collision_at_the_cap_of_28_only_terminates(cap, terminated, truncated):
-    env = gymnasium.make("uavnav/Drone-v0", layouts=layouts.generate(1, 0), max_steps=cap)
+@pytest.mark.parametrize(("limit", "terminated", "truncated"), [(27, False, True), (28, True, False)])
+def test_a_cap_of_27_truncates_and_a_collision_at_the_cap_of_28_only_terminates(limit, terminated, truncated):
+    env = gymnasium.make("uavnav/Drone-v0", layouts=layouts.generate(1, 0), max_steps=limit)
     env.reset(seed=0)
-    *early, last = [env.step(STRAIGHT) for _ in range(cap)]
+    *early, last = [env.step(STRAIGHT) for _ in range(limit)]
     assert not any(step[2] or step[3] for step in early)
     assert last[2:4] == (terminated, truncated)
-    vector = make_vec(2, layouts=layouts.generate(1, 0), max_steps=cap)
+    vector = make_vec(2, layouts=layouts.generate(1, 0), max_steps=limit)
     vector.reset(seed=0)
-    *_, last = [vector.step(np.full(2, STRAIGHT)) for _ in range(cap)]
+    *_, last = [vector.step(np.full(2, STRAIGHT)) for _ in range(limit)]
     assert last[2].tolist() == [terminated] * 2
     assert last[3].tolist() == [truncated] * 2
 
 
 def alike(observation, info, row, alone, alone_info):
-    """A row of the batch and an environment by itself: the same place bit for bit, the same sight up to rounding."""
+    """A row of the batch and an environment by itself: the same place bit for bit, the same sight up to
+    rounding.
+    """
     np.testing.assert_allclose(observation, alone, rtol=0, atol=1e-5)
     exact = {name: value for name, value in alone_info.items() if name != "clearance"}
     assert {name: info[name][row] for name in exact} == exact
@@ -285,16 +287,18 @@ def test_random_start_headings_are_reproducible_and_differ_over_20_resets():
 def test_the_stream_of_headings_follows_the_seed_through_resets_and_autoresets_and_begins_as_droneenvs():
     world = uavnav.World(start_heading="random")
 
-    def flights(seed):
-        """Headings of 10 resets of one drone, and of 3 resets and 10 autoresets of four: all after one another."""
+    def episodes(seed):
+        """Headings of 10 resets of one drone, and of 3 resets and 10 autoresets of four: all after one
+        another.
+        """
         env, vector = make(world=world), make_vec(4, world=world, max_steps=1)
         single = [env.reset(seed=how)[1]["heading"] for how in (seed, *[None] * 9)]
         many = [vector.reset(seed=how)[1]["heading"].tolist() for how in (seed, None, None)]
         many += [vector.step(np.full(4, STRAIGHT))[-1]["heading"].tolist() for _ in range(10)]
         return single, many
 
-    by_seed = {seed: flights(seed) for seed in range(20)}
-    assert all(flights(seed) == by_seed[seed] for seed in (0, 7))
+    by_seed = {seed: episodes(seed) for seed in range(20)}
+    assert all(episodes(seed) == by_seed[seed] for seed in (0, 7))
     assert len({single[0] for single, _ in by_seed.values()}) > 15
     assert len({tuple(single[1:]) for single, _ in by_seed.values()}) == 20
     assert len({tuple(rows) for _, many in by_seed.values() for rows in many}) == 20 * 13
@@ -309,8 +313,13 @@ def test_no_array_of_the_first_20_steps_is_changed_by_later_ones():
     kept = [(vector.reset(seed=0)[0], {})]
     for action in random_actions(20, 4):
         observation, *_, info = vector.step(action)
-        kept.append((observation, {name: info[name] for name in ("layout", "x", "y", "heading", "clearance")}))
-    copies = [(observation.copy(), {name: value.copy() for name, value in info.items()}) for observation, info in kept]
+        kept.append(
+            (observation, {name: info[name] for name in ("layout", "x", "y", "heading", "clearance")})
+        )
+    copies = [
+        (observation.copy(), {name: value.copy() for name, value in info.items()})
+        for observation, info in kept
+    ]
     for action in random_actions(40, 4):
         vector.step(action)
     for (observation, info), (observation_then, info_then) in zip(kept, copies, strict=True):
@@ -355,7 +364,9 @@ def test_sb3s_ppo_learns_256_steps_on_4_rows_and_goes_on_from_there():
     from uavnav.envs.sb3 import DroneVecEnv
 
     env = DroneVecEnv(4, seed=0, layouts="test")
-    model = stable_baselines3.PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
+    model = stable_baselines3.PPO(
+        "MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu"
+    )
     assert model.learn(256).num_timesteps == 256
 
 
@@ -410,12 +421,12 @@ def test_sb3s_rows_equal_the_vectors_and_name_the_end_of_each_of_their_episodes(
     assert min(ends.values()) > 3
 
 
-def test_who_writes_into_the_obstacles_that_an_env_shows_changes_neither_it_nor_the_bank(bank):
+def test_who_writes_into_the_obstacles_that_an_env_shows_changes_neither_it_nor_the_split(all_layouts):
     env = make().unwrapped
     env.reset(options={"layout": 3})
     env.obstacles[:] = 0
     env.velocities[:] = 1
-    assert env.obstacles.tolist() == bank[3]
+    assert env.obstacles.tolist() == all_layouts[3]
     assert not env.velocities.any()
 
 
@@ -437,5 +448,7 @@ def test_sb3_is_given_of_3_rows_the_obstacles_velocities_and_spaces_of_the_row_t
 
 def test_sb3_takes_the_single_environment_too_for_64_steps():
     stable_baselines3 = pytest.importorskip("stable_baselines3")
-    model = stable_baselines3.DQN("MlpPolicy", make(), learning_starts=10, buffer_size=100, seed=0, device="cpu")
+    model = stable_baselines3.DQN(
+        "MlpPolicy", make(), learning_starts=10, buffer_size=100, seed=0, device="cpu"
+    )
     assert model.learn(64).num_timesteps == 64

@@ -21,7 +21,7 @@ def run(tmp_path_factory):
 
 @pytest.fixture
 def flown(run, monkeypatch):
-    """What is in the files of an evaluation: 12 sets, 300 steps; so many forks are started."""
+    """What is in the files of an evaluation: 12 layouts, 300 steps; so many forks are started."""
     monkeypatch.setattr(machine, "MANY", 3 * 2 * 12 * 300)
     original = machine.forked
 

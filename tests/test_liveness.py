@@ -1,4 +1,6 @@
-"""Whether a job of a study lives is what it says itself: engines that lie, wait, or say nothing do not stop a study."""
+"""Whether a job of a study lives is what it says itself: engines that lie, wait, or say nothing do not
+stop a study.
+"""
 
 import contextlib
 import json
@@ -17,7 +19,7 @@ from uavnav.cli import worker
 from uavnav.evaluation.verify import _parting as parting
 from uavnav.runs import PROGRESS, STOP, Run, progress
 from uavnav.runs.tables import RunError
-from uavnav.studies import Cell, run
+from uavnav.studies import Configuration, run
 from uavnav.studies.engines import logged
 from uavnav.studies.engines.local import Local
 from uavnav.studies.run import Runner
@@ -27,7 +29,13 @@ from uavnav.training.loop import train
 from uavnav.training.recorder import Recorder
 
 CONFIG = PPOConfig(
-    n_seeds=2, total_frames=2_048, frames_per_batch=256, minibatch_size=64, epochs=1, hidden=(8,), compile="off"
+    n_seeds=2,
+    total_frames=2_048,
+    frames_per_batch=256,
+    minibatch_size=64,
+    epochs=1,
+    hidden=(8,),
+    compile="off",
 )
 FLOWN = {"episodes": 2, "max_steps": 20}
 
@@ -88,14 +96,14 @@ class NoAnswer(Engine):
 
 @pytest.fixture
 def study(tmp_path, warm):
-    """Carries one cell out on an engine; gives the cells that failed and what was said."""
+    """Carries one configuration out on an engine; gives the configurations that failed and what was said."""
     engines = []
 
     def carry_out(engine, config=CONFIG, evaluation=FLOWN, **how):
         engines.append(engine)
         said = []
-        cell = Cell(config, tmp_path / "out" / "ppo" / "tanh", evaluation)
-        failed = Runner(tmp_path / "out", [cell], engine, say=said.append, **how).run()
+        configuration = Configuration(config, tmp_path / "out" / "ppo" / "tanh", evaluation)
+        failed = Runner(tmp_path / "out", [configuration], engine, say=said.append, **how).run()
         return failed, said
 
     yield carry_out
@@ -125,7 +133,7 @@ def test_an_evaluation_whose_engine_never_tells_its_end_is_seen_to_end(study, tm
     assert failed == []
     left = {path.name for path in (tmp_path / "out" / "ppo" / "tanh").iterdir()}
     assert PROGRESS not in left
-    assert not [name for name in left if name.startswith(run.FLIGHTS)]
+    assert not [name for name in left if name.startswith(run.EPISODES)]
 
 
 def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_not(study, tmp_path):
@@ -150,7 +158,9 @@ def test_an_evaluation_that_is_killed_is_given_again_and_one_that_is_refused_is_
     assert failed.problem.startswith("was not evaluated, see ")
 
 
-def test_a_job_that_falls_silent_is_ended_and_its_worker_given_again_from_its_snapshot(study, tmp_path, monkeypatch):
+def test_a_job_that_falls_silent_is_ended_and_its_worker_given_again_from_its_snapshot(
+    study, tmp_path, monkeypatch
+):
     impatient(monkeypatch, SILENT=12.0, IDLE=60.0)
 
     class Stopped(Engine):
@@ -216,9 +226,11 @@ def test_a_job_that_an_engine_does_not_begin_is_given_again_as_often_as_needed(s
 def test_a_study_says_what_it_waits_for_and_does_not_wait_without_end(engine, waits, tmp_path, monkeypatch):
     impatient(monkeypatch)
     said = []
-    cell = Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
-    with pytest.raises(RunError, match=f"no job has lived for 1 s, {waits}; engine=.* has . slots; the same command"):
-        Runner(tmp_path / "out", [cell], engine, seeds_per_worker=2, say=said.append).run()
+    configuration = Configuration(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
+    with pytest.raises(
+        RunError, match=f"no job has lived for 1 s, {waits}; engine=.* has . slots; the same command"
+    ):
+        Runner(tmp_path / "out", [configuration], engine, seeds_per_worker=2, say=said.append).run()
     assert 2 <= len(said) <= 3
     assert all(waits in line for line in said)
 
@@ -246,9 +258,9 @@ def test_a_job_that_lingers_after_its_last_words_is_ended_and_gives_its_place_fr
         def cancel(self, job):
             self.cancelled.append(job)
 
-    engine, cell = Lingers(), Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
-    carried = Runner(tmp_path / "out", [cell], engine)
-    before, now = (run.Job(run.Work(cell), None, handle=name) for name in ("before", "now"))
+    engine, configuration = Lingers(), Configuration(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
+    carried = Runner(tmp_path / "out", [configuration], engine)
+    before, now = (run.Job(run.Work(configuration), None, handle=name) for name in ("before", "now"))
     carried._leaving = [(time.monotonic() - run.SILENT_SECONDS - 1, before), (time.monotonic(), now)]
     carried._end_what_lingers()
     assert engine.cancelled == ["before"]
@@ -278,24 +290,24 @@ def test_a_check_of_machines_that_lasts_is_told_and_has_an_end(study, monkeypatc
 
     impatient(monkeypatch, SAY=0.2, CHECK=0.7)
     said = []
-    cell = Cell(CONFIG, Path("unused"), None)
+    configuration = Configuration(CONFIG, Path("unused"), None)
     monkeypatch.setattr(run.Recorder, "__init__", lambda *anything: None)
     with pytest.raises(RunError, match="engine=queue: does not answer for 1 s; the same command goes on"):
-        Runner(Path("unused"), [cell], Queue(), say=said.append)._check_engine()
+        Runner(Path("unused"), [configuration], Queue(), say=said.append)._check_engine()
     assert len(said) == 3
     assert said[0] == f"engine=queue: does not answer for 0 s: {run.CHECK}"
 
 
 @pytest.mark.parametrize(("frames", "hours"), [(1_000, 4), (2_048, 48)])
-def test_a_heart_that_beats_counts_as_stuck_after_4_hours_where_frames_are_missing_and_after_48_where_it_flies(
+def test_a_heart_beats_counts_as_stuck_after_4_hours_where_frames_are_missing_and_after_48_where_it_flies(
     frames, hours, tmp_path, monkeypatch
 ):
     clock, cancelled = [0.0], []
     monkeypatch.setattr(run.time, "monotonic", lambda: clock[0])
-    cell = Cell(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
-    carried = Runner(tmp_path / "out", [cell], NeverBegins(), say=lambda told: None)
+    configuration = Configuration(CONFIG, tmp_path / "out" / "ppo" / "tanh", None)
+    carried = Runner(tmp_path / "out", [configuration], NeverBegins(), say=lambda told: None)
     monkeypatch.setattr(carried.engine, "cancel", cancelled.append)
-    job = run.Job(run.Work(cell), workers.Worker(tmp_path / "0.1", CONFIG))
+    job = run.Job(run.Work(configuration), workers.Worker(tmp_path / "0.1", CONFIG))
     job.folder.mkdir()
     job.file("log").touch()
     job.given("handle")
@@ -306,7 +318,7 @@ def test_a_heart_that_beats_counts_as_stuck_after_4_hours_where_frames_are_missi
     assert cancelled == ["handle"]
 
 
-# -- a heartbeat ------------------------------------------------------------------------------------------------------
+# -- a heartbeat ---------------------------------------------------------------------------------------------
 
 
 def test_a_heart_beats_while_its_run_is_busy_and_says_how_far_it_is(tmp_path, monkeypatch):
@@ -338,8 +350,8 @@ def test_a_heart_feels_that_its_folder_is_gone_and_sees_a_stop(tmp_path, monkeyp
 
 
 def test_silence_is_measured_by_whoever_listens_whatever_the_clock_of_the_worker_says(tmp_path, monkeypatch):
-    cell = Cell(CONFIG, tmp_path, None)
-    job = run.Job(run.Work(cell), None)
+    configuration = Configuration(CONFIG, tmp_path, None)
+    job = run.Job(run.Work(configuration), None)
     now = [100.0]
     monkeypatch.setattr(run.time, "monotonic", lambda: now[0])
     job.given("handle")
@@ -355,7 +367,7 @@ def test_silence_is_measured_by_whoever_listens_whatever_the_clock_of_the_worker
 
 
 def test_the_process_of_an_evaluation_writes_its_status(tmp_path, warm):
-    words = [sys.executable, "-m", "uavnav.cli.flights", str(tmp_path / "ended"), str(tmp_path), "--quiet"]
+    words = [sys.executable, "-m", "uavnav.cli.episodes", str(tmp_path / "ended"), str(tmp_path), "--quiet"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert json.loads((tmp_path / "ended").read_text()) == {"status": 2}
     assert done.stderr.startswith("uavnav evaluate: ")
@@ -377,8 +389,10 @@ def test_the_heart_of_a_worker_beats_while_it_flies(tmp_path, monkeypatch):
     assert not (own.folder / PROGRESS).exists()
 
 
-@pytest.mark.parametrize("problem", [RunError("the disk is full"), ValueError("too many"), OSError("read-only")])
-def test_a_worker_whose_flights_fail_says_why(problem, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "problem", [RunError("the disk is full"), ValueError("too many"), OSError("read-only")]
+)
+def test_a_worker_whose_episodes_fail_says_why(problem, tmp_path, monkeypatch):
     def fail(run, **how):
         raise problem
 

@@ -1,4 +1,4 @@
-"""The six metrics in each reading, by hand on three episodes."""
+"""The six metrics in each metric definition, by hand on three episodes."""
 
 import pandas as pd
 import pytest
@@ -33,7 +33,9 @@ def test_counts_are_means_over_each_seeds_episodes(episodes):
 def test_a_mean_of_ratios_weighs_episodes_and_a_ratio_of_means_weighs_steps(episodes):
     names = ["stops", "full_stops", "turns", "speed"]
     assert per_seed(episodes).loc[0, names].tolist() == pytest.approx([5.0, 0.5, 70.0, 6.75])
-    assert per_seed(episodes, ratio_of_means=True).loc[0, names].tolist() == pytest.approx([2.5, 0.25, 60.0, 7.875])
+    assert per_seed(episodes, ratio_of_means=True).loc[0, names].tolist() == pytest.approx(
+        [2.5, 0.25, 60.0, 7.875]
+    )
 
 
 def test_open_episodes_are_in_no_reading(episodes):
@@ -73,7 +75,7 @@ def test_a_metric_in_words_has_its_unit_and_the_direction_that_is_better():
     assert [name for name, metric in METRICS.items() if metric.better < 0] == ["stops", "full_stops", "turns"]
 
 
-def test_the_papers_tables_hold_8_cells_of_6_metrics_that_we_have_too():
+def test_the_papers_tables_hold_8_configurations_of_6_metrics_that_we_have_too():
     assert len(paper.TABLES) == 8
     assert all(set(row) == set(paper.COLUMNS) <= set(METRICS) for row in paper.TABLES.values())
     assert paper.TABLES["ppo", "tanh"]["reward"] == 88.527

@@ -1,5 +1,6 @@
 """Moving obstacles: a closed function of the step, against slow loops and closed forms."""
 
+import functools
 import re
 from fractions import Fraction
 
@@ -13,57 +14,63 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import uavnav
-from uavnav import DroneEnv, evaluation, load_policy
+from uavnav import evaluation, load_policy
 from uavnav.algorithms import ppo
-from uavnav.cli.layouts import main as write_banks
+from uavnav.cli import commands
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
 from uavnav.tasks import circles, layouts, moving
 from uavnav.tasks.baselines import BASELINES, dodge, suited
 from uavnav.tasks.moving import MovingWorld
-from uavnav.tasks.simulator import make_task
+from uavnav.tasks.table import make_task
+
+write_layouts = functools.partial(commands.run, "layouts")
 
 SENSED = {"sense_velocity": True}
 
 
 @pytest.fixture(scope="module")
-def bank():
+def all_layouts():
     return layouts.load("test", MovingWorld())
 
 
-def rows_of(bank, n):
-    return bank[:n].double().tolist()
+def rows_of(all_layouts, n):
+    return all_layouts[:n].double().tolist()
 
 
 def actions(n, steps, seed=0):
     return torch.randint(100, (steps, n), generator=torch.Generator().manual_seed(seed))
 
 
-# -- where they are --------------------------------------------------------------------------------------------------
+# -- where they are ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("steps", [0, 1, 7, 400, 3001])
-def test_200_circles_are_after_so_many_steps_where_a_loop_that_bounces_them_has_them(bank, steps):
-    where, how = moving.motion(bank[:25], torch.full((25,), steps), MovingWorld())
-    expected = [oracle.drift(row, steps) for row in rows_of(bank, 25)]
+def test_200_circles_are_after_so_many_steps_where_a_loop_that_bounces_them_has_them(all_layouts, steps):
+    where, how = moving.motion(all_layouts[:25], torch.full((25,), steps), MovingWorld())
+    expected = [oracle.drift(row, steps) for row in rows_of(all_layouts, 25)]
     places = torch.tensor([[circle for circle, _ in row] for row in expected])
     velocities = torch.tensor([[velocity for _, velocity in row] for row in expected])
     torch.testing.assert_close(where, places, rtol=0, atol=1e-4)
     torch.testing.assert_close(how, velocities, rtol=0, atol=1e-6)
-    assert steps < 400 or (how != bank[:25, :, 3:]).any()
+    assert steps < 400 or (how != all_layouts[:25, :, 3:]).any()
 
 
-def test_after_a_million_steps_no_place_errs_by_a_ten_thousandth_of_a_pixel(bank):
+def test_after_a_million_steps_no_place_errs_by_a_ten_thousandth_of_a_pixel(all_layouts):
     steps = 1_000_000
-    where, _ = moving.motion(bank[:5], torch.full((5,), steps), MovingWorld())
-    for row, found in zip(rows_of(bank, 5), where.tolist(), strict=True):
+    where, _ = moving.motion(all_layouts[:5], torch.full((5,), steps), MovingWorld())
+    for row, found in zip(rows_of(all_layouts, 5), where.tolist(), strict=True):
         for circle, place in zip(row, found, strict=True):
-            for start, velocity, size, there in zip(circle[:2], circle[3:], (800, 600), place[:2], strict=True):
+            for start, velocity, size, there in zip(
+                circle[:2], circle[3:], (800, 600), place[:2], strict=True
+            ):
                 way = (Fraction(start) + Fraction(velocity) * steps) % (2 * size)
                 assert there == pytest.approx(float(min(way, 2 * size - way)), abs=1e-4)
 
 
 def test_at_an_edge_a_velocity_points_inwards():
-    rows = torch.tensor([[[0.0, 10.0, 30.0, -2.0, 0.0], [798.0, 600.0, 30.0, 2.0, 1.0], [2.0, 0.0, 30.0, -2.0, -1.0]]])
+    rows = torch.tensor(
+        [[[0.0, 10.0, 30.0, -2.0, 0.0], [798.0, 600.0, 30.0, 2.0, 1.0], [2.0, 0.0, 30.0, -2.0, -1.0]]]
+    )
     _, now = moving.motion(rows, torch.tensor([0]), MovingWorld())
     assert now.tolist() == [[[2.0, 0.0], [2.0, -1.0], [-2.0, 1.0]]]
     _, later = moving.motion(rows, torch.tensor([1]), MovingWorld())
@@ -80,7 +87,9 @@ def test_at_an_edge_a_velocity_points_inwards():
 )
 def test_a_circle_stays_in_the_window_at_its_speed_and_goes_where_its_velocity_points(x, y, vx, vy, steps):
     row = torch.tensor([[[x, y, 50.0, vx, vy]]])
-    (here, now), (there, _) = (moving.motion(row, torch.tensor([steps + more]), MovingWorld()) for more in (0, 1))
+    (here, now), (there, _) = (
+        moving.motion(row, torch.tensor([steps + more]), MovingWorld()) for more in (0, 1)
+    )
     assert ((here[..., :2] >= 0) & (here[..., :2] <= torch.tensor([800.0, 600.0]))).all()
     assert torch.equal(now.abs(), row[..., 3:].abs())
     ahead = here[..., :2] + now
@@ -88,10 +97,10 @@ def test_a_circle_stays_in_the_window_at_its_speed_and_goes_where_its_velocity_p
     torch.testing.assert_close(there[..., :2][free], ahead[free], rtol=0, atol=2e-4)
 
 
-# -- the task --------------------------------------------------------------------------------------------------------
+# -- the task ------------------------------------------------------------------------------------------------
 
 
-def test_at_speed_0_200_flights_of_100_steps_equal_the_papers_world_bit_for_bit():
+def test_at_speed_0_200_episodes_of_100_steps_equal_the_papers_world_bit_for_bit():
     still, paper = make_task("test", {"speed_max": 0.0}, task="moving"), make_task("test")
     states = [task.start(torch.arange(200), torch.full((200,), 90)) for task in (still, paper)]
     for action in actions(200, 100):
@@ -100,13 +109,13 @@ def test_at_speed_0_200_flights_of_100_steps_equal_the_papers_world_bit_for_bit(
         )
         states = [ours, theirs]
         assert all(torch.equal(a, b) for a, b in zip((*ours, *found), (*theirs, *expected), strict=True))
-    assert not torch.equal(still.bank[..., :3], make_task("train").bank[:1000])
+    assert not torch.equal(still.layouts[..., :3], make_task("train").layouts[:1000])
 
 
-def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop_by_every_switch(bank):
+def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop_by_every_switch(all_layouts):
     n, generator = 5000, torch.Generator().manual_seed(5)
     every = [(more, drawn) for more in ({}, SENSED) for drawn in oracle.SWITCHES]
-    tasks = [make_task(bank, more | drawn, task="moving") for more, drawn in every]
+    tasks = [make_task(all_layouts, more | drawn, task="moving") for more, drawn in every]
     heading, layout = (torch.randint(most, (n,), generator=generator) for most in (360, 1000))
     x, y = 800 * torch.rand(n, generator=generator), 600 * torch.rand(n, generator=generator)
     state = tasks[0].start(layout, heading)._replace(x=x, y=y)
@@ -137,50 +146,42 @@ def test_who_stands_still_is_hit_by_what_comes_at_2_px_a_step_from_120_px_after_
     assert outcome.reward.item() == -10
 
 
-@pytest.mark.parametrize("fields", [{}, SENSED])
-def test_rows_do_not_see_each_other(bank, fields):
-    task = make_task(bank, fields, task="moving")
-    all_of_them = task.start(torch.arange(6), torch.arange(6) * 60)._replace(steps=torch.arange(6) * 50)
-    together, outcomes = task.step(all_of_them, torch.arange(6) * 13)
-    for row in range(6):
-        alone, outcome = task.step(type(all_of_them)(*(part[row] for part in all_of_them)), torch.tensor(row * 13))
-        assert all(torch.equal(a[row], b) for a, b in zip((*together, *outcomes), (*alone, *outcome), strict=True))
-
-
-# -- banks -----------------------------------------------------------------------------------------------------------
+# -- layouts -------------------------------------------------------------------------------------------------
 
 
 def test_the_three_splits_have_the_papers_circles_and_speeds_uniform_from_0_to_2_px_a_step():
     found = []
     for split in layouts.SPLITS:
-        bank, header = layouts.read(split, MovingWorld())
-        assert bank.shape == (layouts.SPLITS[split].n, 8, 5)
-        assert torch.equal(bank[..., :3], layouts.load(split))
+        all_layouts, header = layouts.read(split, MovingWorld())
+        assert all_layouts.shape == (layouts.SPLITS[split].n, 8, 5)
+        assert torch.equal(all_layouts[..., :3], layouts.load(split))
         assert (header["task"], header["speed_min"], header["speed_max"]) == ("moving", "0.0", "2.0")
         assert header["generator_seed"] == str(layouts.SPLITS[split].seed)
-        found.append(bank.reshape(-1, 5))
+        found.append(all_layouts.reshape(-1, 5))
     vx, vy = torch.cat(found)[:, 3:].double().T.numpy()
     assert stats.kstest(np.hypot(vx, vy), stats.uniform(0, 2).cdf).pvalue > 0.01
     assert stats.kstest(np.arctan2(vy, vx), stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 0.01
 
 
-def test_a_bank_of_speed_3_is_the_bank_of_speed_2_half_as_fast_again():
+def test_a_layout_file_of_speed_3_is_the_split_of_speed_2_half_as_fast_again():
     slow, fast = (layouts.load("test", MovingWorld(speed_max=speed)) for speed in (2.0, 3.0))
     torch.testing.assert_close(fast[..., 3:], 1.5 * slow[..., 3:])
 
 
 def test_files_of_moving_obstacles_say_how_they_were_drawn_and_fly_in_their_world_alone(tmp_path, capsys):
-    assert write_banks(["--task", "moving", "--n", "20", "--out", str(tmp_path)]) == 0
+    assert write_layouts(["--task", "moving", "--n", "20", "--out", str(tmp_path)]) == 0
     path = tmp_path / "moving-validation.safetensors"
-    assert write_banks(["--check", str(path)]) == 0
-    assert "20 sets of 8 obstacles" in capsys.readouterr().out
+    assert write_layouts(["--check", str(path)]) == 0
+    assert "20 layouts of 8 obstacles" in capsys.readouterr().out
     task = make_task(path, task="moving")
-    assert torch.equal(task.bank, moving.generate(20, 8, 2))
-    with pytest.raises(uavnav.LayoutError, match=r"a bank of task=moving, not of task=drone; give one of those"):
+    assert torch.equal(task.layouts, moving.generate(20, 8, 2))
+    with pytest.raises(
+        uavnav.LayoutError, match=r"a layout file of task=moving, not of task=drone; give one of those"
+    ):
         make_task(path)
     circles_alone = tmp_path / "circles.safetensors"
     layouts.save(layouts.generate(3), circles_alone, seed=0, split="own")
-    with pytest.raises(uavnav.LayoutError, match=r"a bank of task=drone, not of task=moving"):
+    with pytest.raises(uavnav.LayoutError, match=r"a layout file of task=drone, not of task=moving"):
         make_task(circles_alone, task="moving")
 
 
@@ -190,7 +191,7 @@ def test_files_of_moving_obstacles_say_how_they_were_drawn_and_fly_in_their_worl
         ({"world": {"speed_min": 3.0}}, "speed_min=3; give 0 to speed_max=2 px a step"),
         ({"world": {"sense_velocity": 1}}, "sense_velocity=1; choose from false, true"),
         ({"world": {"speed": 1}}, "there is no key 'world.speed'; choose from "),
-        ({"layouts": circles.generate(2, 3)}, "a bank has the shape [n > 0, k, 5], not [2, 3, 3]"),
+        ({"layouts": circles.generate(2, 3)}, "layouts have the shape [n > 0, k, 5], not [2, 3, 3]"),
         (
             {"layouts": torch.tensor([[[-1.0, 0, 30, 0, 0]]])},
             "obstacle 0 of set 0 has its centre outside the window",
@@ -204,34 +205,15 @@ def test_each_wrong_part_is_refused_in_one_line(arguments, says):
     assert "\n" not in str(refused.value)
 
 
-# -- the shells ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("fields", [{}, SENSED])
-def test_three_environments_fly_the_same_60_steps(fields):
-    one = gymnasium.make("uavnav/Moving-v0", layouts="test", **fields)
-    many = gymnasium.make_vec("uavnav/Moving-v0", num_envs=2, layouts="test", **fields)
-    task = one.unwrapped.task
-    seen, info = one.reset(options={"layout": 3})
-    both, infos = many.reset(options={"layout": [3, 3]})
-    for t, action in enumerate(actions(1, 60, seed=4)[:, 0].tolist()):
-        assert info["steps"] == infos["steps"][1] == t
-        np.testing.assert_allclose(seen, both[1], rtol=0, atol=1e-6)
-        assert one.observation_space.contains(seen)
-        expected = oracle.drift(rows_of(task.bank, 4)[3], t)
-        np.testing.assert_allclose(one.unwrapped.obstacles, [circle for circle, _ in expected], atol=1e-4)
-        np.testing.assert_allclose(many.unwrapped.velocities[1], [velocity for _, velocity in expected], atol=1e-6)
-        seen, reward, terminated, _, info = one.step(action)
-        both, rewards, ended, _, infos = many.step(np.array([action, action]))
-        assert (reward, terminated) == (rewards[1], ended[1])
-        if terminated:
-            break
-    assert t > 10
+# -- the shells ----------------------------------------------------------------------------------------------
 
 
 def test_fields_are_keywords_of_an_environment_and_wrong_ones_are_answered():
     env = gymnasium.make("uavnav/Moving-v0", speed_max=5.0, sense_velocity=True, max_steps=9)
-    assert (env.unwrapped.world, env.unwrapped.task.max_steps) == (MovingWorld(speed_max=5.0, sense_velocity=True), 9)
+    assert (env.unwrapped.world, env.unwrapped.task.max_steps) == (
+        MovingWorld(speed_max=5.0, sense_velocity=True),
+        9,
+    )
     assert DroneGymEnv(sensor_arc=90.0).world == uavnav.World(sensor_arc=90.0)
     assert DroneVectorEnv(world=uavnav.World(padding="zeros"), sensor_arc=90.0).task.world == uavnav.World(
         padding="zeros", sensor_arc=90.0
@@ -251,38 +233,27 @@ def test_a_picture_shows_obstacles_where_they_are_now():
     assert (env.render() != before).any()
 
 
-def test_a_saved_environment_goes_on_with_its_obstacles_where_they_were():
-    def env():
-        return DroneEnv([3], "test", task="moving", seeds=4)
-
-    whole = env()
-    torch.manual_seed(1)
-    whole.rollout(30, break_when_any_done=False)
-    saved = whole.state_dict()
-    other = env()
-    other.load_state_dict(saved)
-    torch.manual_seed(2)
-    expected = whole.rollout(20, break_when_any_done=False, auto_reset=False, tensordict=whole.root())
-    torch.manual_seed(2)
-    found = other.rollout(20, break_when_any_done=False)
-    assert torch.equal(found["next", "observation"], expected["next", "observation"])
-
-
 def test_obstacles_that_move_are_never_counted_as_going_round(tmp_path):
-    config = ppo.PPOConfig(task="moving", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1)
+    config = ppo.PPOConfig(
+        task="moving", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1
+    )
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     policy = load_policy(run.path)
     assert not evaluation._repeatable(policy, policy.task)
 
 
-def test_among_moving_obstacles_the_reactive_rule_dodges_and_lives_500_steps_of_2000_and_half_as_long_again(bank):
+def test_among_moving_obstacles_the_reactive_rule_dodges_and_lives_500_steps_of_2000_and_half_as_long_again(
+    all_layouts,
+):
     """Whatever comes after step 800 can only add to its 500."""
-    task = make_task(bank[:40], max_steps=800, task="moving")
+    task = make_task(all_layouts[:40], max_steps=800, task="moving")
     rule = suited(BASELINES["reactive"], task)
     assert rule.func is dodge
     assert suited(BASELINES["reactive"], make_task("test")).func is BASELINES["reactive"]
     assert suited(BASELINES["random"], task) is BASELINES["random"]
-    steps = [evaluation.fly({0: policy}, task).episodes["steps"].mean() for policy in (rule, BASELINES["reactive"])]
+    steps = [
+        evaluation.fly({0: policy}, task).episodes["steps"].mean() for policy in (rule, BASELINES["reactive"])
+    ]
     assert steps[0] > max(500, 1.5 * steps[1])
 
 
@@ -297,15 +268,9 @@ def test_the_rule_that_dodges_turns_away_from_what_is_straight_ahead_and_flies_o
 
 
 def test_with_velocities_and_a_stack_the_rule_sees_the_newest_observation_alone():
-    task = make_task("test", SENSED, task="moving", stack=3)  # 150 numbers, which five observations of 30 have too
+    # 150 numbers, which five observations of 30 have too
+    task = make_task("test", SENSED, task="moving", stack=3)
     sensed = torch.rand(200, 150, generator=torch.Generator().manual_seed(0))
     rule = suited(BASELINES["reactive"], task)
     assert torch.equal(rule(sensed, None), dodge(sensed[:, :50]))
     assert not torch.equal(rule(sensed, None), dodge(sensed))
-
-
-@pytest.mark.parametrize("name", BASELINES)
-@pytest.mark.parametrize("fields", [{}, SENSED])
-def test_the_scripted_policies_fly_with_and_without_sensed_velocities(name, fields):
-    task = make_task("test", fields, max_steps=5, task="moving").with_bank(layouts.load("test", MovingWorld())[:3])
-    assert len(evaluation.fly({0: BASELINES[name]}, task).episodes) == 3

@@ -36,7 +36,9 @@ def test_each_of_three_agents_is_an_ordinary_mlp(init):
     result = network(observation)
     assert result.shape == (3, 5, 7, 100)
     for agent in range(3):
-        torch.testing.assert_close(result[agent], as_torch(network, agent)(observation[agent]), rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(
+            result[agent], as_torch(network, agent)(observation[agent]), rtol=1e-5, atol=1e-5
+        )
 
 
 @pytest.mark.parametrize("init", ["orthogonal", "default"])
@@ -87,7 +89,11 @@ PLAIN = {
 def test_the_table_holds_the_papers_four_and_eleven_more():
     assert set(ACTIVATIONS) >= set(KNOWN) == set(PLAIN)
     assert len(PLAIN) == 15
-    assert {activation for _, activation in TABLES} == {"tanh", "sigmoid", "relu", "leaky_relu"} <= set(ACTIVATIONS)
+    assert (
+        {activation for _, activation in TABLES}
+        == {"tanh", "sigmoid", "relu", "leaky_relu"}
+        <= set(ACTIVATIONS)
+    )
 
 
 @pytest.mark.parametrize("name", sorted(PLAIN))
@@ -108,12 +114,18 @@ def test_units_of_the_next_layer_begin_with_variance_1_whatever_the_activation(n
     z = torch.randn(100_000, generator=torch.Generator().manual_seed(0))
     assert abs(unit_gain(name) * Activation(name)(z).std().item() - 1) < 0.02
     normed, plain = Activation(name, layer_norm=True), Activation(name)
-    torch.testing.assert_close(normed(5 * z - 3), plain((z - z.mean()) / z.std(correction=0)), atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(
+        normed(5 * z - 3), plain((z - z.mean()) / z.std(correction=0)), atol=1e-4, rtol=1e-4
+    )
 
 
 def test_unit_gains_stand_before_all_layers_but_the_first():
     """64 x 64 orthogonal layers: the gain is the root of their mean square times 8."""
     sizes, gain = [64, 64, 64, 64], unit_gain("sigmoid")
-    layers = [layer for layer in mlp(sizes, "sigmoid", generators(0), "unit", 0.01) if isinstance(layer, AgentLinear)]
+    layers = [
+        layer
+        for layer in mlp(sizes, "sigmoid", generators(0), "unit", 0.01)
+        if isinstance(layer, AgentLinear)
+    ]
     found = [layer.weight.square().mean().sqrt().item() * 8 for layer in layers]
     assert found == pytest.approx([1, gain, 0.01 * gain], rel=1e-5)

@@ -1,4 +1,6 @@
-"""The notebooks run from top to bottom as they are, say nothing on stderr, and define nothing that one would reuse."""
+"""The notebooks run from top to bottom as they are, say nothing on stderr, and define nothing that one
+would reuse.
+"""
 
 import ast
 import sys
@@ -17,7 +19,9 @@ PICTURES = {"1-the-world": 2, "2-train-and-watch": 3, "3-compare-and-conclude": 
 SECONDS = 120
 """In which a notebook must be through, from its first cell on."""
 FROM_NOTHING = "1-the-world"
-"""The kernel that imports all by itself, and whose imports are heard; the others are forks, see the module `warm`."""
+"""The kernel that imports all by itself, and whose imports are heard; the others are forks, see the
+module `warm`.
+"""
 THROWAWAY = {"2-train-and-watch": {"tell"}, "4-your-own": {"gentle", "acting"}}
 
 
@@ -30,7 +34,9 @@ def code(book):
 
 
 def execute(name, folder):
-    """What the cells of a notebook print and show, when it is run in a folder: the text, how many pictures."""
+    """What the cells of a notebook print and show, when it is run in a folder: the text, how
+    many pictures.
+    """
     book = read(name)
     end = time.monotonic() + SECONDS
     left = {"timeout_func": lambda cell: max(1, round(end - time.monotonic()))}
@@ -80,14 +86,15 @@ def test_a_notebook_runs_in_an_empty_folder(name, tmp_path):
     text, pictures = execute(name, tmp_path)
     assert pictures == PICTURES[name]
     if name == "1-the-world":
-        assert "train: 10,000 sets of 8 obstacles" in text
-        assert "validation: 1,000 sets of 8 obstacles" in text
+        assert "train: 10,000 layouts of 8 obstacles" in text
+        assert "validation: 1,000 layouts of 8 obstacles" in text
     if name == "2-train-and-watch":
         assert "(did you mean tanh?)" in text
         assert "49,152 frames: reward" in text
     if name == "3-compare-and-conclude":
         assert "`make study` trains the whole study" in text
-        assert text.count(">open</td>") >= 8  # of the claims: three seeds of one algorithm decide next to nothing
+        # of the claims: three seeds of one algorithm decide next to nothing
+        assert text.count(">open</td>") >= 8
     if name == "4-your-own":
         assert "30 matrices earn" in text
         assert "random search" in text

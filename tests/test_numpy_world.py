@@ -1,4 +1,6 @@
-"""The plain NumPy world is the world: equal to the oracle over whole episodes, as DroneGymEnv is in test_gym."""
+"""The plain NumPy world is the world: equal to the oracle over whole episodes, as DroneGymEnv is in
+test_gym.
+"""
 
 import warnings
 
@@ -15,7 +17,7 @@ from uavnav.tasks.world import World
 
 
 @pytest.fixture(scope="module")
-def bank():
+def all_layouts():
     return layouts.load("test").tolist()
 
 
@@ -42,28 +44,28 @@ def test_its_spaces_are_those_of_the_gymnasium_environment():
 
 
 @pytest.mark.parametrize("max_steps", [None, 25])
-def test_30_whole_episodes_equal_the_oracle(bank, max_steps):
+def test_30_whole_episodes_equal_the_oracle(all_layouts, max_steps):
     env = NumpyDroneEnv("test", max_steps)
     observation, info = env.reset(seed=3)
-    flight = oracle.Flight(bank, info["layout"], max_steps=max_steps)
+    episode = oracle.Episode(all_layouts, info["layout"], max_steps=max_steps)
     actions, ended, doubts, steps = iter(wandering(10_000)), 0, 0, 0
     while ended < 30:
-        assert (info["layout"], info["heading"]) == (flight.layout, flight.heading)
-        assert (info["x"], info["y"]) == pytest.approx((flight.x, flight.y), abs=1e-9)
-        assert info["clearance"] == pytest.approx(flight.clearance, abs=1e-9)
-        if oracle.doubtful(flight.found):
+        assert (info["layout"], info["heading"]) == (episode.layout, episode.heading)
+        assert (info["x"], info["y"]) == pytest.approx((episode.x, episode.y), abs=1e-9)
+        assert info["clearance"] == pytest.approx(episode.clearance, abs=1e-9)
+        if oracle.doubtful(episode.found):
             doubts += 1
         else:
-            np.testing.assert_allclose(observation, sum(flight.slots, ()), rtol=0, atol=1e-6)
+            np.testing.assert_allclose(observation, sum(episode.slots, ()), rtol=0, atol=1e-6)
         action = int(next(actions))
         observation, reward, terminated, truncated, info = env.step(action)
-        flight.step(action)
+        episode.step(action)
         steps += 1
-        assert (terminated, truncated) == (flight.terminated, flight.truncated)
-        assert reward == pytest.approx(flight.reward, abs=1e-12)
+        assert (terminated, truncated) == (episode.terminated, episode.truncated)
+        assert reward == pytest.approx(episode.reward, abs=1e-12)
         if terminated or truncated:
             ended += 1
-            flight.next_episode()
+            episode.next_episode()
             observation, info = env.reset()
     assert steps > 500
     assert doubts < 0.03 * steps
@@ -82,7 +84,7 @@ def test_options_pick_layout_999_and_the_next_reset_takes_0():
     assert env.reset()[1]["layout"] == 0
 
 
-def test_wrong_layouts_actions_caps_and_banks_are_refused_and_a_step_before_the_reset():
+def test_wrong_layouts_actions_caps_and_layout_files_are_refused_and_a_step_before_the_reset():
     env = NumpyDroneEnv("test")
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(0)

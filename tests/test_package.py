@@ -13,7 +13,10 @@ import uavnav
 
 
 def test_import_loads_no_torch_and_registers_the_gymnasium_environment():
-    code = "import sys, uavnav, gymnasium; print('torch' in sys.modules, 'uavnav/Drone-v0' in gymnasium.registry)"
+    code = (
+        "import sys, uavnav, gymnasium; print('torch' in sys.modules, 'uavnav/Drone-v0' in "
+        "gymnasium.registry)"
+    )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.split() == ["False", "True"]
 
@@ -39,7 +42,7 @@ def test_a_name_that_is_not_there_is_answered_with_those_that_are():
         uavnav.DroneEnvironment  # noqa: B018
 
 
-# -- the house ---------------------------------------------------------------------------------------------------------
+# -- the house -----------------------------------------------------------------------------------------------
 
 PACKAGE = Path(uavnav.__file__).parent
 MODULES = {
@@ -69,7 +72,11 @@ def room(name):
 def test_no_two_import_each_other_not_even_by_way_of_others(of):
     above = {of(name): set() for name in MODULES}
     for name in MODULES:
-        if name not in ("uavnav", "uavnav.report.__main__"):  # names found on first use; a command by another name
+        # names found on first use; a command by another name
+        if name not in (
+            "uavnav",
+            "uavnav.report.__main__",
+        ):
             above[of(name)] |= {of(other) for other in imported(name)} - {of(name), "uavnav"}
     try:
         assert len([*TopologicalSorter(above).static_order()]) == len(above)

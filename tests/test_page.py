@@ -1,4 +1,6 @@
-"""The report's page in a real browser: what a reader sees, clicks and types, and that nothing comes from elsewhere."""
+"""The report's page in a real browser: what a reader sees, clicks and types, and that nothing comes from
+elsewhere.
+"""
 
 import itertools
 import re
@@ -36,12 +38,14 @@ from uavnav.report.verdicts import GRADES
 pytestmark = pytest.mark.slow
 
 RESULTS = Path(__file__).parent.parent / "results"
+SHOWN = {name: title for name, title in SECTIONS.items() if name not in ("algorithms", "worlds")}
+"""Sections of a report without further studies."""
 
 SMALL = {"total_frames": 2048, "hidden": (16,), "n_seeds": 2, "compile": "off"}
 
 
 def make_page(folder):
-    """The page of two small cells, their runs evaluated on six sets of obstacles."""
+    """The page of two small configurations, their runs evaluated on six layouts."""
     for algorithm, train, config in (
         ("ppo", ppo.train, ppo.PPOConfig(frames_per_batch=512, epochs=2, **SMALL)),
         ("dqn", dqn.train, dqn.DQNConfig(learning_starts=256, frames_per_update=16, **SMALL)),
@@ -80,8 +84,8 @@ def scrub(browser, slider, step):
 
 @pytest.fixture
 def player(browser):
-    """The player, its section unfolded and its first flight unpacked."""
-    browser.execute_script("document.querySelector('#flights details').open = true")
+    """The player, its section unfolded and its first episode unpacked."""
+    browser.execute_script("document.querySelector('#episodes details').open = true")
     status = one(browser, ".replay-status")
     wait(browser, lambda: status.text.startswith("step 0 of "))
     return one(browser, ".replay")
@@ -106,20 +110,29 @@ def test_every_figure_is_drawn_and_has_words_a_caption_and_a_size(browser):
         assert len(picture.get_attribute("alt")) > 20
     assert all(caption.text for caption in find(browser, "figure.plot figcaption"))
     drawn = {figure.get_attribute("id").removeprefix("figure-") for figure in find(browser, "figure.plot")}
-    assert drawn >= {"curves-ppo-reward", "curves-dqn-reward", "trajectories", "heat", "survival", "behaviour"}
+    assert drawn >= {
+        "curves-ppo-reward",
+        "curves-dqn-reward",
+        "trajectories",
+        "heat",
+        "survival",
+        "behaviour",
+    }
 
 
-def test_the_committed_page_draws_every_committed_figure_and_unpacks_a_flight_of_each_of_8_cells(browser):
+def test_the_committed_page_draws_every_committed_figure_and_unpacks_an_episode_of_each_of_8_configurations(
+    browser,
+):
     browser.get((RESULTS / "report.html").as_uri())
     unfold(browser)
     drawn = {figure.get_attribute("id").removeprefix("figure-") for figure in find(browser, "figure.plot")}
     assert drawn == {path.stem for path in (RESULTS / "figures").glob("*.svg")}
     assert all(picture.get_property("naturalWidth") > 0 for picture in find(browser, "img"))
-    cell, seed, layout = (Select(select) for select in find(browser, ".replay > .replay-row select"))
-    assert [len(one.options) for one in (cell, seed, layout)] == [8, 3, 3]
+    configuration, seed, layout = (Select(select) for select in find(browser, ".replay > .replay-row select"))
+    assert [len(one.options) for one in (configuration, seed, layout)] == [8, 3, 3]
     status = one(browser, ".replay-status")
     for option in range(8):
-        cell.select_by_index(option)
+        configuration.select_by_index(option)
         wait(browser, lambda: status.text.startswith("step 0 of "))
         assert int(one(browser, ".replay [type=range]").get_attribute("max")) > 0
 
@@ -129,24 +142,27 @@ def test_headings_are_in_order_and_the_verdicts_come_first(browser):
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
-    assert [section.get_attribute("id") for section in find(browser, "main > section")] == list(SECTIONS)
+    assert [section.get_attribute("id") for section in find(browser, "main > section")] == list(SHOWN)
     assert find(browser, "main > section")[0].get_attribute("id") == "verdicts"
     assert browser.execute_script("return document.documentElement.lang") == "en"
 
 
 def test_each_link_of_the_navigation_leads_to_its_section_and_stays_in_view(browser):
     folded = find(browser, ".fold")
-    assert len(folded) == len(SECTIONS) - 1
+    assert len(folded) == len(SHOWN) - 1
     assert not [one for one in folded if one.get_property("open")]
     links = find(browser, "nav a")
-    assert [link.text for link in links] == list(SECTIONS.values())
-    for name, link in zip(SECTIONS, links, strict=True):
+    assert [link.text for link in links] == list(SHOWN.values())
+    for name, link in zip(SHOWN, links, strict=True):
         browser.execute_script("arguments[0].click()", link)
         assert name == "verdicts" or one(browser, f"#{name} details").get_property("open"), name
-        top = browser.execute_script("return document.getElementById(arguments[0]).getBoundingClientRect().top", name)
+        top = browser.execute_script(
+            "return document.getElementById(arguments[0]).getBoundingClientRect().top", name
+        )
+        # of the page below what is seen: the last sections cannot come to the top
         bottom = browser.execute_script(
             "return document.documentElement.scrollHeight - scrollY - innerHeight"
-        )  # of the page below what is seen: the last sections cannot come to the top
+        )
         assert 0 <= top < 150 or (bottom < 2 and top < 900), name
         assert link.is_displayed()
         assert link.rect["y"] - browser.execute_script("return scrollY") < 150 or name == "verdicts"
@@ -193,7 +209,7 @@ def test_a_claim_opens_by_enter_and_shows_its_table_and_closes_again(browser):
     browser.execute_script("arguments[0].focus()", summary)
     press(browser, Keys.ENTER)
     wait(browser, table.is_displayed)
-    header = [cell.text for cell in table.find_elements(By.CSS_SELECTOR, "thead th")]
+    header = [configuration.text for configuration in table.find_elements(By.CSS_SELECTOR, "thead th")]
     assert {"the paper", "Holm's p", "seeds", "verdict"} < {*header}
     press(browser, Keys.ENTER)
     wait(browser, lambda: not table.is_displayed())
@@ -203,7 +219,8 @@ def test_a_replay_plays_pauses_by_space_and_its_end_says_what_happened(browser, 
     slider, status = one(browser, ".replay [type=range]"), one(browser, ".replay-status")
     last = int(slider.get_attribute("max"))
     assert last > 0
-    Select(one(browser, ".replay-transport select")).select_by_visible_text("0.25×")  # too slow to end meanwhile
+    # too slow to end meanwhile
+    Select(one(browser, ".replay-transport select")).select_by_visible_text("0.25×")
     browser.execute_script("arguments[0].focus()", player)
     press(browser, Keys.SPACE)
     wait(browser, lambda: value(slider) > 1)
@@ -234,15 +251,15 @@ def test_a_replay_scrubs_and_the_picture_and_the_words_follow(browser, player):
     assert status.text.startswith(f"step {target + 1} of ")
 
 
-def test_cells_seeds_and_obstacles_can_be_chosen(browser, player):
-    cell, seed, layout = (Select(select) for select in find(browser, ".replay > .replay-row select"))
-    assert [option.text for option in cell.options] in (
+def test_configurations_seeds_and_obstacles_can_be_chosen(browser, player):
+    configuration, seed, layout = (Select(select) for select in find(browser, ".replay > .replay-row select"))
+    assert [option.text for option in configuration.options] in (
         ["PPO tanh, sampled", "DQN tanh, sampled"],
         ["DQN tanh, sampled", "PPO tanh, sampled"],
     )
     caption, status, shown = one(browser, ".replay-side figcaption"), one(browser, ".replay-status"), set()
     for name, words in (("PPO tanh, sampled", "probability"), ("DQN tanh, sampled", "Q value")):
-        cell.select_by_visible_text(name)
+        configuration.select_by_visible_text(name)
         wait(browser, lambda words=words: caption.text.startswith(words))
         assert [option.text for option in seed.options] == ["0", "1"]
         for n in (0, 1):
@@ -252,8 +269,12 @@ def test_cells_seeds_and_obstacles_can_be_chosen(browser, player):
                 layout.select_by_index(place)
                 steps = re.search(r"at (\d+)\)", layout.first_selected_option.text)[1]
                 wait(browser, lambda steps=steps: status.text.startswith(f"step 0 of {steps}: "))
-                shown.add(browser.execute_script("return document.querySelector('.replay-arena canvas').toDataURL()"))
-    assert len(shown) >= 3  # every set of obstacles looks otherwise
+                shown.add(
+                    browser.execute_script(
+                        "return document.querySelector('.replay-arena canvas').toDataURL()"
+                    )
+                )
+    assert len(shown) >= 3  # every layout looks otherwise
 
 
 @pytest.mark.parametrize("width", [WIDE, NARROW])
@@ -282,13 +303,18 @@ def test_at_390_px_a_wide_table_is_cards_that_name_their_numbers_and_no_table_ne
     resize(browser, NARROW)
     unfold(browser)
     sizes = (
-        "return [...document.querySelectorAll('.scroll')].map(box => [box.ariaLabel, box.scrollWidth, box.clientWidth])"
+        "return [...document.querySelectorAll('.scroll')].map(box => [box.ariaLabel, box.scrollWidth, "
+        "box.clientWidth])"
     )
     assert [name for name, inside, width in browser.execute_script(sizes) if inside > width] == []
     row = one(browser, "#tables .cards tbody tr")
-    named = browser.execute_script("return getComputedStyle(arguments[0].children[2], '::before').content", row)
+    named = browser.execute_script(
+        "return getComputedStyle(arguments[0].children[2], '::before').content", row
+    )
     assert named.strip('"').strip() == find(browser, "#tables .cards thead th")[2].get_property("textContent")
-    roles = "return [...document.querySelectorAll('.cards :is(tr, td)')].every(one => one.hasAttribute('role'))"
+    roles = (
+        "return [...document.querySelectorAll('.cards :is(tr, td)')].every(one => one.hasAttribute('role'))"
+    )
     assert browser.execute_script(roles)  # who listens still hears a table
 
 
@@ -297,7 +323,9 @@ def test_every_text_has_a_contrast_of_at_least_4_5(browser, player, name):
     theme(browser, name)
     unfold(browser)
     ratios = browser.execute_script(PAIRS)
-    assert {"P lead", "P kicker", "SPAN said", "SPAN interval", "SPAN badge open", "P replay-status"} <= {*ratios}
+    assert {"P lead", "P kicker", "SPAN said", "SPAN interval", "SPAN badge open", "P replay-status"} <= {
+        *ratios
+    }
     assert {element: ratio for element, ratio in ratios.items() if ratio < 4.5} == {}
     for kind in ("replicates", "in-part", "does-not", "open", "context"):
         browser.execute_script(f"document.querySelector('#claim-1 .badge').className = 'badge {kind}'")
@@ -310,7 +338,10 @@ def test_dark_is_dark_and_the_replay_is_drawn_again(browser, player):
     light = browser.execute_script(look), browser.execute_script(picture)
     theme(browser, "dark")
     wait(browser, lambda: browser.execute_script(picture) != light[1])
-    assert [max(map(int, re.findall(r"\d+", one))) for one in (light[0], browser.execute_script(look))] == [251, 27]
+    assert [max(map(int, re.findall(r"\d+", one))) for one in (light[0], browser.execute_script(look))] == [
+        251,
+        27,
+    ]
 
 
 def test_tab_reaches_navigation_claims_folds_and_player_in_order_with_an_outline(browser, player):
@@ -319,7 +350,8 @@ def test_tab_reaches_navigation_claims_folds_and_player_in_order_with_an_outline
         press(browser, Keys.TAB)
         name, inside, style, width = browser.execute_script(
             "const one = document.activeElement, style = getComputedStyle(one);"
-            "return [one.tagName + ' ' + (one.getAttribute('aria-label') || one.textContent).slice(0, 30).trim(),"
+            "return [one.tagName + ' ' + (one.getAttribute('aria-label') || one.textContent).slice(0, "
+            "30).trim(),"
             " one.closest('.skip, .together, nav, .claim, .replay, .fold > summary, .scroll, details')"
             "?.className ?? 'nav',"
             " style.outlineStyle, parseFloat(style.outlineWidth)]"
@@ -332,7 +364,7 @@ def test_tab_reaches_navigation_claims_folds_and_player_in_order_with_an_outline
     order = [kinds.index(kind) for kind in ("skip", "together", "", "claim", "replay")]
     assert order == sorted(order)
     folds = [name.split()[0] for _, name in reached if name.startswith("SUMMARY")]
-    assert len(folds) >= len(CLAIMS) + len(SECTIONS) - 1
+    assert len(folds) >= len(CLAIMS) + len(SHOWN) - 1
     assert sum(inside == "claim" for inside, _ in reached) == len(CLAIMS)
     assert [name.split()[0] for inside, name in reached if inside == "replay"] == (
         ["DIV", "SELECT", "SELECT", "SELECT", "BUTTON", "BUTTON", "BUTTON", "SELECT", "INPUT"]
@@ -351,7 +383,9 @@ def test_print_shows_all_that_is_folded(browser):
     assert not find(browser, ".fold[open]")
 
 
-def test_without_javascript_the_sentence_and_the_verdicts_are_there_and_the_replays_say_what_they_need(browser):
+def test_without_javascript_the_sentence_and_the_verdicts_are_there_and_the_replays_say_what_they_need(
+    browser,
+):
     browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
     browser.refresh()
     assert one(browser, "h1").text

@@ -16,11 +16,14 @@ from uavnav.runs import metrics
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import SPLITS
 from uavnav.tasks.rewards import Step
-from uavnav.tasks.simulator import Outcome, Task
 from uavnav.tasks.state import State
+from uavnav.tasks.task import Outcome, Task
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 
-CLASSES = {one.__name__: one for one in (World, Faults, State, Outcome, Step, Task, *CONFIGS.values())}
+CLASSES = {
+    one.__name__: one for one in (World, Faults, State, Outcome, Step, Task, WrappedTask, *CONFIGS.values())
+}
 
 
 def said(line):
@@ -28,7 +31,7 @@ def said(line):
     return [f"`{line.name}`", f"`{line.default}`", line.unit, line.meaning]
 
 
-# -- tables -----------------------------------------------------------------------------------------------------------
+# -- tables --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("algorithm", CONFIGS)
@@ -63,7 +66,10 @@ def test_the_table_beside_sb3_holds_both_defaults(algorithm):
     rows = table(PAGES[algorithm], BESIDE_SB3)
     assert len(rows) >= 12
     for row in rows:
-        for name, value, defaults in ((*row[:2], ours), (*row[2:4], {k: v.default for k, v in theirs.items()})):
+        for name, value, defaults in (
+            (*row[:2], ours),
+            (*row[2:4], {k: v.default for k, v in theirs.items()}),
+        ):
             if name:
                 assert ast.literal_eval(code(value)[0]) == defaults[code(name)[0]], name
 
@@ -97,11 +103,13 @@ def test_the_tables_of_the_start_are_the_keys_of_the_command_the_runs_files_and_
     assert [code(row[0])[0] for row in table(page, "| column | meaning |")] == list(metrics.EPISODE_COLUMNS)
 
 
-# -- names in code ----------------------------------------------------------------------------------------------------
+# -- names in code -------------------------------------------------------------------------------------------
 
 
 def modules():
-    """Every module of the package by its own name; a name that two of them have is that of the one uavnav offers."""
+    """Every module of the package by its own name; a name that two of them have is that of the one uavnav
+    offers.
+    """
     paths = [path.relative_to(ROOT).with_suffix("") for path in sorted((ROOT / "uavnav").rglob("*.py"))]
     names = [".".join(path.parent.parts if path.stem == "__init__" else path.parts) for path in paths]
     offered = {name: f"uavnav.{name}" for name in uavnav._MODULES} | uavnav.HOMES
@@ -114,7 +122,7 @@ FILES = (".py", ".parquet", ".yaml", ".safetensors")
 
 
 def resolved(dotted):
-    """What `World.width`, `PPOConfig.lr`, `sensing.sense` or `simulator.Task.step` names, or MISSING.
+    """What `World.width`, `PPOConfig.lr`, `sensing.sense` or `task.Task.step` names, or MISSING.
 
     A field without a default is its annotation.
     """
@@ -132,9 +140,15 @@ def test_every_name_in_code_exists(name):
     dotted = {one for one in code(prose) if re.fullmatch(r"\w+(\.\w+)+", one) and not one.endswith(FILES)}
     known = {one for one in dotted if one.split(".")[0] in {*MODULES, *CLASSES}}
     assert not [one for one in known if resolved(one) is MISSING]
-    assert len(known) >= {"world": 35, "ppo": 15, "dqn": 15, "a2c": 12, "c51": 15, "sac": 12, "extending": 8}.get(
-        name, 0
-    )
+    assert len(known) >= {
+        "world": 35,
+        "ppo": 15,
+        "dqn": 15,
+        "a2c": 12,
+        "c51": 15,
+        "sac": 12,
+        "extending": 8,
+    }.get(name, 0)
 
 
 GREEK = r"\\(?:alpha|beta|gamma|delta|epsilon|theta|lambda|pi|rho|sigma|tau)(?![A-Za-z])"
@@ -146,7 +160,9 @@ def symbols(tex):
     tex = re.sub(r"\\(?:begin|end|text|operatorname|mathbb)\{[^}]*\}(?:\{rcl\})?", " ", tex)
     tex = re.sub(rf"(?!{GREEK})\\[A-Za-z]+", " ", tex)
     found = re.findall(rf"({GREEK}|[A-Za-z])('?)(?:_(\w+))?", tex)
-    return {name + prime + (f"_{index}" if index not in {"", *"itk1n"} else "") for name, prime, index in found}
+    return {
+        name + prime + (f"_{index}" if index not in {"", *"itk1n"} else "") for name, prime, index in found
+    }
 
 
 @pytest.mark.parametrize(
@@ -154,8 +170,14 @@ def symbols(tex):
 )
 def test_every_symbol_of_an_equation_is_in_a_table_of_its_page(name, least):
     equations = re.findall(r"\$\$(.*?)\$\$", PAGES[name], flags=re.DOTALL)
-    cells = re.findall(r"^\| ([^|]*\$[^|]*) \|", PAGES[name], flags=re.MULTILINE)
-    explained = set().union(*(symbols(tex) for cell in cells for tex in re.findall(r"\$([^$]+)\$", cell)))
+    configurations = re.findall(r"^\| ([^|]*\$[^|]*) \|", PAGES[name], flags=re.MULTILINE)
+    explained = set().union(
+        *(
+            symbols(tex)
+            for configuration in configurations
+            for tex in re.findall(r"\$([^$]+)\$", configuration)
+        )
+    )
     used = set().union(*map(symbols, equations))
     assert len(used) >= least
     assert not used - explained
@@ -188,15 +210,17 @@ def test_every_fault_is_in_the_table_of_its_page():
     ]
 
 
-def test_the_tables_of_the_world_hold_every_bank_and_every_field_of_a_step():
-    banks = [(row[0], row[1], row[2]) for row in table(PAGES["world"], "| bank | sets | seed | for |")]
-    assert banks == [(f"`{name}`", f"{split.n:,}", str(split.seed)) for name, split in SPLITS.items()]
+def test_the_tables_of_the_world_hold_every_split_and_every_field_of_a_step():
+    splits = [(row[0], row[1], row[2]) for row in table(PAGES["world"], "| split | layouts | seed | for |")]
+    assert splits == [(f"`{name}`", f"{split.n:,}", str(split.seed)) for name, split in SPLITS.items()]
     held = [name for row in table(PAGES["world"], "| field | holds |") for name in code(row[0])]
     assert held == [f"Step.{name}" for name in Step._fields]
 
 
 def test_whoever_chooses_an_algorithm_finds_each_in_the_table():
-    (head,) = [line for line in ALL["docs/algorithms.md"].splitlines() if line.startswith("| algorithm | policy |")]
+    (head,) = [
+        line for line in ALL["docs/algorithms.md"].splitlines() if line.startswith("| algorithm | policy |")
+    ]
     rows = table(ALL["docs/algorithms.md"], head)
     assert sorted(re.search(r"\((\w+)\.md\)", row[0])[1] for row in rows) == sorted(CONFIGS)
 

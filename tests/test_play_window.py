@@ -8,7 +8,7 @@ import pytest
 from playing import STRAIGHT, WORLD, fly, new, opened, press, pygame
 
 from uavnav.algorithms import ALGORITHMS, ppo
-from uavnav.cli import play, train
+from uavnav.cli import commands, play, train
 from uavnav.envs import drawing
 from uavnav.runs.metrics import METRICS, per_seed
 from uavnav.tasks import layouts
@@ -33,7 +33,7 @@ def run(request, trained):
 of_every_algorithm = pytest.mark.parametrize("run", ALGORITHMS, indirect=True)
 
 
-# -- the picture -----------------------------------------------------------------------------------------------------
+# -- the picture ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -69,7 +69,7 @@ def test_the_window_shows_the_drone_of_the_pilots_colour_where_it_is(size, windo
 @of_every_algorithm
 def test_the_action_grid_has_the_best_action_in_the_brightest_colour_and_outlines_it(run):
     (pilot,) = render.load_pilots([str(run.path)], greedy=True)
-    game = fly(new(pilot, bank=layouts.load("test")), 4)
+    game = fly(new(pilot, layouts=layouts.load("test")), 4)
     values, action = game.choice.values, game.choice.action
     assert values.shape == (100,)
     assert action == int(values.argmax())
@@ -87,21 +87,25 @@ def test_the_action_grid_has_the_best_action_in_the_brightest_colour_and_outline
 
 
 @pytest.mark.parametrize("greedy", [True, False])
-def test_the_window_says_whether_the_pilot_is_greedy_or_sampled_and_nothing_of_a_script(run, greedy, monkeypatch):
+def test_the_window_says_whether_the_pilot_is_greedy_or_sampled_and_nothing_of_a_script(
+    run, greedy, monkeypatch
+):
     written = []
     monkeypatch.setattr(hud._Block, "write", lambda self, x, y, words, *rest, **how: written.append(words))
     pilots = render.load_pilots([str(run.path), "reactive"], greedy=greedy)
     hud.draw(new(*pilots), hud.DESIGN)
     hud.draw(new(pilots[1]), hud.DESIGN)
     name = f"{run.path.parent.name}/run"
-    titles = [words for words in written if words.startswith((f"{name},", "reactive,")) or words == "reactive"]
+    titles = [
+        words for words in written if words.startswith((f"{name},", "reactive,")) or words == "reactive"
+    ]
     assert titles[0] == f"{name}, {'greedy' if greedy else 'sampled'}"
     assert set(titles[1:]) == {"reactive"}
 
 
-def test_the_figures_are_those_of_the_metrics_table_after_a_flight():
+def test_the_figures_are_those_of_the_metrics_table_after_an_episode():
     game = fly(press(new(), "up", "up", "up", "left"), 300)
-    rows = pd.DataFrame([game.flights[0]])
+    rows = pd.DataFrame([game.episodes[0]])
     expected = per_seed(rows).iloc[0]
     shown = list(hud.figures(game).values())
     wanted = [expected[name] for name in METRICS if name not in ("distance", "speed", "reward")]
@@ -120,7 +124,7 @@ def test_every_moment_has_a_picture_of_its_own():
     assert len({picture.tobytes() for picture in pictures}) == len(moments)
 
 
-# -- the command -----------------------------------------------------------------------------------------------------
+# -- the command ---------------------------------------------------------------------------------------------
 
 
 @of_every_algorithm
@@ -129,28 +133,30 @@ def test_the_command_opens_its_window_obeys_and_closes(run, window, tmp_path, ca
     for name in ("0", *["up"] * 9):
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.key.key_code(name), mod=0))
     pygame.event.post(pygame.event.Event(pygame.QUIT))
-    assert play.main([str(run.path), "reactive", "--layout", "20", "--out", str(out)]) == 0
+    assert commands.run("play", [str(run.path), "reactive", "--layout", "20", "--out", str(out)]) == 0
     assert capsys.readouterr() == ("", "")
     assert not out.parent.exists()
 
 
 def test_the_command_told_after_training_in_3d_opens_its_window(window, tmp_path, capsys):
-    config = ppo.PPOConfig(task="space", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1)
+    config = ppo.PPOConfig(
+        task="space", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1
+    )
     run = ppo.train(config, out=tmp_path / "my run", quiet=True)
     program, command, *words = shlex.split(train._next(run, []).splitlines()[0].removeprefix("watch it: "))
     assert (program, command) == ("uavnav", "play")
     pygame.event.post(pygame.event.Event(pygame.QUIT))
-    assert play.main(words) == 0
+    assert commands.run("play", words) == 0
     assert capsys.readouterr() == ("", "")
 
 
-def test_flights_that_the_x_lost_are_counted_in_the_last_line(window, monkeypatch, capsys):
+def test_episodes_that_the_x_lost_are_counted_in_the_last_line(window, monkeypatch, capsys):
     game = fly(press(fly(press(new(), "up"), 300), "r", "up"), 300)
     monkeypatch.setattr(rules, "new", lambda *words, **paths: game)
     for _ in range(2):
         pygame.event.post(pygame.event.Event(pygame.QUIT))
-    assert play.main([]) == 0
-    assert capsys.readouterr() == ("2 flights by hand were not saved\n", "")
+    assert commands.run("play", []) == 0
+    assert capsys.readouterr() == ("2 episodes by hand were not saved\n", "")
 
 
 def test_ctrl_c_closes_the_window_and_says_what_was_not_saved(window, monkeypatch, capsys):
@@ -160,25 +166,28 @@ def test_ctrl_c_closes_the_window_and_says_what_was_not_saved(window, monkeypatc
     landed = fly(press(new(), "up"), 300)
     monkeypatch.setattr(play, "turn", interrupted)
     monkeypatch.setattr(rules, "new", lambda *words, **paths: landed)
-    assert play.main([]) == 0
-    assert capsys.readouterr() == ("1 flight by hand was not saved\n", "")
+    assert commands.run("play", []) == 0
+    assert capsys.readouterr() == ("1 episode by hand was not saved\n", "")
 
 
 def test_without_the_extra_it_is_one_line_that_says_which_and_status_2(capsys, monkeypatch):
     monkeypatch.setattr(play, "pygame", None)
-    assert play.main([]) == 2
+    assert commands.run("play", []) == 2
     assert capsys.readouterr() == ("", "uavnav play: needs pygame-ce: pip install 'uavnav[play]'\n")
 
 
 @pytest.mark.parametrize(
-    ("words", "cap"), [([], 10_000), (["--task", "goal"], 1_000), (["--task", "goal", "--max-steps", "50"], 50)]
+    ("words", "limit"),
+    [([], 10_000), (["--task", "goal"], 1_000), (["--task", "goal", "--max-steps", "50"], 50)],
 )
-def test_a_flight_ends_at_the_cap_that_is_given_or_at_its_tasks_own(words, cap, window, monkeypatch, tmp_path):
+def test_an_episode_ends_at_the_cap_that_is_given_or_at_its_tasks_own(
+    words, limit, window, monkeypatch, tmp_path
+):
     monkeypatch.chdir(tmp_path)
     games = []
     monkeypatch.setattr(play, "play", lambda game: games.append(game) or game)
-    assert play.main(words) == 0
-    assert games[0].task.max_steps == cap
+    assert commands.run("play", words) == 0
+    assert games[0].task.max_steps == limit
     assert rules.draw(games[0]).drawing == (not words)  # shortest ways to a goal lead round its circles
 
 
@@ -190,7 +199,7 @@ def test_without_a_screen_it_is_one_line_and_status_2(driver, capsys, monkeypatc
     if driver:
         monkeypatch.setenv("SDL_VIDEODRIVER", driver)
     monkeypatch.setattr(pygame.display, "get_driver", lambda: "offscreen")
-    assert play.main([]) == 2
+    assert commands.run("play", []) == 2
     printed, err = capsys.readouterr()
     assert (printed, err.count("\n")) == ("", 1)
     assert "no window can be opened" in err

@@ -1,4 +1,6 @@
-"""The playground's worlds, policies, rules and sets, in a real browser by the page's own code, against Python's."""
+"""The playground's worlds, policies, rules and sets, in a real browser by the page's own code, against
+Python's.
+"""
 
 import base64
 
@@ -17,13 +19,15 @@ from uavnav.tasks import goal, layouts, slalom
 from uavnav.tasks.baselines import BASELINES, dodge, towards_goal
 from uavnav.tasks.dynamics import COSINE, SINE, decode
 from uavnav.tasks.sensing import sense
-from uavnav.tasks.simulator import make_task
 from uavnav.tasks.state import COUNTS
+from uavnav.tasks.table import make_task, name_of
 from uavnav.tasks.world import World
 
 pytestmark = pytest.mark.slow
 
-CELLS = [f"{algorithm}/{activation}" for algorithm in ("ppo", "dqn") for activation in paper.ACTIVATIONS]
+CONFIGURATIONS = [
+    f"{algorithm}/{activation}" for algorithm in ("ppo", "dqn") for activation in paper.ACTIVATIONS
+]
 POSES, SETS = 2000, 40
 CLOSE = 1e-4
 FAULTS = {"noise": 5.0, "lost": 0.2, "late": 2, "sticky": 0.25}
@@ -31,7 +35,8 @@ PACKED = """
 const packed = (numbers) => {
   const bytes = new Uint8Array(Float32Array.from(numbers).buffer);
   let text = "";
-  for (let at = 0; at < bytes.length; at += 8192) text += String.fromCharCode(...bytes.subarray(at, at + 8192));
+  for (let at = 0; at < bytes.length; at += 8192)
+    text += String.fromCharCode(...bytes.subarray(at, at + 8192));
   return btoa(text);
 };
 """  # numbers on their way out of a browser
@@ -42,22 +47,24 @@ const [name, poses, sets] = arguments;
 const task = new TASKS[name](playground.data.tasks[name]);
 const at = ([x, y, heading, , steps]) => ({ x, y, heading, steps, waited: 0 });
 const seen = poses.map((pose) => task.observe(at(pose), sets[pose[3]]));
-return [packed(seen.flatMap(({ observation }) => [...observation])), packed(seen.map(({ clearance }) => clearance))];
+return [packed(seen.flatMap(({ observation }) => [...observation])),
+  packed(seen.map(({ clearance }) => clearance))];
 """
 )
 FLOWN = (
     PACKED
     + """
-const [name, flights, sets, faults] = arguments;
+const [name, episodes, sets, faults] = arguments;
 const task = new TASKS[name](playground.data.tasks[name], faults ?? NO_FAULTS);
-return flights.map(([place, actions, draws]) => {
+return episodes.map(([place, actions, draws]) => {
   let state = task.start(sets[place], draws?.[0]);
   const rows = [];
   const seen = [...task.observe(state, sets[place]).observation];
   actions.forEach((action, nth) => {
     const after = task.step(state, action, sets[place], draws?.[nth + 1]);
     state = after.state;
-    rows.push(state.x, state.y, state.heading, after.clearance, state.reward, Number(after.ended === "collision"));
+    rows.push(state.x, state.y, state.heading, after.clearance, state.reward);
+    rows.push(Number(after.ended === "collision"));
     rows.push(Number(after.ended === "goal"), Number(after.ended === "time-out"));
     seen.push(...after.observation);
   });
@@ -89,34 +96,33 @@ def unpacked(text, *shape):
     return torch.from_numpy(np.frombuffer(base64.b64decode(text), "<f4").copy()).reshape(shape)
 
 
-# -- the worlds -------------------------------------------------------------------------------------------------------
+# -- the worlds ----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def bank():
+def all_layouts():
     return layouts.load("test")[:SETS]
 
 
 @pytest.fixture(scope="module", params=["drone", "moving", "goal"])
 def task(request):
-    """A world on the first sets of its bank."""
+    """A world on the first layouts of its split."""
     whole = make_task("test", task=request.param)
-    return whole.with_bank(whole.bank[:SETS])
-
-
-def name_of(task):
-    return task.header()["task"]
+    return whole.replace(layouts=whole.layouts[:SETS])
 
 
 def sets_of(task):
-    """A bank as world.js has sets."""
-    rows = task.bank.double().tolist()
-    return [{"circles": one[:-1], "goal": one[-1][:2]} if name_of(task) == "goal" else {"circles": one} for one in rows]
+    """A layout file as world.js has sets."""
+    rows = task.layouts.double().tolist()
+    return [
+        {"circles": one[:-1], "goal": one[-1][:2]} if name_of(task) == "goal" else {"circles": one}
+        for one in rows
+    ]
 
 
 @pytest.fixture(scope="module")
 def poses():
-    """x, y [px], heading, set of obstacles: anywhere, also in walls; a third on whole tens, where distances tie."""
+    """x, y [px], heading, layout: anywhere, also in walls; a third on whole tens, where distances tie."""
     random = torch.Generator().manual_seed(17)
     x, y = (torch.rand(POSES, generator=random) * (side + 20) - 10 for side in (800, 600))
     heading = torch.randint(360, (POSES,), generator=random)
@@ -130,13 +136,15 @@ def placed(task, poses):
     """The states at poses, after 0 to 100,000 steps."""
     x, y, heading, places = poses
     steps = torch.randint(100_000, (POSES,), generator=torch.Generator().manual_seed(8))
-    return task.place(places, heading)._replace(x=x, y=y, steps=steps)
+    return task.start(places, heading)._replace(x=x, y=y, steps=steps)
 
 
 def test_2000_poses_are_sensed_as_by_python_within_a_ten_thousandth(chrome, opened, task, poses):
     state = placed(task, poses)
     seen, clearance = task.observe(state)
-    rows = torch.stack([state.x.double(), state.y.double(), state.heading, state.layout, state.steps], 1).tolist()
+    rows = torch.stack(
+        [state.x.double(), state.y.double(), state.heading, state.layout, state.steps], 1
+    ).tolist()
     rows = [[*row[:2], *map(int, row[2:])] for row in rows]
     mine, near = chrome.execute_script(SENSED, name_of(task), rows, sets_of(task))
     assert (unpacked(mine, *seen.shape) - seen).abs().max() <= CLOSE
@@ -161,15 +169,19 @@ def test_every_cosine_and_every_action_is_pythons(chrome, opened):
 
 
 def committed():
-    """Flights of the eight cells, six each, and two that scripts fly: [set, actions]; and the rows of the cells'."""
-    flights, rows = [], []
-    for cell in CELLS:
-        steps = pd.read_parquet(RESULTS / "vectorised" / cell / "behaviour.parquet")
-        episodes = pd.read_parquet(RESULTS / "vectorised" / cell / "evaluation.parquet")
+    """Episodes of the eight configurations, six each, and two that scripts fly: [set, actions]; and the
+    rows of the configurations'.
+    """
+    episodes, rows = [], []
+    for configuration in CONFIGURATIONS:
+        steps = pd.read_parquet(RESULTS / "vectorised" / configuration / "behaviour.parquet")
+        evaluated = pd.read_parquet(RESULTS / "vectorised" / configuration / "evaluation.parquet")
         for mode, seed in (("greedy", 0), ("sampled", 1)):
-            watched, flown = (one[(one["mode"] == mode) & (one["seed"] == seed)] for one in (steps, episodes))
+            watched, flown = (
+                one[(one["mode"] == mode) & (one["seed"] == seed)] for one in (steps, evaluated)
+            )
             for place in range(3):
-                flights.append([place, watched["action"][watched["layout"] == place].tolist()])
+                episodes.append([place, watched["action"][watched["layout"] == place].tolist()])
                 rows.append(flown[flown["layout"] == place])
     for name in ("random", "reactive"):
         task, actions = make_task("test"), []
@@ -180,8 +192,8 @@ def committed():
             state, outcome = task.step(state, action)
             if outcome.terminated:
                 break
-        flights.append([7, actions])
-    return flights, pd.concat(rows, ignore_index=True)
+        episodes.append([7, actions])
+    return episodes, pd.concat(rows, ignore_index=True)
 
 
 def in_order(observations):
@@ -191,12 +203,16 @@ def in_order(observations):
 
 
 def in_python(task, places, actions, draws=None):
-    """Flights of given actions [F, T] on sets [F] until all have ended: observations, poses, counts, ends [F, time]."""
+    """Episodes of given actions [F, T] on sets [F] until all have ended: observations, poses, counts,
+    ends [F, time].
+    """
     state = task.start(places, torch.full_like(places, 90), None if draws is None else draws[:, 0])
     seen, poses, counts, ends = [task.observe(state)[0]], [], [], []
     for nth, action in enumerate(actions.T):
         state, outcome = task.step(state, action, None if draws is None else draws[:, nth + 1])
-        reached = task.succeeded(state) if name_of(task) == "goal" else torch.zeros(len(places), dtype=torch.bool)
+        reached = (
+            task.succeeded(state) if name_of(task) == "goal" else torch.zeros(len(places), dtype=torch.bool)
+        )
         pose = state.x, state.y, state.heading, outcome.clearance, state.reward
         seen.append(outcome.observation)
         poses.append(torch.stack([*pose, outcome.terminated & ~reached, reached, outcome.truncated], -1))
@@ -207,18 +223,20 @@ def in_python(task, places, actions, draws=None):
     return *(torch.stack(one, 1) for one in (seen, poses, counts)), torch.stack(ends, 1)
 
 
-def test_50_flights_of_committed_actions_are_flown_as_by_python_and_end_as_their_rows_say(chrome, opened, task):
+def test_50_episodes_of_committed_actions_are_flown_as_by_python_and_end_as_their_rows_say(
+    chrome, opened, task
+):
     given, rows = committed()
     longest = max(len(actions) for _, actions in given)
     padded = torch.tensor([actions + [0] * (longest - len(actions)) for _, actions in given])
     places = torch.tensor([place for place, _ in given])
     seen, poses, counts, ends = in_python(task, places, padded)
     last = torch.where(ends.any(1), ends.int().argmax(1) + 1, ends.shape[1]).tolist()
-    flights = [[place, actions[:end]] for (place, actions), end in zip(given, last, strict=True)]
-    found = chrome.execute_script(FLOWN, name_of(task), flights, sets_of(task))
-    assert len(flights) == len(found) == 50
+    episodes = [[place, actions[:end]] for (place, actions), end in zip(given, last, strict=True)]
+    found = chrome.execute_script(FLOWN, name_of(task), episodes, sets_of(task))
+    assert len(episodes) == len(found) == 50
     observed = swapped = crashed = 0
-    for place, ((_, actions), (mine, sensed, metrics)) in enumerate(zip(flights, found, strict=True)):
+    for place, ((_, actions), (mine, sensed, metrics)) in enumerate(zip(episodes, found, strict=True)):
         n = len(actions)
         assert (unpacked(mine, n, 8) - poses[place, :n]).abs().max() <= CLOSE
         here, there = unpacked(sensed, n + 1, seen.shape[-1]), seen[place, : n + 1]
@@ -231,23 +249,31 @@ def test_50_flights_of_committed_actions_are_flown_as_by_python_and_end_as_their
         crashed += bool(poses[place, n - 1, 5])
         of_row = name_of(task) == "drone" and place < len(rows)
         if of_row and rows["terminated"][place] and rows["steps"][place] == n:
-            assert metrics == pytest.approx(per_episode(rows)[list(paper.COLUMNS)].iloc[place].tolist(), abs=CLOSE)
+            assert metrics == pytest.approx(
+                per_episode(rows)[list(paper.COLUMNS)].iloc[place].tolist(), abs=CLOSE
+            )
             assert poses[place, n - 1, 5]
     assert crashed >= 10
-    assert swapped <= max(1, observed / 1000), "neighbours at one distance, which square roots round otherwise"
+    assert swapped <= max(1, observed / 1000), (
+        "neighbours at one distance, which square roots round otherwise"
+    )
 
 
-# -- who flies --------------------------------------------------------------------------------------------------------
+# -- who flies -----------------------------------------------------------------------------------------------
 
 
-def test_policies_choose_as_in_python_in_999_of_1000_poses_and_the_rule_in_all(chrome, opened, bank, poses):
+def test_policies_choose_as_in_python_in_999_of_1000_poses_and_the_rule_in_all(
+    chrome, opened, all_layouts, poses
+):
     x, y, heading, places = poses
-    seen = sense(x, y, heading, bank[places], World())[0].flatten(1)
+    seen = sense(x, y, heading, all_layouts[places], World())[0].flatten(1)
     uniforms = torch.rand(2, POSES, generator=torch.Generator().manual_seed(3))
     found = chrome.execute_script(CHOSEN, seen.double().tolist(), uniforms.double().tolist())
-    assert [key for key, *_ in found] == [f"{cell.replace('/', '-')}-0" for cell in CELLS]
-    for cell, (_, values, greedy, sampled, flown) in zip(CELLS, found, strict=True):
-        policy = load_policy(RESULTS / "vectorised" / cell, 0, greedy=False)
+    assert [key for key, *_ in found] == [
+        f"{configuration.replace('/', '-')}-0" for configuration in CONFIGURATIONS
+    ]
+    for configuration, (_, values, greedy, sampled, flown) in zip(CONFIGURATIONS, found, strict=True):
+        policy = load_policy(RESULTS / "vectorised" / configuration, 0, greedy=False)
         expected = policy.values(seen)
         numbers = uniforms[: len(policy.draw((1,)))]
         assert (unpacked(values, 200, 100) - expected[:200]).abs().max() <= CLOSE
@@ -275,11 +301,14 @@ def test_every_activation_of_the_package_is_pytorchs_within_a_millionth(chrome, 
         assert (torch.tensor(found[name]) - act(x)).abs().max() <= 2e-6, name
     normal = torch.nn.functional.layer_norm(x, x.shape)
     assert (
-        torch.tensor(ask(chrome, f"[...normalised(Float32Array.from({x.tolist()}))]")).sub(normal).abs().max() <= 1e-5
+        torch.tensor(ask(chrome, f"[...normalised(Float32Array.from({x.tolist()}))]")).sub(normal).abs().max()
+        <= 1e-5
     )
 
 
-@pytest.mark.parametrize("head", ["direct", "dueling", "distribution -10 9 51", "dueling-distribution -10 4.5 21"])
+@pytest.mark.parametrize(
+    "head", ["direct", "dueling", "distribution -10 9 51", "dueling-distribution -10 4.5 21"]
+)
 def test_outputs_are_read_as_one_number_an_action_as_in_python(head, chrome, opened):
     """With logits from -20 to 20, so that some atoms have nearly all of the probability."""
     name, *numbers = head.split()
@@ -294,38 +323,38 @@ def test_outputs_are_read_as_one_number_an_action_as_in_python(head, chrome, ope
 
 def test_sets_of_obstacles_leave_the_start_free_and_are_spread_as_pythons(chrome, opened):
     made = "Array.from({ length: 500 }, (_, seed) => generate(playground.world, 8, seed))"
-    bank = torch.tensor(ask(chrome, made))
-    layouts.validate(bank)  # radii, window, safe zone
-    x, y, radius = bank.flatten(0, 1).T
+    all_layouts = torch.tensor(ask(chrome, made))
+    layouts.validate(all_layouts)  # radii, window, safe zone
+    x, y, radius = all_layouts.flatten(0, 1).T
     theirs = layouts.generate(500, 8, 0).flatten(0, 1)
     for mine, other, spread in zip((x, y, radius), theirs.T, (800, 600, 70), strict=True):
         assert abs(mine.mean() - other.mean()) < 0.03 * spread
         assert abs(mine.std() - other.std()) < 0.03 * spread
-    assert len({tuple(row) for row in bank.flatten(1).tolist()}) == 500
+    assert len({tuple(row) for row in all_layouts.flatten(1).tolist()}) == 500
     assert ask(chrome, "generate(playground.world, 16, 5).slice(0, 8)") == ask(
         chrome, "generate(playground.world, 8, 5)"
     )
 
 
-# -- other worlds ---------------------------------------------------------------------------------------------------
+# -- other worlds --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["drone", "moving", "goal"])
 def test_with_the_same_random_numbers_faults_do_what_they_do_in_python(chrome, opened, name):
     task = make_task("test", task=name, faults=FAULTS)
-    task, random = task.with_bank(task.bank[:20]), torch.Generator().manual_seed(5)
+    task, random = task.replace(layouts=task.layouts[:20]), torch.Generator().manual_seed(5)
     actions = torch.randint(100, (20, 60), generator=random)
     draws = task.draw(20 * 61, random).unflatten(0, (20, 61))
     seen, poses, _, ends = in_python(task, torch.arange(20), actions, draws)
     last = torch.where(ends.any(1), ends.int().argmax(1) + 1, 60).tolist()
-    flights = [[n, actions[n, :end].tolist(), draws[n].double().tolist()] for n, end in enumerate(last)]
-    found = chrome.execute_script(FLOWN, name, flights, sets_of(task), FAULTS)
+    episodes = [[n, actions[n, :end].tolist(), draws[n].double().tolist()] for n, end in enumerate(last)]
+    found = chrome.execute_script(FLOWN, name, episodes, sets_of(task), FAULTS)
     for n, (end, (mine, sensed, _)) in enumerate(zip(last, found, strict=True)):
         assert (unpacked(mine, end, 8) - poses[n, :end]).abs().max() <= CLOSE
         here, there = unpacked(sensed, end + 1, seen.shape[-1]), seen[n, : end + 1]
         assert torch.allclose(in_order(here), in_order(there), rtol=0, atol=CLOSE)
     assert sum(last) > 500
-    without = in_python(make_task(task.bank, task=name), torch.arange(20), actions)[0]
+    without = in_python(make_task(task.layouts, task=name), torch.arange(20), actions)[0]
     differ = (without[:, :20] - seen[:, :20]).abs().amax((1, 2)) > 0.01
     assert differ.sum() >= 15  # negative control: without faults other things are seen
 
@@ -335,7 +364,7 @@ def test_the_rules_of_other_worlds_choose_as_in_python_in_999_of_1000_poses(chro
     task, random = make_task("test", task=rule), torch.Generator().manual_seed(2)
     x, y = (torch.rand(2000, generator=random) * (side - 100) + 50 for side in (800, 600))
     heading, steps = (torch.randint(n, (2000,), generator=random) for n in (360, 1000))
-    state = task.place(torch.arange(2000) % 1000, heading)._replace(x=x, y=y, steps=steps)
+    state = task.start(torch.arange(2000) % 1000, heading)._replace(x=x, y=y, steps=steps)
     seen = task.observe(state)[0]
     words = "const [name, seen] = arguments, { world, rules } = playground.data.tasks[name];"
     words += "return seen.map((one) => RULES[name](world, Float32Array.from(one), rules));"
@@ -371,13 +400,18 @@ def test_each_column_of_a_slalom_has_one_gap_and_is_closed_elsewhere(chrome, ope
     assert np.std(middles) == pytest.approx((high - low) / np.sqrt(12), rel=0.1)
 
 
-def test_obstacles_that_move_are_those_of_the_papers_world_with_uniform_speeds_in_all_directions(chrome, opened):
+def test_obstacles_that_move_are_those_of_the_papers_world_with_uniform_speeds_in_all_directions(
+    chrome, opened
+):
     standing, moving = made(chrome, "drone", 200, k=8), made(chrome, "moving", 200, k=8)
     circles = np.array([one["circles"] for one in moving])
     assert np.array_equal(circles[..., :3], [one["circles"] for one in standing])
     speed = np.hypot(circles[..., 3], circles[..., 4]).ravel()
     assert speed.max() <= 2
-    assert (speed.mean(), speed.std()) == (pytest.approx(1, abs=0.05), pytest.approx(2 / np.sqrt(12), abs=0.03))
+    assert (speed.mean(), speed.std()) == (
+        pytest.approx(1, abs=0.05),
+        pytest.approx(2 / np.sqrt(12), abs=0.03),
+    )
     assert np.abs(circles[..., 3:].mean((0, 1))).max() < 0.1
     halved = ask(chrome, "withVelocities(generate(playground.world, 8, 5), 0, 1, 5)")
     assert np.allclose(2 * np.array(halved)[:, 3:], circles[5][:, 3:], atol=1e-6)

@@ -35,7 +35,9 @@ def test_a_page_holds_the_three_lowest_seeds_of_each_run_with_their_weights_as_t
     assert [one["key"] for one in found] == ["ppo-tanh-0", "dqn-tanh-4", "dqn-tanh-5", "dqn-tanh-6"]
     weights = np.frombuffer(base64.b64decode(found[2]["weights"]), "<f4")
     network = load_policy(tmp_path / "runs" / "dqn" / "tanh", 5).network
-    assert torch.equal(torch.tensor(weights), torch.cat([one.detach().flatten() for one in network.parameters()]))
+    assert torch.equal(
+        torch.tensor(weights), torch.cat([one.detach().flatten() for one in network.parameters()])
+    )
     assert (found[2]["sizes"], found[2]["epsilon"], found[2]["acts"]) == ([30, 8, 100], 0.2, "epsilon-greedy")
     assert {one["head"] for one in found} == {"direct"}
 
@@ -45,7 +47,9 @@ def test_runs_of_one_algorithm_and_activation_are_told_apart_by_their_folders(tm
         write_policies(tmp_path / name, n_seeds=1)
     found, _ = collect([tmp_path / "a", tmp_path / "b", tmp_path / "a"])
     parts = tmp_path.parts[-2:]
-    assert [one["key"] for one in found] == ["-".join([*parts, name, "ppo", "tanh", "0"]) for name in ("a", "b")]
+    assert [one["key"] for one in found] == [
+        "-".join([*parts, name, "ppo", "tanh", "0"]) for name in ("a", "b")
+    ]
     assert found[1]["title"] == f"PPO tanh, seed 0 ({'/'.join(parts)}/b)"
 
 
@@ -61,10 +65,14 @@ def test_a_policy_of_another_world_is_left_out_in_a_line(tmp_path, capsys):
     )
 
 
-def test_policies_trained_with_faults_or_in_other_worlds_of_two_dimensions_are_on_the_page_and_stacks_are_not(tmp_path):
+def test_policies_trained_with_faults_or_in_other_worlds_of_two_dimensions_are_on_the_page_and_stacks_are_not(
+    tmp_path,
+):
     write_policies(tmp_path / "late", n_seeds=1, faults={"late": 2})
     write_policies(tmp_path / "moving", n_seeds=1, task="moving", world={"speed_max": 4.0})
-    write_policies(tmp_path / "sensing", n_seeds=1, n_inputs=50, task="moving", world={"sense_velocity": True})
+    write_policies(
+        tmp_path / "sensing", n_seeds=1, n_inputs=50, task="moving", world={"sense_velocity": True}
+    )
     write_policies(tmp_path / "stacked", n_seeds=1, n_inputs=120, stack=4)
     found, left_out = collect([tmp_path])
     assert [one["key"].split("-")[-4] for one in found] == ["late", "moving"]
@@ -103,11 +111,3 @@ def test_what_is_no_folder_of_policies_is_one_line_and_no_page(make, line, tmp_p
     assert line in err
     assert err.count("\n") == 1
     assert not (tmp_path / "page.html").exists()
-
-
-def test_a_page_that_cannot_be_written_is_refused_before_anything_is_read(tmp_path, capsys):
-    status, out, err = told([tmp_path / "none", "--out", tmp_path], capsys)
-    assert (status, out) == (2, "")
-    assert (
-        err == f"uavnav playground: {tmp_path}: cannot be written (it is a folder); give a path that can be written\n"
-    )

@@ -35,7 +35,9 @@ from uavnav.views.browser.playground import SETTINGS, WORLDS, collect, page
 
 pytestmark = pytest.mark.slow
 
-CELLS = [f"{algorithm}/{activation}" for algorithm in ("ppo", "dqn") for activation in paper.ACTIVATIONS]
+CONFIGURATIONS = [
+    f"{algorithm}/{activation}" for algorithm in ("ppo", "dqn") for activation in paper.ACTIVATIONS
+]
 
 
 @pytest.fixture
@@ -49,7 +51,7 @@ def browser(chrome, opened):
     assert asked <= {opened.as_uri(), "about:blank"}
 
 
-# -- links ------------------------------------------------------------------------------------------------------------
+# -- links ---------------------------------------------------------------------------------------------------
 
 SCENE = (
     "set=12&k=2&circles=100_100.5_40~700_500_99.9&pilots=rule~ppo-tanh-0~nobody~you"
@@ -59,14 +61,24 @@ WRITTEN = "writeLink({ ...playground.scene, circles: playground.race.circles }, 
 BAD = (
     *("world=mars", "world=toString", "gap=65", "gap=121", "pace=2.25", "noise=21", "late=1.5", "lost=-1"),
     "sticky=<b>",
-    *("set=-1", "set=1e9", "k=99", "k=", "speed=99", "focus=5", "seed=4294967296", "greedy=perhaps", "pilots=rule"),
+    *(
+        "set=-1",
+        "set=1e9",
+        "k=99",
+        "k=",
+        "speed=99",
+        "focus=5",
+        "seed=4294967296",
+        "greedy=perhaps",
+        "pilots=rule",
+    ),
     *("pilots=you~you~rule~rule", "pilots=rule~rule~rule~<b>", "circles=400_300_50", "circles=100_100_500"),
     *("circles=NaN_1_50", "circles=100_100", "__proto__=1", "constructor=x", "toString", "%3Cscript%3E=1"),
     "<img/src=x/onerror=alert(1)>=1",
 )
 
 
-def test_a_link_restores_its_scene_and_the_same_flights(browser, opened):
+def test_a_link_restores_its_scene_and_the_same_episodes(browser, opened):
     ends = []
     for _ in range(2):
         visit(browser, opened, f"#{SCENE}")
@@ -74,7 +86,8 @@ def test_a_link_restores_its_scene_and_the_same_flights(browser, opened):
             **{name: one.first for name, one in SETTINGS.items()},
             "world": "drone", "set": 12, "k": 2,
             "circles": [pytest.approx([100, 100.5, 40]), pytest.approx([700, 500, 99.9])],
-            "pilots": ["rule", "ppo-tanh-0", "nobody", "you"], "focus": 4, "speed": 0.25, "greedy": True, "seed": 9,
+            "pilots": ["rule", "ppo-tanh-0", "nobody", "you"], "focus": 4,
+            "speed": 0.25, "greedy": True, "seed": 9,
         }  # fmt: skip
         assert not one(browser, "#notice").is_displayed()
         steps(browser, 50)
@@ -98,7 +111,7 @@ def test_a_bad_part_of_a_link_is_named_as_text_and_the_rest_holds(browser):
     assert find(browser, "#notice *, img, script:not([type]) ~ script") == []
 
 
-# -- what a visitor does ----------------------------------------------------------------------------------------------
+# -- what a visitor does -------------------------------------------------------------------------------------
 
 
 def drone(browser, place=0):
@@ -106,7 +119,9 @@ def drone(browser, place=0):
 
 
 def steps(browser, n):
-    browser.execute_script("for (let n = 1; n < arguments[0]; n += 1) playground.advance(); playground.oneStep()", n)
+    browser.execute_script(
+        "for (let n = 1; n < arguments[0]; n += 1) playground.advance(); playground.oneStep()", n
+    )
 
 
 def touch(browser, kind, *points):
@@ -119,7 +134,8 @@ def on_screen(browser, x, y):
     """Where a point of the world [px] is in the window."""
     box = ask(
         browser,
-        "(({ left, top, width }) => [left, top, width])(document.querySelector('#arena').getBoundingClientRect())",
+        "(({ left, top, width }) => [left, top, "
+        "width])(document.querySelector('#arena').getBoundingClientRect())",
     )
     return box[0] + x * box[2] / 800, box[1] + (600 - y) * box[2] / 800
 
@@ -150,7 +166,9 @@ def test_time_goes_stops_steps_and_starts_again_by_keys_alone(browser):
     there = drone(browser, 1)["steps"]
     press(browser, ".")
     assert drone(browser, 1)["steps"] == there + 1
-    assert f"2, PPO tanh: flies, step {there + 1}, reward " in one(browser, "#status").get_property("textContent")
+    assert f"2, PPO tanh: flies, step {there + 1}, reward " in one(browser, "#status").get_property(
+        "textContent"
+    )
     press(browser, "-", "-", "+")
     assert Select(one(browser, "#speed")).first_selected_option.text == "0.5×"
     press(browser, "r")
@@ -176,21 +194,26 @@ def test_a_seed_repeats_the_random_choices_and_another_makes_others(browser):
     assert one(browser, "#seed").get_property("value") == "0"
 
 
-def test_a_drone_is_handed_over_in_mid_flight_and_taken_back_where_it_is(browser):
+def test_a_drone_is_handed_over_in_mid_episode_and_taken_back_where_it_is(browser):
     steps(browser, 20)
     press(browser, "3", "t")
     before = drone(browser, 2)
-    assert ask(browser, "playground.race.drones.map(({ pilot }) => pilot)") == ["rule", "ppo-tanh-0", "you", "rule"]
+    assert ask(browser, "playground.race.drones.map(({ pilot }) => pilot)") == [
+        "rule",
+        "ppo-tanh-0",
+        "you",
+        "rule",
+    ]
     press(browser, Keys.ARROW_UP)
     steps(browser, 1)
     assert drone(browser, 2)["steps"] == before["steps"] + 1
     press(browser, "r", "t")  # also after the race began again
     assert ask(browser, "playground.race.drones[2].pilot") == "dqn-tanh-0"
-    for cell in CELLS:
+    for configuration in CONFIGURATIONS:
         there = drone(browser, 2)
-        Select(one(browser, "#pilot")).select_by_value(f"{cell.replace('/', '-')}-1")
+        Select(one(browser, "#pilot")).select_by_value(f"{configuration.replace('/', '-')}-1")
         assert drone(browser, 2) == there
-        assert cell.split("/")[1].replace("_", " ") in one(browser, ".seat-3 small").text
+        assert configuration.split("/")[1].replace("_", " ") in one(browser, ".seat-3 small").text
         steps(browser, 1)
         hidden = ask(browser, "playground.race.drones[2].thought.hidden.map((units) => units.length)")
         assert hidden == [64, 64]
@@ -201,11 +224,15 @@ def test_the_table_holds_the_six_metrics_of_each_drone(browser):
     names = [row.get_attribute("data-metric") for row in find(browser, "[data-metric]")]
     assert names == list(paper.COLUMNS)
     for place in range(4):
-        state = pd.DataFrame({name: [number] for name, number in drone(browser, place).items() if name in COUNTS})
+        state = pd.DataFrame(
+            {name: [number] for name, number in drone(browser, place).items() if name in COUNTS}
+        )
         expected = per_episode(state).iloc[0]
         for name in names:
             shown = find(browser, f"[data-metric={name}] td")[place].text.replace("−", "-")
-            assert float(shown) == pytest.approx(expected[name], abs=0.51 if METRICS[name].scale != 1 else 0.051)
+            assert float(shown) == pytest.approx(
+                expected[name], abs=0.51 if METRICS[name].scale != 1 else 0.051
+            )
 
 
 def test_obstacles_are_drawn_moved_sized_and_deleted_by_a_finger_and_by_keys(browser):
@@ -246,7 +273,9 @@ def test_a_finger_steers_and_the_density_is_a_slider(browser):
     there = drone(browser)["distance"]
     steps(browser, 2)
     assert drone(browser)["distance"] == there
-    browser.execute_script("const k = document.querySelector('#k'); k.value = 13; k.dispatchEvent(new Event('input'))")
+    browser.execute_script(
+        "const k = document.querySelector('#k'); k.value = 13; k.dispatchEvent(new Event('input'))"
+    )
     assert len(ask(browser, "playground.race.circles")) == 13
     assert one(browser, "#k-now").text == "13"
 
@@ -267,13 +296,16 @@ def test_it_plays_by_itself_but_not_for_those_who_want_less_motion(browser, open
     wait(browser, lambda: drone(browser, 1)["steps"] > 3)
 
 
-# -- how it looks -----------------------------------------------------------------------------------------------------
+# -- how it looks --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("width", "colours", "fragment"), [(WIDE, "light", "#world=goal&lost=0.1"), (NARROW, "dark", "#world=moving")]
+    ("width", "colours", "fragment"),
+    [(WIDE, "light", "#world=goal&lost=0.1"), (NARROW, "dark", "#world=moving")],
 )
-def test_axe_finds_nothing_and_all_text_is_readable_and_within_the_screen(browser, opened, width, colours, fragment):
+def test_axe_finds_nothing_and_all_text_is_readable_and_within_the_screen(
+    browser, opened, width, colours, fragment
+):
     visit(browser, opened, fragment, width=width, colours=colours)
     browser.execute_script("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
     one(browser, "#draw").click()
@@ -301,21 +333,25 @@ def test_tab_reaches_the_arena_and_every_control_with_an_outline(browser):
         assert (style, width >= 2) == ("solid", True), name
         reached.append(name)
     controls = [
-        one.get_attribute("id") for one in find(browser, "button[id], select[id], input[id]") if one.is_displayed()
+        one.get_attribute("id")
+        for one in find(browser, "button[id], select[id], input[id]")
+        if one.is_displayed()
     ]
     assert {"stage", *controls} <= {*reached}
     assert reached[0] == "stage"
 
 
-def test_one_file_below_3_mb_holds_three_seeds_of_each_cell_and_what_it_is(opened):
+def test_one_file_below_3_mb_holds_three_seeds_of_each_configuration_and_what_it_is(opened):
     assert opened.stat().st_size < 3e6
     text = opened.read_text()
-    assert [one["key"] for one in json.loads(text.split('id="data">')[1].split("</script>")[0])["policies"]] == [
-        f"{cell.replace('/', '-')}-{seed}" for cell in CELLS for seed in (0, 1, 2)
+    assert [
+        one["key"] for one in json.loads(text.split('id="data">')[1].split("</script>")[0])["policies"]
+    ] == [
+        f"{configuration.replace('/', '-')}-{seed}" for configuration in CONFIGURATIONS for seed in (0, 1, 2)
     ]
 
 
-# -- other worlds ---------------------------------------------------------------------------------------------------
+# -- other worlds --------------------------------------------------------------------------------------------
 
 
 def slide(browser, name, value):
@@ -335,7 +371,11 @@ def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
         choice.select_by_value(name)
         assert {s for s in ("k", "gap", "pace") if one(browser, f"#{s}").is_displayed()} == sliders
         steps(browser, 1)
-        assert states(browser) == ["flying", *(["cannot fly"] * 2 if name == "goal" else ["flying"] * 2), "flying"]
+        assert states(browser) == [
+            "flying",
+            *(["cannot fly"] * 2 if name == "goal" else ["flying"] * 2),
+            "flying",
+        ]
         assert one(browser, "#told").text.startswith(WORLDS[name]["told"])
     assert one(browser, "#told").text.endswith("No network here has learned that: you and the rule fly.")
     assert ask(browser, "playground.scene.focus") == 1  # a drone that can fly
@@ -412,8 +452,11 @@ def test_a_drone_that_nobody_flew_senses_obstacles_where_they_are_once_it_is_han
     steps(browser, 25)
     browser.execute_script("playground.handTo(1, 'rule')")
     expected = "playground.race.task.obstacles(playground.race.set, playground.race.steps)"
-    near = f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)"  # px, at the start
-    waited, clearance = ask(browser, "(({ state, clearance }) => [state, clearance])(playground.race.drones[1])")
+    # px, at the start
+    near = f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)"
+    waited, clearance = ask(
+        browser, "(({ state, clearance }) => [state, clearance])(playground.race.drones[1])"
+    )
     assert (waited["steps"], waited["waited"], waited["x"], waited["y"]) == (0, 25, 400, 300)
     assert clearance == pytest.approx(ask(browser, near), abs=1e-3)
     assert clearance != pytest.approx(ask(browser, near.replace("playground.race.steps", "0")), abs=1)
@@ -446,7 +489,7 @@ def test_a_circle_stays_off_the_goal_in_a_drawing_and_in_a_link(browser, opened)
         assert bool(ask(browser, "playground.scene.circles")) != bool(words)
 
 
-def test_faults_are_sliders_in_a_link_and_change_the_flights(browser, opened):
+def test_faults_are_sliders_in_a_link_and_change_the_episodes(browser, opened):
     ends = []
     for value in (0, 0.5, 0):
         slide(browser, "sticky", value)

@@ -1,4 +1,6 @@
-"""Plugins: the file of docs/extending.md trains, is noted, and is imported where its name is given and nowhere else."""
+"""Plugins: the file of docs/extending.md trains, is noted, and is imported where its name is given and
+nowhere else.
+"""
 
 import hashlib
 import json
@@ -19,14 +21,9 @@ from safetensors.torch import load_file, save_file
 import uavnav
 from uavnav import ConfigError, PolicyError, Run, load_policy, plugins
 from uavnav.algorithms import ALGORITHMS, ppo
-from uavnav.cli import play, worker
-from uavnav.cli.evaluate import main as fly_command
-from uavnav.cli.export import main as export_command
-from uavnav.cli.render import main as render_command
-from uavnav.cli.train import main as train_command
-from uavnav.cli.verify import main as verify_command
+from uavnav.cli import commands, worker
 from uavnav.runs import POLICY
-from uavnav.tasks import simulator
+from uavnav.tasks.table import TASKS
 
 pytestmark = pytest.mark.usefixtures("warm_module")
 
@@ -67,7 +64,7 @@ def header_of(path):
         return json.loads(file.metadata()["uavnav"])
 
 
-# -- training --------------------------------------------------------------------------------------------------------
+# -- training ------------------------------------------------------------------------------------------------
 
 
 def test_a_run_notes_its_plugins_by_name_and_hash_and_the_world_of_its_task(folder, run):
@@ -83,10 +80,11 @@ def test_a_run_notes_its_plugins_by_name_and_hash_and_the_world_of_its_task(fold
 TOGETHER_AND_ALONE = """
 import uavnav
 from uavnav.training.loop import train
+
 uavnav.plugins.load("my_study")
 import my_study
-how = dict(n_seeds=2, total_frames=1024, frames_per_batch=512, hidden=[8], compile="off", activation="hardswish",
-    reward="roomy", task="narrow")
+how = dict(n_seeds=2, total_frames=1024, frames_per_batch=512, hidden=[8], compile="off",
+    activation="hardswish", reward="roomy", task="narrow")
 for name, config in ("ppo", uavnav.ppo.PPOConfig(epochs=1, **how)), ("reinforce", my_study.Config(**how)):
     for n in (1, 2):
         run = train(config, out=f"spread/{name}-{n}", quiet=True, processes=n)
@@ -103,7 +101,8 @@ def test_in_the_processes_of_workers_a_plugins_parts_and_algorithm_give_what_one
         assert alone.meta["plugins"] == together.meta["plugins"]
         first, second = (load_file(one.path / POLICY) for one in (alone, together))
         assert first.keys() == second.keys()
-        assert max(float((first[key] - second[key]).abs().max()) for key in first) < 1e-6  # products of 1 and 2 agents
+        # products of 1 and 2 agents
+        assert max(float((first[key] - second[key]).abs().max()) for key in first) < 1e-6
         assert header_of(together.path / POLICY)["plugins"] == ["my_study"]
 
 
@@ -134,12 +133,14 @@ def test_what_this_process_alone_has_added_is_not_sent_to_others(tmp_path, monke
         ("ppo", "out={}: holds a run with task=narrow; give another folder"),
     ],
 )
-def test_the_command_that_goes_on_with_a_run_says_which_plugin_it_needs(words, line, run, capsys, monkeypatch):
+def test_the_command_that_goes_on_with_a_run_says_which_plugin_it_needs(
+    words, line, run, capsys, monkeypatch
+):
     monkeypatch.setattr(plugins, "LOADED", {})
-    monkeypatch.delitem(simulator.TASKS, "narrow", raising=False)
+    monkeypatch.delitem(TASKS, "narrow", raising=False)
     monkeypatch.setattr(sys, "argv", ["uavnav"])
     try:
-        status = train_command([*words.split(), f"out={run.path}"])
+        status = commands.run("train", [*words.split(), f"out={run.path}"])
     except SystemExit as end:
         status = end.code
     err = capsys.readouterr().err
@@ -148,14 +149,14 @@ def test_the_command_that_goes_on_with_a_run_says_which_plugin_it_needs(words, l
     assert err.endswith("; it was made with plugins, give --plugins my_study (plugins= to uavnav train)\n")
 
 
-# -- commands --------------------------------------------------------------------------------------------------------
+# -- commands ------------------------------------------------------------------------------------------------
 
 COMMANDS = {
-    "evaluate": (fly_command, ["RUN", "--episodes", "3", "--max-steps", "20"]),
-    "verify": (verify_command, ["RUN", "--frames", "512"]),
-    "render": (render_command, ["RUN", "--steps", "5", "--out", "flight.png"]),
-    "export": (export_command, ["RUN", "--out", "policy.pt2"]),
-    "play": (play.main, ["RUN"]),
+    "evaluate": ["RUN", "--episodes", "3", "--max-steps", "20"],
+    "verify": ["RUN", "--frames", "512"],
+    "render": ["RUN", "--steps", "5", "--out", "flight.png"],
+    "export": ["RUN", "--out", "policy.pt2"],
+    "play": ["RUN"],
 }
 
 
@@ -165,9 +166,10 @@ def test_without_the_flag_a_command_says_in_one_line_which_to_give_and_imports_n
 ):
     monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(str(folder))
-    main, words = COMMANDS[command]
     before = sorted(folder.rglob("*"))
-    assert main([str(run.path) if word == "RUN" else word for word in words]) == 2
+    assert (
+        commands.run(command, [str(run.path) if word == "RUN" else word for word in COMMANDS[command]]) == 2
+    )
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(f"uavnav {command}: {run.path}/")
@@ -180,7 +182,7 @@ def test_without_the_flag_a_command_says_in_one_line_which_to_give_and_imports_n
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_help_of_each_command_has_the_flag(command, capsys):
     with pytest.raises(SystemExit):
-        COMMANDS[command][0](["--help"])
+        commands.run(command, ["--help"])
     assert "--plugins NAME,..." in capsys.readouterr().out
 
 
@@ -190,11 +192,11 @@ def test_with_the_flag_each_command_works(folder, run, tmp_path):
     said = python(
         tmp_path, "-m", "uavnav", "evaluate", own, "--episodes", 3, "--max-steps", 20, "--plugins", "my_study"
     )
-    assert "reinforce hardswish on 3 test sets" in said
+    assert "reinforce hardswish on 3 test layouts" in said
     assert len(Run(own).evaluation()) == 2 * 2 * 3
     lines = ["from uavnav.__main__ import main"]
     for name in ("verify", "render", "export"):
-        words = [str(own) if word == "RUN" else word for word in COMMANDS[name][1]]
+        words = [str(own) if word == "RUN" else word for word in COMMANDS[name]]
         lines.append(f"assert main({[name, *words, '--plugins', 'my_study']}) == 0")
     said = python(tmp_path, "-c", "\n".join(lines))
     assert "own: the same, bit for bit: " in said
@@ -212,18 +214,22 @@ def test_a_recipe_without_the_flag_refuses_a_plugins_names_like_any_other(folder
     assert result.stderr.count("\n") == 1
 
 
-# -- nothing is imported that was not named --------------------------------------------------------------------------
+# -- nothing is imported that was not named ------------------------------------------------------------------
 
 
 @pytest.fixture
 def bomb(tmp_path, monkeypatch):
     """A folder with a module that leaves a mark when it is imported, and a run whose every file names it."""
-    (tmp_path / "bomb.py").write_text("from pathlib import Path\nPath(__file__).with_name('exploded').touch()\n")
+    (tmp_path / "bomb.py").write_text(
+        "from pathlib import Path\nPath(__file__).with_name('exploded').touch()\n"
+    )
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     made = ppo.train(ppo.PPOConfig(**SHORT), out=tmp_path / "run", quiet=True)
     path = made.path / "config.yaml"
-    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"plugins": ["bomb"], "algorithm": "bomb"}))
+    path.write_text(
+        yaml.safe_dump(yaml.safe_load(path.read_text()) | {"plugins": ["bomb"], "algorithm": "bomb"})
+    )
     path = made.path / "meta.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"plugins": {"bomb": "0" * 64}}))
     path = made.path / POLICY
@@ -236,16 +242,24 @@ def bomb(tmp_path, monkeypatch):
 
 def test_files_of_a_run_that_name_a_plugin_have_it_never_imported(bomb, capsys):
     assert Run(bomb).algorithm == "bomb"
-    with pytest.raises(PolicyError, match="unknown algorithm 'bomb'; it was made with plugins, give --plugins bomb"):
+    with pytest.raises(
+        PolicyError, match="unknown algorithm 'bomb'; it was made with plugins, give --plugins bomb"
+    ):
         load_policy(bomb)
-    for main, words in COMMANDS.values():
-        assert main([str(bomb) if word == "RUN" else word for word in words]) == 2
+    for name, words in COMMANDS.items():
+        assert commands.run(name, [str(bomb) if word == "RUN" else word for word in words]) == 2
         assert "give --plugins bomb" in capsys.readouterr().err
 
 
 def test_the_file_of_a_studys_job_has_nothing_imported_either(bomb, monkeypatch):
     monkeypatch.setattr(worker.os, "dup2", lambda *streams: None)
-    told = {"algorithm": "bomb", "kind": ["bomb", "Config"], "plugins": ["bomb"], "config": {}, "evaluation": None}
+    told = {
+        "algorithm": "bomb",
+        "kind": ["bomb", "Config"],
+        "plugins": ["bomb"],
+        "config": {},
+        "evaluation": None,
+    }
     told |= {"how": {}, "threads": 1}
     job = bomb.with_name("seeds.job")
     job.write_text(json.dumps(told | {"out": str(bomb), "folder": str(bomb.parent)}))
@@ -262,7 +276,7 @@ def test_a_plugin_that_adds_nothing_a_run_needs_is_not_asked_for(bomb):
         load_policy(bomb)
 
 
-# -- loading ---------------------------------------------------------------------------------------------------------
+# -- loading -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -283,40 +297,41 @@ def test_a_plugin_that_cannot_be_imported_is_one_line_with_the_reason(code, reas
     assert "faulty" not in plugins.LOADED
 
 
-def test_a_plugin_that_gives_the_name_of_an_algorithm_to_another_one_is_refused(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(tmp_path))
-    code = "from uavnav.algorithms import ALGORITHMS\nALGORITHMS['ppo'] = ALGORITHMS['a2c']\n"
-    (tmp_path / "takes_ppo.py").write_text(code)
-    with pytest.raises(ConfigError, match=r"^plugins=takes_ppo: .*algorithm=ppo is there already; give yours another"):
-        plugins.load(["takes_ppo"])
-    assert ALGORITHMS["ppo"].module == "uavnav.algorithms.ppo"
-    assert "takes_ppo" not in plugins.LOADED
+MINE = "from uavnav.algorithms import ALGORITHMS as A\nA['mine'] = A['ppo']._replace(module='{}')\n"
+TAKES = {
+    "the algorithm of another": (
+        "",
+        "from uavnav.algorithms import ALGORITHMS as A\nA['ppo'] = A['a2c']\n",
+        "algorithm=ppo",
+    ),
+    "another plugin's": (MINE.format("first"), MINE.format("second"), "algorithm=mine"),
+    "an activation": (
+        "",
+        "from uavnav import networks\nnetworks.ACTIVATIONS['relu'] = abs\n",
+        "activation=relu",
+    ),
+}
 
 
-def test_a_plugin_that_gives_the_algorithm_of_another_plugin_to_another_module_is_refused(tmp_path, monkeypatch):
+@pytest.mark.parametrize("what", TAKES)
+def test_a_plugin_that_gives_a_known_name_another_meaning_is_refused_and_the_name_keeps_its_own(
+    what, tmp_path, monkeypatch
+):
+    *codes, taken = TAKES[what]
     monkeypatch.syspath_prepend(str(tmp_path))
-    for name in ("mine_first", "mine_again"):
-        code = f"from uavnav.algorithms import ALGORITHMS as A\nA['mine'] = A['ppo']._replace(module='{name}')\n"
+    monkeypatch.setattr(plugins, "LOADED", {})
+    names = [f"takes_{taken.replace('=', '_')}_{number}" for number in (1, 2)]
+    for name, code in zip(names, codes, strict=True):
         (tmp_path / f"{name}.py").write_text(code)
     try:
-        plugins.load("mine_first")
-        with pytest.raises(ConfigError, match=r"^plugins=mine_again: .*algorithm=mine is there already; give yours"):
-            plugins.load("mine_again")
-        assert ALGORITHMS["mine"].module == "mine_first"
-        assert {"mine_first"} == {"mine_first", "mine_again"} & plugins.LOADED.keys()
+        plugins.load(names[0])
+        before = dict(ALGORITHMS), dict(uavnav.networks.ACTIVATIONS)
+        with pytest.raises(ConfigError, match=f"^plugins={names[1]}: .*{taken} is there already; give yours"):
+            plugins.load(names[1])
+        assert before == (dict(ALGORITHMS), dict(uavnav.networks.ACTIVATIONS))
+        assert [*plugins.LOADED] == names[:1]
     finally:
         ALGORITHMS.pop("mine", None)
-        plugins.LOADED.pop("mine_first", None)
-
-
-def test_a_plugin_that_gives_a_known_name_another_meaning_is_refused_and_the_name_keeps_its_own(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(tmp_path))
-    (tmp_path / "takes_relu.py").write_text("from uavnav import networks\nnetworks.ACTIVATIONS['relu'] = abs\n")
-    own = uavnav.networks.ACTIVATIONS["relu"]
-    with pytest.raises(ConfigError, match=r"^plugins=takes_relu: activation=relu is there already; give yours another"):
-        plugins.load("takes_relu")
-    assert uavnav.networks.ACTIVATIONS["relu"] is own
-    assert "takes_relu" not in plugins.LOADED
 
 
 @pytest.mark.parametrize(
@@ -324,12 +339,17 @@ def test_a_plugin_that_gives_a_known_name_another_meaning_is_refused_and_the_nam
     [
         (lambda step: step.distance.double(), "reward=odd: gives Tensor; give named terms"),
         (lambda step: {}, "reward=odd: gives dict; give named terms"),
-        (lambda step: {"a": step.observation}, r"reward=odd: its term a is of shape \[2, 30\]; give a tensor \[2\]"),
+        (
+            lambda step: {"a": step.observation},
+            r"reward=odd: its term a is of shape \[2, 30\]; give a tensor \[2\]",
+        ),
         (lambda step: {"a": 1.0}, r"reward=odd: its term a is a float; give a tensor \[2\]"),
         (lambda step: {"a": step.nothing}, "'Step' object has no attribute 'nothing'"),
     ],
 )
-def test_a_reward_that_gives_no_terms_ends_in_one_line_before_anything_is_written(reward, says, tmp_path, monkeypatch):
+def test_a_reward_that_gives_no_terms_ends_in_one_line_before_anything_is_written(
+    reward, says, tmp_path, monkeypatch
+):
     monkeypatch.setitem(uavnav.rewards.REWARDS, "odd", reward)
     with pytest.raises(ConfigError, match=f"^task=drone with reward=odd: {says}"):
         ppo.train(ppo.PPOConfig(reward="odd", **SHORT), out=tmp_path / "run", quiet=True)
@@ -352,7 +372,9 @@ class Other(ppo.PPO):
         ("policy", lambda policy: torch.nn.Sequential(policy), r" of hidden=\[8\]; its tensors are others$"),
     ],
 )
-def test_a_policy_that_could_not_be_read_again_is_refused_before_training(where, what, says, tmp_path, monkeypatch):
+def test_a_policy_that_could_not_be_read_again_is_refused_before_training(
+    where, what, says, tmp_path, monkeypatch
+):
     monkeypatch.setattr(Other, "where", where)
     monkeypatch.setattr(Other, "what", staticmethod(what))
     monkeypatch.setattr(ppo.PPOConfig, "make", lambda config, compile: Other(config, compile))
@@ -369,7 +391,9 @@ def test_a_plugin_that_has_changed_since_is_told_of_also_by_the_command_that_fin
     assert "this run is already finished" in python(folder, *words)
     try:
         file.write_text(f"{code}\n# another line\n")
-        again = subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True, check=True)
+        again = subprocess.run(
+            [sys.executable, *words], cwd=folder, capture_output=True, text=True, check=True
+        )
     finally:
         file.write_text(code)
     assert "hardswish: my_study is not what it was when this was trained\n" in again.stderr
@@ -396,7 +420,9 @@ def test_a_module_that_is_not_there_is_one_line_and_no_names_are_no_import(tmp_p
     for none in ([], None):
         plugins.load(none)
     assert sys.path == before
-    with pytest.raises(ConfigError, match=r"plugins=nowhere: is no module in .*; give a module's name, without \.py"):
+    with pytest.raises(
+        ConfigError, match=r"plugins=nowhere: is no module in .*; give a module's name, without \.py"
+    ):
         plugins.load("nowhere")
 
 

@@ -1,4 +1,6 @@
-"""A whole run of PPO, watched: what it drew, estimated, learned and noted, against slow loops and plain PyTorch."""
+"""A whole run of PPO, watched: what it drew, estimated, learned and noted, against slow loops and plain
+PyTorch.
+"""
 
 from types import SimpleNamespace
 
@@ -47,7 +49,9 @@ WATCHED = PPOConfig(
 
 @pytest.fixture(scope="module")
 def watched(tmp_path_factory):
-    """The run, its rollouts [A, W, T] as estimated, each minibatch [A, N] and what the learner returned for it."""
+    """The run, its rollouts [A, W, T] as estimated, each minibatch [A, N] and what the learner returned
+    for it.
+    """
     rollouts, minibatches, losses = [], [], []
     step = Learner.step
 
@@ -81,7 +85,9 @@ def test_each_of_192_rows_is_learned_from_once_an_epoch_by_its_own_agent(watched
         order = Streams([seed], "minibatches")
         for epoch in range(6):
             collected = whole(watched.rollouts[epoch // 3][agent])
-            used = whole(torch.cat([batch[agent] for batch in watched.minibatches[4 * epoch : 4 * epoch + 4]]))
+            used = whole(
+                torch.cat([batch[agent] for batch in watched.minibatches[4 * epoch : 4 * epoch + 4]])
+            )
             assert torch.equal(used, collected[order.draw(torch.randperm, 192, device="cpu")[0]])
 
 
@@ -115,7 +121,9 @@ def final_networks(run, agent):
     saved = load_file(run.path / "policy.safetensors")
     networks = make_networks(PPOConfig(**vars(WATCHED) | {"n_seeds": 1}))
     for name, network in zip(("policy", "value"), networks, strict=True):
-        network.load_state_dict({key: saved[f"{name}.{key}"][agent : agent + 1] for key in network.state_dict()})
+        network.load_state_dict(
+            {key: saved[f"{name}.{key}"][agent : agent + 1] for key in network.state_dict()}
+        )
     return networks
 
 
@@ -177,7 +185,7 @@ def flown(actions, **how):
     return torch.stack(steps, 2)
 
 
-def same_flight(a, b):
+def same_episode(a, b):
     keys = ("observation", *[("next", name) for name in ("observation", "reward", "done", "terminated")])
     return all(torch.equal(a[key], b[key]) for key in keys)
 
@@ -185,13 +193,16 @@ def same_flight(a, b):
 def test_the_run_flew_in_the_world_that_its_4_settings_and_its_cap_describe(watched):
     batch = torch.cat(watched.rollouts, 2)
     how = {"world": World(**SWITCHES), "reward": "initial", "max_steps": 20}
-    assert same_flight(batch, flown(batch["action"], **how))
+    assert same_episode(batch, flown(batch["action"], **how))
     for other in (
         {"reward": "eq14"},
         {"max_steps": None},
-        *({"world": World(**{name: value for name, value in SWITCHES.items() if name != left})} for left in SWITCHES),
+        *(
+            {"world": World(**{name: value for name, value in SWITCHES.items() if name != left})}
+            for left in SWITCHES
+        ),
     ):
-        assert not same_flight(batch, flown(batch["action"], **how | other))
+        assert not same_episode(batch, flown(batch["action"], **how | other))
 
 
 def test_the_runs_episodes_last_at_most_20_steps_and_earn_a_hundredth_of_their_distance(watched):
@@ -206,4 +217,5 @@ def test_the_runs_episodes_last_at_most_20_steps_and_earn_a_hundredth_of_their_d
     assert episodes.terminated.sum() == terminated.sum() >= 1
     earned = (0.01 * episodes.distance - episodes.reward).round(9)
     assert (earned[~episodes.terminated] == 0).all()
-    assert earned[episodes.terminated].between(10, 10.09).all()  # the step into the collision pays nothing else
+    # the step into the collision pays nothing else
+    assert earned[episodes.terminated].between(10, 10.09).all()

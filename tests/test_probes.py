@@ -5,18 +5,20 @@ import torch
 
 from uavnav.networks import ACTIVATIONS, mlp
 from uavnav.tasks.seeding import stream
-from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.table import EMPTY, make_task
 from uavnav.training import probes
 
 
 def network(activation, agents=2, hidden=4):
-    return mlp([3, hidden, hidden, 5], activation, [stream(seed, "probe test") for seed in range(agents)], "default")
+    return mlp(
+        [3, hidden, hidden, 5], activation, [stream(seed, "probe test") for seed in range(agents)], "default"
+    )
 
 
 def test_poses_are_512_observations_that_never_change_and_differ_from_each_other():
-    first, again, other_bank = (probes.poses(make_task(bank)) for bank in ("train", "train", EMPTY))
+    first, again, other_layouts = (probes.poses(make_task(layouts)) for layouts in ("train", "train", EMPTY))
     assert torch.equal(first, again)
-    assert torch.equal(first, other_bank)  # whatever a run trains on
+    assert torch.equal(first, other_layouts)  # whatever a run trains on
     assert first.shape == (512, 30)
     assert len(first.unique(dim=0)) > 400
 

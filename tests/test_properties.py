@@ -1,4 +1,4 @@
-"""Whatever the bank, the batch and the actions: what must hold in every step of every flight."""
+"""Whatever the split, the batch and the actions: what must hold in every step of every episode."""
 
 import math
 
@@ -12,21 +12,30 @@ from torchrl.envs.utils import step_mdp
 import uavnav
 from uavnav.tasks import layouts, slalom
 from uavnav.tasks.goal import GoalWorld
-from uavnav.tasks.simulator import make_task, name_of
+from uavnav.tasks.table import make_task, name_of
 
 ROUNDING = 1e-3  # [px] of float32 positions and distances
-PENALTIES = {"eq14": (-0.01, 0.09), "additive": (-0.02, 0.09), "initial": (0.0, 0.09)}  # all that no collision earns
+# all that no collision earns
+PENALTIES = {
+    "eq14": (-0.01, 0.09),
+    "additive": (-0.02, 0.09),
+    "initial": (0.0, 0.09),
+}
 
 
 @st.composite
-def banks(draw):
-    """[n, k, 3] px: up to 3 sets of 0 to 20 circles anywhere in the window, pushed out of the safe zone."""
+def splits(draw):
+    """[n, k, 3] px: up to 3 layouts of 0 to 20 circles anywhere in the window, pushed out of the safe
+    zone.
+    """
     n, k = draw(st.integers(1, 3)), draw(st.just(0) | st.integers(0, 20))
     number = lambda low, high: st.floats(low, high, width=32)  # noqa: E731
-    rows = draw(st.lists(st.tuples(number(0, 800), number(0, 600), number(30, 100)), min_size=n * k, max_size=n * k))
-    bank = torch.tensor([pushed(*row) for row in rows], dtype=torch.float32).reshape(n, k, 3)
-    layouts.validate(bank)
-    return bank
+    rows = draw(
+        st.lists(st.tuples(number(0, 800), number(0, 600), number(30, 100)), min_size=n * k, max_size=n * k)
+    )
+    all_layouts = torch.tensor([pushed(*row) for row in rows], dtype=torch.float32).reshape(n, k, 3)
+    layouts.validate(all_layouts)
+    return all_layouts
 
 
 def pushed(x, y, radius):
@@ -38,37 +47,44 @@ def pushed(x, y, radius):
     return 400 + (radius + 50.01) * dx, 300 + (radius + 50.01) * dy, radius
 
 
-def moving(draw, bank):
+def moving(draw, layouts):
     """The same with velocities, each part at most 2 px a step."""
     part = st.floats(-2, 2, width=32)
-    rows = draw(st.lists(st.tuples(part, part), min_size=bank[..., 0].numel(), max_size=bank[..., 0].numel()))
-    return torch.cat([bank, torch.tensor(rows, dtype=torch.float32).reshape(*bank.shape[:2], 2)], -1)
+    rows = draw(
+        st.lists(st.tuples(part, part), min_size=layouts[..., 0].numel(), max_size=layouts[..., 0].numel())
+    )
+    return torch.cat([layouts, torch.tensor(rows, dtype=torch.float32).reshape(*layouts.shape[:2], 2)], -1)
 
 
-def with_goals(draw, bank):
-    """As many sets of the goals' own bank, where a goal has room."""
+def with_goals(draw, all_layouts):
+    """As many layouts of the goals' own split, where a goal has room."""
     goals = layouts.load("test", GoalWorld())
-    return goals[[draw(st.integers(0, len(goals) - 1)) for _ in bank]]
+    return goals[[draw(st.integers(0, len(goals) - 1)) for _ in all_layouts]]
 
 
-def gaps(draw, bank):
-    """As many sets of four columns of circles, in 48 places."""
-    return slalom.generate(len(bank), draw(st.integers(1, slalom.WIDEST)), draw(st.integers(0, 1000)))
+def gaps(draw, layouts):
+    """As many layouts of four columns of circles, in 48 places."""
+    return slalom.generate(len(layouts), draw(st.integers(1, slalom.WIDEST)), draw(st.integers(0, 1000)))
 
 
 def disturbed(draw):
     """Faults, and a stack of observations."""
-    values = {"noise": [0.0, 5.0, 50.0], "lost": [0.0, 0.3, 1.0], "late": [0, 1, 5], "sticky": [0.0, 0.5, 1.0]}
+    values = {
+        "noise": [0.0, 5.0, 50.0],
+        "lost": [0.0, 0.3, 1.0],
+        "late": [0, 1, 5],
+        "sticky": [0.0, 0.5, 1.0],
+    }
     drawn = {name: draw(st.sampled_from(some)) for name, some in values.items()}
     return {"faults": drawn, "stack": draw(st.integers(1, 3))}
 
 
-BANKS = {"drone": lambda draw, bank: bank, "moving": moving, "goal": with_goals, "slalom": gaps}
+SPLITS_ = {"drone": lambda draw, layouts: layouts, "moving": moving, "goal": with_goals, "slalom": gaps}
 
 
 def circles_of(env, layout, steps):
     """Where the circles (x, y, radius) of a row are."""
-    rows, task = env.bank[layout].tolist(), name_of(env.task)
+    rows, task = env.layouts[layout].tolist(), name_of(env.task)
     if task == "moving":
         return [circle for circle, _ in oracle.drift(rows, steps)]
     return rows[:-1] if task == "goal" else rows
@@ -80,7 +96,7 @@ def reached(env, state):
         return [False] * state.x.numel()
     rows = rows_of(state.x, state.y, state.layout)
     radius = env.task.world.goal_radius
-    return [math.dist((x, y), env.bank[layout, -1, :2].tolist()) <= radius for x, y, layout in rows]
+    return [math.dist((x, y), env.layouts[layout, -1, :2].tolist()) <= radius for x, y, layout in rows]
 
 
 def collided(env, state, after):
@@ -93,10 +109,12 @@ def collided(env, state, after):
 
 
 @st.composite
-def flights(draw, kind):
-    """An environment, and actions [T, *B] for it: stretches of one action each, other rows begin elsewhere in them."""
-    kind, how = (draw(st.sampled_from(sorted(BANKS))), disturbed(draw)) if kind == "faults" else (kind, {})
-    bank, task = BANKS[kind](draw, draw(banks())), "drone" if kind == "slalom" else kind
+def episodes(draw, kind):
+    """An environment, and actions [T, *B] for it: stretches of one action each, other rows begin
+    elsewhere in them.
+    """
+    kind, how = (draw(st.sampled_from(sorted(SPLITS_))), disturbed(draw)) if kind == "faults" else (kind, {})
+    layouts, task = SPLITS_[kind](draw, draw(splits())), "drone" if kind == "slalom" else kind
     shape = draw(st.sampled_from([[], [1], [3], [2, 2]]))
     action = st.just(9) | st.integers(0, 99)  # far enough straight ahead to meet every wall
     stretches = draw(st.lists(st.tuples(action, st.integers(1, 40)), min_size=1, max_size=4))
@@ -104,7 +122,7 @@ def flights(draw, kind):
     rows = [actions.roll(-11 * row) for row in range(math.prod(shape))]
     actions = torch.stack(rows, 1).reshape(len(actions), *shape)
     how |= {
-        "layouts": bank,
+        "layouts": layouts,
         "reward": draw(st.sampled_from(sorted(PENALTIES))),
         "task": task,
         "world": {
@@ -116,14 +134,16 @@ def flights(draw, kind):
         },
         "seeds": draw(st.integers(0, 2**31 - 1)),
     }
-    cap = draw(st.sampled_from([None, "a collision", 1, 7, 30]))
-    if cap == "a collision":
-        cap = first_collision(uavnav.DroneEnv(shape, **how), actions)
-    return uavnav.DroneEnv(shape, **how, max_steps=cap), actions
+    limit = draw(st.sampled_from([None, "a collision", 1, 7, 30]))
+    if limit == "a collision":
+        limit = first_collision(uavnav.DroneEnv(shape, **how), actions)
+    return uavnav.DroneEnv(shape, **how, max_steps=limit), actions
 
 
 def first_collision(env, actions):
-    """The steps of the first episode that ends, where one does: at this cap, the collision comes in the last step."""
+    """The steps of the first episode that ends, where one does: at this time limit, the collision comes
+    in the last step.
+    """
     for _, _, state, after in drive(env, actions):
         if after["terminated"].any():
             return state.steps[after["terminated"].squeeze(-1)].min().item()
@@ -150,19 +170,23 @@ def rows_of(*tensors):
 @pytest.mark.parametrize(
     ("kind", "times"), [("drone", 70), ("moving", 25), ("goal", 25), ("slalom", 10), ("faults", 20)]
 )
-def test_in_every_step_of_every_flight(kind, times):
-    """What the functions below are named; to fly costs more than to look, so all look at the same flights."""
-    settings(max_examples=times, deadline=None, derandomize=True)(given(flights(kind))(every_step))()
+def test_in_every_step_of_every_episode(kind, times):
+    """What the functions below are named; to fly costs more than to look, so all look at the same
+    episodes.
+    """
+    settings(max_examples=times, deadline=None, derandomize=True)(given(episodes(kind))(every_step))()
 
 
-def every_step(flight):
-    env, actions = flight
+def every_step(episode):
+    env, actions = episode
     assert env.observation_spec["observation"].is_in(env.reset()["observation"])
     flown = [[] for _ in range(math.prod(env.batch_size))]
     for action, before, state, after in drive(env, actions):
         hit = collided(env, state, after)
         observations_are_finite_and_within_their_spec_and_rewards_within_minus_10_and_0_09(env, after, hit)
-        it_terminates_where_the_oracles_clearance_is_at_most_30_px_and_never_also_at_the_cap(env, state, after)
+        it_terminates_where_the_oracles_clearance_is_at_most_30_px_and_never_also_at_the_cap(
+            env, state, after
+        )
         no_step_leads_through_an_obstacle(env, action, before, state, after)
         counts_and_rewards_are_what_the_actions_add_up_to_in_whole_numbers(env, action, after, hit, flown)
 
@@ -189,12 +213,12 @@ def it_terminates_where_the_oracles_clearance_is_at_most_30_px_and_never_also_at
 
 
 def no_step_leads_through_an_obstacle(env, action, before, state, after):
-    """Let A and B be the drone's centre before and after a step of s px that ends free, P any place between them, and
-    Q the point of some body that is nearest to P. Bodies are closed, so A and B are 30 px or more from Q, and for
-    P = (1 - t) A + t B: |QP|^2 = (1 - t) |QA|^2 + t |QB|^2 - t (1 - t) s^2 >= 30^2 - (s / 2)^2. At 9 px a step no
-    body comes nearer than 29.66 px. For a circle of radius R the same with its centre, R + 30 px from A and B, gives
-    sqrt((R + 30)^2 - (s / 2)^2) - R: 29.83 px at the least. Circles that move are taken where they are at the step's
-    end, if the drone was free of them there.
+    """Let A and B be the drone's centre before and after a step of s px that ends free, P any place between
+    them, and Q the point of some body that is nearest to P. Bodies are closed, so A and B are 30 px or more
+    from Q, and for P = (1 - t) A + t B: |QP|^2 = (1 - t) |QA|^2 + t |QB|^2 - t (1 - t) s^2 >= 30^2 - (s /
+    2)^2. At 9 px a step no body comes nearer than 29.66 px. For a circle of radius R the same with its
+    centre, R + 30 px from A and B, gives sqrt((R + 30)^2 - (s / 2)^2) - R: 29.83 px at the least. Circles
+    that move are taken where they are at the step's end, if the drone was free of them there.
     """
     for x, y, to_x, to_y, layout, steps, distance, terminated in rows_of(
         before.x, before.y, state.x, state.y, state.layout, state.steps, action % 10, after["terminated"]
@@ -224,7 +248,7 @@ def counts_and_rewards_are_what_the_actions_add_up_to_in_whole_numbers(env, acti
         counts = {name: episode[name][row].item() for name in episode.keys()}  # noqa: SIM118
         earned = counts.pop("reward")
         layout = counts.pop("layout")
-        assert 0 <= layout < len(env.bank)
+        assert 0 <= layout < len(env.layouts)
         assert counts == counted(flown[row])
         assert earned == pytest.approx(hundredths(flown[row], env.task.reward) / 100, abs=1e-9)
         if done[row]:
@@ -257,7 +281,8 @@ def hundredths(flown, variant):
 
 @pytest.mark.parametrize(("gap", "hit"), [(59.84, False), (59.82, True)])
 def test_the_bound_is_attained_a_circle_of_30_px_may_be_passed_0_16_px_too_near_and_not_0_18(gap, hit):
-    # Straight up at x = 400, 9 px a step: the circle's centre is beside the middle of step 15, `gap` px to the right.
+    # Straight up at x = 400, 9 px a step: the circle's centre is beside the middle of step 15, `gap` px to
+    # the right.
     task = make_task(torch.tensor([[[400 + gap, 300 + 14.5 * 9, 30.0]]]))
     state = task.start(torch.tensor([0]), torch.tensor([90]))
     collisions = []

@@ -1,5 +1,6 @@
-"""Pictures: things are where they should be, in their colours, and flights become files."""
+"""Pictures: things are where they should be, in their colours, and episodes become files."""
 
+import functools
 import itertools
 import math
 import sys
@@ -11,17 +12,19 @@ import torch
 from PIL import Image, ImageDraw
 
 import uavnav
-from uavnav.cli.render import main as render_command
+from uavnav.cli import commands
 from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
 from uavnav.evaluation.episodes import start
 from uavnav.tasks.baselines import BASELINES, straight_ahead
 from uavnav.tasks.faults import Faults
-from uavnav.tasks.simulator import EMPTY, make_task
 from uavnav.tasks.state import COUNTS, at
+from uavnav.tasks.table import EMPTY, make_task
 from uavnav.tasks.world import World
 from uavnav.views import render
-from uavnav.views.render import Film, Flight, Pilot, fly
+from uavnav.views.render import Episode, Film, Pilot, fly
+
+render_command = functools.partial(commands.run, "render")
 
 WORLD = World()
 
@@ -37,8 +40,8 @@ def colour(picture, x, y):
 
 
 def test_the_picture_is_the_window_with_y_upwards():
-    bank = torch.tensor([[[100.0, 500.0, 40.0]]])
-    picture = draw_state(state(600, 150, 90), make_task(bank))
+    layouts = torch.tensor([[[100.0, 500.0, 40.0]]])
+    picture = draw_state(state(600, 150, 90), make_task(layouts))
     assert picture.shape == (600, 800, 3)
     assert picture.dtype == np.uint8
     assert colour(picture, 100, 500) == OBSTACLE
@@ -61,18 +64,18 @@ def standing(observation, generator=None):
     return torch.zeros(len(observation), dtype=torch.int64)
 
 
-def flight(policy=straight_ahead, steps=1000, k=0):
-    bank = uavnav.layouts.generate(1, k=k)
-    return fly(Pilot("a pilot", policy, make_task(EMPTY)), bank, 0, steps), bank[0]
+def episode(policy=straight_ahead, steps=1000, k=0):
+    layouts = uavnav.layouts.generate(1, k=k)
+    return fly(Pilot("a pilot", policy, make_task(EMPTY)), layouts, 0, steps), layouts[0]
 
 
 def film(*policies, steps=30, width=160, every=1):
-    flown = [flight(policy, steps) for policy in policies]
+    flown = [episode(policy, steps) for policy in policies]
     return Film([one for one, _ in flown], flown[0][1], width, every)
 
 
 def test_straight_ahead_collides_in_step_28_and_its_trail_is_drawn():
-    flown, obstacles = flight()
+    flown, obstacles = episode()
     assert len(flown.states) == 28 + 1  # contact at 300 + 250 px: ceil(250 / 9) steps, and the start
     assert flown.ended == "collided"
     frames = Film([flown], obstacles, 800, every=10)
@@ -81,13 +84,13 @@ def test_straight_ahead_collides_in_step_28_and_its_trail_is_drawn():
     assert colour(frames[0][:600], 400, 350) != DRONE
 
 
-def test_a_flight_to_a_goal_ahead_has_arrived_and_one_that_is_cut_off_has_not():
+def test_an_episode_to_a_goal_ahead_has_arrived_and_one_that_is_cut_off_has_not():
     task = make_task(torch.tensor([[[400.0, 520.0, 180.0]]]), task="goal")
-    ends = [fly(Pilot("a pilot", straight_ahead, task), task.bank, 0, steps).ended for steps in (100, 5)]
+    ends = [fly(Pilot("a pilot", straight_ahead, task), task.layouts, 0, steps).ended for steps in (100, 5)]
     assert ends == ["arrived", ""]
 
 
-def test_two_flights_are_480_px_wide_each_with_a_gap_of_8_and_the_one_that_is_over_stands_still():
+def test_two_episodes_are_480_px_wide_each_with_a_gap_of_8_and_the_one_that_is_over_stands_still():
     frames = film(straight_ahead, standing, steps=40, width=480)
     assert len(frames) == 41
     height, width, _ = frames[0].shape
@@ -98,7 +101,7 @@ def test_two_flights_are_480_px_wide_each_with_a_gap_of_8_and_the_one_that_is_ov
 
 
 @pytest.mark.parametrize(("n", "columns", "rows"), [(1, 1, 1), (3, 3, 1), (4, 2, 2), (5, 3, 2)])
-def test_up_to_three_flights_are_in_a_row_and_four_are_two_by_two(n, columns, rows):
+def test_up_to_three_episodes_are_in_a_row_and_four_are_two_by_two(n, columns, rows):
     height, width, _ = film(*[standing] * n, steps=1)[0].shape
     assert (width, height) == (columns * 168 - 8, rows * (120 + 16 + 8) - 8)
 
@@ -151,8 +154,10 @@ def test_a_gif_of_60_pictures_a_second_and_an_mp4_without_pyav_are_refused(tmp_p
 
 
 def test_the_first_picture_of_a_gif_has_the_sensed_points_colour_though_the_last_senses_none(tmp_path):
-    bank = uavnav.layouts.load("test")
-    frames = Film([fly(Pilot("reactive", BASELINES["reactive"], make_task(EMPTY)), bank, 26, 60)], bank[26], 480)
+    layouts = uavnav.layouts.load("test")
+    frames = Film(
+        [fly(Pilot("reactive", BASELINES["reactive"], make_task(EMPTY)), layouts, 26, 60)], layouts[26], 480
+    )
     first, last = ((frames[index] == SENSED).all(-1) for index in (0, -1))
     assert first.sum() == 35
     assert not last.any()
@@ -183,7 +188,9 @@ def test_what_is_written_for_500_steps_is_500_pictures_and_the_last(suffix, tmp_
 def test_a_film_shows_a_picture_in_100_seconds_and_no_slower(suffix, tmp_path):
     render.save(film(standing, steps=2), tmp_path / f"a{suffix}", Fraction(1, 100))
     assert len(sizes(tmp_path / f"a{suffix}")) == 3
-    with pytest.raises(ValueError, match=r"^0\.009 pictures per second, a film shows 0\.01 at least: draw more"):
+    with pytest.raises(
+        ValueError, match=r"^0\.009 pictures per second, a film shows 0\.01 at least: draw more"
+    ):
         render.save(film(standing, steps=2), tmp_path / f"b{suffix}", 0.009)
 
 
@@ -212,24 +219,30 @@ def test_the_command_flies_a_run_and_a_script_side_by_side_and_draws_every_third
 
 
 @pytest.mark.parametrize("greedy", [True, False])
-def test_a_flight_of_the_command_is_the_episode_that_an_evaluation_has(run, greedy):
+def test_an_episode_of_the_command_is_the_episode_that_an_evaluation_has(run, greedy):
     policy = uavnav.load_policy(run.path, greedy=greedy)
     rows = uavnav.evaluate_policy(policy, max_steps=100)
     (row,) = rows[rows["layout"] == 0].to_dict("records")
-    flown: Flight = fly(Pilot("", policy, policy.task), uavnav.layouts.load("test"), 0, 100)
+    flown: Episode = fly(Pilot("", policy, policy.task), uavnav.layouts.load("test"), 0, 100)
     last = flown.states[-1]
     assert {name: getattr(last, name).item() for name in COUNTS} == {name: row[name] for name in COUNTS}
     assert (flown.ended == "collided") == row["terminated"]
 
 
-def test_with_faults_the_rule_flies_the_60_steps_that_an_evaluation_with_them_has_and_they_are_told(tmp_path, capsys):
+def test_with_faults_the_rule_flies_the_60_steps_that_an_evaluation_with_them_has_and_they_are_told(
+    tmp_path, capsys
+):
     words = ["reactive", "--layout", "3", "--steps", "60", "--faults", "noise=20,sticky=0.5"]
     assert render_command([*words, "--out", str(tmp_path / "a.png")]) == 0
     faults = Faults(noise=20, sticky=0.5)
     row, plain = (
-        uavnav.evaluate_policy(BASELINES["reactive"], max_steps=60, faults=one).iloc[3] for one in (faults, None)
+        uavnav.evaluate_policy(BASELINES["reactive"], max_steps=60, faults=one).iloc[3]
+        for one in (faults, None)
     )
-    told = f"noise=20,sticky=0.5 reactive: {row['steps']} steps, {row['distance']} px, reward {row['reward']:.2f}"
+    told = (
+        f"noise=20,sticky=0.5 reactive: {row['steps']} steps, {row['distance']} px, reward "
+        f"{row['reward']:.2f}"
+    )
     assert capsys.readouterr().out.startswith(told)
     assert row["distance"] != plain["distance"]
 

@@ -1,4 +1,6 @@
-"""Flights that go round for ever are counted to their cap, and their rows are those of flying it all, bit for bit."""
+"""Episodes that go round for ever are counted to their time limit, and their rows are those of flying it
+all, bit for bit.
+"""
 
 import dataclasses
 import itertools
@@ -16,9 +18,10 @@ from uavnav import evaluation
 from uavnav.evaluation import WATCHED_STEPS, episodes, evaluate_policy, on
 from uavnav.evaluation.repeats import counted
 from uavnav.runs.policies import load_policies
-from uavnav.tasks import layouts, rewards, simulator
-from uavnav.tasks.simulator import EMPTY, Task, make_task
+from uavnav.tasks import layouts, rewards
 from uavnav.tasks.state import COUNTS, State
+from uavnav.tasks.table import EMPTY, TASKS, make_task
+from uavnav.tasks.task import Task
 from uavnav.training import machine
 
 RESULTS = Path(uavnav.__file__).parent.parent / "results"
@@ -29,7 +32,7 @@ OPEN = layouts.generate(3, k=0)
 def eager(monkeypatch, request):
     """Compile nothing, unless a test is marked as compiled."""
     if not request.node.get_closest_marker("compiled"):
-        monkeypatch.setattr(machine, "FLIGHTS_PAY_FROM", 10**9)
+        monkeypatch.setattr(machine, "EPISODES_PAY_FROM", 10**9)
 
 
 @pytest.fixture
@@ -59,7 +62,7 @@ def assert_same(first, second):
         pd.testing.assert_frame_equal(mine, other, check_exact=True)
 
 
-# -- counted instead of flown ----------------------------------------------------------------------------------------
+# -- counted instead of flown --------------------------------------------------------------------------------
 
 ROUNDS = {
     "standing": 0,
@@ -75,39 +78,49 @@ ROUNDS = {
 
 def test_who_goes_round_is_flown_for_a_few_rounds_and_has_the_row_of_flying_on(flown, monkeypatch):
     """Seven drones that go round in their own ways, each over the same three sets."""
-    cap = 1_800
+    limit = 1_800
     population = {seed: always(action) for seed, action in enumerate(ROUNDS.values())}
-    one, other = both(population, on(make_task(EMPTY), OPEN, 3, cap), monkeypatch)
-    most = len(flown) - cap  # the second evaluation flew all
+    one, other = both(population, on(make_task(EMPTY), OPEN, 3, limit), monkeypatch)
+    most = len(flown) - limit  # the second evaluation flew all
     assert WATCHED_STEPS < most < 1_500
     assert one.episodes.truncated.all()
-    assert (one.episodes.steps == cap).all()
+    assert (one.episodes.steps == limit).all()
     rewards = one.episodes.groupby("seed").reward.first().tolist()
-    assert rewards == [sum(itertools.repeat(-0.01, cap))] * len(ROUNDS)  # one by one, and not 1,800 x -0.01
-    assert rewards[0] != cap * -0.01
+    assert rewards == [sum(itertools.repeat(-0.01, limit))] * len(ROUNDS)  # one by one, and not 1,800 x -0.01
+    assert rewards[0] != limit * -0.01
     assert_same(one, other)
 
 
 def test_who_goes_round_for_a_million_steps_is_counted_in_the_time_of_a_thousand(flown):
     (row,) = evaluate_policy(always(50), OPEN[:1], 1, 1_000_000).to_dict("records")
     assert len(flown) < 1_000
-    assert (row["steps"], row["turns"], row["stops"], row["full_stops"]) == (1_000_000, 1_000_000, 1_000_000, 0)
+    assert (row["steps"], row["turns"], row["stops"], row["full_stops"]) == (
+        1_000_000,
+        1_000_000,
+        1_000_000,
+        0,
+    )
     assert row["reward"] == pytest.approx(-10_000)
 
 
-@pytest.mark.parametrize("cap", [499, 500, 501, 600, 871, 872, 873, 1_231])
-def test_any_cap_gives_the_rows_of_flying_it_all(cap, monkeypatch):
+@pytest.mark.parametrize("limit", [499, 500, 501, 600, 871, 872, 873, 1_231])
+def test_any_cap_gives_the_rows_of_flying_it_all(limit, monkeypatch):
     population = {0: always(11), 1: always(50)}
-    assert_same(*both(population, on(make_task(EMPTY), OPEN, 2, cap), monkeypatch))
+    assert_same(*both(population, on(make_task(EMPTY), OPEN, 2, limit), monkeypatch))
 
 
 @pytest.mark.parametrize("reward", ["eq14", "additive", "initial"])
-def test_among_flights_that_collide_the_one_that_goes_round_is_counted_and_no_row_changes(reward, flown, monkeypatch):
+def test_among_episodes_that_collide_the_one_that_goes_round_is_counted_and_no_row_changes(
+    reward, flown, monkeypatch
+):
     population = {0: untrained(), 1: always(50), 2: always(9)}
     one, other = both(population, on(make_task(EMPTY, reward=reward), "test", 20, 1_500), monkeypatch)
     assert len(flown) - 1_500 < 1_200
     assert one.episodes.groupby("seed").truncated.sum().tolist() == [1, 20, 0]
-    assert (one.episodes[one.episodes.seed == 0].terminated.sum(), one.episodes.steps.nunique() > 10) == (19, True)
+    assert (one.episodes[one.episodes.seed == 0].terminated.sum(), one.episodes.steps.nunique() > 10) == (
+        19,
+        True,
+    )
     assert_same(one, other)
 
 
@@ -127,7 +140,7 @@ def test_all_500_watched_steps_of_ten_sets_are_there():
     assert (left.episodes.steps == 10_000).all()
 
 
-# -- flown all the same ----------------------------------------------------------------------------------------------
+# -- flown all the same --------------------------------------------------------------------------------------
 
 
 def test_a_sampled_policy_is_flown(flown):
@@ -137,14 +150,14 @@ def test_a_sampled_policy_is_flown(flown):
     assert (rows.steps == 1_500).all()
 
 
-def test_who_goes_round_leaves_the_flight_of_those_that_never_do_and_a_script_is_flown(monkeypatch):
+def test_who_goes_round_leaves_the_episode_of_those_that_never_do_and_a_script_is_flown(monkeypatch):
     up, task = [], on(make_task(EMPTY), OPEN, 3, 1_300)
 
     def stands(observation, generator):
         return torch.zeros(len(observation), dtype=torch.int64)
 
     population = {0: always(0), 1: always(50), 2: stands}
-    rows = evaluation.fly(population, task, lambda step, flights: up.append(flights)).episodes
+    rows = evaluation.fly(population, task, lambda step, episodes: up.append(episodes)).episodes
     assert (len(up), up[499], up[700:]) == (1_300, 9, [3] * 599 + [0])
     assert (rows.steps == 1_300).all()
     assert_same(*both(population, task, monkeypatch))
@@ -164,7 +177,9 @@ def test_two_modes_at_once_leave_what_each_leaves_alone():
 
 
 def test_with_a_reward_of_a_plugin_it_is_flown(flown, monkeypatch):
-    monkeypatch.setitem(rewards.REWARDS, "patience", lambda step: {"patience": 1e-3 * step.after.steps.double()})
+    monkeypatch.setitem(
+        rewards.REWARDS, "patience", lambda step: {"patience": 1e-3 * step.after.steps.double()}
+    )
     rows = evaluate_policy(always(0), OPEN, 2, 1_200, reward="patience")
     assert len(flown) == 1_200
     assert rows.reward.tolist() == pytest.approx([1e-3 * 1_200 * 1_201 / 2] * 2)
@@ -185,7 +200,7 @@ def test_in_a_task_in_which_something_moves_it_is_flown(flown, monkeypatch):
             gust = torch.where((state.steps + 1) % 300 == 0, 60.0, 0.0)
             return moved._replace(y=moved.y + gust), angle, distance
 
-    monkeypatch.setitem(simulator.TASKS, "wind", Wind)
+    monkeypatch.setitem(TASKS, "wind", Wind)
     task = on(make_task(EMPTY, task="wind"), OPEN, 2, 2_000)
     rows = evaluation.fly({0: always(0)}, task).episodes
     assert len(flown) == 1_500
@@ -193,11 +208,11 @@ def test_in_a_task_in_which_something_moves_it_is_flown(flown, monkeypatch):
     assert rows.terminated.all()
 
 
-# -- the arithmetic --------------------------------------------------------------------------------------------------
+# -- the arithmetic ------------------------------------------------------------------------------------------
 
 
-def slowly(flight, rewards_of, increments, start, steps):
-    """A loop over the steps of one made-up flight: its counts and reward after so many."""
+def slowly(episode, rewards_of, increments, start, steps):
+    """A loop over the steps of one made-up episode: its counts and reward after so many."""
     counts, reward = dict(start), 0.0
     for step in range(steps):
         at = step % len(rewards_of)
@@ -208,7 +223,7 @@ def slowly(flight, rewards_of, increments, start, steps):
 
 
 def state_of(made, after):
-    """Where made-up flights are after so many steps; a pose belongs to a place of the round."""
+    """Where made-up episodes are after so many steps; a pose belongs to a place of the round."""
     found = [slowly(one, one["rewards"], one["increments"], one["start"], after) for one in made]
     at = torch.tensor([after % len(one["rewards"]) for one in made])
     return State(
@@ -226,7 +241,7 @@ INCREMENT = st.fixed_dictionaries(dict.fromkeys(COUNTS[:-1], COUNT))
 
 
 @st.composite
-def flights_that_go_round(draw):
+def episodes_that_go_round(draw):
     length = draw(st.integers(1, 6))
     return {
         "start": draw(st.fixed_dictionaries({name: st.integers(0, 1_000) for name in COUNTS[:-1]})),
@@ -235,14 +250,16 @@ def flights_that_go_round(draw):
     }
 
 
-@given(st.lists(flights_that_go_round(), min_size=1, max_size=4), st.integers(0, 7), st.integers(0, 60))
+@given(st.lists(episodes_that_go_round(), min_size=1, max_size=4), st.integers(0, 7), st.integers(0, 60))
 @settings(max_examples=60, deadline=None)
 def test_counting_is_a_slow_loop_bit_for_bit(made, before, steps):
     rounds = torch.tensor([len(one["rewards"]) for one in made])
     longest = int(rounds.max())
     states = [state_of(made, before + step) for step in range(longest + 1)]
     earned = [
-        torch.tensor([one["rewards"][(before + step) % len(one["rewards"])] for one in made], dtype=torch.float64)
+        torch.tensor(
+            [one["rewards"][(before + step) % len(one["rewards"])] for one in made], dtype=torch.float64
+        )
         for step in range(longest)
     ]
     found = counted(states, earned, rounds, steps)
@@ -252,11 +269,18 @@ def test_counting_is_a_slow_loop_bit_for_bit(made, before, steps):
         assert getattr(found, name).dtype == getattr(expected, name).dtype
 
 
-def test_a_flight_that_has_not_come_back_to_its_pose_is_not_counted():
+def test_an_episode_that_has_not_come_back_to_its_pose_is_not_counted():
     made = [
-        {"start": dict.fromkeys(COUNTS[:-1], 0), "rewards": [0.1] * 3, "increments": [dict.fromkeys(COUNTS, 1)] * 3}
+        {
+            "start": dict.fromkeys(COUNTS[:-1], 0),
+            "rewards": [0.1] * 3,
+            "increments": [dict.fromkeys(COUNTS, 1)] * 3,
+        }
     ]
-    states, earned = [state_of(made, step) for step in range(4)], [torch.full((1,), 0.1, dtype=torch.float64)] * 3
+    states, earned = (
+        [state_of(made, step) for step in range(4)],
+        [torch.full((1,), 0.1, dtype=torch.float64)] * 3,
+    )
     assert counted(states, earned, torch.tensor([3]), 5).steps.tolist() == [8]
     states[-1] = states[-1]._replace(x=states[-1].x + 1e-5)
     assert counted(states, earned, torch.tensor([3]), 5) is None

@@ -9,18 +9,19 @@ from replaying import STRAIGHT
 from runs_by_hand import rows, write_policies
 from selenium.webdriver.support.ui import Select
 
-from uavnav.evaluation import EPISODES, MAX_STEPS, header
-from uavnav.report import cells, replays
+from uavnav.evaluation import Protocol
+from uavnav.report import configurations
 from uavnav.report.compare import Contender, page
 from uavnav.tasks import layouts
 from uavnav.tasks.moving import MovingWorld, motion
 from uavnav.tasks.space import SpaceMovingWorld, to_body
+from uavnav.views import replays
 
 pytestmark = pytest.mark.slow
 
 ABOVE = torch.tensor([[[400.0, 520.0, 180.0]]])
-"""A bank of one goal straight ahead and no circle."""
-FLIGHT = (10, 10, 1, 0, 2, 50, 1.0)
+"""A layout file of one goal straight ahead and no circle."""
+EPISODE = (10, 10, 1, 0, 2, 50, 1.0)
 """Of `rows`."""
 PICTURE = "document.querySelector('.replay-arena canvas').toDataURL()"
 
@@ -32,15 +33,21 @@ def compared(tmp_path_factory):
     write_policies(folder / "moving", task="moving", n_seeds=1, prefer=[(0, 0)])
     write_policies(folder / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
     write_policies(folder / "box", task="space-moving", n_seeds=1, n_inputs=40)
-    protocol = header("test", EPISODES, MAX_STEPS)
+    protocol = Protocol().header()
     contenders = [
-        Contender(name, rows(0, FLIGHT, FLIGHT), protocol, {"task": "drone"}, cells.read(folder / name))
+        Contender(
+            name, rows(0, EPISODE, EPISODE), protocol, {"task": "drone"}, configurations.read(folder / name)
+        )
         for name in ("moving", "goal", "box")
     ]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(replays.record, "__defaults__", (1, 1, 60))
-        bank = replays._bank
-        patch.setattr(replays, "_bank", lambda task, *sets: ABOVE if hasattr(task.world, "goal_radius") else bank(task))
+        layouts = replays._layouts
+        patch.setattr(
+            replays,
+            "_layouts",
+            lambda task, *sets: ABOVE if hasattr(task.world, "goal_radius") else layouts(task),
+        )
         (folder / "compare.html").write_bytes(page(contenders))
     return folder / "compare.html"
 
@@ -57,9 +64,9 @@ def test_obstacles_stand_where_they_stood_at_each_step_and_a_reached_goal_is_tol
         "PPO (box), sampled, a box in 3D, moving spheres",
     ]
     data = "JSON.parse(document.getElementById('replay-data').textContent)"
-    there = ask(chrome, f"around({data}, {data}.cells[0], {{ layout: 0 }}, 7).circles")
-    bank = layouts.load("test", MovingWorld())[:1]
-    obstacles, velocities = motion(bank, torch.tensor([7]), MovingWorld())
+    there = ask(chrome, f"around({data}, {data}.configurations[0], {{ layout: 0 }}, 7).circles")
+    all_layouts = layouts.load("test", MovingWorld())[:1]
+    obstacles, velocities = motion(all_layouts, torch.tensor([7]), MovingWorld())
     assert torch.tensor(there).sub(torch.cat([obstacles, velocities], -1)[0]).abs().max() <= 1e-4
     before = ask(chrome, PICTURE)
     one(chrome, ".replay [aria-label='one step forward']").click()  # it stays, and they move
@@ -72,7 +79,10 @@ def test_obstacles_stand_where_they_stood_at_each_step_and_a_reached_goal_is_tol
     assert status.text.endswith("goal reached")
     assert "goal at 20" in one(chrome, ".replay .replay-row").text
     assert complaints(chrome) == []
-    assert {url for url in requested(chrome) if not url.startswith("data:")} <= {compared.as_uri(), "about:blank"}
+    assert {url for url in requested(chrome) if not url.startswith("data:")} <= {
+        compared.as_uri(),
+        "about:blank",
+    }
 
 
 def test_a_box_is_seen_from_above_and_from_the_side_with_its_spheres_and_what_the_drone_senses_where_they_are(
@@ -83,9 +93,9 @@ def test_a_box_is_seen_from_above_and_from_the_side_with_its_spheres_and_what_th
     status = one(chrome, ".replay-status")
     wait(chrome, lambda: status.text.startswith("step 0 of "))
     world, data = SpaceMovingWorld(), "JSON.parse(document.getElementById('replay-data').textContent)"
-    there = ask(chrome, f"around({data}, {data}.cells[2], {{ layout: 0 }}, 7).spheres")
-    bank = layouts.load("test", world)[:1]
-    assert torch.tensor(there).sub(motion(bank, torch.tensor([7]), world)[0][0]).abs().max() <= 1e-4
+    there = ask(chrome, f"around({data}, {data}.configurations[2], {{ layout: 0 }}, 7).spheres")
+    all_layouts = layouts.load("test", world)[:1]
+    assert torch.tensor(there).sub(motion(all_layouts, torch.tensor([7]), world)[0][0]).abs().max() <= 1e-4
     drone = State3D(x=0.0, y=0.0, z=0.0, heading=torch.tensor(30), pitch=torch.tensor(-14))
     axes = ask(chrome, "bodyAxes({ yaw: radians(30), pitch: radians(-14) })")
     assert torch.tensor(axes).sub(torch.stack(to_body(torch.eye(3), drone))).abs().max() <= 1e-6

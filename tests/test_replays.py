@@ -1,19 +1,23 @@
-"""Recorded flights of policies written by hand: what a page holds is what a slow flight, one by one, gives."""
+"""Recorded episodes of policies written by hand: what a page holds is what a slow episode, one by one,
+gives.
+"""
 
 import numpy as np
 import pytest
 import torch
-from replaying import MAX_STEPS, STAY, STRAIGHT, as_flown, few_sets, flown, recorded, unpack
+from replaying import MAX_STEPS, STAY, STRAIGHT, as_flown, few_sets, flown, of_folder, recorded, unpack
 from runs_by_hand import write_policies
 
-from uavnav.report import replays, studies
-from uavnav.report.cells import collect
-from uavnav.report.replays import paths, record, together
+from uavnav.report import studies
+from uavnav.report.configurations import collect
 from uavnav.runs import POLICY
-from uavnav.tasks import layouts, space
+from uavnav.tasks import layouts, sensing, space
+from uavnav.tasks.goal import Goal
 from uavnav.tasks.sensing import sense
-from uavnav.tasks.simulator import Goal, make_task
+from uavnav.tasks.table import make_task
 from uavnav.tasks.world import World
+from uavnav.views import replays
+from uavnav.views.replays import paths, record, together
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -34,19 +38,19 @@ def data(run):
     return recorded(run.parent)
 
 
-def test_poses_are_within_half_a_tenth_of_a_pixel_of_a_slow_flight_and_values_within_half_of_a_63rd_of_their_range(
+def test_poses_are_within_half_tenth_of_pixel_of_slow_episode_and_values_within_half_of_a_63rd_of_their_range(
     run, data
 ):
-    (cell,) = data["cells"]
-    assert [(flight["seed"], flight["layout"]) for flight in cell["flights"]] == [
+    (configuration,) = data["configurations"]
+    assert [(episode["seed"], episode["layout"]) for episode in configuration["episodes"]] == [
         (seed, layout) for seed in (4, 5, 6) for layout in (0, 1, 2)
     ]
     reasons, chosen = set(), set()
     for seed in (4, 5, 6):
         expected = flown(run, seed, 3)
-        for flight in (one for one in cell["flights"] if one["seed"] == seed):
-            poses, choices, ended = expected[flight["layout"]]
-            as_flown(flight, data["fields"], poses, choices, ended)
+        for episode in (one for one in configuration["episodes"] if one["seed"] == seed):
+            poses, choices, ended = expected[episode["layout"]]
+            as_flown(episode, data["fields"], poses, choices, ended)
             reasons.add(ended)
             chosen |= {*choices[:, 0]}
     assert reasons == {"collision", "cut off"}
@@ -54,13 +58,13 @@ def test_poses_are_within_half_a_tenth_of_a_pixel_of_a_slow_flight_and_values_wi
 
 
 def test_values_are_probabilities_of_ppo_and_q_of_dqn(run, data):
-    (cell,) = data["cells"]
-    found = unpack(cell["flights"][3], data["fields"])
-    if cell["algorithm"] == "ppo":
-        assert cell["values"] == "probability"
+    (configuration,) = data["configurations"]
+    found = unpack(configuration["episodes"][3], data["fields"])
+    if configuration["algorithm"] == "ppo":
+        assert configuration["values"] == "probability"
         assert found["high"] == pytest.approx(1.0)
     else:
-        assert cell["values"] == "Q value"
+        assert configuration["values"] == "Q value"
         assert found["high"] == pytest.approx(50.0)
     assert (found["value"][:, STRAIGHT] == 1.0).all()
 
@@ -68,7 +72,7 @@ def test_values_are_probabilities_of_ppo_and_q_of_dqn(run, data):
 def test_straight_on_is_nine_pixels_a_step_upwards_and_staying_is_cut_off(tmp_path):
     write_policies(tmp_path / "run", prefer=[(0, STRAIGHT), (1, STAY)], n_seeds=2)
     data = recorded(tmp_path, n_layouts=1)
-    straight, stay = data["cells"][0]["flights"]
+    straight, stay = data["configurations"][0]["episodes"]
     found = unpack(straight, data["fields"])
     assert found["y"][:, 0] == pytest.approx(300 + 9 * np.arange(straight["steps"] + 1))
     assert set(found["heading"][:, 0]) == {90}
@@ -79,7 +83,11 @@ def test_straight_on_is_nine_pixels_a_step_upwards_and_staying_is_cut_off(tmp_pa
 
 
 def test_the_player_gets_the_world_the_obstacles_and_what_each_action_does(data):
-    assert (data["world"]["width"], data["world"]["sensor_radius"], data["world"]["n_slots"]) == (800, 120.0, 10)
+    assert (data["world"]["width"], data["world"]["sensor_radius"], data["world"]["n_slots"]) == (
+        800,
+        120.0,
+        10,
+    )
     assert torch.tensor(data["layouts"]).sub(layouts.load("test")[:3]).abs().max() <= 0.0051
     assert data["actions"][STAY] == [0, 0]
     assert data["actions"][STRAIGHT] == [0, 9]
@@ -89,8 +97,11 @@ def test_the_player_gets_the_world_the_obstacles_and_what_each_action_does(data)
 
 
 def test_1000_steps_take_less_than_150_kb_of_text(run, data):
-    flights = data["cells"][0]["flights"][:3]  # of the random network, in which most changes from step to step
-    assert sum(len(flight["bytes"]) for flight in flights) < 150 * sum(flight["steps"] for flight in flights)
+    # of the random network, in which most changes from step to step
+    episodes = data["configurations"][0]["episodes"][:3]
+    assert sum(len(episode["bytes"]) for episode in episodes) < 150 * sum(
+        episode["steps"] for episode in episodes
+    )
 
 
 def test_policies_that_cannot_be_loaded_are_named_and_the_next_seeds_fly(tmp_path):
@@ -101,8 +112,8 @@ def test_policies_that_cannot_be_loaded_are_named_and_the_next_seeds_fly(tmp_pat
     (tmp_path / "run-2" / POLICY).unlink()
     (tmp_path / "other" / POLICY).unlink()
     data = recorded(tmp_path, n_seeds=2, n_layouts=1)
-    (cell,) = data["cells"]
-    assert [flight["seed"] for flight in cell["flights"]] == [1, 3]
+    (configuration,) = data["configurations"]
+    assert [episode["seed"] for episode in configuration["episodes"]] == [1, 3]
     other, damaged, missing = sorted(data["left_out"])  # one line for both seeds of `other`
     assert "other: no policy.safetensors there" in other
     assert "run-0/policy.safetensors: not a readable policy file" in damaged
@@ -111,26 +122,34 @@ def test_policies_that_cannot_be_loaded_are_named_and_the_next_seeds_fly(tmp_pat
 
 def test_a_seed_flies_the_same_whatever_the_others_are(tmp_path):
     write_policies(tmp_path / "two" / "run", seed=4, n_seeds=2)
-    (two,) = recorded(tmp_path / "two", n_layouts=2)["cells"]
-    (one,) = recorded(tmp_path / "two", n_layouts=2, n_seeds=1)["cells"]
-    assert one["flights"] == two["flights"][:2]
+    (two,) = recorded(tmp_path / "two", n_layouts=2)["configurations"]
+    (one,) = recorded(tmp_path / "two", n_layouts=2, n_seeds=1)["configurations"]
+    assert one["episodes"] == two["episodes"][:2]
 
 
-def test_each_of_3_cells_flies_in_a_batch_as_it_flies_alone(tmp_path):
+def test_each_of_3_configurations_flies_in_a_batch_as_it_flies_alone(tmp_path):
     write_policies(tmp_path / "a", seed=4, n_seeds=2)
     write_policies(tmp_path / "b", seed=4, n_seeds=2, reward="initial")
     write_policies(tmp_path / "c", "dqn", seed=5, n_seeds=2)
-    cells = [collect([tmp_path / name])[0][0] for name in "abc"]  # the first and the last are of one world and reward
-    together = record(cells, n_seeds=2, n_layouts=2, max_steps=MAX_STEPS)["cells"]
-    alone = [record([cell], n_seeds=2, n_layouts=2, max_steps=MAX_STEPS)["cells"][0] for cell in cells]
+    # the first and the last are of one world and reward
+    configurations = [of_folder(tmp_path / name)[0] for name in "abc"]
+    together = record(configurations, n_seeds=2, n_layouts=2, max_steps=MAX_STEPS)["configurations"]
+    alone = [
+        record([configuration], n_seeds=2, n_layouts=2, max_steps=MAX_STEPS)["configurations"][0]
+        for configuration in configurations
+    ]
     assert together == alone
-    assert len({flight["bytes"] for cell in together for flight in cell["flights"]}) == 12
+    assert (
+        len({episode["bytes"] for configuration in together for episode in configuration["episodes"]}) == 12
+    )
 
 
 def test_a_random_start_heading_is_that_of_the_set_of_obstacles(tmp_path):
     write_policies(tmp_path / "run", n_seeds=2, world={"start_heading": "random", "slots": "listed"})
     data = recorded(tmp_path, n_layouts=3)
-    first = [unpack(flight, data["fields"])["heading"][0, 0] for flight in data["cells"][0]["flights"]]
+    first = [
+        unpack(episode, data["fields"])["heading"][0, 0] for episode in data["configurations"][0]["episodes"]
+    ]
     assert first[:3] == first[3:]
     assert len(set(first)) == 3
 
@@ -138,20 +157,26 @@ def test_a_random_start_heading_is_that_of_the_set_of_obstacles(tmp_path):
 def test_obstacles_that_move_are_where_they_were_at_each_step_whether_or_not_velocities_are_sensed(tmp_path):
     write_policies(tmp_path / "plain", task="moving", n_seeds=1, world={"speed_max": 4.0})
     write_policies(
-        tmp_path / "sensed", task="moving", n_seeds=1, world={"speed_max": 4.0, "sense_velocity": True}, n_inputs=50
+        tmp_path / "sensed",
+        task="moving",
+        n_seeds=1,
+        world={"speed_max": 4.0, "sense_velocity": True},
+        n_inputs=50,
     )
     data = recorded(tmp_path, n_layouts=2)
-    assert len(data["cells"]) == 2
-    for cell in data["cells"]:
-        place = cell["place"]
+    assert len(data["configurations"]) == 2
+    for configuration in data["configurations"]:
+        place = configuration["place"]
         task = make_task("test", place["world"], task=place["task"])
         assert place["title"] == "moving obstacles"
-        assert torch.equal(torch.tensor([one["circles"] for one in place["sets"]]), task.bank[:2])
-        for flight in cell["flights"]:
-            found = {name: torch.tensor(part) for name, part in unpack(flight, data["fields"]).items()}
-            n = flight["steps"] + 1
-            state = task.place(torch.full((n,), flight["layout"]), found["heading"][:, 0].long())
-            state = state._replace(x=found["x"][:, 0].float(), y=found["y"][:, 0].float(), steps=torch.arange(n))
+        assert torch.equal(torch.tensor([one["circles"] for one in place["sets"]]), task.layouts[:2])
+        for episode in configuration["episodes"]:
+            found = {name: torch.tensor(part) for name, part in unpack(episode, data["fields"]).items()}
+            n = episode["steps"] + 1
+            state = task.start(torch.full((n,), episode["layout"]), found["heading"][:, 0].long())
+            state = state._replace(
+                x=found["x"][:, 0].float(), y=found["y"][:, 0].float(), steps=torch.arange(n)
+            )
             slots, clearance = sense(state.x, state.y, state.heading, task.obstacles(state), task.world)
             assert (clearance - found["clearance"][:, 0]).abs().max() < 0.2
             clear = (slots[..., 0, 2] - found["proximity"][:, 0]).abs() < 0.01  # of the nearest in view
@@ -162,34 +187,37 @@ def test_obstacles_that_move_are_where_they_were_at_each_step_whether_or_not_vel
 def test_in_3d_a_drone_is_sensed_and_clear_as_where_its_poses_say(tmp_path, task, n_inputs):
     world = {"sense_velocity": True} if n_inputs == 70 else {}
     write_policies(tmp_path / "run", task=task, world=world, n_seeds=1, n_inputs=n_inputs)
-    (cell,) = recorded(tmp_path, n_layouts=2)["cells"]
-    place = cell["place"]
+    (configuration,) = recorded(tmp_path, n_layouts=2)["configurations"]
+    place = configuration["place"]
     own = make_task("test", place["world"], task=task)
-    assert torch.equal(torch.tensor([one["circles"] for one in place["sets"]]), own.bank[:2])
+    assert torch.equal(torch.tensor([one["circles"] for one in place["sets"]]), own.layouts[:2])
     assert place["actions"][:6] == [[0, 0, 0], [0, 0, 3], [0, 0, 6], [0, 0, 9], [0, 2, 0], [0, 2, 3]]
-    for flight in cell["flights"]:
-        found = {name: torch.tensor(part) for name, part in unpack(flight, place["fields"]).items()}
-        n = flight["steps"] + 1
-        state = own.place(torch.full((n,), flight["layout"]), found["heading"][:, 0].long())
+    for episode in configuration["episodes"]:
+        found = {name: torch.tensor(part) for name, part in unpack(episode, place["fields"]).items()}
+        n = episode["steps"] + 1
+        state = own.start(torch.full((n,), episode["layout"]), found["heading"][:, 0].long())
         where = {axis: found[axis][:, 0].float() for axis in "xyz"}
         state = state._replace(**where, pitch=found["pitch"][:, 0].long(), steps=torch.arange(n))
-        slots, clearance = space.sense(state, own.obstacles(state), own.world)
+        scan, clearance = space.scan(state, own.obstacles(state), own.world)
+        slots = sensing.encode(scan, own.world)
         assert (clearance - found["clearance"][:, 0]).abs().max() < 0.3
         shown = torch.stack([found[name][:, 0] for name in ("right", "up", "forward", "proximity")], -1)
         assert ((slots[:, 0] - shown).abs().amax(-1) < 0.02).float().mean() > 0.95  # of the nearest in view
 
 
-def test_a_flight_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_so(tmp_path, monkeypatch):
+def test_an_episode_to_its_goal_ends_there_and_one_of_a_memory_with_faults_says_so(tmp_path, monkeypatch):
     write_policies(tmp_path / "goal", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, STRAIGHT)])
     write_policies(tmp_path / "late", stack=2, faults={"late": 1}, n_seeds=1, n_inputs=60)
     above = torch.tensor([[[400.0, 520.0, 180.0]]])
     monkeypatch.setattr(
-        replays, "_bank", lambda task, sets="test": above if isinstance(task, Goal) else layouts.load("test")
+        replays,
+        "_layouts",
+        lambda task, sets="test": above if isinstance(task.task, Goal) else layouts.load("test"),
     )
-    goal, late = recorded(tmp_path, n_layouts=1)["cells"]
-    (flight,) = goal["flights"]
-    assert (flight["ended"], flight["steps"]) == ("goal", 20)
-    assert flight["reward"] == pytest.approx(10 + 0.01 * 180, abs=0.01)
+    goal, late = recorded(tmp_path, n_layouts=1)["configurations"]
+    (episode,) = goal["episodes"]
+    assert (episode["ended"], episode["steps"]) == ("goal", 20)
+    assert episode["reward"] == pytest.approx(10 + 0.01 * 180, abs=0.01)
     assert goal["place"]["sets"] == [{"circles": [], "goal": [400, 520]}]
     assert late["place"]["title"] == "late=1, stack=2"
 
@@ -199,16 +227,19 @@ def test_a_run_trained_on_a_rung_is_shown_on_the_rungs_own_test_sets(tmp_path):
     for rung in ("slalom-100", "density-20"):
         write_policies(tmp_path / rung, n_seeds=2, layouts=f"{rung}/train")
     data = recorded(tmp_path, n_layouts=2)
-    found = {cell["place"]["title"] if "place" in cell else "": cell for cell in data["cells"]}
+    found = {
+        configuration["place"]["title"] if "place" in configuration else "": configuration
+        for configuration in data["configurations"]
+    }
     assert {*found} == {"", "slalom-100", "density-20"}
-    for rung, cell in found.items():
-        bank = layouts.load(f"{rung}/test" if rung else "test")[:2].double()
-        shown = [one["circles"] for one in cell["place"]["sets"]] if rung else data["layouts"]
-        assert np.allclose(shown, bank, atol=0.01)
-        for flight in cell["flights"]:
-            poses = unpack(flight, data["fields"])
+    for rung, configuration in found.items():
+        all_layouts = layouts.load(f"{rung}/test" if rung else "test")[:2].double()
+        shown = [one["circles"] for one in configuration["place"]["sets"]] if rung else data["layouts"]
+        assert np.allclose(shown, all_layouts, atol=0.01)
+        for episode in configuration["episodes"]:
+            poses = unpack(episode, data["fields"])
             x, y, heading = (torch.from_numpy(poses[name][:, 0]) for name in ("x", "y", "heading"))
-            circles = bank[flight["layout"]].expand(len(x), -1, -1)
+            circles = all_layouts[episode["layout"]].expand(len(x), -1, -1)
             clearance = sense(x, y, heading.long(), circles, World())[1]
             assert np.allclose(poses["clearance"][:, 0], clearance, atol=0.3)
 
@@ -217,17 +248,19 @@ def test_a_world_that_the_player_does_not_draw_is_named_with_what_draws_it(tmp_p
     path = write_policies(tmp_path / "run", task="moving", n_seeds=1)
     monkeypatch.delitem(replays.TITLES, "moving")
     data = recorded(tmp_path, n_layouts=1)
-    assert data["cells"] == []
-    assert data["left_out"] == [f"{path}: a page has no replays of task=moving; uavnav render makes a film of it"]
+    assert data["configurations"] == []
+    assert data["left_out"] == [
+        f"{path}: a page has no replays of task=moving; uavnav render makes a film of it"
+    ]
 
 
-def test_a_report_records_cells_of_other_worlds_beside_the_papers(tmp_path):
+def test_a_report_records_configurations_of_other_worlds_beside_the_papers(tmp_path):
     write_policies(tmp_path / "here", n_seeds=1)
     write_policies(tmp_path / "moving", task="moving", n_seeds=1)
     write_policies(tmp_path / "noise", faults={"noise": 5.0}, n_seeds=1)
     (write_policies(tmp_path / "rows alone", task="goal", n_seeds=1) / POLICY).unlink()
-    cells, _ = collect([tmp_path])
-    found = {cell.runs[0].path.name for cell in studies.elsewhere(cells)}
+    configurations, _ = collect([tmp_path])
+    found = {configuration.runs[0].path.name for configuration in studies.elsewhere(configurations)}
     assert found == {"moving", "noise"}
 
 
@@ -237,31 +270,35 @@ def test_counts_that_make_no_sense_are_refused(counts):
         record([], **counts)
 
 
-def test_flights_side_by_side_are_the_first_seeds_and_the_rules_poses_on_the_same_obstacles(run, data):
-    (cell,) = data["cells"]
-    label = f"{cell['algorithm'].upper()} {cell['label']}"
+def test_episodes_side_by_side_are_the_first_seeds_and_the_rules_poses_on_the_same_obstacles(run, data):
+    (configuration,) = data["configurations"]
+    label = f"{configuration['algorithm'].upper()} {configuration['label']}"
     shown = together(data, {label: "mine", "PPO nobody": "nobody"}, "rule")
     assert [drone["name"] for drone in shown["drones"]] == ["mine", "rule"]
-    assert [len(drone["flights"]) for drone in shown["drones"]] == [3, 3]
-    order = [flight["layout"] for flight in shown["drones"][0]["flights"]]
-    assert order == [flight["layout"] for flight in shown["drones"][1]["flights"]]
+    assert [len(drone["episodes"]) for drone in shown["drones"]] == [3, 3]
+    order = [episode["layout"] for episode in shown["drones"][0]["episodes"]]
+    assert order == [episode["layout"] for episode in shown["drones"][1]["episodes"]]
     assert shown["layouts"] == [data["layouts"][at] for at in order]
-    lengths = [flight["steps"] for flight in shown["drones"][0]["flights"]]
+    lengths = [episode["steps"] for episode in shown["drones"][0]["episodes"]]
     assert lengths == sorted(lengths)  # where a policy collides first, the rule is seen to fly on
-    for drone, flights in zip(shown["drones"], (cell["flights"], data["rule"]), strict=True):
-        for flight in drone["flights"]:
-            (whole,) = [one for one in flights if (one["seed"], one["layout"]) == (flight["seed"], flight["layout"])]
-            kept, before = unpack(flight, shown["fields"]), unpack(whole, data["fields"])
+    for drone, episodes in zip(shown["drones"], (configuration["episodes"], data["rule"]), strict=True):
+        for episode in drone["episodes"]:
+            (whole,) = [
+                one
+                for one in episodes
+                if (one["seed"], one["layout"]) == (episode["seed"], episode["layout"])
+            ]
+            kept, before = unpack(episode, shown["fields"]), unpack(whole, data["fields"])
             assert "action" not in kept
             assert all((kept[name] == before[name]).all() for name in kept)
-            assert len(flight["bytes"]) < len(whole["bytes"])
+            assert len(episode["bytes"]) < len(whole["bytes"])
         path = paths(shown, 5)[drone["name"]]
-        first = unpack(drone["flights"][0], shown["fields"])
+        first = unpack(drone["episodes"][0], shown["fields"])
         assert path == pytest.approx(np.hstack([first["x"], first["y"]])[:6])
 
 
 def test_the_rule_flies_as_baselines_say_it_does(data):
-    for flight in data["rule"]:
-        found = unpack(flight, data["fields"])
+    for episode in data["rule"]:
+        found = unpack(episode, data["fields"])
         assert set(found["action"][:, 0]) <= {STRAIGHT, 50}
-        assert (flight["ended"], flight["steps"]) == ("cut off", MAX_STEPS)
+        assert (episode["ended"], episode["steps"]) == ("cut off", MAX_STEPS)

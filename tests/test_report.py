@@ -1,27 +1,31 @@
-"""The report on run folders written by hand: what is read, merged, labelled and left out, and what report.md says."""
+"""The report on run folders written by hand: what is read, merged, labelled and left out, and what
+report.md says.
+"""
 
+import functools
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from runs_by_hand import BANK, behaved, found, rows, two, write_run
+from runs_by_hand import LAYOUTS, behaved, found, rows, two, write_run
 
+from uavnav.cli import commands
 from uavnav.report import _write_all, docs, report
-from uavnav.report.__main__ import main
-from uavnav.report.cells import BINS, collect, curve
 from uavnav.report.claims import PRIMARY
+from uavnav.report.configurations import BINS, collect, curve
 from uavnav.report.content import gather
 from uavnav.report.page import markdown
 from uavnav.report.tables import table
 from uavnav.runs import paper
+from uavnav.runs.definitions import ALL, DEFINITIONS, LOG_CURVE, TOTALS
 from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS, Metric
-from uavnav.runs.readings import ALL, LOG_CURVE, READINGS, TOTALS
 from uavnav.runs.tables import RunError
 
 pytestmark = pytest.mark.usefixtures("little_garbage", "undrawn")
 
+main = functools.partial(commands.run, "report")
 REWARD = "−7.00 [−8.00, −6.00]"
 
 
@@ -43,7 +47,13 @@ def test_speed_6_as_mean_of_ratios_and_7_as_ratio_of_means_over_two_seeds(text):
     (means,), (ratios,) = found(text, "tanh", ALL), found(text, "tanh", TOTALS)
     assert means[:3] == ["2", "4", "0.0%"]
     shares = [f"{mean} [{mean}, {mean}]" for mean in ("5.00", "0.50", "70.00")]
-    assert means[3:] == ["200.0 [200.0, 200.0]", *shares, "1,400.0 [1,400.0, 1,400.0]", "6.00 [6.00, 6.00]", REWARD]
+    assert means[3:] == [
+        "200.0 [200.0, 200.0]",
+        *shares,
+        "1,400.0 [1,400.0, 1,400.0]",
+        "6.00 [6.00, 6.00]",
+        REWARD,
+    ]
     assert ratios[4:7] == [f"{mean} [{mean}, {mean}]" for mean in ("2.50", "0.25", "60.00")]
     assert ratios[8:] == ["7.00 [7.00, 7.00]", REWARD]
 
@@ -53,7 +63,12 @@ def test_per_frame_is_of_all_1000_frames_and_stands_first_with_the_papers_own(te
     assert own[:3] == ["2", "4", "0.0%"]
     assert own[3:6] == ["200.0 [200.0, 200.0]", "1.00 [1.00, 1.00]", "0.10 [0.10, 0.10]"]
     assert own[6:] == [
-        *("24.00 [24.00, 24.00]", "1,400.0 [1,400.0, 1,400.0]", "2.80 [2.80, 2.80]", "−0.0140 [−0.0160, −0.0120]")
+        *(
+            "24.00 [24.00, 24.00]",
+            "1,400.0 [1,400.0, 1,400.0]",
+            "2.80 [2.80, 2.80]",
+            "−0.0140 [−0.0160, −0.0120]",
+        )
     ]
     dqn, ppo = found(text, "tanh", f"the paper, {PRIMARY}")
     assert dqn[3:] == ["159.434", "–", "1.497", "62.558", "649.456", "4.07", "−0.0438"]
@@ -70,7 +85,9 @@ def test_a_log_of_fewer_than_4_episodes_is_missing_for_dqn_and_so_is_that_of_an_
 
 
 def test_the_interquartile_mean_stands_below_the_mean_with_its_own_interval(tmp_path):
-    write_run(tmp_path / "run", *(two(seed, reward) for seed, reward in enumerate([0.0, 1.0, 2.0, 3.0, 94.0])))
+    write_run(
+        tmp_path / "run", *(two(seed, reward) for seed, reward in enumerate([0.0, 1.0, 2.0, 3.0, 94.0]))
+    )
     (mean,), (middle,) = (found(said(tmp_path), "tanh", ALL + more) for more in ("", ", interquartile mean"))
     assert mean[-1].startswith("20.00 [")
     assert middle[-1].startswith("2.00 [")
@@ -80,7 +97,7 @@ def test_the_interquartile_mean_stands_below_the_mean_with_its_own_interval(tmp_
 def test_one_seed_has_no_interval(text):
     (means,), (ratios,) = found(text, "relu", ALL), found(text, "relu", TOTALS)
     assert means == ["1", "2", "0.0%", "200.0", "5.00", "0.50", "70.00", "1,400.0", "6.00", "5.00"]
-    assert not any("[" in cell for cell in means + ratios)
+    assert not any("[" in configuration for configuration in means + ratios)
 
 
 def test_the_papers_8_rows_stand_beside_ours_as_printed(text):
@@ -108,9 +125,9 @@ def test_the_last_100_episodes_are_each_seeds_own(tmp_path):
     assert found(text, "tanh", "last 100 training episodes")[0][-1] == "2.00"
 
 
-def test_six_missing_cells_are_named_and_have_rows(text):
+def test_six_missing_configurations_are_named_and_have_rows(text):
     names = "dqn sigmoid, dqn relu, dqn leaky_relu, ppo tanh, ppo sigmoid, ppo leaky_relu"
-    assert f"2 of the paper's 8 cells have finished; {names} have not." in text
+    assert f"2 of the paper's 8 configurations have finished; {names} have not." in text
     assert len(found(text, "sigmoid", "missing: no finished run")) == 2
 
 
@@ -134,12 +151,12 @@ def test_settings_beyond_the_preset_are_named_even_where_all_runs_share_them(tmp
     assert "init=default, lr=0.25 (" in said(tmp_path)
 
 
-def test_runs_on_other_banks_or_in_another_world_are_not_merged(tmp_path):
+def test_runs_on_other_layout_files_or_in_another_world_are_not_merged(tmp_path):
     write_run(tmp_path / "a", two(0, -1.0))
-    write_run(tmp_path / "b", two(1, -1.0), seed=1, meta={"bank": BANK | {"k": 4, "sha256": "def"}})
+    write_run(tmp_path / "b", two(1, -1.0), seed=1, meta={"layouts": LAYOUTS | {"k": 4, "sha256": "def"}})
     write_run(tmp_path / "c", two(2, -1.0), seed=2, meta={"versions": {"world": "2"}})
-    cells, _ = collect([tmp_path])
-    assert [len(cell.runs) for cell in cells] == [1, 1, 1]
+    configurations, _ = collect([tmp_path])
+    assert [len(configuration.runs) for configuration in configurations] == [1, 1, 1]
 
 
 def test_the_second_run_of_the_same_seed_is_named_and_skipped(results):
@@ -156,7 +173,7 @@ def test_a_run_without_a_policy_is_named_once_and_its_rows_count(results):
     assert content.left_out == no_policy(results / "dqn" / "tanh", results / "ppo" / "relu")
     assert content.replays is None
     assert found(markdown(content), "tanh", "all training episodes")[0][-1] == REWARD
-    behaved(results / "dqn" / "tanh")  # of whose flights is a table, but no more can be flown
+    behaved(results / "dqn" / "tanh")  # of whose episodes is a table, but no more can be flown
     assert gather([results]).left_out == content.left_out
 
 
@@ -166,7 +183,7 @@ def test_broken_unfinished_and_foreign_folders_are_named_on_stderr_and_in_the_re
     (write_run(results / "half", two(0, 1.0), lr=2.0) / "meta.json").write_text('{"status": "running"}')
     write_run(results / "columns", two(0, 1.0).drop(columns="steps"), lr=3.0)
     write_run(results / "seeds", two(7, 1.0), lr=4.0, seed=0)
-    write_run(results / "table", two(0, 1.0), lr=5.0, meta={"bank": None})
+    write_run(results / "table", two(0, 1.0), lr=5.0, meta={"layouts": None})
     write_run(results / "worlds", two(0, 1.0), lr=6.0, n_envs=0)
     (results / "thesis").mkdir()
     (results / "thesis" / "config.yaml").write_text("title: a thesis")
@@ -190,8 +207,8 @@ def test_tables_where_no_run_is_are_named_and_those_of_a_report_are_not(results)
     two(0, 1.0).to_parquet(results / "lost" / "episodes.parquet")
     two(0, 1.0).to_parquet(results / "baselines" / "straight.parquet")
     two(0, 1.0).to_parquet(results / "tables" / "mine.parquet")
-    cells, left_out = collect([results])
-    assert len(cells) == 2
+    configurations, left_out = collect([results])
+    assert len(configurations) == 2
     assert left_out == [
         f"{results / 'dqn' / 'copy.parquet'}: lies where no run is",
         f"{results / 'lost'}: has episodes.parquet and no config.yaml; not a run of this package",
@@ -228,10 +245,15 @@ def interrupted(*anything):
         (lambda path: None, "there is no such folder; give"),
         (lambda path: path.write_text("x"), "is a file; give"),
         (lambda path: path.mkdir(), "holds no run; give"),
-        (lambda path: (path / "a").mkdir(parents=True) or (path / "a" / "config.yaml").write_text("[1"), "no run that"),
+        (
+            lambda path: (path / "a").mkdir(parents=True) or (path / "a" / "config.yaml").write_text("[1"),
+            "no run that",
+        ),
     ],
 )
-def test_a_folder_without_runs_is_one_line_and_status_2_and_nothing_is_written(tmp_path, capsys, make, message):
+def test_a_folder_without_runs_is_one_line_and_status_2_and_nothing_is_written(
+    tmp_path, capsys, make, message
+):
     make(tmp_path / "results")
     before = sorted(tmp_path.rglob("*"))
     assert main([str(tmp_path / "results"), "--out", str(tmp_path / "out")]) == 2
@@ -262,19 +284,23 @@ def test_a_folder_given_twice_is_read_once(results):
     assert markdown(once) == markdown(twice)
 
 
-def test_curves_are_reward_per_frame_in_a_25th_of_the_frames_and_a_seed_in_one_long_flight_is_in_all(tmp_path):
-    """Two worlds: in one of seed 0 a flight of 20 steps ends with a collision in the last frame of the first bin."""
+def test_curves_are_reward_per_frame_in_a_25th_of_the_frames_and_a_seed_in_one_long_episode_is_in_all(
+    tmp_path,
+):
+    """Two worlds: in one of seed 0 an episode of 20 steps ends with a collision in the last frame of the
+    first bin.
+    """
     width = 1000 // BINS
     first = (width, 20, 0, 0, 0, 0, 30.0)  # 40 spread over the bin, and -10
     rest = (1000, 480, 0, 0, 0, 0, 480.0, False, False)
     other = (1000, 500, 0, 0, 0, 0, 0.0, False, False)
     write_run(tmp_path / "run", rows(0, first, rest, other), rows(1, other, other), n_envs=2)
-    (cell,), _ = collect([tmp_path])
-    found = curve(cell, "reward")
+    (configuration,), _ = collect([tmp_path])
+    found = curve(configuration, "reward")
     assert found.index.tolist() == [(place + 0.5) * width for place in range(BINS)]
     assert found[0].tolist() == pytest.approx([30 / 40] + [0.5] * 24)
     assert found[1].tolist() == [0.0] * BINS
-    assert (curve(cell, "terminated")[0] * width).tolist() == [1.0] + [0.0] * 24
+    assert (curve(configuration, "terminated")[0] * width).tolist() == [1.0] + [0.0] * 24
 
 
 def test_the_report_says_how_runs_were_made(text):
@@ -296,7 +322,10 @@ def test_an_algorithm_and_an_activation_that_the_paper_has_not_get_rows_too(resu
 def test_a_run_without_a_finished_episode_is_missing_in_every_reading_but_per_frame(tmp_path):
     write_run(tmp_path / "run", rows(0, (1000, 10, 0, 0, 0, 0, -1.0, False, False)))
     text = report([tmp_path]).path.with_suffix(".md").read_text()
-    assert [len(found(text, "tanh", f"{reading}: missing")) for reading in READINGS] == [0, *[1] * (len(READINGS) - 1)]
+    assert [len(found(text, "tanh", f"{definition}: missing")) for definition in DEFINITIONS] == [
+        0,
+        *[1] * (len(DEFINITIONS) - 1),
+    ]
     assert found(text, "tanh", PRIMARY)[0][3] == "–"  # nothing per collision
 
 
@@ -321,12 +350,23 @@ def imported(code):
 def test_it_imports_nothing_that_trains():
     training = {f"uavnav.training.{name}" for name in ("loop", "update", "recorder", "workers")}
     training |= {"uavnav.algorithms.ppo", "uavnav.algorithms.dqn", "uavnav.envs.env", "torchrl"}
-    modules = ("content", "behaviour", "replays", "page", "docs")
-    assert training & imported(", ".join(f"uavnav.report.{name}" for name in modules)) == set()
+    modules = ("report.content", "report.behaviour", "views.replays", "report.page", "report.docs")
+    assert training & imported(", ".join(f"uavnav.{name}" for name in modules)) == set()
 
 
 def test_what_does_not_fly_loads_no_torch():
-    modules = ("cells", "claims", "verdicts", "studies", "frames", "tables", "quotes", "curves", "charts", "arena")
+    modules = (
+        "configurations",
+        "claims",
+        "verdicts",
+        "studies",
+        "frames",
+        "tables",
+        "quotes",
+        "curves",
+        "charts",
+        "arena",
+    )
     modules += ("worlds",)
     assert "torch" not in imported(", ".join(f"uavnav.report.{name}" for name in modules))
 
@@ -344,55 +384,61 @@ def test_runs_that_leave_out_what_a_metric_counts_are_read_beside_those_that_hav
     assert found(text, "sigmoid", ALL)[0][-1] == "3.00"
 
 
-# -- settings ----------------------------------------------------------------------------------------------------------
+# -- settings ------------------------------------------------------------------------------------------------
 
 
-def test_fields_of_the_world_that_are_named_are_those_that_are_not(tmp_path):
-    for seed, changes in enumerate(({"task": "drone", "world": {"sensor_radius": 120, "slots": "nearest"}}, {})):
-        write_run(tmp_path / str(seed), two(seed, -1.0), seed=seed, **changes)
-    ((cell,), _) = collect([tmp_path])
-    assert len(cell.runs) == 2
-    assert cell.settings["task"] == "drone"
-    assert cell.settings["world.sensor_radius"] == 120.0
-    assert {"slots", "padding", "start_heading", "world"} & {*cell.settings} == set()
+def test_a_field_of_the_world_is_a_setting_of_its_own(tmp_path):
+    write_run(tmp_path / "run", two(0, -1.0))
+    ((configuration,), _) = collect([tmp_path])
+    assert (configuration.settings["task"], configuration.settings["world.sensor_radius"]) == ("drone", 120.0)
+    assert {"slots", "padding", "start_heading", "world"} & {*configuration.settings} == set()
 
 
 def test_a_field_of_the_world_otherwise_is_labelled(tmp_path):
     write_run(tmp_path / "usual", two(0, -1.0), two(1, -1.0))
     for seed in (0, 1):
         write_run(tmp_path / f"listed{seed}", two(seed, -1.0), seed=seed, world={"slots": "listed"})
-    write_run(tmp_path / "arc", two(0, -1.0), world={"sensor_arc": 360})
+    write_run(tmp_path / "arc", two(0, -1.0), world={"sensor_arc": 360.0})
     text = said(tmp_path)
     assert found(text, "tanh (world.slots=listed)", PRIMARY)[0][0] == "2"
     assert found(text, "tanh (world.sensor_arc=360.0)", PRIMARY)[0][0] == "1"
 
 
-def test_another_task_is_another_cell_and_its_world_has_no_defaults_of_the_drones(tmp_path):
+def test_another_task_is_another_configuration_and_its_world_has_no_defaults_of_the_drones(tmp_path):
     write_run(tmp_path / "drone", two(0, -1.0))
     write_run(tmp_path / "other", two(0, -1.0), task="gates", world={"width": 5})
-    cells, _ = collect([tmp_path])
-    assert [cell.settings["task"] for cell in cells] == ["drone", "gates"]
-    assert [name for name in cells[1].settings if name.startswith("world.")] == ["world.width", "world.version"]
+    configurations, _ = collect([tmp_path])
+    assert [configuration.settings["task"] for configuration in configurations] == ["drone", "gates"]
+    assert [name for name in configurations[1].settings if name.startswith("world.")] == [
+        "world.width",
+        "world.version",
+    ]
 
 
 def test_a_world_that_is_no_table_is_named(tmp_path):
     write_run(tmp_path / "good", two(0, -1.0))
     strange = write_run(tmp_path / "strange", two(0, -1.0), world="flat")
-    assert collect([tmp_path])[1] == [f"{strange / 'config.yaml'}: not a run's, its world=flat; give a run's folder"]
+    assert collect([tmp_path])[1] == [
+        f"{strange / 'config.yaml'}: not a run's, its world=flat; give a run's folder"
+    ]
 
 
-def test_one_bank_by_a_relative_and_a_full_path_is_the_same_setting(tmp_path):
+def test_one_split_by_a_relative_and_a_full_path_is_the_same_setting(tmp_path):
     for seed, path in enumerate(("mine.safetensors", str(tmp_path / "mine.safetensors"))):
-        write_run(tmp_path / "runs" / str(seed), two(seed, -1.0), seed=seed, layouts=path, meta={"bank": BANK})
-    write_run(tmp_path / "runs" / "other", two(0, -1.0), layouts="yours.safetensors", meta={"bank": {}})
+        write_run(
+            tmp_path / "runs" / str(seed), two(seed, -1.0), seed=seed, layouts=path, meta={"layouts": LAYOUTS}
+        )
+    write_run(tmp_path / "runs" / "other", two(0, -1.0), layouts="yours.safetensors", meta={"layouts": {}})
     mine, yours = collect([tmp_path / "runs"])[0]
     assert len(mine.runs) == 2
-    assert "layouts" not in mine.settings
-    assert yours.settings["bank"] == "yours.safetensors"
+    assert mine.settings["layouts"] == LAYOUTS["sha256"]
+    assert yours.settings["layouts"] == "yours.safetensors"
 
 
 def test_the_report_says_which_evaluation_it_read_and_which_not(tmp_path):
-    flown = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(mode="greedy")
+    flown = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(
+        mode="greedy"
+    )
     flown["layout"] = [0, 1]
     write_run(tmp_path / "old", two(0, -1.0), evaluation=flown)
     flown.attrs = {"layouts": "test", "max_steps": 10_000}
@@ -402,9 +448,9 @@ def test_the_report_says_which_evaluation_it_read_and_which_not(tmp_path):
     other = write_run(tmp_path / "other", two(3, -1.0), seed=3)
     flown.assign(seed=3).to_parquet(other / "evaluation-test-2-40.parquet")
     text = said(tmp_path)
-    other = "evaluation-test-2-40.parquet, 2 sets of obstacles (bank test), at most 10,000 steps"
+    other = "evaluation-test-2-40.parquet, 2 layouts (test), at most 10,000 steps"
     assert f"- evaluation: {other} ({tmp_path / 'other'})" in text
-    read = "- evaluation: evaluation.parquet, 2 sets of obstacles"
-    assert f"{read} (bank not known), at most 40 steps ({tmp_path / 'old'})" in text
-    assert f"{read} (bank test), at most 10,000 steps; not read: evaluation-long.parquet ({new})" in text
+    read = "- evaluation: evaluation.parquet, 2 layouts"
+    assert f"{read} (not known), at most 40 steps ({tmp_path / 'old'})" in text
+    assert f"{read} (test), at most 10,000 steps; not read: evaluation-long.parquet ({new})" in text
     assert f"- evaluation: none ({tmp_path / 'none'})" in text

@@ -7,60 +7,49 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 from runs_by_hand import behaved, found, rows, trained, two, write_run
 
 from uavnav.report import Written, _write_all, docs, report
-from uavnav.report.cells import BINS, collect, label
 from uavnav.report.claims import PRIMARY
 from uavnav.report.content import gather
-from uavnav.report.curves import plot
-from uavnav.report.page import SECTIONS, contents, markdown
+from uavnav.report.page import SECTIONS, contents, markdown, sections
+from uavnav.runs.definitions import ALL, TOTALS
 from uavnav.runs.metrics import METRICS, Metric
-from uavnav.runs.readings import ALL, TOTALS
 from uavnav.runs.tables import RunError
 from uavnav.tasks import layouts
 
 pytestmark = pytest.mark.usefixtures("little_garbage", "warm_module")
 
 
-def test_a_panel_holds_a_line_an_activation_with_n_and_the_papers_mean_dashed_in_its_colour(tmp_path):
-    axes = Figure().subplots()
-    seeds = (rows(seed, (1000, 1000, 0, 0, 0, 0, reward, False, False)) for seed, reward in enumerate((-6e3, -8e3)))
-    write_run(tmp_path / "run", *seeds, n_envs=1)
-    cells, _ = collect([tmp_path])
-    plot(axes, label(cells)[0], "reward")
-    line, dashed = axes.lines
-    assert line.get_label() == "tanh, n = 2"
-    assert line.get_ydata().tolist() == pytest.approx([-7.0] * BINS)
-    assert (dashed.get_linestyle(), dashed.get_ydata()) == ("--", [-6.982 / 159.434] * 2)
-    assert dashed.get_color() == line.get_color()
-    (band,) = axes.collections
-    assert band.get_datalim(axes.transData).intervaly.tolist() == pytest.approx([-8.0, -6.0])
-
-
-def test_a_metric_is_one_line_and_on_the_page_in_the_csv_in_latex_and_in_report_md(results, monkeypatch, undrawn):
+def test_a_metric_is_one_line_and_on_the_page_in_the_csv_in_latex_and_in_report_md(
+    results, monkeypatch, undrawn
+):
     monkeypatch.setitem(METRICS, "stood", Metric("stood", "stops", 1000.0, unit="‰", better=-1))
     written = report([results])
     page, text = written.path.read_text(), written.path.with_suffix(".md").read_text()
     assert page.count('<th scope="col" role="columnheader">stood [‰]</th>') == 2
-    assert '<td role="cell" data-of="stood [‰]">50.00 <span class="interval">[50.00, 50.00]</span></td>' in page
-    assert '<td role="cell" data-of="stood [‰]">25.00 <span class="interval">[25.00, 25.00]</span>' in page  # of totals
+    assert (
+        '<td role="cell" data-of="stood [‰]">50.00 <span class="interval">[50.00, 50.00]</span></td>' in page
+    )
+    # of totals
+    assert '<td role="cell" data-of="stood [‰]">25.00 <span class="interval">[25.00, 25.00]</span>' in page
     assert found(text, "tanh", ALL)[0][-1] == "50.00 [50.00, 50.00]"
     assert found(text, "sigmoid", "the paper")[0][-1] == "–"
-    csv = pd.read_csv(results / "tables" / "metrics.csv").set_index(["algorithm", "reading", "metric"])
+    csv = pd.read_csv(results / "tables" / "metrics.csv").set_index(["algorithm", "definition", "metric"])
     assert csv.loc[("dqn", TOTALS, "stood"), "mean"] == 25
     assert "stood [‰]" in (results / "tables" / "paper-dqn.tex").read_text()
 
 
-def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_papers_four(results, monkeypatch):
+def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_papers_four(
+    results, monkeypatch
+):
     for activation in ("tanh", "sigmoid", "relu", "leaky_relu"):
         write_run(results / "four" / activation, two(0, 1.0), two(1, 2.0), activation=activation, lr=0.5)
     write_run(results / "four" / "gelu", two(0, 1.0), activation="gelu", lr=0.5)
     gathered = gather([results])
-    intervals = next(one for one in gathered.figures if one.name == "cells-reward")
+    intervals = next(one for one in gathered.figures if one.name == "configurations-reward")
     assert "gelu" not in intervals.drawn.alt
-    assert not gathered.tables["speed"]["cell"].str.contains("gelu").any()
+    assert not gathered.tables["speed"]["configuration"].str.contains("gelu").any()
     assert {*gathered.tables["wide"]["activation"]} == {"tanh", "sigmoid", "relu", "leaky_relu", "gelu"}
     assert docs.summary(gathered).count("1 to 2 seeds of 1,000 frames") == 1  # PPO's relu has one
     text = markdown(gathered)
@@ -70,15 +59,21 @@ def test_further_activations_change_neither_the_seeds_nor_the_figures_of_the_pap
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A folder with the runs, what is said of them, without a warning, and the report that says it."""
+    """A folder with runs of the paper's algorithms and of a third one, what is said of them, without a
+    warning, and the report that says it.
+    """
     path = tmp_path_factory.mktemp("whole") / "results"
-    flights = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(mode="sampled")
-    for algorithm in ("dqn", "ppo"):
+    episodes = rows(0, (10, 10, 1, 1, 5, 50, -9.0), (40, 40, 4, 0, 10, 100, 3.0, False, True)).assign(
+        mode="sampled"
+    )
+    for algorithm in ("a2c", "dqn", "ppo"):
         run = write_run(
-            path / algorithm, two(0, -6.0), two(1, -8.0), algorithm=algorithm, gamma=0.9, evaluation=flights
+            path / algorithm, two(0, -6.0), two(1, -8.0), algorithm=algorithm, gamma=0.9, evaluation=episodes
         )
         behaved(run)
         trained(run, algorithm, action=9)
+    more = {"algorithm": "a2c", "activation": "relu", "gamma": 0.9}
+    trained(write_run(path / "a2c-relu", two(0, 1.0), two(1, 2.0), **more), "a2c", action=9)
     write_run(path / "short", two(0, 5.0), meta={"frames": 500, "study": "wide"}, gamma=0.9)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -112,14 +107,21 @@ def test_a_report_is_a_page_its_markdown_tables_and_figures_in_two_forms(whole):
     assert {file.name for file in out.iterdir()} == kinds
     drawn = {file.stem for file in out.glob("figures/*.svg")}
     assert drawn == {file.stem for file in out.glob("figures/*.png")}
-    assert drawn >= {"cells-flights", "cells-reward", "curves-dqn-reward", "curves-ppo-reward", "trajectories", "heat"}
+    assert drawn >= {
+        "configurations-episodes",
+        "configurations-reward",
+        "curves-dqn-reward",
+        "curves-ppo-reward",
+        "trajectories",
+        "heat",
+    }
     assert drawn >= {"survival", "behaviour"}
     assert len(drawn) <= 12
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in out.glob("figures/*.png"))
     page = written.path.read_text()
     assert page.count("data:image/svg+xml,") == 2 * len(drawn)  # for a page and for a phone
-    for section in SECTIONS:
-        assert f'id="{section}"' in page
+    there = {section for section in SECTIONS if f'id="{section}"' in page}
+    assert there == {*SECTIONS} - {"worlds"}
     text = (out / "report.md").read_text()
     for picture in re.findall(r"]\((figures/[^)]*)\)", text):
         assert (out / picture).is_file()
@@ -139,21 +141,24 @@ def test_the_tables_are_csv_that_say_what_the_content_says_and_latex(whole):
     folder = written.path.parent / "tables"
     assert {file.stem for file in folder.glob("*.csv")} == {*gathered.tables}
     metrics = pd.read_csv(folder / "metrics.csv")
-    row = metrics.set_index(["algorithm", "reading", "metric"]).sort_index()
+    row = (
+        metrics[metrics["activation"] == "tanh"].set_index(["algorithm", "definition", "metric"]).sort_index()
+    )
     assert row.loc["dqn", TOTALS, "speed"]["mean"] == 7
     assert row.loc["ppo", ALL, "reward"]["mean"] == -7
     assert row.loc["ppo", PRIMARY, "reward"][["mean", "paper"]].tolist() == pytest.approx([-0.014, 0.0324563])
-    behaviour = pd.read_csv(folder / "behaviour.csv").set_index(["cell", "seed"])
+    behaviour = pd.read_csv(folder / "behaviour.csv").set_index(["configuration", "seed"])
     first, second = layouts.load("test")[:2].tolist()
     ahead = [min(math.hypot(x - 400, y - 300 - 9 * n) - r for x, y, r in first) for n in range(1, 6)]
     around = min(math.hypot(x - 400, y - 300) - r for x, y, r in second)
-    assert behaviour["clearance"].tolist() == pytest.approx([np.mean(ahead), around] * 2, rel=1e-5)
-    assert behaviour["reversals"].tolist() == [0] * 4
-    assert behaviour["empty_straight_speed"].tolist() == [9] * 4
+    assert behaviour["clearance"].tolist() == pytest.approx([np.mean(ahead), around] * 3, rel=1e-5)
+    assert behaviour["reversals"].tolist() == [0] * 6
+    assert behaviour["empty_straight_speed"].tolist() == [9] * 6
     overestimated = pd.read_csv(folder / "overestimation.csv")
     assert overestimated["q"].tolist() == pytest.approx([50, 50])
     latex = (folder / "paper-ppo.tex").read_text()
-    assert latex.count(r" \\") == 1 + 8 + 2 + 3  # header, the paper's rows, two of tanh, three cells without a run
+    # header, the paper's rows, two of tanh, three configurations without a run
+    assert latex.count(r" \\") == 1 + 8 + 2 + 3
     assert r"\%" in latex
     assert "_" not in latex.replace(r"\_", "")
 
@@ -165,7 +170,7 @@ def test_no_warning_escapes_a_report_on_one_seed(tmp_path):  # nor one on few an
         assert report([tmp_path]).path.is_file()
 
 
-def test_a_persons_flights_and_a_policy_from_elsewhere_are_rows_of_all_six_metrics_on_the_page_and_in_report_md(
+def test_a_persons_episodes_and_a_policy_from_elsewhere_are_rows_of_all_six_metrics_on_page_and_in_report_md(
     results, undrawn
 ):
     flown = rows(0, (100, 100, 10, 0, 50, 400, -6.0), (200, 100, 0, 0, 10, 600, -4.0))
@@ -176,45 +181,32 @@ def test_a_persons_flights_and_a_policy_from_elsewhere_are_rows_of_all_six_metri
     text = (results / "report.md").read_text()
     for who in ("human", "theirs-sampled"):
         row, _ = found(text, who)  # the second is that of gaps to the rule
-        seeds, flights, cut, steps, *_, speed, reward = row
-        assert (seeds, flights, cut, steps, speed, reward) == ("1", "2", "0.0%", "100.0", "5.00", "−5.00")
+        seeds, episodes, cut, steps, *_, speed, reward = row
+        assert (seeds, episodes, cut, steps, speed, reward) == ("1", "2", "0.0%", "100.0", "5.00", "−5.00")
         assert f">{who}<" in (results / "report.html").read_text()
 
 
-# -- a third algorithm -------------------------------------------------------------------------------------------------
+# -- a third algorithm ---------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def three(tmp_path_factory):
-    """What reports say of two algorithms, and of the same runs beside those of a third one that the paper has not."""
-    path = tmp_path_factory.mktemp("three")
-    with pytest.MonkeyPatch.context() as patch:
-        for algorithm in ("a2c", "dqn", "ppo"):
-            flown = rows(0, (10, 10, 1, 1, 5, 50, -9.0)).assign(mode="sampled")
-            run = write_run(path / algorithm, two(0, -6.0), two(1, -8.0), algorithm=algorithm, evaluation=flown)
-            write_run(path / f"{algorithm}-relu", two(0, 1.0), two(1, 2.0), algorithm=algorithm, activation="relu")
-            behaved(run)
-            trained(run, algorithm, action=9)
-            pd.DataFrame({"seed": [0, 1], "frame": 1000, "entropy": 1.0}).to_parquet(run / "progress.parquet")
-        folders = [path / name for name in ("dqn", "ppo", "dqn-relu", "ppo-relu")]
-        three = gather([path])
-        _write_all(path / "out", contents(three, path))
-        patch.setattr("uavnav.report.figures.draw", lambda *anything: [])
-        return gather(folders), three, path / "out"
+def test_a_third_algorithm_leaves_the_claims_as_they_are(whole, undrawn):
+    path, with_it, _ = whole
+    without = gather([path / name for name in ("dqn", "ppo", "short")])
+    assert repr(with_it.audits) == repr(without.audits)
+    assert with_it.missing == without.missing
+    assert {*SECTIONS} - {*dict(sections(without))} == {"algorithms", "worlds"}
 
 
-def test_a_third_algorithm_leaves_the_claims_as_they_are(three):
-    two_, all_, _ = three
-    assert repr(all_.audits) == repr(two_.audits)
-    assert all_.missing == two_.missing
-
-
-def test_a_third_algorithm_has_its_cells_and_tables_behind_the_papers(three):
-    _, content, out = three
-    assert [*content.studies.main] == [(name, one) for name in ("dqn", "ppo", "a2c") for one in ("tanh", "relu")]
+def test_a_third_algorithm_has_its_configurations_and_tables_behind_the_papers(whole):
+    _, content, written = whole
+    out = written.path.parent
+    assert [*content.studies.main] == [("dqn", "tanh"), ("ppo", "tanh"), ("a2c", "tanh"), ("a2c", "relu")]
     assert {*content.tables["metrics"]["algorithm"]} == {"dqn", "ppo", "a2c"}
-    assert {"A2C tanh", "A2C: tanh and relu"} <= {*content.tables["speed"]["cell"], *content.tables["power"]["pair"]}
-    assert {*content.tables["behaviour"]["cell"]} == {"DQN tanh", "PPO tanh", "A2C tanh"}
+    assert {"A2C tanh", "A2C: tanh and relu"} <= {
+        *content.tables["speed"]["configuration"],
+        *content.tables["power"]["pair"],
+    }
+    assert {*content.tables["behaviour"]["configuration"]} == {"DQN tanh", "PPO tanh", "A2C tanh"}
     text = (out / "report.md").read_text()
     assert re.findall("^## (DQN|PPO|A2C)$", text, re.MULTILINE) == ["DQN", "PPO", "A2C"]
     assert len(found(text, "tanh", PRIMARY)) == 3
@@ -224,13 +216,17 @@ def test_a_third_algorithm_has_its_cells_and_tables_behind_the_papers(three):
     assert "the paper" not in (out / "tables" / "paper-a2c.tex").read_text()
 
 
-def test_a_third_algorithm_has_its_figures_and_replays(three):
-    _, content, _ = three
+def test_a_third_algorithm_has_its_figures_and_replays(whole):
+    _, content, _ = whole
     drawn = {figure.name: figure for figure in content.figures}
     assert "as the paper's" not in drawn["curves-a2c-reward"].caption
     assert drawn["curves-ppo-reward"].caption.startswith("PPO, as the paper's Figure 5: reward")
-    for name in ("cells-reward", "trajectories", "heat", "behaviour", "survival"):
+    assert "the paper's mean -0.0438" in drawn["curves-dqn-reward"].drawn.alt
+    for name in ("configurations-reward", "trajectories", "heat", "behaviour", "survival"):
         assert "A2C" in drawn[name].drawn.alt, name
-    shown = {cell["algorithm"]: cell["values"] for cell in content.replays["cells"]}
+    shown = {
+        configuration["algorithm"]: configuration["values"]
+        for configuration in content.replays["configurations"]
+    }
     assert shown == {"dqn": "Q value", "ppo": "probability", "a2c": "probability"}
-    assert {*content.tables["overestimation"]["cell"]} == {"DQN tanh"}
+    assert {*content.tables["overestimation"]["configuration"]} == {"DQN tanh"}

@@ -1,4 +1,6 @@
-"""What the report and the docs say in words: numbers, overviews, conclusions, docs/results.md, the README's table."""
+"""What the report and the docs say in words: numbers, overviews, conclusions, docs/results.md, the
+README's table.
+"""
 
 import math
 import re
@@ -62,9 +64,12 @@ def test_an_interval_stands_in_brackets_where_there_is_one():
 
 
 def test_a_table_of_a_frame_has_formats_by_header_and_leaves_unknown_intervals_out():
-    frame = pd.DataFrame({"who": ["a", "b"], "x": [-1234.5, 0.0004], "low": [-2000.0, math.nan], "p": [0.5, math.nan]})
+    frame = pd.DataFrame(
+        {"who": ["a", "b"], "x": [-1234.5, 0.0004], "low": [-2000.0, math.nan], "p": [0.5, math.nan]}
+    )
     assert listed(
-        frame.assign(high=frame["low"]), {"who": "{who}", "x": "{x:.1f} [{low:.1f}, {high:.1f}]", "p": "{p:.0%}"}
+        frame.assign(high=frame["low"]),
+        {"who": "{who}", "x": "{x:.1f} [{low:.1f}, {high:.1f}]", "p": "{p:.0%}"},
     ) == [
         ["who", "x", "p"],
         ["a", "−1,234.5 [−2,000.0, −2,000.0]", "50%"],
@@ -103,7 +108,9 @@ def findings_of(*verdicts):
     """The first claims' parts have one verdict each, and all of them count; the other claims have no runs."""
     of = dict(enumerate(verdicts, start=1))
     found = audit(lambda *_, **__: np.empty(0), of_paper)
-    return [one._replace(verdict=of[one.claim], standing="counts") if one.claim in of else one for one in found]
+    return [
+        one._replace(verdict=of[one.claim], standing="counts") if one.claim in of else one for one in found
+    ]
 
 
 def test_the_overview_draws_parts_and_names_the_other_readings_grades(gathered):
@@ -113,7 +120,7 @@ def test_the_overview_draws_parts_and_names_the_other_readings_grades(gathered):
     header, first, second, third, *_, last = evidence.overview(rows)
     assert header[-1] == "second"
     assert first[2:] == ["replicates", "▰" * 12, "does not"]
-    assert second[2:] == ["does not", "▱" * 9, "–"]  # of which that reading has no runs
+    assert second[2:] == ["does not", "▱" * 9, "–"]  # of which that metric definition has no runs
     assert third[2:] == ["open", "–", "–"]
     assert last[2:] == ["context", "–", "–"]
 
@@ -135,7 +142,15 @@ def test_a_part_says_why_it_does_not_count_and_how_many_seeds_it_would_take():
 
 
 def test_a_row_of_the_audit_has_ours_and_its_ratio_to_the_papers_with_intervals():
-    known = {"paper": 4.0, "value": 2.0, "low": 1.0, "high": 3.0, "ratio": 0.5, "ratio_low": 0.25, "ratio_high": 0.75}
+    known = {
+        "paper": 4.0,
+        "value": 2.0,
+        "low": 1.0,
+        "high": 3.0,
+        "ratio": 0.5,
+        "ratio_low": 0.25,
+        "ratio_high": 0.75,
+    }
     part = findings_of("replicates")[0]._replace(**known, n=8, p_holm=0.0123, nearest="A against B")
     assert audit_rows([part])[1][1:] == [
         *("4.0", "2.0 [1.0, 3.0] (A against B)", "0.50 [0.25, 0.75]", "0.012", "8", "replicates")
@@ -143,7 +158,9 @@ def test_a_row_of_the_audit_has_ours_and_its_ratio_to_the_papers_with_intervals(
     assert audit_rows([part._replace(p_holm=0.0001)])[1][4] == "< 0.001"
 
 
-@pytest.mark.parametrize(("width", "expected"), [(250.0, 0), (20.0, 0), (2.0, 1), (0.2, 2), (0.003, 4), (1e-9, 6)])
+@pytest.mark.parametrize(
+    ("width", "expected"), [(250.0, 0), (20.0, 0), (2.0, 1), (0.2, 2), (0.003, 4), (1e-9, 6)]
+)
 def test_an_interval_is_shown_with_two_significant_digits(width, expected):
     assert digits(findings_of()[0]._replace(value=width, low=width, high=2 * width)) == expected
 
@@ -151,7 +168,10 @@ def test_an_interval_is_shown_with_two_significant_digits(width, expected):
 def test_rows_of_how_often_the_rule_errs_and_of_the_papers_numbers_as_one_more_seed():
     grades = ("replicates", "in part", "does not", "open")
     shares = pd.DataFrame(
-        [(1, "no difference", grade, share) for grade, share in zip(grades, (0.001, 0.02, 0.97, 0.009), strict=True)],
+        [
+            (1, "no difference", grade, share)
+            for grade, share in zip(grades, (0.001, 0.02, 0.97, 0.009), strict=True)
+        ],
         columns=["claim", "truth", "grade", "share"],
     )
     assert operating(shares) == [
@@ -179,9 +199,10 @@ def test_results_and_the_readmes_block_have_a_row_a_claim_with_its_grade_and_bar
     assert rows[2][0][0] == f"{'▱' * 9} does not"
     assert rows[3][0][0] == "– open"
     assert rows[11][0][0] == "– context"
-    assert rows[1][0][1] == "Some of its runs are missing."  # of two cells, one a claim's, there is no mean of four
+    # of two configurations, one a claim's, there is no mean of four
+    assert rows[1][0][1] == "Some of its runs are missing."
     assert "1 to 2 seeds of 1,000 frames" in text
-    assert "**Not complete:** 2 of the paper's 8 cells have finished; dqn sigmoid," in text
+    assert "**Not complete:** 2 of the paper's 8 configurations have finished; dqn sigmoid," in text
     assert too_long(text) == []
     assert write(gathered) == write(gathered)
 
@@ -230,7 +251,9 @@ MEASURED = """
 def test_what_a_million_frames_of_ten_seeds_cost_is_taken_from_the_benchmarks(results):
     assert docs.costs(MEASURED) == {"ppo": ("0:02:44", "1.32"), "sac": ("0:20:00", "3.13")}
     assert docs.costs("") == {}
-    lines = docs.choice(gather([results], lambda cells: {"cells": [], "left_out": []}), MEASURED).splitlines()
+    lines = docs.choice(
+        gather([results], lambda configurations: {"configurations": [], "left_out": []}), MEASURED
+    ).splitlines()
     (ppo,), (c51,) = ([line for line in lines if line.startswith(f"| [{name}]")] for name in ("PPO", "C51"))
     assert " | 0:02:44 | 1.32 | – | – | " in ppo
     assert " | – | – | – | – | " in c51
@@ -242,7 +265,9 @@ def test_a_text_without_marks_is_refused(text):
         docs.between_marks(text, "new")
 
 
-def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_marks(results, monkeypatch, capsys):
+def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_marks(
+    results, monkeypatch, capsys
+):
     monkeypatch.chdir(results.parent)
     Path("docs").mkdir()
     Path("README.md").write_text("# Title\n")
@@ -257,6 +282,7 @@ def test_the_command_writes_the_conclusions_and_nothing_where_the_readme_has_no_
     assert Path("docs/results.md").read_text() == docs.results(content)
     assert Path("README.md").read_text() == f"# Title\n{BEGIN}\n{docs.summary(content)}\n{END}\nrest\n"
     assert (
-        Path("docs/algorithms.md").read_text() == f"# Title\n{BEGIN}\n{docs.choice(content, MEASURED)}\n{END}\nrest\n"
+        Path("docs/algorithms.md").read_text()
+        == f"# Title\n{BEGIN}\n{docs.choice(content, MEASURED)}\n{END}\nrest\n"
     )
     assert docs.main(["nowhere"]) == 2

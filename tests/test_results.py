@@ -1,4 +1,5 @@
-"""What is committed of results: report, conclusions and the tables of the docs are what the rows of the runs say.
+"""What is committed of results: report, conclusions and the tables of the docs are what the rows of the runs
+say.
 
 And how the rule of verdicts fares where seeds scatter as those of the rows do.
 """
@@ -28,7 +29,7 @@ from uavnav.report.operating import EQUAL, TABLES, characteristics
 from uavnav.report.page import markdown
 from uavnav.report.studies import of_paper
 from uavnav.runs import Run, paper, read_settings
-from uavnav.runs.readings import PER_FRAME, per_frame
+from uavnav.runs.definitions import PER_FRAME, per_frame
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "results"
@@ -36,7 +37,7 @@ RESULTS = ROOT / "results"
 
 @pytest.mark.parametrize(("folder", "seeds"), [("vectorised", range(20)), ("paper", range(100, 140))])
 @pytest.mark.parametrize(("algorithm", "activation"), paper.TABLES)
-def test_each_cell_has_its_seeds_of_a_million_frames_of_a_preset_and_was_evaluated_on_200_sets(
+def test_each_configuration_has_its_seeds_of_a_million_frames_of_a_preset_and_was_evaluated_on_200_sets(
     algorithm, activation, folder, seeds
 ):
     run = Run(RESULTS / folder / algorithm / activation)
@@ -48,7 +49,10 @@ def test_each_cell_has_its_seeds_of_a_million_frames_of_a_preset_and_was_evaluat
 
 
 def test_training_the_study_took_70_minutes_as_the_readme_says():
-    took = sum(Run(RESULTS / "vectorised" / Path(*cell)).meta["wall_seconds"] for cell in paper.TABLES)
+    took = sum(
+        Run(RESULTS / "vectorised" / Path(*configuration)).meta["wall_seconds"]
+        for configuration in paper.TABLES
+    )
     assert took / 60 == pytest.approx(70, abs=1)
     assert "20 seeds each: 70 minutes of training on two cores" in (ROOT / "README.md").read_text()
 
@@ -58,7 +62,9 @@ def test_all_that_is_committed_of_results_takes_less_than_60_mb():
 
 
 def test_rows_and_weights_are_those_that_the_runs_wrote_before_the_folders_were_put_in_order():
-    """Checksums of each column of each table, and of each tensor, from the old files as read, under their new names."""
+    """Checksums of each column of each table, and of each tensor, from the old files as read, under their
+    new names.
+    """
     found: dict[str, Any] = defaultdict(sha256)
 
     def note(path: Path, name: str, values: np.ndarray) -> None:
@@ -84,13 +90,17 @@ def test_each_committed_configuration_can_be_trained_again_and_goes_beyond_its_p
         said, meta = read_settings(path), read_settings(path.with_name("meta.json"))
         kind = ALGORITHMS[said["algorithm"]].config
         beyond = kind.from_mapping(kind.as_run(said)).beyond_preset()
-        there, here = ({k.removeprefix("world."): v for k, v in one.items()} for one in (meta["beyond_preset"], beyond))
+        there, here = (
+            {k.removeprefix("world."): v for k, v in one.items()} for one in (meta["beyond_preset"], beyond)
+        )
         assert there == here, path
 
 
 README = (ROOT / "README.md").read_text().partition(BEGIN)[2].partition(END)[0]
 CONCLUSIONS = {"README": README, "docs/results.md": (ROOT / "docs" / "results.md").read_text()}
-RATIOS = [paper.TABLES["ppo", "tanh"][name] / paper.TABLES["ppo", "relu"][name] for name in ("steps", "distance")]
+RATIOS = [
+    paper.TABLES["ppo", "tanh"][name] / paper.TABLES["ppo", "relu"][name] for name in ("steps", "distance")
+]
 
 
 @pytest.mark.parametrize("name", CONCLUSIONS)
@@ -144,8 +154,12 @@ def test_every_link_and_picture_of_the_committed_report_is_there():
         elif not path.startswith("data:"):
             assert (RESULTS / path).is_file(), target
             assert not anchor or int(anchor[1:]) <= len((RESULTS / path).read_text().splitlines()), target
-    headings = {re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in re.findall(r"^#+ (.*)$", text, re.M)}
-    for anchor in re.findall(r"report\.md#([\w-]+)", "".join(path.read_text() for path in ROOT.glob("docs/*.md"))):
+    headings = {
+        re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in re.findall(r"^#+ (.*)$", text, re.M)
+    }
+    for anchor in re.findall(
+        r"report\.md#([\w-]+)", "".join(path.read_text() for path in ROOT.glob("docs/*.md"))
+    ):
         assert anchor in headings
     drawn = {path.stem for path in (RESULTS / "figures").iterdir()}
     assert drawn == set(re.findall(r'id="figure-([\w-]+)"', page))
@@ -156,7 +170,9 @@ def test_the_differences_that_the_decisions_quote_are_those_of_the_tables():
     table = pd.read_csv(RESULTS / "tables" / "sensitivity.csv").set_index(["switch", "conclusion"])
     lead, order = "PPO above DQN", "DQN: tanh above ReLU"
     for key in (("default", lead), ("n_steps=5", lead), ("default", order), ("init=orthogonal", order)):
-        value, low, high = (f"{end:.4f}".replace("-", "−") for end in table.loc[key, ["value", "low", "high"]])
+        value, low, high = (
+            f"{end:.4f}".replace("-", "−") for end in table.loc[key, ["value", "low", "high"]]
+        )
         assert f"{value} [{low}, {high}]" in text, key
     assert table.xs(lead, level=1)["low"].min() > 0
     within_ppo = table.xs("PPO: tanh above ReLU", level=1)
@@ -166,50 +182,67 @@ def test_the_differences_that_the_decisions_quote_are_those_of_the_tables():
         assert f"{one['value']:.0f} [{one['low']:.0f}, {one['high']:.0f}]" in text
 
 
-def test_the_means_of_cells_and_the_counts_that_the_decisions_quote_are_those_of_the_tables():
+def test_the_means_of_configurations_and_the_counts_that_the_decisions_quote_are_those_of_the_tables():
     text = " ".join((ROOT / "docs" / "decisions.md").read_text().replace("−", "-").split())
-    readings = ("log curve", "all training episodes", "last 100 training episodes")
-    values = pd.read_csv(RESULTS / "tables" / "seeds.csv").groupby(["algorithm", "activation", "reading", "metric"])[
-        "value"
-    ]
+    definitions = ("log curve", "all training episodes", "last 100 training episodes")
+    values = pd.read_csv(RESULTS / "tables" / "seeds.csv").groupby(
+        ["algorithm", "activation", "definition", "metric"]
+    )["value"]
     for algorithm, activation in paper.TABLES:
         shown = [f"{algorithm.upper()} {activation}"]
         for metric, places in (("steps", 0), ("reward", 1)):
             shown.append(f"{paper.TABLES[algorithm, activation][metric]:,.{places}f}")
-            own = [values.get_group((algorithm, activation, reading, metric)) for reading in readings]
+            own = [
+                values.get_group((algorithm, activation, definition, metric)) for definition in definitions
+            ]
             shown += [f"{one.mean():,.{places}f} ± {one.std():,.{places}f}" for one in own]
         assert f"| {' | '.join(shown)} |" in text
-    fits = pd.read_csv(RESULTS / "tables" / "fits.csv").set_index(["reading", "cell"])["within"].unstack("cell")
-    of_log, everything = fits.loc["log curve"], fits["all cells"]
+    fits = (
+        pd.read_csv(RESULTS / "tables" / "fits.csv")
+        .set_index(["definition", "configuration"])["within"]
+        .unstack("configuration")
+    )
+    of_log, everything = fits.loc["log curve"], fits["all configurations"]
     of_each = [int(of_log.filter(like=algorithm).sum()) for algorithm in ("DQN", "PPO")]
-    assert "{} of 48 numbers lie in it: {} of DQN's 24 and {} of PPO's".format(of_log["all cells"], *of_each) in text
-    assert f"more do, {everything[readings[2]]} of 48" in text
-    of_frames, of_all = everything["per frame"], everything[readings[1]]
+    assert (
+        "{} of 48 numbers lie in it: {} of DQN's 24 and {} of PPO's".format(
+            of_log["all configurations"], *of_each
+        )
+        in text
+    )
+    assert f"more do, {everything[definitions[2]]} of 48" in text
+    of_frames, of_all = everything["per frame"], everything[definitions[1]]
     assert f"Per frame, {of_frames} numbers lie in it, and over all training episodes {of_all}" in text
 
 
 @pytest.fixture(scope="module")
 def seeds():
     """The study in many environments a seed, per frame: a row a seed."""
-    runs = {cell: Run(RESULTS / "vectorised" / Path(*cell)) for cell in paper.TABLES}
-    return {cell: per_frame(run.episodes, run.frames) for cell, run in runs.items()}
+    runs = {
+        configuration: Run(RESULTS / "vectorised" / Path(*configuration)) for configuration in paper.TABLES
+    }
+    return {configuration: per_frame(run.episodes, run.frames) for configuration, run in runs.items()}
 
 
 @pytest.mark.parametrize("n", [5, 10, 20, 40])
-def test_welchs_interval_covers_94_percent_where_seeds_scatter_as_ours_and_one_of_percentiles_of_5_fewer_than_87(
+def test_welchs_interval_covers_94_percent_where_seeds_scatter_as_ours_and_percentiles_of_5_fewer_than_87(
     seeds, n
 ):
     """Of a difference of two activations, mean over pairs and metrics; the truth are our 20 seeds."""
     rng = np.random.default_rng(n)
     welch, percentiles = [], []
     for metric, algorithm in itertools.product(paper.COLUMNS, paper.TABLE_OF):
-        cells = [seeds[algorithm, activation][metric].to_numpy() for activation in paper.ACTIVATIONS]
-        for pair in itertools.combinations([cell - cell.mean() for cell in cells], 2):
+        configurations = [seeds[algorithm, activation][metric].to_numpy() for activation in paper.ACTIVATIONS]
+        for pair in itertools.combinations(
+            [configuration - configuration.mean() for configuration in configurations], 2
+        ):
             drawn = [one[rng.integers(len(one), size=(500, n))] for one in pair]
             found = stats.welch(drawn, np.array([[1, -1]]))
             welch.append(np.mean((found.lower(0.025) <= 0) & (found.upper(0.025) >= 0)))
             if n == 5:
-                again = [one[np.arange(500)[:, None, None], rng.integers(n, size=(500, 200, n))] for one in drawn]
+                again = [
+                    one[np.arange(500)[:, None, None], rng.integers(n, size=(500, 200, n))] for one in drawn
+                ]
                 low, high = np.quantile(again[0].mean(-1) - again[1].mean(-1), [0.025, 0.975], axis=1)
                 percentiles.append(np.mean((low <= 0) & (high >= 0)))
     assert np.mean(welch) >= 0.94
@@ -223,7 +256,7 @@ def test_the_rule_finds_the_papers_tables_if_they_are_true_and_nothing_where_not
         table = seeds[algorithm, activation]
         return table[metric].to_numpy() if study == "main" and metric in table else np.empty(0)
 
-    table = characteristics(evidence, functools.partial(of_paper, reading=PER_FRAME))
+    table = characteristics(evidence, functools.partial(of_paper, definition=PER_FRAME))
     shares = table.set_index(["claim", "truth", "grade"])["share"].sort_index()
     for claim in (1, 2, 3, 6, 7, 8):
         assert shares[claim, TABLES, "replicates"] > 0.9, claim
@@ -245,7 +278,7 @@ def content():
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(ROOT)
         patch.setattr("uavnav.report.figures.draw", lambda *anything: [])
-        return gather([Path("results")], lambda cells: {"cells": [], "left_out": []})
+        return gather([Path("results")], lambda configurations: {"configurations": [], "left_out": []})
 
 
 def from_rows(text):

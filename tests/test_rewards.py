@@ -1,4 +1,4 @@
-"""Eq. (14) and its two other readings: every amount of every action, exactly."""
+"""Eq. (14) and its two other forms: every amount of every action, exactly."""
 
 import oracle
 import pytest
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import uavnav
 from uavnav.tasks.dynamics import decode
 from uavnav.tasks.rewards import BOUNDS, BY_ACTION, KNOWN, REWARDS, Step, bounds_of_returns
-from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.table import EMPTY, make_task
 
 WORLD = uavnav.World()
 NAMES = {
@@ -23,11 +23,11 @@ def terms_of(variant, world=WORLD):
     """The terms of all 100 actions, first without and then with a collision: each [2, 100]."""
     action = torch.arange(100).expand(2, 100)
     angle, distance = decode(action, world)
-    collided = torch.tensor([[False], [True]]).expand(2, 100)
     task = make_task(EMPTY, world)
     state = task.start(torch.zeros_like(action), torch.full_like(action, 90))
-    observation, clearance = task.observe(state)
-    return REWARDS[variant](Step(state, state, action, angle, distance, collided, clearance, observation, world))
+    observation, _ = task.observe(state)
+    clearance = torch.tensor([[280.0], [0.0]]).expand(2, 100)
+    return REWARDS[variant](Step(state, state, action, angle, distance, clearance, observation, world))
 
 
 def total(terms):
@@ -93,12 +93,14 @@ def test_the_amounts_are_the_worlds():
     assert total(terms_of("additive", world))[0, [0, 9, 59, 10]].tolist() == [-0.5, 18, 17.5, -1]
 
 
-# -- bounds -----------------------------------------------------------------------------------------------------------
+# -- bounds --------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.sampled_from(list(NAMES)), *[st.floats(-20, 20).map(lambda number: round(number, 3))] * 3)
-def test_bounds_are_the_least_and_the_most_of_all_100_actions_whatever_the_amounts(variant, collision, penalty, px):
+def test_bounds_are_the_least_and_the_most_of_all_100_actions_whatever_the_amounts(
+    variant, collision, penalty, px
+):
     world = uavnav.World(collision_reward=collision, penalty=penalty, reward_per_pixel=px)
     flying, collided = total(terms_of(variant, world))
     bounds = BOUNDS[variant](world)
@@ -108,14 +110,15 @@ def test_bounds_are_the_least_and_the_most_of_all_100_actions_whatever_the_amoun
 
 def test_a_return_of_eq14_lies_between_minus_10_and_9_at_a_discount_of_99_percent():
     assert bounds_of_returns("eq14", WORLD, 0.99) == pytest.approx((-10, 9))
-    assert bounds_of_returns("additive", WORLD, 0.999) == pytest.approx((-20, 90))  # turning in place for ever
+    # turning in place for ever
+    assert bounds_of_returns("additive", WORLD, 0.999) == pytest.approx((-20, 90))
     assert bounds_of_returns("eq14", WORLD, 1.0) is None
     assert bounds_of_returns("not declared", WORLD, 0.99) is None
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0, 0.999), st.lists(st.integers(0, 99), min_size=1, max_size=60), st.integers(0, 199))
-def test_no_flight_to_a_goal_returns_more_or_less_than_its_bounds(gamma, actions, layout):
+def test_no_episode_to_a_goal_returns_more_or_less_than_its_bounds(gamma, actions, layout):
     task = make_task("test", task="goal")
     least, most = bounds_of_returns("goal", task.world, gamma)
     state, earned = task.start(torch.tensor(layout), torch.tensor(90)), 0.0
@@ -129,12 +132,17 @@ def test_no_flight_to_a_goal_returns_more_or_less_than_its_bounds(gamma, actions
 
 
 @settings(max_examples=50, deadline=None)
-@given(st.sampled_from(list(NAMES)), st.floats(0, 0.999), st.lists(st.integers(0, 99), max_size=60), st.booleans())
-def test_no_flight_returns_more_or_less_than_its_bounds(variant, gamma, actions, collides):
+@given(
+    st.sampled_from(list(NAMES)),
+    st.floats(0, 0.999),
+    st.lists(st.integers(0, 99), max_size=60),
+    st.booleans(),
+)
+def test_no_episode_returns_more_or_less_than_its_bounds(variant, gamma, actions, collides):
     flying, collided = total(terms_of(variant))
     rewards = [flying[action].item() for action in actions] + ([collided[0].item()] if collides else [])
     earned = sum(gamma**n * reward for n, reward in enumerate(rewards))
     least, most = bounds_of_returns(variant, WORLD, gamma)
-    rest = gamma ** len(rewards) / (1 - gamma)  # of a flight that goes on as well or as badly as it can
+    rest = gamma ** len(rewards) / (1 - gamma)  # of an episode that goes on as well or as badly as it can
     assert earned <= most + 1e-9 if collides else earned + rest * 0.09 <= most + 1e-9
     assert earned >= least - 1e-9

@@ -10,13 +10,18 @@ import yaml
 from uavnav.__main__ import main
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli.runs import row, span
-from uavnav.evaluation import EPISODES, files_of
 from uavnav.runs import progress as told
-from uavnav.tasks.simulator import TASKS
 from uavnav.training import heartbeat
 from uavnav.training.recorder import Recorder
 
-CONFIG = {"algorithm": "ppo", "activation": "relu", "preset": "fast", "seed": 3, "n_seeds": 2, "total_frames": 400_000}
+CONFIG = {
+    "algorithm": "ppo",
+    "activation": "relu",
+    "preset": "fast",
+    "seed": 3,
+    "n_seeds": 2,
+    "total_frames": 400_000,
+}
 NOW = 1_800_000_000.0
 STARTED = "2027-01-15T07:00:00+00:00"  # an hour before
 
@@ -83,22 +88,24 @@ def test_a_run_that_was_interrupted_is_stopped_and_one_that_failed_failed(status
     assert row(write(tmp_path / "run", status, PROGRESS), NOW)["status"] == shown
 
 
-def test_rewards_are_means_over_the_test_flights_in_each_mode(results):
+def test_rewards_are_means_over_the_test_episodes_in_each_mode(results):
     from uavnav.runs import Run
 
     path = next(path.parent for path in sorted(results.rglob("evaluation.parquet")))
     rows = Run(path).evaluation()
     found = row(path, NOW)
     for mode in ("sampled", "greedy"):
-        assert found[f"reward_{mode}"] == pytest.approx(rows.loc[rows["mode"] == mode, "reward"].mean(), abs=1e-12)
+        assert found[f"reward_{mode}"] == pytest.approx(
+            rows.loc[rows["mode"] == mode, "reward"].mean(), abs=1e-12
+        )
 
 
 def test_the_reward_of_a_run_with_a_goal_is_that_of_its_own_cap_and_no_other_protocol_is_shown(tmp_path):
     run = write(tmp_path / "run", "finished", task="goal")
     rows = pd.DataFrame({"mode": ["greedy", "sampled"], "reward": [1.0, 2.0]})
-    rows.to_parquet(run / files_of("test", EPISODES, 500)[0])
+    rows.to_parquet(run / "evaluation-test-200-500.parquet")
     assert row(run, NOW)["reward_sampled"] is None
-    rows.to_parquet(run / files_of("test", EPISODES, TASKS["goal"].MAX_STEPS)[0])
+    rows.to_parquet(run / "evaluation-test-200-1000.parquet")
     assert (row(run, NOW)["reward_greedy"], row(run, NOW)["reward_sampled"]) == (1.0, 2.0)
 
 
@@ -146,7 +153,10 @@ def test_what_is_no_run_is_one_line_and_the_others_are_listed(tmp_path, capsys, 
     write(tmp_path / "runs" / "odd", "finished", n_seeds="many")
     assert main(["runs"]) == 0
     out, err = capsys.readouterr()
-    assert err == "uavnav runs: left out: runs/odd/config.yaml: not a run's, its n_seeds=many; give a run's folder\n"
+    assert (
+        err
+        == "uavnav runs: left out: runs/odd/config.yaml: not a run's, its n_seeds=many; give a run's folder\n"
+    )
     assert out.count("\n") == 2
     shutil.rmtree(tmp_path / "runs")
     assert main(["runs"]) == 2
@@ -155,7 +165,8 @@ def test_what_is_no_run_is_one_line_and_the_others_are_listed(tmp_path, capsys, 
 
 
 @pytest.mark.parametrize(
-    ("seconds", "words"), [(40, "40 s"), (240, "4 min"), (3 * 3600, "3 h"), (12 * 86_400, "12 days"), (95, "2 min")]
+    ("seconds", "words"),
+    [(40, "40 s"), (240, "4 min"), (3 * 3600, "3 h"), (12 * 86_400, "12 days"), (95, "2 min")],
 )
 def test_a_span_is_in_its_own_unit(seconds, words):
     assert span(seconds) == words

@@ -10,9 +10,8 @@ from uavnav.acting import ACTS, HEADS, SHOWN, Actor, epsilon_greedy, sample_cate
 from uavnav.algorithms import ALGORITHMS
 from uavnav.algorithms.replay import AgentSampler, AgentStorage
 from uavnav.networks import mlp
-from uavnav.tasks.chance import Chance
-from uavnav.tasks.seeding import Streams, places, stream
-from uavnav.tasks.simulator import make_task
+from uavnav.tasks.seeding import Chance, Streams, places, stream
+from uavnav.tasks.table import make_task
 from uavnav.tasks.world import World
 
 
@@ -82,7 +81,12 @@ def test_an_actor_of_seed_8_acts_alone_as_among_3(acts):
 def test_an_actor_goes_on_from_its_streams_and_its_schedule():
     """40 worlds, and a share of random actions that falls by 0.1 a step: 1.0, 0.9, ..."""
     network = actor([1, 2, 3], "epsilon-greedy").network
-    acts = {"acts": "epsilon-greedy", "head": "direct", "compile": False, "epsilon": lambda frames: 1 - frames / 400}
+    acts = {
+        "acts": "epsilon-greedy",
+        "head": "direct",
+        "compile": False,
+        "epsilon": lambda frames: 1 - frames / 400,
+    }
     one, other = (Actor(network, [1, 2, 3], **acts) for _ in range(2))
     one.act(OBSERVATION)
     saved = one.state_dict()
@@ -116,7 +120,8 @@ def test_a_distribution_is_read_as_its_mean_with_the_numbers_of_the_head():
     shares = torch.tensor([[0.2, 0.5, 0.3], [0.0, 0.0, 1.0]])
     values = values_of("distribution 0 4.0 3", shares.log().flatten()[None])
     assert values[0].tolist() == pytest.approx([0.5 * 2 + 0.3 * 4, 4])
-    in_two = torch.cat([torch.zeros(3), shares.clamp(min=1e-30).log().flatten()])  # v = 0, and a less its mean
+    # v = 0, and a less its mean
+    in_two = torch.cat([torch.zeros(3), shares.clamp(min=1e-30).log().flatten()])
     mean = shares.clamp(min=1e-30).log().mean(0)
     expected = ((shares.clamp(min=1e-30).log() - mean).softmax(-1) * torch.tensor([0.0, 2, 4])).sum(-1)
     torch.testing.assert_close(values_of("dueling-distribution 0 4.0 3", in_two), expected)
@@ -174,8 +179,12 @@ def test_every_agent_gets_its_own_rows_and_the_same_ones_in_any_population():
 
 
 def test_rows_come_with_their_successors_and_of_the_newest_2_none_is_drawn():
-    """A ring of 10 rows, written in steps of 2 up to row 13: rows 4 to 11 are drawn alike, each before row + 2."""
-    replay = ReplayBuffer(storage=AgentStorage(10), sampler=AgentSampler([0, 1], successors=[2]), batch_size=4000)
+    """A ring of 10 rows, written in steps of 2 up to row 13: rows 4 to 11 are drawn alike, each before
+    row + 2.
+    """
+    replay = ReplayBuffer(
+        storage=AgentStorage(10), sampler=AgentSampler([0, 1], successors=[2]), batch_size=4000
+    )
     for step in range(7):
         replay.extend(TensorDict({"row": torch.tensor([[2 * step] * 2, [2 * step + 1] * 2])}, [2, 2]))
     rows, following = replay.sample()["row"]

@@ -13,7 +13,7 @@ from uavnav.envs import scalar
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.rewards import BY_ACTION, KNOWN
-from uavnav.tasks.simulator import make_task
+from uavnav.tasks.table import make_task
 
 GROUPS = {
     "random": lambda n, generator: poses.random_poses(n, 1),
@@ -63,21 +63,21 @@ VARIANTS += [("moving", "eq14"), ("moving", "additive"), ("goal", "goal"), ("goa
 @pytest.mark.parametrize("max_steps", [None, 40])
 def test_1000_steps_are_at_the_batchs_places_bit_for_bit_with_its_rewards_and_ends(name, variant, max_steps):
     task = make_task("test", reward=variant, max_steps=max_steps, task=name)
-    flight, batch = scalar.fly(task), scalar.BatchOfOne(task)
-    assert type(flight) in (scalar.Flight, scalar.AmongMoving, scalar.ToGoal)
+    episode, batch = scalar.fly(task), scalar.BatchOfOne(task)
+    assert type(episode) in (scalar.Episode, scalar.AmongMoving, scalar.ToGoal)
     starts = itertools.count(5)
-    observation, expected = (one.start(5, 90) for one in (flight, batch))
+    observation, expected = (one.start(5, 90) for one in (episode, batch))
     for action in np.random.default_rng(3).choice([5, 49, *range(100)], size=1000).tolist():
         circles = task.obstacles(batch.state).tolist()
-        if not oracle.doubtful(oracle.look(flight.x, flight.y, flight.heading, circles)):
+        if not oracle.doubtful(oracle.look(episode.x, episode.y, episode.heading, circles)):
             np.testing.assert_allclose(observation, expected, rtol=0, atol=1e-5)
         assert observation.dtype == np.float32
-        assert flight.info() == batch.info()
-        (observation, *judged), (expected, *as_judged) = (one.step(action) for one in (flight, batch))
+        assert episode.info() == batch.info()
+        (observation, *judged), (expected, *as_judged) = (one.step(action) for one in (episode, batch))
         assert judged == as_judged
         if judged[1] or judged[2]:
             layout = next(starts)
-            observation, expected = (one.start(layout, 90) for one in (flight, batch))
+            observation, expected = (one.start(layout, 90) for one in (episode, batch))
     assert next(starts) >= 15
 
 

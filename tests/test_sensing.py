@@ -83,7 +83,9 @@ def test_a_circle_at_a_right_angle_is_sensed_in_all_360_headings_with_forward_ne
     for heading in range(360):
         for side in (-1, 1):
             angle = math.radians(heading + 90 * side)
-            slots, _ = sense_at(400, 300, heading, [[400 + 100 * math.cos(angle), 300 + 100 * math.sin(angle), 40.0]])
+            slots, _ = sense_at(
+                400, 300, heading, [[400 + 100 * math.cos(angle), 300 + 100 * math.sin(angle), 40.0]]
+            )
             assert slots[0] == pytest.approx([-side, 0, 1 / 3], abs=1e-5)
             assert slots[0][1] >= 0
 
@@ -118,8 +120,12 @@ def test_equal_distances_are_listed_by_index_left_square_before_right():
 
 def test_two_circles_at_64_px_are_listed_in_the_order_of_the_file():
     left, right = [300.0, 300.0, 36.0], [500.0, 300.0, 36.0]
-    assert [slot[0] for slot in sense_at(400, 300, 90, [left, right])[0][:2]] == pytest.approx([-1, 1], abs=1e-6)
-    assert [slot[0] for slot in sense_at(400, 300, 90, [right, left])[0][:2]] == pytest.approx([1, -1], abs=1e-6)
+    assert [slot[0] for slot in sense_at(400, 300, 90, [left, right])[0][:2]] == pytest.approx(
+        [-1, 1], abs=1e-6
+    )
+    assert [slot[0] for slot in sense_at(400, 300, 90, [right, left])[0][:2]] == pytest.approx(
+        [1, -1], abs=1e-6
+    )
 
 
 def test_a_circle_is_listed_before_a_square_at_the_same_60_px():
@@ -187,7 +193,7 @@ def test_any_observation_is_within_bounds_nearest_first_with_the_empty_slots_las
     assert clearance <= 280
 
 
-# -- in a graph ------------------------------------------------------------------------------------------------------
+# -- in a graph ----------------------------------------------------------------------------------------------
 
 
 class Traced(torch.Tensor):
@@ -198,18 +204,22 @@ class Traced(torch.Tensor):
 @pytest.mark.parametrize("slots", ["nearest", "listed"])
 def test_slots_by_sorting_are_those_by_counting_or_one_by_one_to_the_last_bit_ties_included(slots, n, rows):
     generator = torch.Generator().manual_seed(3)
-    triples = torch.randn(3, n, rows, generator=generator).round()  # with some -0.0
-    distance = torch.randint(60, (n, rows), generator=generator).double() * 10
+    directions = torch.randn(2, n, rows, generator=generator).round()  # with some -0.0
+    distance = torch.randint(60, (n, rows), generator=generator).float() * 10
     in_view = torch.rand(n, rows, generator=generator) < torch.rand(rows, generator=generator)
     assert {0, 10} <= {*in_view.sum(0).clamp(max=10).tolist()}
     world = uavnav.World(slots=slots)
     of_circles = torch.randn(2, 8, rows, generator=generator)
-    sorted_ = sensing.first_in_view(triples, distance, in_view, world, more=of_circles)
-    traced = distance.as_subclass(Traced)
-    in_a_graph = sensing.first_in_view(triples, traced, in_view, world, more=of_circles).as_subclass(torch.Tensor)
-    assert sorted_.shape == (5, 10, rows)
-    assert (torch.signbit(triples) & (triples == 0)).any()
-    assert torch.equal(sorted_.view(torch.int32), in_a_graph.view(torch.int32))
+    candidates = torch.cat([directions, distance[None]])
+    by_sorting = sensing.first_in_view(candidates, in_view, world, of_circles)
+    in_a_graph = sensing.first_in_view(candidates.as_subclass(Traced), in_view, world, of_circles)
+    assert (by_sorting.numbers.shape, by_sorting.distance.shape) == ((4, 10, rows), (10, rows))
+    assert (torch.signbit(directions) & (directions == 0)).any()
+    filled = by_sorting.distance < torch.inf
+    assert torch.equal(filled.sum(0), in_view.sum(0).clamp(max=10))
+    for one, other in zip(by_sorting, in_a_graph, strict=True):
+        one, other = (torch.where(filled, part.as_subclass(torch.Tensor), 0.0) for part in (one, other))
+        assert torch.equal(one.view(torch.int32), other.view(torch.int32))
 
 
 def test_without_a_circle_the_border_is_sensed_as_beside_circles_out_of_reach():

@@ -1,4 +1,6 @@
-"""The hand-written prose: every block holds over the committed tables, and none is shown where it does not."""
+"""The hand-written prose: every block holds over the committed tables, and none is shown where it does
+not.
+"""
 
 import re
 from dataclasses import replace
@@ -26,9 +28,9 @@ WORDS = {"5", "6", "8", "16", "20", "26", "48", "0.001", "0.03", "10,000", "300,
 
 @pytest.fixture(scope="module")
 def numbers():
-    return {path.stem: pd.read_csv(path, keep_default_na=True) for path in (RESULTS / "tables").glob("*.csv")} | {
-        "sensitivity": pd.read_csv(RESULTS / "tables" / "sensitivity.csv").fillna({"flips": ""})
-    }
+    return {
+        path.stem: pd.read_csv(path, keep_default_na=True) for path in (RESULTS / "tables").glob("*.csv")
+    } | {"sensitivity": pd.read_csv(RESULTS / "tables" / "sensitivity.csv").fillna({"flips": ""})}
 
 
 @pytest.mark.parametrize("name", BLOCKS)
@@ -143,13 +145,6 @@ def test_a_line_of_markdown_has_its_links_on_a_page_and_nothing_else_of_it_is_ht
     assert listed("") == []
 
 
-def test_a_claim_without_a_sentence_shows_its_part_and_the_row(gathered):
-    rows = evidence.rows(gathered, dict.fromkeys(BLOCKS, ""))
-    assert [row.number for row in rows] == [claim.number for claim in CLAIMS]
-    shown = {row.number: row.said for row in rows}
-    assert shown[1] == "Some of its runs are missing."  # of two cells, one a claim's, there is no mean of four
-
-
 def test_the_papers_seven_contradictions_need_no_run_of_ours(numbers):
     ours = seeds_around(of_metric("reward", [0.1] * 4, [0.0] * 4), spread=0.001)
     assert frames.verdicts({PRIMARY: audit(ours, of_paper_per_frame)})["claim"].nunique() == len(CLAIMS)
@@ -161,7 +156,7 @@ def test_the_papers_seven_contradictions_need_no_run_of_ours(numbers):
     assert [LINK.sub(r"\1", shown) for *_, shown in rows[:2]] == ["−0.35", "−0.74"]
 
 
-def test_the_flights_are_the_rules_and_those_of_each_algorithms_best_cell_the_highest_reward_first():
+def test_episodes_are_the_rules_and_those_of_each_algorithms_best_configuration_the_highest_reward_first():
     columns = frames.gaps({}, {}).columns
     rows = [["reactive", "", "scripted", 10_000, 1, 200, 1.0, 428.0, None, None, 0.04, *[None] * 4]]
     for who, mode, reward, half in (
@@ -173,12 +168,12 @@ def test_the_flights_are_the_rules_and_those_of_each_algorithms_best_cell_the_hi
         gap = reward - 428.0
         own = [reward, reward - half, reward + half, 0.02, gap, gap - half, gap + half, 0.1]
         rows.append([who, who[:3].lower(), mode, 10_000, 20, 4000, 0.4, *own])
-    _, *shown = tables.flights(pd.DataFrame(rows, columns=columns), "results/")
+    _, *shown = tables.episodes(pd.DataFrame(rows, columns=columns), "results/")
     assert [row[0] for row in shown] == [
-        *("PPO with ReLU, greedy", "a hand-written rule (`reactive`)", "PPO with sigmoid, sampled"),
+        *("PPO with ReLU, greedy", "a scripted policy (`reactive`)", "PPO with sigmoid, sampled"),
         "DQN with leaky ReLU, sampled",
     ]
-    assert shown[1] == ["a hand-written rule (`reactive`)", "[428](results/tables/gaps.csv#L2)", "–", "100%"]
+    assert shown[1] == ["a scripted policy (`reactive`)", "[428](results/tables/gaps.csv#L2)", "–", "100%"]
     assert shown[2][1:] == ["[228 (178 to 278)](results/tables/gaps.csv#L3)", "−200 (−250 to −150)", "40%"]
-    nothing = tables.flights(pd.DataFrame(columns=columns))
-    assert nothing == [["test flights", "reward", "gap to the rule", "still flying at the limit"]]
+    nothing = tables.episodes(pd.DataFrame(columns=columns))
+    assert nothing == [["test episodes", "reward", "gap to the rule", "still flying at the limit"]]

@@ -27,7 +27,8 @@ if machine == "bare":
     error.write_text("no python here")
 if machine in ("first", "second"):
     facts = dict.fromkeys(["SLURM_NODEID", "SLURM_PROCID", "SLURM_LOCALID"], "0")
-    facts |= {{"SLURM_NTASKS": "1", "SLURM_JOB_NUM_NODES": "1", "SLURM_JOB_NODELIST": "x", "SLURM_JOB_ID": str(number)}}
+    facts |= {{"SLURM_NTASKS": "1", "SLURM_JOB_NUM_NODES": "1", "SLURM_JOB_NODELIST": "x"}}
+    facts |= {{"SLURM_JOB_ID": str(number)}}
     nobody = dict.fromkeys(["stdin", "stdout", "stderr"], subprocess.DEVNULL)
     subprocess.Popen(["bash", sys.argv[-1]], env=os.environ | facts, **nobody)
 print("Submitted batch job", number)
@@ -46,7 +47,9 @@ exec "$@"
 
 @pytest.fixture
 def slurm(tmp_path, monkeypatch):
-    """An engine on a cluster of machines: first and second see every folder, blind sees none, bare lacks Python."""
+    """An engine on a cluster of machines: first and second see every folder, blind sees none, bare lacks
+    Python.
+    """
     pytest.importorskip("submitit")
     from uavnav.studies.engines import slurm
 
@@ -75,7 +78,11 @@ def asked(tmp_path):
 @pytest.mark.parametrize(
     ("machine", "said"),
     [
-        ("blind", "out={out}: the machine blind of the SLURM cluster does not see it; give a folder that all machines"),
+        (
+            "blind",
+            "out={out}: the machine blind of the SLURM cluster does not see it; give a folder that all "
+            "machines",
+        ),
         ("bare", "engine=slurm: the machine bare of the SLURM cluster has no {python}; install uavnav there"),
     ],
 )
@@ -111,14 +118,18 @@ class Cluster:
     def remote(self, function):
         def call(asked, machine):
             if machine == "blind" and function is subprocess.call:
-                return function([word.replace(self.folder, self.disk) for word in asked], stderr=subprocess.DEVNULL)
+                return function(
+                    [word.replace(self.folder, self.disk) for word in asked], stderr=subprocess.DEVNULL
+                )
             return function(asked) and not (machine == "bare" and asked == sys.executable)
 
         def named(key):
             return bytes.fromhex(key).rstrip(b"\0").decode()
 
         def options(num_cpus, scheduling_strategy):
-            return types.SimpleNamespace(remote=lambda asked: (call, asked, named(scheduling_strategy.node_id)))
+            return types.SimpleNamespace(
+                remote=lambda asked: (call, asked, named(scheduling_strategy.node_id))
+            )
 
         return types.SimpleNamespace(options=options)
 
@@ -131,7 +142,11 @@ class Cluster:
 @pytest.mark.parametrize(
     ("machine", "said"),
     [
-        ("blind", "out={out}: the machine blind of the Ray cluster does not see it; give a folder that all machines"),
+        (
+            "blind",
+            "out={out}: the machine blind of the Ray cluster does not see it; give a folder that all "
+            "machines",
+        ),
         ("bare", "engine=ray: the machine bare of the Ray cluster has no {python}; install uavnav there"),
         ("silent", "engine=ray: the machine silent of the Ray cluster does not answer"),
         ("dead", None),
@@ -157,7 +172,9 @@ def test_every_living_machine_of_a_ray_cluster_is_asked(machine, said, tmp_path)
 
 @pytest.fixture
 def cluster(monkeypatch):
-    """Ray with the machines `living` and `gone`, of one CPU each; Ray has not seen that the second does not answer."""
+    """Ray with the machines `living` and `gone`, of one CPU each; Ray has not seen that the second does
+    not answer.
+    """
     ray = pytest.importorskip("ray")
     with socket.create_server(("127.0.0.1", 0)) as door, socket.socket() as shut:
         shut.bind(("127.0.0.1", 0))  # and listens to nobody

@@ -1,5 +1,6 @@
 """The site builds, and what its pages show runs: commands one after the other, snippets as they are."""
 
+import functools
 import importlib
 import importlib.util
 import json
@@ -24,12 +25,13 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands, play
 from uavnav.report import compare
 from uavnav.runs import metrics
-from uavnav.tasks import rewards, simulator
+from uavnav.runs.evaluations import Protocol
+from uavnav.tasks import rewards, table
 from uavnav.training import machine
 
 NAVIGATION = (ROOT / "mkdocs.yml").read_text()
 
-# -- the site ---------------------------------------------------------------------------------------------------------
+# -- the site ------------------------------------------------------------------------------------------------
 
 
 def build(folder):
@@ -49,7 +51,9 @@ def site(once):
 
 
 def test_every_page_is_built_and_every_module_of_the_api_has_content(site):
-    assert {str(Path(name).relative_to("docs").with_suffix(".html")) for name in ALL if name != "README.md"} <= {*site}
+    assert {
+        str(Path(name).relative_to("docs").with_suffix(".html")) for name in ALL if name != "README.md"
+    } <= {*site}
     for name, word in {
         "layouts": "load",
         "moving": "motion",
@@ -110,7 +114,8 @@ def test_every_page_tells_whom_it_is_sent_to_what_it_is(site):
             told = dict(re.findall(r'<meta (?:property|name)="((?:og|twitter):\w+)" content="([^"]+)"', page))
             assert {*told} >= {"og:title", "og:description", "og:image", "twitter:card"}, name
             assert told["og:image"].endswith("preview.png")
-    assert (ROOT / "results" / "preview.png").read_bytes()[16:24] == bytes.fromhex("000004b000000276")  # 1200 x 630
+    # 1200 x 630
+    assert (ROOT / "results" / "preview.png").read_bytes()[16:24] == bytes.fromhex("000004b000000276")
 
 
 def test_no_page_loads_anything_from_the_network(site):
@@ -172,7 +177,7 @@ def test_the_hook_tells_of_a_file_that_is_missing(monkeypatch):
     assert told == ["page.md links to uavnav/nothing.py, which is not in the repository"]
 
 
-# -- commands ---------------------------------------------------------------------------------------------------------
+# -- commands ------------------------------------------------------------------------------------------------
 
 COMMANDS = [
     (name, line.partition(" #")[0].strip())
@@ -208,7 +213,9 @@ def test_every_make_target_and_every_extra_that_a_page_shows_exists():
 
 
 def test_every_command_of_uavnav_that_a_page_shows_is_parsed():
-    of_uavnav = [words[1:] for _, command in COMMANDS if (words := as_uavnav(shlex.split(command)))[0] == "uavnav"]
+    of_uavnav = [
+        words[1:] for _, command in COMMANDS if (words := as_uavnav(shlex.split(command)))[0] == "uavnav"
+    ]
     assert len(of_uavnav) >= 70
     for name, *words in filter(None, of_uavnav):
         commands.parse(name, words)
@@ -230,19 +237,23 @@ PRESUMED = {"docs/bridges.md": ["uavnav train ppo"]}
 
 @pytest.fixture
 def carry_out(tmp_path, monkeypatch, undrawn):
-    """Runs a line in an empty folder, in this process, with tiny settings and a window that closes: its status."""
+    """Runs a line in an empty folder, in this process, with tiny settings and a window that closes: its
+    status.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.delenv("WANDB_MODE", raising=False)
     monkeypatch.setattr(machine, "cores", lambda: 1)  # no further processes
-    monkeypatch.setattr(compare, "EPISODES", 2)  # what it flies itself
-    monkeypatch.setattr(compare, "MAX_STEPS", 20)
+    # of its own episodes
+    monkeypatch.setattr(compare, "Protocol", functools.partial(Protocol, episodes=2, max_steps=20))
     show = play.show
     monkeypatch.setattr(play, "show", lambda game: (show(game), close_the_window()))
 
     def run(command):
         if command == "make train":
-            (command,) = re.findall(r"^train:.*\n\t\$\(BIN\)/(.*)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+            (command,) = re.findall(
+                r"^train:.*\n\t\$\(BIN\)/(.*)", (ROOT / "Makefile").read_text(), re.MULTILINE
+            )
         program, *words = as_uavnav(shlex.split(command))
         assert program == "uavnav"
         tiny = TINY.get(" ".join(words[:2])) or TINY.get(words[0], []) if words else []
@@ -282,7 +293,7 @@ def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_pat
                 assert (tmp_path / named).exists(), command
 
 
-# -- snippets ---------------------------------------------------------------------------------------------------------
+# -- snippets ------------------------------------------------------------------------------------------------
 
 
 ADDED = ("hardswish", "gentle", "full_stops_per_episode", "slow")
@@ -295,9 +306,10 @@ def test_the_snippets_of_a_page_run_one_after_the_other(name, tmp_path, monkeypa
     assert snippets
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    for added_to in (networks.ACTIVATIONS, rewards.REWARDS, metrics.METRICS, simulator.TASKS, ALGORITHMS):
+    for added_to in (networks.ACTIVATIONS, rewards.REWARDS, metrics.METRICS, table.TASKS, ALGORITHMS):
         for added in ADDED:
-            monkeypatch.setitem(added_to, added, ALGORITHMS["ppo"])  # taken back at the end, whatever snippets do
+            # taken back at the end, whatever snippets do
+            monkeypatch.setitem(added_to, added, ALGORITHMS["ppo"])
             del added_to[added]
     names: dict = {}
     for snippet in snippets:
@@ -306,7 +318,9 @@ def test_the_snippets_of_a_page_run_one_after_the_other(name, tmp_path, monkeypa
 
 def test_rows_of_a_callable_in_baselines_are_a_column_of_the_report_under_the_files_name(tmp_path):
     frames = importlib.import_module("uavnav.report.frames")
-    rows = uavnav.evaluate_policy(lambda observation, generator: torch.full([len(observation)], 9), episodes=3)
+    rows = uavnav.evaluate_policy(
+        lambda observation, generator: torch.full([len(observation)], 9), episodes=3
+    )
     (tmp_path / "baselines").mkdir()
     rows.to_parquet(tmp_path / "baselines" / "mine.parquet")
     found, unread = frames.baselines([tmp_path])

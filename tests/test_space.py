@@ -1,5 +1,6 @@
 """The worlds in 3D: sensing, motion, collision and reward against slow loops and closed forms."""
 
+import functools
 import math
 import re
 
@@ -13,18 +14,23 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import uavnav
-from uavnav.cli.layouts import main as write_banks
+from uavnav.cli import commands
 from uavnav.tasks import layouts, moving, space
-from uavnav.tasks.simulator import make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
+from uavnav.tasks.table import make_task
+
+write_layouts = functools.partial(commands.run, "layouts")
 
 SENSED = {"sense_velocity": True}
 SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]
 
 
 @pytest.fixture(scope="module")
-def banks():
-    return {"space": layouts.load("test", SpaceWorld()), "space-moving": layouts.load("test", SpaceMovingWorld())}
+def splits():
+    return {
+        "space": layouts.load("test", SpaceWorld()),
+        "space-moving": layouts.load("test", SpaceMovingWorld()),
+    }
 
 
 def pose(state, row):
@@ -35,23 +41,28 @@ def pose(state, row):
 def random_states(task, n, seed=5):
     """Poses over the box and a little beyond, all headings and pitches, at any moment."""
     generator = torch.Generator().manual_seed(seed)
-    layout, yaw = (torch.randint(most, (n,), generator=generator) for most in (len(task.bank), 360))
+    layout, yaw = (torch.randint(most, (n,), generator=generator) for most in (len(task.layouts), 360))
     x, y, z = (size * torch.rand(n, generator=generator) for size in task.world.size)
-    pitch, steps = torch.randint(-45, 46, (n,), generator=generator), torch.randint(300, (n,), generator=generator)
-    return task.place(layout, yaw)._replace(x=x, y=y, z=z, pitch=pitch, steps=steps)
+    pitch, steps = (
+        torch.randint(-45, 46, (n,), generator=generator),
+        torch.randint(300, (n,), generator=generator),
+    )
+    return task.task.start(layout, yaw)._replace(x=x, y=y, z=z, pitch=pitch, steps=steps)
 
 
-# -- what is sensed --------------------------------------------------------------------------------------------------
+# -- what is sensed ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["space", "space-moving"])
-def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop_by_every_switch(banks, name):
+def test_what_is_sensed_at_5000_poses_and_moments_equals_a_slow_loop_by_every_switch(splits, name):
     n, every = 5000, [(more, drawn) for more in ({}, SENSED) for drawn in oracle.SWITCHES]
     every = every[:4] if name == "space" else every
-    tasks = [make_task(banks[name], more | drawn, task=name) for more, drawn in every]
+    tasks = [make_task(splits[name], more | drawn, task=name) for more, drawn in every]
     state = random_states(tasks[0], n)
     poses = [pose(state, row) for row in range(n)]
-    found = [by_hand.look(*one, set_) for one, set_ in zip(poses, tasks[0].obstacles(state).tolist(), strict=True)]
+    found = [
+        by_hand.look(*one, set_) for one, set_ in zip(poses, tasks[0].obstacles(state).tolist(), strict=True)
+    ]
     kept = [row for row in range(n) if not by_hand.doubtful(found[row])]
     assert len(kept) > 0.9 * n
     for (more, drawn), task in zip(every, tasks, strict=True):
@@ -103,19 +114,20 @@ def test_at_a_height_of_its_own_and_level_a_slot_is_that_of_the_papers_world_bit
     ours, paper = make_task(flat, task="space"), make_task(circles)
     yaw, layout = torch.randint(360, (n,), generator=generator), torch.arange(n)
     x, y = 200 + 400 * torch.rand(n, generator=generator), 200 + 200 * torch.rand(n, generator=generator)
-    seen = ours.observe(ours.place(layout, yaw)._replace(x=x, y=y))[0].reshape(n, 10, 4)
-    expected = paper.observe(paper.place(layout, yaw)._replace(x=x, y=y))[0].reshape(n, 10, 3)
+    seen = ours.observe(ours.start(layout, yaw)._replace(x=x, y=y))[0].reshape(n, 10, 4)
+    expected = paper.observe(paper.start(layout, yaw)._replace(x=x, y=y))[0].reshape(n, 10, 3)
     assert torch.equal(seen[..., [0, 2, 3]], expected)  # where no wall is in reach
     assert not seen[..., 1].any()
 
 
 @pytest.mark.parametrize(("name", "fields"), SWITCHES)
-def test_what_faults_make_of_it_is_said_of_true_slots(banks, name, fields):
+def test_what_faults_make_of_it_is_said_of_true_slots(splits, name, fields):
     given = {"noise": 4.0, "lost": 0.3}
-    task = make_task(banks[name], fields, task=name, faults=given)
+    task = make_task(splits[name], fields, task=name, faults=given)
     state, draws = random_states(task, 300), task.draw(300, torch.Generator().manual_seed(1))
-    true, near = task.sense(state)
-    found, clearance = task.sense(state, draws)
+    true, near = task.task.observe(state)
+    memory = task.remember(state, draws)
+    found, clearance = memory.seen[:, 0], task.observe(memory)[1]
     true, found = (one.reshape(300, 10, -1) for one in (true, found))
     assert torch.equal(near, clearance)
     lost = (draws[:, 10:20] < 0.3) | (true[..., :3] == 0).all(-1)
@@ -127,7 +139,7 @@ def test_what_faults_make_of_it_is_said_of_true_slots(banks, name, fields):
     torch.testing.assert_close(found[..., 3][inside], noisy[inside], rtol=0, atol=1e-5)
 
 
-# -- how it flies ----------------------------------------------------------------------------------------------------
+# -- how it flies --------------------------------------------------------------------------------------------
 
 
 def test_the_100_actions_ask_for_five_yaws_five_pitches_and_four_distances():
@@ -161,9 +173,9 @@ def test_28_steps_straight_ahead_from_the_start_of_an_empty_box_and_the_wall_is_
     assert state.reward.item() == pytest.approx(27 * 0.09 - 10)
 
 
-def test_a_late_observation_and_an_action_that_sticks_are_those_of_a_loop(banks):
-    task = make_task(banks["space"], task="space", faults={"late": 2, "sticky": 0.5}, stack=2)
-    clear = make_task(banks["space"], task="space")
+def test_a_late_observation_and_an_action_that_sticks_are_those_of_a_loop(splits):
+    task = make_task(splits["space"], task="space", faults={"late": 2, "sticky": 0.5}, stack=2)
+    clear = make_task(splits["space"], task="space")
     generator = torch.Generator().manual_seed(4)
     layout = torch.arange(30)
     state = task.start(layout, 0 * layout + 90, task.draw(30, generator))
@@ -179,20 +191,12 @@ def test_a_late_observation_and_an_action_that_sticks_are_those_of_a_loop(banks)
         assert all(torch.equal(getattr(state, name), getattr(mine, name)) for name in mine._fields)
 
 
-@pytest.mark.parametrize(("name", "fields"), SWITCHES)
-def test_rows_do_not_see_each_other(banks, name, fields):
-    task = make_task(banks[name], fields, task=name)
-    states = random_states(task, 6)
-    together, outcomes = task.step(states, torch.arange(6) * 13)
-    for row in range(6):
-        alone, outcome = task.step(type(states)(*(part[row] for part in states)), torch.tensor(row * 13))
-        for a, b in zip((*together, *outcomes), (*alone, *outcome), strict=True):
-            assert torch.equal(a[row], b)
-
-
 @pytest.mark.parametrize(("name", "fastest"), [("space", 0), ("space-moving", 2)])
 @settings(max_examples=40, deadline=None)
-@given(st.lists(st.tuples(st.just(3) | st.integers(0, 99), st.integers(1, 20)), min_size=1, max_size=6), st.data())
+@given(
+    st.lists(st.tuples(st.just(3) | st.integers(0, 99), st.integers(1, 20)), min_size=1, max_size=6),
+    st.data(),
+)
 def test_no_step_leads_through_a_sphere_or_a_wall_and_counts_add_up(name, fastest, stretches, data):
     task = make_task("test", SENSED if fastest else {}, task=name)
     low = torch.tensor(task.world.observation_low)
@@ -218,21 +222,22 @@ def test_no_step_leads_through_a_sphere_or_a_wall_and_counts_add_up(name, fastes
         assert math.hypot(*(way.item() for way in ways)) == pytest.approx(distance, abs=1e-3)
         assert -45 <= state.pitch.item() <= 45
         if outcome.terminated:
-            assert outcome.clearance.item() > 30 - 9 - fastest - 1e-3  # a sphere has 30 px: nothing is jumped over
+            # a sphere has 30 px: nothing is jumped over
+            assert outcome.clearance.item() > 30 - 9 - fastest - 1e-3
             return
         before = state
 
 
-# -- banks -----------------------------------------------------------------------------------------------------------
+# -- layouts -------------------------------------------------------------------------------------------------
 
 
 def test_the_three_splits_have_40_spheres_a_set_uniform_in_the_box_and_velocities_uniform_over_directions():
     found = []
     for split, (n, seed) in layouts.SPLITS.items():
-        bank, header = layouts.read(split, SpaceWorld())
+        all_layouts, header = layouts.read(split, SpaceWorld())
         moved, told = layouts.read(split, SpaceMovingWorld())
-        assert (bank.shape, moved.shape) == ((n, 40, 4), (n, 40, 7))
-        assert torch.equal(moved[..., :4], bank)
+        assert (all_layouts.shape, moved.shape) == ((n, 40, 4), (n, 40, 7))
+        assert torch.equal(moved[..., :4], all_layouts)
         assert (header["task"], header["k"], header["generator_seed"]) == ("space", "40", str(seed))
         assert (told["task"], told["speed_max"]) == ("space-moving", "2.0")
         found.append(moved[:1000].reshape(-1, 7))
@@ -253,7 +258,7 @@ def test_spheres_fill_about_as_much_of_the_box_as_the_papers_circles_of_the_wind
     task, paper = make_task("validation", task="space"), make_task("validation")
     state = random_states(task, 20_000)
     x, y = (torch.rand(20_000, generator=generator) * size for size in (800, 600))
-    flat = paper.place(torch.arange(20_000) % 1000, torch.zeros(20_000, dtype=torch.int64))._replace(x=x, y=y)
+    flat = paper.start(torch.arange(20_000) % 1000, torch.zeros(20_000, dtype=torch.int64))._replace(x=x, y=y)
 
     def filled(obstacles, place):
         away = (obstacles[..., :-1] - torch.stack(place, -1)[:, None]).norm(dim=-1)
@@ -263,9 +268,9 @@ def test_spheres_fill_about_as_much_of_the_box_as_the_papers_circles_of_the_wind
     assert spheres == pytest.approx(filled(paper.obstacles(flat), (x, y)), abs=0.05)
 
 
-def test_after_a_thousand_steps_100_spheres_are_where_a_loop_that_bounces_them_has_them(banks):
-    where, how = moving.motion(banks["space-moving"][:3], torch.full((3,), 1000), SpaceMovingWorld())
-    expected = [by_hand.drift(rows, 1000) for rows in banks["space-moving"][:3].double().tolist()]
+def test_after_a_thousand_steps_100_spheres_are_where_a_loop_that_bounces_them_has_them(splits):
+    where, how = moving.motion(splits["space-moving"][:3], torch.full((3,), 1000), SpaceMovingWorld())
+    expected = [by_hand.drift(rows, 1000) for rows in splits["space-moving"][:3].double().tolist()]
     places, velocities = (torch.tensor([[one[part] for one in row] for row in expected]) for part in (0, 1))
     torch.testing.assert_close(where, places, rtol=0, atol=1e-4)
     torch.testing.assert_close(how, velocities, rtol=0, atol=1e-6)
@@ -273,23 +278,34 @@ def test_after_a_thousand_steps_100_spheres_are_where_a_loop_that_bounces_them_h
 
 @pytest.mark.parametrize("name", ["space", "space-moving"])
 def test_files_of_spheres_are_what_their_seed_generates_and_fly_in_their_world_alone(name, tmp_path, capsys):
-    assert write_banks(["--task", name, "--n", "5", "--split", "test", "--out", str(tmp_path)]) == 0
+    assert write_layouts(["--task", name, "--n", "5", "--split", "test", "--out", str(tmp_path)]) == 0
     path = tmp_path / f"{name}-test.safetensors"
-    assert write_banks(["--check", str(path)]) == 0
-    assert "5 sets of 40 obstacles" in capsys.readouterr().out
-    assert make_task(path, task=name).bank.shape[:2] == (5, 40)
-    with pytest.raises(uavnav.LayoutError, match=f"a bank of task={name}, not of task=drone; give one of those"):
+    assert write_layouts(["--check", str(path)]) == 0
+    assert "5 layouts of 40 obstacles" in capsys.readouterr().out
+    assert make_task(path, task=name).layouts.shape[:2] == (5, 40)
+    with pytest.raises(
+        uavnav.LayoutError, match=f"a layout file of task={name}, not of task=drone; give one of those"
+    ):
         make_task(path)
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"world": {"depth": 280}}, "depth=280; give above 280 px, or two opposite walls are in reach at once"),
+        (
+            {"world": {"depth": 280}},
+            "depth=280; give above 280 px, or two opposite walls are in reach at once",
+        ),
         ({"world": {"speed_max": 1.0}}, "there is no key 'world.speed_max'; choose from "),
-        ({"layouts": torch.ones(2, 3, 3)}, "a bank has the shape [n > 0, k, 4], not [2, 3, 3]"),
-        ({"layouts": torch.tensor([[[400.0, 300, 340, 30]]])}, "obstacle 0 of set 0 is nearer than 50 px to the start"),
-        ({"layouts": torch.tensor([[[0.0, 0, 0, 29]]])}, "obstacle 0 of set 0 has a radius outside 30 ... 100 px"),
+        ({"layouts": torch.ones(2, 3, 3)}, "layouts have the shape [n > 0, k, 4], not [2, 3, 3]"),
+        (
+            {"layouts": torch.tensor([[[400.0, 300, 340, 30]]])},
+            "obstacle 0 of set 0 is nearer than 50 px to the start",
+        ),
+        (
+            {"layouts": torch.tensor([[[0.0, 0, 0, 29]]])},
+            "obstacle 0 of set 0 has a radius outside 30 ... 100 px",
+        ),
         (
             {"layouts": torch.tensor([[[0.0, 0, 601, 30, 0, 0, 0]]]), "task": "space-moving"},
             "obstacle 0 of set 0 has its centre outside the box",

@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 import space_by_hand as by_hand
 import torch
-from torchrl.envs.utils import check_env_specs
 
-from uavnav import DroneEnv, evaluation, load_policy
+from uavnav import evaluation, load_policy
 from uavnav.algorithms import a2c, c51, dqn, ppo, sac
 from uavnav.envs import drawing
 from uavnav.evaluation.repeats import pose_of
 from uavnav.tasks import baselines, space
 from uavnav.tasks.baselines import BASELINES, suited
 from uavnav.tasks.rewards import bounds_of_returns
-from uavnav.tasks.simulator import make_task
 from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
+from uavnav.tasks.table import make_task
 from uavnav.training import probes
 from uavnav.views import render
 from uavnav.views.window import game as rules
@@ -28,7 +27,7 @@ SENSED = {"sense_velocity": True}
 SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]
 
 
-# -- what learns in it -----------------------------------------------------------------------------------------------
+# -- what learns in it ---------------------------------------------------------------------------------------
 
 
 def test_a_return_lies_between_the_worst_collision_and_9_px_a_step():
@@ -38,13 +37,15 @@ def test_a_return_lies_between_the_worst_collision_and_9_px_a_step():
 
 def test_a_pose_that_comes_again_has_the_same_place_yaw_and_pitch():
     task = make_task("test", task="space")
-    assert pose_of(task.place(torch.tensor(0), torch.tensor(90))) == ["x", "y", "heading", "z", "pitch"]
-    assert pose_of(make_task("test").place(torch.tensor(0), torch.tensor(90))) == ["x", "y", "heading"]
+    assert pose_of(task.start(torch.tensor(0), torch.tensor(90))) == ["x", "y", "heading", "z", "pitch"]
+    assert pose_of(make_task("test").start(torch.tensor(0), torch.tensor(90))) == ["x", "y", "heading"]
     assert probes.poses(task).shape == (512, 40)
 
 
-def test_a_flight_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_were_flown(tmp_path):
-    config = ppo.PPOConfig(task="space", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1)
+def test_an_episode_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_were_flown(tmp_path):
+    config = ppo.PPOConfig(
+        task="space", total_frames=64, n_envs=1, frames_per_batch=64, hidden=(8,), epochs=1
+    )
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     greedy = load_policy(run.path, greedy=True)
     task = evaluation.on(greedy.task, "test", 10, 2000)
@@ -63,7 +64,9 @@ def test_a_flight_that_goes_round_in_pitch_too_is_counted_to_its_cap_as_if_it_we
         (sac, sac.SACConfig, {"learning_starts": 32, "batch_size": 8}),
     ],
 )
-def test_each_kind_of_algorithm_takes_the_size_of_the_observation_from_the_task(module, kind, settings, tmp_path):
+def test_each_kind_of_algorithm_takes_the_size_of_the_observation_from_the_task(
+    module, kind, settings, tmp_path
+):
     given = {
         "task": "space-moving",
         "world": SENSED,
@@ -82,17 +85,7 @@ def test_fields_are_the_boxs_and_those_of_moving_obstacles_where_they_move():
     assert (SpaceMovingWorld().n_actions, SpaceMovingWorld(**SENSED).observation_size) == (100, 70)
 
 
-# -- the shells ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("name", "fields"), SWITCHES)
-def test_torchrl_finds_nothing_wrong_with_its_environment_and_resets_go_on(name, fields):
-    env = DroneEnv([2, 3], "test", task=name, world=fields, seeds=[0, 1], max_steps=20)
-    check_env_specs(env)
-    torch.manual_seed(0)
-    rows = env.rollout(50, break_when_any_done=False)
-    assert rows["next", "done"].any()
-    assert rows["observation"].shape == (2, 3, 50, 70 if fields else 40)
+# -- the shells ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("name", "fields"), SWITCHES)
@@ -100,11 +93,13 @@ def test_single_and_vector_environments_fly_the_same_steps_and_say_where_they_ar
     known = {"space": "uavnav/Space-v0", "space-moving": "uavnav/SpaceMoving-v0"}[name]
     one = gymnasium.make(known, layouts="test", **fields)
     many = gymnasium.make_vec(known, num_envs=2, layouts="test", **fields)
-    sets = one.unwrapped.bank.double().tolist()
+    sets = one.unwrapped.layouts.double().tolist()
     seen, info = one.reset(options={"layout": 3})
     both, infos = many.reset(options={"layout": [3, 3]})
     place, yaw, pitch = by_hand.START, 90, 0
-    for t, action in enumerate(torch.randint(100, (30,), generator=torch.Generator().manual_seed(1)).tolist()):
+    for t, action in enumerate(
+        torch.randint(100, (30,), generator=torch.Generator().manual_seed(1)).tolist()
+    ):
         np.testing.assert_array_equal(seen, both[1])
         assert one.observation_space.contains(seen)
         assert (info["x"], info["y"], info["z"]) == pytest.approx(place, abs=1e-3)
@@ -123,11 +118,15 @@ def test_single_and_vector_environments_fly_the_same_steps_and_say_where_they_ar
     assert t > 5
 
 
-# -- scripted rules --------------------------------------------------------------------------------------------------
+# -- scripted rules ------------------------------------------------------------------------------------------
 
 
 def test_names_of_scripted_policies_stand_for_rules_of_the_box():
-    still, moving_, paper = make_task("test", task="space"), make_task("test", SENSED, task="space-moving"), make_task()
+    still, moving_, paper = (
+        make_task("test", task="space"),
+        make_task("test", SENSED, task="space-moving"),
+        make_task(),
+    )
     assert suited(BASELINES["random"], still) is BASELINES["random"]
     assert suited(BASELINES["straight"], still)(torch.zeros(2, 40), None).tolist() == [3, 3]
     assert suited(BASELINES["straight"], paper) is BASELINES["straight"]
@@ -165,7 +164,7 @@ def test_both_rules_turn_from_what_is_close_ahead_and_fly_on_where_it_is_far(slo
     assert baselines.reactive_in_the_box(seen).item() == (40 if near else 3)
 
 
-# -- pictures --------------------------------------------------------------------------------------------------------
+# -- pictures ------------------------------------------------------------------------------------------------
 
 
 def test_a_picture_shows_the_slice_through_the_drone_from_above_and_from_the_side():
@@ -179,7 +178,8 @@ def test_a_picture_shows_the_slice_through_the_drone_from_above_and_from_the_sid
     assert colour(410, 190, 0) == colour(410, 340, 1) == drawing.DRONE
     for view in (0, 1):
         assert colour(5, 300, view) == colour(795, 300, view) == colour(300, 5, view) == drawing.BORDER
-    assert drawing.GROUND != colour(600, 300, 0) != drawing.OBSTACLE  # 50 px above it: no slice, a pale silhouette ...
+    # 50 px above it: no slice, a pale silhouette ...
+    assert drawing.GROUND != colour(600, 300, 0) != drawing.OBSTACLE
     assert drawing.GROUND != colour(600, 300, 1) != drawing.OBSTACLE  # ... and so 100 px beside it
     assert colour(700, 100, 0) == drawing.GROUND
     cut = drawing.draw_state(by_hand.at(task, (400, 300, 330), 90, 0), task)
@@ -188,11 +188,11 @@ def test_a_picture_shows_the_slice_through_the_drone_from_above_and_from_the_sid
     assert tuple(cut[599 - 342, 600]) != drawing.OBSTACLE
 
 
-def test_a_film_of_a_flight_in_3d_has_both_views_and_a_trail_in_each():
+def test_a_film_of_an_episode_in_3d_has_both_views_and_a_trail_in_each():
     task = make_task(torch.empty(1, 0, 4), task="space")
     climb = functools.partial(_always, action=4 + 3)
-    flown = render.fly(render.Pilot("climbs", climb, task), task.bank, 0, 12)
-    film = render.Film([flown], task.bank[0], 320)
+    flown = render.fly(render.Pilot("climbs", climb, task), task.layouts, 0, 12)
+    film = render.Film([flown], task.layouts[0], 320)
     assert film[0].shape[1] == 320
     assert (film[0] != film[-1]).any()
     left, right = np.hsplit(np.abs(film[0].astype(int) - film[-1]).sum(-1) > 0, [160])
@@ -204,7 +204,7 @@ def in_the_window(*pilots):
     """A game in an empty box, which nobody has flown yet."""
     task = make_task(torch.empty(3, 0, 4), task="space")
     you = render.Pilot("you", rules.nobody, task)
-    return rules.new([render.Pilot("scripted", one, task) for one in pilots], task.bank, "test", 0, you)
+    return rules.new([render.Pilot("scripted", one, task) for one in pilots], task.layouts, "test", 0, you)
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,9 @@ def in_the_window(*pilots):
         (("g", "right"), True, -2, -2, 0),
     ],
 )
-def test_in_the_window_a_person_turns_pitches_and_flies_by_what_actions_in_3d_have(keys, shift, turned, pitched, flown):
+def test_in_the_window_a_person_turns_pitches_and_flies_by_what_actions_in_3d_have(
+    keys, shift, turned, pitched, flown
+):
     game = in_the_window()
     game = window_keys.press(game, "left shift") if shift else game
     for name in keys:

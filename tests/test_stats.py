@@ -1,4 +1,6 @@
-"""The statistics on data whose answer is known: coverage by simulation, Holm by hand, interactions, censoring."""
+"""The statistics on data whose answer is known: coverage by simulation, Holm by hand, interactions,
+censoring.
+"""
 
 import warnings
 
@@ -68,7 +70,9 @@ def test_the_95_percent_interval_of_20_normal_seeds_covers_the_mean_in_about_95_
 
 
 def covered(first, second, n, draws=1000):
-    """Share of simulated studies of n seeds a cell whose interval covers the difference; draws of means and spreads."""
+    """Share of simulated studies of n seeds a configuration whose interval covers the difference; draws
+    of means and spreads.
+    """
     rng = np.random.default_rng(1)
     found = [
         stats.difference([rng.normal(*one, n) for one in first], [rng.normal(*one, n) for one in second])
@@ -84,7 +88,7 @@ def test_the_interval_of_a_difference_covers_it_in_95_percent_with_five_seeds_to
     assert 0.94 <= covered([(3.0, 1.0), (9.0, 5.0)], [(1.0, 2.0), (7.0, 0.1)], n) <= 0.98
 
 
-def test_a_difference_of_two_cells_is_that_of_welchs_test():
+def test_a_difference_of_two_configurations_is_that_of_welchs_test():
     first, second = np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.0, 3.0, -8.0])
     expected = ttest_ind(first, second, equal_var=False)
     found = stats.difference([first], [second])
@@ -103,27 +107,33 @@ def test_a_difference_without_scatter_is_a_point_and_of_one_seed_or_none_has_no_
 
 
 def test_a_slow_loop_over_studies_gives_the_contrasts_of_all_at_once():
-    """Of two contrasts of three cells: a mean against two, and two cells."""
+    """Of two contrasts of three configurations: a mean against two, and two configurations."""
     rng = np.random.default_rng(0)
     samples = [rng.normal(size=(4, n)) for n in (3, 5, 6)]
     weights = np.array([[1, -0.5, -0.5], [0, 1, -1]])
     found = stats.welch(samples, weights)
     for study in range(4):
         for row, of_row in enumerate(weights):
-            parts = [w * w * one[study].var(ddof=1) / one.shape[-1] for w, one in zip(of_row, samples, strict=True)]
-            df = sum(parts) ** 2 / sum(part**2 / (one.shape[-1] - 1) for part, one in zip(parts, samples, strict=True))
+            parts = [
+                w * w * one[study].var(ddof=1) / one.shape[-1] for w, one in zip(of_row, samples, strict=True)
+            ]
+            df = sum(parts) ** 2 / sum(
+                part**2 / (one.shape[-1] - 1) for part, one in zip(parts, samples, strict=True)
+            )
             mean = sum(w * one[study].mean() for w, one in zip(of_row, samples, strict=True))
             assert found.value[study, row] == pytest.approx(mean)
             assert found.error[study, row] == pytest.approx(sum(parts) ** 0.5)
             assert found.df[study, row] == pytest.approx(df)
 
 
-def test_a_paired_contrast_is_students_of_each_seeds_own_and_a_cell_of_one_seed_is_refused():
+def test_a_paired_contrast_is_students_of_each_seeds_own_and_a_configuration_of_one_seed_is_refused():
     first, second = np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.0, 3.0])
     found, expected = stats.welch([first, second], np.array([[1, -1]]), paired=True), ttest_rel(first, second)
     assert 2 * found.above()[0] == pytest.approx(expected.pvalue)
     assert found.df[0] == 2
-    with pytest.raises(ValueError, match="a cell has fewer than two seeds; an error needs at least two"):
+    with pytest.raises(
+        ValueError, match="a configuration has fewer than two seeds; an error needs at least two"
+    ):
         stats.welch([first, second[:1]], np.array([[1, -1]]))
 
 
@@ -147,7 +157,9 @@ def test_95_percent_of_single_new_seeds_lie_within_the_prediction_interval():
 
 
 def test_a_number_among_five_seeds_by_hand():
-    """Student's t of 4 is 2.776; five seeds of standard deviation 1.581 predict 3 -+ 2.776 * 1.581 * sqrt(1.2)."""
+    """Student's t of 4 is 2.776; five seeds of standard deviation 1.581 predict 3 -+ 2.776 * 1.581 *
+    sqrt(1.2).
+    """
     seeds = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     found = stats.prediction(seeds, 4.0)
     assert (found.percentile, found.within, found.n) == (70, True, 5)
@@ -171,7 +183,14 @@ def test_the_interquartile_mean_is_scipys_trimmed_mean_of_a_quarter_bit_for_bit(
 
 def test_intervals_of_many_rows_are_those_of_each_row_alone():
     rng = np.random.default_rng(3)
-    rows = [*rng.normal(size=(6, 20)), rng.normal(size=5), np.full(20, 7.0), np.array([1.0]), np.array([]), [0, 0, 1]]
+    rows = [
+        *rng.normal(size=(6, 20)),
+        rng.normal(size=5),
+        np.full(20, 7.0),
+        np.array([1.0]),
+        np.array([]),
+        [0, 0, 1],
+    ]
     rows[2][::3] = np.nan
     both = [np.mean, stats.interquartile_mean]
     for row, found in zip(rows, stats.intervals(rows, both), strict=True):
@@ -198,7 +217,9 @@ def test_episodes_within_seeds_widen_the_interval_and_a_seed_of_many_episodes_we
 def test_the_interval_of_few_seeds_of_10_episodes_covers_the_mean_in_88_to_100_percent_of_200_draws(
     seeds, spread, monkeypatch
 ):
-    """Seeds differ by 1, episodes of a seed by `spread`; of no seeds' own noise the intervals are too wide."""
+    """Seeds differ by 1, episodes of a seed by `spread`; of no seeds' own noise the intervals are too
+    wide.
+    """
     monkeypatch.setattr(stats, "RESAMPLES", 500)
     rng = np.random.default_rng(0)
     drawn = [[rng.normal(rng.normal(7.0, 1.0), spread, (1, 10)) for _ in range(seeds)] for _ in range(200)]
@@ -206,7 +227,7 @@ def test_the_interval_of_few_seeds_of_10_episodes_covers_the_mean_in_88_to_100_p
     assert 0.88 <= np.mean([one.low <= 7.0 <= one.high for one in found]) <= 1.0
 
 
-def test_probability_of_improvement_of_known_cells():
+def test_probability_of_improvement_of_known_configurations():
     table = stats.improvement(
         {"high": np.array([3.0, 4.0, 5.0]), "low": np.array([0.0, 1.0, 2.0]), "one": np.array([2.0])}
     )
@@ -221,7 +242,11 @@ def test_probability_of_improvement_of_known_cells():
 def table_of(means, n=12, scale=None, seed=0):
     rng = np.random.default_rng(seed)
     rows = [
-        {"algorithm": algorithm, "activation": activation, "value": scale[algorithm] * (mean + rng.normal(0, 0.5))}
+        {
+            "algorithm": algorithm,
+            "activation": activation,
+            "value": scale[algorithm] * (mean + rng.normal(0, 0.5)),
+        }
         for (algorithm, activation), mean in means.items()
         for _ in range(n)
     ]
@@ -242,7 +267,9 @@ def of_order(ppo, dqn):
 
 
 def false_positives(first, second, n):
-    """Share of 60 simulated studies of n seeds a cell, of spread 1, in which a crossover is found."""
+    """Share of 60 simulated studies of n seeds a configuration, of spread 1, in which a crossover is
+    found.
+    """
     rng = np.random.default_rng(0)
     studies = [[[rng.normal(mean, 1, n) for mean in means] for means in (first, second)] for _ in range(60)]
     return np.mean([stats._crossover(*study, rng) < 0.05 for study in studies])
@@ -255,7 +282,7 @@ def test_the_same_order_of_activations_at_another_scale_is_no_crossover():
     assert found.n == 12
 
 
-def test_a_reversed_order_of_activations_is_a_crossover_of_the_smallest_p_that_12_pairs_and_19999_permutations_give():
+def test_a_reversed_order_of_activations_is_a_crossover_of_smallest_p_12_pairs_and_19999_permutations_give():
     found = stats.interaction(table_of(of_order(range(4), (0, -1, -2, -3)), scale={"ppo": 50.0, "dqn": 1.0}))
     assert found.p_ranks == pytest.approx(12 / 20_000)
 
@@ -267,12 +294,18 @@ def test_two_activations_that_change_places_are_enough():
 
 
 @pytest.mark.parametrize("n", [8, 20])
-def test_an_equal_order_at_unequal_noise_and_spacing_is_found_to_differ_in_at_most_5_percent(n, few_permutations):
-    """Cells lie up to 100 standard deviations apart under the first algorithm, up to 2 under the second."""
+def test_an_equal_order_at_unequal_noise_and_spacing_is_found_to_differ_in_at_most_5_percent(
+    n, few_permutations
+):
+    """Configurations lie up to 100 standard deviations apart under the first algorithm, up to 2 under the
+    second.
+    """
     assert false_positives((0, 10, 20, 100), (0, 0.2, 0.4, 2.0), n) <= 0.05
 
 
-def test_where_one_algorithms_activations_are_all_alike_at_most_5_percent_of_studies_find_a_crossover(few_permutations):
+def test_where_one_algorithms_activations_are_all_alike_at_most_5_percent_of_studies_find_a_crossover(
+    few_permutations,
+):
     """The hardest of equal orders: one half of each crossover is certain."""
     assert false_positives((0, 10, 20, 30), (0, 0, 0, 0), 8) <= 0.05
 
@@ -284,7 +317,7 @@ def test_one_sided_p_values_of_two_and_two_seeds_are_those_of_their_six_orders()
     assert below == 1.0
 
 
-def test_one_seed_a_cell_gives_no_test():
+def test_one_seed_a_configuration_gives_no_test():
     means = {(algorithm, name): 0.0 for algorithm in ("ppo", "dqn") for name in "ab"}
     found = stats.interaction(table_of(means, n=1, scale={"ppo": 1, "dqn": 1}))
     assert np.isnan([found.p_ranks, found.p_raw]).all()
@@ -306,9 +339,12 @@ def test_seeds_needed_for_a_difference_of_one_standard_deviation_are_17_whatever
     values = rng.normal(0, 1, 50)
     values = (values - values.mean()) / values.std(ddof=1)
     for seen in (0, 1, 50):
+        # Cohen
         assert (
-            stats.seeds_needed(values + seen, values, 1) == stats.seeds_needed(values + seen, values, -1) == 17
-        )  # Cohen
+            stats.seeds_needed(values + seen, values, 1)
+            == stats.seeds_needed(values + seen, values, -1)
+            == 17
+        )
         assert stats.seeds_needed(values + seen, values, 0) == np.inf
     assert np.isnan(stats.seeds_needed(values[:1], values, 1))
     assert np.isnan(stats.seeds_needed(values, values, np.nan))
@@ -345,7 +381,9 @@ def test_where_bca_is_undefined_the_interval_is_of_percentiles_and_no_warning_es
     options = {"n_resamples": stats.RESAMPLES, "rng": np.random.default_rng(0)}
     with warnings.catch_warnings(action="ignore"):
         assert np.isnan(bootstrap((values,), middle, method="BCa", **options).confidence_interval.low)
-    percentiles = bootstrap((values,), middle, method="percentile", **options | {"rng": np.random.default_rng(0)})
+    percentiles = bootstrap(
+        (values,), middle, method="percentile", **options | {"rng": np.random.default_rng(0)}
+    )
     assert (found.low, found.high) == tuple(percentiles.confidence_interval)
     assert found.value == 0
     assert found.low == 0 < found.high
@@ -365,7 +403,8 @@ def test_an_interval_of_any_seeds_is_known_from_2_on_without_a_warning(seeds):
 def test_no_test_of_interaction_warns_where_seeds_are_all_alike():
     means = {(algorithm, name): 1.0 for algorithm in ("ppo", "dqn") for name in "abcd"}
     table = pd.DataFrame(
-        [(*cell, mean) for cell, mean in means.items() for _ in range(3)], columns=["algorithm", "activation", "value"]
+        [(*configuration, mean) for configuration, mean in means.items() for _ in range(3)],
+        columns=["algorithm", "activation", "value"],
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")

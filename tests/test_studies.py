@@ -1,4 +1,6 @@
-"""Which cells belong to which study, and what each reading says of them: made-up cells, numbers known by hand."""
+"""Which configurations belong to which study, and what each metric definition says of them: made-up
+configurations, numbers known by hand.
+"""
 
 import itertools
 
@@ -10,10 +12,20 @@ from hypothesis import strategies as st
 from made_up import episodes, in_study, run
 
 from uavnav.report.claims import PRIMARY
-from uavnav.report.studies import Rows, Studies, hours, in_none, of_paper, paper_cells, seeds, sort, wide
+from uavnav.report.studies import (
+    Rows,
+    Studies,
+    hours,
+    in_none,
+    of_paper,
+    paper_configurations,
+    seeds,
+    sort,
+    wide,
+)
 from uavnav.runs import paper
+from uavnav.runs.definitions import ALL, LOG_CURVE, TOTALS
 from uavnav.runs.metrics import LAST
-from uavnav.runs.readings import ALL, LOG_CURVE, PER_FRAME, TOTALS
 
 IN_ONE = {"preset": "paper", "n_envs": 1}
 SHORT = {"total_frames": 300_000, "frames": 300_000, "exploration_fraction": 1 / 3}
@@ -21,19 +33,19 @@ LISTED = {"world.slots": "listed"}
 ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
 
 
-def flights(*rows):
+def own_episodes(*rows):
     return episodes("seed frame steps stops turns distance reward terminated truncated", *rows)
 
 
-def cell(algorithm="ppo", activation="tanh", rows=(), **changes):
-    return in_study(algorithm, activation, flights(*rows), **changes)
+def configuration(algorithm="ppo", activation="tanh", rows=(), **changes):
+    return in_study(algorithm, activation, own_episodes(*rows), **changes)
 
 
 def grid(algorithms=("ppo", "dqn"), activations=ACTIVATIONS, **changes):
-    return [cell(*key, **changes) for key in itertools.product(algorithms, activations)]
+    return [configuration(*key, **changes) for key in itertools.product(algorithms, activations)]
 
 
-# -- sort -------------------------------------------------------------------------------------------------------------
+# -- sort ----------------------------------------------------------------------------------------------------
 
 
 def in_many(*algorithms, **changes):
@@ -45,11 +57,11 @@ def test_a_run_goes_where_the_study_that_its_meta_json_names_belongs():
         [
             *in_many(),
             *grid(study="paper", **IN_ONE),
-            cell(study="initial", **SHORT),
-            cell(study="initial", reward="initial", **SHORT),
-            cell("dqn", "elu", study="wide", **SHORT),
-            cell("dqn", study="tuned", preset="fast", lr=1.0, **LISTED),
-            cell("a2c", study="algorithms", n_envs=8),
+            configuration(study="initial", **SHORT),
+            configuration(study="initial", reward="initial", **SHORT),
+            configuration("dqn", "elu", study="wide", **SHORT),
+            configuration("dqn", study="tuned", preset="fast", lr=1.0, **LISTED),
+            configuration("a2c", study="algorithms", n_envs=8),
         ]
     )
     assert [*found.main] == [*paper.TABLES]
@@ -69,22 +81,30 @@ def test_a_run_goes_where_the_study_that_its_meta_json_names_belongs():
         (LISTED, "world.slots=listed"),
         (LISTED | SHORT, "world.slots=listed"),
         ({"reward": "additive"} | SHORT, "reward=additive"),
-        ({"obstacles": 4, "bank": "def"}, "obstacles=4"),
+        ({"obstacles": 4, "layouts": "def"}, "obstacles=4"),
         ({"n_envs": 1024}, "n_envs=1,024"),
         ({"gamma": 0.9}, "gamma=0.9"),
     ],
 )
 @pytest.mark.parametrize(("study", "place"), [("sensitivity", "switches"), ("why", "why")])
-def test_a_study_of_one_setting_at_a_time_has_its_cells_by_the_setting(study, place, changes, name):
-    found = sort([*in_many(), cell(study=study, **changes), cell("dqn", "relu", study=study, **changes)])
-    assert {key: [*cells] for key, cells in getattr(found, place).items()} == {name: [("dqn", "relu"), ("ppo", "tanh")]}
+def test_a_study_of_one_setting_at_a_time_has_its_configurations_by_the_setting(study, place, changes, name):
+    found = sort(
+        [
+            *in_many(),
+            configuration(study=study, **changes),
+            configuration("dqn", "relu", study=study, **changes),
+        ]
+    )
+    assert {key: [*configurations] for key, configurations in getattr(found, place).items()} == {
+        name: [("dqn", "relu"), ("ppo", "tanh")]
+    }
     assert (len(found.main), found.baseline, found.initial, found.others) == (8, {}, {}, [])
 
 
-def test_cells_of_such_a_study_that_change_nothing_are_the_baseline_and_those_that_change_two_are_in_none():
-    strange = cell(study="why", **LISTED, reward="initial")
+def test_configurations_of_such_a_study_change_nothing_are_baseline_and_those_that_change_two_are_in_none():
+    strange = configuration(study="why", **LISTED, reward="initial")
     strange.runs[0].path = "results/strange"
-    found = sort([*in_many(), strange, cell(study="why", **SHORT)])
+    found = sort([*in_many(), strange, configuration(study="why", **SHORT)])
     assert [*found.baseline] == [("ppo", "tanh")]
     assert in_none(found) == [
         "results/strange: in no study; it differs from the main one in reward=initial, world.slots=listed"
@@ -92,16 +112,22 @@ def test_cells_of_such_a_study_that_change_nothing_are_the_baseline_and_those_th
     assert in_none(sort(in_many())) == []
 
 
-def test_the_second_of_two_cells_for_one_place_is_among_the_others():
-    twin = cell(study="vectorised", lr=0.5)
+def test_the_second_of_two_configurations_for_one_place_is_among_the_others():
+    twin = configuration(study="vectorised", lr=0.5)
     assert sort([*in_many(), twin]).others == [twin]
 
 
 @pytest.mark.parametrize("study", ["", "mine"])
 def test_runs_of_no_known_study_are_compared_where_most_of_an_algorithms_agree(study):
-    """Of PPO three agree and one has another rate; of DQN the cell of more seeds counts."""
-    mine = [*grid(["ppo"], ["tanh", "relu", "elu"], study=study), cell(activation="sigmoid", lr=0.5, study=study)]
-    mine += [cell("dqn", n_seeds=1, study=study), cell("dqn", "relu", lr=0.5, n_seeds=3, study=study)]
+    """Of PPO three agree and one has another rate; of DQN the configuration of more seeds counts."""
+    mine = [
+        *grid(["ppo"], ["tanh", "relu", "elu"], study=study),
+        configuration(activation="sigmoid", lr=0.5, study=study),
+    ]
+    mine += [
+        configuration("dqn", n_seeds=1, study=study),
+        configuration("dqn", "relu", lr=0.5, n_seeds=3, study=study),
+    ]
     found = sort(mine)
     assert [*found.main] == [("dqn", "relu"), ("ppo", "tanh"), ("ppo", "relu"), ("ppo", "elu")]
     assert found.others == [mine[3], mine[4]]
@@ -109,9 +135,12 @@ def test_runs_of_no_known_study_are_compared_where_most_of_an_algorithms_agree(s
 
 
 def test_a_run_of_ones_own_beside_the_study_is_in_it_where_its_settings_are_the_same():
-    own, other = cell(activation="mish"), cell(activation="gelu", lr=0.5)
+    own, other = configuration(activation="mish"), configuration(activation="gelu", lr=0.5)
     found = sort([*in_many(), own, other])
-    assert [activation for algorithm, activation in found.main if algorithm == "ppo"] == [*ACTIVATIONS, "mish"]
+    assert [activation for algorithm, activation in found.main if algorithm == "ppo"] == [
+        *ACTIVATIONS,
+        "mish",
+    ]
     assert found.others == [other]
 
 
@@ -119,8 +148,8 @@ def test_more_activations_are_shown_beside_the_papers_of_the_longest_study_that_
     short = grid(activations=("tanh", "gelu"), study="wide", **SHORT)
     found = sort([*in_many(), *short])
     assert [*wide(found)] == [("dqn", "tanh"), ("ppo", "tanh"), ("dqn", "gelu"), ("ppo", "gelu")]
-    assert [*paper_cells(wide(found))] == [("dqn", "tanh"), ("ppo", "tanh")]
-    both = sort([*in_many(), *short, cell(activation="mish")])
+    assert [*paper_configurations(wide(found))] == [("dqn", "tanh"), ("ppo", "tanh")]
+    both = sort([*in_many(), *short, configuration(activation="mish")])
     assert wide(both) is both.main
     assert wide(sort(in_many())) == {}
 
@@ -128,14 +157,23 @@ def test_more_activations_are_shown_beside_the_papers_of_the_longest_study_that_
 @settings(max_examples=30, deadline=None)
 @given(st.randoms(use_true_random=False))
 def test_the_order_in_which_runs_are_found_changes_nothing(random):
-    cells = [*in_many(), *grid(study="paper", **IN_ONE), cell(study="wide", **SHORT), cell("trpo")]
-    cells += [cell(study="sensitivity", **LISTED), cell("a2c"), cell("a2c", "relu", lr=0.5)]
-    shuffled = random.sample(cells, len(cells))
-    assert sort(shuffled) == sort(cells)
-    assert [*sort(shuffled).main] == [*sort(cells).main]
+    configurations = [
+        *in_many(),
+        *grid(study="paper", **IN_ONE),
+        configuration(study="wide", **SHORT),
+        configuration("trpo"),
+    ]
+    configurations += [
+        configuration(study="sensitivity", **LISTED),
+        configuration("a2c"),
+        configuration("a2c", "relu", lr=0.5),
+    ]
+    shuffled = random.sample(configurations, len(configurations))
+    assert sort(shuffled) == sort(configurations)
+    assert [*sort(shuffled).main] == [*sort(configurations).main]
 
 
-def test_a_study_in_one_world_that_lacks_one_of_the_papers_cells_is_not_yet_the_main_one():
+def test_a_study_in_one_world_that_lacks_one_of_the_papers_configurations_is_not_yet_the_main_one():
     alone = grid(study="paper", **IN_ONE)
     found = sort([*in_many(), *alone[1:]])
     assert {one.settings["n_envs"] for one in found.main.values()} == {16}
@@ -148,30 +186,32 @@ def test_without_a_run_in_one_world_the_study_in_many_is_the_main_one_and_the_ot
     assert (len(alone.main), alone.vectorised, alone.others) == (8, {}, [])
 
 
-def test_no_cells_are_no_studies():
+def test_no_configurations_are_no_studies():
     assert sort([]) == Studies({}, {}, {}, {}, {}, {}, {}, [])
 
 
-# -- readings ---------------------------------------------------------------------------------------------------------
+# -- readings ------------------------------------------------------------------------------------------------
 
 KEY = ("dqn", "sigmoid")
 
 
-def rows_of(one, reading=PRIMARY, flights=None):
-    return Rows(sort([one]), reading, flights or {})
+def rows_of(one, definition=PRIMARY, episodes=None):
+    return Rows(sort([one]), definition, episodes or {})
 
 
 def test_each_reading_gives_one_number_a_seed():
-    """Seed 0 flies at 4 and 8 px a step, in 100 and 300 steps; seed 1 once at 2, and once more without an end."""
+    """Seed 0 flies at 4 and 8 px a step, in 100 and 300 steps; seed 1 once at 2, and once more without an
+    end.
+    """
     first = [(0, 100, 100, 10, 90, 400, -6.0), (0, 400, 300, 0, 150, 2400, -2.0)]
     second = [(1, 50, 50, 5, 5, 100, 3.0), (1, 99, 49, 0, 0, 0, 1e6, False, False)]
     flown = pd.concat(
         [
-            flights((0, 9, 9, 0, 9, 81, 7.0)).assign(mode="greedy"),
-            flights((1, 9, 10, 0, 0, 80, 5.0, False, True)).assign(mode="sampled"),
+            own_episodes((0, 9, 9, 0, 9, 81, 7.0)).assign(mode="greedy"),
+            own_episodes((1, 9, 10, 0, 0, 80, 5.0, False, True)).assign(mode="sampled"),
         ]
     )
-    one = cell(*KEY, rows=first + second, flown=flown)
+    one = configuration(*KEY, rows=first + second, flown=flown)
     evidence = rows_of(one, ALL)
     assert evidence(*KEY, "reward").tolist() == [-4, 3]
     assert evidence(*KEY, "speed").tolist() == [6, 2]
@@ -190,12 +230,12 @@ def test_each_reading_gives_one_number_a_seed():
 def test_the_last_100_episodes_leave_out_those_before():
     early = [(0, frame, 10, 0, 0, 10, -9.0) for frame in range(1, 51)]
     late = [(0, frame, 10, 0, 0, 10, 2.0) for frame in range(51, 51 + LAST)]
-    one = cell(*KEY, rows=early + late)
+    one = configuration(*KEY, rows=early + late)
     assert rows_of(one, f"last {LAST} training episodes")(*KEY, "reward").tolist() == [2]
 
 
 def test_what_is_not_there_has_no_seeds():
-    evidence = rows_of(cell(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]))
+    evidence = rows_of(configuration(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]))
     for asked in (
         ("ppo", "tanh", "reward"),
         (*KEY, "corridor"),
@@ -204,13 +244,19 @@ def test_what_is_not_there_has_no_seeds():
     ):
         assert evidence(*asked).shape == (0,)
         assert evidence(*asked).dtype == np.float64
-    assert rows_of(cell(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]), "greedy evaluation")(*KEY, "reward").shape == (0,)
+    assert rows_of(configuration(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]), "greedy evaluation")(
+        *KEY, "reward"
+    ).shape == (0,)
 
 
-def test_a_flight_counts_in_the_frames_that_it_lasted_and_its_collision_at_its_end():
-    """It earns 1 a frame to frame 300,000, where it collides, and 2 a frame from there on, up in the air at the end."""
+def test_an_episode_counts_in_the_frames_that_it_lasted_and_its_collision_at_its_end():
+    """It earns 1 a frame to frame 300,000, where it collides, and 2 a frame from there on, up in the air
+    at the end.
+    """
     first = (0, 300_000, 300_000, 0, 0, 9, 300_000.0 - 10)
-    evidence = rows_of(cell(*KEY, n_envs=1, rows=[first, (0, 1_000_000, 700_000, 0, 0, 9, 1.4e6, False, False)]))
+    evidence = rows_of(
+        configuration(*KEY, n_envs=1, rows=[first, (0, 1_000_000, 700_000, 0, 0, 9, 1.4e6, False, False)])
+    )
     assert evidence(*KEY, "reward_before").tolist() == pytest.approx([1 - 10 / 300_000])
     assert evidence(*KEY, "reward_surge").tolist() == pytest.approx([2])
     assert evidence(*KEY, "reward_after").tolist() == pytest.approx([2])
@@ -218,29 +264,38 @@ def test_a_flight_counts_in_the_frames_that_it_lasted_and_its_collision_at_its_e
 
 def test_frame_300000_is_before_the_surge_and_300001_in_it():
     for end, before, surge in ((300_000, -10, 0), (300_001, 0, -10)):
-        evidence = rows_of(cell(*KEY, n_envs=1, rows=[(0, end, end, 0, 0, 9, -10.0)]))
+        evidence = rows_of(configuration(*KEY, n_envs=1, rows=[(0, end, end, 0, 0, 9, -10.0)]))
         assert 300_000 * evidence(*KEY, "reward_before") == pytest.approx(before)
         assert 300_000 * evidence(*KEY, "reward_surge") == pytest.approx(surge)
 
 
 def test_a_run_that_ends_before_700000_frames_has_no_time_after_a_surge():
-    own = cell(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)], frames=699_999, total_frames=699_999)
+    own = configuration(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)], frames=699_999, total_frames=699_999)
     assert rows_of(own)(*KEY, "reward_before").shape == (0,)
 
 
-@pytest.mark.parametrize("reading", [f"last {LAST} training episodes", "greedy evaluation", "sampled evaluation"])
-def test_no_other_reading_has_a_time_before_and_after(reading):
-    assert rows_of(cell(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]), reading)(*KEY, "reward_before").shape == (0,)
+@pytest.mark.parametrize(
+    "definition", [f"last {LAST} training episodes", "greedy evaluation", "sampled evaluation"]
+)
+def test_no_other_reading_has_a_time_before_and_after(definition):
+    assert rows_of(configuration(*KEY, rows=[(0, 9, 9, 0, 0, 9, 1.0)]), definition)(
+        *KEY, "reward_before"
+    ).shape == (0,)
 
 
-def test_flights_are_those_of_the_readings_mode_and_study():
+def test_episodes_are_those_of_the_readings_mode_and_study():
     table = pd.DataFrame(
-        {"mode": ["greedy", "sampled", "sampled"], "seed": [0, 0, 1], "corridor": [0.9, 0.1, np.nan], "empty_x": 3.0}
+        {
+            "mode": ["greedy", "sampled", "sampled"],
+            "seed": [0, 0, 1],
+            "corridor": [0.9, 0.1, np.nan],
+            "empty_x": 3.0,
+        }
     )
     short = table.assign(corridor=0.5)
-    studies = sort([*grid(["dqn"]), cell(*KEY, study="wide", **SHORT)])
-    flights = {("main", *KEY): table, ("baseline", *KEY): short}
-    training, greedy = Rows(studies, PRIMARY, flights), Rows(studies, "greedy evaluation", flights)
+    studies = sort([*grid(["dqn"]), configuration(*KEY, study="wide", **SHORT)])
+    episodes = {("main", *KEY): table, ("baseline", *KEY): short}
+    training, greedy = Rows(studies, PRIMARY, episodes), Rows(studies, "greedy evaluation", episodes)
     assert training(*KEY, "corridor").tolist() == [0.1]  # of the seed that has one
     assert training(*KEY, "corridor", study="baseline").tolist() == [0.5, 0.5]
     assert greedy(*KEY, "corridor").tolist() == [0.9]
@@ -248,8 +303,10 @@ def test_flights_are_those_of_the_readings_mode_and_study():
 
 
 def test_hours_are_of_one_seed_and_a_million_frames_whatever_a_run_holds():
-    """An hour for 4 seeds of 500,000 frames is half an hour for one of a million; a run without a time has none."""
-    one = cell(*KEY, n_seeds=4, wall=3600, frames=500_000)
+    """An hour for 4 seeds of 500,000 frames is half an hour for one of a million; a run without a time
+    has none.
+    """
+    one = configuration(*KEY, n_seeds=4, wall=3600, frames=500_000)
     one.runs.append(run([9], frames=500_000))
     assert hours(one).tolist() == [0.5]
     assert seeds(one) == 5
@@ -257,12 +314,7 @@ def test_hours_are_of_one_seed_and_a_million_frames_whatever_a_run_holds():
     assert rows_of(one, "greedy evaluation")(*KEY, "hours").tolist() == [0.5]
 
 
-def test_the_papers_tables_per_frame_are_reward_and_distance_over_steps_and_else_as_printed():
-    own = {metric: of_paper("ppo", "tanh", metric, reading=PER_FRAME)[0] for metric in paper.COLUMNS}
-    assert own == paper.TABLES["ppo", "tanh"] | {"reward": 88.527 / 2727.577, "speed": 12781.262 / 2727.577}
-
-
-def test_the_papers_tables_are_one_number_a_cell_and_ten_hours():
+def test_the_papers_tables_are_one_number_a_configuration_and_ten_hours():
     assert of_paper("dqn", "relu", "reward").tolist() == [-7.616]
     assert of_paper("dqn", "relu", "hours").tolist() == [10]
     for asked in (("dqn", "mish", "reward"), ("dqn", "relu", "stops"), ("dqn", "relu", "reward", "initial")):

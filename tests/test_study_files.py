@@ -1,5 +1,6 @@
-"""Study files: the cells they stand for, those that are committed, and what is refused."""
+"""Study files: the configurations they stand for, those that are committed, and what is refused."""
 
+import functools
 import json
 import re
 import runpy
@@ -12,13 +13,16 @@ from bad_input import a_folder, a_pipe, endless, itself, large, put
 
 from uavnav import studies
 from uavnav.algorithms import ALGORITHMS, ppo
-from uavnav.cli.study import main, parse, scripted, status
+from uavnav.cli import commands
+from uavnav.cli.study import parse, scripted, status
 from uavnav.errors import ConfigError
 from uavnav.runs import progress, read_settings, run_folders
 from uavnav.studies import search
 from uavnav.studies.run import evaluated, unflown
 from uavnav.tasks.layouts import judged_on
 from uavnav.training.config import plain
+
+main = functools.partial(commands.run, "study")
 
 ROOT = Path(__file__).parent.parent
 MINE = """
@@ -27,7 +31,7 @@ settings:
   activation: [tanh, relu]
   n_seeds: 2
   dqn: {learning_starts: 1000}
-cells:
+configurations:
   - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [0.1, 0.2], hidden: [8, 8], world.slots: listed}
 """
 
@@ -38,39 +42,47 @@ def written(folder, text):
     return str(path)
 
 
-def test_lists_stand_for_a_cell_each_in_all_combinations(tmp_path):
-    found = studies.cells(studies.read(written(tmp_path, MINE)), Path("out"))
-    assert [str(cell.out) for cell in found] == [
+def test_lists_stand_for_a_configuration_each_in_all_combinations(tmp_path):
+    found = studies.configurations(studies.read(written(tmp_path, MINE)), Path("out"))
+    assert [str(configuration.out) for configuration in found] == [
         f"out/rate-{rate}/{algorithm}/{activation}"
         for algorithm in ("ppo", "dqn")
         for activation, rate in (("tanh", 0.1), ("tanh", 0.2), ("relu", 0.1), ("relu", 0.2))
     ]
-    assert {cell.config.hidden for cell in found} == {(8, 8)}
-    assert {cell.config.world.slots for cell in found} == {"listed"}
-    assert [getattr(cell.config, "learning_starts", None) for cell in found] == [None] * 4 + [1000] * 4
+    assert {configuration.config.hidden for configuration in found} == {(8, 8)}
+    assert {configuration.config.world.slots for configuration in found} == {"listed"}
+    assert [getattr(configuration.config, "learning_starts", None) for configuration in found] == [
+        None
+    ] * 4 + [1000] * 4
     assert found[0].evaluation == {"episodes": 200, "max_steps": 10_000}
 
 
-def test_seeds_and_frames_of_the_command_line_hold_for_every_cell(tmp_path):
-    found = studies.cells(studies.read(written(tmp_path, MINE)), tmp_path, seeds=3, frames=5_000)
-    assert {(cell.config.n_seeds, cell.config.total_frames) for cell in found} == {(3, 5_000)}
+def test_seeds_and_frames_of_the_command_line_hold_for_every_configuration(tmp_path):
+    found = studies.configurations(studies.read(written(tmp_path, MINE)), tmp_path, seeds=3, frames=5_000)
+    assert {(configuration.config.n_seeds, configuration.config.total_frames) for configuration in found} == {
+        (3, 5_000)
+    }
 
 
-def test_a_cell_is_flown_on_the_test_sets_of_its_rung_and_across_ladders_once_it_is_trained(tmp_path):
-    mine = MINE.replace("cells:", "  evaluate: {episodes: 5, max_steps: 9, across: [density, arc]}\ncells:")
+def test_a_configuration_is_flown_on_the_test_sets_of_its_rung_and_across_ladders_once_it_is_trained(
+    tmp_path,
+):
+    mine = MINE.replace(
+        "configurations:", "  evaluate: {episodes: 5, max_steps: 9, across: [density, arc]}\nconfigurations:"
+    )
     mine = mine.replace("world.slots: listed", "layouts: density-4/train, faults.noise: 5")
-    cell = studies.cells(studies.read(written(tmp_path, mine)), tmp_path)[0]
-    assert cell.evaluation == {"episodes": 5, "max_steps": 9, "layouts": "density-4/test"}
-    assert cell.config.faults.noise == 5
+    configuration = studies.configurations(studies.read(written(tmp_path, mine)), tmp_path)[0]
+    assert configuration.evaluation == {"episodes": 5, "max_steps": 9, "layouts": "density-4/test"}
+    assert configuration.config.faults.noise == 5
     bounds = ["--episodes", "5", "--max-steps", "9"]
     own = ["--layouts", "density-4/test", *bounds]
-    assert unflown(cell) == [own, [*bounds, "--alone", "--across", "density", "arc"]]
-    put(cell.out / "evaluation-density-4-test-5-9.parquet", "")
-    put(cell.out / "across-density-5-9.parquet", "")
-    assert unflown(cell) == [[*bounds, "--alone", "--across", "arc"]]
-    put(cell.out / "across-arc-5-9.parquet", "")
-    assert evaluated(cell)
-    assert unflown(cell._replace(evaluation=None)) == []
+    assert unflown(configuration) == [own, [*bounds, "--alone", "--across", "density", "arc"]]
+    put(configuration.out / "evaluation-density-4-test-5-9.parquet", "")
+    put(configuration.out / "across-density-5-9.parquet", "")
+    assert unflown(configuration) == [[*bounds, "--alone", "--across", "arc"]]
+    put(configuration.out / "across-arc-5-9.parquet", "")
+    assert evaluated(configuration)
+    assert unflown(configuration._replace(evaluation=None)) == []
 
 
 @pytest.mark.parametrize(
@@ -81,24 +93,26 @@ def test_a_cell_is_flown_on_the_test_sets_of_its_rung_and_across_ladders_once_it
         ("{max_steps: 3000}", {"episodes": 200, "max_steps": 3000}),
     ],
 )
-def test_a_cell_with_a_goal_is_flown_for_1000_steps_unless_its_study_says_another_cap(said, flown, tmp_path):
-    text = f"cells: [{{algorithm: ppo, task: goal, evaluate: {said}}}]"
-    (cell,) = studies.cells(studies.read(written(tmp_path, text)), tmp_path)
-    assert cell.evaluation == flown
-    (words,) = scripted([cell], tmp_path)
+def test_a_configuration_with_a_goal_is_flown_for_1000_steps_unless_its_study_says_another_cap(
+    said, flown, tmp_path
+):
+    text = f"configurations: [{{algorithm: ppo, task: goal, evaluate: {said}}}]"
+    (configuration,) = studies.configurations(studies.read(written(tmp_path, text)), tmp_path)
+    assert configuration.evaluation == flown
+    (words,) = scripted([configuration], tmp_path)
     assert words[words.index("--max-steps") + 1] == str(flown["max_steps"])
 
 
 @pytest.mark.parametrize(
     ("layouts", "test"),
-    [("train", "test"), ("slalom-80/train", "slalom-80/test"), ("runs/banks/4/train.safetensors", "test")],
+    [("train", "test"), ("slalom-80/train", "slalom-80/test"), ("runs/layouts/4/train.safetensors", "test")],
 )
-def test_the_test_sets_of_a_bank_are_those_of_its_rung(layouts, test):
+def test_the_test_sets_of_a_layout_file_are_those_of_its_rung(layouts, test):
     assert judged_on(layouts) == test
 
 
 def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_each_world():
-    found = studies.cells(studies.read("worlds"), Path("out"))
+    found = studies.configurations(studies.read("worlds"), Path("out"))
     worlds = {(one.config.task, str(one.config.layouts), str(one.config.faults)) for one in found}
     assert len(found) == len(worlds) * 2 * (5 + 2)
     assert {one.config.total_frames for one in found} == {500_000}
@@ -111,40 +125,54 @@ def test_the_study_of_worlds_trains_five_algorithms_and_two_presets_of_two_in_ea
     assert tuned == {("ppo", "fast"), ("dqn", "fast")}
 
 
-def test_scripts_fly_each_world_and_rung_of_the_study_of_worlds_once_as_its_cells_do_unless_rows_are_there(tmp_path):
-    cells = studies.cells(studies.read("worlds"), tmp_path)
-    words = scripted(cells, tmp_path)
+def test_scripts_fly_world_and_rung_of_study_of_worlds_once_as_its_configurations_do_unless_rows_are_there(
+    tmp_path,
+):
+    configurations = studies.configurations(studies.read("worlds"), tmp_path)
+    words = scripted(configurations, tmp_path)
     rules, own = ["random", "straight", "reactive"], ["--seeds", "10", "--out", str(tmp_path)]
-    assert len(words) == 11 + 7 + 7  # the ladders have 11 and 8 rungs; four and one of them are worlds of the study
+    # the ladders have 11 and 8 rungs; four and one of them are worlds of the study
+    assert len(words) == 11 + 7 + 7
     assert [*rules, "--layouts", "slalom-70/test", "--max-steps", "2000", *own] in words
     assert [*rules, "--max-steps", "1000", "--task", "goal", *own] in words
     assert [*rules, "--max-steps", "2000", "--faults", "noise=5", *own] in words
     for rule in rules[1:]:
         put(tmp_path / f"{rule}-goal-test-200-1000.parquet", "")
-    assert ["random", "--max-steps", "1000", "--task", "goal", *own] in scripted(cells, tmp_path)
+    assert ["random", "--max-steps", "1000", "--task", "goal", *own] in scripted(configurations, tmp_path)
     put(tmp_path / "random-goal-test-200-1000.parquet", "")
-    assert len(scripted(cells, tmp_path)) == 24
-    assert scripted([cell._replace(evaluation=None) for cell in cells], tmp_path) == []
+    assert len(scripted(configurations, tmp_path)) == 24
+    assert (
+        scripted([configuration._replace(evaluation=None) for configuration in configurations], tmp_path)
+        == []
+    )
 
 
 @pytest.mark.parametrize("name", studies.names())
-def test_the_study_files_of_the_package_hold_eight_cells_or_so_and_none_shares_a_folder(name, tmp_path, monkeypatch):
+def test_the_study_files_of_the_package_hold_eight_configurations_or_so_and_none_shares_a_folder(
+    name, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
-    found = studies.cells(studies.read(name), Path("out"))
-    assert len({cell.out for cell in found}) == len(found) >= 4
+    found = studies.configurations(studies.read(name), Path("out"))
+    assert len({configuration.out for configuration in found}) == len(found) >= 4
 
 
-def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
-    """But for the path of a bank, which the study makes."""
+def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
+    """But for the path of a layout file, which the study makes."""
     results = ROOT / "results"
     named = [studies.read(name) for name in studies.names()]
-    cells = {cell.out: cell for study in named for cell in studies.cells(study, results)}
+    configurations = {
+        configuration.out: configuration
+        for study in named
+        for configuration in studies.configurations(study, results)
+    }
     for study in (study for study in named if study.tune):
-        cells |= {cell.out: cell for cell in search.winners(search.plan(study, results))}
+        configurations |= {
+            configuration.out: configuration for configuration in search.winners(search.plan(study, results))
+        }
     found, _ = run_folders(results)
-    assert {*found} <= {*cells}
+    assert {*found} <= {*configurations}
     for path in found:
-        config = cells[path].config
+        config = configurations[path].config
         there = config.as_run(read_settings(path / "config.yaml")) | {"layouts": config.layouts}
         assert there == plain(config), path
 
@@ -152,69 +180,138 @@ def test_every_committed_run_is_a_cell_of_a_study_with_its_settings():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("cells: 3", "is no study; give a list of `cells`"),
+        ("configurations: 3", "is no study; give a list of `configurations`"),
         ("[", "cannot be read"),
         (
-            "cells: [{algorithm: ppo}]\nwaht: x",
-            "there is no key 'waht'; choose from banks, cells, scripts, settings, tune, what (did",
+            "configurations: [{algorithm: ppo}]\nwaht: x",
+            "there is no key 'waht'; choose from configurations, obstacles, scripts, settings, tune, what "
+            "(did",
         ),
-        ("cells: [{folder: x}]", "is no cell; it needs at least an `algorithm`"),
+        ("configurations: [{folder: x}]", "is no configuration; it needs at least an `algorithm`"),
         (
-            "cells: [{algorithm: pop}]",
+            "configurations: [{algorithm: pop}]",
             f"algorithm=pop; choose from {', '.join(sorted(ALGORITHMS))} (did you mean ppo?)",
         ),
-        ("cells: [{algorithm: ppo, lrr: 1}]", "there is no key 'lrr'"),
-        ("cells: [{algorithm: ppo, lr: [0.1, 0.2]}]", "two cells share it; name in braces what they differ in"),
-        ("cells: [{algorithm: ppo, folder: '{lr}'}]", "folder={lr}: names 'lr', which the cell does not set"),
-        ("cells: [{algorithm: ppo, evaluate: {steps: 3}}]", "evaluate={'steps': 3}; give true, false, or some of"),
-        ("cells: [{algorithm: ppo, evaluate: {across: [arcs]}}]", "across=['arcs']; give a list of some of density"),
-        ("banks: many\ncells: [{algorithm: ppo}]", "banks=many; give a list of numbers of obstacles, such as [4, 12]"),
-        ("settings: 3\ncells: [{algorithm: ppo}]", "settings=3; give keys and values"),
-        ("settings: {dqn: 3}\ncells: [{algorithm: ppo}]", "dqn=3; give keys and values"),
-        ("cells: [{algorithm: [ppo, [dqn]]}]", "algorithm=['ppo', ['dqn']]; give a name, or a list of some"),
-        ("cells: [{algorithm: []}]", "algorithm=[]; give a name, or a list of some"),
-        ("cells: [{algorithm: ppo, 3: 4}]", "settings={'algorithm': 'ppo', 3: 4}; give keys and values"),
-        ("cells: [{algorithm: ppo, lr: []}]", "lr=[]; give at least one value"),
-        ("cells: [{algorithm: ppo, hidden: []}]", "hidden=[]; give at least one"),
+        ("configurations: [{algorithm: ppo, lrr: 1}]", "there is no key 'lrr'"),
         (
-            "cells: [{algorithm: ppo, folder: '{lr.foo}', lr: 0.1}]",
-            "folder={lr.foo}: names 'lr.foo', which the cell does",
+            "configurations: [{algorithm: ppo, lr: [0.1, 0.2]}]",
+            "two configurations share it; name in braces what they differ in",
         ),
-        ("cells: [{algorithm: ppo, folder: ../x}]", "folder=../x: leads out of the study's own; give one within"),
-        ("cells: [{algorithm: ppo, layouts: '{foo}'}]", "layouts={foo}: names 'foo', which the cell does not set"),
-        ("cells: [{algorithm: ppo, evaluate: {across: [3, [4]]}}]", "across=[3, [4]]; give a list of some of density"),
-        ("cells: [{algorithm: ppo, evaluate: {episodes: abc}}]", "evaluate.episodes=abc; give a whole number"),
-        ("cells: [{algorithm: ppo, evaluate: {max_steps: 0}}]", "evaluate.max_steps=0; give a number of at least 1"),
         (
-            "cells: [{algorithm: ppo, evaluate: {episodes: 1001}}]",
-            "evaluate.episodes=1001; give at most 1000, the bank",
+            "configurations: [{algorithm: ppo, folder: '{lr}'}]",
+            "folder={lr}: names 'lr', which the configuration does not set",
         ),
-        ("cells: &a [{algorithm: ppo}]\nsettings: *a", "aliases are not taken"),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {steps: 3}}]",
+            "evaluate={'steps': 3}; give true, false, or some of",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {across: [arcs]}}]",
+            "across=['arcs']; give a list of some of density",
+        ),
+        (
+            "obstacles: many\nconfigurations: [{algorithm: ppo}]",
+            "obstacles=many; give a list of numbers of obstacles, such as [4, 12]",
+        ),
+        ("settings: 3\nconfigurations: [{algorithm: ppo}]", "settings=3; give keys and values"),
+        ("settings: {dqn: 3}\nconfigurations: [{algorithm: ppo}]", "dqn=3; give keys and values"),
+        (
+            "configurations: [{algorithm: [ppo, [dqn]]}]",
+            "algorithm=['ppo', ['dqn']]; give a name, or a list of some",
+        ),
+        ("configurations: [{algorithm: []}]", "algorithm=[]; give a name, or a list of some"),
+        (
+            "configurations: [{algorithm: ppo, 3: 4}]",
+            "settings={'algorithm': 'ppo', 3: 4}; give keys and values",
+        ),
+        ("configurations: [{algorithm: ppo, lr: []}]", "lr=[]; give at least one value"),
+        ("configurations: [{algorithm: ppo, hidden: []}]", "hidden=[]; give at least one"),
+        (
+            "configurations: [{algorithm: ppo, folder: '{lr.foo}', lr: 0.1}]",
+            "folder={lr.foo}: names 'lr.foo', which the configuration does",
+        ),
+        (
+            "configurations: [{algorithm: ppo, folder: ../x}]",
+            "folder=../x: leads out of the study's own; give one within",
+        ),
+        (
+            "configurations: [{algorithm: ppo, layouts: '{foo}'}]",
+            "layouts={foo}: names 'foo', which the configuration does not set",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {across: [3, [4]]}}]",
+            "across=[3, [4]]; give a list of some of density",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {episodes: abc}}]",
+            "evaluate.episodes=abc; give a whole number",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {max_steps: 0}}]",
+            "evaluate.max_steps=0; give a number of at least 1",
+        ),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {episodes: 1001}}]",
+            "evaluate.episodes=1001; give at most 1000, the split",
+        ),
+        ("configurations: &a [{algorithm: ppo}]\nsettings: *a", "aliases are not taken"),
         ("[" * 100_000, "cannot be read (nested too deeply)"),
-        ("cells: [{algorithm: ppo, lr: 0x" + "f" * 99 + "}]", "a whole number has more than 64 bits"),
-        ("banks: [1000000000]\ncells: [{algorithm: ppo}]", "banks=[1000000000]; give a list of numbers of obstacles"),
-        ("scripts: ../x\ncells: [{algorithm: ppo}]", "scripts=../x; give a folder's name, such as baselines"),
-        ('scripts: "a\\0b"\ncells: [{algorithm: ppo}]', "scripts=a\\x00b; give a folder's name, such as baselines"),
-        ("cells: [{algorithm: ppo, folder: '{lr:999999999}', lr: 1}]", "it has more than names in braces"),
-        ("cells: [{algorithm: ppo, folder: '{lr.__class__}', lr: 1}]", "names 'lr.__class__', which the cell does"),
-        ("cells: [{algorithm: ppo, folder: '{lr!r}', lr: 1}]", "it has more than names in braces"),
-        ("cells: [{algorithm: ppo, folder: '{', lr: 1}]", "folder={: cannot be filled in ("),
-        ("cells: [{algorithm: ppo, folder: /tmp}]", "folder=/tmp: leads out of the study's own"),
-        ('cells: [{algorithm: ppo, folder: "a\\0b"}]', "folder=a\\x00b: no folder has such a name"),
-        (f"cells: [{{algorithm: ppo, folder: {'x' * 256}}}]", "no folder has such a name"),
-        (f"cells: [{{algorithm: ppo, folder: '{'{seed}' * 1001}', seed: 1}}]", "it has more than 1,000 characters"),
-        (f"cells: [{{algorithm: [{'ppo, ' * 10_001}]}}]", "cells stand for more than 10,000 runs; give fewer values"),
         (
-            f"cells: [{{algorithm: ppo, {', '.join(f'{key}: {[*range(100)]}' for key in ('lr', 'gamma', 'seed'))}}}]",
-            "cells stand for more than 10,000 runs; give fewer values",
+            "configurations: [{algorithm: ppo, lr: 0x" + "f" * 99 + "}]",
+            "a whole number has more than 64 bits",
         ),
-        ("cells: [{algorithm: ppo, evaluate: {layouts: 3}}]", "evaluate.layouts=3; give a name"),
         (
-            "cells: [{algorithm: ppo, evaluate: {max_steps: 9999999999}}]",
+            "obstacles: [1000000000]\nconfigurations: [{algorithm: ppo}]",
+            "obstacles=[1000000000]; give a list of numbers of obstacles",
+        ),
+        (
+            "scripts: ../x\nconfigurations: [{algorithm: ppo}]",
+            "scripts=../x; give a folder's name, such as baselines",
+        ),
+        (
+            'scripts: "a\\0b"\nconfigurations: [{algorithm: ppo}]',
+            "scripts=a\\x00b; give a folder's name, such as baselines",
+        ),
+        (
+            "configurations: [{algorithm: ppo, folder: '{lr:999999999}', lr: 1}]",
+            "it has more than names in braces",
+        ),
+        (
+            "configurations: [{algorithm: ppo, folder: '{lr.__class__}', lr: 1}]",
+            "names 'lr.__class__', which the configuration does",
+        ),
+        ("configurations: [{algorithm: ppo, folder: '{lr!r}', lr: 1}]", "it has more than names in braces"),
+        ("configurations: [{algorithm: ppo, folder: '{', lr: 1}]", "folder={: cannot be filled in ("),
+        ("configurations: [{algorithm: ppo, folder: /tmp}]", "folder=/tmp: leads out of the study's own"),
+        ('configurations: [{algorithm: ppo, folder: "a\\0b"}]', "folder=a\\x00b: no folder has such a name"),
+        (f"configurations: [{{algorithm: ppo, folder: {'x' * 256}}}]", "no folder has such a name"),
+        (
+            f"configurations: [{{algorithm: ppo, folder: '{'{seed}' * 1001}', seed: 1}}]",
+            "it has more than 1,000 characters",
+        ),
+        (
+            f"configurations: [{{algorithm: [{'ppo, ' * 10_001}]}}]",
+            "configurations stand for more than 10,000 runs; give fewer values",
+        ),
+        (
+            "configurations: [{algorithm: ppo, "
+            + ", ".join(f"{key}: {[*range(100)]}" for key in ("lr", "gamma", "seed"))
+            + "}]",
+            "configurations stand for more than 10,000 runs; give fewer values",
+        ),
+        ("configurations: [{algorithm: ppo, evaluate: {layouts: 3}}]", "evaluate.layouts=3; give a name"),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {max_steps: 9999999999}}]",
             "evaluate.max_steps=9999999999; give a number",
         ),
-        ("cells: [{algorithm: ppo, evaluate: {layouts: density-99999999/test}}]", "give at most 20,000,000 obstacles"),
-        ("scripts: [random]\ncells: [{algorithm: ppo}]", "scripts=['random']; give a folder's name, such as baselines"),
+        (
+            "configurations: [{algorithm: ppo, evaluate: {layouts: density-99999999/test}}]",
+            "give at most 20,000,000 obstacles",
+        ),
+        (
+            "scripts: [random]\nconfigurations: [{algorithm: ppo}]",
+            "scripts=['random']; give a folder's name, such as baselines",
+        ),
     ],
 )
 def test_a_wrong_study_file_is_refused_in_one_line_that_names_it(text, said, tmp_path, capsys):
@@ -248,7 +345,10 @@ def test_what_is_no_study_file_is_refused_in_one_line_before_anything_is_written
         (["paper", "--status", "jobs=0"], "jobs=0; give a number of at least 1"),
         (["paper", "--json"], "--json: only a --status is JSON; give both, or leave it out"),
         (["paper", "out="], "out=: give a value, or leave it out"),
-        (["paper", "engine=ray", "address=127.0.0.1:1"], "engine=ray: there is no Ray cluster at address=127.0.0.1:1"),
+        (
+            ["paper", "engine=ray", "address=127.0.0.1:1"],
+            "engine=ray: there is no Ray cluster at address=127.0.0.1:1",
+        ),
         (["paper", "engine=slurm"], "engine=slurm: there is no sbatch on this machine"),
     ],
 )
@@ -267,7 +367,10 @@ def test_an_engine_whose_package_is_missing_names_the_extra(monkeypatch, tmp_pat
     for engine, package in (("ray", "ray"), ("slurm", "submitit")):
         monkeypatch.setitem(__import__("sys").modules, package, None)
         assert main(["paper", f"engine={engine}"]) == 2
-        assert f"engine={engine}: not installed; pip install 'uavnav[scale]' brings it" in capsys.readouterr().err
+        assert (
+            f"engine={engine}: not installed; pip install 'uavnav[scale]' brings it"
+            in capsys.readouterr().err
+        )
 
 
 def test_settings_are_dealt_to_the_study_and_to_its_engine():
@@ -297,13 +400,17 @@ def test_a_file_is_no_folder_of_a_study(out, words, tmp_path, capsys, monkeypatc
 NOW = '"at": 9e99'
 
 
-@pytest.mark.parametrize("said", ["", "{", "[]", "3", f"{{{NOW}}}", f'{{"frames": "1", "total": 1, "rate": 1, {NOW}}}'])
+@pytest.mark.parametrize(
+    "said", ["", "{", "[]", "3", f"{{{NOW}}}", f'{{"frames": "1", "total": 1, "rate": 1, {NOW}}}']
+)
 def test_progress_that_cannot_be_read_counts_as_not_there(said, tmp_path):
-    cell = studies.cells(studies.read("paper"), tmp_path)[0]
-    put(cell.out / "progress.json", f'{{"frames": 1, "total": 2, "rate": null, "at": {time.time()}}}')
-    assert status(cell)["state"] == "under way"
-    put(cell.out / "progress.json", said)
-    assert (progress(cell.out), status(cell)["state"]) == ({}, "stopped")
+    configuration = studies.configurations(studies.read("paper"), tmp_path)[0]
+    put(
+        configuration.out / "progress.json", f'{{"frames": 1, "total": 2, "rate": null, "at": {time.time()}}}'
+    )
+    assert status(configuration)["state"] == "under way"
+    put(configuration.out / "progress.json", said)
+    assert (progress(configuration.out), status(configuration)["state"]) == ({}, "stopped")
 
 
 def test_every_study_has_a_target_of_make_and_a_name_on_the_page():
@@ -324,27 +431,27 @@ def test_makespans_of_known_jobs_and_the_table_of_the_page():
     assert shown == makespan["table"](ROOT / "results")
 
 
-def test_a_cell_of_which_a_setting_is_wrong_is_refused():
+def test_a_configuration_of_which_a_setting_is_wrong_is_refused():
     with pytest.raises(ConfigError, match="n_seeds=0"):
-        studies.cells(studies.read("paper"), Path("out"), seeds=0)
+        studies.configurations(studies.read("paper"), Path("out"), seeds=0)
 
 
-def test_a_finished_run_of_other_settings_does_not_count_as_a_cell(tmp_path, capsys):
+def test_a_finished_run_of_other_settings_does_not_count_as_a_configuration(tmp_path, capsys):
     config = {"hidden": [4], "total_frames": 64, "frames_per_batch": 64, "epochs": 1, "n_envs": 2}
     ppo.train(ppo.PPOConfig(**config), out=tmp_path / "out" / "ppo" / "tanh", quiet=True)
-    cell = {"algorithm": "ppo", "evaluate": False, **config, "hidden": [[4]]}
-    name = written(tmp_path, yaml.safe_dump({"cells": [cell | {"lr": 0.5}]}))
+    configuration = {"algorithm": "ppo", "evaluate": False, **config, "hidden": [[4]]}
+    name = written(tmp_path, yaml.safe_dump({"configurations": [configuration | {"lr": 0.5}]}))
     words = [name, f"out={tmp_path / 'out'}"]
     assert main([*words, "--status"]) == 0
     assert "holds a run with lr=0.0003, not 0.5; give another folder" in capsys.readouterr().out
     assert main([*words, "report=false"]) == 2
     assert "holds a run with lr=0.0003, not 0.5; give another folder" in capsys.readouterr().err
-    written(tmp_path, yaml.safe_dump({"cells": [cell]}))
+    written(tmp_path, yaml.safe_dump({"configurations": [configuration]}))
     assert main([*words, "report=false"]) == 0
 
 
 def test_numbers_may_be_written_as_1e6(tmp_path):
-    name = written(tmp_path, "settings: {total_frames: 1e4}\ncells: [{algorithm: ppo, lr: 1e-3}]")
-    (cell,) = studies.cells(studies.read(name), tmp_path)
-    assert (cell.config.total_frames, cell.config.lr) == (10_000, 0.001)
+    name = written(tmp_path, "settings: {total_frames: 1e4}\nconfigurations: [{algorithm: ppo, lr: 1e-3}]")
+    (configuration,) = studies.configurations(studies.read(name), tmp_path)
+    assert (configuration.config.total_frames, configuration.config.lr) == (10_000, 0.001)
     assert parse(["frames=1e7"])[0].frames == 10_000_000

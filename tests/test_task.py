@@ -1,43 +1,40 @@
-"""A task is one thing: its parts travel together, its subclasses fly everywhere, its rewards see a whole step."""
+"""A task is one thing: its parts travel together, its subclasses fly everywhere, its rewards see a whole
+step.
+"""
 
-import dataclasses
 import inspect
-import json
 import re
 
-import gymnasium
 import numpy as np
 import oracle
 import pytest
 import torch
+from slow_episodes import Narrow, NarrowWorld
 
 import uavnav
 from uavnav import DroneEnv, World, load_policy
 from uavnav.algorithms import ppo
 from uavnav.envs import scalar
 from uavnav.envs.gym import DroneGymEnv, DroneVectorEnv
-from uavnav.tasks import layouts, protocol
+from uavnav.tasks import layouts
 from uavnav.tasks.rewards import REWARDS
-from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
+from uavnav.tasks.table import EMPTY, TASKS, make_task
+from uavnav.tasks.table import header as header_of
 from uavnav.training import weights
 
 OTHER = {
-    **{"border": 10, "drone_radius": 25.0, "sensor_radius": 100.0, "sensor_arc": 270.0, "n_slots": 7, "penalty": -0.02},
+    **{
+        "border": 10,
+        "drone_radius": 25.0,
+        "sensor_radius": 100.0,
+        "sensor_arc": 270.0,
+        "n_slots": 7,
+        "penalty": -0.02,
+    },
     **{"slots": "listed", "padding": "zeros", "start_heading": "random"},
 }
 """Some fields of a world that is not the paper's."""
 FIELDS = World.names()
-
-
-class NarrowWorld(World):
-    sensor_arc: float = 90.0
-    fog: float = 0.5
-
-
-class Narrow(Task):
-    """The paper's task with a sensor that covers 90 degrees instead of 180."""
-
-    WORLD = NarrowWorld
 
 
 NARROW = oracle.Arena(arc=90)
@@ -51,7 +48,9 @@ def narrow(monkeypatch):
 
 
 def batch(task, n, steps, seed=0):
-    """Yield, of each step of n rows on the first n sets: the state before it, its actions, the state after, outcome."""
+    """Yield, of each step of n rows on the first n sets: the state before it, its actions, the state
+    after, outcome.
+    """
     generator = torch.Generator().manual_seed(seed)
     state = task.start(torch.arange(n), torch.randint(360, (n,), generator=generator))
     for _ in range(steps):
@@ -61,26 +60,18 @@ def batch(task, n, steps, seed=0):
         yield before, action, state, outcome
 
 
-# -- as one ----------------------------------------------------------------------------------------------------------
+# -- as one --------------------------------------------------------------------------------------------------
 
 
-def test_a_header_holds_every_field_of_the_world_the_reward_the_cap_and_the_banks_hash():
-    header = make_task("test", OTHER, "additive", 50).header()
-    assert set(header) == {"task", "world", "reward", "max_steps", "stack", "faults", "bank"}
+def test_a_header_holds_every_field_of_the_world_the_reward_the_cap_and_the_layout_files_hash():
+    header = header_of(make_task("test", OTHER, "additive", 50))
+    assert set(header) == {"task", "world", "reward", "max_steps", "stack", "faults", "layouts"}
     assert list(header["world"]) == FIELDS
     assert len(FIELDS) >= 18
     assert header["world"].items() >= OTHER.items()
     assert (header["task"], header["reward"], header["max_steps"]) == ("drone", "additive", 50)
-    assert header["bank"] == layouts.read("test")[1]["sha256"] == make_task("test").header()["bank"]
-    assert header["bank"] != make_task("train").header()["bank"]
-
-
-def test_a_task_from_its_header_in_json_is_the_same_in_all_18_fields():
-    task = make_task("test", OTHER, "initial", 9)
-    header = json.loads(json.dumps(task.header()))
-    again = make_task("test", header["world"], header["reward"], header["max_steps"], header["task"])
-    assert (again.world, again.reward, again.max_steps, type(again)) == (task.world, "initial", 9, Task)
-    assert again.header() == task.header()
+    assert header["layouts"] == layouts.read("test")[1]["sha256"] == header_of(make_task("test"))["layouts"]
+    assert header["layouts"] != header_of(make_task("train"))["layouts"]
 
 
 def test_a_world_is_its_own_class_or_a_mapping_of_some_fields_or_nothing():
@@ -105,7 +96,10 @@ def test_a_whole_task_says_all_that_the_other_arguments_would_say():
         ({"world": {"slots": "nearst"}}, "slots=nearst; choose from listed, nearest (did you mean nearest?)"),
         ({"world": {"sensor_arc": 361}}, "sensor_arc=361; give a number above 0 and at most 360"),
         ({"max_steps": 0}, "max_steps=0; choose None or a whole number from 1"),
-        ({"layouts": "validaton"}, "choose from train, validation, test or a file's path (did you mean validation?)"),
+        (
+            {"layouts": "validaton"},
+            "choose from train, validation, test or a file's path (did you mean validation?)",
+        ),
         ({"world": {"safe_zone": 90}}, "layouts='train': obstacle "),
         ({"world": {"safe_zone": 90}}, " is nearer than 90 px to the start"),
     ],
@@ -116,24 +110,26 @@ def test_each_wrong_part_is_refused_in_one_line_with_the_choices(arguments, says
     assert "\n" not in str(refused.value)
 
 
-def test_a_bank_that_was_made_for_a_wider_window_flies_in_it_alone():
+def test_a_layout_file_that_was_made_for_a_wider_window_flies_in_it_alone():
     wider = World(width=1000)
-    bank = layouts.generate(200, 8, seed=3, world=wider)
-    assert torch.equal(make_task(bank, wider).bank, bank)
+    all_layouts = layouts.generate(200, 8, seed=3, world=wider)
+    assert torch.equal(make_task(all_layouts, wider).layouts, all_layouts)
     with pytest.raises(uavnav.LayoutError, match="is nearer than 50 px to the start"):
-        make_task(bank)
-    with pytest.raises(uavnav.LayoutError, match=r"layouts='test': .* give a bank that fits this world"):
+        make_task(all_layouts)
+    with pytest.raises(
+        uavnav.LayoutError, match=r"layouts='test': .* give a layout file that fits this world"
+    ):
         make_task("test", wider)
 
 
-def test_on_another_bank_and_cap_a_task_keeps_its_world_its_reward_and_its_class(narrow):
-    for task in (make_task("test", OTHER, "additive", 50), dataclasses.replace(narrow, reward="initial")):
+def test_on_another_split_and_cap_a_task_keeps_its_world_its_reward_and_its_class(narrow):
+    for task in (make_task("test", OTHER, "additive", 50), narrow.replace(reward="initial")):
         moved = task.on("validation", 9)
-        assert torch.equal(moved.bank, layouts.load("validation"))
-        assert (moved.world, moved.reward, type(moved)) == (task.world, task.reward, type(task))
+        assert torch.equal(moved.layouts, layouts.load("validation"))
+        assert (moved.world, moved.reward, type(moved.task)) == (task.world, task.reward, type(task.task))
         assert (moved.max_steps, task.on(EMPTY, None).max_steps) == (9, None)
-        assert torch.equal(task.bank, layouts.load("test"))
-    with pytest.raises(uavnav.LayoutError, match="no such bank"):
+        assert torch.equal(task.layouts, layouts.load("test"))
+    with pytest.raises(uavnav.LayoutError, match="no such layout file"):
         task.on("tset", None)
     with pytest.raises(ValueError, match="max_steps=0"):
         task.on("test", 0)
@@ -150,26 +146,30 @@ def test_each_of_3_environments_takes_the_parts_of_a_task_or_a_whole_one(kind):
     whole = make_task("validation", OTHER, "additive", 7)
     for env in (kind(task=whole), kind(layouts="test", reward="initial", max_steps=99, task=whole)):
         assert (env.task.world, env.task.reward, env.task.max_steps) == (whole.world, "additive", 7)
-        assert torch.equal(env.task.bank, whole.bank)
-    with pytest.raises(ValueError, match=r"task='dorne'; choose from drone, moving, goal, .* \(did you mean drone\?\)"):
+        assert torch.equal(env.task.layouts, whole.layouts)
+    with pytest.raises(
+        ValueError, match=r"task='dorne'; choose from drone, moving, goal, .* \(did you mean drone\?\)"
+    ):
         kind(task="dorne")
 
 
-@pytest.mark.parametrize("given", [{"world": OTHER, "reward": "additive", "max_steps": 50}, {"task": "narrow"}])
+@pytest.mark.parametrize(
+    "given", [{"world": OTHER, "reward": "additive", "max_steps": 50}, {"task": "narrow"}]
+)
 def test_a_policys_file_gives_back_the_task_that_it_was_trained_in(given, narrow, tmp_path):
     config = ppo.PPOConfig(layouts="test", hidden=(4,), **given)
     trainee = config.make(compile=False)
     path = tmp_path / "policy.safetensors"
     path.write_bytes(weights.serialize(trainee.networks(), config, trainee.actor))
     policy, task = load_policy(path), config.make_task()
-    assert {**policy.task.header(), "bank": policy.bank} == task.header()
-    assert type(policy.task) is type(task)
+    assert {**header_of(policy.task), "layouts": policy.layouts} == header_of(task)
+    assert type(policy.task.task) is type(task.task)
     assert policy.world == task.world
     observation, _ = task.observe(task.start(torch.arange(5), torch.full((5,), 90)))
     assert torch.equal(policy.values(observation), trainee.policy(observation[None])[0])
 
 
-# -- a subclass ------------------------------------------------------------------------------------------------------
+# -- a subclass ----------------------------------------------------------------------------------------------
 
 
 def filled(observation):
@@ -186,7 +186,12 @@ def test_a_narrow_sensor_senses_fewer_things_and_what_a_slow_loop_over_all_sense
         fewer += (filled(outcome.observation) < filled(observation)).sum()
     assert fewer > 300
     for row in range(50):
-        pose = state.x[row].item(), state.y[row].item(), state.heading[row].item(), narrow.bank[row].tolist()
+        pose = (
+            state.x[row].item(),
+            state.y[row].item(),
+            state.heading[row].item(),
+            narrow.layouts[row].tolist(),
+        )
         found = oracle.look(*pose, NARROW)
         if not oracle.doubtful(found, NARROW):
             expected = torch.tensor(sum(oracle.slots_of(found, arena=NARROW), ()))
@@ -195,45 +200,27 @@ def test_a_narrow_sensor_senses_fewer_things_and_what_a_slow_loop_over_all_sense
 
 def test_a_subclass_has_a_world_of_its_own_with_a_field_of_its_own(narrow):
     assert narrow.world == NarrowWorld()
-    assert narrow.header()["task"] == "narrow"
-    assert list(narrow.header()["world"]) == [*FIELDS, "fog"]
+    assert header_of(narrow)["task"] == "narrow"
+    assert list(header_of(narrow)["world"]) == [*FIELDS, "fog"]
     config = ppo.PPOConfig(task="narrow", world={"fog": 0.25})
     assert config.world == NarrowWorld(fog=0.25)
-    assert type(config.make_task()) is Narrow
-    with pytest.raises(uavnav.ConfigError, match=r"there is no key 'world\.fogg'; .*did you mean world\.fog\?"):
+    assert type(config.make_task().task) is Narrow
+    with pytest.raises(
+        uavnav.ConfigError, match=r"there is no key 'world\.fogg'; .*did you mean world\.fog\?"
+    ):
         ppo.PPOConfig(task="narrow", world={"fogg": 1})
     with pytest.raises(uavnav.ConfigError, match="give a NarrowWorld"):
         ppo.PPOConfig(task="narrow", world=World())
 
 
-def test_by_name_or_as_a_whole_a_subclass_flies_100_steps_in_every_environment_as_in_the_batch(narrow):
-    rng = np.random.default_rng(0)
-    by_name, whole = {"task": "narrow", "layouts": "test", "max_steps": 40}, {"task": narrow.on("test", 40)}
-    for how in (by_name, whole):
-        env = DroneEnv([3], seeds=4, **how)
-        vector = gymnasium.make_vec("uavnav/Drone-v0", num_envs=3, **how)
-        single = gymnasium.make("uavnav/Drone-v0", **how)
-        assert type(env.task) is type(single.unwrapped.task) is Narrow
-        root, (seen, _), (alone, _) = env.reset(), vector.reset(seed=4), single.reset(seed=4)
-        for action in rng.integers(100, size=(100, 3)):
-            assert np.array_equal(root["observation"].numpy(), seen)
-            np.testing.assert_allclose(alone, seen[0], rtol=0, atol=1e-6)
-            after, root = env.step_and_maybe_reset(root.set("action", torch.as_tensor(action)))
-            seen, reward, *_ = vector.step(action)
-            alone, earned, *ends, _ = single.step(action[0])
-            flags = [after["next", name][0].item() for name in ("terminated", "truncated")]
-            assert (earned, ends) == (reward[0], flags)
-            alone = single.reset()[0] if any(ends) else alone
-
-
 def flown_alone(task, layout, heading, actions):
-    """Observations, clearances, rewards and ends of one flight in plain numbers, from its start on."""
-    flight = scalar.fly(task)
-    observation = flight.start(layout, heading)
-    yield observation, flight.clearance, 0.0, False, False
+    """Observations, clearances, rewards and ends of one episode in plain numbers, from its start on."""
+    episode = scalar.fly(task)
+    observation = episode.start(layout, heading)
+    yield observation, episode.clearance, 0.0, False, False
     for action in actions:
-        observation, *rest = flight.step(action)
-        yield observation, flight.clearance, *rest
+        observation, *rest = episode.step(action)
+        yield observation, episode.clearance, *rest
 
 
 def equal_the_batch(task, steps=60):
@@ -256,7 +243,7 @@ def test_a_subclass_flies_alone_as_a_batch_of_one_for_60_steps(narrow):
     equal_the_batch(narrow.on("test", 50))
 
 
-# -- rewards ---------------------------------------------------------------------------------------------------------
+# -- rewards -------------------------------------------------------------------------------------------------
 
 
 def roomy(step):
@@ -273,14 +260,14 @@ def gentle(step):
 
 
 SLOW = {
-    "roomy": lambda turn, flight: -10 if flight.terminated else 0.01 * flight.clearance,
-    "gentle": lambda turn, flight: -10 * flight.terminated - 0.001 * abs(turn),
+    "roomy": lambda turn, episode: -10 if episode.terminated else 0.01 * episode.clearance,
+    "gentle": lambda turn, episode: -10 * episode.terminated - 0.001 * abs(turn),
 }
 
 
 @pytest.fixture(params=SLOW)
 def own(request, monkeypatch):
-    """A user's reward by name, and what it pays for a turn and the oracle's flight after a step."""
+    """A user's reward by name, and what it pays for a turn and the oracle's episode after a step."""
     monkeypatch.setitem(REWARDS, "roomy", roomy)
     monkeypatch.setitem(REWARDS, "gentle", gentle)
     return request.param, SLOW[request.param]
@@ -288,26 +275,29 @@ def own(request, monkeypatch):
 
 def test_a_users_reward_pays_300_steps_of_3_rows_of_droneenv_and_gymnasium_as_a_slow_loop_does(own):
     name, slow = own
-    env, vector = DroneEnv([3], layouts="test", reward=name, seeds=2), DroneVectorEnv(3, layouts="test", reward=name)
+    env, vector = (
+        DroneEnv([3], layouts="test", reward=name, seeds=2),
+        DroneVectorEnv(3, layouts="test", reward=name),
+    )
     single = DroneGymEnv(layouts="test", reward=name)
-    now, bank, ends = env.reset(), env.bank.tolist(), 0
+    now, layouts, ends = env.reset(), env.layouts.tolist(), 0
     vector.reset(seed=2)
     single.reset(seed=2)
-    flights = [oracle.Flight(bank, layout, max_steps=None) for layout in env.state.layout.tolist()]
+    episodes = [oracle.Episode(layouts, layout, max_steps=None) for layout in env.state.layout.tolist()]
     for actions in np.random.default_rng(1).integers(100, size=(300, 3)):
         now = env.step(now.set("action", torch.as_tensor(actions)))["next"]
         _, reward, *_ = vector.step(actions)
         _, alone, *over, _ = single.step(actions[0])
         assert np.array_equal(reward.astype(np.float32), now["reward"].squeeze(-1).numpy())
         assert alone == pytest.approx(reward[0], abs=1e-12)
-        for row, (flight, action) in enumerate(zip(flights, actions.tolist(), strict=True)):
-            flight.step(action)
-            flight.at(env.state.x[row].item(), env.state.y[row].item())
-            assert now["terminated"][row].item() == flight.terminated
-            assert reward[row] == pytest.approx(slow(oracle.decode(action)[0], flight), abs=1e-6)
-            if flight.terminated:
+        for row, (episode, action) in enumerate(zip(episodes, actions.tolist(), strict=True)):
+            episode.step(action)
+            episode.at(env.state.x[row].item(), env.state.y[row].item())
+            assert now["terminated"][row].item() == episode.terminated
+            assert reward[row] == pytest.approx(slow(oracle.decode(action)[0], episode), abs=1e-6)
+            if episode.terminated:
                 ends += 1
-                flight.next_episode()
+                episode.next_episode()
         if any(over):
             single.reset()
         now = env.maybe_reset(now)
@@ -320,7 +310,7 @@ def test_a_users_reward_is_handed_to_the_batch_of_one_and_the_three_built_in_one
     assert type(scalar.fly(task)) is scalar.BatchOfOne
     equal_the_batch(task)
     for reward in ("eq14", "additive", "initial"):
-        assert type(scalar.fly(make_task("test", reward=reward))) is scalar.Flight
+        assert type(scalar.fly(make_task("test", reward=reward))) is scalar.Episode
 
 
 def test_another_reward_by_the_name_of_eq14_is_not_taken_for_it(monkeypatch):
@@ -361,7 +351,3 @@ def test_the_three_built_in_rewards_pay_5000_steps_as_eq_14_and_section_4_2_say(
         torch.testing.assert_close(after.reward, total, rtol=0, atol=1e-9)
         collisions += outcome.terminated.sum().item()
     assert collisions > 20
-
-
-def test_the_names_that_commands_show_without_torch_are_those_of_the_tasks():
-    assert tuple(TASKS) == protocol.TASK_NAMES

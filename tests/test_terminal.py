@@ -32,7 +32,9 @@ def mapped(process, library):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_ctrl_c_while_modules_are_imported_is_one_line_at_most(command, library, tmp_path):
     words = [sys.executable, *map(str, COMMANDS[command])]
-    with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         try:
             mapped(process, library)
             process.send_signal(signal.SIGINT)
@@ -61,7 +63,9 @@ lock = multiprocessing.get_context("spawn").Lock()
 while True:
     print("a line", flush=True)
 '"""
-"""A command that is in the middle of its work, with a semaphore that another process of Python looks after."""
+"""A command that is in the middle of its work, with a semaphore that another process of Python looks
+after.
+"""
 
 
 @pytest.mark.parametrize(

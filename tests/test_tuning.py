@@ -1,5 +1,8 @@
-"""Tuning: the same trials whatever kills the study, the same number and ranges for all; training itself is made up."""
+"""Tuning: the same trials whatever kills the study, the same number and ranges for all; training itself
+is made up.
+"""
 
+import functools
 import itertools
 import json
 import math
@@ -14,8 +17,7 @@ import pytest
 
 from uavnav import studies
 from uavnav.algorithms.ppo import PPOConfig
-from uavnav.cli import study, worker
-from uavnav.cli.study import main
+from uavnav.cli import commands, study, worker
 from uavnav.errors import ConfigError
 from uavnav.report.tables import markdown
 from uavnav.runs import trials
@@ -23,6 +25,8 @@ from uavnav.runs.policies import Diverged, PolicyError
 from uavnav.runs.tables import RunError, lock
 from uavnav.studies import search, tuning
 from uavnav.training import workers
+
+main = functools.partial(commands.run, "study")
 
 optuna = pytest.importorskip("optuna")
 
@@ -37,7 +41,7 @@ tune:
     ppo: {lr: rate, hidden: width, epochs: passes}
     a2c: {lr: rate, hidden: width}
 settings: {seed: 100, n_seeds: 3, total_frames: 4000}
-cells:
+configurations:
   - {algorithm: [ppo, a2c], folder: tuning/default}
 """
 DIVERGES = 5e-3
@@ -59,18 +63,18 @@ def value(config):
     return -abs(math.log10(config.lr) + 3) - abs(config.hidden[0] - 64) / 64
 
 
-def train(cells):
-    """Leave the rows that flights would leave, and return what diverged."""
+def train(configurations):
+    """Leave the rows that episodes would leave, and return what diverged."""
     failed = []
-    for cell in cells:
-        cell.out.mkdir(parents=True, exist_ok=True)
-        if cell.config.lr > DIVERGES:
-            failed.append(SimpleNamespace(cell=cell, diverged=True))
+    for configuration in configurations:
+        configuration.out.mkdir(parents=True, exist_ok=True)
+        if configuration.config.lr > DIVERGES:
+            failed.append(SimpleNamespace(configuration=configuration, diverged=True))
             continue
         modes = {"mode": ["greedy", "sampled", "sampled"], "reward": [99.0, 1.0, -1.0]}
         rows = pd.DataFrame(modes)
-        rows["reward"] += value(cell.config)
-        rows.to_parquet(cell.out / cell.flights[0])
+        rows["reward"] += value(configuration.config)
+        rows.to_parquet(configuration.out / configuration.episodes[0])
     return failed
 
 
@@ -88,24 +92,29 @@ def unbroken(tmp_path_factory):
 def test_each_algorithm_gets_the_same_number_of_trials_the_first_with_its_defaults(tmp_path):
     tuned(tmp_path)
     table = search.trials(planned(tmp_path))
-    assert table.groupby("algorithm")["trial"].apply(list).to_dict() == {"a2c": [*range(14)], "ppo": [*range(14)]}
+    assert table.groupby("algorithm")["trial"].apply(list).to_dict() == {
+        "a2c": [*range(14)],
+        "ppo": [*range(14)],
+    }
     first = {row.algorithm: json.loads(row.settings) for row in table[table["trial"] == 0].itertuples()}
     assert first == {"ppo": {"lr": 3e-4, "hidden": 64, "epochs": 10}, "a2c": {"lr": 7e-4, "hidden": 64}}
 
 
-def test_a_trial_is_told_the_mean_reward_of_its_sampled_flights_and_the_best_wins(tmp_path):
+def test_a_trial_is_told_the_mean_reward_of_its_sampled_episodes_and_the_best_wins(tmp_path):
     tuned(tmp_path)
     found = planned(tmp_path)
     table = search.trials(found)
     for row in table[table["state"] == "finished"].itertuples():
-        cell = found.trial(row.algorithm, row.trial, json.loads(row.settings))
-        assert row.value == pytest.approx(value(cell.config))
-    for cell in search.winners(found):
-        mine = table[table["algorithm"] == cell.config.algorithm]
-        assert value(cell.config) == pytest.approx(mine["value"].max())
-        assert (cell.config.seeds, cell.config.total_frames) == ([100, 101, 102], 4000)
+        configuration = found.trial(row.algorithm, row.trial, json.loads(row.settings))
+        assert row.value == pytest.approx(value(configuration.config))
+    for configuration in search.winners(found):
+        mine = table[table["algorithm"] == configuration.config.algorithm]
+        assert value(configuration.config) == pytest.approx(mine["value"].max())
+        assert (configuration.config.seeds, configuration.config.total_frames) == ([100, 101, 102], 4000)
         number = mine.loc[mine["value"].idxmax(), "trial"]
-        assert cell.out == found.out / f"tuning/tuned/{number:03}/{cell.config.algorithm}/tanh"
+        assert (
+            configuration.out == found.out / f"tuning/tuned/{number:03}/{configuration.config.algorithm}/tanh"
+        )
 
 
 def test_a_trial_that_diverges_is_told_as_failed_and_the_study_goes_on(tmp_path):
@@ -132,7 +141,9 @@ def test_a_worker_whose_weights_are_not_finite_diverged_and_one_that_cannot_fly_
     assert own.last_words() == {"error": "policy.0.weight of seed 3", "diverged": diverged}
 
 
-@pytest.mark.parametrize("said", [None, "", "{", "[]", "3", "{}", '{"out": 3, "folder": ".", "evaluation": null}'])
+@pytest.mark.parametrize(
+    "said", [None, "", "{", "[]", "3", "{}", '{"out": 3, "folder": ".", "evaluation": null}']
+)
 def test_a_damaged_job_of_a_worker_is_answered_in_one_line(said, tmp_path, monkeypatch):
     monkeypatch.setattr(worker, "STOPS", ())
     job = tmp_path / "0.job"
@@ -144,7 +155,9 @@ def test_a_damaged_job_of_a_worker_is_answered_in_one_line(said, tmp_path, monke
 
 
 def stopped(tmp_path, monkeypatch, after, leave=lambda journal: None):
-    """A study that is killed after so many writes of its journal, which is then left as a function leaves it."""
+    """A study that is killed after so many writes of its journal, which is then left as a function leaves
+    it.
+    """
     backend = optuna.storages.journal.JournalFileBackend
     writes, whole = itertools.count(1), backend.append_logs
 
@@ -161,13 +174,17 @@ def stopped(tmp_path, monkeypatch, after, leave=lambda journal: None):
 
 
 @pytest.mark.parametrize("after", [1, 3, 12, 40, 55])
-def test_a_study_killed_after_any_write_ends_with_the_trials_of_an_unbroken_one(after, tmp_path, unbroken, monkeypatch):
+def test_a_study_killed_after_any_write_ends_with_the_trials_of_an_unbroken_one(
+    after, tmp_path, unbroken, monkeypatch
+):
     """Also where the kill comes while a trial is asked for, between two that are told, or in training."""
     stopped(tmp_path, monkeypatch, after)
     assert tuned(tmp_path) == unbroken
 
 
-def test_a_study_whose_journal_is_cut_off_in_mid_line_ends_with_the_same_trials(tmp_path, unbroken, monkeypatch):
+def test_a_study_whose_journal_is_cut_off_in_mid_line_ends_with_the_same_trials(
+    tmp_path, unbroken, monkeypatch
+):
     """As a full disk or a lost machine leaves it."""
     stopped(tmp_path, monkeypatch, 12, leave=lambda journal: journal.write_bytes(journal.read_bytes()[:-20]))
     assert tuned(tmp_path) == unbroken
@@ -176,8 +193,8 @@ def test_a_study_whose_journal_is_cut_off_in_mid_line_ends_with_the_same_trials(
 def test_a_trial_that_was_under_way_is_trained_again_with_the_same_settings_in_the_same_folder(tmp_path):
     seen = []
 
-    def dies(cells):
-        seen.append([(cell.out, cell.config) for cell in cells])
+    def dies(configurations):
+        seen.append([(configuration.out, configuration.config) for configuration in configurations])
         raise Killed
 
     for _ in range(2):
@@ -188,17 +205,17 @@ def test_a_trial_that_was_under_way_is_trained_again_with_the_same_settings_in_t
 
 
 def test_trials_that_fail_otherwise_are_not_told_and_come_back(tmp_path):
-    def full(cells):
-        return [SimpleNamespace(cell=cells[0], diverged=False)]
+    def full(configurations):
+        return [SimpleNamespace(configuration=configurations[0], diverged=False)]
 
     assert len(tuning.tune(planned(tmp_path), full)) == 1
     assert search.trials(planned(tmp_path)).empty
 
 
-def test_a_study_whose_trials_fail_counts_them_and_not_its_cells(tmp_path, capsys, monkeypatch):
+def test_a_study_whose_trials_fail_counts_them_and_not_its_configurations(tmp_path, capsys, monkeypatch):
     class Full(study.Runner):
         def run(self):
-            return [study.Work(work.cell, problem="the disk is full") for work in self.works[:5]]
+            return [study.Work(work.configuration, problem="the disk is full") for work in self.works[:5]]
 
     monkeypatch.setattr(study, "Runner", Full)
     (tmp_path / "small.yaml").write_text(SMALL)
@@ -218,9 +235,13 @@ def test_more_trials_go_on_where_fewer_ended(tmp_path):
 def test_another_winner_after_more_trials_is_another_run(tmp_path):
     """Else the run of the one before would stand as its own."""
     tuned(tmp_path, trials=2)
-    before = {cell.config.algorithm: cell for cell in search.winners(planned(tmp_path))}
+    before = {
+        configuration.config.algorithm: configuration for configuration in search.winners(planned(tmp_path))
+    }
     tuned(tmp_path)
-    after = {cell.config.algorithm: cell for cell in search.winners(planned(tmp_path))}
+    after = {
+        configuration.config.algorithm: configuration for configuration in search.winners(planned(tmp_path))
+    }
     changed = [name for name in after if after[name].config != before[name].config]
     assert changed
     assert all((after[name].out != before[name].out) == (name in changed) for name in after)
@@ -229,7 +250,10 @@ def test_another_winner_after_more_trials_is_another_run(tmp_path):
 def test_algorithms_that_are_searched_one_after_the_other_have_all_rows(tmp_path, unbroken):
     found = planned(tmp_path)
     for name in ("a2c", "ppo"):
-        assert tuning.tune(found._replace(study=studies.only(found.study, name)), train, say=lambda line: None) == []
+        assert (
+            tuning.tune(found._replace(study=studies.only(found.study, name)), train, say=lambda line: None)
+            == []
+        )
     for name, both in zip(("trials.csv", "importance.csv"), unbroken, strict=True):
         assert sorted((found.folder / name).read_bytes().splitlines()) == sorted(both.splitlines())
 
@@ -242,13 +266,19 @@ def test_importance_is_a_share_of_each_setting_and_the_one_that_decides_leads(tm
     assert passes < 0.2  # the made-up training does not look at it
 
 
-def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_setting_the_same_range(tmp_path):
+def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_setting_the_same_range(
+    tmp_path,
+):
     study = studies.read("tuning")
     found = search.plan(study, tmp_path)
     assert found.algorithms == ["ppo", "dqn", "a2c", "c51", "sac"]
-    assert (found.trials, found.said["settings"]["n_seeds"], found.said["settings"]["total_frames"]) == (40, 2, 200_000)
-    cell = found.trial("sac", 0, {})
-    assert cell.evaluation == {"episodes": 100, "max_steps": 2000, "layouts": "validation"}
+    assert (found.trials, found.said["settings"]["n_seeds"], found.said["settings"]["total_frames"]) == (
+        40,
+        2,
+        200_000,
+    )
+    configuration = found.trial("sac", 0, {})
+    assert configuration.evaluation == {"episodes": 100, "max_steps": 2000, "layouts": "validation"}
     ranges = {}
     for algorithm, setting in ((a, s) for a in found.algorithms for s in found.said["space"][a]):
         ranges.setdefault(setting, []).append(found.range(algorithm, setting))
@@ -256,7 +286,11 @@ def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_s
         assert len(ranges[setting]) == 5
     assert all(one == of[0] for of in ranges.values() for one in of)
     assert found.range("ppo", "minibatch_size") == found.range("dqn", "batch_size")
-    defaults = [cell for cell in studies.cells(study, tmp_path) if cell.config.algorithm == "sac"]
+    defaults = [
+        configuration
+        for configuration in studies.configurations(study, tmp_path)
+        if configuration.config.algorithm == "sac"
+    ]
     assert defaults[0].config.seeds == [*range(100, 110)]
     assert defaults[0].config.total_frames == 1_000_000
 
@@ -271,24 +305,45 @@ def test_the_page_shows_the_search_space_of_the_file():
     [
         (("at_once: 3", "at_onec: 3"), "tune: there is no key 'at_onec'"),
         (("trials: 14", "trials: many"), "tune: trials=many; give it as uavnav/studies/tuning.yaml does"),
-        (("hidden: width}", "hidden: widht}"), "tune: range=widht; choose from passes, rate, width (did you mean widt"),
+        (
+            ("hidden: width}", "hidden: widht}"),
+            "tune: range=widht; choose from passes, rate, width (did you mean widt",
+        ),
         (("lr: rate, hidden: width}", "lrr: rate}"), "there is no key 'lrr'"),
         (("[32, 64, 128]", "[32, 128]"), "width=[32, 128]; the default of ppo, hidden=64, is not in it"),
         (("[32, 64, 128]", "64"), "width=64; give a list of values, or low and high"),
         (("a2c: {", "sac: {"), "tune: algorithm=a2c; choose from ppo, sac"),
         (("low: 1,", "low: 0,"), "epochs=0; give a number of at least 1"),
-        (("low: 1.0e-5", "low: 0.0"), "'log': True}; give numbers, low below high, and low above 0 with log: true"),
+        (
+            ("low: 1.0e-5", "low: 0.0"),
+            "'log': True}; give numbers, low below high, and low above 0 with log: true",
+        ),
         (("low: 1.0e-5", "low: small"), "give numbers, low below high"),
         (("low: 1,", "low: 30,"), "passes={'low': 30, 'high': 20}; give numbers, low below high"),
-        (("ppo: {lr: rate, hidden: width, epochs: passes}", "ppo: lr"), "tune: space: ppo=lr; give settings with the"),
+        (
+            ("ppo: {lr: rate, hidden: width, epochs: passes}", "ppo: lr"),
+            "tune: space: ppo=lr; give settings with the",
+        ),
         (("epochs: passes}", "task: passes}"), "task=1"),
         (("epochs: passes}", "max_steps: passes}"), "the default of ppo, max_steps=None, is not in it"),
-        (("epochs: passes}", "max_grad_norm: [passes]}"), "range=['passes']; choose from passes, rate, width"),
+        (
+            ("epochs: passes}", "max_grad_norm: [passes]}"),
+            "range=['passes']; choose from passes, rate, width",
+        ),
         (("at_once: 3", "at_once: -3"), "tune: at_once=-3; give it as uavnav/studies/tuning.yaml does"),
         (("    a2c: {", "    pop: {lr: rate}\n    a2c: {"), "tune: algorithm=pop; choose from a2c, "),
-        (("activation: tanh", "activation: [tanh, relu]"), "tune: ppo: a trial is one cell, not 2; give one value"),
-        (("evaluate: {episodes: 5, max_steps: 50}", "evaluate: false"), "tune: settings: evaluate=false; a trial is"),
-        (("{seed: 100, n", "{seed: 1, n"), "tune: ppo: seed=1 is of trials and of what they are compared in; give"),
+        (
+            ("activation: tanh", "activation: [tanh, relu]"),
+            "tune: ppo: a trial is one configuration, not 2; give one value",
+        ),
+        (
+            ("evaluate: {episodes: 5, max_steps: 50}", "evaluate: false"),
+            "tune: settings: evaluate=false; a trial is",
+        ),
+        (
+            ("{seed: 100, n", "{seed: 1, n"),
+            "tune: ppo: seed=1 is of trials and of what they are compared in; give",
+        ),
         (
             (SMALL.partition("settings: {seed")[0], "tune: 3\n"),
             "tune=3; give keys and values, as uavnav/studies/tuning",
@@ -311,7 +366,9 @@ def test_more_seeds_than_lie_between_trials_and_winners_are_refused(tmp_path):
 
 def test_a_folder_of_another_search_and_one_that_is_in_use_are_refused(tmp_path):
     tuned(tmp_path, trials=1)
-    with pytest.raises(ConfigError, match=r"journal\.jsonl: holds the trials of another search; give another out="):
+    with pytest.raises(
+        ConfigError, match=r"journal\.jsonl: holds the trials of another search; give another out="
+    ):
         tuned(tmp_path, trials=1, frames=3000)
     found = planned(tmp_path, trials=1)
     with lock(found.folder), pytest.raises(RunError, match="another process"):
@@ -343,8 +400,12 @@ def test_the_status_counts_trials_and_needs_no_optuna(monkeypatch, tmp_path, cap
     rows = json.loads(capsys.readouterr().out)
     table = search.trials(planned(tmp_path))
     best = trials.best(table, "ppo")["trial"]
-    folders = [str(Path(row["cell"]).relative_to(out / "tuning")) for row in rows]
-    assert folders == ["default/ppo/tanh", *(f"trials/{n:03}/ppo/tanh" for n in range(4)), f"tuned/{best:03}/ppo/tanh"]
+    folders = [str(Path(row["configuration"]).relative_to(out / "tuning")) for row in rows]
+    assert folders == [
+        "default/ppo/tanh",
+        *(f"trials/{n:03}/ppo/tanh" for n in range(4)),
+        f"tuned/{best:03}/ppo/tanh",
+    ]
     told = table.loc[table["algorithm"] == "ppo", "state"].tolist()
     assert [row["state"] for row in rows] == ["missing", *told, "missing", "missing"]
 
@@ -354,7 +415,7 @@ def test_trials_are_asked_of_a_study_that_tunes_and_algorithms_of_one_that_has_t
     assert capsys.readouterr().err == "uavnav study: trials=3: study paper does not tune; leave it out\n"
     assert main(["paper", "algorithms=sac"]) == 2
     assert "algorithms=sac; choose from dqn, ppo" in capsys.readouterr().err
-    assert len(studies.cells(studies.only(studies.read("paper"), "ppo"), Path("out"))) == 4
+    assert len(studies.configurations(studies.only(studies.read("paper"), "ppo"), Path("out"))) == 4
 
 
 @pytest.mark.slow
@@ -376,7 +437,10 @@ def test_a_real_study_killed_with_signal_9_ends_as_an_unbroken_one_bit_for_bit(t
     assert study("whole").wait(300) == 0
     first = study("killed")
     deadline = time.monotonic() + 120
-    while not [*tmp_path.glob("killed/tuning/trials/*/a2c/tanh/**/progress.json")] and time.monotonic() < deadline:
+    while (
+        not [*tmp_path.glob("killed/tuning/trials/*/a2c/tanh/**/progress.json")]
+        and time.monotonic() < deadline
+    ):
         time.sleep(0.05)
     first.kill()
     first.wait()

@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from torch import nn
 from torch.nn.utils import clip_grad_norm_
 
+from uavnav import graph
 from uavnav.training.update import Adam, Learner, RMSprop
 
 
@@ -40,7 +41,10 @@ def learner(loss, max_grad_norm=1.0, compile=False, optimiser=Adam(0.1, 1e-5), t
 
 OPTIMISERS = {
     "adam": (Adam(0.1, 1e-5), lambda parameters: torch.optim.Adam(parameters, lr=0.1, eps=1e-5)),
-    "rmsprop": (RMSprop(0.1, 1e-5), lambda parameters: torch.optim.RMSprop(parameters, lr=0.1, alpha=0.99, eps=1e-5)),
+    "rmsprop": (
+        RMSprop(0.1, 1e-5),
+        lambda parameters: torch.optim.RMSprop(parameters, lr=0.1, alpha=0.99, eps=1e-5),
+    ),
 }
 
 
@@ -78,19 +82,7 @@ def test_losses_are_each_agents_means_over_its_rows_and_over_the_minibatches():
         torch.testing.assert_close(found[name], value)
 
 
-@pytest.mark.parametrize("kind", list(OPTIMISERS))
-def test_a_saved_learner_goes_on_as_the_one_that_was_saved(kind):
-    ours, _ = OPTIMISERS[kind]
-    one, other = (learner(Losses(2), optimiser=ours) for _ in range(2))
-    one.learn(rows(2, 5, 8))
-    other.load_state_dict(one.state_dict())
-    for each in (one, other):
-        each.learn(rows(2, 3, 8))
-    assert torch.equal(one.loss.weight, other.loss.weight)
-    assert one.steps == other.steps == 8
-
-
-# -- targets ----------------------------------------------------------------------------------------------------------
+# -- targets -------------------------------------------------------------------------------------------------
 
 
 class Following(Losses):
@@ -104,6 +96,18 @@ class Following(Losses):
         found = super().forward(batch)
         away = (self.weight - self.target_weight).square().sum(-1)
         return found | {"absolute": found["absolute"] + away[:, None]}
+
+
+@pytest.mark.parametrize("kind", list(OPTIMISERS))
+def test_a_saved_learner_goes_on_as_the_one_that_was_saved_its_targets_too(kind):
+    one, other = (learner(Following(2), optimiser=OPTIMISERS[kind][0], tau=0.2) for _ in range(2))
+    one.learn(rows(2, 5, 8))
+    other.load_state_dict(one.state_dict())
+    for each in (one, other):
+        each.learn(rows(2, 3, 8))
+    assert torch.equal(one.loss.weight, other.loss.weight)
+    assert torch.equal(one.loss.target_weight, other.loss.target_weight)
+    assert one.steps == other.steps == 8
 
 
 def by_a_slow_loop(loss, batches, steps):
@@ -126,7 +130,9 @@ COMPILED = [pytest.mark.slow, pytest.mark.compiled]
     [(False, 2**20), pytest.param(True, 2**20, marks=COMPILED), pytest.param(True, 1, marks=COMPILED)],
     ids=["eager", "compiled", "compiled, in turn"],
 )
-def test_targets_that_move_softly_after_each_of_20_steps_are_those_of_a_slow_loop(compile, large, monkeypatch):
+def test_targets_that_move_softly_after_each_of_20_steps_are_those_of_a_slow_loop(
+    compile, large, monkeypatch
+):
     """In four calls, so that later ones begin with other targets than the graph was traced with."""
     monkeypatch.setattr("uavnav.training.update.LARGE", large)
     batches, loss = rows(2, 20, 8), Following(2)
@@ -144,14 +150,15 @@ def test_targets_that_move_softly_after_each_of_20_steps_are_those_of_a_slow_loo
     assert loss.scale == 2.0  # a buffer that is no target stays as it was
 
 
-def test_a_saved_learner_keeps_its_targets_too():
-    one, other = (learner(Following(2), tau=0.2) for _ in range(2))
-    one.learn(rows(2, 5, 8))
-    other.load_state_dict(one.state_dict())
-    for each in (one, other):
-        each.learn(rows(2, 3, 8))
-    assert torch.equal(one.loss.target_weight, other.loss.target_weight)
-    assert torch.equal(one.loss.weight, other.loss.weight)
+def test_columns_in_another_order_as_a_refilled_buffer_has_them_are_one_graph(monkeypatch):
+    traced, batch = [], rows(2, 1, 8)
+    monkeypatch.setattr(
+        graph, "standalone_compile", lambda one, *given, **how: traced.append(one.code) or one
+    )
+    for names in (("x", "y"), ("y", "x")):
+        columns = TensorDict({name: batch[name] for name in names}, batch.shape)
+        learner(Losses(2), compile=True).learn(columns)
+    assert traced[0] == traced[1]
 
 
 PAGES = """

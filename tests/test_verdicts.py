@@ -33,7 +33,9 @@ SOMEBODY = dataclasses.replace(BEST, text="tanh above somebody", every=False)
 
 
 def ask(*questions, paper_effects=()):
-    """The findings of a claim of parts with their samples; the paper's first mean of a part is its effect, others 0."""
+    """The findings of a claim of parts with their samples; the paper's first mean of a part is its
+    effect, others 0.
+    """
     parts, numbers = [], {}
     for place, (part, samples) in enumerate(questions):
         own = tuple(term._replace(metric=f"{term.metric}{place}") for term in part.terms)
@@ -45,7 +47,9 @@ def ask(*questions, paper_effects=()):
         for term in part.terms
     }
     claim = Claim(1, "A claim.", tuple(parts))
-    return audit(lambda *term: numbers[Term(*term)], lambda *term: printed.get(Term(*term), np.empty(0)), [claim])
+    return audit(
+        lambda *term: numbers[Term(*term)], lambda *term: printed.get(Term(*term), np.empty(0)), [claim]
+    )
 
 
 def one(part, *samples, effect=None):
@@ -53,7 +57,7 @@ def one(part, *samples, effect=None):
     return finding
 
 
-# -- a part's verdict --------------------------------------------------------------------------------------------------
+# -- a part's verdict ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -70,11 +74,17 @@ def one(part, *samples, effect=None):
         (-9.0, 10.0, "reverses", False),
     ],
 )
-def test_the_interval_gives_the_verdict_and_half_of_the_papers_effect_bounds_absence(mean, effect, expected, less):
+def test_the_interval_gives_the_verdict_and_half_of_the_papers_effect_bounds_absence(
+    mean, effect, expected, less
+):
     found = one(ONE, mean + EIGHT, effect=effect)
     assert (found.verdict, found.less_than_half) == (expected, less)
     assert found.low < found.value < found.high
-    assert (found.n, found.confidence, found.standing) == (8, 0.95, "too small to see" if effect == 1 else "counts")
+    assert (found.n, found.confidence, found.standing) == (
+        8,
+        0.95,
+        "too small to see" if effect == 1 else "counts",
+    )
 
 
 def test_the_interval_and_p_are_those_of_students_and_welchs_tests():
@@ -89,12 +99,16 @@ def test_the_interval_and_p_are_those_of_students_and_welchs_tests():
 
 def test_the_ratio_is_ours_to_the_papers_with_the_interval_scaled():
     found = one(ONE, 5 + EIGHT, effect=10.0)
-    assert (found.ratio, found.ratio_low, found.ratio_high) == pytest.approx((0.5, found.low / 10, found.high / 10))
+    assert (found.ratio, found.ratio_low, found.ratio_high) == pytest.approx(
+        (0.5, found.low / 10, found.high / 10)
+    )
     assert math.isnan(one(ONE, 5 + EIGHT).ratio)
 
 
-@pytest.mark.parametrize(("n", "expected"), [(1, "too few seeds"), (4, "too few seeds"), (5, "counts"), (0, "no runs")])
-def test_four_seeds_in_a_cell_decide_nothing_and_five_do(n, expected):
+@pytest.mark.parametrize(
+    ("n", "expected"), [(1, "too few seeds"), (4, "too few seeds"), (5, "counts"), (0, "no runs")]
+)
+def test_four_seeds_in_a_configuration_decide_nothing_and_five_do(n, expected):
     found = one(TWO, 100 + EIGHT, EIGHT[:n])
     assert (found.n, found.standing, found.verdict) == (n, expected, "replicates" if n == 5 else "open")
     assert math.isnan(found.low) == (n < 5)
@@ -105,7 +119,8 @@ def test_a_measure_that_never_varies_on_one_side_is_degenerate_and_counts_for_no
     found = one(TWO, EIGHT, np.zeros(8), effect=1.0)
     assert (found.verdict, found.standing, str(grade([found]))) == ("degenerate", "degenerate", "open")
     beside = Part("two against two", terms(4), ((0.5, 0.5, -0.5, -0.5),))
-    assert one(beside, 9 + EIGHT, np.zeros(8), EIGHT, EIGHT).verdict == "replicates"  # one of two cells varies
+    # one of two configurations varies
+    assert one(beside, 9 + EIGHT, np.zeros(8), EIGHT, EIGHT).verdict == "replicates"
 
 
 def test_the_best_of_four_has_to_be_above_each_and_the_largest_p_counts():
@@ -127,7 +142,11 @@ def test_somebody_above_it_is_holm_over_three():
     assert one(BEST, EIGHT, *others).verdict == "reverses"
     above = [EIGHT + 9, EIGHT[::-1] - 2, EIGHT + 5]
     found = one(SOMEBODY, EIGHT, *above)
-    assert (found.value, found.p_holm, found.verdict) == (pytest.approx(2), pytest.approx(3 * p), "replicates")
+    assert (found.value, found.p_holm, found.verdict) == (
+        pytest.approx(2),
+        pytest.approx(3 * p),
+        "replicates",
+    )
 
 
 def test_the_best_by_less_than_half_of_the_papers_margin_and_by_nothing_of_it():
@@ -138,9 +157,13 @@ def test_the_best_by_less_than_half_of_the_papers_margin_and_by_nothing_of_it():
 
 
 def test_findings_are_the_same_whatever_the_last_bits_of_the_seeds_are():
-    """Sums of floats differ from processor to processor: two equal cells differ by nothing or by 1e-16."""
+    """Sums of floats differ from processor to processor: two equal configurations differ by nothing or by
+    1e-16.
+    """
     seeds = np.array([0.1, 0.7, 1.3, 0.2, 0.9, 0.4, 0.3, 0.8])
-    first, second = (one(TWO, *pair) for pair in ((seeds, np.nextafter(seeds, 2)), (np.nextafter(seeds, -2), seeds)))
+    first, second = (
+        one(TWO, *pair) for pair in ((seeds, np.nextafter(seeds, 2)), (np.nextafter(seeds, -2), seeds))
+    )
     assert first.value == second.value == 0
     assert first.p_holm == second.p_holm == 1
 
@@ -151,7 +174,9 @@ SAMPLES = st.tuples(st.floats(-1.5, 1.5), st.integers(0, 999), st.integers(5, 12
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(st.sampled_from([BEST, SOMEBODY]), st.tuples(*[SAMPLES] * 4)), min_size=1, max_size=4))
+@given(
+    st.lists(st.tuples(st.sampled_from([BEST, SOMEBODY]), st.tuples(*[SAMPLES] * 4)), min_size=1, max_size=4)
+)
 def test_p_is_below_5_percent_exactly_where_the_interval_shown_excludes_zero(questions):
     for found in ask(*questions):
         side = "replicates" if found.low > 0 else "reverses" if found.high < 0 else "open"
@@ -159,7 +184,7 @@ def test_p_is_below_5_percent_exactly_where_the_interval_shown_excludes_zero(que
         assert (found.p_holm < ALPHA) == (side != "open")
 
 
-# -- Holm within a claim -----------------------------------------------------------------------------------------------
+# -- Holm within a claim -------------------------------------------------------------------------------------
 
 
 def test_three_parts_of_a_claim_are_adjusted_by_hand():
@@ -176,13 +201,17 @@ def test_three_parts_of_a_claim_are_adjusted_by_hand():
 def test_parts_that_do_not_count_are_judged_by_themselves_and_take_no_level_from_others():
     small, itself = (ONE, [EIGHT + 0.5]), (ONE, [EIGHT + 2])
     found = ask((ONE, [EIGHT + 1]), small, itself, paper_effects=(5.0, 0.5, -1.0))
-    assert [finding.standing for finding in found] == ["counts", "too small to see", "the paper contradicts itself"]
+    assert [finding.standing for finding in found] == [
+        "counts",
+        "too small to see",
+        "the paper contradicts itself",
+    ]
     for finding, (part, samples) in zip(found, [(ONE, [EIGHT + 1]), small, itself], strict=True):
         assert finding.p_holm == pytest.approx(one(part, *samples).p_holm)
         assert finding.confidence == 0.95
 
 
-# -- power and seeds needed --------------------------------------------------------------------------------------------
+# -- power and seeds needed ----------------------------------------------------------------------------------
 
 
 def test_power_is_that_of_the_t_test():
@@ -210,17 +239,22 @@ def test_with_the_seeds_needed_80_percent_of_studies_find_the_effect_and_its_abs
     for part, count in ((TWO, 2), (BEST, 4), (SOMEBODY, 4)):
         means = np.array([0.8, 0, -0.2, -1][:count])
         found = stats.welch(list(rng.normal(size=(count, 40))), np.array(part.weights))
-        found = found._replace(error=np.full_like(found.error, np.sqrt(2 / 40)), df=np.full_like(found.df, 78.0))
+        found = found._replace(
+            error=np.full_like(found.error, np.sqrt(2 / 40)), df=np.full_like(found.df, 78.0)
+        )
         printed = np.array(part.weights) @ means
         detect, equal = verdicts._needed(part, found, printed, ALPHA, 40)
         samples = [mean + rng.normal(size=(1000, int(detect))) for mean in means]
         share = np.mean(judge([part], [samples], [printed]).verdicts == "replicates")
         assert 0.77 < share < (0.84 if count == 2 else 0.95), (part.text, detect)
         none = [rng.normal(size=(1000, int(equal))) for _ in means]
-        assert 0.77 < np.mean(judge([part], [none], [printed]).verdicts == "absent") < 0.97, (part.text, equal)
+        assert 0.77 < np.mean(judge([part], [none], [printed]).verdicts == "absent") < 0.97, (
+            part.text,
+            equal,
+        )
 
 
-# -- errors of both kinds ----------------------------------------------------------------------------------------------
+# -- errors of both kinds ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("n", [5, 10, 20, 40])
@@ -247,7 +281,7 @@ def test_the_negative_control_an_interval_of_percentiles_of_five_seeds_misses_mo
     assert np.mean((found.lower(0.025) <= 0) & (found.upper(0.025) >= 0)) == pytest.approx(0.95, abs=0.025)
 
 
-# -- grades ------------------------------------------------------------------------------------------------------------
+# -- grades --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -275,7 +309,11 @@ def test_a_claim_of_which_nothing_counts_is_open_and_one_of_context_is_context()
     assert str(grade([finding._replace(standing="beside the claim")])) == "context"
 
 
-PRINTED = {(*cell, metric): value for cell, row in paper.TABLES.items() for metric, value in row.items()}
+PRINTED = {
+    (*configuration, metric): value
+    for configuration, row in paper.TABLES.items()
+    for metric, value in row.items()
+}
 
 
 def scattered(means, share):
@@ -302,7 +340,7 @@ def test_a_perfect_replication_of_the_papers_tables_is_graded_as_one():
     assert {round(one.ratio, 2) for one in found if one.standing == "counts"} == {1.0}
 
 
-def test_a_study_of_equal_cells_replicates_nothing_and_a_mirrored_one_reverses_all():
+def test_a_study_of_equal_configurations_replicates_nothing_and_a_mirrored_one_reverses_all():
     equal = dict.fromkeys(PRINTED, 1.0)
     found = audit(scattered(equal, 1e-4), of_paper)
     for claim in (1, 2, 3, 5, 6, 8):
@@ -313,14 +351,16 @@ def test_a_study_of_equal_cells_replicates_nothing_and_a_mirrored_one_reverses_a
     assert {*verdicts_of(one for one in found if "at least one" not in one.text)} == {"reverses"}
 
 
-# -- operating characteristics -----------------------------------------------------------------------------------------
+# -- operating characteristics -------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def shares():
     """Of claims with eight seeds that scatter by 2 % of each mean."""
     return (
-        characteristics(scattered(PRINTED, 0.02), of_paper).set_index(["claim", "truth", "grade"])["share"].sort_index()
+        characteristics(scattered(PRINTED, 0.02), of_paper)
+        .set_index(["claim", "truth", "grade"])["share"]
+        .sort_index()
     )
 
 
@@ -339,7 +379,11 @@ def test_if_nothing_differed_at_most_5_percent_of_claims_would_be_graded_as_repl
 
 def test_claims_without_printed_numbers_have_the_second_truth_alone_and_context_has_none():
     windows = {("dqn", "sigmoid", f"reward_{when}"): 7.0 for when in ("before", "surge", "after")}
-    means = windows | {(*cell, "corridor_by_layout"): 0.3 for cell in paper.TABLES} | {("ppo", "tanh", "hours"): 1.0}
+    means = (
+        windows
+        | {(*configuration, "corridor_by_layout"): 0.3 for configuration in paper.TABLES}
+        | {("ppo", "tanh", "hours"): 1.0}
+    )
     table = characteristics(scattered(means, 0.1), of_paper)
     assert {*zip(table["claim"], table["truth"], strict=True)} == {(4, EQUAL), (9, EQUAL)}
     shares = table.set_index(["claim", "grade"])["share"]

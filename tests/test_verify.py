@@ -1,7 +1,9 @@
 """Runs are repeated and compared: the same bit for bit, or told where they part first."""
 
+import functools
 import json
 import os
+import re
 import shutil
 import signal
 
@@ -11,13 +13,18 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from uavnav.algorithms import dqn, ppo
-from uavnav.cli.verify import main as verify_command
+from uavnav.cli import commands
 from uavnav.evaluation import verify
 from uavnav.runs import POLICY, Run
 from uavnav.training.recorder import Recorder
 
+verify_command = functools.partial(commands.run, "verify")
+
 ALGORITHMS = {
-    "ppo": (ppo.train, ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off")),
+    "ppo": (
+        ppo.train,
+        ppo.PPOConfig(total_frames=1024, frames_per_batch=512, epochs=2, n_seeds=2, compile="off"),
+    ),
     "dqn": (
         dqn.train,
         dqn.DQNConfig(total_frames=1024, learning_starts=256, frames_per_update=16, n_seeds=2, compile="off"),
@@ -25,16 +32,23 @@ ALGORITHMS = {
 }
 
 
-@pytest.fixture(scope="module", params=list(ALGORITHMS))
-def trained(request, tmp_path_factory):
-    train, config = ALGORITHMS[request.param]
-    return train(config, out=tmp_path_factory.mktemp(request.param) / "run", quiet=True)
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("verify")
+    return {
+        name: train(config, out=folder / name, quiet=True) for name, (train, config) in ALGORITHMS.items()
+    }
+
+
+@pytest.fixture(params=list(ALGORITHMS))
+def trained(request, runs):
+    return runs[request.param]
 
 
 @pytest.fixture
-def run(trained, tmp_path):
-    """The folder of a copy, to be doctored."""
-    return shutil.copytree(trained.path, tmp_path / "run")
+def run(runs, tmp_path):
+    """The folder of a copy of PPO's, to be doctored."""
+    return shutil.copytree(runs["ppo"].path, tmp_path / "run")
 
 
 @pytest.fixture
@@ -51,26 +65,38 @@ def verdict(capsys):
     return judge
 
 
-def edit(path, change):
-    """Doctor a table or a JSON file."""
+def edit(path, change, **header):
+    """Doctor a table, a JSON file or a file of weights, whose header says what is given."""
     if path.suffix == ".json":
         content = json.loads(path.read_text())
         change(content)
         path.write_text(json.dumps(content))
-    else:
+    elif path.suffix == ".parquet":
         table = pd.read_parquet(path)
         change(table)
         table.to_parquet(path, index=False)
+    else:
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            told = json.loads(file.metadata()["uavnav"]) | header
+        change(tensors)
+        save_file(
+            {name: one.contiguous() for name, one in tensors.items()}, path, {"uavnav": json.dumps(told)}
+        )
 
 
-def edit_weights(folder, change, seeds=None):
-    with safe_open(folder / POLICY, framework="pt") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        header = file.metadata()
-    if seeds is not None:
-        header |= {"uavnav": json.dumps(json.loads(header["uavnav"]) | {"seeds": seeds})}
-    change(tensors)
-    save_file(tensors, folder / POLICY, metadata=header)
+def setting(row, column, value):
+    """A change of one number of a table; value: it, or what it becomes."""
+
+    def change(table):
+        index = len(table) + row if row < 0 else row
+        table.loc[index, column] = value(table.loc[index, column]) if callable(value) else value
+
+    return change
+
+
+def unchanged(content):
+    pass
 
 
 def test_a_repeat_of_the_whole_run_is_the_same_bit_for_bit_and_ends_with_0(trained, verdict):
@@ -86,8 +112,12 @@ def test_a_repeat_of_the_whole_run_is_the_same_bit_for_bit_and_ends_with_0(train
     assert {path.name: path.read_bytes() for path in trained.path.iterdir()} == before
 
 
-@pytest.mark.parametrize(("frames", "reached"), [(1, {"ppo": 512, "dqn": 64}), (500, {"ppo": 512, "dqn": 512})])
-def test_a_repeat_of_the_first_frames_compares_the_episodes_that_ended_by_then(trained, verdict, frames, reached):
+@pytest.mark.parametrize(
+    ("frames", "reached"), [(1, {"ppo": 512, "dqn": 64}), (500, {"ppo": 512, "dqn": 512})]
+)
+def test_a_repeat_of_the_first_frames_compares_the_episodes_that_ended_by_then(
+    trained, verdict, frames, reached
+):
     reached = reached[trained.algorithm]
     status, lines = verdict(trained.path, "--frames", str(frames))
     ended = trained.episodes[trained.episodes.terminated & (trained.episodes.frame <= reached)]
@@ -108,76 +138,86 @@ def test_the_frames_of_the_whole_run_and_more_are_the_whole_run(trained, verdict
 
 @pytest.mark.parametrize("arguments", [[], ["--frames", "512"]])
 def test_one_changed_reward_is_not_the_same_and_named_by_row_seed_frame_and_column(run, verdict, arguments):
-    def double(table):
-        table.loc[3, "reward"] = -20.5
-
     row = Run(run).episodes.iloc[3]
-    edit(run / "episodes.parquet", double)
-    status, lines = verdict(run, *arguments)
-    assert status == 1
-    assert lines == [
-        f"{run}: not the same",
-        f"  episodes: row 3 (seed {row.seed}, frame {row.frame}) is the first with another reward:"
-        f" -20.5 then, {row.reward} now",
-    ]
+    edit(run / "episodes.parquet", setting(3, "reward", -20.5))
+    assert verdict(run, *arguments) == (
+        1,
+        [
+            f"{run}: not the same",
+            f"  episodes: row 3 (seed {row.seed}, frame {row.frame}) is the first with another reward:"
+            f" -20.5 then, {row.reward} now",
+        ],
+    )
 
 
-def test_a_row_too_few_is_not_the_same(run, verdict):
-    n = len(Run(run).episodes)
-    edit(run / "episodes.parquet", lambda table: table.drop(index=n - 1, inplace=True))
-    assert verdict(run) == (1, [f"{run}: not the same", f"  episodes: {n - 1} rows then, {n} now"])
+def cut(tensors):
+    tensors["policy.0.bias"] = tensors["policy.0.bias"][..., :9]
 
 
-def test_a_changed_loss_of_the_last_row_is_named(run, verdict):
-    last = len(Run(run).progress) - 1
+PARTED = {
+    "a row too few": (
+        "episodes.parquet",
+        lambda rows: rows.drop(index=len(rows) - 1, inplace=True),
+        "N rows then, N n",
+    ),
+    "a loss of the last row": (
+        "progress.parquet",
+        setting(-1, "grad_norm", lambda old: old + 1e-6),
+        "progress: row N (seed 1, frame 1,024) is the first with another grad_norm: ",
+    ),
+    "a column of NaN": (
+        "progress.parquet",
+        lambda rows: rows.__setitem__("grad_norm", float("nan")),
+        "the first with another grad_norm: nan then",
+    ),
+    "a column more": (
+        "progress.parquet",
+        lambda rows: rows.insert(0, "extra", 1.0),
+        "progress: other columns",
+    ),
+    "a weight": (
+        POLICY,
+        lambda tensors: tensors["policy.2.weight"][1, 5].add_(0.5),
+        "weights: policy.2.weight differs by up to 0.5",
+    ),
+    "a shape": (POLICY, cut, "weights: policy.0.bias is float32 [2, 1, 9] then, float32 [2, 1, 64] now"),
+    "a tensor less": (POLICY, lambda tensors: tensors.pop("policy.0.bias"), "weights: other tensors"),
+}
 
-    def change(table):
-        table.loc[last, "grad_norm"] += 1e-6
 
-    edit(run / "progress.parquet", change)
-    status, lines = verdict(run)
-    assert status == 1
-    assert f"  progress: row {last} (seed 1, frame 1,024) is the first with another grad_norm: " in lines[1]
-    assert len(lines) == 2
-
-
-def test_one_changed_weight_is_named_with_its_difference(run, verdict):
-    def change(tensors):
-        tensors["policy.2.weight"][1, 5, 7] += 0.5
-
-    edit_weights(run, change)
-    assert verdict(run) == (1, [f"{run}: not the same", "  weights: policy.2.weight differs by up to 0.5"])
-
-
-def test_a_weight_of_another_shape_or_a_missing_one_is_told(run, verdict):
-    def cut(tensors):
-        tensors["policy.0.bias"] = tensors["policy.0.bias"][..., :9].contiguous()
-
-    edit_weights(run, cut)
-    assert verdict(run)[1][1:] == ["  weights: policy.0.bias is float32 [2, 1, 9] then, float32 [2, 1, 64] now"]
-    edit_weights(run, lambda tensors: tensors.pop("policy.0.bias"))
-    assert verdict(run)[1][1:] == ["  weights: other tensors"]
+@pytest.mark.parametrize("what", PARTED)
+def test_another_table_or_weight_is_not_the_same_and_is_named(what, run, verdict):
+    name, change, said = PARTED[what]
+    edit(run / name, change)
+    status, (first, line) = verdict(run)
+    assert (status, first) == (1, f"{run}: not the same")
+    assert re.search(re.escape(said).replace("N", r"\d+"), line), line
 
 
 def test_of_a_file_with_the_weights_of_one_seed_these_are_compared_and_no_shorter_file_passes(run, verdict):
     def first(tensors):
-        tensors.update({name: tensor[:1].contiguous() for name, tensor in tensors.items()})
+        tensors.update({name: tensor[:1] for name, tensor in tensors.items()})
 
-    edit_weights(run, first)  # its header names two seeds
-    assert verdict(run)[1][1].startswith("  weights: policy.0.bias is float32 [1, 1, 64] then, float32 [2, 1, 64] now")
+    edit(run / POLICY, first)  # its header names two seeds
+    assert verdict(run)[1][1].startswith(
+        "  weights: policy.0.bias is float32 [1, 1, 64] then, float32 [2, 1, 64] now"
+    )
     seeds = Run(run).seeds
-    edit_weights(run, lambda tensors: None, seeds=seeds[:1])
+    edit(run / POLICY, unchanged, seeds=seeds[:1])
     status, (line,) = verdict(run)
     assert status == 0
     assert line.endswith(" tensors of 1 of its 2 seeds at 1,024 frames per seed")
-    edit_weights(run, lambda tensors: None, seeds=seeds[1:])
+    edit(run / POLICY, unchanged, seeds=seeds[1:])
     assert verdict(run)[0] == 1
 
 
 @pytest.mark.parametrize("seeds", [[], [99]])
 def test_weights_of_seeds_that_the_run_has_not_are_not_the_same(run, verdict, seeds):
-    edit_weights(run, lambda tensors: None, seeds=seeds)
-    assert verdict(run) == (1, [f"{run}: not the same", f"  weights: of the seeds {seeds} then, {Run(run).seeds} now"])
+    edit(run / POLICY, unchanged, seeds=seeds)
+    assert verdict(run) == (
+        1,
+        [f"{run}: not the same", f"  weights: of the seeds {seeds} then, {Run(run).seeds} now"],
+    )
 
 
 def test_a_run_without_its_policy_is_compared_by_its_rows_and_says_so(run, verdict):
@@ -201,31 +241,22 @@ def test_another_seed_in_config_yaml_is_another_run_from_row_0_on_in_rows_and_we
 
 
 @pytest.mark.parametrize("arguments", [[], ["--frames", "512"]])
-def test_where_a_run_parts_the_versions_that_differ_are_named_and_no_others(run, verdict, arguments):
-    def reward(table):
-        table.loc[0, "steps"] += 1
+def test_where_a_run_parts_the_versions_and_plugins_that_differ_are_named_and_no_others(
+    run, verdict, arguments, monkeypatch
+):
+    def older(meta):
+        meta["versions"]["torch"] = "1.0.0"
+        meta["plugins"] = {"mine": "0" * 64}
 
-    edit(run / "episodes.parquet", reward)
-    assert len(verdict(run, *arguments)[1]) == 2
-    edit(run / "meta.json", lambda meta: meta["versions"].update(torch="1.0.0"))
-    status, lines = verdict(run, *arguments)
+    edit(run / "meta.json", older)
+    monkeypatch.setitem(verify.plugins.LOADED, "mine", "1" * 64)
+    assert verdict(run, *arguments)[0] == 0  # another version alone leaves the same run the same
+    edit(run / "episodes.parquet", setting(0, "steps", lambda old: old + 1))
+    status, (_, parted, version, plugin) = verdict(run, *arguments)
     assert status == 1
-    assert "is the first with another steps: " in lines[1]
-    now = json.loads((run / "meta.json").read_text())["versions"]["torchrl"]
-    assert now  # the other versions are as they were
-    assert len(lines) == 3
-    assert lines[2].startswith("  versions.torch: 1.0.0 then, 2.")
-
-
-def test_another_version_alone_leaves_the_same_run_the_same(run, verdict):
-    edit(run / "meta.json", lambda meta: meta["versions"].update(torch="1.0.0"))
-    assert verdict(run, "--frames", "512")[0] == 0
-
-
-@pytest.mark.parametrize("frames", ["0", "-5"])
-def test_a_number_of_frames_below_1_is_refused_with_status_2(trained, capsys, frames):
-    assert verify_command([str(trained.path), "--frames", frames]) == 2
-    assert capsys.readouterr().err == f"uavnav verify: --frames {frames}: give a number of at least 1\n"
+    assert "is the first with another steps: " in parted
+    assert version.startswith("  versions.torch: 1.0.0 then, 2.")
+    assert plugin == f"  plugins.mine: {'0' * 64} then, {'1' * 64} now"
 
 
 @pytest.mark.parametrize("arguments", [[], ["--frames", "900"]])
@@ -248,7 +279,12 @@ def test_an_interrupted_repeat_compares_nothing_and_ends_with_130(tmp_path, monk
 
 def test_a_run_with_a_sensor_of_90_degrees_is_repeated_in_that_world(tmp_path, verdict):
     config = ppo.PPOConfig(
-        total_frames=1024, frames_per_batch=512, epochs=1, reward="additive", world={"sensor_arc": 90}, compile="off"
+        total_frames=1024,
+        frames_per_batch=512,
+        epochs=1,
+        reward="additive",
+        world={"sensor_arc": 90},
+        compile="off",
     )
     run = ppo.train(config, out=tmp_path / "run", quiet=True)
     status, lines = verdict(run.path)
@@ -260,37 +296,12 @@ def test_a_run_with_a_sensor_of_90_degrees_is_repeated_in_that_world(tmp_path, v
     assert lines[1].startswith("  episodes: ")
 
 
-def test_where_a_run_parts_and_a_plugin_has_changed_it_is_named(run, verdict, monkeypatch):
-    edit(run / "meta.json", lambda meta: meta.update(plugins={"mine": "0" * 64}))
-    monkeypatch.setitem(verify.plugins.LOADED, "mine", "1" * 64)
-    assert verdict(run)[0] == 0
-    edit_weights(run, lambda tensors: tensors["policy.0.bias"].add_(1))
-    status, lines = verdict(run)
-    assert status == 1
-    assert lines[-1] == f"  plugins.mine: {'0' * 64} then, {'1' * 64} now"
-
-
 def test_columns_that_a_folder_leaves_out_are_named_and_all_others_are_compared(run, verdict):
     edit(run / "episodes.parquet", lambda table: table.drop(columns=["env", "layout"], inplace=True))
     n = len(Run(run).episodes)
     status, lines = verdict(run)
     assert (status, f": {n} episodes, " in lines[0]) == (0, True)
     assert lines[1] == "  episodes: not compared, as the folder leaves them out: env, layout"
-
-    def change(table):
-        table.loc[3, "distance"] += 1
-
-    edit(run / "episodes.parquet", change)
+    edit(run / "episodes.parquet", setting(3, "distance", lambda old: old + 1))
     status, lines = verdict(run)
     assert (status, "the first with another distance" in lines[1]) == (1, True)
-    edit(run / "progress.parquet", lambda table: table.insert(0, "extra", 1.0))
-    assert "  progress: other columns" in verdict(run)[1]
-
-
-def test_a_column_of_nan_is_none_that_was_left_out(run, verdict):
-    def change(table):
-        table["grad_norm"] = float("nan")
-
-    edit(run / "progress.parquet", change)
-    status, lines = verdict(run)
-    assert (status, "the first with another grad_norm: nan then" in lines[1]) == (1, True)

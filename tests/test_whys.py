@@ -1,4 +1,6 @@
-"""What asks why cells differ: rows and contrasts on made-up seeds, and the cells that the study flies."""
+"""What asks why configurations differ: rows and contrasts on made-up seeds, and the configurations that
+the study flies.
+"""
 
 from pathlib import Path
 
@@ -8,7 +10,17 @@ import pytest
 from uavnav import studies
 from uavnav.report import tables, whys
 
-ASKED = ("layer_norm", "init", "clip_epsilon", "epochs", "gamma", "epsilon_end", "entropy_coeff", "reward", "stack")
+ASKED = (
+    "layer_norm",
+    "init",
+    "clip_epsilon",
+    "epochs",
+    "gamma",
+    "epsilon_end",
+    "entropy_coeff",
+    "reward",
+    "stack",
+)
 
 
 def evidence(clearance, seeds=10):
@@ -24,7 +36,9 @@ def evidence(clearance, seeds=10):
 @pytest.mark.parametrize(
     ("narrow", "none", "shown"), [(90.0, 50.0, "40.0 [39.4, 40.6]"), (50.0, 50.0, "0.0 [−0.6, 0.6]")]
 )
-def test_a_contrast_of_10_seeds_each_has_its_welch_interval_and_questions_without_one_are_left_out(narrow, none, shown):
+def test_a_contrast_of_10_seeds_each_has_its_welch_interval_and_questions_without_one_are_left_out(
+    narrow, none, shown
+):
     """s = 0.673 in both: 40 -+ 2.101 * 0.673 * sqrt(2 / 10) = 0.632."""
     table = whys.table(evidence({"clip_epsilon=0.05": narrow, "clip_epsilon=None": none}))
     contrast = "PPO with clip_epsilon=0.05 minus with clip_epsilon=None"
@@ -38,18 +52,20 @@ def test_a_row_of_the_table_has_the_mean_of_its_seeds():
     assert rows.loc["PPO clip_epsilon=0.05", ["value", "n"]].tolist() == [90.0, 10]
 
 
-def test_the_study_why_flies_each_cell_that_a_question_asks_for():
+def test_the_study_why_flies_each_configuration_that_a_question_asks_for():
     flown = set()
-    for cell in studies.cells(studies.read("why"), Path("out")):
-        own = {name: getattr(cell.config, name) for name in ASKED if hasattr(cell.config, name)}
-        default = {name: getattr(type(cell.config)(), name) for name in own}
+    for configuration in studies.configurations(studies.read("why"), Path("out")):
+        own = {
+            name: getattr(configuration.config, name) for name in ASKED if hasattr(configuration.config, name)
+        }
+        default = {name: getattr(type(configuration.config)(), name) for name in own}
         flown |= {f"{name}={value}" for name, value in own.items() if value != default[name]}
     asked = {place[0] for one in whys.QUESTIONS for place in one.rows.values()} - {whys.SHORT, whys.LONG}
     assert flown == asked
 
 
 @pytest.mark.parametrize("question", whys.QUESTIONS, ids=lambda one: one.name)
-def test_each_question_draws_the_cells_that_its_contrasts_hold_against_each_other(question):
+def test_each_question_draws_the_configurations_that_its_contrasts_hold_against_each_other(question):
     drawn = set(question.rows.values())
     for one in question.contrasts:
         assert {*one.first, *one.second} <= drawn

@@ -1,4 +1,6 @@
-"""Seeds spread over workers: the same rows and weights as each worker by itself, however often it is stopped."""
+"""Seeds spread over workers: the same rows and weights as each worker by itself, however often it is
+stopped.
+"""
 
 import contextlib
 import inspect
@@ -14,7 +16,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
-from safetensors.torch import load_file
+from runs_by_hand import same
 
 from uavnav import networks
 from uavnav.algorithms.c51 import C51Config
@@ -25,7 +27,7 @@ from uavnav.algorithms.sac import SACConfig
 from uavnav.cli import worker
 from uavnav.errors import ConfigError
 from uavnav.evaluation.verify import verify
-from uavnav.runs import FILES, POLICY
+from uavnav.runs import FILES
 from uavnav.runs.policies import load_policy
 from uavnav.runs.tables import RunError
 from uavnav.training import machine, workers
@@ -34,18 +36,6 @@ from uavnav.training.recorder import Interrupted
 pytestmark = pytest.mark.usefixtures("warm_module")
 
 SMALL = {"total_frames": 1024, "frames_per_batch": 256, "epochs": 2, "compile": "off"}
-
-
-def rows(run):
-    return run.progress.drop(columns="frames_per_second")
-
-
-def assert_same(one, other):
-    pd.testing.assert_frame_equal(one.episodes, other.episodes)
-    pd.testing.assert_frame_equal(rows(one), rows(other))
-    theirs = load_file(other.path / POLICY)
-    for name, tensor in load_file(one.path / POLICY).items():
-        assert torch.equal(tensor, theirs[name])
 
 
 def test_ten_seeds_from_5_in_4_processes_are_3_3_2_2(tmp_path):
@@ -74,7 +64,11 @@ def spread_run(tmp_path_factory):
     told = []
     config = PPOConfig(n_seeds=3, **SMALL)
     run = train(
-        config, tmp_path_factory.mktemp("spread") / "run", quiet=True, processes=2, tell=lambda *now: told.append(now)
+        config,
+        tmp_path_factory.mktemp("spread") / "run",
+        quiet=True,
+        processes=2,
+        tell=lambda *now: told.append(now),
     )
     return run, told
 
@@ -85,7 +79,9 @@ def test_a_spread_run_holds_the_rows_and_weights_of_its_workers(spread_run, tmp_
     last = train(PPOConfig(seed=2, **SMALL), tmp_path / "last", quiet=True)
     for seed, part in ((0, first), (1, first), (2, last)):
         for name in ("episodes", "progress"):
-            mine, theirs = (getattr(one, name).query(f"seed == {seed}").reset_index(drop=True) for one in (run, part))
+            mine, theirs = (
+                getattr(one, name).query(f"seed == {seed}").reset_index(drop=True) for one in (run, part)
+            )
             assert len(mine) > 0
             pd.testing.assert_frame_equal(
                 mine.drop(columns="frames_per_second", errors="ignore"),
@@ -127,7 +123,7 @@ def test_a_spread_run_that_is_stopped_and_resumed_is_the_run_that_was_not(spread
     there = tmp_path / "run" / "workers"
     assert sorted(path.name for path in there.iterdir() if path.is_dir()) == ["0", "1"]
     (there / "0" / "stop").touch()  # as a study that was stopped leaves it
-    assert_same(train(config, tmp_path / "run", quiet=True), spread_run[0])
+    same(spread_run[0].path, train(config, tmp_path / "run", quiet=True).path)
 
 
 @pytest.mark.slow
@@ -191,7 +187,9 @@ def test_a_signal_saves_all_workers_as_the_run_says(whom, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "says"), [(signal.SIGTERM, "saved at"), (signal.SIGKILL, "ended without a word")])
+@pytest.mark.parametrize(
+    ("number", "says"), [(signal.SIGTERM, "saved at"), (signal.SIGKILL, "ended without a word")]
+)
 def test_when_one_of_two_workers_is_ended_the_other_is_saved_and_ends_too(tmp_path, number, says):
     process = started(tmp_path / "run")
     os.kill(holders(tmp_path / "run")[1], number)
@@ -202,7 +200,9 @@ def test_when_one_of_two_workers_is_ended_the_other_is_saved_and_ends_too(tmp_pa
 
 
 @pytest.mark.slow
-def test_a_worker_that_does_not_end_when_it_is_asked_to_is_killed_and_said_not_to_be_saved(tmp_path, monkeypatch):
+def test_a_worker_that_does_not_end_when_it_is_asked_to_is_killed_and_said_not_to_be_saved(
+    tmp_path, monkeypatch
+):
     config = PPOConfig(n_seeds=2, **SMALL | {"total_frames": 400_000})
     monkeypatch.setattr(workers, "STOP_SECONDS", 3.0)
     monkeypatch.setattr(workers, "END_SECONDS", 1.0)
@@ -246,7 +246,7 @@ def test_a_run_whose_processes_are_killed_again_and_again_ends_with_the_same_bit
                 os.kill(member, signal.SIGKILL)
         process.wait(60)
     run = train(PPOConfig(**config), out, quiet=True, processes=2)
-    assert_same(run, train(PPOConfig(**config), tmp_path / "whole", quiet=True, processes=2))
+    same(train(PPOConfig(**config), tmp_path / "whole", quiet=True, processes=2).path, run.path)
 
 
 @pytest.mark.slow
@@ -259,7 +259,7 @@ def test_what_ails_one_worker_ends_the_run_in_one_line(spread_run, tmp_path):
     with pytest.raises(RunError, match=r"workers/1.*damaged.*overwrite=true") as error:
         train(config, tmp_path / "run", quiet=True)
     assert "\n" not in str(error.value)
-    assert_same(train(config, tmp_path / "run", quiet=True, overwrite=True, processes=2), spread_run[0])
+    same(spread_run[0].path, train(config, tmp_path / "run", quiet=True, overwrite=True, processes=2).path)
 
 
 @pytest.mark.parametrize("disk", ["well", "full"])
@@ -278,7 +278,9 @@ def test_what_a_worker_stumbles_over_is_said_in_one_line_also_where_it_cannot_be
         worker.main(own.prepare(1))
     except SystemExit as end:
         status = end.code
-    assert own.problem(status).startswith(f"{own.folder}: " + {"well": "TypeError: no", "full": "cannot be w"}[disk])
+    assert own.problem(status).startswith(
+        f"{own.folder}: " + {"well": "TypeError: no", "full": "cannot be w"}[disk]
+    )
     assert "Traceback" in capsys.readouterr().err
 
 
@@ -301,7 +303,9 @@ def test_dqn_spreads_as_well_and_its_memory_is_counted_for_all_seeds(tmp_path):
     ],
 )
 def test_networks_larger_than_the_machines_memory_are_refused_before_they_are_made(config, outputs):
-    with pytest.raises(ConfigError, match=rf"n_seeds=1: networks of {outputs} outputs would take at least [\d,.]+ GiB"):
+    with pytest.raises(
+        ConfigError, match=rf"n_seeds=1: networks of {outputs} outputs would take at least [\d,.]+ GiB"
+    ):
         config.check_machine()
 
 
@@ -315,7 +319,9 @@ def test_a_network_is_counted_with_its_moments_its_target_and_those_beside_it():
 
 
 def test_a_projection_larger_than_the_machines_memory_is_refused():
-    with pytest.raises(ConfigError, match="n_atoms=20000, batch_size=1000: the projection of a target would take at"):
+    with pytest.raises(
+        ConfigError, match="n_atoms=20000, batch_size=1000: the projection of a target would take at"
+    ):
         C51Config(n_atoms=20_000, batch_size=1000, hidden=[2]).check_machine()
 
 
@@ -337,7 +343,18 @@ def test_an_activation_of_ones_own_stays_in_the_process_that_knows_it(monkeypatc
 
 
 def test_training_shows_the_10_arguments_that_it_takes():
-    names = ["config", "out", "overwrite", "quiet", "checkpoint_seconds", "until", "tell", "processes", "logger", "fit"]
+    names = [
+        "config",
+        "out",
+        "overwrite",
+        "quiet",
+        "checkpoint_seconds",
+        "until",
+        "tell",
+        "processes",
+        "logger",
+        "fit",
+    ]
     assert train is train_dqn
     assert list(inspect.signature(train).parameters) == names
     assert inspect.signature(train).parameters["config"].annotation == "TrainConfig"
@@ -350,7 +367,9 @@ def test_processes_are_a_whole_number_up_to_the_number_of_seeds(processes, tmp_p
     assert not (tmp_path / "run").exists()
 
 
-def test_an_activation_of_ones_own_in_two_processes_is_refused_before_anything_is_written(tmp_path, monkeypatch):
+def test_an_activation_of_ones_own_in_two_processes_is_refused_before_anything_is_written(
+    tmp_path, monkeypatch
+):
     monkeypatch.setitem(networks.ACTIVATIONS, "mine", torch.sin)
     with pytest.raises(ConfigError, match="activation=mine is known to this process alone; give processes=1"):
         train(PPOConfig(n_seeds=2, activation="mine", **SMALL), tmp_path / "run", quiet=True, processes=2)
@@ -360,7 +379,9 @@ def test_an_activation_of_ones_own_in_two_processes_is_refused_before_anything_i
 @pytest.mark.slow
 def test_a_snapshot_without_any_row_yet_is_two_empty_tables(tmp_path):
     """DQN's first row of progress comes at 4,992 frames."""
-    run = train_dqn(DQNConfig(n_seeds=2, total_frames=640, compile="off"), tmp_path / "run", quiet=True, processes=2)
+    run = train_dqn(
+        DQNConfig(n_seeds=2, total_frames=640, compile="off"), tmp_path / "run", quiet=True, processes=2
+    )
     verdict = verify(run, frames=64, quiet=True)
     assert verdict.same
 

@@ -1,4 +1,6 @@
-"""The report's section on worlds: what is measured of flights, what claims are given, and the sentences that follow."""
+"""The report's section on worlds: what is measured of episodes, what claims are given, and the sentences
+that follow.
+"""
 
 import shlex
 
@@ -8,11 +10,12 @@ import pytest
 from runs_by_hand import rows, two, write_run
 
 from uavnav import evaluation
-from uavnav.cli import evaluate as command
-from uavnav.evaluation.scripts import SEEDS, Protocol, rows_of_scripts
+from uavnav.cli import commands
+from uavnav.evaluation import Protocol
+from uavnav.evaluation.scripts import SEEDS, rows_of_scripts
 from uavnav.report import tables, worlds
-from uavnav.report.cells import of_worlds
 from uavnav.report.claims import ALL_WORLDS, NONE, RANKED, SCATTER, VARIATION, at
+from uavnav.report.configurations import of_worlds
 from uavnav.report.worlds import Evidence, Worlds, leaders, measured, summary
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.ladders import LADDERS
@@ -37,7 +40,7 @@ def test_runs_below_a_folder_worlds_are_the_study_and_a_run_of_that_name_is_a_ru
     assert of_worlds([tmp_path]) == []
 
 
-def test_collisions_are_per_1000_px_and_a_flight_that_reaches_its_goal_is_cut_off_and_does_not_crash():
+def test_collisions_are_per_1000_px_and_an_episode_that_reaches_its_goal_is_cut_off_and_does_not_crash():
     flown = pd.DataFrame(
         {
             "seed": [0, 0, 1, 1],
@@ -50,7 +53,7 @@ def test_collisions_are_per_1000_px_and_a_flight_that_reaches_its_goal_is_cut_of
             "shortest": [250.0, 250.0, 500.0, 500.0],
         }
     )
-    table = measured(flown, cap=100)
+    table = measured(flown, limit=100)
     assert table["reward"].tolist() == [0.0, 3.0]
     assert table["collisions"].tolist() == [1.0, 0.5]
     assert table["survival"].tolist() == [55.0, 65.0]
@@ -68,8 +71,10 @@ def test_where_success_is_measured_no_restricted_mean_of_survival_is_shown():
     assert "survival" not in shown["goal"]
 
 
-def test_scatter_is_the_distance_to_the_cells_median_in_units_of_its_worlds_mean_distance():
-    found = Evidence({("drone", "ppo", "tanh"): seeds([1, 2, 3]), ("drone", "ppo", "relu"): seeds([0, 5, 10])})
+def test_scatter_is_the_distance_to_the_configurations_median_in_units_of_its_worlds_mean_distance():
+    found = Evidence(
+        {("drone", "ppo", "tanh"): seeds([1, 2, 3]), ("drone", "ppo", "relu"): seeds([0, 5, 10])}
+    )
     usual = (1 + 0 + 1 + 5 + 0 + 5) / 6
     assert found("ppo", "tanh", SCATTER, "drone").tolist() == [1 / usual, 0, 1 / usual]
     assert found("ppo", "relu", SCATTER, ALL_WORLDS).tolist() == [5 / usual, 0, 5 / usual]
@@ -92,14 +97,15 @@ def test_a_mean_over_worlds_leaves_the_tuned_presets_out_and_asks_for_runs_in_ea
 
 
 @pytest.mark.parametrize(("sign", "rho"), [(1, 1.0), (-1, -1.0)])
-def test_the_rank_correlation_across_the_cells_of_a_world_is_one_number_a_seed(sign, rho):
-    cells = [("ppo", "tanh"), ("ppo", "relu"), ("dqn", "tanh"), ("dqn", "relu")]
-    reward = np.array([[1, 4], [2, 3], [3, 2], [4, 1]], dtype=float)  # seeds order cells in opposite ways
+def test_the_rank_correlation_across_the_configurations_of_a_world_is_one_number_a_seed(sign, rho):
+    configurations = [("ppo", "tanh"), ("ppo", "relu"), ("dqn", "tanh"), ("dqn", "relu")]
+    # seeds order configurations in opposite ways
+    reward = np.array([[1, 4], [2, 3], [3, 2], [4, 1]], dtype=float)
     found = Evidence(
         {
-            (world, *cell): seeds(own, gradient_variation=sign * 10 * own)
+            (world, *configuration): seeds(own, gradient_variation=sign * 10 * own)
             for world in ("drone", "goal")
-            for cell, own in zip(cells, reward, strict=True)
+            for configuration, own in zip(configurations, reward, strict=True)
         }
     )
     assert found(RANKED, RANKED, "gradient_variation_explains", ALL_WORLDS) == pytest.approx([rho, rho])
@@ -108,7 +114,9 @@ def test_the_rank_correlation_across_the_cells_of_a_world_is_one_number_a_seed(s
 
 
 def made_up():
-    """PPO far above and DQN among random flight in the paper's world, both below the rule where there is a goal."""
+    """PPO far above and DQN among random flight in the paper's world, both below the rule where there is
+    a goal.
+    """
     learned = {
         ("drone", "ppo", "tanh"): seeds([40, 41, 42, 43, 44]),
         ("drone", "dqn", "tanh"): seeds([-9, -8, -7, -6, -5]),
@@ -142,7 +150,7 @@ def test_the_leaders_are_who_is_ahead_in_each_world_and_who_is_no_better_than_ra
     assert {*leaders(summary(alone))["ahead"]} == {""}
 
 
-def test_a_worlds_table_has_cells_and_scripts_and_the_figure_a_panel_a_world():
+def test_a_worlds_table_has_configurations_and_scripts():
     found = made_up()
     rows = tables.crossed(summary(found).query("world == 'goal'"), "who", "metric", 2, worlds.LABELS)
     assert [row[0] for row in rows[1:]] == ["PPO tanh", "PPO tanh fast", "random", "straight", "reactive"]
@@ -150,21 +158,22 @@ def test_a_worlds_table_has_cells_and_scripts_and_the_figure_a_panel_a_world():
     assert rows[1][1].startswith("4.20 [4.")
     assert [row[2] for row in rows[1:]] == ["–", "7.00 [7.00, 7.00]", "–", "–", "–"]
     assert rows[-1][1:] == ["10.00", "–", "1.00", "9.00", "1"]
-    drawn = worlds.draw(summary(found))
-    assert [axes.get_title("left") for axes in drawn.figure.axes] == ["drone", "goal", "moving"]
-    assert drawn.alt.startswith("Best reward per flight in each world: drone: 42.0 (95 % interval")
 
 
-# -- rows of scripts ---------------------------------------------------------------------------------------------------
+# -- rows of scripts -----------------------------------------------------------------------------------------
 
 GOAL = Protocol(max_steps=1000, task="goal")
 
 
-def test_a_ladder_is_drawn_for_cells_of_the_papers_world_and_for_scripts_rung_by_rung():
+def test_a_ladder_is_drawn_for_configurations_of_the_papers_world_and_for_scripts_rung_by_rung():
     rungs = LADDERS["density"].rungs
     flown = {at("reward", "density", rung): 100.0 - rung for rung in rungs}
-    learned = {("drone", "ppo", "tanh"): seeds([40, 41], **flown), ("moving", "dqn", "tanh"): seeds([40, 41], **flown)}
-    scripted = {("density", rung): {"reactive": seeds([50.0 + rung])} for rung in rungs[1:]}  # one rung was not flown
+    learned = {
+        ("drone", "ppo", "tanh"): seeds([40, 41], **flown),
+        ("moving", "dqn", "tanh"): seeds([40, 41], **flown),
+    }
+    # one rung was not flown
+    scripted = {("density", rung): {"reactive": seeds([50.0 + rung])} for rung in rungs[1:]}
     drawn = worlds.ladder(Worlds(learned, {}, scripted, *NOTHING[2:]), "density")
     lines = {line.get_label(): line for line in drawn.figure.axes[0].lines}
     assert [*lines] == ["PPO", "reactive"]
@@ -174,7 +183,7 @@ def test_a_ladder_is_drawn_for_cells_of_the_papers_world_and_for_scripts_rung_by
 
 
 def keep(folder, rule, protocol=GOAL, reward=3.0, **header):
-    """Two flights of a script, as a command would have kept them, but for the header."""
+    """Two episodes of a script, as a command would have kept them, but for the header."""
     folder.mkdir(parents=True, exist_ok=True)
     flown = rows(0, (10, 10, 1, 1, 5, 50, reward), (40, 30, 4, 0, 10, 100, reward))
     flown.attrs = {"layouts": "test", "episodes": 200, "max_steps": 1000, "task": "goal"} | header
@@ -189,7 +198,10 @@ def test_rows_of_another_cap_or_task_are_refused_in_one_line_and_the_others_are_
     found, left_out = rows_of_scripts([tmp_path], GOAL)
     assert found.keys() == {"straight"}
     pd.testing.assert_frame_equal(found["straight"], flown)
-    start = f"{tmp_path}/random-goal-test-200-1000.parquet: its rows are of max_steps=2000, not of max_steps=1000; "
+    start = (
+        f"{tmp_path}/random-goal-test-200-1000.parquet: its rows are of max_steps=2000, not of "
+        "max_steps=1000; "
+    )
     command = f"uavnav evaluate random --max-steps 1000 --task goal --seeds {SEEDS} --out {tmp_path}"
     assert left_out[0] == f"{start}write them with {command}"
     assert "task=moving, not of" in left_out[1]
@@ -204,7 +216,9 @@ def test_rows_of_scripts_are_taken_from_the_first_folder_that_has_them_and_a_dam
     (mine / GOAL.file("random")).write_text("no rows")
     found, (line,) = rows_of_scripts([mine, theirs], GOAL)
     assert {rule: own["reward"].mean() for rule, own in found.items()} == {"straight": 2.0, "reactive": 4.0}
-    assert line.startswith(f"{mine / GOAL.file('random')}: missing or damaged; write them with uavnav evaluate random ")
+    assert line.startswith(
+        f"{mine / GOAL.file('random')}: missing or damaged; write them with uavnav evaluate random "
+    )
 
 
 def test_the_command_that_the_line_of_missing_rows_names_writes_them(tmp_path):
@@ -212,7 +226,7 @@ def test_the_command_that_the_line_of_missing_rows_names_writes_them(tmp_path):
     _, (line,) = rows_of_scripts([tmp_path / "rows"], protocol)
     start, words = line.split("; write them with uavnav evaluate ")
     assert start == f"{tmp_path}/rows: no rows of random, straight, reactive"
-    assert command.main([*shlex.split(words), "--quiet"]) == 0
+    assert commands.run("evaluate", [*shlex.split(words), "--quiet"]) == 0
     found, left_out = rows_of_scripts([tmp_path / "rows"], protocol)
     assert ([*found], left_out) == ([*SCRIPTS], [])
     assert {rule: own["seed"].nunique() for rule, own in found.items()} == {
@@ -225,23 +239,27 @@ def test_the_command_that_the_line_of_missing_rows_names_writes_them(tmp_path):
 
 def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluation, "fly_modes", None)
-    flights = [rows(seed, (9, 9, 1, 1, 5, 50, 1.0 + seed), (9, 9, 1, 1, 5, 50, 3.0)) for seed in (0, 1)]
-    flown = pd.concat(flights, ignore_index=True)
-    for task, cap, world in (("drone", 2000, {}), ("goal", 1000, {}), ("drone", 2000, {"sensor_arc": 90})):
+    episodes = [rows(seed, (9, 9, 1, 1, 5, 50, 1.0 + seed), (9, 9, 1, 1, 5, 50, 3.0)) for seed in (0, 1)]
+    flown = pd.concat(episodes, ignore_index=True)
+    for task, limit, world in (("drone", 2000, {}), ("goal", 1000, {}), ("drone", 2000, {"sensor_arc": 90})):
         path = tmp_path / "worlds" / "paper" / f"{task}{len(world)}"
         reward = "goal" if task == "goal" else "eq14"
         write_run(path, two(0, -6.0), two(1, -8.0), task=task, world=world, reward=reward)
         modes = [flown.assign(mode="greedy", reward=5.0), flown.assign(mode="sampled")]
-        pd.concat(modes).to_parquet(path / f"evaluation-test-200-{cap}.parquet")
+        pd.concat(modes).to_parquet(path / f"evaluation-test-200-{limit}.parquet")
         (path / "episodes.parquet").unlink()  # training's, which a repository may leave out
     keep(tmp_path / "worlds" / "baselines", "straight", reward=4.0)
     found = worlds.gather([tmp_path])
     assert [*found.scripted] == [("goal", "straight")]
     assert found.scripted["goal", "straight"]["reward"].tolist() == [4.0]
-    assert found.seeds["goal", "dqn", "tanh"][["reward", "greedy"]].to_numpy().tolist() == [[2.0, 5.0], [2.5, 5.0]]
+    assert found.seeds["goal", "dqn", "tanh"][["reward", "greedy"]].to_numpy().tolist() == [
+        [2.0, 5.0],
+        [2.5, 5.0],
+    ]
     home = tmp_path / "worlds" / "baselines"
     assert found.left_out == [
-        f"{home}: no rows of random, straight, reactive; write them with uavnav evaluate random straight reactive"
+        f"{home}: no rows of random, straight, reactive; write them with uavnav evaluate random straight "
+        "reactive"
         f" --max-steps 2000 --seeds 10 --out {home}",
         "drone, sensor_arc=90.0: no rows of scripts, which fly with the usual settings of a task alone",
         f"{home}: no rows of random, reactive; write them with uavnav evaluate random reactive"
@@ -250,8 +268,6 @@ def test_a_world_is_told_without_scripts_whose_rows_are_missing_and_nobody_flies
     ahead = leaders(summary(found)).set_index("world")[["best", "value", "script", "scripted"]]
     assert ahead.loc["drone"].tolist()[:3] == ["DQN tanh", 2.25, ""]
     assert ahead.loc["goal"].tolist()[2:] == ["straight", 4.0]
-    handles = worlds.draw(summary(found)).figure.legends[0].get_texts()
-    assert [one.get_text() for one in handles] == ["straight"]
 
 
 def test_scripts_of_a_rung_are_read_from_its_own_rows_and_a_run_tells_how_it_was_made(tmp_path):

@@ -1,4 +1,6 @@
-"""Whether the numbers of a text stand in the rows of tables that it links to, and how long its sentences are."""
+"""Whether the numbers of a text stand in the rows of tables that it links to, and how long its sentences
+are.
+"""
 
 import csv
 import re
@@ -59,7 +61,9 @@ def fits(shown, size):
 def sentences(text):
     """The sentences of Markdown: of each line, or each cell of a table, without links' targets."""
     plain = re.sub(r"\]\([^)\s]*\)", "]", text)
-    parts = [part for line in plain.splitlines() for part in (line.split(" | ") if line[:1] == "|" else [line])]
+    parts = [
+        part for line in plain.splitlines() for part in (line.split(" | ") if line[:1] == "|" else [line])
+    ]
     return [one for part in parts for one in re.split(r"(?<=[.?!:]) +(?=[A-Z])", part) if words(one)]
 
 
@@ -72,7 +76,9 @@ def too_long(text):
 
 
 def first_screen(page):
-    """What the report's page shows above its navigation and of its verdicts before anything is opened: a text each."""
+    """What the report's page shows above its navigation and of its verdicts before anything is opened: a
+    text each.
+    """
     header = page.split("<header>")[1].split("</header>")[0]
     verdicts = page.split('<section id="verdicts">')[1].split("</section>")[0]
     closed = re.sub(r"(?s)</summary>.*?</details>", "</summary>", verdicts)

@@ -1,4 +1,4 @@
-"""Evidence made up for the audit: means of cells whose verdicts are known."""
+"""Evidence made up for the audit: means of configurations whose verdicts are known."""
 
 import functools
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from uavnav.report.claims import ACTIVATIONS
 from uavnav.report.studies import of_paper
-from uavnav.runs.readings import PER_FRAME
+from uavnav.runs.definitions import PER_FRAME
 
-of_paper_per_frame = functools.partial(of_paper, reading=PER_FRAME)
+of_paper_per_frame = functools.partial(of_paper, definition=PER_FRAME)
 
 EIGHT = np.array([-1.5, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 1.5])  # mean 0
 
@@ -25,7 +25,7 @@ def evidence(means, seeds=EIGHT, spread=0.1):
         mean = means.get(key, means.get(key[:3]) if study == "main" else None)
         if mean is None:
             return np.empty(0)
-        place = sum(map(ord, "".join(key)))  # another order in every cell
+        place = sum(map(ord, "".join(key)))  # another order in every configuration
         return mean + spread * np.roll(seeds, place)
 
     return found

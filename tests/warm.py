@@ -1,8 +1,10 @@
-"""New Python processes that need not import PyTorch: forks of a server that has imported it and the package before.
+"""New Python processes that need not import PyTorch: forks of a server that has imported it and the package
+before.
 
-What a process imports takes four seconds of a core, what a test asks of it often a tenth. With the fixture `warm`, or
-`warm_module`, `Popen` takes the place of `subprocess.Popen`, also in the processes that are started so. How a process
-begins from nothing is tested without them, by test_terminal, test_recipes, test_first_run and test_graph.
+What a process imports takes four seconds of a core, what a test asks of it often a tenth. With the fixture
+`warm`, or `warm_module`, `Popen` takes the place of `subprocess.Popen`, also in the processes that are
+started so. How a process begins from nothing is tested without them, by test_terminal, test_recipes and
+test_first_run.
 """
 
 import atexit
@@ -47,7 +49,8 @@ class Popen(subprocess.Popen):
 
     def _execute_child(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *how):
         words = [os.fspath(word) for word in args] if isinstance(args, (list, tuple)) else []
-        logged = words[:2] == ["/bin/sh", "-c"] and words[4:5] == [sys.executable]  # as `engines.logged` writes it
+        # as `engines.logged` writes it
+        logged = words[:2] == ["/bin/sh", "-c"] and words[4:5] == [sys.executable]
         log, words = (words[3], words[4:]) if logged else (None, words)
         if words[1:3] == ["-u", "-m"]:
             del words[1]
@@ -58,7 +61,9 @@ class Popen(subprocess.Popen):
         told |= {"env": dict(os.environ if env is None else env), "session": session, "group": group == 0}
         self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._server.connect(address())
-        streams = [number if given == -1 else given for number, given in enumerate((pipes[0], pipes[3], pipes[5]))]
+        streams = [
+            number if given == -1 else given for number, given in enumerate((pipes[0], pipes[3], pipes[5]))
+        ]
         socket.send_fds(self._server, [json.dumps(told).encode()], streams)
         self._close_pipe_fds(*pipes)
         self.pid, self._child_created = self._heard(), True
@@ -149,6 +154,8 @@ def run(words, log, cwd, env):
             os.dup2(file.fileno(), 2)
     os.environ.clear()
     os.environ.update(env)
+    if "torch._inductor.config" in sys.modules:  # the server has read what was its compiler
+        sys.modules["torch._inductor.config"].cpp.cxx = None, os.environ.get("CXX", "g++")
     call_oneself(sys.executable, *words)
     sys.stdin, sys.stdout, sys.stderr = (open(number, "rww"[number]) for number in range(3))  # noqa: SIM115
     subprocess.Popen = Popen
@@ -177,7 +184,10 @@ def call_oneself(*words):
 
 
 def execute(kind, *words):
-    sys.argv, first = [kind, *words], {"-c": "", "-m": os.getcwd()}.get(kind, os.path.dirname(os.path.abspath(kind)))
+    sys.argv, first = (
+        [kind, *words],
+        {"-c": "", "-m": os.getcwd()}.get(kind, os.path.dirname(os.path.abspath(kind))),
+    )
     sys.path[:] = [first, *PATH]
     if kind == "-c":
         del sys.argv[1]
@@ -186,7 +196,8 @@ def execute(kind, *words):
     elif kind == "-m":
         del sys.argv[1]
         package = hasattr(sys.modules.get(words[0]), "__path__")
-        sys.modules.pop(f"{words[0]}.__main__" if package else words[0], None)  # runpy warns of what is there already
+        # runpy warns of what is there already
+        sys.modules.pop(f"{words[0]}.__main__" if package else words[0], None)
         runpy.run_module(words[0], run_name="__main__", alter_sys=True)
     else:
         runpy.run_path(kind, run_name="__main__")

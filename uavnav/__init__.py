@@ -55,7 +55,7 @@ _ROOMS = {
     "envs": ("env", "gym", "sb3", "scalar"),
     "evaluation": ("episodes", "verify"),
     "report": ("compare",),
-    "runs": ("export", "metrics", "paper", "policies", "readings"),
+    "runs": ("export", "metrics", "paper", "policies", "definitions"),
     "tasks": (
         "baselines",
         "dynamics",
@@ -65,8 +65,9 @@ _ROOMS = {
         "moving",
         "rewards",
         "sensing",
-        "simulator",
         "space",
+        "table",
+        "task",
         "world",
     ),
     "training": ("config", "loggers"),
@@ -84,10 +85,17 @@ __all__ = sorted({*_NAMES, *ALGORITHMS, *_SHOWN})
 
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL reads it once, when it is imported
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # threads that spin starve each other on a busy machine
-os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # huge pages: rows from all over a replay buffer arrive sooner
+# huge pages: rows from all over a replay buffer arrive sooner
+os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 warnings.filterwarnings("ignore", message=".*inline_inbuilt_nn_modules is deprecated", category=FutureWarning)
 
-_WORLDS = {"Drone": "drone", "Moving": "moving", "Goal": "goal", "Space": "space", "SpaceMoving": "space-moving"}
+_WORLDS = {
+    "Drone": "drone",
+    "Moving": "moving",
+    "Goal": "goal",
+    "Space": "space",
+    "SpaceMoving": "space-moving",
+}
 for _name, _task in _WORLDS.items():
     gymnasium.register(
         id=f"uavnav/{_name}-v0",

@@ -1,8 +1,9 @@
-"""`uavnav`, and the same as `python -m uavnav`: the list of commands, or one of them with the words after it."""
+"""`uavnav`, and the same as `python -m uavnav`: the list of commands, or one of them with the words after
+it.
+"""
 
 from __future__ import annotations
 
-import importlib
 import io
 import sys
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from typing import Any
 import uavnav
 from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
-from uavnav.errors import choose_from, complain, one_line
+from uavnav.errors import choose_from, one_line
 
 
 def main(argv: Sequence[str] | None = None, **how: Any) -> int:
@@ -27,26 +28,15 @@ def main(argv: Sequence[str] | None = None, **how: Any) -> int:
         return 0
     if name not in commands.COMMANDS:
         known = (
-            f"it is an algorithm: uavnav train {name}" if name in ALGORITHMS else choose_from(name, commands.COMMANDS)
+            f"it is an algorithm: uavnav train {name}"
+            if name in ALGORITHMS
+            else choose_from(name, commands.COMMANDS)
         )
         print(one_line(f"uavnav: there is no command {name!r}; {known}"), file=sys.stderr)
         return 2
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a path may hold what no terminal shows
-    commands.parse(name, words)
-    try:
-        status: int = importlib.import_module(f"uavnav.cli.{name}").main(words, **how)
-    except BrokenPipeError:  # nobody reads on: `terminal` ends it
-        raise
-    except OSError as error:
-        complain(name, error)
-        return 2
-    except (MemoryError, RuntimeError) as error:
-        if not isinstance(error, MemoryError) and "allocate memory" not in str(error):  # as torch says it
-            raise
-        complain(name, f"the machine's memory is too small for this ({error})")
-        return 2
-    return status
+    return commands.run(name, words, **how)
 
 
 if __name__ == "__main__":

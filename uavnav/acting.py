@@ -1,7 +1,7 @@
 """How a policy acts: what its network says of each action, and the random choice of one.
 
-`ACTS`, `HEADS` and `SHOWN` are tables. A record of `uavnav.algorithms`, or the header of a policy's file, names a line
-of each. Nothing but `Actor` has a generator; uniform numbers are arguments.
+`ACTS`, `HEADS` and `SHOWN` are tables. A record of `uavnav.algorithms`, or the header of a policy's file,
+names a line of each. Nothing but `Actor` has a generator; uniform numbers are arguments.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ def by_atom(outputs: Tensor, n_atoms: float) -> Tensor:
 
 
 def dueling(outputs: Tensor, n_atoms: float = 1) -> Tensor:
-    """A state's value v and each action's advantage a as action values, v + a - mean a. Wang et al. (2016), eq. (9).
+    """A state's value v and each action's advantage a as action values, v + a - mean a. Wang et al. (2016),
+    eq. (9).
 
     outputs [..., (1 + actions) x atoms], v first -> [..., actions x atoms]; each atom by itself.
     """
@@ -65,7 +66,8 @@ class Act(NamedTuple):
     """A way to act in training."""
 
     uniforms: int  # random numbers an action
-    choose: Callable[[Tensor, Tensor | float, Sequence[Tensor]], Tensor]  # (values, epsilon, uniforms) -> actions
+    # (values, epsilon, uniforms) -> actions
+    choose: Callable[[Tensor, Tensor | float, Sequence[Tensor]], Tensor]
 
 
 ACTS: dict[str, Act] = {
@@ -79,7 +81,8 @@ HEADS: dict[str, Callable[..., Tensor]] = {
     "distribution": expected,
     "dueling-distribution": lambda outputs, least, most, n: expected(dueling(outputs, n), least, most, n),
 }
-"""How a network's outputs [..., outputs] become one number an action [..., actions]; the largest is the greedy one.
+"""How a network's outputs [..., outputs] become one number an action [..., actions]; the largest is the
+greedy one.
 
 A policy names a line with its numbers, if it has some: `direct`, or `distribution -10.0 9.0 51`.
 """
@@ -92,7 +95,9 @@ SHOWN: dict[str, Callable[[Tensor], Tensor]] = {
 
 
 def values_of(head: str, outputs: Tensor) -> Tensor:
-    """One number an action by a line of `HEADS` with its numbers: outputs [..., outputs] -> [..., actions]."""
+    """One number an action by a line of `HEADS` with its numbers: outputs [..., outputs] -> [...,
+    actions].
+    """
     name, *numbers = head.split()
     return HEADS[name](outputs, *map(float, numbers))
 
@@ -139,7 +144,9 @@ class Actor(TensorDictModuleBase):  # type: ignore[misc]
         self.epsilon = torch.tensor(0.0, device=next(network.parameters()).device)
         self._choose = graph.Graph(self.choose) if compile else self.choose
 
-    def choose(self, observation: Tensor, uniform: Tensor, epsilon: Tensor, *weights: Tensor) -> tuple[Tensor]:
+    def choose(
+        self, observation: Tensor, uniform: Tensor, epsilon: Tensor, *weights: Tensor
+    ) -> tuple[Tensor]:
         """Actions from uniform numbers [A, uniforms, W], by the network with these weights."""
         named = dict(zip(self._weights, weights, strict=True))
         values = values_of(self.head, functional_call(self.network, named, (observation,)))

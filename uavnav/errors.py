@@ -27,8 +27,8 @@ SOME = 5
 def one_line(text: object, most: int = MOST) -> str:
     r"""A text as one printable line of at most `most` characters.
 
-    Long words are shortened first, in their middle and no more than needed; then the middle of the line: what is wrong
-    stands at its beginning, and what would be right at its end.
+    Long words are shortened first, in their middle and no more than needed; then the middle of the line: what
+    is wrong stands at its beginning, and what would be right at its end.
 
     >>> one_line("a\nb")
     'a\\nb'
@@ -63,7 +63,12 @@ def told(value: object, most: int = WORD * 2) -> str:
     """A value as a message shows it: short and in one line, however large, deep or odd it is."""
     try:
         return one_line(value, most)
-    except (ValueError, RecursionError, RuntimeError):  # a number of many digits, nested lists, a damaged tensor
+    except (
+        ValueError,
+        RecursionError,
+        RuntimeError,
+    ):
+        # a number of many digits, nested lists, a damaged tensor
         return f"a {type(value).__name__}"
 
 
@@ -75,12 +80,17 @@ def quoted(value: object) -> str:
 class OneLineError(Exception):
     """What is wrong with what a user gave; its message is one line of at most `MOST` characters."""
 
+    status = 2
+    """Of a command that ends with it."""
+
     def __init__(self, message: object) -> None:
         super().__init__(one_line(message))
 
 
 def did_you_mean(value: object, choices: Collection[str]) -> str:
-    """` (did you mean relu?)`, the nearest of the choices, as the end of a message; empty where none is near."""
+    """` (did you mean relu?)`, the nearest of the choices, as the end of a message; empty where none is
+    near.
+    """
     word = told(value)
     of_a_part = [choice for choice in choices if choice.endswith(f".{word}")]  # `slots` for `world.slots`
     near = of_a_part or difflib.get_close_matches(word, choices, n=1)
@@ -101,7 +111,9 @@ def did_you_mean_run(run: str, others: Collection[str]) -> str:
 
 
 def choose_from(value: object, choices: Collection[str]) -> str:
-    """`choose from elu, gelu (did you mean gelu?)`: the choices by name, some of very many, and the nearest."""
+    """`choose from elu, gelu (did you mean gelu?)`: the choices by name, some of very many, and the
+    nearest.
+    """
     choices = [told(choice) for choice in choices]  # a file may have keys that are no words
     names = sorted(choices)
     if len(", ".join(names)) > LONG:

@@ -1,8 +1,8 @@
 """Functions of tensors as compiled graphs. Only this file uses private parts of PyTorch.
 
-`torch.compile` checks at every call whether the function's Python has changed. For a small step, this check takes as
-long as the arithmetic, so a `Graph` is traced once instead. Where PyTorch's private parts are missing or have changed,
-`torch.compile` is used.
+`torch.compile` checks at every call whether the function's Python has changed. For a small step, this check
+takes as long as the arithmetic, so a `Graph` is traced once instead. Where PyTorch's private parts are
+missing or have changed, `torch.compile` is used.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ SETTINGS: dict[str, Any] = {
 
 
 class Graph:
-    """A compiled function from tensors to a tuple of tensors, with one graph per shape, stride, type and device.
+    """A compiled function from tensors to a tuple of tensors, with one graph per shape, stride, type and
+    device.
 
-    Whatever is not an argument is frozen at the first call. The function may write into its arguments. Graphs are kept
-    on disk, like those of `torch.compile`.
+    Whatever is not an argument is frozen at the first call. The function may write into its arguments. Graphs
+    are kept on disk, like those of `torch.compile`.
 
     Args:
         function: torch operations alone, without branches on values and without NumPy.
@@ -71,7 +72,8 @@ class Graph:
                 if not _parts_work():
                     return _left_to_torch(self.function)
                 raise ConfigError(
-                    f"no graph can be made ({telling_line(error)}); activations and rewards are torch operations alone,"
+                    f"no graph can be made ({telling_line(error)}); activations and rewards are torch "
+                    "operations alone,"
                     " without NumPy and branches on values: or give compile=off"
                 ) from error
 
@@ -82,15 +84,16 @@ class Graph:
 class Loop(Graph):
     """Successive updates of a state, as one graph.
 
-    Autograd cannot run inside a traced loop, so one update, backward included, is traced first and becomes its body.
+    Autograd cannot run inside a traced loop, so one update, backward included, is traced first and becomes
+    its body.
 
     Args:
         update: (rate, *state, *constants, *batch) -> (found, *next state); `found` is one tensor.
         n_state, n_constants: numbers of tensors in the state and in the constants.
         options: inductor's options.
 
-    Call: (rates [M, ...] of M updates, *state, *constants, *batches [A, M, ...]) -> (mean of `found`,). The state is
-    updated in place.
+    Call: (rates [M, ...] of M updates, *state, *constants, *batches [A, M, ...]) -> (mean of `found`,). The
+    state is updated in place.
     """
 
     def __init__(self, update: Function, n_state: int, n_constants: int, **options: Any) -> None:
@@ -160,10 +163,13 @@ def _each_once(traced: fx.GraphModule) -> fx.GraphModule:
     One that writes in place stays as it is: what is called twice could then be two places to write.
     """
     calls = traced.graph.nodes
-    if any(isinstance(call.target, torch._ops.OpOverload) and call.target._schema.is_mutable for call in calls):
+    if any(
+        isinstance(call.target, torch._ops.OpOverload) and call.target._schema.is_mutable for call in calls
+    ):
         return traced
     for call in traced.graph.find_nodes(op="call_function", target=torch.ops.aten.detach.default):
-        call.replace_all_uses_with(call.args[0])  # autograd is done: a weight and the same one detached are one
+        # autograd is done: a weight and the same one detached are one
+        call.replace_all_uses_with(call.args[0])
         traced.graph.erase_node(call)
     return fx.GraphModule(traced, fx_graph_cse(traced.graph))
 
@@ -186,7 +192,9 @@ def _compiled(function: Function, tensors: Tensors, options: dict[str, Any]) -> 
 
 
 def _left_to_torch(function: Function) -> Function:
-    """Compile by `torch.compile`, which checks the function at every call and runs in Python what it cannot trace."""
+    """Compile by `torch.compile`, which checks the function at every call and runs in Python what it
+    cannot trace.
+    """
     compiled = torch.compile(function, dynamic=False)
 
     def run(*tensors: Tensor) -> Tensors:
@@ -211,10 +219,13 @@ def problem(device: str) -> str | None:
 
 
 def telling_line(error: BaseException) -> str:
-    """The most telling line of an error's message: the compiler's own error, else the first line that names a cause.
+    """The most telling line of an error's message: the compiler's own error, else the first line that names a
+    cause.
 
     >>> telling_line(Exception("backend='inductor' raised:\\nCppCompileError: C++ compile error"))
     'CppCompileError: C++ compile error'
     """
-    lines = [line.strip() for line in str(error).splitlines() if line.strip() and not line.endswith("raised:")]
+    lines = [
+        line.strip() for line in str(error).splitlines() if line.strip() and not line.endswith("raised:")
+    ]
     return next((line for line in lines if "error: " in line), lines[0] if lines else type(error).__name__)

@@ -45,9 +45,9 @@ Init = Literal["orthogonal", "unit", "default"]
 class AgentLinear(nn.Module):
     """One linear layer per agent, computed as one product: x [A, ..., in] -> [A, ..., out].
 
-    `init="orthogonal"`, with a gain and zero biases, is SB3's choice for PPO; `"unit"` differs in its gains alone.
-    `"default"` is PyTorch's initialisation (weights and biases uniform within 1 / sqrt(in)) and SB3's choice for DQN.
-    generators[a] alone initialises agent a.
+    `init="orthogonal"`, with a gain and zero biases, is SB3's choice for PPO; `"unit"` differs in its gains
+    alone. `"default"` is PyTorch's initialisation (weights and biases uniform within 1 / sqrt(in)) and SB3's
+    choice for DQN. generators[a] alone initialises agent a.
     """
 
     def __init__(
@@ -72,7 +72,8 @@ class AgentLinear(nn.Module):
 
 
 class Activation(nn.Module):
-    """An activation of `ACTIVATIONS`, by name; with `layer_norm`, of values that LayerNorm centres and scales first.
+    """An activation of `ACTIVATIONS`, by name; with `layer_norm`, of values that LayerNorm centres and scales
+    first.
 
     Raises:
         ValueError: `ACTIVATIONS` has no such name.
@@ -92,7 +93,8 @@ class Activation(nn.Module):
 
 
 def unit_gain(activation: str) -> float:
-    """1 / std f(z) for z ~ N(0, 1): with it, the units of the next layer begin on one scale, whatever the activation.
+    """1 / std f(z) for z ~ N(0, 1): with it, the units of the next layer begin on one scale, whatever the
+    activation.
 
     >>> round(unit_gain("relu"), 2), round(unit_gain("sigmoid"), 2)
     (1.71, 4.8)
@@ -110,11 +112,12 @@ def mlp(
     output_gain: float = 1.0,
     layer_norm: bool = False,
 ) -> nn.Sequential:
-    """Linear layers of the given sizes with the activation between them: x [A, ..., sizes[0]] -> [A, ..., sizes[-1]].
+    """Linear layers of the given sizes with the activation between them: x [A, ..., sizes[0]] -> [A, ...,
+    sizes[-1]].
 
-    With `init="orthogonal"`, hidden layers have the gain sqrt(2) and the last layer has `output_gain`, whatever the
-    activation (as in SB3, decision 15). With `"unit"`, what follows an activation has its `unit_gain` instead of
-    sqrt(2), and the first layer 1.
+    With `init="orthogonal"`, hidden layers have the gain sqrt(2) and the last layer has `output_gain`,
+    whatever the activation (as in SB3, decision 15). With `"unit"`, what follows an activation has its
+    `unit_gain` instead of sqrt(2), and the first layer 1.
     """
     layers: list[nn.Module] = []
     after = unit_gain(activation) if init == "unit" else 1.0
@@ -129,9 +132,13 @@ def mlp(
 
 
 def made_of(network: nn.Module) -> tuple[object, ...] | None:
-    """What an `mlp` is made of, layer by layer, whatever its weights and agents; None of any other network."""
+    """What an `mlp` is made of, layer by layer, whatever its weights and agents; None of any other
+    network.
+    """
     layers = [*network.children()]
-    if type(network) is not nn.Sequential or not all(type(layer) in (AgentLinear, Activation) for layer in layers):
+    if type(network) is not nn.Sequential or not all(
+        type(layer) in (AgentLinear, Activation) for layer in layers
+    ):
         return None
     return tuple(
         (layer.name, layer.layer_norm)

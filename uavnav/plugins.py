@@ -1,7 +1,7 @@
 """A user's own modules, which add activations, rewards, tasks and algorithms to the tables.
 
-A plugin is imported because the user names it: `plugins=my_module` to `uavnav train`, `--plugins my_module` to another
-command, `uavnav.plugins.load(["my_module"])` in Python. No file of a run can have one imported.
+A plugin is imported because the user names it: `plugins=my_module` to `uavnav train`, `--plugins my_module`
+to another command, `uavnav.plugins.load(["my_module"])` in Python. No file of a run can have one imported.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from typing import Any
 
 from uavnav import networks
 from uavnav.errors import ConfigError
-from uavnav.tasks import rewards, simulator
+from uavnav.tasks import rewards
+from uavnav.tasks import table as tasks
 
 LOADED: dict[str, str] = {}
 """The plugins of this process: name -> SHA-256 of its file, or of all files of a package."""
@@ -26,16 +27,18 @@ LOADED: dict[str, str] = {}
 TABLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "activation": (networks.ACTIVATIONS, networks.KNOWN),
     "reward": (rewards.REWARDS, rewards.KNOWN),
-    "task": (simulator.TASKS, simulator.KNOWN),
+    "task": (tasks.TASKS, tasks.KNOWN),
 }
 """By the setting that names a line: the table, and the lines that every process of a run has."""
 
 
 def load(names: str | Sequence[str] | None) -> None:
-    """Import modules by name, one or several, each once, from the present folder or from where Python finds modules.
+    """Import modules by name, one or several, each once, from the present folder or from where Python finds
+    modules.
 
     Raises:
-        ConfigError: there is no such module, it cannot be imported, or it gives a name that is there another meaning.
+        ConfigError: there is no such module, it cannot be imported, or it gives a name that is there another
+            meaning.
     """
     wanted = [names] if isinstance(names, str) else list(names or ())
     if wanted and os.getcwd() not in sys.path and "" not in sys.path:
@@ -56,16 +59,22 @@ def load(names: str | Sequence[str] | None) -> None:
             added = {key: value for key, value in table.items() if old.get(key) is not value}
             table |= old
             if taken := sorted(added.keys() & known.keys()):
-                raise ConfigError(f"plugins={name}: {setting}={taken[0]} is there already; give yours another name")
+                raise ConfigError(
+                    f"plugins={name}: {setting}={taken[0]} is there already; give yours another name"
+                )
             table |= added
             known |= added
         LOADED[name] = _sha256(module)
 
 
 def _sha256(module: ModuleType) -> str:
-    """Of a module's file; of all Python files of a package, in the order of their paths; empty without any."""
+    """Of a module's file; of all Python files of a package, in the order of their paths; empty without
+    any.
+    """
     folders = [Path(folder) for folder in getattr(module, "__path__", ())]
-    files = [file for folder in folders for file in sorted(folder.rglob("*.py"))] or [Path(module.__file__ or "")]
+    files = [file for folder in folders for file in sorted(folder.rglob("*.py"))] or [
+        Path(module.__file__ or "")
+    ]
     code = b"".join(file.read_bytes() for file in files if file.is_file())
     return hashlib.sha256(code).hexdigest() if code else ""
 
@@ -80,4 +89,8 @@ def warn_of_changed(path: Path, noted: Mapping[str, str]) -> None:
 def missing(noted: Mapping[str, str] | Collection[str]) -> str:
     """The end of a message: which plugins a run needs that were not given; empty where all are there."""
     absent = [name for name in noted if name not in LOADED]
-    return f"; it was made with plugins, give --plugins {','.join(absent)} (plugins= to uavnav train)" if absent else ""
+    return (
+        f"; it was made with plugins, give --plugins {','.join(absent)} (plugins= to uavnav train)"
+        if absent
+        else ""
+    )

@@ -1,6 +1,7 @@
 """How settings are declared: a frozen model whose fields have limits, a meaning and a unit, each said once.
 
-The checks, the one-line errors and the help come from these declarations. A plugin declares its own in the same way:
+The checks, the one-line errors and the help come from these declarations. A plugin declares its own in the
+same way:
 
     class Config(TrainConfig):
         lr: AtLeast0 = key(1e-3, "Adam's learning rate")
@@ -12,7 +13,15 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Annotated, Any, Literal, NamedTuple, Self, TypeVar, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
@@ -26,7 +35,8 @@ class Settings(BaseModel):
     """Settings that were checked when they were made, and stay as they are.
 
     Raises:
-        ConfigError: there is no such setting, or a value has the wrong type, is out of range or not among the choices.
+        ConfigError: there is no such setting, or a value has the wrong type, is out of range or not among the
+            choices.
     """
 
     model_config = STRICT | ConfigDict(frozen=True, extra="forbid")
@@ -58,7 +68,7 @@ def key(default: Any, what: str = "", unit: str = "", **limits: Any) -> Any:
     return Field(default, description=what, json_schema_extra={"unit": unit}, **limits)
 
 
-# -- types of settings -----------------------------------------------------------------------------------------------
+# -- types of settings ---------------------------------------------------------------------------------------
 
 
 def at_most(most: int) -> AfterValidator:
@@ -95,11 +105,13 @@ AtLeast0 = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=True)]
 """A time, or inf for never."""
-Units = Annotated[tuple[Whole, ...], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)]
+Units = Annotated[
+    tuple[Whole, ...], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
+]
 """Of each hidden layer."""
 
 
-# -- checks ----------------------------------------------------------------------------------------------------------
+# -- checks --------------------------------------------------------------------------------------------------
 
 WANTED = {
     "bool_type": "choose from false, true",
@@ -126,10 +138,14 @@ def part(kind: type[Part], name: str, given: Any) -> Part:
     if given is None or type(given) is kind:
         return given or kind()
     if isinstance(given, Settings):
-        raise ConfigError(f"{name}={type(given).__name__}; give a {kind.__name__}, or a mapping of its fields")
+        raise ConfigError(
+            f"{name}={type(given).__name__}; give a {kind.__name__}, or a mapping of its fields"
+        )
     if not isinstance(given, Mapping):
         first, field = next(iter(kind.model_fields.items()))
-        raise ConfigError(f"{name}={told(given)}; give fields of the {name}, such as {name}.{first}={field.default}")
+        raise ConfigError(
+            f"{name}={told(given)}; give fields of the {name}, such as {name}.{first}={field.default}"
+        )
     for one in given:
         if not among(one, kind.model_fields):
             raise unknown_key(f"{name}.{told(one)}", [f"{name}.{other}" for other in kind.model_fields])
@@ -161,7 +177,7 @@ def _wrong(name: str, error: ErrorDetails, field: FieldInfo) -> ConfigError:
     return ConfigError(f"{name}={given}; {WANTED.get(error['type'], error['msg'])}")
 
 
-# -- what is said of them --------------------------------------------------------------------------------------------
+# -- what is said of them ------------------------------------------------------------------------------------
 
 
 class Line(NamedTuple):
@@ -197,7 +213,12 @@ def choices(field: FieldInfo) -> Collection[str]:
 def limits(field: FieldInfo) -> dict[str, float]:
     """`{"of at least": 0, "at most": 1}`, or `above`: between what a number must be."""
     said = {"gt": "above", "ge": "of at least", "le": "at most"}
-    return {word: getattr(one, name) for name, word in said.items() for one in _metadata(field) if hasattr(one, name)}
+    return {
+        word: getattr(one, name)
+        for name, word in said.items()
+        for one in _metadata(field)
+        if hasattr(one, name)
+    }
 
 
 def _allowed(field: FieldInfo, names: Collection[str]) -> str:
@@ -226,3 +247,10 @@ def shown(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     return f"[{','.join(map(shown, value))}]" if isinstance(value, (list, tuple)) else str(value)
+
+
+def flat(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with a name for each field of a part, as a command line gives them: `world.sensor_arc`."""
+    parts = {name: value for name, value in settings.items() if isinstance(value, Mapping)}
+    own = {f"{part}.{name}": value for part, fields in parts.items() for name, value in fields.items()}
+    return {name: value for name, value in settings.items() if name not in parts} | own

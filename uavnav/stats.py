@@ -1,7 +1,7 @@
 """Intervals and tests over training seeds. Seeds are resampled, never episodes alone; every number has its n.
 
-scipy, statsmodels and lifelines compute; this module chooses the question and the rows. Letters: S seeds of a cell,
-E episodes of a seed.
+scipy, statsmodels and lifelines compute; this module chooses the question and the rows. Letters: S seeds of a
+configuration, E episodes of a seed.
 """
 
 from __future__ import annotations
@@ -48,11 +48,13 @@ def interquartile_mean(values: Array, axis: int = -1) -> Any:
     return np.partition(values, (cut, n - cut - 1), axis=-1)[..., cut : n - cut].mean(-1)
 
 
-def interval(values: Sequence[float] | Array, statistic: Callable[..., Any] = np.mean, seed: int = 0) -> Interval:
+def interval(
+    values: Sequence[float] | Array, statistic: Callable[..., Any] = np.mean, seed: int = 0
+) -> Interval:
     """A statistic of one number per seed [S], with its bootstrap interval over seeds.
 
-    The interval is BCa, or of percentiles if BCa is undefined (few or equal seeds). Seeds with NaN (no episode) are
-    left out. The interval of fewer than two seeds is NaN.
+    The interval is BCa, or of percentiles if BCa is undefined (few or equal seeds). Seeds with NaN (no
+    episode) are left out. The interval of fewer than two seeds is NaN.
     """
     return intervals([values], [statistic], seed)[0][0]
 
@@ -60,7 +62,9 @@ def interval(values: Sequence[float] | Array, statistic: Callable[..., Any] = np
 def intervals(
     rows: Sequence[Sequence[float] | Array], statistics: Sequence[Callable[..., Any]], seed: int = 0
 ) -> list[list[Interval]]:
-    """`interval` of each statistic of each row; rows of as many seeds share their draws, as if each were alone."""
+    """`interval` of each statistic of each row; rows of as many seeds share their draws, as if each were
+    alone.
+    """
     known = [np.asarray(row, dtype=np.float64) for row in rows]
     known = [row[~np.isnan(row)] for row in known]
     found: list[list[Interval]] = [[] for _ in rows]
@@ -76,13 +80,19 @@ def intervals(
 
 
 def _each(table: Array, statistics: Sequence[Callable[..., Any]], axis: int = -1) -> Array:
-    """All statistics of a table's rows [..., S]: [statistics, ...]; a sum rounds by how its terms lie in memory."""
+    """All statistics of a table's rows [..., S]: [statistics, ...]; a sum rounds by how its terms lie in
+    memory.
+    """
     table = np.ascontiguousarray(np.moveaxis(table, axis, -1))
     return np.stack([statistic(table, axis=-1) for statistic in statistics])
 
 
-def _ends(table: Array, statistics: Sequence[Callable[..., Any]], value: Array, seed: int) -> tuple[Array, Array]:
-    """Both ends of the intervals of a table [R, S]: [statistics, R] each; where all seeds are equal, the value."""
+def _ends(
+    table: Array, statistics: Sequence[Callable[..., Any]], value: Array, seed: int
+) -> tuple[Array, Array]:
+    """Both ends of the intervals of a table [R, S]: [statistics, R] each; where all seeds are equal, the
+    value.
+    """
     low, high = value.copy(), value.copy()
     varies = np.ptp(table, axis=-1) > 0
     if varies.any():
@@ -110,7 +120,8 @@ def _ends(table: Array, statistics: Sequence[Callable[..., Any]], value: Array, 
 class Contrasts(NamedTuple):
     """Linear contrasts of means over seeds: estimates, standard errors, degrees of freedom, each [..., J].
 
-    The error is exactly 0, and df is 1, where one side of a contrast never varies: its weighed seeds are all alike.
+    The error is exactly 0, and df is 1, where one side of a contrast never varies: its weighed seeds are all
+        alike.
     """
 
     value: Array
@@ -126,12 +137,18 @@ class Contrasts(NamedTuple):
         return np.asarray(self.value - special.stdtrit(self.df, 1 - np.asarray(level)) * self.error)
 
     def above(self) -> Array:
-        """One-sided p values of the contrasts being above zero; below zero they are 1 - p. NaN without an error."""
+        """One-sided p values of the contrasts being above zero; below zero they are 1 - p. NaN without an
+        error.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(special.stdtr(self.df, -self.value / np.where(self.error > 0, self.error, np.nan)))
+            return np.asarray(
+                special.stdtr(self.df, -self.value / np.where(self.error > 0, self.error, np.nan))
+            )
 
     def power(self, effect: Array, level: float | Array) -> Array:
-        """How probably a one-sided test at this level finds effects [J], from the noncentral t distribution."""
+        """How probably a one-sided test at this level finds effects [J], from the noncentral t
+        distribution.
+        """
         shift = np.minimum(effect / np.where(self.error > 0, self.error, np.nan), _FAR)
         found = 1 - special.nctdtr(self.df, shift, special.stdtrit(self.df, 1 - np.asarray(level)))
         return np.asarray(np.where(shift == _FAR, 1.0, found))
@@ -144,17 +161,19 @@ _DIGITS = 12
 
 
 def welch(samples: Sequence[Array], weights: Array, paired: bool = False) -> Contrasts:
-    """Contrasts of cells' means by Welch and Satterthwaite; paired: of the same seeds, each seed's own contrast.
+    """Contrasts of configurations' means by Welch and Satterthwaite; paired: of the same seeds, each seed's
+    own contrast.
 
-    samples: C cells, each [..., S], if paired of equal S (else they are taken as independent); weights [J, C]:
+    samples: C configurations, each [..., S], if paired of equal S (else they are taken as independent);
+        weights [J, C]:
 
         error^2 = sum w^2 s^2 / S,    df = error^4 / sum (w^2 s^2 / S)^2 / (S - 1)
 
     Raises:
-        ValueError: a cell has fewer than two seeds.
+        ValueError: a configuration has fewer than two seeds.
     """
     if min(sample.shape[-1] for sample in samples) < 2:
-        raise ValueError("a cell has fewer than two seeds; an error needs at least two")
+        raise ValueError("a configuration has fewer than two seeds; an error needs at least two")
     weights = np.asarray(weights, dtype=np.float64)
     means = rounded(np.stack([sample.mean(-1) for sample in samples], -1))
     value = means @ weights.T
@@ -164,10 +183,14 @@ def welch(samples: Sequence[Array], weights: Array, paired: bool = False) -> Con
         error = np.where(np.ptp(each, -1) > 0, each.std(-1, ddof=1) / np.sqrt(seeds), 0.0)
         return Contrasts(value, error, np.full(error.shape, seeds - 1.0))
     sizes = np.array([sample.shape[-1] for sample in samples])
-    variances = np.stack([np.where(np.ptp(one, -1) > 0, one.var(-1, ddof=1), 0.0) for one in samples], -1) / sizes
+    variances = (
+        np.stack([np.where(np.ptp(one, -1) > 0, one.var(-1, ddof=1), 0.0) for one in samples], -1) / sizes
+    )
     parts = variances[..., None, :] * weights**2  # [..., J, C]
     both = np.stack([(parts * (sign * weights > 0)).sum(-1) for sign in (1, -1)])
-    one_sided = np.stack([~(sign * weights > 0).any(-1) for sign in (1, -1)]).reshape(2, *[1] * (both.ndim - 2), -1)
+    one_sided = np.stack([~(sign * weights > 0).any(-1) for sign in (1, -1)]).reshape(
+        2, *[1] * (both.ndim - 2), -1
+    )
     varies = ((both > 0) | one_sided).all(0)
     squared = np.where(varies, parts.sum(-1), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -183,16 +206,19 @@ def rounded(means: Array) -> Array:
 
 
 def difference(first: Sequence[Array], second: Sequence[Array]) -> Interval:
-    """The mean of some cells' means minus that of others, with Welch's interval; n is the smallest cell's.
+    """The mean of some configurations' means minus that of others, with Welch's interval; n is the smallest
+    configuration's.
 
-    first, second: [S] per cell. With five seeds it covers 95 % (a percentile bootstrap 83 %). The interval of equal
-    seeds is their value; NaN where a cell has fewer than two.
+    first, second: [S] per configuration. With five seeds it covers 95 % (a percentile bootstrap 83 %). The
+    interval of equal seeds is their value; NaN where a configuration has fewer than two.
     """
     samples = [*first, *second]
     n = min(map(len, samples), default=0)
     weights = np.array([1 / max(len(first), 1)] * len(first) + [-1 / max(len(second), 1)] * len(second))
     if n < 2:
-        value = float(sum(w * sample.mean() for w, sample in zip(weights, samples, strict=True))) if n else np.nan
+        value = (
+            float(sum(w * sample.mean() for w, sample in zip(weights, samples, strict=True))) if n else np.nan
+        )
         return Interval(value, np.nan, np.nan, n)
     found = welch(samples, weights[None])
     low, high = (float(end[0]) for end in (found.lower(TAILS[0]), found.upper(TAILS[0])))
@@ -202,9 +228,9 @@ def difference(first: Sequence[Array], second: Sequence[Array]) -> Interval:
 def ratio(above: Array, below: Array) -> Interval:
     """The mean of one number a seed over that of another, with Fieller's 95 % interval.
 
-    above, below: [S], of the same seeds in the same order. With variances v of the means and t of S - 1 degrees of
-    freedom, the ends are where (a - r b)^2 = t^2 (v_aa - 2 r v_ab + r^2 v_bb). They are NaN with fewer than two seeds,
-    or where the mean below may be 0.
+    above, below: [S], of the same seeds in the same order. With variances v of the means and t of S - 1
+    degrees of freedom, the ends are where (a - r b)^2 = t^2 (v_aa - 2 r v_ab + r^2 v_bb). They are NaN with
+    fewer than two seeds, or where the mean below may be 0.
     """
     n = len(above)
     value = float(above.mean() / below.mean()) if n and below.mean() else np.nan
@@ -220,10 +246,11 @@ def ratio(above: Array, below: Array) -> Interval:
 
 
 def deviations(seeds: Array) -> Array:
-    """The standard deviation of seeds [S] as one number a seed [S], so that means of them and `welch` have intervals.
+    """The standard deviation of seeds [S] as one number a seed [S], so that means of them and `welch` have
+    intervals.
 
-    The jackknife's pseudo-values S s - (S - 1) s_i, where s_i is the standard deviation without seed i. NaN with fewer
-    than three seeds.
+    The jackknife's pseudo-values S s - (S - 1) s_i, where s_i is the standard deviation without seed i. NaN
+    with fewer than three seeds.
     """
     n = len(seeds)
     if n < 3:
@@ -233,24 +260,30 @@ def deviations(seeds: Array) -> Array:
 
 
 def rank_correlation(first: Sequence[Array], second: Sequence[Array], seed: int = 0) -> Interval:
-    """Spearman's correlation of cells' means in two studies, with the interval of percentiles over resampled seeds.
+    """Spearman's correlation of configurations' means in two studies, with the interval of percentiles over
+    resampled seeds.
 
-    first, second: the same cells in the same order, [S] each. NaN with fewer than two cells or two seeds in one, or
-    where all means of a study are alike.
+    first, second: the same configurations in the same order, [S] each. NaN with fewer than two configurations
+    or two seeds in one, or where all means of a study are alike.
     """
     n = min(map(len, [*first, *second]), default=0)
     if n < 2 or len(first) < 2:
         return Interval(np.nan, np.nan, np.nan, n)
     rng = np.random.default_rng(seed)
     drawn = [
-        np.stack([own[rng.integers(len(own), size=(RESAMPLES, len(own)))].mean(1) for own in cells], 1)
-        for cells in (first, second)
+        np.stack(
+            [own[rng.integers(len(own), size=(RESAMPLES, len(own)))].mean(1) for own in configurations], 1
+        )
+        for configurations in (first, second)
     ]
     means = [
-        np.concatenate([[[own.mean() for own in cells]], some])
-        for cells, some in zip((first, second), drawn, strict=True)
+        np.concatenate([[[own.mean() for own in configurations]], some])
+        for configurations, some in zip((first, second), drawn, strict=True)
     ]
-    a, b = (ranks - ranks.mean(1, keepdims=True) for ranks in (stats.rankdata(rounded(one), axis=1) for one in means))
+    a, b = (
+        ranks - ranks.mean(1, keepdims=True)
+        for ranks in (stats.rankdata(rounded(one), axis=1) for one in means)
+    )
     with np.errstate(invalid="ignore"):
         found = (a * b).sum(1) / np.sqrt((a * a).sum(1) * (b * b).sum(1))
     low, high = np.nanquantile(found[1:], TAILS) if np.isfinite(found[0]) else (np.nan, np.nan)
@@ -270,9 +303,10 @@ class Prediction(NamedTuple):
 def prediction(seeds: Array, number: float) -> Prediction:
     """Whether a number may be one more seed; seeds [S].
 
-    The interval is Student's, mean -+ t_0.975 s sqrt(1 + 1/S). The percentile is the share of seeds below the number,
-    of equal ones half, in %. At 0 and 100 the number is outside the seeds' range. The range of 40 seeds holds a
-    further seed in 95 % of cases. All is NaN, and the number not within, with fewer than two seeds or without a number.
+    The interval is Student's, mean -+ t_0.975 s sqrt(1 + 1/S). The percentile is the share of seeds below the
+    number, of equal ones half, in %. At 0 and 100 the number is outside the seeds' range. The range of 40
+    seeds holds a further seed in 95 % of cases. All is NaN, and the number not within, with fewer than two
+    seeds or without a number.
     """
     n = len(seeds)
     if n < 2 or np.isnan(number):
@@ -284,7 +318,8 @@ def prediction(seeds: Array, number: float) -> Prediction:
 
 
 def nested_intervals(episodes: Sequence[Array], seed: int = 0) -> list[Interval]:
-    """Means over seeds of each seed's mean over episodes: seeds are resampled, then episodes within each seed.
+    """Means over seeds of each seed's mean over episodes: seeds are resampled, then episodes within each
+    seed.
 
     episodes: [M, E] a seed, whose M columns share their draws; the result is an interval a column.
     """
@@ -320,14 +355,15 @@ def holm(p_values: Sequence[float] | Array) -> Array:
     return np.where(np.isnan(p), np.nan, adjusted)
 
 
-def improvement(cells: Mapping[str, Array]) -> pd.DataFrame:
-    """For every pair of cells, the probability that a seed of `a` beats a seed of `b`, and a test against 1/2.
+def improvement(configurations: Mapping[str, Array]) -> pd.DataFrame:
+    """For every pair of configurations, the probability that a seed of `a` beats a seed of `b`, and a test
+    against 1/2.
 
-    cells: [S] per cell. Columns: a, b, n_a, n_b, probability (Mann and Whitney's U divided by n_a n_b; a tie counts
-    half), p, p_holm.
+    configurations: [S] per configuration. Columns: a, b, n_a, n_b, probability (Mann and Whitney's U divided
+    by n_a n_b; a tie counts half), p, p_holm.
     """
     rows = []
-    for (a, mine), (b, theirs) in itertools.combinations(cells.items(), 2):
+    for (a, mine), (b, theirs) in itertools.combinations(configurations.items(), 2):
         probability = p = np.nan
         if len(mine) and len(theirs):
             found = stats.mannwhitneyu(mine, theirs, alternative="two-sided")
@@ -347,7 +383,8 @@ class Interaction(NamedTuple):
 
 
 def _above_and_below(pairs: Sequence[tuple[Array, Array]], rng: np.random.Generator) -> Array:
-    """One-sided p values of a's mean above b's mean and below it, by permuting seeds: pairs of [S], [S] -> [pairs, 2].
+    """One-sided p values of a's mean above b's mean and below it, by permuting seeds: pairs of [S], [S] ->
+    [pairs, 2].
 
     Pairs of the same sizes share their permutations.
     """
@@ -367,41 +404,56 @@ def _above_and_below(pairs: Sequence[tuple[Array, Array]], rng: np.random.Genera
 
 
 def _crossover(first: Sequence[Array], second: Sequence[Array], rng: np.random.Generator) -> float:
-    """P value of a crossover: two cells of one order in the first list and the other order in the second; [S] each."""
+    """P value of a crossover: two configurations of one order in the first list and the other order in
+    the second; [S] each.
+    """
     pairs = [*itertools.combinations(range(len(first)), 2)]
-    here, there = (_above_and_below([(cells[a], cells[b]) for a, b in pairs], rng) for cells in (first, second))
+    here, there = (
+        _above_and_below([(configurations[a], configurations[b]) for a, b in pairs], rng)
+        for configurations in (first, second)
+    )
     p_values = np.maximum(here, there[:, ::-1])
     return float(min(1.0, p_values.size * p_values.min()))  # the smallest after Holm
 
 
 def interaction(table: pd.DataFrame, seed: int = 0) -> Interaction:
-    """Test the interaction of algorithm and activation; table: one row per seed; columns algorithm, activation, value.
+    """Test the interaction of algorithm and activation; table: one row per seed; columns algorithm,
+    activation, value.
 
-    p_ranks tests for a crossover: a is above b under the first algorithm, and b is above a under the second. Equal
-    orders are no crossover, whatever their scale, spacing and noise. The test is an intersection-union test: an ordered
-    pair has the larger of its two one-sided p values (seeds permuted), and p_ranks is the smallest of these by Holm.
-    p_raw is Wald's test of the interaction by least squares on the values, with HC3 errors.
+    p_ranks tests for a crossover: a is above b under the first algorithm, and b is above a under the second.
+    Equal orders are no crossover, whatever their scale, spacing and noise. The test is an intersection-union
+    test: an ordered pair has the larger of its two one-sided p values (seeds permuted), and p_ranks is the
+    smallest of these by Holm. p_raw is Wald's test of the interaction by least squares on the values, with
+    HC3 errors.
     """
-    cells = {key: part.to_numpy() for key, part in table.groupby(["algorithm", "activation"])["value"]}
-    n = min(map(len, cells.values()), default=0)
+    configurations = {
+        key: part.to_numpy() for key, part in table.groupby(["algorithm", "activation"])["value"]
+    }
+    n = min(map(len, configurations.values()), default=0)
     algorithms = sorted(table["algorithm"].unique())
     activations = sorted(table["activation"].unique())
-    if len(algorithms) != 2 or len(activations) < 2 or len(cells) != 2 * len(activations) or n < 2:
+    if len(algorithms) != 2 or len(activations) < 2 or len(configurations) != 2 * len(activations) or n < 2:
         return Interaction(np.nan, np.nan, n)
-    first, second = ([cells[algorithm, activation] for activation in activations] for algorithm in algorithms)
+    first, second = (
+        [configurations[algorithm, activation] for activation in activations] for algorithm in algorithms
+    )
     p_ranks = _crossover(first, second, np.random.default_rng(seed))
     fit = OLS.from_formula("value ~ C(algorithm) * C(activation)", table).fit(cov_type="HC3")
     terms = [name for name in fit.params.index if ":" in name]
-    p_raw = float(fit.f_test(np.eye(len(fit.params))[[fit.params.index.get_loc(name) for name in terms]]).pvalue)
+    p_raw = float(
+        fit.f_test(np.eye(len(fit.params))[[fit.params.index.get_loc(name) for name in terms]]).pvalue
+    )
     return Interaction(p_ranks, p_raw, n)
 
 
 def survival(steps: Array, ended: Array) -> pd.Series[float]:
-    """Kaplan and Meier's estimate of the share of flights still in the air, indexed by steps.
+    """Kaplan and Meier's estimate of the share of episodes still in the air, indexed by steps.
 
-    steps [E], ended [E]: false if a cap on steps or the end of training cut the flight off.
+    steps [E], ended [E]: false if a time limit or the end of training cut the episode off.
     """
-    curve: pd.Series[float] = KaplanMeierFitter().fit(steps, event_observed=ended).survival_function_.iloc[:, 0]
+    curve: pd.Series[float] = (
+        KaplanMeierFitter().fit(steps, event_observed=ended).survival_function_.iloc[:, 0]
+    )
     return curve
 
 
@@ -417,10 +469,11 @@ def restricted_mean(steps: Array, ended: Array, limit: float) -> float:
 
 
 def seeds_needed(mine: Array, theirs: Array, effect: float, power: float = 0.8, alpha: float = 0.05) -> float:
-    """Seeds per cell with which a t test finds this difference where seeds scatter as these; mine, theirs: [S].
+    """Seeds per configuration with which a t test finds this difference where seeds scatter as these; mine,
+    theirs: [S].
 
-    The difference between these seeds plays no part. NaN with fewer than two seeds in a cell or an effect that is not
-    known; infinite if a billion seeds are too few.
+    The difference between these seeds plays no part. NaN with fewer than two seeds in a configuration or an
+    effect that is not known; infinite if a billion seeds are too few.
     """
     if min(len(mine), len(theirs)) < 2 or np.isnan(effect):
         return float("nan")

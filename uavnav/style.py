@@ -1,7 +1,7 @@
 """What figures share: their look, the colours of activations, marks, names, and how they are saved.
 
-A cell's label is its algorithm, a space and its activation, then perhaps settings in brackets: `PPO tanh (lr=0.1)`.
-Colours are told apart by colour-blind readers too. Letters: S seeds of a cell.
+A configuration's label is its algorithm, a space and its activation, then perhaps settings in brackets: `PPO
+tanh (lr=0.1)`. Colours are told apart by colour-blind readers too. Letters: S seeds of a configuration.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ COLOURS = {"tanh": "#0072B2", "sigmoid": "#D55E00", "relu": "#009E73", "leaky_re
 OTHER_COLOURS = ("#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's, without the yellow."""
 LINES = ("-", ":", "-.")
-"""Lines of further cells of an activation; dashes are the paper's."""
+"""Lines of further configurations of an activation; dashes are the paper's."""
 INK, PALE, OBSTACLE = "#333333", "#767676", "#c8ccd2"
 CLEAR, OPEN = "#0072B2", "#D55E00"
 """Colours of what the seeds decide and of what they leave open."""
 FIRST = ("#0072B2", "#D55E00", "#009E73")
-"""Colours of the first screen: the best algorithm, the other, the hand-written rule."""
+"""Colours of the first screen: the best algorithm, the other, the scripted policy."""
 DASHED: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}
-"""The look of a line that no cell drew."""
-RULE = "hand-written rule"
+"""The look of a line that no configuration drew."""
+RULE = "scripted policy"
 """The label of the scripted policy that everything learned is held against."""
 STYLE: dict[RcKeyType, Any] = {
     "font.family": "sans-serif",
@@ -71,7 +71,9 @@ class Drawn(NamedTuple):
 
 
 def save(figure: Figure) -> tuple[bytes, bytes]:
-    """SVG and PNG, the same bytes on every call; a PNG without a map has 256 colours, for a third of the bytes."""
+    """SVG and PNG, the same bytes on every call; a PNG without a map has 256 colours, for a third of the
+    bytes.
+    """
     svg, drawn, png = drawing(figure), io.BytesIO(), io.BytesIO()
     with matplotlib.rc_context(STYLE):
         figure.savefig(drawn, format="png", metadata={"Software": None})
@@ -124,12 +126,18 @@ def mark(marker: str, label: str, **look: Any) -> Line2D:
 
 
 def row_of_seeds(axes: Axes, row: int, seeds: Array, colour: str, known: Interval | None = None) -> Interval:
-    """A cell's seeds [S], their mean and its interval, in one row of a chart; known: the mean that a table holds."""
+    """A configuration's seeds [S], their mean and its interval, in one row of a chart; known: the mean
+    that a table holds.
+    """
     found = known or stats.interval(np.where(np.isfinite(seeds), seeds, np.nan))
     spread = row + np.linspace(-0.14, 0.14, len(seeds)) if len(seeds) > 1 else [row] * len(seeds)
-    axes.plot(seeds, spread, "o", color=colour, markersize=4.5, alpha=0.5, markeredgewidth=0, linestyle="none")
+    axes.plot(
+        seeds, spread, "o", color=colour, markersize=4.5, alpha=0.5, markeredgewidth=0, linestyle="none"
+    )
     if np.isfinite(found.low):
-        axes.plot([found.low, found.high], [row, row], color=colour, linewidth=2.4, solid_capstyle="butt", zorder=3)
+        axes.plot(
+            [found.low, found.high], [row, row], color=colour, linewidth=2.4, solid_capstyle="butt", zorder=3
+        )
     axes.plot(found.value, row, "o", color=colour, markeredgecolor="white", markersize=10, zorder=3)
     return found
 
@@ -143,7 +151,7 @@ def name_rows(axes: Axes, names: Sequence[str], **look: Any) -> None:
 
 
 def looks(activations: Iterable[str]) -> list[tuple[str, str]]:
-    """A colour an activation, and for each further cell of it another line."""
+    """A colour an activation, and for each further configuration of it another line."""
     named, drawn = list(activations), Counter[str]()
     others = sorted({*named}.difference(COLOURS))
     colours = COLOURS | {name: OTHER_COLOURS[place % len(OTHER_COLOURS)] for place, name in enumerate(others)}
@@ -155,7 +163,7 @@ def looks(activations: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def coloured(labels: Iterable[str]) -> list[tuple[str, tuple[str, str]]]:
-    """Labels of cells, each with the colour and the line of its activation."""
+    """Labels of configurations, each with the colour and the line of its activation."""
     named = list(labels)
     return list(zip(named, looks(parts(label)[1] for label in named), strict=True))
 

@@ -1,4 +1,6 @@
-"""The table of algorithms: one light record each. To add one, write its module and its line here, or in a plugin."""
+"""The table of algorithms: one light record each. To add one, write its module and its line here, or in a
+plugin.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ class Algorithm(NamedTuple):
     values: str  # what its outputs are, for people
     shown: str  # what a picture shows of them: a name of `acting.SHOWN`
     head: str = "direct"  # how outputs become one number an action: a name of `acting.HEADS`
-    logs: tuple[str | int, ...] = ()  # Stable-Baselines3 does: `frames` or `episodes`, then factors of how many apart
+    logs: tuple[
+        str | int, ...
+    ] = ()  # Stable-Baselines3 does: `frames` or `episodes`, then factors of how many apart
 
     @property
     def presets(self) -> Mapping[str, Any]:
@@ -39,7 +43,8 @@ class Algorithm(NamedTuple):
         return type(next(iter(self.presets.values())))
 
     def rhythm(self, settings: Mapping[str, Any]) -> tuple[str, int] | None:
-        """When Stable-Baselines3 logs a run of these settings: every so many `frames` per seed or finished `episodes`.
+        """When Stable-Baselines3 logs a run of these settings: every so many `frames` per seed or finished
+        `episodes`.
 
         None where that is not known.
         """

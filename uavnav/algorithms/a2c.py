@@ -1,4 +1,5 @@
-"""Advantage Actor-Critic, the synchronous A3C of Mnih et al. (2016): one gradient step a rollout, nothing clipped.
+"""Advantage Actor-Critic, the synchronous A3C of Mnih et al. (2016): one gradient step a rollout, nothing
+clipped.
 
     L_policy = -E[log pi(a|s) A],   A as in PPO with lambda = 1: returns of several steps less V(s)
     L_value  = (V(s) - V_target)^2
@@ -46,7 +47,7 @@ class A2CConfig(TrainConfig):
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "vectorised": {},
         "paper": {"n_envs": 1},  # as SB3 runs by default
-        "fast": {  # the best of 40 settings after 200,000 frames, on the bank `validation`: results/tuning
+        "fast": {  # the best of 40 settings after 200,000 frames, on the split `validation`: results/tuning
             "total_frames": 200_000,
             "n_steps": 3,
             "lr": 8.6e-4,
@@ -135,7 +136,10 @@ class A2C:
             self.advantage(batch)
         needed = batch.select("observation", "action", "advantage", "value_target").flatten(1, 2)
         losses = self.learner.learn(needed[:, None])
-        if frames // LOG_FRAMES == (frames - config.frames_per_iteration) // LOG_FRAMES and frames < config.frames:
+        if (
+            frames // LOG_FRAMES == (frames - config.frames_per_iteration) // LOG_FRAMES
+            and frames < config.frames
+        ):
             return None
         with torch.no_grad():
             logits = self.policy(batch["observation"]).log_softmax(-1)

@@ -1,10 +1,12 @@
-"""Distributional DQN, C51 of Bellemare, Dabney and Munos (2017): DQN that learns the distribution of the return.
+"""Distributional DQN, C51 of Bellemare, Dabney and Munos (2017): DQN that learns the distribution of the
+return.
 
     Z(s, a) = z_i with probability p_i(s, a),   z_1, ..., z_n evenly spaced from v_min to v_max
-    m_i = sum_j [1 - |[R + gamma z_j] - z_i| / dz]_0^1 p_j(s', a*; theta-)        eq. (7), [x] within v_min and v_max
+    m_i = sum_j [1 - |[R + gamma z_j] - z_i| / dz]_0^1 p_j(s', a*; theta-)        eq. (7)
     L(theta) = -E[sum_i m_i log p_i(s, a; theta)]
 
-a* has the largest expected return sum_i z_i p_i(s', .). Buffer, exploration and learning are DQN's.
+[x] is x within v_min and v_max, and a* has the largest expected return sum_i z_i p_i(s', .). Buffer,
+exploration and learning are DQN's.
 Letters: A agents, one a seed; B the rest of a batch.
 """
 
@@ -30,7 +32,9 @@ __all__ = ["PRESETS", "C51Config", "C51Loss", "train"]
 
 
 class C51Config(QConfig):
-    """Distributional DQN, which the paper does not have; the defaults are those of its authors and of CleanRL."""
+    """Distributional DQN, which the paper does not have; the defaults are those of its authors and of
+    CleanRL.
+    """
 
     algorithm: ClassVar[str] = "c51"
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
@@ -45,7 +49,9 @@ class C51Config(QConfig):
     epsilon_end: Share = key(0.01)
     n_atoms: Whole = key(51, "of the distribution of an action's return", "atoms", ge=2)
     v_min: float | None = key(None, "the least atom; by default the least return within the reward's bounds")
-    v_max: float | None = key(None, "the greatest atom; by default the greatest return within the reward's bounds")
+    v_max: float | None = key(
+        None, "the greatest atom; by default the greatest return within the reward's bounds"
+    )
 
     def check(self) -> None:
         super().check()
@@ -60,7 +66,9 @@ class C51Config(QConfig):
         return C51Loss(network, self)
 
     def check_machine(self) -> None:
-        """Raise a ConfigError where networks, buffers or a projection would not fit into the machine's memory."""
+        """Raise a ConfigError where networks, buffers or a projection would not fit into the machine's
+        memory.
+        """
         super().check_machine()
         named = f"n_atoms={self.n_atoms}, batch_size={self.batch_size}: the projection of a target"
         self.check_memory(named, 4 * self.batch_size * self.n_atoms**2, "fewer atoms or a smaller batch_size")
@@ -76,9 +84,12 @@ class C51Config(QConfig):
         bounds = bounds_of_returns(self.reward, self.world, self.gamma)
         if bounds is None and None in given:
             raise ConfigError(
-                f"reward={self.reward}, gamma={self.gamma:g}: it declares no bounds of returns; give v_min and v_max"
+                f"reward={self.reward}, gamma={self.gamma:g}: it declares no bounds of returns; give v_min "
+                "and v_max"
             )
-        least, most = (own if own is not None else bound for own, bound in zip(given, bounds or given, strict=True))
+        least, most = (
+            own if own is not None else bound for own, bound in zip(given, bounds or given, strict=True)
+        )
         assert least is not None
         assert most is not None
         return least, most
@@ -90,7 +101,9 @@ class C51Config(QConfig):
 
     @property
     def n_outputs(self) -> int:
-        """How many outputs the network has: a logit an action and atom, and with `dueling` the state's in front."""
+        """How many outputs the network has: a logit an action and atom, and with `dueling` the state's in
+        front.
+        """
         return super().n_outputs * self.n_atoms
 
 
@@ -108,7 +121,8 @@ def project(probabilities: Tensor, places: Tensor, atoms: Tensor) -> Tensor:
 
 
 class C51Loss(LossModule):  # type: ignore[misc]
-    """The cross-entropy of the projected target and the prediction, one loss a row: batches [A, B] of `Replay.draw`.
+    """The cross-entropy of the projected target and the prediction, one loss a row: batches [A, B] of
+    `Replay.draw`.
 
     TorchRL's own DistributionalDQNLoss takes one batch dimension, branches on values and is always double.
     """
@@ -151,11 +165,15 @@ class C51Loss(LossModule):  # type: ignore[misc]
         with self.value_network_params.to_module(self.value_network, preserve_module_state=False):
             *_, last = network = self.value_network.module
             features: Tensor = network[:-1](batch["observation"])
-            weight, bias = (_of_actions(self._logits(part), batch["action"]) for part in (last.weight, last.bias))
+            weight, bias = (
+                _of_actions(self._logits(part), batch["action"]) for part in (last.weight, last.bias)
+            )
         return (features[..., None] * weight.transpose(1, 2)).sum(-2) + bias[:, 0]
 
     def _logits(self, outputs: Tensor) -> Tensor:
-        """Of each action and atom: [..., outputs] -> [..., actions, n]. It is linear, so it holds for weights too."""
+        """Of each action and atom: [..., outputs] -> [..., actions, n]. It is linear, so it holds for
+        weights too.
+        """
         outputs = dueling(outputs, len(self.atoms)) if self.config.dueling else outputs
         return by_atom(outputs, len(self.atoms))
 

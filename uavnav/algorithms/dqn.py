@@ -2,10 +2,12 @@
 
     L(theta) = E[(R + gamma max_a' Q(s', a'; theta-) - Q(s, a; theta))^2]        eq. (1)
 
-over transitions (s, a, R, s') drawn uniformly from the buffer, with SB3's Huber loss in place of the square by default.
-theta- is a copy of theta, renewed every so many frames; where an episode terminated at s' the target is R alone.
+over transitions (s, a, R, s') drawn uniformly from the buffer, with SB3's Huber loss in place of the square
+by default. theta- is a copy of theta, renewed every so many frames; where an episode terminated at s' the
+target is R alone.
 
-Letters: A agents, one a seed, that learn side by side and independently of each other; W environments an agent.
+Letters: A agents, one a seed, that learn side by side and independently of each other; W environments an
+agent.
 """
 
 from __future__ import annotations
@@ -40,14 +42,18 @@ class QConfig(ReplayConfig):
 
     lr: AtLeast0 = key(1e-4, "Adam's learning rate")
     max_grad_norm: AtLeast0 | None = key(10.0)
-    target_update_frames: Count = key(10_000, "between two copies of the network into the target", "frames a seed")
+    target_update_frames: Count = key(
+        10_000, "between two copies of the network into the target", "frames a seed"
+    )
     epsilon_start: Share = key(1.0, "of random actions at frame 0", "share")
     epsilon_end: Share = key(0.05, "of random actions at the end of the fall", "share")
     exploration_fraction: Share = key(0.1, "of total_frames, over which ε falls", "share")
     adam_eps: AtLeast0 = key(1e-8, "Adam's ε")
     n_steps: Count = key(1, "whose rewards are in a target before Q takes over", "steps")
     double: bool = key(False, "double Q-learning: the best action is the network's, its value the target's")
-    dueling: bool = key(False, "the network gives a state's value and each action's advantage, and Q is their sum")
+    dueling: bool = key(
+        False, "the network gives a state's value and each action's advantage, and Q is their sum"
+    )
 
     def make(self, compile: bool) -> DQN:
         return DQN(self, compile)
@@ -66,7 +72,9 @@ class QConfig(ReplayConfig):
 
     @property
     def discount(self) -> float:
-        """Discount of Q in a target: gamma^n_steps, or gamma where a cap may end it after fewer steps."""
+        """Discount of Q in a target: gamma^n_steps, or gamma where a time limit may end it after fewer
+        steps.
+        """
         return self.gamma if self.keeps_next_observations else self.gamma**self.n_steps
 
     @property
@@ -85,7 +93,9 @@ class QConfig(ReplayConfig):
         return max(self.target_update_frames // self.n_envs, 1) * self.n_envs
 
     def epsilon(self, frames: int) -> float:
-        """The share of random actions after so many frames: all, until learning starts, then a linear fall."""
+        """The share of random actions after so many frames: all, until learning starts, then a linear
+        fall.
+        """
         if frames < self.learning_starts:
             return 1.0
         decay = self.exploration_fraction * self.total_frames
@@ -132,7 +142,9 @@ PRESETS = {name: DQNConfig(preset=name) for name in DQNConfig.PRESETS}
 
 
 def make_network(config: QConfig) -> nn.Sequential:
-    """The Q network: observation [A, ..., 30] -> [A, ..., outputs], which `config.head` reads as 100 values."""
+    """The Q network: observation [A, ..., 30] -> [A, ..., outputs], which `config.head` reads as 100
+    values.
+    """
     sizes = [config.observation_size, *config.hidden, config.n_outputs]
     generators = [stream(seed, "value network") for seed in config.seeds]
     return mlp(sizes, config.activation, generators, config.init, layer_norm=config.layer_norm)

@@ -1,10 +1,11 @@
 """Proximal Policy Optimization, sec. 3.3, from top to bottom: config, networks, loss, learning.
 
     L_clip  = E[min(r A, clip(r, 1 - epsilon, 1 + epsilon) A)],  r = pi(a|s) / pi_old(a|s)        eq. (2)
-    A       = generalised advantage estimate of delta = R + gamma V(s') - V(s)                     eq. (3), lambda = 0
+    A       = generalised advantage estimate of R + gamma V(s') - V(s), lambda = 0                 eq. (3)
     L_value = (V(s) - V_target)^2                                                                  eq. (4)
 
-Everything has a leading axis of agents A, one a seed, that learn side by side and independently of each other.
+Everything has a leading axis of agents A, one a seed, that learn side by side and independently of each
+other.
 Letters: A agents, W environments an agent, T steps of a rollout.
 """
 
@@ -77,7 +78,8 @@ class PPOConfig(TrainConfig):
             raise ConfigError("critic_coeff=0: advantages need a value that learns; give a number above 0")
         if self.frames_per_batch % self.minibatch_size:
             raise ConfigError(
-                f"minibatch_size={self.minibatch_size}; give a divisor of frames_per_batch={self.frames_per_batch}"
+                f"minibatch_size={self.minibatch_size}; give a divisor of "
+                f"frames_per_batch={self.frames_per_batch}"
             )
 
     @property
@@ -113,14 +115,17 @@ def clip_bound(config: PPOConfig) -> float:
 
 
 def distribution(policy: nn.Module, rows: TensorDictBase) -> Any:
-    """The Categorical pi(.|s) of the policy network [A, ..., 30] -> [A, ..., 100] logits, at the rows' observations."""
+    """The Categorical pi(.|s) of the policy network [A, ..., 30] -> [A, ..., 100] logits, at the rows'
+    observations.
+    """
     return Categorical(logits=policy(rows["observation"]), validate_args=False)
 
 
 class PPOLoss(nn.Module):
     """Equations (2) and (4), one loss a row, with SB3's settings.
 
-    TorchRL's ClipPPOLoss gives the same. It asks whether the entropy is finite, so no graph can be made of it.
+    TorchRL's ClipPPOLoss gives the same. It asks whether the entropy is finite, so no graph can be made of
+    it.
     """
 
     log_bounds: Tensor
@@ -130,17 +135,24 @@ class PPOLoss(nn.Module):
         self.policy, self.value, self.config = policy, value, config
         bound = clip_bound(config)
         self.register_buffer("log_bounds", torch.tensor([-min(bound, 1.0), bound]).log1p())  # of log r
-        self.names = ["loss_objective", "loss_critic", *(["loss_entropy"] if config.entropy_coeff > 0 else [])]
+        self.names = [
+            "loss_objective",
+            "loss_critic",
+            *(["loss_entropy"] if config.entropy_coeff > 0 else []),
+        ]
 
     def forward(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        """Rows [A, N] of a rollout -> `loss_objective`, `loss_critic` and, with a bonus, `loss_entropy`; a row each."""
+        """Rows [A, N] of a rollout -> `loss_objective`, `loss_critic` and, with a bonus, `loss_entropy`;
+        a row each.
+        """
         pi = distribution(self.policy, batch)
         log_ratio = (pi.log_prob(batch["action"]) - batch["action_log_prob"])[..., None]
         ratio, clipped = log_ratio.exp(), log_ratio.clamp(*self.log_bounds).exp()
         mean, std = (of(batch["advantage"], (1, 2), keepdim=True) for of in (torch.mean, torch.std))
         advantage = (batch["advantage"] - mean) / std.clamp(min=1e-6)
         objective = torch.stack([ratio * advantage, clipped * advantage], -1).min(-1).values  # eq. (2)
-        error = F.mse_loss(batch["value_target"], self.value(batch["observation"]), reduction="none")  # eq. (4)
+        # eq. (4)
+        error = F.mse_loss(batch["value_target"], self.value(batch["observation"]), reduction="none")
         losses = {"loss_objective": -objective, "loss_critic": self.config.critic_coeff * error}
         if "loss_entropy" in self.names:
             losses["loss_entropy"] = -self.config.entropy_coeff * pi.entropy()
@@ -154,13 +166,17 @@ def make_learner(loss: PPOLoss, config: PPOConfig, compile: bool) -> Learner:
 
 
 def make_advantage(gamma: float, gae_lambda: float) -> GAE:
-    """Generalised advantage estimation over the time of a rollout; a collision and a cap end its sums."""
+    """Generalised advantage estimation over the time of a rollout; a collision and a time limit end its
+    sums.
+    """
     return GAE(gamma=gamma, lmbda=gae_lambda, value_network=None, vectorized=False)
 
 
 @torch.no_grad()
 def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, advantage: GAE) -> None:
-    """Write into a rollout [A, W, T] the log-probabilities, values, advantages and value targets of its networks."""
+    """Write into a rollout [A, W, T] the log-probabilities, values, advantages and value targets of its
+    networks.
+    """
     batch["action_log_prob"] = distribution(policy, batch).log_prob(batch["action"])
     for rows in (batch, batch["next"]):
         rows["state_value"] = value(rows["observation"])
@@ -168,7 +184,9 @@ def estimate(batch: TensorDictBase, policy: nn.Module, value: nn.Module, advanta
 
 
 def minibatches(batch: TensorDictBase, orders: Streams, size: int) -> TensorDictBase:
-    """An epoch's minibatches [A, M, size]: the rows of a rollout [A, W, T], each agent's in an order of its own."""
+    """An epoch's minibatches [A, M, size]: the rows of a rollout [A, W, T], each agent's in an order of
+    its own.
+    """
     rows = batch.select("observation", "action", "action_log_prob", "advantage", "value_target").flatten(1, 2)
     n_agents, n = rows.shape
     order = orders.draw(torch.randperm, n, device=rows["action"].device)
@@ -209,11 +227,14 @@ class PPO:
         self.parts: Mapping[str, Stateful] = {"minibatches": self.orders, "learner": self.learner}
 
     def learn(self, batch: TensorDictBase, frames: int) -> Row:
-        """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses and what became of it, [A]."""
+        """Epochs of minibatches over a rollout [A, W, T]; each agent's mean losses and what became of it,
+        [A].
+        """
         config = self.config
         estimate(batch, self.policy, self.value, self.advantage)
         epochs = [
-            self.learner.learn(minibatches(batch, self.orders, config.minibatch_size)) for _ in range(config.epochs)
+            self.learner.learn(minibatches(batch, self.orders, config.minibatch_size))
+            for _ in range(config.epochs)
         ]
         losses = {name: torch.stack([epoch[name] for epoch in epochs]).mean(0) for name in epochs[0]}
         return {

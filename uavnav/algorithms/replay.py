@@ -1,7 +1,7 @@
 """Learning from replay: its settings, the ring of transitions, and targets of n steps.
 
-Every agent draws rows of its own, from its own generator. TorchRL's own samplers draw from one global stream, which
-would tie the agents of a population together.
+Every agent draws rows of its own, from its own generator. TorchRL's own samplers draw from one global stream,
+which would tie the agents of a population together.
 
 Letters: A agents, one a seed; W environments an agent; T steps; M minibatches of N transitions.
 """
@@ -34,7 +34,9 @@ class ReplayConfig(TrainConfig):
 
     n_envs: Count = key(64)
     buffer_size: Count = key(1_000_000, "the newest so many are kept", "frames a seed")
-    learning_starts: Whole = key(50_000, "of uniformly random actions, without updates", "frames a seed", ge=0)
+    learning_starts: Whole = key(
+        50_000, "of uniformly random actions, without updates", "frames a seed", ge=0
+    )
     batch_size: Count = key(32, "in a gradient step", "transitions")
     frames_per_update: Count = key(4, "for each gradient step", "frames a seed")
 
@@ -42,7 +44,8 @@ class ReplayConfig(TrainConfig):
         super().check()
         if self.n_envs % self.frames_per_update and self.frames_per_update % self.n_envs:
             raise ConfigError(
-                f"n_envs={self.n_envs}; give a multiple or a divisor of frames_per_update={self.frames_per_update}"
+                f"n_envs={self.n_envs}; give a multiple or a divisor of "
+                f"frames_per_update={self.frames_per_update}"
             )
         if self.buffer_size <= self.steps_in_target * self.n_envs:
             least = "n_envs" if self.steps_in_target == 1 else "n_steps x n_envs"
@@ -51,7 +54,9 @@ class ReplayConfig(TrainConfig):
             )
 
     def check_machine(self) -> None:
-        """Raise a ConfigError where networks or buffers of all seeds would not fit into the machine's memory."""
+        """Raise a ConfigError where networks or buffers of all seeds would not fit into the machine's
+        memory.
+        """
         super().check_machine()
         capacity = min(self.buffer_size, self.frames)
         observations = 2 if self.keeps_next_observations else 1
@@ -71,8 +76,8 @@ class ReplayConfig(TrainConfig):
     def keeps_next_observations(self) -> bool:
         """Whether the buffer stores s' too.
 
-        Without a cap, s' is the same environment's next row, or unused after a collision. A step at the cap bootstraps
-        from an observation that no other row has.
+        Without a time limit, s' is the same environment's next row, or unused after a collision. A step at
+        the time limit bootstraps from an observation that no other row has.
         """
         return self.max_steps is not None
 
@@ -107,8 +112,9 @@ class ReplayConfig(TrainConfig):
 class Replay:
     """A ring of transitions (s, a, R, s') of all agents, from which each draws its own.
 
-    With n steps in a target, R is R_1 + gamma R_2 + ... + gamma^(n-1) R_n, and s' is n steps later. The sum ends at a
-    collision, and at a cap, whose own last observation is s' then: `steps_to_next_obs` says after how many steps.
+    With n steps in a target, R is R_1 + gamma R_2 + ... + gamma^(n-1) R_n, and s' is n steps later. The sum
+    ends at a collision, and at a time limit, whose own last observation is s' then: `steps_to_next_obs` says
+    after how many steps.
 
     Args:
         seeds: one for each agent.
@@ -169,8 +175,8 @@ class Replay:
 class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
     """TorchRL's storage of rows [A, ...], read as an `AgentSampler` draws them: by (row, agent).
 
-    A large buffer's rows lie all over the memory. `index_select` waits for them a third as long as an index of two
-    tensors does, and copies the same numbers.
+    A large buffer's rows lie all over the memory. `index_select` waits for them a third as long as an index
+    of two tensors does, and copies the same numbers.
     """
 
     def get(self, index: slice | Tensor | tuple[Tensor, Tensor]) -> TensorDictBase:
@@ -180,17 +186,19 @@ class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
         whole = super().get(slice(None))
         drawn = (rows * whole.shape[1] + agents).flatten()
         return whole.apply(
-            lambda column: column.flatten(0, 1).index_select(0, drawn).unflatten(0, rows.shape), batch_size=rows.shape
+            lambda column: column.flatten(0, 1).index_select(0, drawn).unflatten(0, rows.shape),
+            batch_size=rows.shape,
         )
 
 
 class AgentSampler(Sampler):  # type: ignore[misc]
-    """Indices (row, agent) into a storage of rows [A, ...]: every agent draws its own rows uniformly, a batch [A, N].
+    """Indices (row, agent) into a storage of rows [A, ...]: every agent draws its own rows uniformly, a batch
+    [A, N].
 
     Args:
         seeds: one for each agent.
-        successors: every row is drawn with others so many rows later, in batches [1 + S, A, N]. The newest rows are
-            not drawn until all their successors are there.
+        successors: every row is drawn with others so many rows later, in batches [1 + S, A, N]. The newest
+            rows are not drawn until all their successors are there.
     """
 
     def __init__(self, seeds: Sequence[int], successors: Sequence[int] = ()) -> None:

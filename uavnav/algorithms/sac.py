@@ -1,14 +1,17 @@
-"""Soft Actor-Critic for discrete actions (Christodoulou 2019), from top to bottom: config, networks, loss, learning.
+"""Soft Actor-Critic for discrete actions (Christodoulou 2019), from top to bottom: config, networks, loss,
+learning.
 
     L_Q     = sum over both Q of (Q(s, a) - y)^2,   y = R + gamma V(s')
     V(s')   = sum over a' of pi(a'|s') (min Q-(s', a') - alpha log pi(a'|s'))
     L_pi    = sum over a of pi(a|s) (alpha log pi(a|s) - min Q(s, a))
     L_alpha = log alpha (H(pi(.|s)) - H_target)
 
-over transitions (s, a, R, s') drawn uniformly from DQN's buffer. Both Q- follow their Q softly after each step; where
-an episode terminated at s', y is R alone. The temperature alpha keeps the policy's entropy H near its target.
+over transitions (s, a, R, s') drawn uniformly from DQN's buffer. Both Q- follow their Q softly after each
+step; where an episode terminated at s', y is R alone. The temperature alpha keeps the policy's entropy H near
+its target.
 
-Letters: A agents, one a seed, that learn side by side and independently of each other; W environments an agent; N rows.
+Letters: A agents, one a seed, that learn side by side and independently of each other; W environments an
+agent; N rows.
 """
 
 from __future__ import annotations
@@ -46,7 +49,7 @@ class SACConfig(ReplayConfig):
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "vectorised": {},  # CleanRL's sac_atari.py; what is not from there says so below
         "paper": {"n_envs": 1},  # as CleanRL and SB3 run by default
-        "fast": {  # the best of 40 settings after 200,000 frames, on the bank `validation`: results/tuning
+        "fast": {  # the best of 40 settings after 200,000 frames, on the split `validation`: results/tuning
             "total_frames": 200_000,
             "hidden": (32, 32),
             "lr": 2.3e-3,
@@ -62,7 +65,8 @@ class SACConfig(ReplayConfig):
     max_grad_norm: AtLeast0 | None = key(None)  # neither CleanRL nor SB3 clips
     learning_starts: Whole = key(20_000, "of the untrained policy, without updates", "frames a seed", ge=0)
     batch_size: Count = key(64, "in a gradient step", "transitions")
-    tau: Share = key(0.005, "of the way to the Q networks that the targets go after each step", "share")  # SB3
+    # SB3
+    tau: Share = key(0.005, "of the way to the Q networks that the targets go after each step", "share")
     target_entropy: Share = key(0.89, "of the entropy of random actions, ln 100, for the policy's", "share")
     adam_eps: AtLeast0 = key(1e-4, "Adam's ε")
 
@@ -92,18 +96,25 @@ def make_networks(config: SACConfig) -> tuple[nn.Sequential, Twins]:
         generators = [stream(seed, purpose) for seed in config.seeds]
         return mlp(sizes, config.activation, generators, config.init, gain, config.layer_norm)
 
-    return network("policy network", 0.01), Twins(network("first Q network", 1.0), network("second Q network", 1.0))
+    return network("policy network", 0.01), Twins(
+        network("first Q network", 1.0), network("second Q network", 1.0)
+    )
 
 
 class SACLoss(nn.Module):
-    """The three losses, one a row. TorchRL's DiscreteSACLoss has them, with one temperature for all agents together."""
+    """The three losses, one a row. TorchRL's DiscreteSACLoss has them, with one temperature for all
+    agents together.
+    """
 
     def __init__(self, policy: nn.Module, twins: Twins, config: SACConfig) -> None:
         super().__init__()
         self.policy, self.twins = policy, twins
         self.target_twins = copy.deepcopy(twins).requires_grad_(False)
         self.log_alpha = nn.Parameter(torch.zeros(config.n_seeds, 1))
-        self.gamma, self.target_entropy = config.gamma, config.target_entropy * math.log(config.world.n_actions)
+        self.gamma, self.target_entropy = (
+            config.gamma,
+            config.target_entropy * math.log(config.world.n_actions),
+        )
 
     def forward(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Transitions [A, N] -> `loss_actor`, `loss_qvalue` and `loss_alpha`, each [A, N]."""
@@ -132,7 +143,9 @@ class SACLoss(nn.Module):
 
 
 def make_learner(loss: nn.Module, config: SACConfig, compile: bool) -> Learner:
-    """One Adam for all three losses, each at the weights before the step; the targets follow softly after it."""
+    """One Adam for all three losses, each at the weights before the step; the targets follow softly after
+    it.
+    """
     losses = ["loss_actor", "loss_qvalue", "loss_alpha"]
     adam = Adam(config.lr, config.adam_eps)
     return Learner(loss, losses, adam, max_grad_norm=config.max_grad_norm, compile=compile, tau=config.tau)
@@ -161,7 +174,11 @@ class SAC:
             losses = self.learner.learn(self.transitions.draw(config.updates_per_step, config.batch_size))
         if not config.logs(frames):
             return None
-        return {**losses, **self.diagnostics(batch["observation"][:, :, -1]), **probes.units(self.policy, self.probe)}
+        return {
+            **losses,
+            **self.diagnostics(batch["observation"][:, :, -1]),
+            **probes.units(self.policy, self.probe),
+        }
 
     @torch.no_grad()
     def diagnostics(self, observation: Tensor) -> dict[str, Tensor]:

@@ -18,8 +18,8 @@ from torch import Tensor
 from uavnav.envs.gym import observation_space, pick
 from uavnav.tasks.seeding import places
 from uavnav.tasks.sensing import VIEW_TOLERANCE
-from uavnav.tasks.simulator import make_task
 from uavnav.tasks.state import UP
+from uavnav.tasks.table import make_task
 from uavnav.tasks.world import World
 
 Array = np.ndarray[Any, np.dtype[Any]]
@@ -36,20 +36,22 @@ class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
     corners coincide in its centre.
 
     Raises:
-        LayoutError, ValueError: a bad bank, cap, layout or action.
+        LayoutError, ValueError: a bad layout file, time limit, layout or action.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own declaration
 
     def __init__(self, layouts: str | Path | Tensor = "train", max_steps: int | None = None) -> None:
         self.world = world = World()
-        self.bank: Array = make_task(layouts, world, max_steps=max_steps).bank.numpy().astype(np.float64)
+        self.layouts: Array = (
+            make_task(layouts, world, max_steps=max_steps).layouts.numpy().astype(np.float64)
+        )
         self.max_steps = max_steps
         self.observation_space = observation_space(world)
         self.action_space = spaces.Discrete(world.n_actions)
         self._low = self.observation_space.low
         self._empty = np.tile(np.array([0, 0, 1], dtype=np.float32), (world.n_slots, 1))
-        corner, k = border_squares(world), self.bank.shape[1]
+        corner, k = border_squares(world), self.layouts.shape[1]
         self._lower = np.concatenate([np.zeros((k, 2)), corner])
         self._upper = np.concatenate([np.zeros((k, 2)), corner + world.border])
         self._radius = np.zeros(len(self._lower))
@@ -59,11 +61,11 @@ class NumpyDroneEnv(gymnasium.Env[Array, np.int64]):
         super().reset(seed=seed)
         if seed is not None or self._layout is None:
             first = int(self.np_random.integers(2**31)) if seed is None else seed
-            following = int(places([first], 1, len(self.bank), "cpu"))
+            following = int(places([first], 1, len(self.layouts), "cpu"))
         else:
-            following = (self._layout + 1) % len(self.bank)
-        self._layout = int(pick((options or {}).get("layout", following), (), len(self.bank)))
-        circles = self.bank[self._layout]
+            following = (self._layout + 1) % len(self.layouts)
+        self._layout = int(pick((options or {}).get("layout", following), (), len(self.layouts)))
+        circles = self.layouts[self._layout]
         self._lower[: len(circles)] = self._upper[: len(circles)] = circles[:, :2]
         self._radius[: len(circles)] = circles[:, 2]
         (self.x, self.y), self.heading, self.steps = self.world.start, UP, 0

@@ -95,7 +95,8 @@ def _how(scratch: str) -> str:
 
 
 def make_model(library: str, algorithm: str, env: Any, **beyond: Any) -> Any:
-    """The model of a library with the preset `vectorised`, for one environment; `beyond` is what differs from it.
+    """The model of a library with the preset `vectorised`, for one environment; `beyond` is what differs from
+    it.
 
     The preset has the libraries' own settings but for those named here.
     """

@@ -1,10 +1,8 @@
-"""Benchmarks: the world, training and its peers, side by side on this machine, into one Markdown file.
+"""`uavnav bench`: the world, training and its peers, side by side on this machine, into one Markdown file.
 
-`uavnav bench` takes about 40 minutes, `--quick` 3 for a first impression. `--only` chooses sections.
-Other sections stay as they are in the file. A run that is stopped writes what it has found by then.
-
-The table of jobs is `uavnav.bench.plan`, the runner `uavnav.bench.jobs`.
-Rounds of measurements are interleaved; each is a fresh process with a fixed number of threads.
+Rounds of measurements are interleaved; each is a fresh process with a fixed number of threads. The table of
+jobs is `uavnav.bench.plan`, the runner `uavnav.bench.jobs`. A run that is stopped writes what it has found by
+then.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from argparse import Namespace
 
 from rich.console import Console
 
@@ -20,36 +18,27 @@ from uavnav.bench import BY_DEFAULT, OUT, QUICK, SCRATCH
 from uavnav.bench.jobs import run
 from uavnav.bench.page import sections, write_sections
 from uavnav.bench.plan import plan
-from uavnav.cli import commands
-from uavnav.errors import complain
 from uavnav.files import check_out
 
 STOPS = (signal.SIGTERM, signal.SIGHUP)
 """Signals that stop a run as Ctrl-C does."""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Measure the world, training and its peers on this machine, and write it down; 40 minutes."""
-    arguments = commands.parse("bench", argv)
+def main(arguments: Namespace) -> int:
+    """Measure the sections that are asked for; other sections stay as they are in the file."""
     names = arguments.only or (QUICK if arguments.quick else BY_DEFAULT)
     out = arguments.out or (SCRATCH / "quick.md" if arguments.quick else OUT)
     began, console = time.monotonic(), Console(highlight=False, soft_wrap=True, markup=False)
     for number in STOPS:
         if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
-    try:
-        check_out(out)
-        results = run(plan(names, arguments.quick), SCRATCH, console.print)
-        tables = sections(results)
-        if tables:
-            marks = ["one round each"] * arguments.quick + ["cut short"] * results.stopped
-            write_sections(out, tables, time.monotonic() - began, ", ".join(marks))
-            print(f"wrote {out}")
-    except BrokenPipeError:  # nobody reads on: `terminal` ends it
-        raise
-    except (OSError, ValueError) as error:
-        complain("bench", error)
-        return 2
+    check_out(out)
+    results = run(plan(names, arguments.quick), SCRATCH, console.print)
+    tables = sections(results)
+    if tables:
+        marks = ["one round each"] * arguments.quick + ["cut short"] * results.stopped
+        write_sections(out, tables, time.monotonic() - began, ", ".join(marks))
+        print(f"wrote {out}")
     if results.stopped:
         kept = f"what was found so far is in {out}" if tables else "nothing was found yet"
         print(f"uavnav bench: stopped; {kept}", file=sys.stderr)

@@ -1,22 +1,25 @@
-"""The command line: every command with its arguments, known without torch, so that help and mistakes come at once.
+"""The command line: every command with its arguments, known without torch, so that help and mistakes come at
+once.
 
-A module's `main` takes its arguments from `parse`. To add a command, add its line to `COMMANDS`, to one of `KINDS` and
-to `PARSERS`, and write the module with a `main`.
+`run` parses the words of a command, calls `main` of its module, and says in one line what went wrong. To add
+a command, add its function to `KINDS`, and write the module with a `main`.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.bench import BY_DEFAULT, LONGER, OUT, SCRATCH
 from uavnav.cli import help as texts
-from uavnav.errors import Parser, choose_from, did_you_mean, one_line, whole
+from uavnav.errors import OneLineError, Parser, choose_from, complain, did_you_mean, one_line, whole
 from uavnav.tasks.protocol import (
     ACROSS_STEPS,
     DEFAULT_K,
@@ -29,37 +32,9 @@ from uavnav.tasks.protocol import (
     SPLITS,
     TASK_NAMES,
 )
-from uavnav.views.window.table import BANK, HELP, ROWS
+from uavnav.views.window.table import DRAWN, HELP, ROWS
 
 TASKS = ", ".join(TASK_NAMES)
-
-COMMANDS = {
-    "train": "Train an algorithm on the drone's world and compare it with the paper.",
-    "study": "Train, evaluate and report the cells of a study, on this machine or on a cluster.",
-    "runs": "List the runs of some folders: what each is, how far it is, and what it reached.",
-    "evaluate": "Fly runs, scripted policies or zips of Stable-Baselines3 on the test split: one row an episode.",
-    "play": "Fly a drone with the keyboard, or watch policies fly it, in a window.",
-    "playground": "Write playground.html: fly the drone in a browser, beside trained policies and a hand-written rule.",
-    "render": "Draw flights on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG.",
-    "compare": "Compare runs, zips of Stable-Baselines3 and scripted policies: intervals, probabilities, curves.",
-    "report": "Write report.html: verdicts on the paper's claims, its tables beside ours, figures, replays.",
-    "verify": "Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit.",
-    "bench": "Measure the world, training and its peers on this machine, and write it down; 40 minutes.",
-    "export": "Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2).",
-    "layouts": "Generate banks of obstacles, or check that files are what their headers say.",
-}
-"""By name, what each does. The module of each is `uavnav.<name>`, or the `__main__` of that folder."""
-
-KINDS = {
-    "Train": (("train", "study", "runs"), "uavnav train ppo preset=fast out=runs/first"),
-    "Look": (
-        ("evaluate", "play", "playground", "render"),
-        "uavnav render reactive random --layout 20 --out flight.gif",
-    ),
-    "Compare": (("compare", "report", "verify", "bench"), "uavnav compare runs/first reactive"),
-    "Share": (("export", "layouts"), "uavnav export runs/first --out policy.pt2"),
-}
-"""Commands by what one does with them, each kind with an example."""
 
 RUN = f"a run's folder, a Stable-Baselines3 .zip, or {', '.join(SCRIPTS)}"
 RUN_COLUMNS = (
@@ -78,22 +53,65 @@ RUN_COLUMNS = (
 """Of the table that `uavnav runs` prints."""
 
 
-def parse(name: str, words: Sequence[str] | None = None) -> argparse.Namespace:
-    """The arguments of a command; where they are wrong, or ask for help, the process ends with one line or the help."""
-    words = sys.argv[1:] if words is None else words
+TRAIN = ("train", "study", "verify")
+"""Commands in which a ValueError without a line for users is a bug, and keeps its traceback."""
+
+
+def run(name: str, words: Sequence[str], **how: Any) -> int:
+    """Carry a command out; returns its exit status, after one line on stderr where something is wrong.
+
+    how: further arguments of the command's `main`, such as a recipe's `fit`.
+    """
+    arguments = parse(name, words)
+    try:
+        if names := getattr(arguments, "plugins", None):
+            from uavnav import plugins  # brings torch
+
+            plugins.load(names)
+        status: int = importlib.import_module(f"uavnav.cli.{name}").main(arguments, **how)
+        return status
+    except BrokenPipeError:  # nobody reads on: `terminal` ends it
+        raise
+    except OneLineError as error:
+        if error.status != 2:  # it was stopped
+            print(error, file=sys.stderr)
+        else:
+            complain(name, error if name in TRAIN[:2] else _as_option(error))
+        return error.status
+    except OSError as error:
+        complain(name, error)
+    except (ValueError, MemoryError, RuntimeError) as error:
+        if isinstance(error, MemoryError) or "allocate memory" in str(error):  # as torch says it
+            complain(name, f"the machine's memory is too small for this ({error})")
+        elif isinstance(error, ValueError) and name not in TRAIN:
+            complain(name, _as_option(error))
+        else:
+            raise
+    return 2
+
+
+def _as_option(error: Exception) -> str:
+    """An error's line as a command says it."""
+    return re.sub("^plugins=", "--plugins ", str(error)).replace("activation=...", "--activation")
+
+
+def parse(name: str, words: Sequence[str]) -> argparse.Namespace:
+    """The arguments of a command; where they are wrong, or ask for help, the process ends with one line
+    or the help.
+    """
     warnings.formatwarning = lambda message, *where, **more: f"uavnav {name}: {one_line(message)}\n"
     parser = Parser(
         prog=f"uavnav {name}",
-        description=COMMANDS[name],
+        description=COMMANDS[name].__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,  # a slip is no other word for an option
     )
     for word in words:
         if re.fullmatch(r"-[^=]*=--", word):  # argparse takes it for an empty list
             parser.error(f"{word}: give a value")
+    COMMANDS[name](parser)
     if name == "train":
-        return _train(parser, words)
-    PARSERS[name](parser)
+        return _settings(parser, words)
     found: argparse.Namespace = parser.parse_args(words)
     return found
 
@@ -102,29 +120,36 @@ def overview() -> str:
     """The commands by kind, each with what it does."""
     width = max(map(len, COMMANDS))
     lines = []
-    for kind, (names, example) in KINDS.items():
-        lines += [f"{kind}:", *(f"  {name:{width}}  {COMMANDS[name]}" for name in names)]
+    for kind, (example, own) in KINDS.items():
+        lines += [f"{kind}:", *(f"  {name:{width}}  {add.__doc__}" for name, add in own.items())]
         lines += [f"  {'':{width}}    {example}", ""]
-    return "\n".join([*lines, "uavnav COMMAND --help says more of each; uavnav --version says which version this is."])
+    return "\n".join(
+        [*lines, "uavnav COMMAND --help says more of each; uavnav --version says which version this is."]
+    )
 
 
-# -- train -----------------------------------------------------------------------------------------------------------
+# -- train ---------------------------------------------------------------------------------------------------
 
 USUAL = {"preset": "vectorised", "activation": "tanh"}
 """What names the default folder of a run, where it is not given."""
 
 
-def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
-    """An algorithm, settings and flags, in any order.
-
-    The result has `algorithm`, `settings` (each key=value), `plugins`, `multirun`, `cfg`, `quiet`, `json` and `help`:
-    that is true where plugins add to the choices, or a task has a world of its own, which only their modules know.
-    """
+def _train(parser: Parser) -> None:
+    """Train an algorithm on the drone's world and compare it with the paper."""
     parser.add_argument("words", nargs="*")
     parser.add_argument("--multirun", "-m", action="store_true")
     parser.add_argument("--cfg", "-c", choices=["job"])
     for flag in ("--quiet", "--json"):
         parser.add_argument(flag, action="store_true")
+
+
+def _settings(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
+    """An algorithm, settings and flags, in any order.
+
+    The result has `algorithm`, `settings` (each key=value), `plugins`, `multirun`, `cfg`, `quiet`, `json` and
+    `help`: that is true where plugins add to the choices, or a task has a world of its own, which only their
+    modules know.
+    """
     asked = {"-h", "--help"}
     found, strange = parser.parse_known_intermixed_args([word for word in words if word not in asked])
     given = [*found.words, *(word for word in strange if not word.startswith("-"))]
@@ -149,14 +174,18 @@ def _train(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
 
 
 def names_in(settings: Sequence[str], key: str) -> list[str]:
-    """The names in `key=name` or `key=[one,other]` among the settings of a command line, which may begin with a +."""
+    """The names in `key=name` or `key=[one,other]` among the settings of a command line, which may begin
+    with a +.
+    """
     values = [word.partition("=")[2] for word in settings if word.lstrip("+").startswith(f"{key}=")]
     names = [name.strip() for value in values for name in value.strip("[]").split(",")]
     return [name for name in names if name and name != "null"]
 
 
 def needs(algorithm: str, settings: Sequence[str]) -> str:
-    """The end of a message: which plugins the run of a command line was begun with and lacks now; often empty."""
+    """The end of a message: which plugins the run of a command line was begun with and lacks now; often
+    empty.
+    """
     from uavnav.runs import default_folder, read_settings
     from uavnav.runs.tables import RunError
 
@@ -192,7 +221,7 @@ def _algorithms() -> str:
     lines = [
         "usage: uavnav train ALGORITHM [KEY=VALUE ...] [-m] [--cfg job] [--quiet] [--json]",
         "",
-        COMMANDS["train"],
+        f"{_train.__doc__}",
         "",
     ]
     for name in ALGORITHMS:
@@ -206,106 +235,142 @@ def _algorithms() -> str:
     return "\n".join(lines) + "\n"
 
 
-# -- the others ------------------------------------------------------------------------------------------------------
+# -- the others ----------------------------------------------------------------------------------------------
 
 
 def _evaluate(parser: Parser) -> None:
+    """Fly runs, scripted policies or zips of Stable-Baselines3 on the test split: one row an episode."""
     parser.epilog = "example: uavnav evaluate runs/ppo/relu reactive --episodes 200"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
-    parser.add_argument("--episodes", type=whole, default=EPISODES, help=f"sets of obstacles (default: {EPISODES})")
+    parser.add_argument("--episodes", type=whole, default=EPISODES, help=f"layouts (default: {EPISODES})")
     told = (
-        f"cap on steps (default: {MAX_STEPS:,}, across ladders and worlds {ACROSS_STEPS:,}, or the task's own if less)"
+        f"time limit (default: {MAX_STEPS:,}, across ladders and worlds {ACROSS_STEPS:,}, or the task's "
+        "own if less)"
     )
     parser.add_argument("--max-steps", type=whole, help=told)
-    _bank(parser)
+    _which_layouts(parser)
     _task(parser)
     _faults(parser)
     told = f"fly every rung of these instead: {', '.join((*LADDER_NAMES, *GROUPS))}"
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--across", nargs="+", choices=(*LADDER_NAMES, *GROUPS), metavar="LADDER", help=told)
-    told = "with --across: no scripted policies beside, no greedy flights, no figure"
+    told = "with --across: no scripted policies beside, no greedy episodes, no figure"
     parser.add_argument("--alone", action="store_true", help=told)
     told = "fly each in every world that one of the runs was trained in instead, and draw the matrix"
     where.add_argument("--transfer", action="store_true", help=told)
     _activation(parser)
-    told = f"so many seeds of {DRAWS}, each on every set (default: 1)"
+    told = f"so many seeds of {DRAWS}, each on every layout (default: 1)"
     parser.add_argument("--seeds", type=whole, default=1, metavar="N", help=told)
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="keep rows of what is no run there; a report looks in its baselines/"
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="keep rows of what is no run there; a report looks in its baselines/",
     )
     _output(parser, "--json", "--quiet")
     _plugins(parser)
 
 
 def _runs(parser: Parser) -> None:
+    """List the runs of some folders: what each is, how far it is, and what it reached."""
     parser.epilog = "example: uavnav runs results --sort reward_sampled"
     parser.add_argument(
         "folders", nargs="*", metavar="FOLDER", help="of runs (default: runs, and results if it is there)"
     )
-    parser.add_argument("--sort", choices=RUN_COLUMNS, metavar="COLUMN", help=f"by one of {', '.join(RUN_COLUMNS)}")
+    parser.add_argument(
+        "--sort", choices=RUN_COLUMNS, metavar="COLUMN", help=f"by one of {', '.join(RUN_COLUMNS)}"
+    )
     _output(parser, "--json")
 
 
 def _play(parser: Parser) -> None:
+    """Fly a drone with the keyboard, or watch policies fly it, in a window."""
     table = "\n".join(f"  {shown:12} {does}" for shown, does in HELP)
     parser.epilog = f"example: uavnav play runs/ppo/relu reactive --layout 20\n\nkeys:\n{table}"
     parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN}; keys 1 to 9 (default: you fly)")
-    _flight(parser)
-    told = f"cap on steps (default: {MAX_STEPS:,}, or the task's own if less)"
+    _episode(parser)
+    told = f"time limit (default: {MAX_STEPS:,}, or the task's own if less)"
     parser.add_argument("--max-steps", type=whole, help=told)
-    parser.add_argument("--person", type=whole, default=0, help="who flies by hand: the rows' seed (default: 0)")
+    parser.add_argument(
+        "--person", type=whole, default=0, help="who flies by hand: the rows' seed (default: 0)"
+    )
     rows = f"as runs/baselines/{ROWS.name}; without a run {ROWS}"
     parser.add_argument(
         "--out",
         type=Path,
-        help=f"file for rows of flights by hand (default: where a report of the first RUN's root looks, {rows})",
+        help="file for rows of episodes by hand (default: where a report of the first RUN's root looks, "
+        f"{rows})",
     )
-    parser.add_argument("--bank", type=Path, help=f"file for drawn obstacles (default: {BANK})")
+    parser.add_argument("--drawn", type=Path, help=f"file for obstacles that you draw (default: {DRAWN})")
 
 
 def _playground(parser: Parser) -> None:
+    """Write playground.html: fly the drone in a browser, beside trained policies and a scripted policy."""
     parser.epilog = "example: uavnav playground runs --out playground.html"
     of = "a run, or runs with policies up to two folders below"
     usual = "results/vectorised"
     parser.add_argument(
-        "folders", nargs="*", type=Path, default=[Path(usual)], metavar="FOLDER", help=f"{of} (default: {usual})"
+        "folders",
+        nargs="*",
+        type=Path,
+        default=[Path(usual)],
+        metavar="FOLDER",
+        help=f"{of} (default: {usual})",
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("playground.html"), metavar="FILE", help="the page (default: playground.html)"
+        "--out",
+        type=Path,
+        default=Path("playground.html"),
+        metavar="FILE",
+        help="the page (default: playground.html)",
     )
     _plugins(parser)
 
 
 def _render(parser: Parser) -> None:
+    """Draw episodes on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
     parser.epilog = "example: uavnav render runs/ppo/relu reactive --out flight.gif"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     parser.add_argument(
-        "--out", type=Path, default=Path("flight.gif"), help="an .mp4, .gif or .png file (default: flight.gif)"
+        "--out",
+        type=Path,
+        default=Path("flight.gif"),
+        help="an .mp4, .gif or .png file (default: flight.gif)",
     )
-    _flight(parser)
+    _episode(parser)
     _faults(parser)
     parser.add_argument("--steps", type=whole, default=500, help="steps at most (default: 500)")
-    parser.add_argument("--every", type=whole, default=1, help="steps from one picture to the next (default: 1)")
-    parser.add_argument("--speed", type=float, default=1.0, help="times as fast as in the window (default: 1)")
+    parser.add_argument(
+        "--every", type=whole, default=1, help="steps from one picture to the next (default: 1)"
+    )
+    parser.add_argument(
+        "--speed", type=float, default=1.0, help="times as fast as in the window (default: 1)"
+    )
     parser.add_argument(
         "--width",
         type=whole,
         default=480,
-        help="width of one flight [px] (default: 480); an MP4 is padded to even sizes",
+        help="width of one episode [px] (default: 480); an MP4 is padded to even sizes",
     )
 
 
 def _study(parser: Parser) -> None:
+    """Train, evaluate and report the configurations of a study, on this machine or on a cluster."""
     studies = sorted(path.stem for path in (Path(__file__).parent.parent / "studies").glob("*.yaml"))
     parser.epilog = "example: uavnav study paper engine=slurm seeds=40 out=/shared/paper"
     parser.add_argument("name", metavar="NAME", help=f"{', '.join(studies)}, or a yaml file of your own")
-    parser.add_argument("settings", nargs="*", default=[], metavar="KEY=VALUE", help="; ".join(STUDY_KEYS.values()))
-    parser.add_argument("--status", action="store_true", help="say which cells are finished, under way, missing")
+    parser.add_argument(
+        "settings", nargs="*", default=[], metavar="KEY=VALUE", help="; ".join(STUDY_KEYS.values())
+    )
+    parser.add_argument(
+        "--status", action="store_true", help="say which configurations are finished, under way, missing"
+    )
     parser.add_argument("--json", action="store_true", help="the status as JSON")
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 
 def _compare(parser: Parser) -> None:
+    """Compare runs, zips of Stable-Baselines3 and scripted policies: intervals, probabilities, curves."""
     parser.epilog = "example: uavnav compare runs/ppo/relu runs/dqn/relu reactive --out compare.html"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     _activation(parser)
@@ -315,13 +380,17 @@ def _compare(parser: Parser) -> None:
 
 
 def _report(parser: Parser) -> None:
+    """Write report.html: verdicts on the paper's claims, its tables beside ours, figures, replays."""
     parser.epilog = "example: uavnav report runs --out report"
-    parser.add_argument("folders", nargs="*", default=["results"], metavar="FOLDER", help="of runs (default: results)")
+    parser.add_argument(
+        "folders", nargs="*", default=["results"], metavar="FOLDER", help="of runs (default: results)"
+    )
     parser.add_argument("--out", metavar="DIR", help="where the report goes (default: the first FOLDER)")
     _plugins(parser)
 
 
 def _verify(parser: Parser) -> None:
+    """Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit."""
     parser.epilog = "example: uavnav verify runs/ppo/relu --frames 20000"
     parser.add_argument("run", type=Path, metavar="RUN", help="a finished run's folder")
     parser.add_argument("--frames", type=whole, help="repeat only the first so many frames per seed")
@@ -329,17 +398,25 @@ def _verify(parser: Parser) -> None:
 
 
 def _bench(parser: Parser) -> None:
+    """Measure the world, training and its peers on this machine, and write it down; 40 minutes."""
     parser.epilog = "example: uavnav bench --quick"
-    parser.add_argument("--quick", action="store_true", help="a first impression: 3 minutes, 5 if caches are cold")
+    parser.add_argument(
+        "--quick", action="store_true", help="a first impression: 3 minutes, 5 if caches are cold"
+    )
     sections = (*BY_DEFAULT, *LONGER)
     told = f"of {', '.join(sections)} (default: {', '.join(BY_DEFAULT)})"
     parser.add_argument("--only", nargs="+", choices=sections, metavar="SECTION", help=told)
-    parser.add_argument("--out", type=Path, help=f"the file (default: {OUT}; with --quick {SCRATCH / 'quick.md'})")
+    parser.add_argument(
+        "--out", type=Path, help=f"the file (default: {OUT}; with --quick {SCRATCH / 'quick.md'})"
+    )
 
 
 def _export(parser: Parser) -> None:
+    """Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2)."""
     parser.epilog = "example: uavnav export runs/ppo/relu --out policy.onnx"
-    parser.add_argument("run", metavar="RUN", help="a run's folder, its policy file, or a zip of Stable-Baselines3")
+    parser.add_argument(
+        "run", metavar="RUN", help="a run's folder, its policy file, or a zip of Stable-Baselines3"
+    )
     parser.add_argument("--seed", type=whole, help="which training seed (default: the first)")
     _activation(parser)
     parser.add_argument("--out", required=True, metavar="FILE", help="policy.onnx or policy.pt2")
@@ -347,70 +424,61 @@ def _export(parser: Parser) -> None:
 
 
 def _layouts(parser: Parser) -> None:
+    """Generate layout files, or check that files are what their headers say."""
     sizes = ", ".join(f"{split.n:,} {name}" for name, split in SPLITS.items())
     seeds = ", ".join(f"{split.seed} {name}" for name, split in SPLITS.items())
     parser.epilog = "example: uavnav layouts --split train --k 12"
-    parser.add_argument("--out", type=Path, default=Path("banks"), help="folder for the banks (default: banks)")
-    parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which bank to write")
+    parser.add_argument(
+        "--out", type=Path, default=Path("layouts"), help="folder for the files (default: layouts)"
+    )
+    parser.add_argument("--split", choices=[*SPLITS, "all"], default="all", help="which split to write")
     parser.add_argument("--task", default="drone", help=f"whose obstacles: {TASKS} (default: drone)")
     parser.add_argument(
         "--k", type=whole, help=f"obstacles per set, 0 for an empty arena (default: {DEFAULT_K}; in 3D 40)"
     )
-    parser.add_argument("--n", type=whole, help=f"sets in the bank (default: {sizes})")
+    parser.add_argument("--n", type=whole, help=f"layouts in the split (default: {sizes})")
     parser.add_argument("--seed", type=whole, help=f"generator seed (default: {seeds})")
-    parser.add_argument("--check", nargs="+", metavar="BANK", help="regenerate these from their headers and compare")
-
-
-PARSERS: dict[str, Callable[[Parser], None]] = {
-    "study": _study,
-    "runs": _runs,
-    "evaluate": _evaluate,
-    "play": _play,
-    "playground": _playground,
-    "render": _render,
-    "compare": _compare,
-    "report": _report,
-    "verify": _verify,
-    "bench": _bench,
-    "export": _export,
-    "layouts": _layouts,
-}
-"""Give each command its arguments; those of `train` are settings too."""
+    parser.add_argument(
+        "--check", nargs="+", metavar="FILE", help="regenerate these from their headers and compare"
+    )
 
 
 STUDY_KEYS = {
-    "engine": "engine=local, ray or slurm, with keys of its own: jobs (at once); address; partition, time [minutes],"
+    "engine": "engine=local, ray or slurm, with keys of its own: jobs (at once); address; partition, time "
+    "[minutes],"
     " memory [GB], cluster",
     "out": "out=DIR (default: runs/NAME)",
-    "seeds": "seeds=N of each cell",
+    "seeds": "seeds=N of each configuration",
     "frames": "frames=N of each seed",
     "trials": "trials=N of each algorithm, where the study tunes",
     "algorithms": "algorithms=ppo,sac alone",
     "seeds_per_worker": "seeds_per_worker=N of a job",
     "checkpoint_seconds": "checkpoint_seconds=60 between two snapshots",
-    "policies": "policies=true trains cells again of which only rows are there",
+    "policies": "policies=true trains configurations again of which only rows are there",
     "report": "report=false writes none",
     "plugins": "plugins=my_module",
 }
 """What each key of a study means."""
 
 
-# -- what several have -----------------------------------------------------------------------------------------------
+# -- what several have ---------------------------------------------------------------------------------------
 
 
-def _flight(parser: Parser) -> None:
-    """What every command that shows flights asks: which seed, how, and where."""
+def _episode(parser: Parser) -> None:
+    """What every command that shows episodes asks: which seed, how, and where."""
     parser.add_argument("--seed", type=whole, help="training seed (default: each run's first)")
-    greedy = "take the best action always, instead of acting as in training (sampled, or with the final epsilon)"
+    greedy = (
+        "take the best action always, instead of acting as in training (sampled, or with the final epsilon)"
+    )
     parser.add_argument("--greedy", action="store_true", help=greedy)
     _activation(parser)
-    _bank(parser)
+    _which_layouts(parser)
     _task(parser)
-    parser.add_argument("--layout", type=whole, default=0, help="index of the obstacle set (default: 0)")
+    parser.add_argument("--layout", type=whole, default=0, help="index of the layout (default: 0)")
     _plugins(parser)
 
 
-def _bank(parser: Parser) -> None:
+def _which_layouts(parser: Parser) -> None:
     parser.add_argument(
         "--layouts",
         default="test",
@@ -439,7 +507,7 @@ def _output(parser: Parser, *flags: str) -> None:
 
 
 def _plugins(parser: Parser) -> None:
-    """`--plugins`; `uavnav.plugins.load` then takes what it holds."""
+    """`--plugins`, which `run` imports."""
     parser.add_argument(
         "--plugins",
         type=lambda names: [name.strip() for name in names.split(",")],
@@ -447,3 +515,25 @@ def _plugins(parser: Parser) -> None:
         metavar="NAME,...",
         help="modules of your own that a run was made with; they are imported",
     )
+
+
+KINDS: dict[str, tuple[str, dict[str, Callable[[Parser], None]]]] = {
+    "Train": (
+        "uavnav train ppo preset=fast out=runs/first",
+        {"train": _train, "study": _study, "runs": _runs},
+    ),
+    "Look": (
+        "uavnav render reactive random --layout 20 --out flight.gif",
+        {"evaluate": _evaluate, "play": _play, "playground": _playground, "render": _render},
+    ),
+    "Compare": (
+        "uavnav compare runs/first reactive",
+        {"compare": _compare, "report": _report, "verify": _verify, "bench": _bench},
+    ),
+    "Share": ("uavnav export runs/first --out policy.pt2", {"export": _export, "layouts": _layouts}),
+}
+"""Commands by what one does with them, with an example: the function that adds its arguments says what
+each does.
+"""
+COMMANDS = {name: add for _, own in KINDS.values() for name, add in own.items()}
+"""By name. The module of each is `uavnav.cli.<name>`."""

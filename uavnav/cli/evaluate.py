@@ -6,15 +6,12 @@ import functools
 import json
 import sys
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
-from uavnav import plugins
-from uavnav.cli import commands
-from uavnav.errors import complain, did_you_mean_run
-from uavnav.evaluation import evaluate_run, files_of, on, summary
+from uavnav.errors import ConfigError, did_you_mean_run
+from uavnav.evaluation import Protocol, evaluate_run, on, summary
 from uavnav.evaluation.across import Flyer, across, of_run
-from uavnav.evaluation.scripts import Protocol
 from uavnav.evaluation.transfer import transfer
 from uavnav.files import check_out
 from uavnav.runs import Run, policies
@@ -23,7 +20,8 @@ from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.faults import from_option
 from uavnav.tasks.ladders import measure_of
 from uavnav.tasks.protocol import DRAWS, GROUPS, MAX_STEPS
-from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task, name_of
+from uavnav.tasks.table import EMPTY, TASKS, make_task, name_of
+from uavnav.tasks.task import Task
 
 MOST_SEEDS = 1_000
 """Of a scripted policy."""
@@ -43,38 +41,41 @@ def _found(name: str, arguments: Namespace) -> Run | Flyer:
         raise RunError(f"{error}{did_you_mean_run(name, BASELINES)}") from error
 
 
-def _limit(arguments: Namespace, task: Task | type[Task]) -> int:
-    given: int | None = arguments.max_steps
-    return task.cap(MAX_STEPS) if given is None else given
-
-
 def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:
-    """Raise a ValueError for options that do not go with what is named or with each other."""
+    """Raise a ConfigError for options that do not go with what is named or with each other."""
     if arguments.task != "drone" and not BASELINES.keys() & found.keys():
-        raise ValueError(f"--task {arguments.task}: what was trained flies in its own world; leave it out")
+        raise ConfigError(f"--task {arguments.task}: what was trained flies in its own world; leave it out")
     elsewhere = arguments.across is not None or arguments.transfer
     if arguments.seeds != 1:
         given = f"--seeds {arguments.seeds}"
         if not 1 <= arguments.seeds <= MOST_SEEDS:
-            raise ValueError(f"{given}; give at least 1 and at most {MOST_SEEDS:,}")
+            raise ConfigError(f"{given}; give at least 1 and at most {MOST_SEEDS:,}")
         if DRAWS not in arguments.runs or elsewhere:
-            raise ValueError(f"{given}: only {DRAWS} has several, on the sets of one bank; leave it out")
+            raise ConfigError(f"{given}: only {DRAWS} has several, on the layouts of one split; leave it out")
     if arguments.alone and arguments.across is None:
-        raise ValueError("--alone: only --across flies others beside; leave it out")
+        raise ConfigError("--alone: only --across flies others beside; leave it out")
     if elsewhere and arguments.faults is not None:
-        raise ValueError(f"--faults {arguments.faults}: ladders and worlds of training have their own; leave it out")
+        raise ConfigError(
+            f"--faults {arguments.faults}: ladders and worlds of training have their own; leave it out"
+        )
     if elsewhere and arguments.layouts != "test":
-        told = "--across and --transfer fly on test sets of their own"
-        raise ValueError(f"--layouts {arguments.layouts}: {told}; leave it out")
+        told = "--across and --transfer fly on test layouts of their own"
+        raise ConfigError(f"--layouts {arguments.layouts}: {told}; leave it out")
     if arguments.transfer and arguments.task != "drone":
-        raise ValueError(f"--task {arguments.task}: --transfer flies in the worlds of the runs; leave it out")
+        raise ConfigError(
+            f"--task {arguments.task}: --transfer flies in the worlds of the runs; leave it out"
+        )
 
 
-def _protocol(who: Flyer, arguments: Namespace) -> Protocol:
-    """How a zip or a scripted policy is evaluated; a zip flies the task of its training."""
-    task = who.task or make_task(EMPTY, task=arguments.task)
-    limit, faults = _limit(arguments, task), from_option(arguments.faults)
-    return Protocol(arguments.layouts, arguments.episodes, limit, faults, name_of(task))
+def _protocol(found: Run | Flyer, arguments: Namespace) -> Protocol:
+    """How what is named is evaluated; what was trained flies in its own task."""
+    if isinstance(found, Run):
+        limit, name = TASKS.get(found.config.get("task", "drone"), Task).limit(MAX_STEPS), "drone"
+    else:
+        task = found.task or make_task(EMPTY, task=arguments.task)
+        limit, name = task.limit(MAX_STEPS), name_of(task)
+    limit = limit if arguments.max_steps is None else arguments.max_steps
+    return Protocol(arguments.layouts, arguments.episodes, limit, from_option(arguments.faults), name)
 
 
 def _files(who: Flyer, arguments: Namespace) -> dict[str, Path]:
@@ -87,15 +88,18 @@ def _files(who: Flyer, arguments: Namespace) -> dict[str, Path]:
 
 
 def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool) -> dict[str, object]:
-    """Evaluate what is named on the sets of one bank, keep its rows and show them; returns them for JSON."""
+    """Evaluate what is named on the layouts of one split, keep its rows and show them; returns them for
+    JSON.
+    """
+    protocol = _protocol(found, arguments)
     if isinstance(found, Run):
-        faults = from_option(arguments.faults)
-        limit = _limit(arguments, TASKS.get(found.config.get("task", "drone"), Task))
-        rows = evaluate_run(found, arguments.episodes, limit, arguments.layouts, quiet, faults)
-        kept = [found.path / files_of(arguments.layouts, arguments.episodes, limit, faults)[0]]
+        rows = evaluate_run(
+            found, protocol.episodes, protocol.max_steps, protocol.layouts, quiet, protocol.faults
+        )
+        kept = [found.path / protocol.file("evaluation")]
         shown: str | Run = found
     else:
-        protocol, files = _protocol(found, arguments), _files(found, arguments)
+        files = _files(found, arguments)
         task = on(found.task or make_task(EMPTY, task=protocol.task), *protocol[:-1])
         rows = found.fly(task, f"on {protocol.layouts}", quiet, measure_of(protocol.layouts))
         rows.attrs = protocol.header()
@@ -109,36 +113,28 @@ def _evaluated(name: str, found: Run | Flyer, arguments: Namespace, quiet: bool)
     return {"run": name, **summary.evaluation_record(rows)}
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Evaluate finished runs, scripted policies or zips of Stable-Baselines3 on the test split: one row an episode."""
-    arguments = commands.parse("evaluate", argv)
-    try:
-        plugins.load(arguments.plugins)
-        zips = policies.zips(arguments.runs, arguments.activation)
-        if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
-            raise ValueError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
-        found = {name: _found(name, arguments) for name in arguments.runs}
-        _check(arguments, found)
-        for one in found.values():
-            for path in _files(one, arguments).values() if isinstance(one, Flyer) else ():
-                check_out(path)
-        quiet = arguments.quiet or arguments.json
-        if arguments.across is not None or arguments.transfer:
-            flyers = [of_run(name, one) if isinstance(one, Run) else one for name, one in found.items()]
-            bounds = arguments.episodes, arguments.max_steps, arguments.out
-            tell = functools.partial(print, file=sys.stderr)
-            if arguments.transfer:
-                records = transfer(flyers, *bounds, quiet, tell)
-            else:
-                names = dict.fromkeys(one for word in arguments.across for one in GROUPS.get(word, (word,)))
-                records = across(flyers, [*names], *bounds, quiet, tell, arguments.task, arguments.alone)
+def main(arguments: Namespace) -> int:
+    """Evaluate all that is named on one split, or across ladders, or in each other's worlds."""
+    zips = policies.zips(arguments.runs, arguments.activation)
+    if arguments.out is not None and len({Path(name).stem for name in zips}) < len(zips):
+        raise ConfigError(f"--out {arguments.out}: two zips of one name would share a file; rename one")
+    found = {name: _found(name, arguments) for name in arguments.runs}
+    _check(arguments, found)
+    for one in found.values():
+        for path in _files(one, arguments).values() if isinstance(one, Flyer) else ():
+            check_out(path)
+    quiet = arguments.quiet or arguments.json
+    if arguments.across is not None or arguments.transfer:
+        flyers = [of_run(name, one) if isinstance(one, Run) else one for name, one in found.items()]
+        bounds = arguments.episodes, arguments.max_steps, arguments.out
+        tell = functools.partial(print, file=sys.stderr)
+        if arguments.transfer:
+            records = transfer(flyers, *bounds, quiet, tell)
         else:
-            records = [_evaluated(name, one, arguments, quiet) for name, one in found.items()]
-        if arguments.json:
-            print(json.dumps(records, indent=2))
-    except BrokenPipeError:  # nobody reads on: `terminal` ends it
-        raise
-    except (RunError, ValueError, OSError) as error:
-        complain("evaluate", policies.as_option(error))
-        return 2
+            names = dict.fromkeys(one for word in arguments.across for one in GROUPS.get(word, (word,)))
+            records = across(flyers, [*names], *bounds, quiet, tell, arguments.task, arguments.alone)
+    else:
+        records = [_evaluated(name, one, arguments, quiet) for name, one in found.items()]
+    if arguments.json:
+        print(json.dumps(records, indent=2))
     return 0

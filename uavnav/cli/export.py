@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from argparse import Namespace
 
-from uavnav import plugins
-from uavnav.cli import commands
-from uavnav.errors import ConfigError, complain
 from uavnav.runs.export import export_policy
-from uavnav.runs.policies import PolicyError, as_option, load_policy, zips
-from uavnav.runs.tables import RunError
+from uavnav.runs.policies import load_policy, zips
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2)."""
-    arguments = commands.parse("export", argv)
-    try:
-        plugins.load(arguments.plugins)
-        zips([arguments.run], arguments.activation)
-        policy = load_policy(arguments.run, arguments.seed, activation=arguments.activation)
-        path = export_policy(policy, arguments.out)
-    except (ConfigError, PolicyError, RunError) as error:
-        complain("export", as_option(error))
-        return 2
+def main(arguments: Namespace) -> int:
+    """Write one policy, and say what its file takes and gives."""
+    zips([arguments.run], arguments.activation)
+    policy = load_policy(arguments.run, arguments.seed, activation=arguments.activation)
+    path = export_policy(policy, arguments.out)
     print(f"{path}: observation [N, {policy.task.observation_size}] -> values [N, {policy.world.n_actions}]")
     return 0

@@ -1,4 +1,4 @@
-"""The live window: fly a drone with the keyboard, or watch trained policies, on any set of obstacles.
+"""The live window: fly a drone with the keyboard, or watch trained policies, on any layout.
 
 `uavnav play [RUN...]`. The rules are in `game`, the picture in `hud`; this is the command, and a thin shell
 of pygame around the two.
@@ -9,27 +9,25 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from uavnav import plugins
 from uavnav.algorithms import ALGORITHMS
-from uavnav.cli import commands
 from uavnav.envs.drawing import STEPS_PER_SECOND
-from uavnav.errors import complain
+from uavnav.errors import ConfigError
 from uavnav.files import check_out
-from uavnav.runs.policies import as_option, is_zip
-from uavnav.runs.tables import RunError
+from uavnav.runs.policies import is_zip
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.protocol import MAX_STEPS
-from uavnav.tasks.simulator import EMPTY, make_task
+from uavnav.tasks.table import EMPTY, make_task
 from uavnav.training.machine import use_threads
 from uavnav.views.render import Pilot, load_layout, load_pilots
 from uavnav.views.window import game as rules
 from uavnav.views.window import hud, mouse
 from uavnav.views.window.game import Game
 from uavnav.views.window.keys import press, release, release_all
-from uavnav.views.window.table import BANK, ROWS
+from uavnav.views.window.table import DRAWN, ROWS
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 try:
@@ -45,11 +43,12 @@ def open_window(size: tuple[int, int]) -> pygame.Surface:
     """A window that can be resized.
 
     Raises:
-        ValueError: pygame is not installed, or there is no screen.
+        ConfigError: pygame is not installed, or there is no screen.
     """
     if pygame is None:
-        raise ValueError("needs pygame-ce: pip install 'uavnav[play]'")
-    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # else Wayland's library has a line of its own
+        raise ConfigError("needs pygame-ce: pip install 'uavnav[play]'")
+    # else Wayland's library has a line of its own
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     try:
         pygame.display.init()
         if "SDL_VIDEODRIVER" not in os.environ and pygame.display.get_driver() in UNSEEN:
@@ -57,7 +56,7 @@ def open_window(size: tuple[int, int]) -> pygame.Surface:
         pygame.display.set_caption("uavnav")
         return pygame.display.set_mode(size, pygame.RESIZABLE)
     except pygame.error as error:
-        raise ValueError(f"no window can be opened ({error}); uavnav render needs no screen") from error
+        raise ConfigError(f"no window can be opened ({error}); uavnav render needs no screen") from error
 
 
 def handle(game: Game, event: pygame.event.Event, size: tuple[int, int]) -> Game:
@@ -114,10 +113,11 @@ def play(game: Game) -> Game:
 
 
 def rows_file(words: Sequence[str]) -> Path:
-    """Where a report finds rows of flights by hand: in `baselines` of the first run's root, the folder of studies.
+    """Where a report finds rows of episodes by hand: in `baselines` of the first run's root, the folder of
+    studies.
 
-    The root is the first part of the path above the cell, `runs` of runs/ppo/relu and of runs/first; of a path that
-    leads out of the working folder it is all of that part.
+    The root is the first part of the path above the configuration, `runs` of runs/ppo/relu and of runs/first;
+    of a path that leads out of the working folder it is all of that part.
     """
     runs = [Path(word) for word in words if word not in BASELINES and not is_zip(word)]
     if not runs:
@@ -128,31 +128,27 @@ def rows_file(words: Sequence[str]) -> Path:
     return root / "baselines" / ROWS.name
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Fly a drone with the keyboard, or watch policies fly it, in a window."""
-    arguments = commands.parse("play", argv)
-    try:
-        if arguments.max_steps is not None and arguments.max_steps < 1:
-            raise ValueError(f"--max-steps {arguments.max_steps}: give at least 1")
-        if arguments.person < 0:
-            raise ValueError(f"--person {arguments.person}: give at least 0")
-        for path in filter(None, (arguments.out, arguments.bank)):
-            check_out(path)
-        plugins.load(arguments.plugins)
-        rows_path = arguments.out or rows_file(arguments.runs)
-        pilots = load_pilots(arguments.runs, arguments.seed, arguments.greedy, arguments.activation, arguments.task)
-        you = Pilot("you", rules.nobody, pilots[0].task if pilots else make_task(EMPTY, task=arguments.task))
-        bank = load_layout(arguments.layouts, arguments.layout, [you])
-        rules.read_rows(rows_path)
-        open_window(hud.DESIGN)
-    except (RunError, ValueError) as error:
-        complain("play", as_option(error))
-        return 2
+def main(arguments: Namespace) -> int:
+    """Open the window, and say what was not saved when it is closed."""
+    if arguments.max_steps is not None and arguments.max_steps < 1:
+        raise ConfigError(f"--max-steps {arguments.max_steps}: give at least 1")
+    if arguments.person < 0:
+        raise ConfigError(f"--person {arguments.person}: give at least 0")
+    for path in filter(None, (arguments.out, arguments.drawn)):
+        check_out(path)
+    rows_path = arguments.out or rows_file(arguments.runs)
+    pilots = load_pilots(
+        arguments.runs, arguments.seed, arguments.greedy, arguments.activation, arguments.task
+    )
+    you = Pilot("you", rules.nobody, pilots[0].task if pilots else make_task(EMPTY, task=arguments.task))
+    layouts = load_layout(arguments.layouts, arguments.layout, [you])
+    rules.read_rows(rows_path)
+    open_window(hud.DESIGN)
     with use_threads(1):
-        paths = {"rows_path": rows_path, "bank_path": arguments.bank or BANK}
-        cap = you.task.cap(MAX_STEPS) if arguments.max_steps is None else arguments.max_steps
-        how = {"max_steps": cap, "person": arguments.person, **paths}
-        game = play(rules.new(pilots, bank, arguments.layouts, arguments.layout, you, **how))
-    if lost := len(game.flights):
+        paths = {"rows_path": rows_path, "drawn_path": arguments.drawn or DRAWN}
+        limit = you.task.limit(MAX_STEPS) if arguments.max_steps is None else arguments.max_steps
+        how = {"max_steps": limit, "person": arguments.person, **paths}
+        game = play(rules.new(pilots, layouts, arguments.layouts, arguments.layout, you, **how))
+    if lost := len(game.episodes):
         print(f"{rules.counted(lost)} by hand {'was' if lost == 1 else 'were'} not saved")
     return 0

@@ -1,29 +1,21 @@
-"""`uavnav playground`: the command."""
+"""`uavnav playground`: write the page on which one flies in a browser."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from argparse import Namespace
 
-from uavnav import files, plugins
-from uavnav.cli import commands
-from uavnav.errors import ConfigError, complain
-from uavnav.runs.policies import as_option
-from uavnav.runs.tables import RunError, write
+from uavnav import files
+from uavnav.errors import complain
+from uavnav.runs.tables import write
 from uavnav.views.browser.playground import collect, page
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Write playground.html: fly the drone in a browser, beside trained policies and a hand-written rule."""
-    arguments = commands.parse("playground", argv)
-    try:
-        plugins.load(arguments.plugins)
-        files.check_out(arguments.out)
-        found, left_out = collect(arguments.folders)
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        write(arguments.out, page(found).encode())
-    except (ConfigError, RunError, ValueError, OSError) as error:
-        complain("playground", as_option(error))
-        return 2
+def main(arguments: Namespace) -> int:
+    """Write the page with the policies of some folders, and say which were left out."""
+    files.check_out(arguments.out)
+    found, left_out = collect(arguments.folders)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    write(arguments.out, page(found).encode())
     for line in left_out:
         complain("playground", f"left out: {line}")
     print(f"{arguments.out}: policies: {len(found)}; open it in a browser")

@@ -9,6 +9,7 @@ import datetime
 import json
 import os
 import time
+from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,11 @@ from uavnav.errors import complain
 from uavnav.runs import (
     FINISHED,
     heard,
-    own_evaluation,
     progress,
     read_settings,
     run_folders,
 )
+from uavnav.runs.evaluations import usual
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, arrow
 
@@ -36,8 +37,8 @@ STATES = {FINISHED: "finished", "failed": "failed"}
 def row(path: Path, now: float) -> dict[str, Any]:
     """What is said of a run: `commands.RUN_COLUMNS`, `total` frames, and its pace where it runs.
 
-    Frames are per seed, so far; they are not known of a run that was stopped. Rewards are means over the run's own
-    evaluation. Raises a RunError where its files are no run's.
+    Frames are per seed, so far; they are not known of a run that was stopped. Rewards are means over the
+    run's own evaluation. Raises a RunError where its files are no run's.
     """
     config = read_settings(path / "config.yaml")
     if "total_frames" not in config:
@@ -82,16 +83,23 @@ def _pace(running: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _rewards(path: Path, task: str) -> dict[str, float | None]:
-    """The mean reward of a test flight in each mode, by the run's own protocol."""
+    """The mean reward of a test episode in each mode, by the run's own protocol."""
     try:
-        rows = arrow(path / own_evaluation(task), ["mode", "reward"])
-        flown = {column: rows.filter(pyarrow.compute.equal(rows["mode"], mode)) for column, mode in MEANS.items()}
+        rows = arrow(path / usual(task).file("evaluation"), ["mode", "reward"])
+        flown = {
+            column: rows.filter(pyarrow.compute.equal(rows["mode"], mode)) for column, mode in MEANS.items()
+        }
         return {column: pyarrow.compute.mean(part["reward"]).as_py() for column, part in flown.items()}
-    except (OSError, ValueError, NotImplementedError):  # there is none, or it is damaged, or its rewards are words
+    except (
+        OSError,
+        ValueError,
+        NotImplementedError,
+    ):
+        # there is none, or it is damaged, or its rewards are words
         return dict.fromkeys(MEANS)
 
 
-# -- in words --------------------------------------------------------------------------------------------------------
+# -- in words ------------------------------------------------------------------------------------------------
 
 
 def span(seconds: float) -> str:
@@ -122,7 +130,9 @@ def words(one: Mapping[str, Any]) -> list[str]:
 
 
 def order(column: str) -> Callable[[Mapping[str, Any]], tuple[bool, Any]]:
-    """What to sort by: frames and rewards from the largest, all else from the first; what is not known comes last."""
+    """What to sort by: frames and rewards from the largest, all else from the first; what is not known
+    comes last.
+    """
 
     def key(one: Mapping[str, Any]) -> tuple[bool, Any]:
         value = one[column]
@@ -139,24 +149,19 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     right = [column in ("seeds", "frames", "age", *MEANS) for column in commands.RUN_COLUMNS]
     told = [
         "  ".join(
-            cell.rjust(width) if to_right else cell.ljust(width)
-            for cell, width, to_right in zip(line, widths, right, strict=True)
+            configuration.rjust(width) if to_right else configuration.ljust(width)
+            for configuration, width, to_right in zip(line, widths, right, strict=True)
         )
         for line in lines
     ]
     return "\n".join(line.rstrip() for line in told)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(arguments: Namespace) -> int:
     """List the runs of some folders: what each is, how far it is, and what it reached."""
-    arguments = commands.parse("runs", argv)
     default = [name for name in ("runs", "results") if Path(name).is_dir()] or ["runs"]
     now, rows = time.time(), []
-    try:
-        found = [path for folder in arguments.folders or default for path in run_folders(Path(folder))[0]]
-    except (RunError, OSError) as error:
-        complain("runs", error)
-        return 2
+    found = [path for folder in arguments.folders or default for path in run_folders(Path(folder))[0]]
     for path in dict.fromkeys(found):
         try:
             rows.append(row(path, now))

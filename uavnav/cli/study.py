@@ -1,4 +1,6 @@
-"""The command `uavnav study`: train, evaluate and report many cells, on this machine or on a cluster."""
+"""The command `uavnav study`: train, evaluate and report many configurations, on this machine or on a
+cluster.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,7 @@ import json
 import shlex
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,18 +20,18 @@ from rich.table import Table
 
 from uavnav import plugins, studies
 from uavnav.cli import commands
-from uavnav.errors import ConfigError, complain
-from uavnav.evaluation.scripts import Protocol, missing, protocol_in
+from uavnav.errors import ConfigError
+from uavnav.evaluation import Protocol, scripts
 from uavnav.report import report
 from uavnav.runs import heard, progress
 from uavnav.runs.tables import RunError
 from uavnav.settings import AtLeast0, Count, Settings, key
-from uavnav.studies import Cell, engines, search, tuning
-from uavnav.studies.run import Runner, Work, evaluated, let_go, make_banks, trained
+from uavnav.studies import Configuration, engines, search, tuning
+from uavnav.studies.run import Runner, Work, evaluated, let_go, make_layouts, trained
 from uavnav.tasks import ladders, layouts
 from uavnav.tasks.layouts import LayoutError
-from uavnav.tasks.simulator import EMPTY, make_task
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted, Recorder
+from uavnav.tasks.table import EMPTY, make_task
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
 
 LINE_SECONDS = 30.0
 """Between two lines of progress where there is no terminal."""
@@ -73,26 +76,37 @@ def parse(words: Sequence[str]) -> tuple[Keys, dict[str, Any]]:
     return own, given
 
 
-def status(cell: Cell) -> dict[str, Any]:
-    """What there is of a cell: `state`, and the frames per seed of one that is under way."""
-    facts: dict[str, Any] = {"cell": str(cell.out), "seeds": cell.config.n_seeds, "frames": 0, "of": cell.config.frames}
-    if (cell.out / "config.yaml").exists():
+def status(configuration: Configuration) -> dict[str, Any]:
+    """What there is of a configuration: `state`, and the frames per seed of one that is under way."""
+    facts: dict[str, Any] = {
+        "configuration": str(configuration.out),
+        "seeds": configuration.config.n_seeds,
+        "frames": 0,
+        "of": configuration.config.frames,
+    }
+    if (configuration.out / "config.yaml").exists():
         try:
-            Recorder(cell.out, cell.config)
+            Recorder(configuration.out, configuration.config)
         except LayoutError:
-            pass  # a study makes its banks when it begins
+            pass  # a study makes its layouts when it begins
         except RunError as error:
             return facts | {"state": f"in the way ({error})"}
-    if trained(cell):
-        return facts | {"frames": cell.config.frames, "state": "finished" if evaluated(cell) else "not evaluated"}
-    told = progress(cell.out)
+    if trained(configuration):
+        return facts | {
+            "frames": configuration.config.frames,
+            "state": "finished" if evaluated(configuration) else "not evaluated",
+        }
+    told = progress(configuration.out)
     if heard(told, time.time()):
         return facts | {"frames": told["frames"], "state": "under way"}
-    return facts | {"frames": told.get("frames", 0), "state": "stopped" if cell.out.exists() else "missing"}
+    return facts | {
+        "frames": told.get("frames", 0),
+        "state": "stopped" if configuration.out.exists() else "missing",
+    }
 
 
 class Show:
-    """The cells under way: a table on a terminal, elsewhere a line now and then."""
+    """The configurations under way: a table on a terminal, elsewhere a line now and then."""
 
     def __init__(self, quiet: bool) -> None:
         self._console = Console(highlight=False, soft_wrap=True, markup=False, quiet=quiet)
@@ -111,55 +125,80 @@ class Show:
         self._console.print(line)
 
     def tell(self, works: Sequence[Work]) -> None:
-        """works: all cells that were not finished when the study began."""
-        now, frames, rate = time.monotonic(), sum(work.frames for work in works), sum(work.rate for work in works)
+        """works: all configurations that were not finished when the study began."""
+        now, frames, rate = (
+            time.monotonic(),
+            sum(work.frames for work in works),
+            sum(work.rate for work in works),
+        )
         total = sum(work.total for work in works if work.workers)
         left = f", {(total - frames) / rate / 60:,.0f} min left" if rate else ""
-        head = f"{frames / 1e6:,.2f} of {total / 1e6:,.2f} million frames of all seeds, {rate:,.0f} a second{left}"
+        head = (
+            f"{frames / 1e6:,.2f} of {total / 1e6:,.2f} million frames of all seeds, {rate:,.0f} a "
+            f"second{left}"
+        )
         if self._console.is_terminal:
             table = Table(title=head, box=None, title_justify="left")
-            for name in ("cell", "workers", "frames per seed"):
-                table.add_column(name, justify="left" if name == "cell" else "right")
+            for name in ("configuration", "workers", "frames per seed"):
+                table.add_column(name, justify="left" if name == "configuration" else "right")
             for work in works:
                 if work.frames and not all(worker.done for worker in work.workers):
                     done = sum(worker.done for worker in work.workers)
-                    each = f"{work.frames // work.cell.config.n_seeds:,} of {work.cell.config.frames:,}"
-                    table.add_row(str(work.cell.out), f"{done} of {len(work.workers)}", each)
+                    each = (
+                        f"{work.frames // work.configuration.config.n_seeds:,} of "
+                        f"{work.configuration.config.frames:,}"
+                    )
+                    table.add_row(str(work.configuration.out), f"{done} of {len(work.workers)}", each)
             self._live.update(table, refresh=True)
         elif now - self._said >= LINE_SECONDS:
             self._said = now
             self.say(head)
 
 
-def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool, quiet: bool) -> int:
-    """Run a study, or say what there is of it; returns the exit status."""
-    own, of_engine = parse(words)
-    study = studies.only(studies.read(name), own.algorithms)
+def main(arguments: Namespace) -> int:
+    """Train, evaluate and report the configurations of a study, or say what there is of it."""
+    own, of_engine = parse(arguments.settings)
+    study = studies.only(studies.read(arguments.name), own.algorithms)
     out = Path(own.out or Path("runs") / study.name)
     if not next(one for one in (out, *out.absolute().parents) if one.exists()).is_dir():
         raise RunError(f"out={out}: is a file; give a folder")
     if own.trials is not None and study.tune is None:
         raise ConfigError(f"trials={own.trials}: study {study.name} does not tune; leave it out")
-    if as_json and not only_status:
+    if arguments.json and not arguments.status:
         raise ConfigError("--json: only a --status is JSON; give both, or leave it out")
-    if only_status:
+    given = own.seeds, own.frames
+    if arguments.status:
         engines.described(own.engine, of_engine, Keys.names())
-        rows = [status(cell) for cell in _cells(study, out, own, make=False)]
-        rows += [status(cell) | ({"state": state} if state else {}) for cell, state in _planned(study, out, own)]
-        _print_status(rows, as_json)
+        rows = [status(configuration) for configuration in studies.configurations(study, out, *given)]
+        if (plan := search.plan(study, out, own.trials, *given)) is not None:
+            rows += [
+                status(configuration) | ({"state": state} if state else {})
+                for configuration, state in search.planned(plan)
+            ]
+        _print_status(rows, arguments.json)
         return 0
-    from uavnav.cli.evaluate import main as evaluate  # a status waits for no library of figures
-
     engine = engines.build(own.engine, of_engine, Keys.names())
-    with contextlib.ExitStack() as stack, Show(quiet) as show:
+    with contextlib.ExitStack() as stack, Show(arguments.quiet) as show:
         stack.callback(let_go, engine)
-        plan = _plan(study, out.resolve(), own)
-        found = _cells(study, out.resolve(), own, make=True)
+        plan = search.plan(study, out.resolve(), own.trials, *given)
+        make_layouts(out.resolve(), study.obstacles)
+        found = studies.configurations(study, out.resolve(), *given)
 
-        def train(cells: Sequence[Cell]) -> list[Work]:
+        def train(configurations: Sequence[Configuration]) -> list[Work]:
             how: dict[str, Any] = {"policies": own.policies, "checkpoint_seconds": own.checkpoint_seconds}
-            run = Runner(out.resolve(), cells, engine, own.seeds_per_worker, **how, tell=show.tell, say=show.say)
-            show.say(f"{study.name}: {study.what}; {len(run.works)} of {len(cells)} cells are left, into {out}")
+            run = Runner(
+                out.resolve(),
+                configurations,
+                engine,
+                own.seeds_per_worker,
+                **how,
+                tell=show.tell,
+                say=show.say,
+            )
+            show.say(
+                f"{study.name}: {study.what}; {len(run.works)} of {len(configurations)} configurations are "
+                f"left, into {out}"
+            )
             return run.run()
 
         untold = tuning.tune(plan, train, show.say) if plan is not None else []
@@ -168,78 +207,51 @@ def carry_out(name: str, words: Sequence[str], only_status: bool, as_json: bool,
         failed = [] if untold else train(found)
         for words in scripted(found, out / study.scripts) if study.scripts and not (untold or failed) else ():
             show.say(f"{study.name}: uavnav evaluate {shlex.join(words)}")
-            evaluate([*words, "--quiet"])
+            commands.run("evaluate", [*words, "--quiet"])
     if untold or failed:
-        what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} cells"
+        what = f"{len(untold)} trials" if untold else f"{len(failed)} of {len(found)} configurations"
         print(f"uavnav study: {what} failed; the same command repeats them", file=sys.stderr)
         return 1
     if own.report:
         if plan is not None and not (out / "baselines" / "reactive.parquet").exists():
-            evaluate(["reactive", "--out", str(out / "baselines"), "--quiet"])  # what a winner is held against
+            # what a winner is held against
+            commands.run("evaluate", ["reactive", "--out", str(out / "baselines"), "--quiet"])
         print(f"the report is in {report([out]).path}")
     return 0
 
 
-def scripted(cells: Sequence[Cell], folder: Path) -> list[list[str]]:
-    """The flights of scripts that a folder lacks, in the worlds of cells and on the rungs that are banks of their own:
-    each the words of `uavnav evaluate`."""
+def scripted(configurations: Sequence[Configuration], folder: Path) -> list[list[str]]:
+    """The episodes of scripts that a folder lacks, in the worlds of configurations and on the rungs that are
+    layouts of their own: each the words of `uavnav evaluate`.
+    """
     wanted: dict[Protocol | None, None] = {}
-    for cell in cells:
-        if cell.evaluation is None:
+    for configuration in configurations:
+        if configuration.evaluation is None:
             continue
-        own, flown = cell.config, {studies.BANK: "test"} | cell.evaluation
-        climbed = [name for name in layouts.RUNGS if name in cell.across]
+        own, flown = configuration.config, {studies.LAYOUTS: "test"} | configuration.evaluation
+        climbed = [name for name in layouts.RUNGS if name in configuration.across]
         rungs = [ladders.sets_of(name, rung) for name in climbed for rung in ladders.LADDERS[name].rungs]
         task = make_task(EMPTY, own.world, own.reward, None, own.task, faults=own.faults)
-        for sets in (flown[studies.BANK], *rungs):
-            wanted[protocol_in(task, **flown | {studies.BANK: sets})] = None
-    return [one.words(rules, folder) for one in wanted if one is not None and (rules := missing(folder, one))]
-
-
-def _plan(study: studies.Study, out: Path, own: Keys) -> search.Plan | None:
-    """What is tuned first, if anything."""
-    return search.plan(study, out, own.trials, own.seeds, own.frames) if study.tune is not None else None
-
-
-def _planned(study: studies.Study, out: Path, own: Keys) -> list[tuple[Cell, str | None]]:
-    plan = _plan(study, out, own)
-    return search.planned(plan) if plan is not None else []
-
-
-def _cells(study: studies.Study, out: Path, own: Keys, make: bool) -> list[Cell]:
-    if make:
-        make_banks(out, study.banks)
-    return studies.cells(study, out, own.seeds, own.frames)
+        for sets in (flown[studies.LAYOUTS], *rungs):
+            wanted[scripts.protocol_in(task, **flown | {studies.LAYOUTS: sets})] = None
+    return [
+        scripts.words(rules, folder, one)
+        for one in wanted
+        if one is not None and (rules := scripts.missing(folder, one))
+    ]
 
 
 def _print_status(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         print(json.dumps(rows, indent=2))
         return
-    width = max(len(row["cell"]) for row in rows)
+    width = max(len(row["configuration"]) for row in rows)
     for row in rows:
         far = (
-            f"  {row['frames']:,} of {row['of']:,} frames per seed" if row["state"] in ("under way", "stopped") else ""
+            f"  {row['frames']:,} of {row['of']:,} frames per seed"
+            if row["state"] in ("under way", "stopped")
+            else ""
         )
-        print(f"{row['cell']:{width}}  {row['state']}{far}")
+        print(f"{row['configuration']:{width}}  {row['state']}{far}")
     states = [row["state"] for row in rows]
     print(", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states)))
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Train, evaluate and report the cells of a study, on this machine or on a cluster."""
-    arguments = commands.parse("study", argv)
-    try:
-        return carry_out(arguments.name, arguments.settings, arguments.status, arguments.json, arguments.quiet)
-    except Interrupted as stop:
-        print(stop, file=sys.stderr)
-        return 128 + stop.signum
-    except BrokenPipeError:  # nobody reads on: `terminal` ends it
-        raise
-    except (ConfigError, LayoutError, RunError, OSError) as error:
-        complain("study", error)
-        return 2
-
-
-if __name__ == "__main__":
-    sys.exit(main())

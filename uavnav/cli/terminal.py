@@ -1,4 +1,6 @@
-"""How a command ends that is stopped, or whose output nobody reads on: in one line at most, without a traceback."""
+"""How a command ends that is stopped, or whose output nobody reads on: in one line at most, without a
+traceback.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""From a command line to training runs: what `key=value` words set, and a run for each of their combinations."""
+"""From a command line to training runs: what `key=value` words set, and a run for each of their
+combinations.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ import json
 import math
 import re
 import shlex
-import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,20 +24,19 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
 from uavnav.cli.help.render import render
 from uavnav.errors import ConfigError, complain, told, unknown, unknown_key
-from uavnav.evaluation import evaluate_run, summary, usual_files
+from uavnav.evaluation import MAX_STEPS, Protocol, evaluate_run, summary
 from uavnav.runs import Run
-from uavnav.runs.policies import Diverged, PolicyError
+from uavnav.runs.policies import Diverged
 from uavnav.runs.tables import RunError
-from uavnav.settings import Seconds, Settings, key, shown
-from uavnav.tasks.layouts import LayoutError
-from uavnav.tasks.simulator import TASKS
+from uavnav.settings import Seconds, Settings, flat, key, shown
+from uavnav.tasks.table import TASKS
 from uavnav.tasks.world import World
-from uavnav.training.config import PARTS, TASK, TrainConfig, flat, plain
+from uavnav.training.config import PARTS, TASK, TrainConfig, plain
 from uavnav.training.loggers import chosen
 from uavnav.training.loop import Fit, alone, train
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Interrupted, Recorder
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
 
-MOST_CELLS = 1_000
+MOST_CONFIGURATIONS = 1_000
 """Runs of a sweep."""
 
 
@@ -56,9 +57,11 @@ class Command(Settings):
     out: Folder = key(None, "the run's folder; null is runs/ALGORITHM[-PRESET]/ACTIVATION")
     overwrite: bool = key(False, "start anew if the folder already holds a run")
     checkpoint_seconds: Seconds = key(CHECKPOINT_SECONDS, "the shortest time between two snapshots")
-    evaluate: bool = key(True, "fly 200 test sets after training, once greedily and once as in training")
+    evaluate: bool = key(True, "fly 200 test layouts after training, once greedily and once as in training")
     plugins: Any = key(None, "my_module or [one,other]: modules of your own, imported first")
-    logger: Any = key("none", "live logs in the run's folder; none, tensorboard, wandb, or [tensorboard,wandb]")
+    logger: Any = key(
+        "none", "live logs in the run's folder; none, tensorboard, wandb, or [tensorboard,wandb]"
+    )
 
     def check(self) -> None:
         chosen(self.logger)
@@ -72,14 +75,12 @@ class Order(NamedTuple):
     command: Command
 
 
-def main(argv: Sequence[str] | None = None, fit: Fit = alone) -> int:
+def main(given: Namespace, fit: Fit = alone) -> int:
     """Train once, or once for each combination of a `-m` sweep, after every one of them was checked.
 
     fit: as of `uavnav.training.loop.train`.
     """
-    given = commands.parse("train", argv)
     try:
-        plugins.load(given.plugins)
         if given.algorithm not in ALGORITHMS:
             raise unknown("algorithm", given.algorithm, ALGORITHMS)
         kind: type[TrainConfig] = ALGORITHMS[given.algorithm].config
@@ -97,29 +98,24 @@ def main(argv: Sequence[str] | None = None, fit: Fit = alone) -> int:
                 finished.append(_train(order, given.quiet or given.json, fit))
             except Diverged as error:  # the others of a sweep are trained all the same
                 complain("train", error)
-        if given.json:
-            print(json.dumps([summary.record(run) for run in finished], indent=2))
-        elif not given.quiet and finished and finished[-1].fresh:
-            print(_next(finished[-1], given.plugins))
-    except Interrupted as stop:
-        print(stop, file=sys.stderr)
-        return 128 + stop.signum
     except ConfigError as error:
-        complain("train", f"{error}{commands.needs(given.algorithm, given.settings)}")
-        return 2
-    except (LayoutError, PolicyError, RunError) as error:
-        complain("train", error)
-        return 2
+        raise ConfigError(f"{error}{commands.needs(given.algorithm, given.settings)}") from error
+    if given.json:
+        print(json.dumps([summary.record(run) for run in finished], indent=2))
+    elif not given.quiet and finished and finished[-1].fresh:
+        print(_next(finished[-1], given.plugins))
     return 0 if len(finished) == len(orders) else 2
 
 
 def _world(settings: Sequence[str]) -> type[World]:
-    """The world of the task that a command line names; the paper's for several tasks, or one that there is not."""
+    """The world of the task that a command line names; the paper's for several tasks, or one that there
+    is not.
+    """
     tasks = commands.names_in(settings, "task")
     return TASKS[tasks[0] if len(tasks) == 1 and tasks[0] in TASKS else TASK].WORLD
 
 
-# -- settings --------------------------------------------------------------------------------------------------------
+# -- settings ------------------------------------------------------------------------------------------------
 
 
 def _sweep(words: Sequence[str], multirun: bool) -> list[dict[str, Any]]:
@@ -131,8 +127,10 @@ def _sweep(words: Sequence[str], multirun: bool) -> list[dict[str, Any]]:
     several = [name for name, found in values.items() if len(found) > 1]
     if several and not multirun:
         raise ConfigError(f"{several[0]}: give one value, or -m to train with each in turn")
-    if (cells := math.prod(map(len, values.values()))) > MOST_CELLS:
-        raise ConfigError(f"{several[0]}: the sweep has {cells:,} runs; give at most {MOST_CELLS:,}")
+    if (configurations := math.prod(map(len, values.values()))) > MOST_CONFIGURATIONS:
+        raise ConfigError(
+            f"{several[0]}: the sweep has {configurations:,} runs; give at most {MOST_CONFIGURATIONS:,}"
+        )
     return [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
 
 
@@ -144,8 +142,10 @@ def _values(word: str, text: str) -> Sequence[Any]:
         values = range(*map(int, text.removeprefix("range(").removesuffix(")").split(",")))
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{told(word)}: it is no range; give range(start,stop,step)") from error
-    if not values or values[MOST_CELLS:]:
-        raise ConfigError(f"{told(word)}: the sweep is empty or too long; give at most {MOST_CELLS:,} values")
+    if not values or values[MOST_CONFIGURATIONS:]:
+        raise ConfigError(
+            f"{told(word)}: the sweep is empty or too long; give at most {MOST_CONFIGURATIONS:,} values"
+        )
     return values
 
 
@@ -165,7 +165,9 @@ def _parts(text: str) -> list[str]:
 
 
 def _value(word: str, text: str) -> Any:
-    """A number, true, false, null, a list or a mapping as in YAML; anything else is text, in quotes or without."""
+    """A number, true, false, null, a list or a mapping as in YAML; anything else is text, in quotes or
+    without.
+    """
     if text[:1] in ("'", '"') and text[1:].endswith(text[0]):
         return text[1:-1]
     if text[:1] in ("[", "{", "'", '"'):
@@ -173,7 +175,8 @@ def _value(word: str, text: str) -> Any:
             return studies.load(text)
         except ValueError as error:
             raise ConfigError(
-                f"{told(word)}: its value cannot be read; in a shell quote brackets and blanks: 'hidden=[64,64]'"
+                f"{told(word)}: its value cannot be read; in a shell quote brackets and blanks: "
+                "'hidden=[64,64]'"
             ) from error
     if word.lstrip("+").startswith("out="):  # 007 is a folder's name
         return None if text == "null" else text
@@ -190,9 +193,15 @@ def _order(kind: type[TrainConfig], settings: dict[str, Any]) -> Order:
         if name not in known and name.partition(".")[0] not in PARTS:
             raise unknown_key(name, known)
     command = Command(**{name: settings[name] for name in Command.names() if name in settings})
-    config = kind.from_mapping({name: value for name, value in settings.items() if name not in Command.names()})
+    config = kind.from_mapping(
+        {name: value for name, value in settings.items() if name not in Command.names()}
+    )
     order = Order(config, config.folder, command)
-    return order if command.out is None else order._replace(out=Path(_filled(command.out, flat(_settings(order)))))
+    return (
+        order
+        if command.out is None
+        else order._replace(out=Path(_filled(command.out, flat(_settings(order)))))
+    )
 
 
 def _settings(order: Order) -> dict[str, Any]:
@@ -224,7 +233,7 @@ def _check(orders: Sequence[Order]) -> None:
         folders.add(out.resolve())
 
 
-# -- a run -----------------------------------------------------------------------------------------------------------
+# -- a run ---------------------------------------------------------------------------------------------------
 
 
 def _train(order: Order, quiet: bool, fit: Fit) -> Run:
@@ -244,7 +253,8 @@ def _train(order: Order, quiet: bool, fit: Fit) -> Run:
         summary.report(finished)
     elif not quiet:
         print(f"{out}: this run is already finished; overwrite=true starts it anew")
-    if command.evaluate and not (finished.path / usual_files(finished)[0]).exists():
+    protocol = Protocol(max_steps=TASKS[config.task].limit(MAX_STEPS))
+    if command.evaluate and not (finished.path / protocol.file("evaluation")).exists():
         if not quiet:
             print("evaluating on the test split; evaluate=false skips this", flush=True)
         rows = evaluate_run(finished, quiet=quiet)

@@ -1,9 +1,10 @@
-"""The process of a worker: it trains some seeds of a run as a run of its own, and flies them where a study asks for it.
+"""The process of a worker: it trains some seeds of a run as a run of its own, and flies them where a study
+asks for it.
 
     python -m uavnav.cli.worker [PLUGIN ...] MODULE:CLASS FILE.job
 
-The class is that of the run's configuration. The file says the rest in JSON (see `uavnav.training.workers`); how the
-process ended is written into FILE.ended.
+The class is that of the run's configuration. The file says the rest in JSON (see `uavnav.training.workers`);
+how the process ended is written into FILE.ended.
 """
 
 from __future__ import annotations
@@ -22,12 +23,11 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from uavnav import files, plugins
-from uavnav.errors import ConfigError
+from uavnav.errors import OneLineError
 from uavnav.evaluation import evaluate_run
 from uavnav.runs import Run
 from uavnav.runs.policies import Diverged
 from uavnav.runs.tables import RunError
-from uavnav.tasks.layouts import LayoutError
 from uavnav.training import loop, machine
 from uavnav.training.heartbeat import Heartbeat
 from uavnav.training.recorder import STOPS, Interrupted, Recorder
@@ -81,14 +81,16 @@ def main(argv: Sequence[str]) -> None:
     try:
         told = files.facts(Job, files.read_json(file))
     except (OSError, ValueError):
-        raise SystemExit(f"{file}: missing or damaged; give the same command again, which writes it anew") from None
+        raise SystemExit(
+            f"{file}: missing or damaged; give the same command again, which writes it anew"
+        ) from None
     try:
         os.chdir(told.folder)
         plugins.load(names)
         last = _carry_out(told, kind)
     except Interrupted as stop:
         last = {"stopped": stop.frames}
-    except (ConfigError, LayoutError, RunError, OSError) as error:
+    except (OneLineError, OSError) as error:
         last = {"error": str(error)}
     except Exception as error:
         traceback.print_exc()

@@ -1,4 +1,6 @@
-"""One state of the world as a picture, without a screen; of a box in 3D two views, from above and from the side."""
+"""One state of the world as a picture, without a screen; of a box in 3D two views, from above and from
+the side.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,10 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from uavnav.tasks.dynamics import direction
-from uavnav.tasks.simulator import Task
 from uavnav.tasks.space import SpaceWorld, to_body
 from uavnav.tasks.state import State
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 
 Picture = np.ndarray[Any, np.dtype[np.uint8]]
 Colour = tuple[int, int, int]
@@ -39,24 +41,25 @@ VIEWS = {"from above": (0, 1, 2), "from the side": (0, 2, 1)}
 """The axes of a box that a view shows to the right and upwards, and the axis that it looks along."""
 
 
-def draw_state(state: State, task: Task) -> Picture:
+def draw_state(state: State, task: WrappedTask) -> Picture:
     """One row's state, without a batch, at the world's own size [height, width, 3]; see `draw_arena`."""
     world = task.world
     return np.asarray(draw_arena(state, task, 2 * world.width + BETWEEN if _is_box(world) else world.width))
 
 
 def draw_arena(
-    state: State, task: Task, width: int, trails: Sequence[Trail] = (), colour: Colour = DRONE
+    state: State, task: WrappedTask, width: int, trails: Sequence[Trail] = (), colour: Colour = DRONE
 ) -> Image.Image:
-    """The border, the obstacles, what else the task marks, the drone with its sensor's arc, and the points it senses.
+    """The border, the obstacles, what else the task marks, the drone with its sensor's arc, and the points it
+    senses.
 
-    state: fields without a batch; width: of the picture [px]; trails: under the drone. A box is drawn as `draw_views`
-    does.
+    state: fields without a batch; width: of the picture [px]; trails: under the drone. A box is drawn as
+    `draw_views` does.
     """
     if _is_box(task.world):
         return draw_views(state, task, width, trails, colour)
     world, obstacles = task.world, task.obstacles(state)
-    slots, _ = task.look(state, obstacles, None, None)
+    found, _ = task.sense(state)
     x, y, heading = float(state.x), float(state.y), int(state.heading)
     image = _backdrop(tuple(map(tuple, obstacles.tolist())), world, width).copy()
     canvas = ImageDraw.Draw(image, "RGBA")
@@ -71,9 +74,9 @@ def draw_arena(
     canvas.pieslice(disc(x, y, world.sensor_radius), -heading - half, -heading + half, fill=SENSOR)
     cosine, sine = (float(part) for part in direction(state.heading))
     sensed = []
-    for right, forward, proximity in slots.tolist():
-        if (right, forward) != (0, 0):
-            reach = world.drone_radius + proximity * (world.sensor_radius - world.drone_radius)
+    reached = found.distance.clamp(min=world.drone_radius)
+    for right, forward, reach in zip(*found.numbers[:2].tolist(), reached.tolist(), strict=True):
+        if reach < math.inf:
             dx, dy = right * sine + forward * cosine, forward * sine - right * cosine
             sensed.append((x + reach * dx, y + reach * dy))
             canvas.line([at(x, y), at(*sensed[-1])], fill=(*SENSED, 110), width=thickness)
@@ -86,21 +89,21 @@ def draw_arena(
 
 
 def draw_views(
-    state: State, task: Task, width: int, trails: Sequence[Trail] = (), colour: Colour = DRONE
+    state: State, task: WrappedTask, width: int, trails: Sequence[Trail] = (), colour: Colour = DRONE
 ) -> Image.Image:
     """A box from above and from the side, side by side; the arguments are as of `draw_arena`.
 
-    Each view is the slice through the drone's centre: what a sphere or the sensor has there is dark. Silhouettes of
-    spheres are pale; darker where the sphere is near enough to the slice to touch the drone.
+    Each view is the slice through the drone's centre: what a sphere or the sensor has there is dark.
+    Silhouettes of spheres are pale; darker where the sphere is near enough to the slice to touch the drone.
     """
     world, obstacles = task.world, task.obstacles(state)
     place = [float(getattr(state, axis)) for axis in "xyz"]
     frame = torch.stack(to_body(torch.eye(3), state))  # right, up, forward [3, 3 of x, y, z]
     forward = frame[2].tolist()
-    slots, _ = task.look(state, obstacles, None, None)
-    reach = world.drone_radius + slots[:, 3:] * (world.sensor_radius - world.drone_radius)
-    filled = slots[:, :3].any(-1)
-    sensed = (torch.tensor(place) + reach * (slots[:, :3] @ frame))[filled].tolist()
+    found, _ = task.sense(state)
+    filled = found.distance < math.inf
+    directions, reach = found.numbers[:3, filled].T, found.distance[filled].clamp(min=world.drone_radius)
+    sensed = (torch.tensor(place) + reach[:, None] * (directions @ frame)).tolist()
     half = world.sensor_arc / 2
     image = Image.new("RGB", (width, height_of(width, world)), GROUND)
     for number, (title, (right, up, along)) in enumerate(VIEWS.items()):
@@ -166,7 +169,9 @@ Disc = Callable[[float, float, float], tuple[float, float, float, float]]
 
 
 def _places(world: World, width: int) -> tuple[Point, Disc]:
-    """Where a place of the world, or a disc, is in the enlarged picture. This is the one place where y is flipped."""
+    """Where a place of the world, or a disc, is in the enlarged picture. This is the one place where y is
+    flipped.
+    """
     return _placed(width / world.width, height_of(width, world))
 
 
@@ -185,7 +190,7 @@ def _placed(scale: float, height: int) -> tuple[Point, Disc]:
 
 @functools.lru_cache(maxsize=16)
 def _backdrop(obstacles: tuple[tuple[float, float, float], ...], world: World, width: int) -> Image.Image:
-    """What does not move in a flight, enlarged: ground, obstacles (x, y, radius) px, border."""
+    """What does not move in an episode, enlarged: ground, obstacles (x, y, radius) px, border."""
     image = Image.new("RGB", (width * SMOOTHING, height_of(width, world) * SMOOTHING), GROUND)
     canvas = ImageDraw.Draw(image)
     at, disc = _places(world, width)

@@ -1,4 +1,4 @@
-"""DroneEnv: the world as a native TorchRL environment. Wiring only; the arithmetic is in `simulator` and below it."""
+"""DroneEnv: the world as a native TorchRL environment. Wiring only; the arithmetic is in `tasks`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from torchrl.envs import EnvBase
 
 from uavnav.errors import ConfigError, told
 from uavnav.graph import Graph
-from uavnav.tasks import seeding
-from uavnav.tasks.chance import Chance
 from uavnav.tasks.faults import Faults
-from uavnav.tasks.simulator import Outcome, Task, make_task
+from uavnav.tasks.seeding import Chance, places
 from uavnav.tasks.state import COUNTS, UP, State, where
+from uavnav.tasks.table import make_task
+from uavnav.tasks.task import Outcome, Task
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 
 unchecked = getattr(TensorDict, "_new_unsafe", TensorDict)
 """As TorchRL's own environments make theirs: checks would cost more than a small step."""
@@ -46,7 +47,10 @@ def _listed(name: str, value: Any) -> Sequence[Any]:
 def _size(batch_size: Any) -> torch.Size:
     """A shape of rows; raises a ConfigError where it is none, or too large."""
     shape = _listed("batch_size", batch_size)
-    if not all(isinstance(one, numbers.Integral) and 0 <= int(one) <= MOST_ROWS for one in shape[:8]) or len(shape) > 8:
+    if (
+        not all(isinstance(one, numbers.Integral) and 0 <= int(one) <= MOST_ROWS for one in shape[:8])
+        or len(shape) > 8
+    ):
         raise ConfigError(f"batch_size={told(batch_size)}; give whole numbers")
     if math.prod(shape) > MOST_ROWS:
         raise ConfigError(f"batch_size={told(batch_size)}; give at most {MOST_ROWS:,} rows")
@@ -67,16 +71,16 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     Action:
         `action` [*B] int64 in 0..99: ten turns times ten distances, eqs (11) and (12).
     Observation:
-        `observation` [*B, 30] float32: ten triplets (right, forward, distance), eq. (13); as many of the newest as
-        `stack` says, the newest first.
+        `observation` [*B, 30] float32: ten triplets (right, forward, distance), eq. (13); as many of the
+        newest as `stack` says, the newest first.
     Reward:
         `reward` [*B, 1] float32: eq. (14), or another variant of `uavnav.rewards`.
     Start:
-        The centre of the window, heading up; each row has a place of its own in the bank and takes the next set of
-        obstacles after each of its episodes.
+        The centre of the window, heading up; each row has a place of its own in the split and takes the next
+        layout after each of its episodes.
     End:
-        `terminated`: the drone touched an obstacle or the border, or reached its goal. `truncated`: `max_steps` was
-        reached (never both).
+        `terminated`: the drone touched an obstacle or the border, or reached its goal. `truncated`:
+        `max_steps` was reached (never both).
     Episode:
         `("next", "episode", ...)` holds the counts since the episode began (steps, stops, full_stops, turns,
         distance [px], reward) and its layout: on the last step of an episode they describe all of it.
@@ -85,22 +89,23 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
 
     Args:
         batch_size: any shape B; a training run uses [agents, worlds].
-        layouts: `train`, `validation`, `test`, a bank's path, or a tensor [n, k, 3].
+        layouts: `train`, `validation`, `test`, a layout file's path, or a tensor [n, k, 3].
         world: constants and switches.
-        max_steps: a cap on steps, or None as in the paper.
+        max_steps: a time limit, or None as in the paper.
         reward: a name of `uavnav.rewards.REWARDS`; by default the task's own, eq14 of the paper's.
-        task: a name of `uavnav.simulator.TASKS`; or a whole task, which then says all parts of it.
+        task: a name of `uavnav.tasks.table.TASKS`; or a whole task, which then says all parts of it.
         device: where the tensors live.
-        seeds: one seed for all rows, or one for each entry of the first batch dimension. A row depends on its seed
-            and its index among that seed's rows, not on the other seeds.
+        seeds: one seed for all rows, or one for each entry of the first batch dimension. A row depends on its
+            seed and its index among that seed's rows, not on the other seeds.
         stack: newest observations that are seen at once.
         faults: of the sensor and the actuator (`uavnav.tasks.faults`).
         compile: TorchRL's own keyword: run the step as one compiled graph (`env.compile()`, `env.eager()`).
 
     Raises:
-        LayoutError: the bank cannot be read or is not valid.
-        ValueError: an unknown reward, a cap below 1, or seeds that do not fit the batch; in `step`, an action out of
-            range (`step_and_maybe_reset`, the path of collectors and rollouts, trusts its policy).
+        LayoutError: the split cannot be read or is not valid.
+        ValueError: an unknown reward, a time limit below 1, or seeds that do not fit the batch; in `step`, an
+            action out of range (`step_and_maybe_reset`, the path of collectors and rollouts, trusts its
+            policy).
     """
 
     def __init__(
@@ -112,15 +117,15 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         reward: str | None = None,
         device: str | torch.device = "cpu",
         seeds: int | Sequence[int] = 0,
-        task: str | Task = "drone",
+        task: str | Task | WrappedTask = "drone",
         stack: int = 1,
         faults: Faults | Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(device=_device(device), batch_size=_size(batch_size))
         whole = make_task(layouts, world, reward, max_steps, task, stack, faults)
-        self.task = whole.with_bank(whole.bank.to(self.device))
-        self.world, self.bank = self.task.world, self.task.bank
-        self._first_observations = self._observe_starts()
+        self.task = whole.replace(layouts=whole.layouts.to(self.device))
+        self.world, self.layouts = self.task.world, self.task.layouts
+        self._first = self._sense_starts()
         self._advance: Callable[..., Sequence[Tensor]] = self._advance_rows
         self._make_specs()
         self._seed(seeds)
@@ -129,11 +134,16 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         shape, world = self.batch_size, self.world
         low = torch.tensor(world.observation_low, device=self.device).repeat(self.task.stack)
         kind: dict[str, Any] = {"shape": shape, "device": self.device}
-        episode = Composite({name: Unbounded(dtype=torch.int64, **kind) for name in ("layout", *COUNTS[:-1])}, **kind)
+        episode = Composite(
+            {name: Unbounded(dtype=torch.int64, **kind) for name in ("layout", *COUNTS[:-1])}, **kind
+        )
         episode["reward"] = Unbounded(dtype=torch.float64, **kind)
         self.observation_spec = Composite(
             observation=Bounded(
-                low.expand(*shape, -1), torch.ones_like(low).expand(*shape, -1), device=self.device, dtype=torch.float32
+                low.expand(*shape, -1),
+                torch.ones_like(low).expand(*shape, -1),
+                device=self.device,
+                dtype=torch.float32,
             ),
             episode=episode,
             **kind,
@@ -143,7 +153,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         flag = Categorical(2, shape=(*shape, 1), dtype=torch.bool, device=self.device)
         self.done_spec = Composite(done=flag, terminated=flag.clone(), truncated=flag.clone(), **kind)
 
-    # -- randomness: streams of places, headings and faults for each seed --------------------------------------------
+    # -- randomness: streams of places, headings and faults for each seed ------------------------------------
 
     def _seed(self, seeds: int | Sequence[int]) -> None:
         one = isinstance(seeds, numbers.Integral)
@@ -156,28 +166,31 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
                 f"{len(self.seeds)} seeds for batch_size {list(self.batch_size)}; give one, or one per agent"
             )
         rows = self.batch_size.numel() // len(self.seeds)
-        places = seeding.places(self.seeds, rows, len(self.bank), self.device)
+        layout = places(self.seeds, rows, len(self.layouts), self.device)
         self._chance = Chance(self.task, self.seeds, rows, self.device)
         self._never = torch.zeros((), dtype=torch.bool, device=self.device).expand(*self.batch_size, 1)
         self._begins_here = True  # the next reset of all rows leaves them where they are
-        self.state = self._start(places.reshape(self.batch_size))
+        self.state = self._start(layout.reshape(self.batch_size))
         self._observation, _ = self.task.observe(self.state)
 
     def _set_seed(self, seed: int | None) -> None:
-        """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... where there are agents."""
+        """TorchRL's hook: as constructing with `seeds=seed`, or with seed, seed + 1, ... where there are
+        agents.
+        """
         first = 0 if seed is None else seed
         self._seed(first if len(self.seeds) == 1 else [first + agent for agent in range(len(self.seeds))])
 
-    def _observe_starts(self) -> list[Tensor]:
-        """What is sensed first in an episode, by layout: [L, 30]; where faults disturb that, what is `truly` there.
+    def _sense_starts(self) -> list[Tensor]:
+        """By layout, the first observation of an episode [L, 30]; with a memory the first scan, which faults
+        disturb.
 
         Nothing where start headings are random.
         """
         if self.world.start_heading != "up":
             return []
-        layout = torch.arange(len(self.bank), device=self.device)
-        start = self.task.place(layout, 0 * layout + UP)
-        return [*self.task.truly(start)] if self.task.faults.disturbs else [self.task.sense(start)[0]]
+        layout = torch.arange(len(self.layouts), device=self.device)
+        start = self.task.task.start(layout, 0 * layout + UP)
+        return [*self.task.sense(start)[0]] if self.task.remembers else [self.task.observe(start)[0]]
 
     def _start(self, layout: Tensor) -> State:
         """Where episodes of every row begin: layout [*B]."""
@@ -193,26 +206,30 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return None if draws is None else draws.reshape(*self.batch_size, -1)
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the future depends on: each row's state and observation, and the streams of headings and faults."""
+        """All that the future depends on: each row's state and observation, and the streams of headings
+        and faults.
+        """
         state = {name: value.clone() for name, value in self.state._asdict().items()}
         return {"state": state, "observation": self._observation.clone(), **self._chance.state_dict()}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Go on from where `state_dict` was taken, in an environment built alike; the next reset leaves it there."""
+        """Go on from where `state_dict` was taken, in an environment built alike; the next reset leaves
+        it there.
+        """
         fields = {name: value.to(self.device).clone() for name, value in state_dict["state"].items()}
         self.state = self.task.state_class(**fields)
         self._observation = state_dict["observation"].to(self.device).clone()
         self._chance.load_state_dict(state_dict)
         self._begins_here = True
 
-    # -- TorchRL's protocol -------------------------------------------------------------------------------------------
+    # -- TorchRL's protocol ----------------------------------------------------------------------------------
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         chosen = None if tensordict is None else tensordict.get("_reset", None)
         if chosen is not None:
             chosen = chosen.reshape(self.batch_size)
         if chosen is not None or not self._begins_here:
-            fresh = self._start((self.state.layout + 1) % len(self.bank))
+            fresh = self._start((self.state.layout + 1) % len(self.layouts))
             self.state = fresh if chosen is None else where(chosen, fresh, self.state)
             self._observation, _ = self.task.observe(self.state)
         self._begins_here = False
@@ -221,16 +238,20 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict["action"]
         if bool(((action < 0) | (action >= self.world.n_actions)).any()):
-            raise ValueError(f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}")
+            raise ValueError(
+                f"action={action.tolist()}; give whole numbers from 0 to {self.world.n_actions - 1}"
+            )
         self.state, outcome = self.task.step(self.state, action, self._rows(self._chance.step()))
         self._observation, self._begins_here = outcome.observation, False
         return self._tensordict(_leaves(outcome), self.state)
 
     @torch.no_grad()
     def step_and_maybe_reset(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, TensorDictBase]:
-        """One step of every row, and the start of the next episode where one ended, as TorchRL's own but in one go."""
+        """One step of every row, and the start of the next episode where one ended, as TorchRL's own but
+        in one go.
+        """
         later, (headings, first) = self._rows(self._chance.step()), self._draw_starts()
-        given = (tensordict.get("action"), headings, self.bank, *self._first_observations)
+        given = (tensordict.get("action"), headings, self.layouts, *self._first)
         found = self._advance(*self.state, *given, *(one for one in (later, first) if one is not None))
         bare = self.task.STATE
         after = N_LEAVES + len(bare._fields)
@@ -241,7 +262,8 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return tensordict, self.root()
 
     def compile(self) -> DroneEnv:
-        """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it too.
+        """Run the step of all rows as one compiled graph; TorchRL's own would trace the TensorDicts around it
+        too.
 
         The task is then that of the first step.
         """
@@ -254,24 +276,27 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         return self
 
     def _advance_rows(self, *tensors: Tensor) -> Sequence[Tensor]:
-        """State, action, start headings, bank, then first observations or draws -> the step's leaves, its state without
-        what it remembers, where to go on.
+        """State, action, start headings, layouts, then what is sensed first, and draws -> the step's leaves,
+        its state without what it remembers, where to go on.
         """
         kind = self.task.state_class
-        state, (action, heading, bank, *others) = kind(*tensors[: len(kind._fields)]), tensors[len(kind._fields) :]
+        state, (action, heading, layouts, *others) = (
+            kind(*tensors[: len(kind._fields)]),
+            tensors[len(kind._fields) :],
+        )
         later, first = others[-2:] if self.task.n_draws else (None, None)
-        task = self.task.with_bank(bank)
+        task = self.task.replace(layouts=layouts)
         final, outcome = task.step(state, action, later)
         done = outcome.terminated | outcome.truncated
-        following = final.layout + 1  # compared below: a remainder would divide for each number that is looked up
-        fresh = task.place(torch.where(following < bank.shape[0], following, 0), heading)
-        if task.remembers:
-            there = others[: len(self._first_observations)]
-            fresh = task.remember(fresh, first, *(one[fresh.layout] for one in there))
+        # compared below: a remainder would divide for each number that is looked up
+        following = final.layout + 1
+        following = torch.where(following < layouts.shape[0], following, 0)
+        known = others[: len(self._first)] if task.remembers else ()
+        fresh = task.start(following, heading, first, *known)
         state = where(done, fresh, final)
         if task.remembers:
             observation = task.recall(state)
-        elif self._first_observations:
+        elif self._first:
             observation = torch.where(done[..., None], others[0][fresh.layout], outcome.observation)
         else:
             observation, _ = task.observe(state)
@@ -292,4 +317,6 @@ def _leaves(outcome: Outcome) -> dict[str, Tensor]:
     """What TorchRL wants to know of a step, in its shapes and types."""
     terminated, truncated = outcome.terminated[..., None], outcome.truncated[..., None]
     reward = outcome.reward[..., None].float()
-    return dict(zip(LEAVES, (outcome.observation, reward, terminated | truncated, terminated, truncated), strict=True))
+    return dict(
+        zip(LEAVES, (outcome.observation, reward, terminated | truncated, terminated, truncated), strict=True)
+    )

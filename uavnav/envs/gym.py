@@ -1,7 +1,9 @@
-"""The world for Gymnasium: one drone (`DroneGymEnv`, in plain numbers) or a batch (`DroneVectorEnv`, in tensors).
+"""The world for Gymnasium: one drone (`DroneGymEnv`, in plain numbers) or a batch (`DroneVectorEnv`, in
+tensors).
 
-Both are registered as `uavnav/Drone-v0`: `gymnasium.make` returns the first, and `gymnasium.make_vec` the second. Other
-worlds have names of their own, such as `uavnav/Moving-v0`; every field of a world is a keyword: `speed_max=3.0`.
+Both are registered as `uavnav/Drone-v0`: `gymnasium.make` returns the first, and `gymnasium.make_vec` the
+second. Other worlds have names of their own, such as `uavnav/Moving-v0`; every field of a world is a keyword:
+`speed_max=3.0`.
 """
 
 from __future__ import annotations
@@ -22,12 +24,13 @@ from uavnav.envs import scalar
 from uavnav.envs.drawing import draw_state
 from uavnav.envs.env import MOST_ROWS
 from uavnav.errors import ConfigError, among, quoted, told
-from uavnav.tasks import seeding
-from uavnav.tasks.chance import Chance
 from uavnav.tasks.faults import NAMES, Faults
-from uavnav.tasks.simulator import Task, make_task
+from uavnav.tasks.seeding import Chance, places
 from uavnav.tasks.state import State, at, where
+from uavnav.tasks.table import make_task
+from uavnav.tasks.task import Task
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 
 Observation = np.ndarray[Any, np.dtype[np.floating[Any] | np.integer[Any]]]
 Info = dict[str, Any]
@@ -36,7 +39,9 @@ METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
 
 
 def observation_space(world: World, stack: int = 1) -> spaces.Box:
-    """A Box of what the drone senses: ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13), or a stack of such."""
+    """A Box of what the drone senses: ten triplets in [-1, 1] x [0, 1] x [0, 1], eq. (13), or a stack of
+    such.
+    """
     low = np.tile(np.array(world.observation_low, dtype=np.float32), stack)
     return spaces.Box(low, np.ones_like(low), dtype=np.float32)
 
@@ -46,21 +51,23 @@ def _task(
     world: World | None,
     reward: str | None,
     max_steps: int | None,
-    task: str | Task,
+    task: str | Task | WrappedTask,
     stack: int,
     faults: Faults | Mapping[str, Any] | None,
     fields: Mapping[str, Any],
-) -> Task:
+) -> WrappedTask:
     """The task of an environment, on the CPU, from its keywords; fields: of its world, and of its faults."""
-    if fields and isinstance(task, Task):
+    if fields and not isinstance(task, str):
         raise ValueError(f"{next(iter(fields))}=...: a whole task has a world; give no fields beside it")
     own = {name: value for name, value in fields.items() if name in NAMES}
     if own:
         faults = {**(faults.model_dump() if isinstance(faults, Faults) else faults or {}), **own}
         fields = {name: value for name, value in fields.items() if name not in own}
-    given = {**(world.model_dump() if isinstance(world, World) else world or {}), **fields} if fields else world
+    given = (
+        {**(world.model_dump() if isinstance(world, World) else world or {}), **fields} if fields else world
+    )
     whole = make_task(layouts, given, reward, max_steps, task, stack, faults)
-    return whole.with_bank(whole.bank.cpu())
+    return whole.replace(layouts=whole.layouts.cpu())
 
 
 def _options(options: Any) -> Mapping[str, Any]:
@@ -74,7 +81,7 @@ def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any,
     """The layouts given to `reset`: one index, or one index per row of `shape`.
 
     Raises:
-        ValueError: an index is not in the bank.
+        ValueError: an index is not in the split.
     """
     try:
         long = isinstance(layout, range) and (len(layout),) != shape
@@ -90,7 +97,7 @@ def pick(layout: Any, shape: tuple[int, ...], n_layouts: int) -> np.ndarray[Any,
 class _Surroundings:
     """What is around the drone now; of a batch, with the axis of its rows in front."""
 
-    task: Task
+    task: WrappedTask
 
     def _now(self) -> State:
         raise NotImplementedError
@@ -98,12 +105,12 @@ class _Surroundings:
     @property
     def obstacles(self) -> np.ndarray[Any, Any]:
         """The obstacles as they are now: [k, 3] of (x, y, radius) px."""
-        return self.task.obstacles(self._now()).numpy().copy()  # where they stand still, the bank's own
+        return self.task.task.obstacles(self._now()).numpy().copy()  # where they stand still, the split's own
 
     @property
     def velocities(self) -> np.ndarray[Any, Any]:
         """Where they move: [k, 2] px a step."""
-        return self.task.velocities(self._now()).numpy().copy()
+        return self.task.task.velocities(self._now()).numpy().copy()
 
 
 class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
@@ -112,23 +119,25 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
     Action:
         Discrete(100): ten turns times ten distances, eqs (11) and (12).
     Observation:
-        Box of 30 float32: ten triplets (right, forward, proximity), eq. (13); of `stack` such, the newest first.
+        Box of 30 float32: ten triplets (right, forward, proximity), eq. (13); of `stack` such, the newest
+            first.
     Reward:
         Eq. (14), or another variant of `uavnav.rewards`.
     Start:
-        The centre of the window, heading up. `reset(seed=...)` chooses the first layout of the bank, every later reset
-        takes the next layout, and `reset(options={"layout": 3})` takes layout 3.
+        The centre of the window, heading up. `reset(seed=...)` chooses the first layout of the split, every
+        later reset takes the next layout, and `reset(options={"layout": 3})` takes layout 3.
     End:
-        `terminated`: the drone touched an obstacle or the border, or reached its goal. `truncated`: `max_steps` was
-        reached.
+        `terminated`: the drone touched an obstacle or the border, or reached its goal. `truncated`:
+        `max_steps` was reached.
     Info:
-        layout (index), x, y (px), heading (degrees), clearance (px to the nearest obstacle or border square); and what
-        the task adds (`Task.info`).
+        layout (index), x, y (px), heading (degrees), clearance (px to the nearest obstacle or border square);
+        and what the task adds (`Task.info`).
 
-    `fields` are those of the task's world. `obstacles` [k, 3] px and `velocities` [k, 2] px a step are those of now.
+    `fields` are those of the task's world. `obstacles` [k, 3] px and `velocities` [k, 2] px a step are those
+    of now.
 
     Raises:
-        LayoutError, ValueError: a bad bank, reward, cap, layout or action.
+        LayoutError, ValueError: a bad layout file, reward, time limit, layout or action.
     """
 
     metadata = METADATA
@@ -140,7 +149,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         max_steps: int | None = None,
         reward: str | None = None,
         render_mode: str | None = None,
-        task: str | Task = "drone",
+        task: str | Task | WrappedTask = "drone",
         stack: int = 1,
         faults: Faults | Mapping[str, Any] | None = None,
         **fields: Any,
@@ -148,27 +157,29 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         if render_mode is not None and not among(render_mode, METADATA["render_modes"]):
             raise ValueError(f"render_mode={quoted(render_mode)}; choose None or rgb_array")
         self.task = _task(layouts, world, reward, max_steps, task, stack, faults, fields)
-        self.world, self.bank = self.task.world, self.task.bank
+        self.world, self.layouts = self.task.world, self.task.layouts
         self.render_mode = render_mode
         self.observation_space = observation_space(self.world, self.task.stack)
         self.action_space = spaces.Discrete(self.world.n_actions)
-        self._flight = scalar.fly(self.task)
+        self._episode = scalar.fly(self.task)
         self._layout: int | None = None  # of the present episode
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Info]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, Info]:
         chosen = _options(options).get("layout")
         if chosen is not None:
-            chosen = int(pick(chosen, (), len(self.bank)))
+            chosen = int(pick(chosen, (), len(self.layouts)))
         super().reset(seed=seed)
         if seed is not None or self._layout is None:
             seeds = [int(self.np_random.integers(2**31)) if seed is None else seed]
             self._chance = Chance(self.task, seeds, 1)
-            following = int(seeding.places(seeds, 1, len(self.bank), "cpu"))
+            following = int(places(seeds, 1, len(self.layouts), "cpu"))
         else:
-            following = (self._layout + 1) % len(self.bank)
+            following = (self._layout + 1) % len(self.layouts)
         self._layout = following if chosen is None else chosen
         heading, draws = self._chance.start()
-        return self._flight.start(self._layout, int(heading), draws), self._info()
+        return self._episode.start(self._layout, int(heading), draws), self._info()
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, Info]:
         if self._layout is None:
@@ -178,11 +189,15 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         except (TypeError, ValueError):
             index = -1
         if not 0 <= index < self.world.n_actions:
-            raise ValueError(f"action={told(action)}; give a whole number from 0 to {self.world.n_actions - 1}")
-        return *self._flight.step(index, self._chance.step()), self._info()
+            raise ValueError(
+                f"action={told(action)}; give a whole number from 0 to {self.world.n_actions - 1}"
+            )
+        return *self._episode.step(index, self._chance.step()), self._info()
 
     def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
-        """The picture of the current state, with `render_mode="rgb_array"`: [600, 800, 3], in 3D [600, 1608, 3]."""
+        """The picture of the current state, with `render_mode="rgb_array"`: [600, 800, 3], in 3D [600,
+        1608, 3].
+        """
         if self.render_mode is None:
             gymnasium.logger.warn('render() shows nothing without render_mode="rgb_array"')
             return None
@@ -193,19 +208,21 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
     def _now(self) -> State:
         if self._layout is None:
             raise gymnasium.error.ResetNeeded("call reset() first")
-        return self._flight.state
+        return self._episode.state
 
     def _info(self) -> Info:
-        return self._flight.info() | {"clearance": self._flight.clearance}
+        return self._episode.info() | {"clearance": self._episode.clearance}
 
 
 class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dtype[np.int64]], Any]):
-    """A batch of drones, each as in `DroneGymEnv`; when an episode ends, the next one starts in the same step.
+    """A batch of drones, each as in `DroneGymEnv`; when an episode ends, the next one starts in the same
+    step.
 
-    `reset(seed=s)` makes the rows the parallel environments of seed s, each with its own first layout; a list gives
-    each row its own seed. `reset(options={"layout": ...})` takes one index, or one index per row. When an episode ends,
-    `step` returns the next episode's first observation, and `final_obs` and `final_info` of the info describe the last
-    state of the ended episode. `obstacles` and `velocities` have an axis more than one drone's: [num_envs, k, 3 or 2].
+    `reset(seed=s)` makes the rows the parallel environments of seed s, each with its own first layout; a list
+    gives each row its own seed. `reset(options={"layout": ...})` takes one index, or one index per row. When
+    an episode ends, `step` returns the next episode's first observation, and `final_obs` and `final_info` of
+    the info describe the last state of the ended episode. `obstacles` and `velocities` have an axis more than
+    one drone's: [num_envs, k, 3 or 2].
     """
 
     metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}
@@ -218,7 +235,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
         max_steps: int | None = None,
         reward: str | None = None,
         render_mode: str | None = None,
-        task: str | Task = "drone",
+        task: str | Task | WrappedTask = "drone",
         stack: int = 1,
         faults: Faults | Mapping[str, Any] | None = None,
         **fields: Any,
@@ -245,18 +262,24 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
     ) -> tuple[Observation, Info]:
         if isinstance(seed, Sequence):
             if len(seed) != self.num_envs:
-                raise ValueError(f"{len(seed)} seeds for {self.num_envs} environments; give one, or one for each")
-            draws = [int(self.np_random.integers(2**31)) if one is None else operator.index(one) for one in seed]
+                raise ValueError(
+                    f"{len(seed)} seeds for {self.num_envs} environments; give one, or one for each"
+                )
+            draws = [
+                int(self.np_random.integers(2**31)) if one is None else operator.index(one) for one in seed
+            ]
             if min(draws) < 0:
                 raise ValueError(f"seed={list(seed)}; give whole numbers of at least 0, or None")
             self._seed_rows(draws)
         elif seed is not None or not self._seeded:
             super().reset(seed=seed)
             self._seed_rows([int(self.np_random.integers(2**31)) if seed is None else seed])
-        following = self._first if self._state is None else (self._state.layout + 1) % len(self.task.bank)
+        following = self._first if self._state is None else (self._state.layout + 1) % len(self.task.layouts)
         layout = _options(options).get("layout")
         if layout is not None:
-            chosen = torch.as_tensor(pick(layout, (self.num_envs,), len(self.task.bank)), dtype=torch.int64)
+            chosen = torch.as_tensor(
+                pick(layout, (self.num_envs,), len(self.task.layouts)), dtype=torch.int64
+            )
             following = chosen.expand(self.num_envs).clone()
         self._state = self._start(following)
         observation, clearance = self.task.observe(self._state)
@@ -291,7 +314,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
             masks = {f"_{key}": ended.copy() for key in masked}
             info = {"final_obs": final_observations, "final_info": masked | masks}
             info |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
-            fresh = self._start((state.layout + 1) % len(self.task.bank))
+            fresh = self._start((state.layout + 1) % len(self.task.layouts))
             state = where(done, fresh, state)
             observation, clearance = self.task.observe(state)
         self._state = state
@@ -313,7 +336,7 @@ class DroneVectorEnv(_Surroundings, VectorEnv[Observation, np.ndarray[Any, np.dt
         """Choose every row's first layout: all rows share one seed, or each row has its own."""
         rows = self.num_envs // len(seeds)
         self._chance = Chance(self.task, seeds, rows)
-        self._first = seeding.places(seeds, rows, len(self.task.bank), "cpu").flatten()
+        self._first = places(seeds, rows, len(self.task.layouts), "cpu").flatten()
         self._seeded, self._state = True, None
 
     def _start(self, layout: Tensor) -> State:

@@ -1,7 +1,8 @@
-"""One drone in plain numbers: the same world as `dynamics`, `sensing` and `simulator`, without tensors.
+"""One drone in plain numbers: the same world as `dynamics`, `sensing` and `task`, without tensors.
 
-For a single row, tensor calls cost far more than the arithmetic (docs/benchmarks.md). Positions agree with the batch
-bit for bit, and observations up to rounding. Turns, distances, rewards, sines and cosines come from the batch.
+For a single row, tensor calls cost far more than the arithmetic (docs/benchmarks.md). Positions agree with
+the batch bit for bit, and observations up to rounding. Turns, distances, rewards, sines and cosines come from
+the batch.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ import torch
 from torch import Tensor
 
 from uavnav.tasks.dynamics import COSINE, SINE, decode
-from uavnav.tasks.goal import SCALE, GoalWorld
+from uavnav.tasks.goal import SCALE, Goal, GoalWorld
+from uavnav.tasks.moving import Moving
 from uavnav.tasks.rewards import BY_ACTION, REWARDS, Step, goal
 from uavnav.tasks.sensing import VIEW_TOLERANCE
-from uavnav.tasks.simulator import Goal, Moving, Task
 from uavnav.tasks.state import State
+from uavnav.tasks.task import Task
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 
 COSINES, SINES = COSINE.tolist(), SINE.tolist()
 Observation = np.ndarray[tuple[int], np.dtype[np.float32]]
@@ -28,35 +31,40 @@ Circles = Sequence[Sequence[float]]
 """Of each: x, y, radius [px]."""
 
 
-def fly(task: Task) -> Flight | BatchOfOne:
-    """A drone in plain numbers in a 2D world of the package, without memory, faults and sensed velocities, for a reward
-    of the table; else as a batch of one.
+def fly(task: WrappedTask) -> Episode | BatchOfOne:
+    """A drone in plain numbers in a 2D world of the package, without memory, faults and sensed velocities,
+    for a reward of the table; else as a batch of one.
     """
-    kind = {Task: Flight, Moving: AmongMoving, Goal: ToGoal}.get(type(task))
+    kind = {Task: Episode, Moving: AmongMoving, Goal: ToGoal}.get(type(task.task))
     earns = REWARDS[task.reward] in BY_ACTION or (kind is ToGoal and REWARDS[task.reward] is goal)
-    usual = not task.remembers and task.trained_reach is None and not getattr(task.world, "sense_velocity", False)
-    return kind(task) if kind is not None and earns and usual else BatchOfOne(task)
+    usual = (
+        not task.remembers and task.trained_reach is None and not getattr(task.world, "sense_velocity", False)
+    )
+    return kind(task.task) if kind is not None and earns and usual else BatchOfOne(task)
 
 
-class Flight:
-    """A drone among the obstacles of one set: `start`, then `step` until it is over. It needs no draws."""
+class Episode:
+    """A drone among the obstacles of one layout: `start`, then `step` until it is over. It needs no draws."""
 
     def __init__(self, task: Task) -> None:
         self.task, self.world, self.max_steps = task, task.world, task.max_steps
-        self._bank: list[Circles] = task.bank.tolist()
+        self._layouts: list[Circles] = task.layouts.tolist()
         action = torch.arange(self.world.n_actions)
         angle, distance = decode(action, self.world)
         self._angles, self._distances = angle.tolist(), distance.tolist()
-        nowhere = task.place(torch.zeros_like(action), torch.zeros_like(action))
-        collided = torch.tensor([[False], [True]])
-        far = torch.full_like(angle, 1.0 + getattr(self.world, "goal_radius", 0.0), dtype=torch.float64)  # from a goal
-        step = Step(nowhere, nowhere, action, angle, distance, collided, angle, angle, self.world, (far, far))
+        nowhere = task.start(torch.zeros_like(action), torch.zeros_like(action))
+        clearance = torch.tensor([[math.inf], [0.0]])
+        # from a goal
+        far = torch.full_like(angle, 1.0 + getattr(self.world, "goal_radius", 0.0), dtype=torch.float64)
+        step = Step(nowhere, nowhere, action, angle, distance, clearance, angle, self.world, (far, far))
         terms = REWARDS[task.reward](step).values()
         shape = 2, self.world.n_actions
         self._rewards = torch.stack([term.expand(shape) for term in terms]).sum(0).tolist()
 
     def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
-        """Put the drone at the start; layout: index in the bank; heading: whole degrees -> observation float32."""
+        """Put the drone at the start; layout: index in the split; heading: whole degrees -> observation
+        float32.
+        """
         self.layout, self.heading, self.steps = layout, heading, 0
         self.x, self.y = self.world.start
         return self._observe()
@@ -85,7 +93,7 @@ class Flight:
 
     def _circles(self) -> Circles:
         """The obstacles as they are now."""
-        return self._bank[self.layout]
+        return self._layouts[self.layout]
 
     def _observe(self) -> Observation:
         slots, self.clearance = sense(self.x, self.y, self.heading, self._circles(), self.world)
@@ -100,27 +108,27 @@ class Flight:
         return self._rewards[collided][action], collided
 
 
-class AmongMoving(Flight):
+class AmongMoving(Episode):
     """The same among circles that move as `moving.motion` says."""
 
     def _circles(self) -> Circles:
         width, height = self.world.width, self.world.height
         return [
             (_reflected(x + vx * self.steps, width), _reflected(y + vy * self.steps, height), radius)
-            for x, y, radius, vx, vy in self._bank[self.layout]
+            for x, y, radius, vx, vy in self._layouts[self.layout]
         ]
 
     def info(self) -> dict[str, float]:
         return super().info() | {"steps": self.steps}
 
 
-class ToGoal(Flight):
-    """The same with a goal, as `simulator.Goal` has it."""
+class ToGoal(Episode):
+    """The same with a goal, as `goal.Goal` has it."""
 
     world: GoalWorld
 
     def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
-        self.goal_x, self.goal_y, _ = self._bank[layout][-1]
+        self.goal_x, self.goal_y, _ = self._layouts[layout][-1]
         self.to_goal = 0.0
         return super().start(layout, heading, draws)
 
@@ -129,12 +137,16 @@ class ToGoal(Flight):
         return super().info() | {"goal_x": self.goal_x, "goal_y": self.goal_y, "succeeded": succeeded}
 
     def _circles(self) -> Circles:
-        return self._bank[self.layout][:-1]
+        return self._layouts[self.layout][:-1]
 
     def _ahead(self) -> list[float]:
         dx, dy = _float32(self.goal_x - self.x), _float32(self.goal_y - self.y)
         square = torch.tensor(_float32(dx * dx) + _float32(dy * dy))
-        self._before, self.to_goal = self.to_goal, torch.sqrt(square).item()  # torch's root is not that of `math`
+        # torch's root is not that of `math`
+        self._before, self.to_goal = (
+            self.to_goal,
+            torch.sqrt(square).item(),
+        )
         scale = 1 / self.to_goal if self.to_goal else 0.0
         cosine, sine = COSINES[self.heading], SINES[self.heading]
         right, forward = (dx * sine - dy * cosine) * scale, (dx * cosine + dy * sine) * scale
@@ -143,30 +155,32 @@ class ToGoal(Flight):
     def _judge(self, action: int, collided: bool) -> tuple[float, bool]:
         reward, there = self._rewards[collided][action], self.to_goal <= self.world.goal_radius
         if REWARDS[self.task.reward] is goal and not collided:  # beside what follows from the action
-            reward += self.world.goal_reward * there + self.world.reward_per_pixel * (self._before - self.to_goal)
+            reward += self.world.goal_reward * there + self.world.reward_per_pixel * (
+                self._before - self.to_goal
+            )
         return reward, collided or there
 
 
 class BatchOfOne:
     """The same of any task: its own functions on a batch without a shape."""
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: WrappedTask) -> None:
         self.task = task
 
     def start(self, layout: int, heading: int, draws: Tensor | None = None) -> Observation:
-        """As `Flight.start`; draws: of the task's n_draws numbers, where it needs some."""
+        """As `Episode.start`; draws: of the task's n_draws numbers, where it needs some."""
         state = self.task.start(torch.tensor(layout), torch.tensor(heading), _flat(draws))
         observation, clearance = self.task.observe(state)
         return self._keep(state, observation, clearance)
 
     def step(self, action: int, draws: Tensor | None = None) -> tuple[Observation, float, bool, bool]:
-        """As `Flight.step`; draws: as for `start`."""
+        """As `Episode.step`; draws: as for `start`."""
         state, outcome = self.task.step(self.state, torch.tensor(action), _flat(draws))
         observation = self._keep(state, outcome.observation, outcome.clearance)
         return observation, float(outcome.reward), bool(outcome.terminated), bool(outcome.truncated)
 
     def info(self) -> dict[str, float]:
-        """As `Flight.info`."""
+        """As `Episode.info`."""
         return {name: value.item() for name, value in self.task.info(self.state).items()}
 
     def _keep(self, state: State, observation: Tensor, clearance: Tensor) -> Observation:
@@ -232,7 +246,8 @@ def sense(x: float, y: float, heading: int, circles: Circles, world: World) -> t
 def _offsets_to_squares(x: float, y: float, world: World) -> list[tuple[float, float]]:
     """Offsets [px] to the nearest points of the border squares within the sensor's reach, and of a few more.
 
-    Index order: bottom and top row from left to right, then left and right column from bottom to top without corners.
+    Index order: bottom and top row from left to right, then left and right column from bottom to top without
+        corners.
     """
     side, reach, width, height = world.border, world.sensor_radius, world.width, world.height
     found = []

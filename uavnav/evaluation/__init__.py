@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,21 +21,23 @@ from uavnav.errors import ConfigError, told
 from uavnav.evaluation import episodes, values
 from uavnav.evaluation.repeats import Repeats
 from uavnav.runs import ARENA, BEHAVIOUR, EVALUATION, VALUES, Run
+from uavnav.runs.evaluations import Protocol as Protocol
 from uavnav.runs.metrics import EPISODE_COLUMNS
 from uavnav.runs.policies import Policy, by_mode, load_policies
 from uavnav.runs.tables import RunError, lock, write_table
 from uavnav.settings import Whole, checked
-from uavnav.tasks import layouts as banks
+from uavnav.tasks import layouts as splits
 from uavnav.tasks.baselines import AnyPolicy, suited
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.ladders import Measure, measure_of
 from uavnav.tasks.protocol import EPISODES as EPISODES
 from uavnav.tasks.protocol import MAX_STEPS as MAX_STEPS
-from uavnav.tasks.protocol import header as header
 from uavnav.tasks.rewards import BY_ACTION, REWARDS
-from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
 from uavnav.tasks.state import COUNTS, State, at
+from uavnav.tasks.table import EMPTY, TASKS, make_task
+from uavnav.tasks.task import Task
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 from uavnav.training import display, machine
 
 MOST_STEPS = 1_000_000
@@ -72,27 +73,29 @@ def evaluate_policy(
     faults: Faults | None = None,
     task: str | None = None,
 ) -> pd.DataFrame:
-    """One episode on each of the first layouts of a bank, each starting at the centre.
+    """One episode on each of the first layouts of a layout file, each starting at the centre.
 
     Args:
         policy: what `uavnav.load_policy` returns, or any callable of that form.
-        layouts: `train`, `validation`, `test`, a bank's path, or a tensor [n, k, 3].
+        layouts: `train`, `validation`, `test`, a layout file's path, or a tensor [n, k, 3].
         episodes: how many layouts, from the first.
-        max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no collision.
-            By default 10,000, or the task's own limit where that is lower.
+        max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no
+            collision. By default 10,000, or the task's own limit where that is lower.
         world: constants and switches; by default those that the policy was trained in, if it has any.
         reward: a name of `uavnav.rewards.REWARDS`; by default the policy's, or eq14.
-        seed: of the generator that the policy is given, and of what faults draw; also written into the column `seed`.
+        seed: of the generator that the policy is given, and of what faults draw; also written into the column
+            `seed`.
         faults: of its sensor and actuator; by default those that the policy was trained with, if it has any.
-        task: a name of `uavnav.simulator.TASKS`; by default the policy's, or the one that has such a world.
+        task: a name of `uavnav.tasks.table.TASKS`; by default the policy's, or the one that has such a world.
 
     Returns:
-        A row an episode, the columns of `metrics.EPISODE_COLUMNS` (`frame` is the step of its end, `env` its row).
+        A row an episode, the columns of `metrics.EPISODE_COLUMNS` (`frame` is the step of its end, `env` its
+        row).
 
     Raises:
-        LayoutError: the bank cannot be read.
-        ValueError: an unknown reward or task, more episodes than the bank has layouts, a count below 1, or a policy
-            that sees another number of numbers than there are in this world.
+        LayoutError: the split cannot be read.
+        ValueError: an unknown reward or task, more episodes than the split has layouts, a count below 1, or a
+            policy that sees another number of numbers than there are in this world.
     """
     if not callable(policy):
         raise ConfigError(f"policy={told(policy)}; give what load_policy returns, or a function of that form")
@@ -102,39 +105,46 @@ def evaluate_policy(
         of_world = next((name for name, kind in TASKS.items() if kind.WORLD is type(world)), "drone")
         name = of_world if task is None else task
         own = make_task(EMPTY, world, reward, task=name, stack=own.stack, faults=own.faults)
-    own = replace(own, world=own.world if world is None else world, reward=own.reward if reward is None else reward)
+    own = own.replace(
+        world=own.world if world is None else world, reward=own.reward if reward is None else reward
+    )
     if isinstance(policy, Policy) and own.observation_size != policy.task.observation_size:
         sees = f"the policy sees {policy.task.observation_size} numbers"
-        raise ValueError(f"{sees}, and this world has {own.observation_size}; give one that was trained there")
-    limit = own.cap(MAX_STEPS) if max_steps is None else max_steps
+        raise ValueError(
+            f"{sees}, and this world has {own.observation_size}; give one that was trained there"
+        )
+    limit = own.limit(MAX_STEPS) if max_steps is None else max_steps
     return fly({seed: suited(policy, own)}, on(own, layouts, episodes, limit, faults)).episodes
 
 
 def on(
-    task: Task,
+    task: WrappedTask,
     layouts: str | Path | Tensor = "test",
     episodes: int = EPISODES,
     max_steps: int = MAX_STEPS,
     faults: Faults | None = None,
-) -> Task:
-    """The task of an evaluation: the first layouts of a bank, a time limit, and these faults instead of its own.
+) -> WrappedTask:
+    """The task of an evaluation: the first layouts of a layout file, a time limit, and these faults instead
+    of its own.
 
     Raises:
-        LayoutError: the bank cannot be read.
-        ValueError: more episodes than the bank has layouts, or a count below 1.
+        LayoutError: the split cannot be read.
+        ValueError: more episodes than the split has layouts, or a count below 1.
     """
     if not isinstance(faults, Faults | None):
         raise ConfigError(f"faults={told(faults)}; give Faults, or None for the task's own")
     if not isinstance(episodes, int) or not isinstance(max_steps, int):
         raise ValueError(f"episodes={told(episodes)}, max_steps={told(max_steps)}; give whole numbers")
-    bank = banks.resolve(layouts, task.world)
-    check_bounds(episodes, max_steps, len(bank))
+    all_layouts = splits.resolve(layouts, task.world)
+    check_bounds(episodes, max_steps, len(all_layouts))
     own = task.faults if faults is None else faults
-    return replace(task, bank=bank[:episodes], max_steps=max_steps, faults=own)
+    return task.replace(layouts=all_layouts[:episodes], max_steps=max_steps, faults=own)
 
 
 def check_bounds(episodes: int, max_steps: int, most: int) -> None:
-    """Raise a ValueError for more episodes than a bank's layouts, which are `most`, or for a count below 1."""
+    """Raise a ValueError for more episodes than a split has layouts, which is `most`, or for a count below
+    1.
+    """
     if not 1 <= episodes <= most or not 1 <= max_steps <= MOST_STEPS:
         bounds = f"1 to {most} episodes of at least 1 step and at most {MOST_STEPS:,}"
         raise ValueError(f"episodes={told(episodes)}, max_steps={told(max_steps)}; give {bounds}")
@@ -142,16 +152,15 @@ def check_bounds(episodes: int, max_steps: int, most: int) -> None:
 
 def fly(
     population: Mapping[int, AnyPolicy],
-    task: Task,
+    task: WrappedTask,
     tell: Callable[[int, int], object] = lambda step, going: None,
     measure: Measure | None = None,
 ) -> Evaluation:
-    """Evaluate one policy a seed on every layout of the task's bank, all episodes in one batch.
+    """Evaluate one policy a seed on every layout of the task, all episodes in one batch.
 
     `tell` is called after each step with its number and how many episodes go on. What `measure`, or the
-    task's own,
-    gives of each step is added up over an episode: a column more for each. Episodes that go round for ever
-    are counted to the time limit (`uavnav.evaluation.repeats`).
+    task's own, gives of each step is added up over an episode: a column more for each. Episodes that go round
+    for ever are counted to the time limit (`uavnav.evaluation.repeats`).
     """
     left = fly_modes({"": population}, task, tell, measure)
     return Evaluation(*(table.drop(columns="mode") for table in left))
@@ -159,7 +168,7 @@ def fly(
 
 def fly_modes(
     modes: Mapping[str, Mapping[int, AnyPolicy]],
-    task: Task,
+    task: WrappedTask,
     tell: Callable[[int, int], object] = lambda step, going: None,
     measure: Measure | None = None,
     heading: Tensor | None = None,
@@ -173,7 +182,7 @@ def fly_modes(
     measure, start = measure or task.measure, episodes.start(task, seeds, heading)
     sums = {name: torch.zeros_like(one) for name, one in measure(start, start).items()}
     goes_round = torch.tensor([not sums and _repeatable(policy, task) for _, policy in policies])
-    repeats = Repeats(goes_round.repeat_interleave(len(task.bank)), task.max_steps or 0, WATCHED_STEPS)
+    repeats = Repeats(goes_round.repeat_interleave(len(task.layouts)), task.max_steps or 0, WATCHED_STEPS)
     ended: list[dict[str, Tensor]] = []
     watched: list[dict[str, Tensor]] = []
     for step in episodes.steps(policies, task, heading):
@@ -190,11 +199,11 @@ def fly_modes(
             ended.append(_end(*counted, torch.zeros(len(counted[0]), dtype=torch.bool)))
         tell(step.number, int((~step.ended).sum()))
     names = [mode for mode, population in modes.items() for _ in population]
-    who = pd.DataFrame({"seed": seeds, "mode": names}).loc[np.arange(len(policies)).repeat(len(task.bank))]
+    who = pd.DataFrame({"seed": seeds, "mode": names}).loc[np.arange(len(policies)).repeat(len(task.layouts))]
     return Evaluation(_table(ended, who, EPISODE_COLUMNS), _table(watched, who, BEHAVIOUR_COLUMNS))
 
 
-def _repeatable(policy: AnyPolicy, task: Task) -> bool:
+def _repeatable(policy: AnyPolicy, task: WrappedTask) -> bool:
     """Whether the same pose is always followed by the same steps and rewards."""
     greedy = isinstance(policy, Policy) and policy.greedy
     return greedy and task.STATIC and not task.remembers and REWARDS[task.reward] in BY_ACTION
@@ -231,7 +240,7 @@ def in_empty_arena(modes: Mapping[str, Mapping[int, Policy]], steps: int = WATCH
         ValueError: steps is below 1.
     """
     first = next(iter(next(iter(modes.values())).values()))
-    task = replace(first.task, bank=EMPTY_ARENA, max_steps=steps)
+    task = first.task.replace(layouts=EMPTY_ARENA, max_steps=steps)
     return fly_modes(modes, task, heading=torch.tensor(HEADINGS)).behaviour
 
 
@@ -243,7 +252,8 @@ def evaluate_run(
     quiet: bool = False,
     faults: Faults | None = None,
 ) -> pd.DataFrame:
-    """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder (see `files_of`).
+    """Evaluate every seed of a run, greedy and sampled, and keep the rows in its folder (see
+    `Protocol.file`).
 
     Training's generators play no part, and nothing else in the folder changes. On a terminal a bar shows how
     far it is, unless it is `quiet`. Faults are those that the run was trained with, unless others are given.
@@ -254,17 +264,19 @@ def evaluate_run(
         protocol.
 
     Raises:
-        LayoutError, PolicyError, RunError: the bank or the run's policy cannot be read, or its folder not be written.
+        LayoutError, PolicyError, RunError: the split or the run's policy cannot be read, or its folder not be
+            written.
     """
     if not isinstance(run, Run):
         raise RunError(f"run={told(run)}; give a Run")
     checked("quiet", quiet, bool)
     modes = by_mode(load_policies(run.path, run.seeds))
     own = modes["greedy"][run.seeds[0]].task
-    max_steps = own.cap(MAX_STEPS) if max_steps is None else max_steps
+    max_steps = own.limit(MAX_STEPS) if max_steps is None else max_steps
     task = on(own, layouts, episodes, max_steps, faults)
-    rows_file, behaviour_file = files_of(layouts, episodes, max_steps, faults)
-    usual = type(task) is Task and rows_file == EVALUATION
+    protocol = Protocol(layouts, episodes, max_steps, faults)
+    rows_file, behaviour_file = (protocol.file(Path(name).stem) for name in (EVALUATION, BEHAVIOUR))
+    usual = type(task.task) is Task and rows_file == EVALUATION
 
     def fly_seeds(
         seeds: Sequence[int], tell: Callable[[int, int], object] = lambda step, going: None
@@ -272,7 +284,12 @@ def evaluate_run(
         own = {mode: {seed: population[seed] for seed in seeds} for mode, population in modes.items()}
         rows, behaviour = fly_modes(own, task, tell, measure_of(layouts))
         beside = _beside(run, own) if usual else {}
-        return {**beside, behaviour_file: behaviour, rows_file: rows}  # rows last: who finds them has the others too
+        # rows last: who finds them has the others too
+        return {
+            **beside,
+            behaviour_file: behaviour,
+            rows_file: rows,
+        }
 
     here, there = run.seeds, []
     n = episodes * len(modes)
@@ -280,19 +297,25 @@ def evaluate_run(
         here, there = run.seeds[::2], run.seeds[1::2]
     what = f"{run.algorithm} {run.config['activation']}" + ", half of the seeds" * bool(there)
     fork = machine.forked(lambda: fly_seeds(there)) if there else contextlib.nullcontext(dict)
-    with machine.use_threads(1), fork as others, display.flights(what, n * len(here), max_steps, quiet) as tell:
+    with (
+        machine.use_threads(1),
+        fork as others,
+        display.episodes(what, n * len(here), max_steps, quiet) as tell,
+    ):
         halves = [half for half in (fly_seeds(here, tell), others()) if half]
-    tables = {name: _in_order([half[name] for half in halves]) for name in halves[0]}
+    tables = {name: together([half[name] for half in halves]) for name in halves[0]}
     with lock(run.path):
         for name, table in tables.items():
             if name in (rows_file, behaviour_file):
-                table.attrs = header(layouts, episodes, max_steps, faults)
+                table.attrs = protocol.header()
             write_table(run.path / name, table)
     return tables[rows_file]
 
 
-def _in_order(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Rows by mode, seed and layout, the steps of an episode as they are."""
+def together(parts: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Tables of some seeds each as one of all: by mode, seed and layout, the steps of an episode as they
+    are.
+    """
     by = [name for name in ("mode", "seed", "layout") if name in parts[0]]
     return pd.concat(parts).sort_values(by, kind="stable", ignore_index=True)
 
@@ -303,33 +326,6 @@ def _beside(run: Run, modes: Mapping[str, Mapping[int, Policy]]) -> dict[str, pd
     if ALGORITHMS[run.algorithm].shown == "Q value":
         found[VALUES] = values.overestimation(modes["greedy"], run.config["gamma"])
     return found
-
-
-def usual_files(run: Run) -> tuple[str, str]:
-    """The same of the protocol that a run is evaluated by if nothing else is said."""
-    return files_of("test", EPISODES, TASKS.get(run.config.get("task", "drone"), Task).cap(MAX_STEPS))
-
-
-def files_of(layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None) -> tuple[str, str]:
-    """The files of rows and of behaviour of a protocol, in a run's folder.
-
-    `evaluation.parquet` is for 200 test sets and 10,000 steps alone, with the faults of training; another
-    protocol has a file of its own, such as `evaluation-test-10-500.parquet`, or
-    `evaluation-test-200-10000-noise=5.parquet`.
-    """
-    own = f"{protocol_name(layouts, episodes, max_steps, faults)}.parquet"
-    return EVALUATION.replace(".parquet", own), BEHAVIOUR.replace(".parquet", own)
-
-
-def protocol_name(
-    layouts: str | Path, episodes: int, max_steps: int, faults: Faults | None = None, task: str = "drone"
-) -> str:
-    """What a file's name says of a protocol, so that none replaces another's: nothing for 200 test sets of the paper's
-    task and 10,000 steps, or such as `-test-10-500` and `-moving-test-200-10000-noise=5`."""
-    if (str(layouts), episodes, max_steps, faults, task) == ("test", EPISODES, MAX_STEPS, None, "drone"):
-        return ""
-    parts = (*[task] * (task != "drone"), banks.name_of(layouts), episodes, max_steps, *[faults] * (faults is not None))
-    return "".join(f"-{part}" for part in parts)
 
 
 def rows_across(ladder: str, episodes: int, max_steps: int) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +26,8 @@ from uavnav.runs.tables import RunError, lock, records, write_table
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, chosen_among, suited
 from uavnav.tasks.ladders import LADDERS, Ladder, Measure
 from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
-from uavnav.tasks.simulator import EMPTY, Task, make_task
+from uavnav.tasks.table import EMPTY, make_task
+from uavnav.tasks.wrapper import WrappedTask
 from uavnav.training import display, machine
 
 
@@ -39,19 +39,22 @@ class Flyer(NamedTuple):
     run: Run | None = None
 
     @property
-    def task(self) -> Task | None:
+    def task(self) -> WrappedTask | None:
         """What it was trained in, the same for all of its policies; None of a scripted policy."""
         first = next(iter(next(iter(self.modes.values())).values()))
         return first.task if isinstance(first, Policy) else None
 
-    def fly(self, task: Task, where: str, quiet: bool, measure: Measure | None) -> pd.DataFrame:
+    def fly(self, task: WrappedTask, where: str, quiet: bool, measure: Measure | None) -> pd.DataFrame:
         """A row an episode in a task, with its mode; where: the task's name for a bar."""
         modes = {
             mode: {seed: suited(policy, task) for seed, policy in population.items()}
             for mode, population in self.modes.items()
         }
-        n = len(task.bank) * sum(map(len, modes.values()))
-        with machine.use_threads(1), display.flights(f"{self.name}, {where}", n, task.max_steps or 0, quiet) as tell:
+        n = len(task.layouts) * sum(map(len, modes.values()))
+        with (
+            machine.use_threads(1),
+            display.episodes(f"{self.name}, {where}", n, task.max_steps or 0, quiet) as tell,
+        ):
             return fly_modes(modes, task, tell, measure).episodes
 
 
@@ -66,7 +69,7 @@ def climb(
     episodes: int,
     max_steps: int = ACROSS_STEPS,
     quiet: bool = True,
-    scripted: Task | None = None,
+    scripted: WrappedTask | None = None,
 ) -> pd.DataFrame:
     """Fly every rung of a ladder on its first test layouts.
 
@@ -78,8 +81,10 @@ def climb(
     own = who.task or scripted or make_task(EMPTY)
     parts = []
     for rung in ladder.rungs:
-        task = ladder.task(replace(own, max_steps=max_steps), rung, "test")
-        rows = who.fly(task.with_bank(task.bank[:episodes]), f"{ladder.words} {rung:g}", quiet, ladder.measure)
+        task = ladder.task(own.replace(max_steps=max_steps), rung, "test")
+        rows = who.fly(
+            task.replace(layouts=task.layouts[:episodes]), f"{ladder.words} {rung:g}", quiet, ladder.measure
+        )
         parts.append(rows.assign(rung=float(rung)))
     return pd.concat(parts, ignore_index=True)
 
@@ -92,7 +97,7 @@ def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung") -> pd.DataFrame:
     found = []
     for name, table in rows.items():
         for (mode, rung), own in table.groupby(["mode", by], sort=False):
-            for measure, values in metrics.of_flights(own).items():
+            for measure, values in metrics.of_episodes(own).items():
                 one = stats.interval(values.dropna().to_numpy())
                 found.append([name, mode, rung, measure, one.n, one.value, one.low, one.high])
     columns = ["name", "mode", by, "measure", "n", "value", "low", "high"]
@@ -108,7 +113,9 @@ def draw(table: pd.DataFrame, ladder: Ladder, width: float = style.WIDTH) -> sty
     panels = figure.subplots(len(measures), 1, sharex=True)
     names = list(dict.fromkeys(mine["name"]))
     learned = [name for name in names if name not in BASELINES]
-    colours = dict(zip(learned, itertools.cycle([*style.COLOURS.values(), *style.OTHER_COLOURS]), strict=False))
+    colours = dict(
+        zip(learned, itertools.cycle([*style.COLOURS.values(), *style.OTHER_COLOURS]), strict=False)
+    )
     lines = dict(zip(BASELINES, (":", "-.", "--"), strict=True))
     for axes, measure in zip(panels, measures, strict=True):
         for name, own in mine[mine["measure"] == measure].groupby("name", sort=False):
@@ -125,7 +132,7 @@ def draw(table: pd.DataFrame, ladder: Ladder, width: float = style.WIDTH) -> sty
         f"{name}: {' to '.join(style.number(value) for value in own['value'])}"
         for name, own in rewards.groupby("name", sort=False)
     )
-    return style.Drawn(figure, f"Reward per flight from {first:g} to {last:g} of {ladder.words}: {told}.")
+    return style.Drawn(figure, f"Reward per episode from {first:g} to {last:g} of {ladder.words}: {told}.")
 
 
 def shown(table: pd.DataFrame, name: str) -> Table:
@@ -145,7 +152,7 @@ def shown(table: pd.DataFrame, name: str) -> Table:
 
 def in_words(measure: str) -> str:
     """A measure with its unit."""
-    return metrics.FLIGHTS.get(measure) or metrics.OWN[measure].label
+    return metrics.PER_EPISODE.get(measure) or metrics.OWN[measure].label
 
 
 def _number(value: float) -> str:
@@ -175,37 +182,42 @@ def across(
         What the tables show, for JSON.
 
     Raises:
-        LayoutError, PolicyError: a bank or a policy cannot be read.
+        LayoutError, PolicyError: a layout file or a policy cannot be read.
         RunError: a file cannot be written, or no ladder is left.
-        ValueError: a count below 1, or more layouts than a bank has.
+        ValueError: a count below 1, or more layouts than a layout file has.
     """
     if alone:
         acting = [{mode: own for mode, own in one.modes.items() if mode != "greedy"} for one in flyers]
         flyers = [one._replace(modes=modes) for one, modes in zip(flyers, acting, strict=True)]
     trained_in = next((one.task for one in flyers if one.task is not None), None)
-    scripted = make_task(EMPTY, task=task) if trained_in is None else replace(trained_in, stack=1)
+    scripted = make_task(EMPTY, task=task) if trained_in is None else trained_in.replace(stack=1)
     check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, SPLITS["test"].n)
     folder = out or next((one.run.path for one in flyers if one.run is not None), Path())
     check_out(folder / "across.svg")
     tasks = {one.name: one.task or scripted for one in flyers}
-    unfit = {name: [who for who, own in tasks.items() if not ladder.fits(own)] for name, ladder in LADDERS.items()}
+    unfit = {
+        name: [who for who, own in tasks.items() if not ladder.fits(own)] for name, ladder in LADDERS.items()
+    }
     fit = ", ".join(name for name in LADDERS if not unfit[name])
     climbed = [name for name in names if not unfit[name]]
     if not climbed:
         raise RunError(f"--across {' '.join(names)}: no ladder of these worlds; give some of {fit}")
     for name in names:
         if name not in climbed:
-            tell(f"left out: the ladder {name}, which the world of {', '.join(unfit[name])} does not have; {fit} fit")
+            tell(
+                f"left out: the ladder {name}, which the world of {', '.join(unfit[name])} does not have; "
+                f"{fit} fit"
+            )
     turns, distances = chosen_among(scripted.world)
     if not alone and (scripted.world.n_turns, scripted.world.n_distances) != (turns, distances):
         tell(f"left out: the scripts, which choose among {turns} turns and {distances} distances")
     elif not alone:
         beside = [name for name in BASELINES if name not in tasks]
         flyers = [*flyers, *(Flyer(name, {"scripted": {0: BASELINES[name]}}) for name in beside)]
-    limits = {one.name: max_steps or (one.task or scripted).cap(ACROSS_STEPS) for one in flyers}
+    limits = {one.name: max_steps or (one.task or scripted).limit(ACROSS_STEPS) for one in flyers}
     if len(set(limits.values())) > 1:
         each = ", ".join(f"{name} {limit:,}" for name, limit in limits.items())
-        tell(f"caps on steps differ ({each}); --max-steps gives all the same")
+        tell(f"time limits differ ({each}); --max-steps gives all the same")
     folder.mkdir(parents=True, exist_ok=True)
     told: list[dict[str, Any]] = []
     for name in climbed:
@@ -221,7 +233,9 @@ def across(
         if not quiet:
             summary.show(shown(table, name))
         if not alone:
-            path = save(draw(table, LADDERS[name]), folder / rows_across(name, episodes, max(limits.values())))
+            path = save(
+                draw(table, LADDERS[name]), folder / rows_across(name, episodes, max(limits.values()))
+            )
             if not quiet:
                 print(f"the figure is {path}", flush=True)
         told += [{"ladder": name, **one} for one in records(table)]

@@ -59,10 +59,18 @@ class Policies:
         return torch.cat(actions).long(), torch.cat(values) if len(values) == len(actions) else None
 
     def _check(self, action: Tensor, n: int) -> None:
-        fits = isinstance(action, Tensor) and action.shape == (n,) and action.dtype in (torch.int64, torch.int32)
+        fits = (
+            isinstance(action, Tensor) and action.shape == (n,) and action.dtype in (torch.int64, torch.int32)
+        )
         if not fits or not 0 <= int(action.min()) <= int(action.max()) < self._n_actions:
-            shown = f"{action.dtype} {list(action.shape)}" if isinstance(action, Tensor) and not fits else repr(action)
-            raise ValueError(f"a policy chose {shown}; it must give int64 [{n}] from 0 to {self._n_actions - 1}")
+            shown = (
+                f"{action.dtype} {list(action.shape)}"
+                if isinstance(action, Tensor) and not fits
+                else repr(action)
+            )
+            raise ValueError(
+                f"a policy chose {shown}; it must give int64 [{n}] from 0 to {self._n_actions - 1}"
+            )
 
 
 class Agents:
@@ -93,7 +101,9 @@ class Agents:
         up = [agent for agent, size in enumerate(sizes) if size]
         if up != self._up:
             networks = [self._policies[agent].network for agent in up]
-            self._network = replace(self._policies[0], network=stacked(networks) if len(up) > 1 else networks[0])
+            self._network = replace(
+                self._policies[0], network=stacked(networks) if len(up) > 1 else networks[0]
+            )
             self._up = up
         n = torch.tensor(sizes)[up, None]
         column = torch.arange(max(LEAST_ROWS, *sizes))
@@ -122,7 +132,9 @@ class Alone:
 
 
 def _kind_of_network(policy: AnyPolicy) -> tuple[object, ...] | None:
-    """What policies have in common that can be one network; nothing of another kind is equal. None of a script."""
+    """What policies have in common that can be one network; nothing of another kind is equal. None of a
+    script.
+    """
     return (made_of(policy.network) or object(), policy.head) if isinstance(policy, Policy) else None
 
 

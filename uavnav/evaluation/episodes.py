@@ -1,6 +1,6 @@
 """One loop for all episodes that are not training: evaluations, replays and films see the same ones.
 
-Each policy has one episode on each layout of the task's bank. It does not depend on who else is there. The
+Each policy has one episode on each layout of the task. It does not depend on who else is there. The
 number of episodes and the time limit decide when the step is compiled, which rounds otherwise. What faults
 draw follows from the policy's seed, the layout and the step. Letters: F episodes that go on, P places of a
 batch, which also holds some that have ended.
@@ -18,10 +18,10 @@ from torch import Tensor
 from uavnav import graph
 from uavnav.evaluation.agents import Policies, Seeded
 from uavnav.runs.policies import Policy
-from uavnav.tasks import memory
 from uavnav.tasks.seeding import Streams, stream
-from uavnav.tasks.simulator import Outcome, Task
 from uavnav.tasks.state import UP, State, at
+from uavnav.tasks.task import Outcome
+from uavnav.tasks.wrapper import WrappedTask
 from uavnav.training import machine
 
 CHUNK = 256
@@ -52,29 +52,33 @@ class Transition(NamedTuple):
         return Outcome(*(field[self.place] for field in self.outcomes))
 
 
-def headings(task: Task, n: int) -> Tensor:
+def headings(task: WrappedTask, n: int) -> Tensor:
     """Start headings on the first n layouts [n] whole degrees; random ones belong to the layout."""
     if task.world.start_heading == "up":
         return torch.full((n,), UP)
     return torch.randint(360, (n,), generator=stream(0, "headings in evaluation"))
 
 
-def start(task: Task, seeds: Sequence[int] = (0,), heading: Tensor | None = None) -> State:
+def start(task: WrappedTask, seeds: Sequence[int] = (0,), heading: Tensor | None = None) -> State:
     """Where the episodes of policies with these seeds begin, each on every layout: [policies x layouts]."""
-    n = len(task.bank)
+    n = len(task.layouts)
     heading = headings(task, n) if heading is None else heading
     layout = torch.arange(n).repeat(len(seeds))
-    return task.start(layout, heading.repeat(len(seeds)), next(_draws(task, seeds, "first faults in evaluation")))
+    return task.start(
+        layout, heading.repeat(len(seeds)), next(_draws(task, seeds, "first faults in evaluation"))
+    )
 
 
-def _draws(task: Task, seeds: Sequence[int], purpose: str) -> Iterator[Tensor | None]:
+def _draws(task: WrappedTask, seeds: Sequence[int], purpose: str) -> Iterator[Tensor | None]:
     """Step by step, what the episodes of policies need for faults: [policies x layouts, n_draws], or None."""
     streams = Streams(seeds, purpose)
     while True:
-        yield streams.draw(task.draw, len(task.bank), device="cpu").flatten(0, 1) if task.n_draws else None
+        yield streams.draw(task.draw, len(task.layouts), device="cpu").flatten(0, 1) if task.n_draws else None
 
 
-def steps(policies: Sequence[Seeded], task: Task, heading: Tensor | None = None) -> Iterator[Transition]:
+def steps(
+    policies: Sequence[Seeded], task: WrappedTask, heading: Tensor | None = None
+) -> Iterator[Transition]:
     """Step until every episode has ended by a collision or at the time limit, or the caller has seen enough.
 
     Set `ended` of an episode, and it goes no further.
@@ -88,20 +92,24 @@ def steps(policies: Sequence[Seeded], task: Task, heading: Tensor | None = None)
     state, draws = start(task, seeds, heading), _draws(task, seeds, "faults in evaluation")
     acting = Policies(policies, task.world.n_actions)
     episode = place = torch.arange(len(state.x))
-    sizes = [len(task.bank)] * len(policies)
+    sizes = [len(task.layouts)] * len(policies)
     compiled = False
-    compiles_at = 1 if task.max_steps and len(episode) * task.max_steps >= machine.MANY else machine.EAGER_STEPS
+    compiles_at = (
+        1 if task.max_steps and len(episode) * task.max_steps >= machine.MANY else machine.EAGER_STEPS
+    )
     observation, _ = task.observe(state)
     for number, drawn in enumerate(draws, 1):
         with torch.no_grad():
             seen = observation if len(place) == len(observation) else observation[place]
             action, values = acting.act(seen, sizes)
-            if not compiled and number == compiles_at and machine.flights(task.max_steps):
+            if not compiled and number == compiles_at and machine.episodes(task.max_steps):
                 state, compiled = _padded(state), True
             before, own = state, None if drawn is None else drawn[episode]
-            state, outcome = _advance(task, state, place, action, own) if compiled else task.step(state, action, own)
+            state, outcome = (
+                _advance(task, state, place, action, own) if compiled else task.step(state, action, own)
+            )
             if task.remembers:
-                action = memory.executed_of(state)[place]
+                action = state.executed[place]  # type: ignore[attr-defined]
         ended = (outcome.terminated | outcome.truncated)[place]
         yield Transition(number, episode, place, action, values, before, state, outcome, ended)
         observation, up = outcome.observation, ~ended
@@ -117,31 +125,35 @@ def steps(policies: Sequence[Seeded], task: Task, heading: Tensor | None = None)
 
 
 def alike(policies: Sequence[Policy]) -> list[list[int]]:
-    """Which policies were trained in the same task but for bank and time limit, and so can share a batch."""
+    """Which policies were trained in the same task but for layouts and time limit, and so can share a
+    batch.
+    """
     tasks = [policy.task for policy in policies]
-    keys = [(type(task), task.world, task.reward, task.stack, task.faults) for task in tasks]
+    keys = [(type(task.task), task.world, task.reward, task.stack, task.faults) for task in tasks]
     return [[place for place, own in enumerate(keys) if own == key] for key in dict.fromkeys(keys)]
 
 
-def _advance(task: Task, state: State, place: Tensor, action: Tensor, draws: Tensor | None) -> tuple[State, Outcome]:
+def _advance(
+    task: WrappedTask, state: State, place: Tensor, action: Tensor, draws: Tensor | None
+) -> tuple[State, Outcome]:
     """A step as a compiled graph: of all P places, those that have ended included."""
     everywhere = torch.zeros_like(state.layout)
     everywhere[place] = action
     drawn = [] if draws is None else [torch.zeros(len(everywhere), task.n_draws).index_copy(0, place, draws)]
     fields, step = (everywhere, *state, *drawn), _graph(task)
     chunks = zip(*(torch.split(field, CHUNK) for field in fields), strict=True)
-    parts = [step(action, task.bank, *rest) for action, *rest in chunks]
+    parts = [step(action, task.layouts, *rest) for action, *rest in chunks]
     found = parts[0] if len(parts) == 1 else [torch.cat(fields) for fields in zip(*parts, strict=True)]
     return task.state_class(*found[: len(state)]), Outcome(*found[len(state) :])
 
 
 @functools.lru_cache(maxsize=4)
-def _graph(task: Task) -> graph.Graph:
+def _graph(task: WrappedTask) -> graph.Graph:
     kind = task.state_class
     n = len(kind._fields)
 
-    def step(action: Tensor, bank: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
-        state, outcome = task.with_bank(bank).step(kind(*tensors[:n]), action, *tensors[n:])
+    def step(action: Tensor, layouts: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+        state, outcome = task.replace(layouts=layouts).step(kind(*tensors[:n]), action, *tensors[n:])
         return *state, *outcome
 
     return graph.Graph(step)

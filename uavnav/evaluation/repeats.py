@@ -61,7 +61,9 @@ class Repeats:
         all_go_on = len(circling) == len(self._states[0].layout)
         if all_go_on and len(self._rewards) < rounds.max():
             return None
-        last = counted(self._states, self._rewards, rounds, self._max_steps - step.number) if all_go_on else None
+        last = (
+            counted(self._states, self._rewards, rounds, self._max_steps - step.number) if all_go_on else None
+        )
         self._rounds[self._circling] = 0
         self._circling.zero_()
         self._states, self._rewards = [], []

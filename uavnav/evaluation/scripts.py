@@ -9,44 +9,19 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import pandas as pd
 
-from uavnav.evaluation import EPISODES, MAX_STEPS, header, protocol_name
+from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED
 from uavnav.runs.tables import RunError, read_table
-from uavnav.tasks.faults import NO_FAULTS, Faults
+from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.protocol import DRAWS, SCRIPTS
-from uavnav.tasks.task import Task, name_of
+from uavnav.tasks.table import name_of
+from uavnav.tasks.wrapper import WrappedTask
 
 SEEDS = 10
 """Of `protocol.DRAWS`, for an interval."""
-
-
-class Protocol(NamedTuple):
-    """The task of a scripted policy, with its usual settings, and the layouts and the time limit."""
-
-    layouts: str = "test"
-    episodes: int = EPISODES
-    max_steps: int = MAX_STEPS
-    faults: Faults | None = None
-    task: str = "drone"
-
-    def file(self, name: str) -> str:
-        """The name of the file of a policy's rows."""
-        return f"{name}{protocol_name(*self)}.parquet"
-
-    def header(self) -> dict[Any, Any]:
-        """What the header of that file says."""
-        return header(*self)
-
-    def words(self, names: Sequence[str], folder: Path) -> list[str]:
-        """What `uavnav evaluate` is given to write the rows of some scripted policies into a folder."""
-        usual = Protocol()._asdict()
-        own = {name: value for name, value in self._asdict().items() if value != usual[name]}
-        given = [word for name, value in own.items() for word in (f"--{name.replace('_', '-')}", str(value))]
-        return [*names, *given, *["--seeds", str(SEEDS)] * (DRAWS in names), "--out", str(folder)]
 
 
 def missing(folder: Path, protocol: Protocol) -> list[str]:
@@ -54,7 +29,7 @@ def missing(folder: Path, protocol: Protocol) -> list[str]:
     return [name for name in SCRIPTS if not (folder / protocol.file(name)).exists()]
 
 
-def protocol_in(task: Task, layouts: str, episodes: int, max_steps: int) -> Protocol | None:
+def protocol_in(task: WrappedTask, layouts: str, episodes: int, max_steps: int) -> Protocol | None:
     """How scripted policies fly a task of training; None where no command can give them its settings."""
     if task.world != task.WORLD() or task.reward != task.REWARD:
         return None
@@ -70,7 +45,9 @@ def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[s
     found, left_out = {}, []
     absent = [name for name in SCRIPTS if all(name in missing(folder, protocol) for folder in folders)]
     if absent:
-        left_out.append(f"{folders[0]}: no rows of {', '.join(absent)}; {_command(absent, folders[0], protocol)}")
+        left_out.append(
+            f"{folders[0]}: no rows of {', '.join(absent)}; {_command(absent, folders[0], protocol)}"
+        )
     for name in (name for name in SCRIPTS if name not in absent):
         folder = next(folder for folder in folders if name not in missing(folder, protocol))
         path, again = folder / protocol.file(name), _command([name], folder, protocol)
@@ -78,7 +55,9 @@ def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[s
             rows = read_table(path, EVALUATED, again)
             if rows.attrs != (wanted := protocol.header()):
                 differs = [key for key in rows.attrs | wanted if rows.attrs.get(key) != wanted.get(key)]
-                there, asked = (", ".join(f"{key}={said.get(key)}" for key in differs) for said in (rows.attrs, wanted))
+                there, asked = (
+                    ", ".join(f"{key}={said.get(key)}" for key in differs) for said in (rows.attrs, wanted)
+                )
                 raise RunError(f"{path}: its rows are of {there}, not of {asked}; {again}")
             found[name] = rows
         except RunError as error:
@@ -86,5 +65,13 @@ def rows_of_scripts(folders: Sequence[Path], protocol: Protocol) -> tuple[dict[s
     return found, left_out
 
 
+def words(names: Sequence[str], folder: Path, protocol: Protocol) -> list[str]:
+    """What `uavnav evaluate` is given to write the rows of some scripted policies into a folder."""
+    usual = Protocol()._asdict()
+    own = {name: value for name, value in protocol._asdict().items() if value != usual[name]}
+    given = [word for name, value in own.items() for word in (f"--{name.replace('_', '-')}", str(value))]
+    return [*names, *given, *["--seeds", str(SEEDS)] * (DRAWS in names), "--out", str(folder)]
+
+
 def _command(names: Sequence[str], folder: Path, protocol: Protocol) -> str:
-    return f"write them with uavnav evaluate {shlex.join(protocol.words(names, folder))}"
+    return f"write them with uavnav evaluate {shlex.join(words(names, folder, protocol))}"

@@ -1,4 +1,6 @@
-"""The six metrics of a finished run or of an evaluation beside the paper's: a table for people, a record for JSON."""
+"""The six metrics of a finished run or of an evaluation beside the paper's: a table for people, a record
+for JSON.
+"""
 
 from __future__ import annotations
 
@@ -13,23 +15,23 @@ from rich.table import Table
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import Run, metrics, paper
+from uavnav.runs.definitions import ALL, LOG_CURVE, PER_FRAME, decimals, log_curve, per_frame
 from uavnav.runs.metrics import METRICS, per_seed
-from uavnav.runs.readings import ALL, LOG_CURVE, PER_FRAME, decimals, log_curve, per_frame
 from uavnav.tasks.protocol import SPLITS
 from uavnav.tasks.world import World
 from uavnav.training.display import with_spread
 
-READINGS = {"world": ("slots", "padding", "start_heading"), "reward": ("eq14", "additive", "initial")}
+DEFINITIONS = {"world": ("slots", "padding", "start_heading"), "reward": ("eq14", "additive", "initial")}
 """Fields of the world that the paper does not fix, and rewards that its text allows."""
 
 
-def _readings(run: Run) -> dict[str, pd.DataFrame]:
+def _definitions(run: Run) -> dict[str, pd.DataFrame]:
     """A finished run per frame, by the log curve and per episode."""
     rhythm = ALGORITHMS[run.algorithm].rhythm(run.config)
-    readings = {PER_FRAME: per_frame(run.episodes, run.frames)}
+    definitions = {PER_FRAME: per_frame(run.episodes, run.frames)}
     if rhythm is not None:
-        readings[LOG_CURVE] = log_curve(run.episodes, run.frames, *rhythm)
-    return readings | {ALL: per_seed(run.episodes)}
+        definitions[LOG_CURVE] = log_curve(run.episodes, run.frames, *rhythm)
+    return definitions | {ALL: per_seed(run.episodes)}
 
 
 def _flown(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -38,7 +40,9 @@ def _flown(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def of_run(run: Run) -> Table:
-    """The six metrics of a finished run, per frame, by the log curve and per episode, beside the paper's row."""
+    """The six metrics of a finished run, per frame, by the log curve and per episode, beside the paper's
+    row.
+    """
     config = run.config
     seeds = "1 seed" if config["n_seeds"] == 1 else f"{config['n_seeds']} seeds, mean ± standard deviation"
     worlds = f"{config['n_envs']} parallel environment{'' if config['n_envs'] == 1 else 's'}"
@@ -48,9 +52,9 @@ def of_run(run: Run) -> Table:
     return _metric_table(
         f"{run.algorithm} {config['activation']}, {preset}, {worlds}",
         f"{run.frames:,} frames per seed; {seeds}; {len(run.episodes):,} training episodes;"
-        f" {run.meta['bank']['k']} obstacles a set; reward {config['reward']}; init {config['init']};"
+        f" {run.meta['layouts']['k']} obstacles a layout; reward {config['reward']}; init {config['init']};"
         f" steps and distance {PER_FRAME} are per {ends}",
-        _readings(run),
+        _definitions(run),
         of_paper(run),
     )
 
@@ -59,8 +63,8 @@ def record(run: Run) -> dict[str, Any]:
     """What the tables of a finished run and of its evaluation show, for JSON."""
     rows, activation = run.evaluation(), run.config["activation"]
     facts = {"run": str(run.path), "algorithm": run.algorithm, "activation": activation, "frames": run.frames}
-    readings = _readings(run) | ({} if rows is None else _flown(rows))
-    return facts | {"seeds": run.seeds, "seconds": run.meta["wall_seconds"], "metrics": _numbers(readings)}
+    definitions = _definitions(run) | ({} if rows is None else _flown(rows))
+    return facts | {"seeds": run.seeds, "seconds": run.meta["wall_seconds"], "metrics": _numbers(definitions)}
 
 
 def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
@@ -71,12 +75,14 @@ def evaluation_record(rows: pd.DataFrame) -> dict[str, Any]:
     return found | ({"own": own} if any(own.values()) else {})
 
 
-def _numbers(readings: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
-    """Mean and standard deviation over seeds of each metric in each reading; null where there is none."""
+def _numbers(definitions: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+    """Mean and standard deviation over seeds of each metric in each metric definition; null where there
+    is none.
+    """
     found: dict[str, Any] = {}
-    for reading, seeds in readings.items():
+    for definition, seeds in definitions.items():
         known = {name: seeds[name].dropna().tolist() for name in METRICS}
-        found[reading] = {
+        found[definition] = {
             name: {
                 "mean": statistics.mean(values) if values else None,
                 "sd": statistics.stdev(values) if len(values) > 1 else None,
@@ -87,37 +93,43 @@ def _numbers(readings: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
 
 
 def _metric_table(
-    title: str, caption: str, readings: dict[str, pd.DataFrame], printed: dict[str, float], over: str = ""
+    title: str, caption: str, definitions: dict[str, pd.DataFrame], printed: dict[str, float], over: str = ""
 ) -> Table:
-    """readings: by name, a row a seed and a column a metric; over: what sums are divided by, if all by the same."""
+    """definitions: by name, a row a seed and a column a metric; over: what sums are divided by, if all by
+    the same.
+    """
     table = Table(title=title, caption=caption, min_width=79)
     table.add_column("metric")
-    for reading in readings:
-        table.add_column(reading, justify="right")
+    for definition in definitions:
+        table.add_column(definition, justify="right")
     if printed:
         table.add_column("paper", justify="right")
     for name, metric in METRICS.items():
-        cells = [
-            with_spread(seeds[name].dropna().tolist(), decimals(name, reading)) for reading, seeds in readings.items()
+        configurations = [
+            with_spread(seeds[name].dropna().tolist(), decimals(name, definition))
+            for definition, seeds in definitions.items()
         ]
         beside = f"{printed[name]:,.{decimals(name, ALL)}f}" if name in printed else ""
-        table.add_row(escape(metric.words(over)), *cells, *([beside] if printed else []))
+        table.add_row(escape(metric.words(over)), *configurations, *([beside] if printed else []))
     return table
 
 
 def of_paper(run: Run, flown: Mapping[Any, Any] | None = None) -> dict[str, float]:
-    """The paper's row for a run; nothing where its task or its bank, or those of its flights, are not the paper's.
+    """The paper's row for a run; nothing where its task or its split, or those of its episodes, are not the
+    paper's.
 
-    What the paper leaves open may be read otherwise: `READINGS`.
+    What the paper leaves open may be read otherwise: `DEFINITIONS`.
     flown: how it was flown, as in the header of a file of rows.
     """
-    config, flights = run.config, flown or {}
-    world = {name: value for name, value in (config.get("world") or {}).items() if name not in READINGS["world"]}
+    config, episodes = run.config, flown or {}
+    world = {
+        name: value for name, value in (config.get("world") or {}).items() if name not in DEFINITIONS["world"]
+    }
     other = config.get("task", "drone") != "drone" or config.get("stack", 1) != 1
-    other |= config.get("reward", "eq14") not in READINGS["reward"]
+    other |= config.get("reward", "eq14") not in DEFINITIONS["reward"]
     other |= World().model_dump() | world != World().model_dump()
-    other |= any((config.get("faults") or {}).values()) or "faults" in flights
-    other |= not {config["layouts"], flights.get("layouts", "test")} <= set(SPLITS)
+    other |= any((config.get("faults") or {}).values()) or "faults" in episodes
+    other |= not {config["layouts"], episodes.get("layouts", "test")} <= set(SPLITS)
     return {} if other else paper.TABLES.get((run.algorithm, run.config["activation"]), {})
 
 
@@ -132,8 +144,8 @@ def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
     seeds = "1 seed" if n_seeds == 1 else f"{n_seeds} seeds, mean ± standard deviation"
     name = f"{who.algorithm} {who.config['activation']}" if isinstance(who, Run) else who
     return _metric_table(
-        f"{name} on {n_layouts} {rows.attrs.get('layouts', 'test')} sets",
-        "; ".join([f"{seeds}; cut off at the cap on steps: {censored}", *_own(rows)]),
+        f"{name} on {n_layouts} {rows.attrs.get('layouts', 'test')} layouts",
+        "; ".join([f"{seeds}; cut off at the time limit: {censored}", *_own(rows)]),
         flown,
         of_paper(who, rows.attrs) if isinstance(who, Run) else {},
         "episode",
@@ -141,7 +153,7 @@ def of_evaluation(rows: pd.DataFrame, who: str | Run) -> Table:
 
 
 def _own(rows: pd.DataFrame) -> list[str]:
-    """What the world or the bank has of its own, in words: means over seeds, by mode."""
+    """What the world or the split has of its own, in words: means over seeds, by mode."""
     means = {str(mode): metrics.own(flown).mean() for mode, flown in rows.groupby("mode")}
     return [
         f"{one.label}: {', '.join(f'{mean[name]:,.2f} {mode}' for mode, mean in means.items())}"
@@ -162,7 +174,8 @@ def show(table: Table) -> None:
     Where nobody reads, it is as any other line is: rich would end the process with a status of its own.
     """
     console = Console()
-    whole = console.measure(table, options=console.options.update(width=1000))  # as if the terminal were so wide
+    # as if the terminal were so wide
+    whole = console.measure(table, options=console.options.update(width=1000))
     console.width = max(console.width, whole.minimum)
     with console.capture() as text:
         console.print(table)

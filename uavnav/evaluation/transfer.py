@@ -1,4 +1,5 @@
-"""The transfer matrix: trained in one environment, evaluated in another, where observations have the same size.
+"""The transfer matrix: trained in one environment, evaluated in another, where observations have the same
+size.
 
 `uavnav evaluate RUN RUN... --transfer` evaluates each policy on the test layouts of each world that one of
 them was trained in.
@@ -8,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,12 +24,13 @@ from uavnav.evaluation import check_bounds, summary
 from uavnav.evaluation.across import Flyer, judged, save
 from uavnav.files import check_out
 from uavnav.runs import Run
-from uavnav.runs.metrics import FLIGHTS
+from uavnav.runs.metrics import PER_EPISODE
 from uavnav.runs.tables import RunError, lock, records, write_table
-from uavnav.tasks import layouts as banks
+from uavnav.tasks import layouts as splits
 from uavnav.tasks.ladders import Measure, measure_of, reached
 from uavnav.tasks.protocol import ACROSS_STEPS
-from uavnav.tasks.simulator import EMPTY, Task, make_task, name_of
+from uavnav.tasks.table import EMPTY, make_task, name_of
+from uavnav.tasks.wrapper import WrappedTask
 
 FLOWN = "flown_in"
 """The column that names the world of an episode."""
@@ -41,12 +42,12 @@ class Place(NamedTuple):
     """A world that a policy was trained in, on its test layouts."""
 
     name: str
-    task: Task
+    task: WrappedTask
     measure: Measure | None
 
 
 def place(run: Run, episodes: int, max_steps: int | None) -> Place:
-    """Where a run was trained: its world and faults, on the first test layouts that belong to its bank.
+    """Where a run was trained: its world and faults, on the first test layouts that belong to its split.
 
     The time limit is 2,000 steps if none is given, or the task's own where that is lower.
 
@@ -55,12 +56,12 @@ def place(run: Run, episodes: int, max_steps: int | None) -> Place:
         RunError: its settings name no world.
     """
     task, layouts = trained_in(run)
-    flown = task.on(layouts, max_steps or task.cap(ACROSS_STEPS))
-    return Place(named(task, layouts), flown.with_bank(flown.bank[:episodes]), measure_of(layouts))
+    flown = task.on(layouts, max_steps or task.limit(ACROSS_STEPS))
+    return Place(named(task, layouts), flown.replace(layouts=flown.layouts[:episodes]), measure_of(layouts))
 
 
-def trained_in(run: Run) -> tuple[Task, str]:
-    """The task of a run's training, without obstacles, and the test layouts that belong to its bank.
+def trained_in(run: Run) -> tuple[WrappedTask, str]:
+    """The task of a run's training, without obstacles, and the test layouts that belong to its split.
 
     Raises:
         RunError: its settings name no world.
@@ -68,26 +69,35 @@ def trained_in(run: Run) -> tuple[Task, str]:
     own = run.config
     try:
         task = make_task(
-            EMPTY, own.get("world"), own.get("reward"), None, own.get("task", "drone"), faults=own.get("faults")
+            EMPTY,
+            own.get("world"),
+            own.get("reward"),
+            None,
+            own.get("task", "drone"),
+            faults=own.get("faults"),
         )
     except (TypeError, ValueError) as error:
-        raise RunError(f"{run.path / 'config.yaml'}: names no world ({error}); give a run of this package") from error
-    return task, banks.judged_on(own.get("layouts", "train"))
+        raise RunError(
+            f"{run.path / 'config.yaml'}: names no world ({error}); give a run of this package"
+        ) from error
+    return task, splits.judged_on(own.get("layouts", "train"))
 
 
-def named(task: Task, layouts: str) -> str:
-    """A world in words: its task or the rung of its bank, and what else is not as usual."""
+def named(task: WrappedTask, layouts: str) -> str:
+    """A world in words: its task or the rung of its split, and what else is not as usual."""
     name = name_of(task)
-    bank = banks.name_of(layouts).removesuffix("-test")
-    usual = type(task).WORLD().model_dump()
+    all_layouts = splits.name_of(layouts).removesuffix("-test")
+    usual = task.WORLD().model_dump()
     own = [f"{key}={value}" for key, value in task.world.model_dump().items() if value != usual[key]]
     faults = [str(task.faults)] * (str(task.faults) != "none")
     reward = [f"reward={task.reward}"] * (task.reward != task.REWARD)
-    first = name if bank in banks.SPLITS else bank if name == "drone" else f"{name} {bank}"
+    first = (
+        name if all_layouts in splits.SPLITS else all_layouts if name == "drone" else f"{name} {all_layouts}"
+    )
     return ", ".join([first, *own, *reward, *faults])
 
 
-def _sizes(task: Task) -> tuple[int, int, int]:
+def _sizes(task: WrappedTask) -> tuple[int, int, int]:
     """What worlds must have in common: numbers of an observation, turns and distances to choose from."""
     return task.world.observation_size, task.world.n_turns, task.world.n_distances
 
@@ -102,7 +112,7 @@ def visit(who: Flyer, place: Place, quiet: bool = True) -> pd.DataFrame:
     if own is not None:
         both = [name for name in SPEEDS if hasattr(own.world, name) and hasattr(task.world, name)]
         world = task.world.replace(**{name: getattr(own.world, name) for name in both})
-        task = reached(replace(task, stack=own.stack, world=world), own.world.sensor_radius)
+        task = reached(task.replace(stack=own.stack, world=world), own.world.sensor_radius)
     return who.fly(task, f"in {place.name}", quiet, place.measure).assign(**{FLOWN: place.name})
 
 
@@ -115,7 +125,9 @@ def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
     mine = table[(table["mode"] != "greedy") & (table["measure"] == "reward")]
     names, worlds = ([*dict.fromkeys(mine[column])] for column in ("name", FLOWN))
     found = mine.set_index(["name", FLOWN])
-    values = np.array([[found.loc[(name, world), "value"] for world in worlds] for name in names], dtype=np.float64)
+    values = np.array(
+        [[found.loc[(name, world), "value"] for world in worlds] for name in names], dtype=np.float64
+    )
     figure = Figure(figsize=(style.WIDTH, 2.6 + 0.75 * len(names)), layout="constrained")
     axes = figure.subplots()
     image = axes.imshow(values, cmap="cividis", aspect="auto")
@@ -123,41 +135,47 @@ def draw(table: pd.DataFrame, trained: Mapping[str, str]) -> style.Drawn:
         one = found.loc[(names[row], worlds[column])]
         dark = np.array(image.to_rgba(np.array([value]))[0, :3]) @ np.array([0.3, 0.6, 0.1]) < 0.5
         look: dict[str, Any] = {"color": "white" if dark else style.INK, "size": 10}
-        axes.text(column, row, _in_brackets("\n", *one[["value", "low", "high"]]), ha="center", va="center", **look)
+        axes.text(
+            column, row, _in_brackets("\n", *one[["value", "low", "high"]]), ha="center", va="center", **look
+        )
         if trained.get(names[row]) == worlds[column]:
             axes.add_patch(
                 Rectangle((column - 0.47, row - 0.46), 0.94, 0.92, fill=False, color=style.OPEN, linewidth=2)
             )
     axes.set_xticks(range(len(worlds)), worlds, rotation=20, ha="right", rotation_mode="anchor")
     style.name_rows(axes, [f"{name} (of {trained[name]})" if trained.get(name) else name for name in names])
-    axes.set(title="Reward per flight, framed: the world of training", xlabel="flown in")
+    axes.set(title="Reward per episode, framed: the world of training", xlabel="flown in")
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
-    figure.colorbar(image, ax=axes, label="reward per flight", fraction=0.05)
+    figure.colorbar(image, ax=axes, label="reward per episode", fraction=0.05)
     told = "; ".join(
         f"{name} in {world} {style.number(values[row, column])}"
         for row, name in enumerate(names)
         for column, world in enumerate(worlds)
     )
-    return style.Drawn(figure, f"Reward per flight: {told}.")
+    return style.Drawn(figure, f"Reward per episode: {told}.")
 
 
 def _in_brackets(between: str, value: float, low: float, high: float) -> str:
     """A number, and its interval in brackets if it has one."""
-    return style.number(value) + (f"{between}[{style.number(low)}, {style.number(high)}]" if np.isfinite(low) else "")
+    return style.number(value) + (
+        f"{between}[{style.number(low)}, {style.number(high)}]" if np.isfinite(low) else ""
+    )
 
 
 def shown(table: pd.DataFrame, trained: Mapping[str, str]) -> Table:
     """The matrix as a table: a row a policy, mode and measure, a column a world."""
-    text = Table(title="Trained in, flown in: means and 95 % intervals over seeds", title_justify="left", box=None)
+    text = Table(
+        title="Trained in, flown in: means and 95 % intervals over seeds", title_justify="left", box=None
+    )
     worlds = [*dict.fromkeys(table[FLOWN])]
     for column in ("who", "trained in", "", "measure", *worlds):
         text.add_column(column, justify="right" if column in worlds else "left")
-    kept = table[table["measure"].isin(FLIGHTS)]
+    kept = table[table["measure"].isin(PER_EPISODE)]
     for (who, mode, measure), own in kept.groupby(["name", "mode", "measure"], sort=False):
         numbers = [_in_brackets(" ", *triple) for triple in own[["value", "low", "high"]].to_numpy().tolist()]
-        text.add_row(str(who), trained.get(str(who), ""), str(mode), FLIGHTS[str(measure)], *numbers)
+        text.add_row(str(who), trained.get(str(who), ""), str(mode), PER_EPISODE[str(measure)], *numbers)
     return text
 
 
@@ -169,7 +187,8 @@ def transfer(
     quiet: bool,
     say: Callable[[str], object] = print,
 ) -> list[dict[str, Any]]:
-    """Fly all that is named in every place of training; rows and a figure lie in `out` or the first run's folder.
+    """Fly all that is named in every place of training; rows and a figure lie in `out` or the first run's
+    folder.
 
     max_steps: as of `place`; files are named after the highest limit.
     say: is told, in one line, who is left out because it sees or does something else.
@@ -178,10 +197,11 @@ def transfer(
         What the table shows, for JSON.
 
     Raises:
-        LayoutError, PolicyError, RunError: a bank or a policy cannot be read, or a file not be written.
-        ValueError: a count below 1, or more layouts than a bank has.
+        LayoutError, PolicyError, RunError: a layout file or a policy cannot be read, or a file not be
+            written.
+        ValueError: a count below 1, or more layouts than a layout file has.
     """
-    check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, banks.SPLITS["test"].n)
+    check_bounds(episodes, ACROSS_STEPS if max_steps is None else max_steps, splits.SPLITS["test"].n)
     first = next((who.task for who in flyers if who.run is not None), None)
     if first is None:
         given = " ".join(who.name for who in flyers)
@@ -189,7 +209,10 @@ def transfer(
     fit = [who for who in flyers if who.task is None or _sizes(who.task) == _sizes(first)]
     if left_out := [who.name for who in flyers if who not in fit]:
         size, actions = first.world.observation_size, first.world.n_actions
-        say(f"left out, for they have not {size} numbers to see and these {actions} actions: {', '.join(left_out)}")
+        say(
+            f"left out, for they have not {size} numbers to see and these {actions} actions: "
+            f"{', '.join(left_out)}"
+        )
     homes = {who.name: place(who.run, episodes, max_steps) for who in fit if who.run is not None}
     places = {home.name: home for home in homes.values()}
     folder = out or next(who.run.path for who in flyers if who.run is not None)
@@ -198,7 +221,10 @@ def transfer(
     unique = hashlib.sha256(names.encode()).hexdigest()[:6]  # others may have a matrix there
     path = folder / f"transfer-{episodes}-{limit}-{unique}.parquet"
     check_out(path)
-    rows = {who.name: pd.concat([visit(who, one, quiet) for one in places.values()], ignore_index=True) for who in fit}
+    rows = {
+        who.name: pd.concat([visit(who, one, quiet) for one in places.values()], ignore_index=True)
+        for who in fit
+    }
     trained = {who.name: homes[who.name].name if who.name in homes else "" for who in fit}
     table = judged(rows, by=FLOWN)
     kept = [one.assign(policy=name, trained_in=trained[name]) for name, one in rows.items()]

@@ -39,8 +39,8 @@ class Verdict(NamedTuple):
 def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     """Repeat a run, or its first `frames` frames per seed, in a scratch folder and compare.
 
-    Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights if the
-    run has some: a repository may keep its rows alone, or the weights of some seeds.
+    Compared are the rows of episodes and of progress up to there, and, at the end of a whole run, the weights
+    if the run has some: a repository may keep its rows alone, or the weights of some seeds.
 
     Raises:
         ConfigError, LayoutError, RunError: the run cannot be repeated.
@@ -87,8 +87,14 @@ def verify(run: Run, frames: int | None = None, quiet: bool = False) -> Verdict:
     for name, table in originals.items():
         more = tables[name].drop(columns=[*table, *TIMING], errors="ignore").dropna(axis=1, how="all")
         if len(more.columns):
-            lines.append(f"  {name}: not compared, as the folder leaves them out: {', '.join(map(str, more))}")
-    lines += [f"  weights: not compared, no {POLICY} there; the run's command makes it"] if original is None else []
+            lines.append(
+                f"  {name}: not compared, as the folder leaves them out: {', '.join(map(str, more))}"
+            )
+    lines += (
+        [f"  weights: not compared, no {POLICY} there; the run's command makes it"]
+        if original is None
+        else []
+    )
     return Verdict(True, lines)
 
 
@@ -106,7 +112,9 @@ def _config(run: Run) -> TrainConfig:
 
 def _parting(name: str, there: pd.DataFrame, here: pd.DataFrame) -> str:
     """Where two tables part first, in words; empty where they do not."""
-    there, here = (table.drop(columns=TIMING, errors="ignore").reset_index(drop=True) for table in (there, here))
+    there, here = (
+        table.drop(columns=TIMING, errors="ignore").reset_index(drop=True) for table in (there, here)
+    )
     rows = min(len(there), len(here))
     if not rows:  # a table without rows need not have columns
         return "" if len(there) == len(here) else f"  {name}: {len(there):,} rows then, {len(here):,} now"
@@ -152,10 +160,10 @@ def _kind(tensor: torch.Tensor) -> str:
 
 
 def _differing(there: dict[str, Any], here: dict[str, Any]) -> list[tuple[str, Any, Any]]:
-    """Facts of version, machine and bank in which two runs differ."""
+    """Facts of version, machine and layouts in which two runs differ."""
     single = ("git_commit", "threads", "processes", "compiled")
     pairs = [(key, there.get(key), here.get(key)) for key in single]
-    for group in ("versions", "machine", "bank", "plugins"):
+    for group in ("versions", "machine", "layouts", "plugins"):
         old, new = (facts[group] if isinstance(facts.get(group), dict) else {} for facts in (there, here))
         pairs += [(f"{group}.{key}", old.get(key), new.get(key)) for key in sorted({*old, *new})]
     return [pair for pair in pairs if pair[1] != pair[2]]

@@ -1,7 +1,7 @@
 """From run folders to a report: verdicts on the paper's claims, tables, figures, replays, methods.
 
-`python -m uavnav.report [FOLDER...] [--out DIR]` writes report.html, report.md, tables/ and figures/. It reads the rows
-that runs left, and lets their policies fly a little; nothing here trains.
+`python -m uavnav.report [FOLDER...] [--out DIR]` writes report.html, report.md, tables/ and figures/. It
+reads the rows that runs left, and lets their policies fly a little; nothing here trains.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ def report(folders: Sequence[str | Path] = ("results",), out: str | Path | None 
     """Write the report on all runs in some folders; `out` is the first of them by default.
 
     Raises:
-        RunError: a folder is missing or holds no run, no run can be used, or `out` cannot be written: nothing is.
+        RunError: a folder is missing or holds no run, no run can be used, or `out` cannot be written: nothing
+            is.
     """
     from uavnav.report.content import gather  # which flies, and so loads torch
     from uavnav.report.page import contents
-    from uavnav.report.replays import record_apart
+    from uavnav.views.replays import record_apart
 
     if out is not None:
         try:
@@ -43,7 +44,9 @@ def report(folders: Sequence[str | Path] = ("results",), out: str | Path | None 
 
 
 def _write_all(out: Path, contents: Mapping[str, bytes]) -> None:
-    """Write some files, by their paths below `out`; or a RunError, before any is written where that can be foreseen."""
+    """Write some files, by their paths below `out`; or a RunError, before any is written where that can
+    be foreseen.
+    """
     targets = {out / name: content for name, content in contents.items()}
     try:
         for target in targets:

@@ -2,7 +2,7 @@
 
 import sys
 
-from uavnav.cli.report import main
+from uavnav.__main__ import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["report", *sys.argv[1:]]))

@@ -25,16 +25,17 @@ from uavnav.tasks.world import World
 @matplotlib.rc_context(style.STYLE)
 def trajectories(
     tables: Mapping[str, pd.DataFrame],
-    bank: Array,
+    all_layouts: Array,
     layouts: Sequence[int],
     world: World,
     mode: str = "greedy",
     width: float = style.WIDTH,
 ) -> style.Drawn:
-    """Flown paths of a cell's first seed, as the paper's figures 6 and 7: a row a set of obstacles, a column a cell.
+    """Flown paths of a configuration's first seed, as the paper's figures 6 and 7: a row a layout, a column a
+    configuration.
 
-    tables: label -> rows with the columns seed, layout, step, x, y, clearance and mode; bank: [L, K, 3] px; layouts:
-    indices into it; width: of the figure [inches].
+    tables: label -> rows with the columns seed, layout, step, x, y, clearance and mode; all_layouts: [L, K,
+    3] px; layouts: indices into them; width: of the figure [inches].
     """
     of_mode = {name: rows[rows["mode"] == mode] for name, rows in tables.items()}
     one = {name: rows[rows["seed"] == rows["seed"].min()] for name, rows in of_mode.items()}
@@ -47,14 +48,18 @@ def trajectories(
     for column, (name, (colour, _)) in zip(panels.T, style.coloured(one), strict=True):
         rows, ends = one[name], []
         for axes, layout in zip(column, layouts, strict=True):
-            _arena(axes, bank[layout], world)
+            _arena(axes, all_layouts[layout], world)
             path = rows[rows["layout"] == layout].sort_values("step")
             x, y = ([start, *path[axis]] for start, axis in zip(world.start, "xy", strict=True))
             crashed = len(path) > 0 and path["clearance"].iloc[-1] <= world.drone_radius
             axes.plot(x, y, color=colour, linewidth=1.6, solid_joinstyle="round")
             axes.plot(*world.start, "^", color=style.INK, markersize=6)
-            axes.add_patch(Circle((x[-1], y[-1]), world.drone_radius, facecolor=colour, alpha=0.35, linewidth=0))
-            axes.plot(x[-1], y[-1], "X" if crashed else "o", color=colour, markeredgecolor=style.INK, markersize=7)
+            axes.add_patch(
+                Circle((x[-1], y[-1]), world.drone_radius, facecolor=colour, alpha=0.35, linewidth=0)
+            )
+            axes.plot(
+                x[-1], y[-1], "X" if crashed else "o", color=colour, markeredgecolor=style.INK, markersize=7
+            )
             axes.set_xlabel(f"{len(path)} steps" if len(path) else "not flown", fontsize=11, labelpad=2)
             ends.append(f"{len(path)} {'crash' if crashed else 'still up'}" if len(path) else "not flown")
         seeds = f", seed {rows['seed'].iloc[0]}" if len(rows) else ""
@@ -62,7 +67,7 @@ def trajectories(
         column[0].set_title("\n".join(title), fontsize=11)
         said.append(f"{name}{seeds}: {', '.join(ends)}")
     for axes, layout in zip(panels[:, 0], layouts, strict=True):
-        axes.set_ylabel(f"obstacle set {layout}", fontsize=11)
+        axes.set_ylabel(f"layout {layout}", fontsize=11)
     handles = [
         style.mark("^", "start"),
         style.mark("X", "crash", markerfacecolor=style.PALE, markersize=8),
@@ -71,11 +76,11 @@ def trajectories(
     ]
     style.legend(figure, handles, 4)
     sets = ", ".join(map(str, layouts))
-    return style.Drawn(figure, f"Paths flown, {mode}, and their steps on obstacle sets {sets}: {'; '.join(said)}.")
+    return style.Drawn(figure, f"Paths flown, {mode}, and their steps on layouts {sets}: {'; '.join(said)}.")
 
 
 def _arena(axes: Axes, obstacles: Array, world: World) -> None:
-    """The border and a set of obstacles [K, 3], to scale."""
+    """The border and a layout [K, 3], to scale."""
     width, height, border = world.width, world.height, world.border
     circles = [Circle((x, y), radius) for x, y, radius in obstacles]
     axes.add_collection(PatchCollection(circles, color=style.OBSTACLE, linewidth=0))
@@ -88,7 +93,9 @@ def _arena(axes: Axes, obstacles: Array, world: World) -> None:
 
 
 @matplotlib.rc_context(style.STYLE)
-def preview(title: str, paths: Mapping[str, Array], collided: set[str], obstacles: Array, world: World) -> Figure:
+def preview(
+    title: str, paths: Mapping[str, Array], collided: set[str], obstacles: Array, world: World
+) -> Figure:
     """What a link to the page shows, 1200 x 630 px: a sentence above drones on the same obstacles [K, 3] px.
 
     paths: name -> where it flew [T, 2] px; collided: those whose path ends in a collision, with a cross.
@@ -118,12 +125,13 @@ def preview(title: str, paths: Mapping[str, Array], collided: set[str], obstacle
 
 @matplotlib.rc_context(style.STYLE)
 def heat_maps(maps: Mapping[str, Array], world: World, width: float = style.WIDTH) -> style.Drawn:
-    """Where the cells fly: a panel a cell, one scale of colours (its square root, so that rare places show).
+    """Where the configurations fly: a panel a configuration, one scale of colours (its square root, so that
+    rare places show).
 
     maps: label -> shares of steps [rows of y, columns of x], from the lower-left corner; width: of the figure
     [inches].
     """
-    title = "Where the cells fly"
+    title = "Where the configurations fly"
     if not maps or not any(np.nansum(share) > 0 for share in maps.values()):
         return style.nothing(title)
     height = (width - 0.8) / len(maps) * world.height / world.width + 0.25 + 1.25
@@ -131,7 +139,9 @@ def heat_maps(maps: Mapping[str, Array], world: World, width: float = style.WIDT
     panels = figure.subplots(1, len(maps), squeeze=False, sharey=True)[0]
     norm, said = PowerNorm(0.5, 0, max(float(np.nanmax(share)) for share in maps.values())), []
     for axes, (name, share) in zip(panels, maps.items(), strict=True):
-        image = axes.imshow(share, origin="lower", extent=(0, world.width, 0, world.height), norm=norm, cmap="viridis")
+        image = axes.imshow(
+            share, origin="lower", extent=(0, world.width, 0, world.height), norm=norm, cmap="viridis"
+        )
         axes.plot(*world.start, "^", color="white", markeredgecolor=style.INK, markersize=7)
         axes.grid(visible=False)
         axes.set(xticks=[0, world.width // 2, world.width], yticks=[0, world.height // 2, world.height])
@@ -141,7 +151,11 @@ def heat_maps(maps: Mapping[str, Array], world: World, width: float = style.WIDT
         said.append(f"{name} {100 * half:.0f} %")
     panels[0].set_ylabel("y [px]")
     rows, across = next(iter(maps.values())).shape
-    label = f"share of steps in {world.width / across:.0f} x {world.height / rows:.0f} px (triangle: the start)"
+    label = (
+        f"share of steps in {world.width / across:.0f} x {world.height / rows:.0f} px (triangle: the start)"
+    )
     look: dict[str, Any] = {"location": "bottom", "fraction": 0.05, "aspect": 50, "ticks": MaxNLocator(5)}
     figure.colorbar(image, ax=panels, label=label, format=PercentFormatter(1.0), **look)
-    return style.Drawn(figure, f"{title}: half of the steps fall into this share of the window: {', '.join(said)}.")
+    return style.Drawn(
+        figure, f"{title}: half of the steps fall into this share of the window: {', '.join(said)}."
+    )

@@ -1,13 +1,13 @@
-"""What flights look like, as numbers for each training seed (claims 9 and 10); nothing here trains.
+"""What episodes look like, as numbers for each training seed (claims 9 and 10); nothing here trains.
 
-A table of behaviour has a row a step and the columns mode and `COLUMNS`; a flight is the steps of one mode, seed and
-layout. Files hold its actions alone (`uavnav.evaluation.BEHAVIOUR_COLUMNS`). Letters: P poses, K obstacles of a layout,
-M = K + 4 bodies (they and the four walls), L layouts, F flights of all seeds together, T steps.
+A table of behaviour has a row a step and the columns mode and `COLUMNS`; an episode is the steps of one mode,
+seed and layout. Files hold its actions alone (`uavnav.evaluation.BEHAVIOUR_COLUMNS`). Letters: P poses, K
+obstacles of a layout, M = K + 4 bodies (they and the four walls), L layouts, F episodes of all seeds
+together, T steps.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,9 @@ from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Flags
 from uavnav.tasks.dynamics import decode, direction
 from uavnav.tasks.sensing import clearance
-from uavnav.tasks.simulator import Task, make_task
+from uavnav.tasks.table import make_task
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 
 COLUMNS = BEHAVIOUR_COLUMNS | {
     "step": "int64",  # counted from 1
@@ -34,63 +35,54 @@ COLUMNS = BEHAVIOUR_COLUMNS | {
     "heading": "int16",  # [degrees]
     "clearance": "float32",  # [px] to the nearest obstacle or border square
 }
-FLIGHT = ["mode", "seed", "layout"]
+EPISODE = ["mode", "seed", "layout"]
 OPPOSITE = -0.5
 """Cosine of 120 degrees: two directions at least so far apart are on opposite sides of the drone."""
 CHUNK = 8192
 """Poses at a time: their pairs of bodies stay in a processor's cache."""
 BEFORE_CRASH = 40
-"""So many steps before a crash say how a flight ended, and not where the policy flies."""
+"""So many steps before a crash say how an episode ended, and not where the policy flies."""
 PLACES = ("corridor", "clearance")
 """Measures of where a drone is, which are also taken without the steps before a crash, and by layout."""
 AGAIN = "evaluate the run again"
-ONLY = "only those of drones on test sets are measured"
+ONLY = "only those of drones on test layouts are measured"
 
 
-def read(run: Run) -> pd.DataFrame | None:
-    """The watched steps of a run's evaluation, with their poses (`retrace`); None where there is no such file.
+def read(run: Run, in_arena: bool = False) -> pd.DataFrame | None:
+    """The watched steps of a run's evaluation, or those in the empty arena, with their poses (`retrace`);
+    None where there is no such file.
 
     Raises:
-        RunError: the file is damaged or is not a run's, or its flights are not those of drones on test sets.
+        RunError: the file is damaged or is not a run's, or its episodes are not those of drones on test
+            layouts.
     """
-    path = run.behaviour_file()
+    path = run.path / ARENA if in_arena else run.behaviour_file()
     if not path.exists():
         return None
     task = _task(run, path)
-    return retrace(_actions(run, path, task), task.bank, episodes.headings(task, len(task.bank)), task.world)
+    task = task.replace(layouts=EMPTY_ARENA) if in_arena else task
+    heading = torch.tensor(HEADINGS) if in_arena else episodes.headings(task, len(task.layouts))
+    return retrace(_actions(run, path, task), task.layouts, heading, task.world)
 
 
-def read_arena(run: Run) -> pd.DataFrame | None:
-    """The steps of a run's flights in the empty arena, as `read` gives others: for `measures` with `EMPTY_ARENA`.
-
-    Raises:
-        RunError: as `read` does.
-    """
-    path = run.path / ARENA
-    if not path.exists():
-        return None
-    task = replace(_task(run, path), bank=EMPTY_ARENA)
-    return retrace(_actions(run, path, task), task.bank, torch.tensor(HEADINGS), task.world)
-
-
-def _task(run: Run, path: Path) -> Task:
+def _task(run: Run, path: Path) -> WrappedTask:
     if (kind := run.config.get("task", "drone")) != "drone":  # whose world has other fields
-        raise RunError(f"{path}: flights of task={kind}; {ONLY}")
+        raise RunError(f"{path}: episodes of task={kind}; {ONLY}")
     try:
         return make_task("test", run.config.get("world"))
     except (TypeError, ValueError) as error:
         raise RunError(f"{run.path / 'config.yaml'}: {error}; not a run of this package") from error
 
 
-def _actions(run: Run, path: Path, task: Task) -> pd.DataFrame:
-    """What a run's file says of its flights, if they are a drone's on the task's sets; else a RunError."""
+def _actions(run: Run, path: Path, task: WrappedTask) -> pd.DataFrame:
+    """What a run's file says of its episodes, if they are a drone's on the task's sets; else a RunError."""
     table = read_table(path, BEHAVIOUR_COLUMNS | {"mode": "object"}, AGAIN)
     if (sets := table.attrs.get("layouts", "test")) != "test":
-        raise RunError(f"{path}: flights on layouts={sets}; {ONLY}")
+        raise RunError(f"{path}: episodes on layouts={sets}; {ONLY}")
     for column, right in {
         "seed": table["seed"].isin(run.seeds),
         "mode": table["mode"].isin(MODES),
-        "layout": table["layout"].between(0, len(task.bank) - 1),
+        "layout": table["layout"].between(0, len(task.layouts) - 1),
         "action": table["action"].between(0, task.world.n_actions - 1),
     }.items():
         if not right.all():
@@ -98,67 +90,73 @@ def _actions(run: Run, path: Path, task: Task) -> pd.DataFrame:
     return table
 
 
-def retrace(table: pd.DataFrame, bank: Tensor, heading: Tensor, world: World) -> pd.DataFrame:
-    """Where the actions of flights led: the columns `COLUMNS` and mode, rows as they were.
+def retrace(table: pd.DataFrame, layouts: Tensor, heading: Tensor, world: World) -> pd.DataFrame:
+    """Where the actions of episodes led: the columns `COLUMNS` and mode, rows as they were.
 
-    x, y are the simulator's sums in float32, bit for bit. Its clearance may differ by rounding where it was compiled.
+    x, y are the simulator's sums in float32, bit for bit. Its clearance may differ by rounding where it was
+    compiled.
 
-    table: mode, seed, layout, action; a flight's rows in the order of its steps. bank [L, K, 3] px, heading [L] whole
-    degrees at the start.
+    table: mode, seed, layout, action; an episode's rows in the order of its steps. layouts [L, K, 3] px,
+    heading [L] whole degrees at the start.
     """
-    flights_of = table.groupby(FLIGHT, sort=False)
-    flight, step = flights_of.ngroup().to_numpy(), flights_of.cumcount().to_numpy() + 1
+    episodes_of = table.groupby(EPISODE, sort=False)
+    episode, step = episodes_of.ngroup().to_numpy(), episodes_of.cumcount().to_numpy() + 1
     layout = _tensor(table["layout"], torch.int64)
 
     def path(start: Tensor, moved: Tensor) -> Tensor:
-        """Running sums [P] within each flight, in the type of moved [P], from start [P] or one for all."""
-        sums = np.zeros((flight.max(initial=-1) + 1, step.max(initial=0) + 1), moved.numpy().dtype)
-        sums[flight, 0], sums[flight, step] = start.numpy(), moved.numpy()
-        return torch.from_numpy(sums.cumsum(1, dtype=sums.dtype)[flight, step])
+        """Running sums [P] within each episode, in the type of moved [P], from start [P] or one for all."""
+        sums = np.zeros((episode.max(initial=-1) + 1, step.max(initial=0) + 1), moved.numpy().dtype)
+        sums[episode, 0], sums[episode, step] = start.numpy(), moved.numpy()
+        return torch.from_numpy(sums.cumsum(1, dtype=sums.dtype)[episode, step])
 
     angle, distance = decode(_tensor(table["action"], torch.int64), world)
     turned = path(heading[layout], angle) % 360
     ways = zip(world.start, direction(turned), strict=True)
     x, y = (path(torch.tensor(start), distance * way) for start, way in ways)
     parts = (slice(first, first + CHUNK) for first in range(0, len(x), CHUNK))
-    near = [clearance(x[part], y[part], bank[layout[part]], world).numpy() for part in parts]
-    poses = {"x": x.numpy(), "y": y.numpy(), "heading": turned.numpy(), "clearance": np.concatenate([[], *near])}
+    near = [clearance(x[part], y[part], layouts[layout[part]], world).numpy() for part in parts]
+    poses = {
+        "x": x.numpy(),
+        "y": y.numpy(),
+        "heading": turned.numpy(),
+        "clearance": np.concatenate([[], *near]),
+    }
     return table[[*BEHAVIOUR_COLUMNS, "mode"]].assign(step=step, **poses).astype(COLUMNS)
 
 
-def measures(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
+def measures(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame:
     """One row for each mode and seed: columns mode, seed and `MEASURES`, all of them means over steps.
 
-    A seed's steps weigh alike, whichever flight they are of.
+    A seed's steps weigh alike, whichever episode they are of.
 
     - clearance: distance [px] from the drone's centre to the nearest body, as the simulator measured it.
-    - corridor: share of steps between two close bodies. Of the circles of the layout and the four walls (each one body,
-      the whole strip of its border squares), two have their nearest points within the sensor's radius (120 px) of the
-      drone's centre, in directions at least 120 degrees apart. The heading plays no part: it is a property of a place.
-      Two walls of a corner are 90 degrees apart, and make none.
-    - corridor_flown: share of the distance flown in such places: a drone that stands between two bodies steers through
-      nothing. NaN for a seed that never moves.
-    - reversals: turn-sign reversals a step. A step with angle != 0 is one if the last such step before it in the same
-      flight, however long ago, turned the other way: straight steps in between are skipped.
-    - straight_speed, turning_speed: distance [px] of the steps with angle = 0, and of those with angle != 0; NaN where
-      there is none.
+    - corridor: share of steps between two close bodies. Of the circles of the layout and the four walls (each
+      one body, the whole strip of its border squares), two have their nearest points within the sensor's
+      radius (120 px) of the drone's centre, in directions at least 120 degrees apart. The heading plays no
+      part: it is a property of a place. Two walls of a corner are 90 degrees apart, and make none.
+    - corridor_flown: share of the distance flown in such places: a drone that stands between two bodies
+      steers through nothing. NaN for a seed that never moves.
+    - reversals: turn-sign reversals a step. A step with angle != 0 is one if the last such step before it in
+      the same episode, however long ago, turned the other way: straight steps in between are skipped.
+    - straight_speed, turning_speed: distance [px] of the steps with angle = 0, and of those with angle != 0;
+      NaN where there is none.
 
-    table: any number of rows; bank [L, K, 3] px with the sets that `layout` counts; K may be 0.
+    table: any number of rows; layouts [L, K, 3] px with the layouts that `layout` counts; K may be 0.
     """
-    return of_seeds(of_steps(table, bank, world))
+    return of_seeds(of_steps(table, layouts, world))
 
 
-def of_steps(table: pd.DataFrame, bank: Tensor, world: World) -> pd.DataFrame:
+def of_steps(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame:
     """What `measures` are means of: columns mode, seed, layout, the sums of each measure, and `late`.
 
-    late: whether a step is one of the last `BEFORE_CRASH` of a flight that ended in a collision.
+    late: whether a step is one of the last `BEFORE_CRASH` of an episode that ended in a collision.
     """
-    table = table.sort_values([*FLIGHT, "step"], ignore_index=True)
+    table = table.sort_values([*EPISODE, "step"], ignore_index=True)
     angle, distance = (part.numpy() for part in decode(_tensor(table["action"], torch.int64), world))
-    corridor = corridors(table, bank, world)
-    ends = table.groupby(FLIGHT)[["step", "clearance"]].transform("last")
+    corridor = corridors(table, layouts, world)
+    ends = table.groupby(EPISODE)[["step", "clearance"]].transform("last")
     crashed = ends["clearance"] <= world.drone_radius
-    steps = table[FLIGHT].assign(
+    steps = table[EPISODE].assign(
         clearance=table["clearance"].astype("float64"),
         corridor=corridor,
         corridor_flown=corridor * distance,
@@ -181,18 +179,20 @@ def of_seeds(steps: pd.DataFrame) -> pd.DataFrame:
 def early(steps: pd.DataFrame) -> pd.DataFrame:
     """Measures of `PLACES` without the late steps, `corridor_early` and so on, by mode and seed.
 
-    A seed whose flights all crash within `BEFORE_CRASH` steps has no row.
+    A seed whose episodes all crash within `BEFORE_CRASH` steps has no row.
     """
     return steps[~steps["late"]].groupby(["mode", "seed"])[[*PLACES]].mean().add_suffix("_early")
 
 
 def by_layout(steps: pd.DataFrame) -> pd.DataFrame:
-    """Measures of `PLACES` on each layout, mean over seeds: columns mode, layout, `corridor_by_layout` and so on."""
-    of_flights = steps.groupby(FLIGHT)[[*PLACES]].mean()
-    return of_flights.groupby(["mode", "layout"]).mean().add_suffix("_by_layout").reset_index()
+    """Measures of `PLACES` on each layout, mean over seeds: columns mode, layout, `corridor_by_layout`
+    and so on.
+    """
+    of_episodes = steps.groupby(EPISODE)[[*PLACES]].mean()
+    return of_episodes.groupby(["mode", "layout"]).mean().add_suffix("_by_layout").reset_index()
 
 
-def corridors(table: pd.DataFrame, bank: Tensor, world: World) -> Flags:
+def corridors(table: pd.DataFrame, layouts: Tensor, world: World) -> Flags:
     """Whether each step of a table is in a corridor (see `measures`): [P].
 
     In float64, so that a world and its mirror image differ in nothing.
@@ -202,9 +202,13 @@ def corridors(table: pd.DataFrame, bank: Tensor, world: World) -> Flags:
     found = torch.zeros(len(x), dtype=torch.bool)
     for first in range(0, len(x), CHUNK):
         part = slice(first, first + CHUNK)
-        distance, toward_x, toward_y = _bodies(x[part], y[part], bank[layout[part]].double(), world)
+        distance, toward_x, toward_y = _bodies(x[part], y[part], layouts[layout[part]].double(), world)
         near = distance <= world.sensor_radius
-        toward_x, toward_y = toward_x * near, toward_y * near  # a body that is far has no direction, and no opposite
+        # a body that is far has no direction, and no opposite
+        toward_x, toward_y = (
+            toward_x * near,
+            toward_y * near,
+        )
         for body in range(1, len(distance)):  # each pair once
             cosine = toward_x[body] * toward_x[:body] + toward_y[body] * toward_y[:body]
             found[part] |= cosine.amin(0) <= OPPOSITE
@@ -222,28 +226,30 @@ def _bodies(x: Tensor, y: Tensor, circles: Tensor, world: World) -> tuple[Tensor
     left, right = x - world.border, world.width - world.border - x
     below, above = y - world.border, world.height - world.border - y
     distance = torch.cat([length - circles[..., 2].T, torch.stack([left, right, below, above])])
-    toward_x, toward_y = x.new_tensor([[-1, 1, 0, 0], [0, 0, -1, 1]])[..., None].expand(2, 4, len(x))  # the walls
+    # the walls
+    toward_x, toward_y = x.new_tensor([[-1, 1, 0, 0], [0, 0, -1, 1]])[..., None].expand(2, 4, len(x))
     return distance, torch.cat([dx * scale, toward_x]), torch.cat([dy * scale, toward_y])
 
 
 def _reversals(table: pd.DataFrame, sign: Array) -> pd.Series[bool]:
     """Which steps turn the other way than the last turn, a row each of the table.
 
-    table: in the order of flights and steps; sign [P] of the turn: -1, 0 or 1.
+    table: in the order of episodes and steps; sign [P] of the turn: -1, 0 or 1.
     """
-    turning = table[FLIGHT].assign(sign=sign)[sign != 0]
-    before = turning.groupby(FLIGHT)["sign"].shift()  # NaN at a flight's first turn, which is no reversal
+    turning = table[EPISODE].assign(sign=sign)[sign != 0]
+    before = turning.groupby(EPISODE)["sign"].shift()  # NaN at an episode's first turn, which is no reversal
     found: pd.Series[bool] = before == -turning["sign"]
     return found.reindex(table.index, fill_value=False)
 
 
-def heat(table: pd.DataFrame, world: World, cell: int = 20) -> Array:
+def heat(table: pd.DataFrame, world: World, square: int = 20) -> Array:
     """Share of steps in each square: [rows from bottom to top, columns from left to right], summing to 1.
 
-    Every seed weighs the same, however long it flew; a table of several modes is not told apart. No rows: all zeros.
-    cell: side of a square [px]; where it does not divide the window, the last row and column are cut by its edge.
+    Every seed weighs the same, however long it flew; a table of several modes is not told apart. No rows: all
+    zeros.
+    square: its side [px]; where it does not divide the window, the last row and column are cut by its edge.
     """
-    edges = [np.arange(0, side + cell, cell) for side in (world.height, world.width)]
+    edges = [np.arange(0, side + square, square) for side in (world.height, world.width)]
     counts = [np.histogram2d(seed["y"], seed["x"], edges)[0] for _, seed in table.groupby("seed")]
     none = np.zeros([len(axis) - 1 for axis in edges])
     return np.asarray(sum((one / one.sum() for one in counts), none) / max(len(counts), 1))

@@ -1,6 +1,7 @@
-"""Figures of cells side by side: metrics and measures with their seeds, comparisons, and what they cost.
+"""Figures of configurations side by side: metrics and measures with their seeds, comparisons, and what they
+cost.
 
-Every function takes plain data and returns a figure with its words. Letters: S seeds of a cell.
+Every function takes plain data and returns a figure with its words. Letters: S seeds of a configuration.
 """
 
 from __future__ import annotations
@@ -30,11 +31,12 @@ def intervals(
     rule: float = np.nan,
     width: float = style.WIDTH,
 ) -> style.Drawn:
-    """A metric's mean with its 95 % interval, its interquartile mean, its seeds and the paper's value: a row a cell.
+    """A metric's mean with its 95 % interval, its interquartile mean, its seeds and the paper's value: a row
+    a configuration.
 
-    rows: label of the cell -> [S]; printed: label -> the paper's value; axis: the metric with its unit; rule: what the
-    hand-written rule reaches; width: of the figure [inches]. The algorithms share a scale unless that would squeeze one
-    of them into a fifth of it.
+    rows: label of the configuration -> [S]; printed: label -> the paper's value; axis: the metric with its
+    unit; rule: what the scripted policy reaches; width: of the figure [inches]. The algorithms share a
+    scale unless that would squeeze one of them into a fifth of it.
     """
     if not any(np.isfinite(values).any() for values in rows.values()):
         return style.nothing(axis)
@@ -78,12 +80,14 @@ def intervals(
 
 
 @matplotlib.rc_context(style.STYLE)
-def flights(
+def episodes(
     rows: Mapping[str, tuple[Array, Interval]], rule: float, axis: str, width: float = style.WIDTH
 ) -> style.Drawn:
-    """What the rule and the cells reach on test flights: a row each, the best first, with its number.
+    """What the rule and the configurations reach on test episodes: a row each, the best first, with its
+    number.
 
-    rows: label -> seeds [S] and their mean; rule: what the hand-written rule reaches; axis: the metric in words;
+    rows: label -> seeds [S] and their mean; rule: what the scripted policy reaches; axis: the metric in
+        words;
     width: [inches].
     """
     if not rows:
@@ -109,16 +113,20 @@ def flights(
 
 @matplotlib.rc_context(style.STYLE)
 def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
-    """How the cells fly: a panel a measure, in it a row a cell: mean, 95 % interval and seeds.
+    """How the configurations fly: a panel a measure, in it a row a configuration: mean, 95 % interval and
+    seeds.
 
-    table: a row a seed; columns cell, algorithm, activation, seed, and the measures, of which `MEASURES` names some;
+    table: a row a seed; columns configuration, algorithm, activation, seed, and the measures, of which
+        `MEASURES` names some;
     width: of the figure [inches].
     """
-    measures = [name for name in table.columns if name not in ("cell", "algorithm", "activation", "seed")]
+    measures = [
+        name for name in table.columns if name not in ("configuration", "algorithm", "activation", "seed")
+    ]
     measures = [name for name in measures if table[name].notna().any()]
     if not measures:
-        return style.nothing("how the cells fly")
-    names = list(dict.fromkeys(table["cell"]))
+        return style.nothing("how the configurations fly")
+    names = list(dict.fromkeys(table["configuration"]))
     columns = min(len(measures), 2) if width >= style.WIDTH else 1
     lines = -(-len(measures) // columns)
     figure = Figure(figsize=(width, lines * (0.3 * len(names) + 0.9) + 0.5), layout="constrained")
@@ -127,7 +135,7 @@ def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     for axes, measure in zip(panels, measures, strict=False):
         parts = []
         for row, (name, (colour, _)) in enumerate(style.coloured(names)):
-            seeds = table.loc[table["cell"] == name, measure].to_numpy(dtype=np.float64)
+            seeds = table.loc[table["configuration"] == name, measure].to_numpy(dtype=np.float64)
             found = style.row_of_seeds(axes, row, seeds, colour)
             parts.append(f"{name} {style.number(found.value)}")
         label = MEASURES.get(measure, measure.replace("_", " "))
@@ -136,19 +144,20 @@ def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
         said.append(f"{label}: {', '.join(parts)}")
     for axes in panels[len(measures) :]:
         axes.set_axis_off()
-    counts = table["cell"].value_counts()
+    counts = table["configuration"].value_counts()
     style.name_rows(figure.axes[0], [f"{name}, n = {counts[name]}" for name in names])
     handles = [
         Line2D([], [], marker="o", markersize=8, color=style.INK, label="mean, 95 % interval over seeds"),
         style.mark("o", "a seed", markersize=5, alpha=0.5),
     ]
     style.legend(figure, handles)
-    return style.Drawn(figure, f"How the cells fly, means over seeds: {'; '.join(said)}.")
+    return style.Drawn(figure, f"How the configurations fly, means over seeds: {'; '.join(said)}.")
 
 
 @matplotlib.rc_context(style.STYLE)
 def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
-    """Whether conclusions hold under other choices: a panel a conclusion, in it a row a switch; the default shaded.
+    """Whether conclusions hold under other choices: a panel a conclusion, in it a row a switch; the default
+    shaded.
 
     table: columns switch (one is `default`), conclusion, value, low, high (a difference in mean reward), n;
     width: of the figure [inches].
@@ -191,4 +200,6 @@ def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
         Patch(color=style.CLEAR, alpha=0.15, label="the default's"),
     ]
     style.legend(figure, handles, 3)
-    return style.Drawn(figure, f"{title}: {'; '.join(said) or f'{len(names)} choices, none of them the default'}.")
+    return style.Drawn(
+        figure, f"{title}: {'; '.join(said) or f'{len(names)} choices, none of them the default'}."
+    )

@@ -1,9 +1,10 @@
 """The paper's claims as data: each is a list of parts, which `verdicts` judges by one rule.
 
-A part asks whether linear contrasts of configurations' means over training seeds are above zero. To add a claim, add a
-line to `CLAIMS`. The paper's own effect is the same function of its printed tables. Claims 12 to 16, of the paper's
-discussion, are asked of the study `worlds`; the paper prints no number for them. They were fixed before that study was
-run; the parts of `fast` of claims 13 and 15 came later, when its runs had been read.
+A part asks whether linear contrasts of configurations' means over training seeds are above zero. To add a
+claim, add a line to `CLAIMS`. The paper's own effect is the same function of its printed tables. Claims 12 to
+16, of the paper's discussion, are asked of the study `worlds`; the paper prints no number for them. They were
+fixed before that study was run; the parts of `fast` of claims 13 and 15 came later, when its runs had been
+read.
 Letters: S seeds of a configuration, C terms of a part, J its contrasts.
 """
 
@@ -18,40 +19,48 @@ import numpy as np
 import pandas as pd
 
 from uavnav.runs import paper
+from uavnav.runs.definitions import PER_FRAME, SAMPLED
 from uavnav.runs.metrics import METRICS
-from uavnav.runs.readings import PER_FRAME, SAMPLED
 from uavnav.stats import Array
 
 PRIMARY = PER_FRAME
-"""The reading that decides a verdict."""
+"""The metric definition that decides a verdict."""
 ALGORITHMS = ("ppo", "dqn")
 """Those that the claims compare: the first is said to be better."""
 BOUNDED, UNBOUNDED = ("tanh", "sigmoid"), ("relu", "leaky_relu")
 ACTIVATIONS = (*BOUNDED, *UNBOUNDED)
-CELLS = tuple(itertools.product(ALGORITHMS, ACTIVATIONS))
+CONFIGURATIONS = tuple(itertools.product(ALGORITHMS, ACTIVATIONS))
 SIX = {name: METRICS[name] for name in paper.COLUMNS}
 """The metrics of the paper's tables."""
 SURGE = (300_000, 600_000)
 """Frames between which the paper sees DQN with sigmoid surge."""
 TIMES = 1.5
-"""What counts as "about twice" and "nearly double": at least so many times each other cell."""
+"""What counts as "about twice" and "nearly double": at least so many times each other configuration."""
 NAMES = {"tanh": "tanh", "sigmoid": "sigmoid", "relu": "ReLU", "leaky_relu": "leaky ReLU"}
 
 FIVE = ("ppo", "dqn", "sac", "a2c", "c51")
 PAIR = ("tanh", "relu")
-"""Algorithms of the study `worlds`, and activations of most studies beside the main one, the bounded one first."""
+"""Algorithms of the study `worlds`, and activations of most studies beside the main one, the bounded one
+first.
+"""
 ALL_WORLDS = "all worlds"
 """The mean over worlds."""
 RUNGS = {0: "density-0", 4: "density-4", 8: "drone", 16: "density-16", 20: "density-20"}
 """Worlds by their number of obstacles."""
 DENSE = (16, 18, 20)
 NARROW = (100, 90, 80, 70)  # [px]
-PASSAGES = {"passages_per_1000_steps": "passages per 1,000 steps", "passages_per_flight": "passages per flight"}
+PASSAGES = {
+    "passages_per_1000_steps": "passages per 1,000 steps",
+    "passages_per_episode": "passages per episode",
+}
 SLOPE = "reward_by_density"
-"""The slope of a policy's reward over the rungs of the density ladder, a number a seed [reward an obstacle]."""
+"""The slope of a policy's reward over the rungs of the density ladder, a number a seed [reward an
+obstacle].
+"""
 VARIATION, SCATTER = "gradient_variation", "scatter"
-"""Over training, a seed's standard deviation of the gradient's norm to its mean; how far a seed's reward is from its
-configuration's median, to the mean of that in its world."""
+"""Over training, a seed's standard deviation of the gradient's norm to its mean; how far a seed's reward is
+from its configuration's median, to the mean of that in its world.
+"""
 EXPLAINS = {VARIATION: "gradient_variation_explains", SCATTER: "scatter_explains"}
 """A rank correlation with the reward across the configurations of a world, a number a seed."""
 RANKED, NONE = "ranked", "none"
@@ -59,20 +68,21 @@ RANKED, NONE = "ranked", "none"
 
 
 class Evidence(Protocol):
-    """A metric of a cell: one number a seed [S]; none where it is not known.
+    """A metric of a configuration: one number a seed [S]; none where it is not known.
 
     Beside the six metrics there are
 
     - `stops`, and `hours` (one number a run);
-    - `reward_before`, `reward_surge`, `reward_after`: reward in 0-300,000, 300,000-600,000 and the last 100,000 frames,
-      in the same order of seeds;
+    - `reward_before`, `reward_surge`, `reward_after`: reward in 0-300,000, 300,000-600,000 and the last
+      100,000 frames, in the same order of seeds;
     - what `behaviour.measures` gives; the same in the empty arena as `empty_clearance` and so on;
-    - `corridor_early` and `clearance_early`: the same without the last 40 steps before a crash (`behaviour.early`);
-    - `corridor_by_layout` and `clearance_by_layout`: one number a layout, the mean over seeds, in the same order of
-      layouts in every cell (`behaviour.by_layout`).
+    - `corridor_early` and `clearance_early`: the same without the last 40 steps before a crash
+      (`behaviour.early`);
+    - `corridor_by_layout` and `clearance_by_layout`: one number a layout, the mean over seeds, in the same
+      order of layouts in every configuration (`behaviour.by_layout`).
 
-    study: `main`, `initial` (the first reward) or `baseline` (the same frames without it); of claims 12 to 16 a world
-    by its name, with the preset where it is not the default (`drone, fast`), or `ALL_WORLDS`.
+    study: `main`, `initial` (the first reward) or `baseline` (the same frames without it); of claims 12 to 16
+    a world by its name, with the preset where it is not the default (`drone, fast`), or `ALL_WORLDS`.
     """
 
     def __call__(self, algorithm: str, activation: str, metric: str, study: str = "main") -> Array: ...
@@ -94,7 +104,8 @@ class Term(NamedTuple):
 class Part:
     """One question: are these contrasts of the terms' means above zero, every one or at least one?
 
-    weights: [J][C]. A metric of which less is better enters with a minus, so that the claimed direction is up.
+    weights: [J][C]. A metric of which less is better enters with a minus, so that the claimed direction is
+        up.
     """
 
     text: str
@@ -105,7 +116,7 @@ class Part:
     beside: bool = False  # it stands beside the claim and is no part of its grade
 
     def sides(self, contrast: int) -> str:
-        """Which cells a contrast compares, in words."""
+        """Which configurations a contrast compares, in words."""
         weighed = list(zip(self.weights[contrast], self.terms, strict=True))
         return " against ".join(
             ", ".join(dict.fromkeys(str(term) for weight, term in weighed if sign * weight > 0)) or "0"
@@ -121,27 +132,36 @@ class Claim(NamedTuple):
     parts: Sequence[Part]
     shown: int = 0  # the part that the claim's sentence is about (templates/study.md)
     equal: tuple[str, ...] = ("algorithm", "metric")
-    """If nothing that the claim compares differed, terms that agree in these fields would have the same mean."""
+    """If nothing that the claim compares differed, terms that agree in these fields would have the same
+    mean.
+    """
     note: str = ""  # what else its own tables say
     decides: str = PRIMARY  # the metric definition that decides its grade
 
 
-def _cells(algorithm: str, activations: Sequence[str] = ACTIVATIONS) -> list[tuple[str, str]]:
+def _configurations(algorithm: str, activations: Sequence[str] = ACTIVATIONS) -> list[tuple[str, str]]:
     return list(itertools.product([algorithm], activations))
 
 
-PPO, DQN = map(_cells, ALGORITHMS)
+PPO, DQN = map(_configurations, ALGORITHMS)
 """The configurations of each."""
 
 
-def _terms(cells: Sequence[tuple[str, ...]], metric: str) -> tuple[Term, ...]:
-    return tuple(Term(algorithm, activation, metric, *study) for algorithm, activation, *study in cells)
+def _terms(configurations: Sequence[tuple[str, ...]], metric: str) -> tuple[Term, ...]:
+    return tuple(
+        Term(algorithm, activation, metric, *study) for algorithm, activation, *study in configurations
+    )
 
 
 def _means(
-    text: str, metric: str, up: Sequence[tuple[str, ...]], down: Sequence[tuple[str, ...]], sign: int = 1, **more: bool
+    text: str,
+    metric: str,
+    up: Sequence[tuple[str, ...]],
+    down: Sequence[tuple[str, ...]],
+    sign: int = 1,
+    **more: bool,
 ) -> Part:
-    """The mean of some cells is above that of others (sign -1: below)."""
+    """The mean of some configurations is above that of others (sign -1: below)."""
     weights = (*[sign / len(up)] * len(up), *[-sign / len(down)] * len(down))
     return Part(text, _terms([*up, *down], metric), (weights,), **more)
 
@@ -154,7 +174,9 @@ def _pairs(
     sign: int = 1,
     every: bool = True,
 ) -> Part:
-    """Each cell is above each of the others (sign -1: below); or else at least one of these pairs is in that order."""
+    """Each configuration is above each of the others (sign -1: below); or else at least one of these
+    pairs is in that order.
+    """
     count = len(up) + len(down)
     rows = []
     for first, second in itertools.product(range(len(up)), range(len(up), count)):
@@ -175,30 +197,46 @@ def _times(metric: str, algorithm: str, activation: str) -> Part:
 def _one(algorithm: str, activation: str) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """A configuration, and those of its algorithm with another activation."""
     others = [one for one in ACTIVATIONS if one != activation]
-    return _cells(algorithm, [activation]), _cells(algorithm, others)
+    return _configurations(algorithm, [activation]), _configurations(algorithm, others)
 
 
 def _label(metric: str) -> str:
-    """A metric's name in any reading."""
+    """A metric's name by any metric definition."""
     return METRICS[metric].label
 
 
 def _six(
-    text: str, up: Sequence[tuple[str, str]], down: Sequence[tuple[str, str]], sign: int = 1, make: Any = _pairs
+    text: str,
+    up: Sequence[tuple[str, str]],
+    down: Sequence[tuple[str, str]],
+    sign: int = 1,
+    make: Any = _pairs,
 ) -> list[Part]:
-    """A question to each metric of the paper's tables: some cells are better than others (sign -1: worse)."""
-    return [make(f"{_label(name)}: {text}", name, up, down, sign * metric.better) for name, metric in SIX.items()]
+    """A question to each metric of the paper's tables: some configurations are better than others (sign
+    -1: worse).
+    """
+    return [
+        make(f"{_label(name)}: {text}", name, up, down, sign * metric.better) for name, metric in SIX.items()
+    ]
 
 
 def _bounded(algorithm: str, metric: str, beside: bool = False) -> Part:
     text = f"{_label(metric)}: {algorithm.upper()}'s tanh and sigmoid above its ReLU and leaky ReLU"
-    return _means(text, metric, _cells(algorithm, BOUNDED), _cells(algorithm, UNBOUNDED), beside=beside)
+    return _means(
+        text,
+        metric,
+        _configurations(algorithm, BOUNDED),
+        _configurations(algorithm, UNBOUNDED),
+        beside=beside,
+    )
 
 
 def _dqn_sigmoid_surges() -> list[Part]:
     terms = tuple(Term("dqn", "sigmoid", f"reward_{when}") for when in ("before", "surge", "after"))
     above = "reward of DQN with sigmoid: 300,000 to 600,000 frames above"
-    lost = "reward of DQN with sigmoid: more than half of the rise by 600,000 frames is lost in the last 100,000"
+    lost = (
+        "reward of DQN with sigmoid: more than half of the rise by 600,000 frames is lost in the last 100,000"
+    )
     return [
         Part(f"{above} those before", terms[:2], ((-1.0, 1.0),), paired=True),
         Part(f"{above} the last 100,000", terms[1:], ((1.0, -1.0),), paired=True),
@@ -231,7 +269,9 @@ def _penalties_cure() -> list[Part]:
     parts = []
     for algorithm, (metric, words) in itertools.product(ALGORITHMS, questions.items()):
         first, second = ([(algorithm, one, study) for one in PAIR] for study in ("initial", "baseline"))
-        parts.append(_means(f"{words}: {algorithm.upper()} more under the first reward", metric, first, second))
+        parts.append(
+            _means(f"{words}: {algorithm.upper()} more under the first reward", metric, first, second)
+        )
     return parts
 
 
@@ -271,9 +311,13 @@ def _density() -> list[Part]:
 
 
 def _own_rungs() -> Part:
-    """PPO minus DQN falls from rung to rung, each trained there: the least-squares slope over rungs is below 0."""
-    cells = itertools.product(RUNGS.values(), ("dqn", "ppo"), PAIR)
-    terms = tuple(Term(algorithm, activation, "reward", world) for world, algorithm, activation in cells)
+    """PPO minus DQN falls from rung to rung, each trained there: the least-squares slope over rungs is
+    below 0.
+    """
+    configurations = itertools.product(RUNGS.values(), ("dqn", "ppo"), PAIR)
+    terms = tuple(
+        Term(algorithm, activation, "reward", world) for world, algorithm, activation in configurations
+    )
     signs = (1, 1, -1, -1)
     weights = tuple(float(one) * sign / len(PAIR) for one in slopes(tuple(RUNGS)) for sign in signs)
     text = "reward: PPO minus DQN falls with the obstacles that both were trained among"
@@ -287,7 +331,7 @@ def slopes(rungs: Sequence[float]) -> Array:
 
 
 def _slalom() -> tuple[Part, ...]:
-    worlds = {"drone": "the paper's banks", "slalom-100": "the slalom"}
+    worlds = {"drone": "the paper's layouts", "slalom-100": "the slalom"}
     parts = []
     for (world, words), (metric, label), gap in itertools.product(worlds.items(), PASSAGES.items(), NARROW):
         text = f"{label}: DQN above PPO at gaps of {gap} px, trained on {words}"
@@ -315,7 +359,10 @@ def _gradients() -> list[Part]:
         up, down = [(one, unbounded, ALL_WORLDS)], [(one, bounded, ALL_WORLDS)]
         parts.append(_means(f"{one.upper()}: {text}, mean over worlds", metric, up, down))
     for metric, name in EXPLAINS.items():
-        text = f"{words[metric]}, the more reward: rank correlation across the cells of a world, mean over worlds"
+        text = (
+            f"{words[metric]}, the more reward: rank correlation across the configurations of a world, "
+            "mean over worlds"
+        )
         up, down = [(RANKED, NONE, ALL_WORLDS)], [(RANKED, RANKED, ALL_WORLDS)]
         parts.append(_means(text, name, up, down, paired=True))
     return parts
@@ -327,14 +374,15 @@ CLAIMS = (
         "PPO outperforms DQN in all six metrics, and PPO's weakest result surpasses DQN's best.",
         [
             *_six("PPO better than DQN, means of four activations", PPO, DQN, make=_means),
-            *_six("each PPO cell better than each DQN cell", PPO, DQN),
+            *_six("each PPO configuration better than each DQN configuration", PPO, DQN),
         ],
         shown=5,
         equal=("metric",),
     ),
     Claim(
         2,
-        "PPO with tanh is best: its reward is nearly double the next, its steps and distance about twice the others'.",
+        "PPO with tanh is best: its reward is nearly double the next, its steps and distance about twice "
+        "the others'.",
         [
             *_six("PPO with tanh better than each other activation", *_one("ppo", "tanh")),
             *(_times(metric, "ppo", "tanh") for metric in ("reward", "steps", "distance")),
@@ -363,8 +411,8 @@ CLAIMS = (
             _pairs(
                 "full stops: PPO's ReLU and leaky ReLU each below its tanh and its sigmoid",
                 "full_stops",
-                _cells("ppo", UNBOUNDED),
-                _cells("ppo", BOUNDED),
+                _configurations("ppo", UNBOUNDED),
+                _configurations("ppo", BOUNDED),
                 -1,
             )
         ],
@@ -385,15 +433,20 @@ CLAIMS = (
     ),
     Claim(
         7,
-        "Bounded activations (sigmoid, tanh) generally beat unbounded ones (ReLU, leaky ReLU), though sigmoid is behind"
+        "Bounded activations (sigmoid, tanh) generally beat unbounded ones (ReLU, leaky ReLU), though "
+        "sigmoid is behind"
         " in PPO.",
         [
-            *(_bounded(algorithm, metric) for algorithm in ALGORITHMS for metric in ("reward", "steps", "distance")),
+            *(
+                _bounded(algorithm, metric)
+                for algorithm in ALGORITHMS
+                for metric in ("reward", "steps", "distance")
+            ),
             _means(
                 "reward: PPO's sigmoid below its ReLU and leaky ReLU",
                 "reward",
-                _cells("ppo", ["sigmoid"]),
-                _cells("ppo", UNBOUNDED),
+                _configurations("ppo", ["sigmoid"]),
+                _configurations("ppo", UNBOUNDED),
                 -1,
             ),
         ],
@@ -402,20 +455,28 @@ CLAIMS = (
         8,
         "No single family of activations is universally superior: algorithm and activation interact.",
         [
-            _means("reward: DQN's sigmoid above the mean of its three others", "reward", *_one("dqn", "sigmoid")),
-            _means("reward: PPO's sigmoid below the mean of its three others", "reward", *_one("ppo", "sigmoid"), -1),
+            _means(
+                "reward: DQN's sigmoid above the mean of its three others", "reward", *_one("dqn", "sigmoid")
+            ),
+            _means(
+                "reward: PPO's sigmoid below the mean of its three others",
+                "reward",
+                *_one("ppo", "sigmoid"),
+                -1,
+            ),
             *(_bounded(algorithm, "reward", beside=True) for algorithm in ("dqn", "ppo")),
         ],
         shown=1,
-        note="In its own tables bounded activations are ahead in both algorithms; what changes sides is sigmoid.",
+        note="In its own tables bounded activations are ahead in both algorithms; what changes sides is "
+        "sigmoid.",
     ),
     Claim(
         9,
         "DQN steers through corridors between obstacles; PPO keeps to open space.",
         _dqn_takes_corridors(),
         equal=("metric",),
-        note="Two parts leave out the last 40 steps before a crash. In two, the unit is the set of obstacles and not"
-        " the seed, so that the answer holds for other sets; their n counts sets.",
+        note="Two parts leave out the last 40 steps before a crash. In two, the unit is the layout and not"
+        " the seed, so that the answer holds for other layouts; their n counts layouts.",
     ),
     Claim(
         10,
@@ -423,17 +484,19 @@ CLAIMS = (
         _penalties_cure(),
         shown=2,
         equal=("algorithm", "activation", "metric"),
-        note="The runs are the shorter ones of the studies initial and baseline, tanh and ReLU; the reversals are of"
-        " the watched flights on test sets.",
+        note="The runs are the shorter ones of the studies initial and baseline, tanh and ReLU; the "
+        "reversals are of"
+        " the watched episodes on test layouts.",
     ),
     Claim(
         11,
         "A million steps take about ten hours.",
         [
             Part(
-                "hours for 1,000,000 steps: a seed's share of a run of several side by side, mean of the eight cells",
-                _terms(CELLS, "hours"),
-                ((1 / len(CELLS),) * len(CELLS),),
+                "hours for 1,000,000 steps: a seed's share of a run of several side by side, mean of the "
+                "eight configurations",
+                _terms(CONFIGURATIONS, "hours"),
+                ((1 / len(CONFIGURATIONS),) * len(CONFIGURATIONS),),
                 beside=True,
             )
         ],
@@ -442,7 +505,9 @@ CLAIMS = (
 )
 
 DISCUSSION = (
-    Claim(12, "DQN suits dense places and PPO open ones.", _density(), 3, ("metric", "study"), decides=SAMPLED),
+    Claim(
+        12, "DQN suits dense places and PPO open ones.", _density(), 3, ("metric", "study"), decides=SAMPLED
+    ),
     Claim(13, "DQN is the more agile in narrow places.", _slalom(), 0, ("metric", "study"), decides=SAMPLED),
     Claim(
         14,
@@ -461,7 +526,8 @@ DISCUSSION = (
     ),
     Claim(
         16,
-        "Bounded activations win because of their gradient flow: they learn more stably, and that explains the reward.",
+        "Bounded activations win because of their gradient flow: they learn more stably, and that explains "
+        "the reward.",
         _gradients(),
         10,
         ("algorithm", "metric"),
@@ -474,5 +540,5 @@ EVERY = (*CLAIMS, *DISCUSSION)
 
 def long(samples: Mapping[tuple[str, str], Array]) -> pd.DataFrame:
     """One row a seed, as `stats.interaction` takes it: columns algorithm, activation, value."""
-    rows = [(*cell, value) for cell, values in samples.items() for value in values]
+    rows = [(*configuration, value) for configuration, values in samples.items() for value in values]
     return pd.DataFrame(rows, columns=["algorithm", "activation", "value"])

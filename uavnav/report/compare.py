@@ -21,24 +21,25 @@ from rich.table import Table
 
 from uavnav import stats, style
 from uavnav.errors import did_you_mean, did_you_mean_run
-from uavnav.report import cells, curves, tables
-from uavnav.report.cells import Cell
+from uavnav.report import configurations, curves, tables
+from uavnav.report.configurations import Configuration
 from uavnav.runs import POLICY, Run, read_settings
+from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, METRICS, per_seed
 from uavnav.runs.tables import RunError, read_table
-from uavnav.tasks.protocol import EPISODES, MAX_STEPS, SCRIPTS, header
+from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.world import World
 
 if TYPE_CHECKING:
     from uavnav.tasks.baselines import AnyPolicy
-    from uavnav.tasks.task import Task
+    from uavnav.tasks.wrapper import WrappedTask
 
 MODE = "sampled"
 """As a policy acts at the end of training."""
 MARKS = (100, 1_000, 10_000)
-"""Steps after which the flights that are still up are counted."""
+"""Steps after which the episodes that are still up are counted."""
 SENSES = ("sensor_radius", "sensor_arc", "n_slots", "slots", "padding", "sense_velocity")
-"""Fields of a world that are the drone's own: neither sets of obstacles nor rewards depend on them."""
+"""Fields of a world that are the drone's own: neither layouts nor rewards depend on them."""
 BARS = "▁▂▃▄▅▆▇█"
 
 
@@ -46,15 +47,15 @@ class Contender(NamedTuple):
     """One of those that are compared."""
 
     name: str
-    flights: pd.DataFrame  # one row a test episode
+    episodes: pd.DataFrame  # one row a test episode
     protocol: Mapping[str, Any]  # how they were flown
     place: Mapping[str, Any]  # and where: `task`, `reward` and fields of the world
-    cell: Cell | None  # a run's training; None for what was not trained here
+    configuration: Configuration | None  # a run's training; None for what was not trained here
 
 
 def contend(names: Sequence[str], activation: str | None = None) -> list[Contender]:
-    """Rows of runs, and of scripts that lie beside the first run (`baselines/`), are read. All else is flown now, as
-    the first of the runs was.
+    """Rows of runs, and of scripts that lie beside the first run (`baselines/`), are read. All else is flown
+    now, as the first of the runs was.
 
     activation: of a zip's hidden layers.
 
@@ -62,7 +63,7 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
         LayoutError, PolicyError, RunError: a name is none of a run, a policy file, a zip or a baseline.
     """
     runs = {name: _of_run(name) for name in names if name not in SCRIPTS and not _is_policy(name)}
-    protocol = next((one.protocol for one in runs.values()), header("test", EPISODES, MAX_STEPS))
+    protocol = next((one.protocol for one in runs.values()), Protocol().header())
     first = next(iter(runs), None)
     found = []
     for name in names:
@@ -73,10 +74,10 @@ def contend(names: Sequence[str], activation: str | None = None) -> list[Contend
     return found
 
 
-def _scripted(run: str | None) -> Task:
+def _scripted(run: str | None) -> WrappedTask:
     """What scripted policies fly: the paper's task, or that of a run of another one."""
     from uavnav import plugins
-    from uavnav.tasks.simulator import EMPTY, TASKS, make_task
+    from uavnav.tasks.table import EMPTY, TASKS, make_task
 
     path = Path(run or "") / "config.yaml"
     settings = read_settings(path) if run is not None and path.exists() else {}
@@ -90,8 +91,10 @@ def _scripted(run: str | None) -> Task:
 
 
 def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | None:
-    """A script's flights, where a folder above a run keeps them as `uavnav evaluate` wrote them; else None."""
-    usual = header("test", EPISODES, MAX_STEPS)
+    """A script's episodes, where a folder above a run keeps them as `uavnav evaluate` wrote them; else
+    None.
+    """
+    usual = Protocol().header()
     path = Path(run) / "config.yaml"
     if protocol != usual or not path.exists() or read_settings(path).get("task", "drone") != "drone":
         return None
@@ -118,11 +121,15 @@ def _of_run(name: str) -> Contender:
         from uavnav.evaluation import evaluate_run
 
         rows = evaluate_run(run)
-    protocol = {key: rows.attrs.get(key, value) for key, value in header("test", EPISODES, MAX_STEPS).items()}
-    cell = cells.read(Path(name))
-    world = {key.removeprefix("world."): value for key, value in cell.settings.items() if key.startswith("world.")}
-    place = _place(cell.settings["task"], cell.settings["reward"], world)
-    return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), protocol, place, cell)
+    protocol = {key: rows.attrs.get(key, value) for key, value in Protocol().header().items()}
+    configuration = configurations.read(Path(name))
+    world = {
+        key.removeprefix("world."): value
+        for key, value in configuration.settings.items()
+        if key.startswith("world.")
+    }
+    place = _place(configuration.settings["task"], configuration.settings["reward"], world)
+    return Contender(name, rows[rows["mode"] == MODE].drop(columns="mode"), protocol, place, configuration)
 
 
 def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: str | None) -> Contender:
@@ -130,7 +137,7 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: 
     from uavnav.runs import policies
     from uavnav.runs.policies import Policy
     from uavnav.tasks.baselines import BASELINES, suited
-    from uavnav.tasks.task import name_of
+    from uavnav.tasks.table import name_of
     from uavnav.training import display, machine
 
     population: Mapping[int, AnyPolicy]
@@ -142,15 +149,15 @@ def _flown(name: str, protocol: Mapping[str, Any], activation: str | None, run: 
         population = policies.load_policies(name, greedy=False)
     first = next(iter(population.values()))
     task = on(first.task if isinstance(first, Policy) else _scripted(run), **protocol)
-    n = len(task.bank) * len(population)
-    with machine.use_threads(1), display.flights(name, n, protocol["max_steps"]) as tell:
+    n = len(task.layouts) * len(population)
+    with machine.use_threads(1), display.episodes(name, n, protocol["max_steps"]) as tell:
         population = {seed: suited(policy, task) for seed, policy in population.items()}
         place = _place(name_of(task), task.reward, task.world.model_dump())
         return Contender(name, fly(population, task, tell).episodes, protocol, place, None)
 
 
 def check(contenders: Sequence[Contender]) -> None:
-    """Raise a RunError unless all have flown the same sets of obstacles with the same cap."""
+    """Raise a RunError unless all have flown the same layouts with the same time limit."""
     first = contenders[0]
     for other in contenders[1:]:
         if other.protocol != first.protocol:
@@ -159,19 +166,24 @@ def check(contenders: Sequence[Contender]) -> None:
 
 
 def apart(contenders: Sequence[Contender]) -> str:
-    """Which two flew in different worlds, and in what these differ, in one line; empty where all flew in one."""
+    """Which two flew in different worlds, and in what these differ, in one line; empty where all flew in
+    one.
+    """
     first = contenders[0]
     for other in contenders[1:]:
         differ = [key for key in first.place if key in other.place and first.place[key] != other.place[key]]
         if differ:
-            both = (f"{one.name} ({', '.join(f'{key}={one.place[key]}' for key in differ)})" for one in (first, other))
+            both = (
+                f"{one.name} ({', '.join(f'{key}={one.place[key]}' for key in differ)})"
+                for one in (first, other)
+            )
             return f"{' and '.join(both)} flew in different worlds, so their rewards are not of one measure"
     return ""
 
 
 def seeds_of(contenders: Sequence[Contender]) -> dict[str, pd.DataFrame]:
     """The metrics of every seed, by contender."""
-    return {one.name: per_seed(one.flights) for one in contenders}
+    return {one.name: per_seed(one.episodes) for one in contenders}
 
 
 def metrics(contenders: Sequence[Contender]) -> pd.DataFrame:
@@ -185,16 +197,18 @@ def metrics(contenders: Sequence[Contender]) -> pd.DataFrame:
 
 
 def survival(contenders: Sequence[Contender]) -> dict[str, pd.Series[float]]:
-    """The share of flights that are still up, by steps."""
+    """The share of episodes that are still up, by steps."""
     return {
-        one.name: stats.survival(one.flights["steps"].to_numpy(), one.flights["terminated"].to_numpy())
+        one.name: stats.survival(one.episodes["steps"].to_numpy(), one.episodes["terminated"].to_numpy())
         for one in contenders
     }
 
 
 def improvement(contenders: Sequence[Contender]) -> pd.DataFrame:
     """The probability, for each pair, that a seed of one has more reward than a seed of the other."""
-    return stats.improvement({name: table["reward"].to_numpy() for name, table in seeds_of(contenders).items()})
+    return stats.improvement(
+        {name: table["reward"].to_numpy() for name, table in seeds_of(contenders).items()}
+    )
 
 
 def spark(values: Sequence[float]) -> str:
@@ -207,12 +221,14 @@ def spark(values: Sequence[float]) -> str:
 
 def flown(contenders: Sequence[Contender]) -> str:
     """How all of them were flown."""
-    episodes, bank, cap = (contenders[0].protocol[key] for key in ("episodes", "layouts", "max_steps"))
-    return f"{episodes} sets of obstacles (bank {bank}), at most {cap:,} steps"
+    episodes, layouts, limit = (contenders[0].protocol[key] for key in ("episodes", "layouts", "max_steps"))
+    return f"{episodes} layouts ({layouts}), at most {limit:,} steps"
 
 
 def _short(names: Sequence[str]) -> list[str]:
-    """Names without the folders that all paths among them share, so that they differ within a narrow column."""
+    """Names without the folders that all paths among them share, so that they differ within a narrow
+    column.
+    """
     paths = [name for name in names if "/" in name]
     shared = os.path.commonpath([os.path.dirname(path) for path in paths]) if len(paths) > 1 else ""
     return [name.removeprefix(f"{shared}/") for name in names]
@@ -221,12 +237,14 @@ def _short(names: Sequence[str]) -> list[str]:
 def text(contenders: Sequence[Contender], console: Console) -> None:
     """Print the tables, and each run's learning curve as bars."""
     rows = tables.side_by_side(seeds_of(contenders))
-    table = Table("", *_short(rows[0][1:]), title=f"Means and 95 % intervals over seeds; {flown(contenders)}", box=None)
+    table = Table(
+        "", *_short(rows[0][1:]), title=f"Means and 95 % intervals over seeds; {flown(contenders)}", box=None
+    )
     table.title_justify = "left"
     for row in rows[1:]:
         table.add_row(*row)
     console.print(table)
-    up = Table(title="Flights still up [%] after so many steps", title_justify="left", box=None)
+    up = Table(title="Episodes still up [%] after so many steps", title_justify="left", box=None)
     up.add_column("")
     marks = [mark for mark in MARKS if mark <= contenders[0].protocol["max_steps"]]
     for mark in marks:
@@ -236,23 +254,28 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
     console.print(up)
     for pair in improvement(contenders).to_dict("records"):
         p = f", p = {pair['p_holm']:.2g} (Holm)" if np.isfinite(pair["p_holm"]) else ""
-        console.print(f"{pair['a']} has more reward than {pair['b']} with probability {pair['probability']:.2f}{p}")
+        console.print(
+            f"{pair['a']} has more reward than {pair['b']} with probability {pair['probability']:.2f}{p}"
+        )
     for one in contenders:
-        if one.cell is not None:
-            line = curves.learning(one.cell, "reward")["mean"]
+        if one.configuration is not None:
+            line = curves.learning(one.configuration, "reward")["mean"]
             ends = f"{style.number(line.iloc[0])} to {style.number(line.iloc[-1])}"
             console.print(f"{one.name}: reward per frame in training {spark(line.tolist())} {ends}")
 
 
 def page(contenders: Sequence[Contender]) -> bytes:
-    """The same as one file of HTML, with figures, and flights of one seed of each run."""
-    from uavnav.report import replays
-    from uavnav.views import browser
+    """The same as one file of HTML, with figures, and episodes of one seed of each run."""
+    from uavnav.views import browser, replays
 
-    trained = {one.name: one.cell for one in contenders if one.cell is not None}
+    trained = {one.name: one.configuration for one in contenders if one.configuration is not None}
     drawn = [curves.survival(survival(contenders), contenders[0].protocol["max_steps"])]
-    drawn += [curves.together(trained, "reward")] if trained else []
-    recorded = replays.record([cell.labelled(f"({name})") for name, cell in trained.items()], n_seeds=1)
+    drawn += [curves.curves(trained, "reward", {})] if trained else []
+    shown = [
+        replays.Trained(configuration.algorithm, f"({name})", configuration.runs)
+        for name, configuration in trained.items()
+    ]
+    recorded = replays.record(shown, n_seeds=1)
     environment = jinja2.Environment(loader=jinja2.PackageLoader("uavnav.report"), autoescape=True)
     page = environment.get_template("compare.html").render(
         names=[one.name for one in contenders],
@@ -260,13 +283,13 @@ def page(contenders: Sequence[Contender]) -> bytes:
         apart=apart(contenders),
         tables={
             "Means over seeds, with their 95 % intervals": tables.side_by_side(seeds_of(contenders)),
-            "How probably a seed of one has more reward than a seed of another: Mann-Whitney, Holm's correction": (
+            "How probably a seed of one has more reward than a seed of another: Mann-Whitney, Holm": (
                 tables.listed(improvement(contenders), tables.IMPROVEMENT)
             ),
         },
         pictures=[(base64.b64encode(style.save(one.figure)[0]).decode(), one.alt) for one in drawn],
         replays=Markup(json.dumps(recorded, separators=(",", ":")).replace("<", "\\u003c"))
-        if recorded["cells"]
+        if recorded["configurations"]
         else "",
         left_out=recorded["left_out"],
         css=Markup(browser.joined([browser.HERE / "replay.css"])),

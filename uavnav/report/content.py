@@ -13,35 +13,36 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.evaluation import EMPTY_ARENA
-from uavnav.report import behaviour, figures, frames, replays, studies, tables, tuning, whys, worlds
-from uavnav.report.cells import Cell, algorithms, collect, one_line, read_as
+from uavnav.report import behaviour, figures, frames, studies, tables, tuning, whys, worlds
 from uavnav.report.claims import CLAIMS, DISCUSSION, PRIMARY
+from uavnav.report.configurations import Configuration, algorithms, collect, one_line, read_as
 from uavnav.report.figures import Figure
 from uavnav.report.operating import characteristics
 from uavnav.report.studies import Rows, Studies
 from uavnav.report.verdicts import Finding, audit
 from uavnav.report.worlds import Worlds
 from uavnav.runs import VALUES, Run, paper
-from uavnav.runs.readings import READINGS, SAMPLED
+from uavnav.runs.definitions import DEFINITIONS, SAMPLED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
 from uavnav.training import machine
+from uavnav.views import replays
 
 Place = tuple[str, str, str]
 """Study, algorithm and activation."""
-Flights = dict[Place, pd.DataFrame]
+Episodes = dict[Place, pd.DataFrame]
 WATCHED = ("main", "baseline", "initial")
-"""Studies whose flights are measured."""
+"""Studies whose episodes are measured."""
 
 
 @dataclass
 class Content:
     """All that a report says."""
 
-    cells: list[Cell]
+    configurations: list[Configuration]
     studies: Studies
-    audits: dict[str, list[Finding]]  # by reading
+    audits: dict[str, list[Finding]]  # by metric definition
     tables: dict[str, pd.DataFrame]  # by the name of their CSV
     figures: list[Figure]
     narrow: list[Figure]  # the same, for a phone
@@ -53,68 +54,98 @@ class Content:
 
     @property
     def missing(self) -> list[str]:
-        """The paper's cells that have no finished run in the main study."""
+        """The paper's configurations that have no finished run in the main study."""
         return [" ".join(key) for key in paper.TABLES if key not in self.studies.main]
 
     @property
     def of_the_study(self) -> bool:
         """Whether the main study is the one that answers for the paper, and all of it."""
-        named = [studies.PLACES.get(cell.study) == "main" for cell in studies.paper_cells(self.studies.main).values()]
+        named = [
+            studies.PLACES.get(configuration.study) == "main"
+            for configuration in studies.paper_configurations(self.studies.main).values()
+        ]
         return not self.missing and all(named)
 
     @property
     def unasked(self) -> list[int]:
         """The claims of which no run says anything."""
         found = [finding for findings in self.audits.values() for finding in findings]
-        return [claim.number for claim in CLAIMS if not any(one.n for one in found if one.claim == claim.number)]
+        return [
+            claim.number for claim in CLAIMS if not any(one.n for one in found if one.claim == claim.number)
+        ]
 
     @property
     def flown(self) -> dict[str, pd.DataFrame]:
-        """Each cell's test flights as a row a seed, sampled, by the folder of its first run."""
-        read = {str(cell.runs[0].path): read_as(cell, SAMPLED) for cell in self.cells}
+        """Each configuration's test episodes as a row a seed, sampled, by the folder of its first run."""
+        read = {
+            str(configuration.runs[0].path): read_as(configuration, SAMPLED)
+            for configuration in self.configurations
+        }
         return {name: seeds for name, seeds in read.items() if len(seeds)}
 
     @functools.cached_property
     def baseline_rows(self) -> list[list[str]]:
-        """Scripts and people beside the study's cells, as a table."""
-        return tables.baselines(self.baselines, studies.paper_cells(self.studies.main))
+        """Scripts and people beside the study's configurations, as a table."""
+        return tables.baselines(self.baselines, studies.paper_configurations(self.studies.main))
 
     @functools.cached_property
     def paper_tables(self) -> dict[str, list[list[str]]]:
         """The main study as in the paper's tables, by algorithm: the paper's, and whatever else has runs."""
-        of_paper = studies.paper_cells(self.studies.main)
-        others = algorithms((cell.algorithm, cell.activation) for cell in self.cells)
+        of_paper = studies.paper_configurations(self.studies.main)
+        others = algorithms(
+            (configuration.algorithm, configuration.activation) for configuration in self.configurations
+        )
         return {
-            algorithm: tables.table([cell for (which, _), cell in of_paper.items() if which == algorithm], algorithm)
+            algorithm: tables.table(
+                [(key[1], configuration) for key, configuration in of_paper.items() if key[0] == algorithm],
+                algorithm,
+            )
             for algorithm in dict.fromkeys([*paper.TABLE_OF, *others])
         }
 
 
-def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, Any]] = replays.record) -> Content:
+def gather(
+    folders: Sequence[Path], fly: Callable[[Sequence[replays.Trained]], dict[str, Any]] = replays.record
+) -> Content:
     """Read all runs in some folders, let their policies fly a little, and work out what the report says.
 
-    fly: what gives the replays of some cells.
+    fly: what gives the replays of some configurations.
 
     Raises:
         RunError: a folder is missing or holds no run, or no run can be used.
     """
-    cells, left_out = collect(folders)
-    sorted_cells = studies.sort(cells)
-    left_out += studies.in_none(sorted_cells)
-    of_paper = studies.paper_cells(sorted_cells.main)
-    with machine.use_threads(1), ThreadPoolExecutor(1) as beside:  # what nothing else waits for flies meanwhile
-        replayed = beside.submit(fly, list(dict.fromkeys([*of_paper.values(), *studies.elsewhere(cells)])))
-        flights, by_layout, watched, problems = watch(sorted_cells)
-        evidence = {reading: Rows(sorted_cells, reading, flights, by_layout) for reading in READINGS}
-        printed = {reading: functools.partial(studies.of_paper, reading=reading) for reading in READINGS}
-        audits = {reading: audit(evidence[reading], printed[reading]) for reading in READINGS}
+    configurations, left_out = collect(folders)
+    sorted_configurations = studies.sort(configurations)
+    left_out += studies.in_none(sorted_configurations)
+    of_paper = studies.paper_configurations(sorted_configurations.main)
+    shown = dict.fromkeys([*of_paper.values(), *studies.elsewhere(configurations)])
+    flying = [
+        replays.Trained(configuration.algorithm, configuration.activation, configuration.runs)
+        for configuration in shown
+    ]
+    # what nothing else waits for flies meanwhile
+    with (
+        machine.use_threads(1),
+        ThreadPoolExecutor(1) as beside,
+    ):
+        replayed = beside.submit(fly, flying)
+        episodes, by_layout, watched, problems = watch(sorted_configurations)
+        evidence = {
+            definition: Rows(sorted_configurations, definition, episodes, by_layout)
+            for definition in DEFINITIONS
+        }
+        printed = {
+            definition: functools.partial(studies.of_paper, definition=definition)
+            for definition in DEFINITIONS
+        }
+        audits = {definition: audit(evidence[definition], printed[definition]) for definition in DEFINITIONS}
         baselines, unread = frames.baselines(folders)
         tuned, untuned = tuning.read(folders, baselines)
-        survival, survived = frames.survival(sorted_cells.main, baselines)
+        survival, survived = frames.survival(sorted_configurations.main, baselines)
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
-        carried = frames.carried(sorted_cells, evidence[PRIMARY])
-        numbers = _tables(sorted_cells, flights) | {
+        carried = frames.carried(sorted_configurations, evidence[PRIMARY])
+        numbers = _tables(sorted_configurations, episodes) | {
             "whys": whys.table(evidence[PRIMARY]),
             "overestimation": overestimated,
             "survival": survived,
@@ -124,15 +155,20 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
             "fits": frames.fits(predictions),
             **tuned,
         }
-        if sorted_cells.tuned:
-            numbers["fast"] = frames.gaps(sorted_cells.tuned, baselines)
+        if sorted_configurations.tuned:
+            numbers["fast"] = frames.gaps(sorted_configurations.tuned, baselines)
         if len(carried):
-            numbers |= {"carried": carried, "further": frames.gaps(studies.further(sorted_cells), baselines)}
+            numbers |= {
+                "carried": carried,
+                "further": frames.gaps(studies.further(sorted_configurations), baselines),
+            }
         if of_worlds := worlds.gather(folders):
             elsewhere = worlds.Evidence(of_worlds.seeds)
             audits[SAMPLED] += audit(elsewhere, studies.of_paper, DISCUSSION)
             errs = numbers["operating"], characteristics(elsewhere, studies.of_paper, DISCUSSION)
-            numbers |= worlds.numbers(of_worlds) | {"operating": pd.concat(errs, ignore_index=True)}
+            places = worlds.summary(of_worlds)
+            numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
+            numbers["operating"] = pd.concat(errs, ignore_index=True)
             left_out += of_worlds.left_out
         numbers["verdicts"] = frames.verdicts(audits)
         drawn, narrow = (
@@ -141,13 +177,13 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
         )
         flown = replayed.result()
     return Content(
-        cells,
-        sorted_cells,
+        configurations,
+        sorted_configurations,
         audits,
         numbers,
         drawn,
         narrow,
-        flown if flown["cells"] else None,
+        flown if flown["configurations"] else None,
         baselines,
         frames.first_rule(folders[0]),
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *flown["left_out"]])),
@@ -155,26 +191,29 @@ def gather(folders: Sequence[Path], fly: Callable[[Sequence[Cell]], dict[str, An
     )
 
 
-def watch(all_cells: Studies) -> tuple[Flights, Flights, Flights, list[str]]:
-    """Measures of flights by mode and seed, by mode and layout, the flights, and a line for what could not be read.
+def watch(all_configurations: Studies) -> tuple[Episodes, Episodes, Episodes, list[str]]:
+    """Measures of episodes by mode and seed, by mode and layout, the episodes, and a line for what could not
+    be read.
 
-    Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`), and in the empty arena:
-    the measures there are `empty_...`, the `layout` is -1.
+    Those of the main study are also taken early and by layout (`behaviour.early`, `by_layout`), and in the
+    empty arena: the measures there are `empty_...`, the `layout` is -1.
     """
-    tables: Flights = {}
-    empty: Flights = {}
+    tables: Episodes = {}
+    empty: Episodes = {}
     problems = []
-    for study in (*WATCHED, *all_cells.why):
-        for key, cell in studies.paper_cells(all_cells.of(study)).items():
-            for found, read in ((tables, behaviour.read), (empty, behaviour.read_arena)):
+    for study in (*WATCHED, *all_configurations.why):
+        for key, configuration in studies.paper_configurations(all_configurations.of(study)).items():
+            for found, in_arena in ((tables, False), (empty, True)):
                 if found is tables or (study == "main" and (study, *key) in tables):
-                    rows, lines = _of_runs(cell, read)
+                    rows, lines = _of_runs(
+                        configuration, functools.partial(behaviour.read, in_arena=in_arena)
+                    )
                     problems += lines
                     found |= {(study, *key): pd.concat(rows, ignore_index=True)} if rows else {}
-    world, bank = World(), layouts.load("test")
+    world, all_layouts = World(), layouts.load("test")
     measured, by_layout = {}, {}
     for place, table in tables.items():
-        steps = behaviour.of_steps(table, bank, world)
+        steps = behaviour.of_steps(table, all_layouts, world)
         measured[place] = behaviour.of_seeds(steps)
         if place[0] == "main":
             measured[place] = measured[place].join(behaviour.early(steps), on=["mode", "seed"])
@@ -186,10 +225,12 @@ def watch(all_cells: Studies) -> tuple[Flights, Flights, Flights, list[str]]:
     return measured, by_layout, tables, problems
 
 
-def _of_runs(cell: Cell, read: Callable[[Run], pd.DataFrame | None]) -> tuple[list[pd.DataFrame], list[str]]:
-    """What the runs of a cell have of a table, and a line for each that could not be read."""
+def _of_runs(
+    configuration: Configuration, read: Callable[[Run], pd.DataFrame | None]
+) -> tuple[list[pd.DataFrame], list[str]]:
+    """What the runs of a configuration have of a table, and a line for each that could not be read."""
     found, problems = [], []
-    for run in cell.runs:
+    for run in configuration.runs:
         try:
             found.append(read(run))
         except RunError as error:
@@ -197,7 +238,7 @@ def _of_runs(cell: Cell, read: Callable[[Run], pd.DataFrame | None]) -> tuple[li
     return [table for table in found if table is not None], problems
 
 
-def _overestimation(cells: studies.Cells) -> tuple[pd.DataFrame, list[str]]:
+def _overestimation(configurations: studies.Configurations) -> tuple[pd.DataFrame, list[str]]:
     """What seeds expect and get (`evaluate.values`), and a line for each table that could not be read."""
     columns = {"seed": "int64"} | dict.fromkeys(frames.OVERESTIMATION, "float64")
 
@@ -206,33 +247,38 @@ def _overestimation(cells: studies.Cells) -> tuple[pd.DataFrame, list[str]]:
         return read_table(path, columns, behaviour.AGAIN) if path.exists() else None
 
     parts, problems = [], []
-    for key, cell in cells.items():
-        found, lines = _of_runs(cell, read)
-        parts += [table.assign(cell=frames.name(*key)) for table in found]
+    for key, configuration in configurations.items():
+        found, lines = _of_runs(configuration, read)
+        parts += [table.assign(configuration=frames.name(*key)) for table in found]
         problems += lines
-    return pd.concat(parts or [pd.DataFrame(columns=["cell", *columns])], ignore_index=True)[
-        ["cell", *columns]
+    return pd.concat(parts or [pd.DataFrame(columns=["configuration", *columns])], ignore_index=True)[
+        ["configuration", *columns]
     ], problems
 
 
-def _tables(all_cells: Studies, flights: Flights) -> dict[str, pd.DataFrame]:
-    values, of_paper = frames.per_seed_values(all_cells.main), studies.paper_cells(all_cells.main)
+def _tables(all_configurations: Studies, episodes: Episodes) -> dict[str, pd.DataFrame]:
+    values, of_paper = (
+        frames.per_seed_values(all_configurations.main),
+        studies.paper_configurations(all_configurations.main),
+    )
     return {
         "seeds": values,
         "metrics": frames.estimates(values),
-        "tuned": frames.estimates(frames.per_seed_values(all_cells.tuned)),
+        "tuned": frames.estimates(frames.per_seed_values(all_configurations.tuned)),
         "improvement": frames.improvement(of_paper),
-        "interaction": frames.interactions(all_cells.main),
-        "power": frames.power(all_cells.main),
-        "behaviour": frames.flown(flights),
+        "interaction": frames.interactions(all_configurations.main),
+        "power": frames.power(all_configurations.main),
+        "behaviour": frames.flown(episodes),
         "diagnostics": frames.diagnostics(of_paper),
-        "sensitivity": frames.sensitivity(all_cells),
-        "cells": frames.sizes(all_cells),
-        "effects": frames.effects(all_cells),
-        "worlds": frames.one_against_many(all_cells),
+        "sensitivity": frames.sensitivity(all_configurations),
+        "configurations": frames.sizes(all_configurations),
+        "effects": frames.effects(all_configurations),
+        "worlds": frames.one_against_many(all_configurations),
         "peaks": frames.peaks(of_paper),
-        "by_default": frames.by_default(all_cells),
-        "vectorised": frames.estimates(frames.per_seed_values(studies.paper_cells(all_cells.vectorised))),
-        "wide": frames.estimates(frames.per_seed_values(studies.wide(all_cells))),
+        "by_default": frames.by_default(all_configurations),
+        "vectorised": frames.estimates(
+            frames.per_seed_values(studies.paper_configurations(all_configurations.vectorised))
+        ),
+        "wide": frames.estimates(frames.per_seed_values(studies.wide(all_configurations))),
         "speed": frames.speed(of_paper),
     }

@@ -1,4 +1,5 @@
-"""docs/results.md, and the blocks of results in the README and docs/algorithms.md, from the report's own source.
+"""docs/results.md, and the blocks of results in the README and docs/algorithms.md, from the report's own
+source.
 
 `python -m uavnav.report.docs [FOLDER]`
 """
@@ -27,21 +28,26 @@ def results(content: Content) -> str:
 
 
 def summary(content: Content) -> str:
-    """The README's findings, the flights of the best beside the rule's, and a row a claim."""
+    """The README's findings, the episodes of the best beside the rule's, and a row a claim."""
     return render("summary.md", content, root="results/").strip()
 
 
 def choice(content: Content, benchmarks: str) -> str:
-    """The table in docs/algorithms.md; benchmarks: the text of docs/benchmarks.md, which says what each costs."""
+    """The table in docs/algorithms.md; benchmarks: the text of docs/benchmarks.md, which says what each
+    costs.
+    """
     return render("choice.md", content, costs=costs(benchmarks)).strip()
 
 
 def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
-    """The time and the memory of a million frames of ten seeds, by algorithm: of full buffers where there are any."""
+    """The time and the memory of a million frames of ten seeds, by algorithm: of full buffers where there
+    are any.
+    """
     times, memory = {}, {}
     for lines in benchmarks.split("\n\n"):
         head, *rows = (
-            [cell.strip() for cell in line.strip("|").split("|")] for line in lines.strip().splitlines() or [""]
+            [cell.strip() for cell in line.strip("|").split("|")]
+            for line in lines.strip().splitlines() or [""]
         )
         for first, *cells in rows if MEMORY in head else []:
             algorithm, _, who = first.lower().partition(", ")
@@ -67,9 +73,13 @@ def between_marks(text: str, new: str, where: str = "README.md") -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write docs/results.md and the blocks of results in README.md and docs/algorithms.md from the runs in a folder."""
+    """Write docs/results.md and the blocks of results in README.md and docs/algorithms.md from the runs
+    in a folder.
+    """
     parser = Parser(prog="python -m uavnav.report.docs", description=main.__doc__)
-    parser.add_argument("folder", nargs="?", default="results", metavar="FOLDER", help="of runs (default: results)")
+    parser.add_argument(
+        "folder", nargs="?", default="results", metavar="FOLDER", help="of runs (default: results)"
+    )
     arguments = parser.parse_args(argv)
     try:
         content = gather([Path(arguments.folder)])

@@ -1,4 +1,6 @@
-"""The one table of evidence: a row a claim of the paper, 1 to 16, with its grade, its parts and what our seeds say."""
+"""The one table of evidence: a row a claim of the paper, 1 to 16, with its grade, its parts and what our
+seeds say.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from uavnav.report.claims import CLAIMS, EVERY, Claim
 from uavnav.report.content import Content
 from uavnav.report.quotes import Quotes
 from uavnav.report.verdicts import NO_RUNS, Finding, Grade, grade, of_claim
-from uavnav.runs.readings import ALL
+from uavnav.runs.definitions import ALL
 
 
 class Row(NamedTuple):
@@ -24,7 +26,7 @@ class Row(NamedTuple):
     grade: Grade
     said: str  # what our seeds say, in Markdown
     parts: tables.Rows
-    readings: dict[str, str]  # its grade in each reading beside the one that decides
+    definitions: dict[str, str]  # its grade in each metric definition beside the one that decides
     waits: bool  # some of its parts have no runs, of a claim that has some
 
     @property
@@ -35,18 +37,20 @@ class Row(NamedTuple):
 
 
 def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row]:
-    """A row a claim; those on other worlds where a folder has that study. prose: of `quotes`; root: of its links."""
+    """A row a claim; those on other worlds where a folder has that study. prose: of `quotes`; root: of
+    its links.
+    """
     quotes = Quotes(content.tables, root)
     return [_row(claim, content, prose, quotes) for claim in (EVERY if content.worlds else CLAIMS)]
 
 
 def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quotes) -> Row:
-    asked = {reading: of_claim(found, claim.number) for reading, found in content.audits.items()}
-    of = {reading: parts for reading, parts in asked.items() if parts}
+    asked = {definition: of_claim(found, claim.number) for definition, found in content.audits.items()}
+    of = {definition: parts for definition, parts in asked.items() if parts}
     mine = of[claim.decides]
     shown = mine[claim.shown]
     verdicts = content.tables["verdicts"]
-    lines = verdicts.index[(verdicts["reading"] == claim.decides) & (verdicts["claim"] == claim.number)]
+    lines = verdicts.index[(verdicts["definition"] == claim.decides) & (verdicts["claim"] == claim.number)]
     effect = quotes.link(tables.effect(shown), "verdicts", int(lines[claim.shown]))
     generic = f"{shown.text}: {effect}" if shown.n else "Some of its runs are missing."
     return Row(
@@ -56,13 +60,13 @@ def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quote
         grade(mine),
         prose[f"claim_{claim.number}"] or generic,
         tables.audit_rows(mine),
-        {reading: _graded(found) for reading, found in of.items() if reading != claim.decides},
+        {definition: _graded(found) for definition, found in of.items() if definition != claim.decides},
         any(one.standing == NO_RUNS for one in mine) and any(one.n for one in mine),
     )
 
 
 def _graded(findings: Sequence[Finding]) -> str:
-    """A claim's grade; a dash where a reading has no runs for any part of it."""
+    """A claim's grade; a dash where a metric definition has no runs for any part of it."""
     return str(grade(findings)) if any(one.n for one in findings) else tables.NOTHING
 
 
@@ -76,11 +80,13 @@ def table(found: Sequence[Row]) -> tables.Rows:
 
 
 def overview(found: Sequence[Row]) -> tables.Rows:
-    """A claim's grade in the reading that decides and in the others; a dash where another says nothing of it."""
-    others = list(found[0].readings)
+    """A claim's grade in the metric definition that decides and in the others; a dash where another says
+    nothing of it.
+    """
+    others = list(found[0].definitions)
     shown = [["", "the paper says", "grade", "parts that replicate", *others]]
     for one in found:
-        rest = [one.readings.get(reading, tables.NOTHING) for reading in others]
+        rest = [one.definitions.get(definition, tables.NOTHING) for definition in others]
         shown.append([str(one.number), one.sentence, str(one.grade), one.bar, *rest])
     return shown
 
@@ -89,7 +95,7 @@ def against_itself(numbers: Mapping[str, pd.DataFrame], root: str = "") -> table
     """The parts of claims that the paper's own tables, as printed, do not show: they should be above zero."""
     shown, quotes = [["claim", "what it says", "the paper's own tables"]], Quotes(numbers, root)
     verdicts = numbers["verdicts"]
-    for place, one in verdicts[(verdicts["reading"] == ALL) & (verdicts["paper"] <= 0)].iterrows():
+    for place, one in verdicts[(verdicts["definition"] == ALL) & (verdicts["paper"] <= 0)].iterrows():
         number = quotes.link(tables.number(one["paper"]), "verdicts", int(str(place)))
         shown.append([str(one["claim"]), one["text"], number])
     return shown

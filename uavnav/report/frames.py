@@ -1,7 +1,8 @@
 """The numbers of the report as data frames, one row a number or a seed: what `tables/*.csv` holds.
 
-Every function takes the cells of a study and gives a frame; the page, the figures and the Markdown show parts of them.
-To add a metric, add a line to `metrics.METRICS`; to add a measure of flights, a column to `behaviour.measures`.
+Every function takes the configurations of a study and gives a frame; the page, the figures and the Markdown
+show parts of them. To add a metric, add a line to `metrics.METRICS`; to add a measure of episodes, a column
+to `behaviour.measures`.
 """
 
 from __future__ import annotations
@@ -17,18 +18,36 @@ import pandas as pd
 
 from uavnav import stats
 from uavnav.report import claims
-from uavnav.report.cells import Cell, Key, algorithms, curve, episodes_of, order, read_as, windowed
 from uavnav.report.claims import BOUNDED, PAIR, PRIMARY, SURGE, UNBOUNDED, Evidence, long
-from uavnav.report.studies import AFTER, TUNED, Cells, Studies, hours, paper_cells, seeds, timed
+from uavnav.report.configurations import (
+    Configuration,
+    Key,
+    algorithms,
+    curve,
+    episodes_of,
+    order,
+    read_as,
+    windowed,
+)
+from uavnav.report.studies import (
+    AFTER,
+    TUNED,
+    Configurations,
+    Studies,
+    hours,
+    paper_configurations,
+    seeds,
+    timed,
+)
 from uavnav.report.verdicts import Finding, grade, of_claim
 from uavnav.runs import paper
+from uavnav.runs.definitions import DEFINITIONS, EVALUATIONS, PER_FRAME, SAMPLED
 from uavnav.runs.metrics import EVALUATED, finished
-from uavnav.runs.readings import EVALUATIONS, PER_FRAME, READINGS, SAMPLED
 from uavnav.runs.tables import RunError, read_csv, read_table
 from uavnav.tasks.protocol import MAX_STEPS
 
-CAP = MAX_STEPS
-"""Steps at which the restricted mean of a survival curve ends: the evaluation's own cap."""
+LIMIT = MAX_STEPS
+"""Steps at which the restricted mean of a survival curve ends: the evaluation's own time limit."""
 DIAGNOSTICS = {
     "dormant": "dormant hidden units [share]",
     "saturated": "saturated activations [share]",
@@ -47,13 +66,17 @@ MEASURES = {
     "turning_speed": "speed in turns [px a step]",
 }
 """How a policy flies: the columns of `behaviour.measures`."""
-OVERESTIMATION = {"q": "max Q [reward]", "realised": "realised [reward]", "overestimation": "overestimation [reward]"}
+OVERESTIMATION = {
+    "q": "max Q [reward]",
+    "realised": "realised [reward]",
+    "overestimation": "overestimation [reward]",
+}
 """What a seed expects and gets: columns of `evaluate.values.overestimation`."""
 RULE = "reactive"
 """The scripted policy that everything learned is held against: `uavnav.tasks.baselines.reactive`."""
 VECTORISED = "many environments"
 """The setting in which the study in many environments differs from that in one."""
-EVERY = "all cells"
+EVERY = "all configurations"
 CONCLUSIONS = {
     "tanh − relu": (("tanh",), ("relu",)),
     "bounded − unbounded": (BOUNDED, UNBOUNDED),
@@ -67,71 +90,82 @@ AS_DECIDED = "default"
 
 
 def name(algorithm: str, activation: str) -> str:
-    """A cell, in words."""
+    """A configuration, in words."""
     return f"{algorithm.upper()} {activation}"
 
 
-def of_seeds(cell: Cell, reading: str, metric: str = "reward") -> stats.Array:
-    """A metric of a cell in one reading: a number a seed [S]."""
-    return read_as(cell, reading)[metric].dropna().to_numpy()
+def of_seeds(configuration: Configuration, definition: str, metric: str = "reward") -> stats.Array:
+    """A metric of a configuration in one metric definition: a number a seed [S]."""
+    return read_as(configuration, definition)[metric].dropna().to_numpy()
 
 
-def per_seed_values(cells: Cells) -> pd.DataFrame:
-    """Every metric of every seed in every reading: algorithm, activation, reading, metric, seed, value."""
+def per_seed_values(configurations: Configurations) -> pd.DataFrame:
+    """Every metric of every seed in every metric definition: algorithm, activation, definition, metric,
+    seed, value.
+    """
     parts = []
-    for (algorithm, activation), cell in cells.items():
-        for reading in READINGS:
-            table = read_as(cell, reading)
+    for (algorithm, activation), configuration in configurations.items():
+        for definition in DEFINITIONS:
+            table = read_as(configuration, definition)
             seeds = np.tile(table.index.to_numpy(), table.shape[1])
             metrics = np.repeat(table.columns.to_numpy(), len(table))
-            where = (np.full(table.size, one, dtype=object) for one in (algorithm, activation, reading))
+            where = (np.full(table.size, one, dtype=object) for one in (algorithm, activation, definition))
             parts.append([*where, metrics, seeds, table.to_numpy().T.ravel()])
-    columns = ["algorithm", "activation", "reading", "metric", "seed", "value"]
+    columns = ["algorithm", "activation", "definition", "metric", "seed", "value"]
     joined = map(np.concatenate, zip(*parts, strict=True))
     return pd.DataFrame(dict(zip(columns, joined, strict=True)) if parts else None, columns=columns)
 
 
 def estimates(values: pd.DataFrame) -> pd.DataFrame:
-    """Mean and interquartile mean over seeds, with 95 % intervals, beside the paper's number in the same reading."""
+    """Mean and interquartile mean over seeds, with 95 % intervals, beside the paper's number in the same
+    metric definition.
+    """
     rows = []
-    keys = ["algorithm", "activation", "reading"]
+    keys = ["algorithm", "activation", "definition"]
     numbers = ["n", "mean", "low", "high", "interquartile_mean", "iqm_low", "iqm_high", "paper"]
     for key, part in values.groupby(keys, sort=False):
-        algorithm, activation, reading = map(str, key)
+        algorithm, activation, definition = map(str, key)
         of_metrics = {
-            str(metric): own.to_numpy(np.float64) for metric, own in part.groupby("metric", sort=False)["value"]
+            str(metric): own.to_numpy(np.float64)
+            for metric, own in part.groupby("metric", sort=False)["value"]
         }
         found = _intervals(tuple(own.tobytes() for own in of_metrics.values()))
         for metric, (mean, middle) in zip(of_metrics, found, strict=True):
-            printed = paper.printed(algorithm, activation, metric, reading == PER_FRAME)
+            printed = paper.printed(algorithm, activation, metric, definition == PER_FRAME)
             rows.append([*key, metric, mean.n, *mean[:3], *middle[:3], printed])
     return pd.DataFrame(rows, columns=[*keys, "metric", *numbers])
 
 
 @functools.lru_cache(maxsize=8192)
 def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
-    """Mean and interquartile mean of rows of float64 [S] as bytes: page and report.md ask for many of them twice."""
+    """Mean and interquartile mean of rows of float64 [S] as bytes: page and report.md ask for many of
+    them twice.
+    """
     return stats.intervals([np.frombuffer(row) for row in rows], [np.mean, stats.interquartile_mean])
 
 
 def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
-    """Every part of every claim in every reading; of a claim as a whole, its grade."""
+    """Every part of every claim in every metric definition; of a claim as a whole, its grade."""
     parts = []
-    for reading, findings in audits.items():
+    for definition, findings in audits.items():
         table = pd.DataFrame([finding._asdict() for finding in findings])
         grades = {number: str(grade(of_claim(findings, number))) for number in table["claim"].unique()}
-        parts.append(table.assign(reading=reading, grade_of_claim=table["claim"].map(grades)))
+        parts.append(table.assign(definition=definition, grade_of_claim=table["claim"].map(grades)))
     return pd.concat(parts, ignore_index=True)
 
 
 def predictions(evidence: Mapping[str, Evidence]) -> pd.DataFrame:
-    """Each of the paper's numbers, which is one run's, among our seeds (`stats.prediction`); evidence: by reading."""
+    """Each of the paper's numbers, which is one run's, among our seeds (`stats.prediction`); evidence: by
+    metric definition.
+    """
     rows = []
-    for reading, (cell, metric) in itertools.product(evidence, itertools.product(paper.TABLES, paper.COLUMNS)):
-        number = paper.printed(*cell, metric, reading == PER_FRAME)
-        found = stats.prediction(evidence[reading](*cell, metric), number)
-        rows.append([*cell, metric, reading, number, *found])
-    columns = ["algorithm", "activation", "metric", "reading", "paper", *stats.Prediction._fields]
+    for definition, (configuration, metric) in itertools.product(
+        evidence, itertools.product(paper.TABLES, paper.COLUMNS)
+    ):
+        number = paper.printed(*configuration, metric, definition == PER_FRAME)
+        found = stats.prediction(evidence[definition](*configuration, metric), number)
+        rows.append([*configuration, metric, definition, number, *found])
+    columns = ["algorithm", "activation", "metric", "definition", "paper", *stats.Prediction._fields]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -144,50 +178,74 @@ FIRST_RULE = (
 
 
 def first_rule(folder: Path) -> pd.DataFrame:
-    """The verdicts of the first rule, which the report keeps as history; no rows where the folder has none."""
+    """The verdicts of the first rule, which the report keeps as history; no rows where the folder has
+    none.
+    """
     path = folder / "tables" / "first_rule.csv"
-    return read_csv(path, FIRST_RULE, "delete it") if path.exists() else pd.DataFrame(columns=["claim", "text"])
+    return (
+        read_csv(path, FIRST_RULE, "delete it") if path.exists() else pd.DataFrame(columns=["claim", "text"])
+    )
 
 
-def improvement(cells: Cells) -> pd.DataFrame:
-    """For each pair of cells, how probably a seed of the one beats a seed of the other (`stats.improvement`)."""
-    return stats.improvement({name(*key): of_seeds(cell, PRIMARY) for key, cell in cells.items()})
+def improvement(configurations: Configurations) -> pd.DataFrame:
+    """For each pair of configurations, how probably a seed of the one beats a seed of the other
+    (`stats.improvement`).
+    """
+    return stats.improvement(
+        {name(*key): of_seeds(configuration, PRIMARY) for key, configuration in configurations.items()}
+    )
 
 
-def interactions(cells: Cells) -> pd.DataFrame:
-    """Whether activations change places between the paper's algorithms: by metric and reading, `stats.interaction`."""
+def interactions(configurations: Configurations) -> pd.DataFrame:
+    """Whether activations change places between the paper's algorithms: by metric and definition,
+    `stats.interaction`.
+    """
     rows = []
-    for reading, metric in itertools.product((PRIMARY, SAMPLED), ("reward", "steps", "distance")):
-        samples = {key: of_seeds(cell, reading, metric) for key, cell in cells.items() if key in paper.TABLES}
+    for definition, metric in itertools.product((PRIMARY, SAMPLED), ("reward", "steps", "distance")):
+        samples = {
+            key: of_seeds(configuration, definition, metric)
+            for key, configuration in configurations.items()
+            if key in paper.TABLES
+        }
         found = stats.interaction(long(samples))
-        rows.append({"reading": reading, "metric": metric, **found._asdict()})
+        rows.append({"definition": definition, "metric": metric, **found._asdict()})
     return pd.DataFrame(rows)
 
 
-def survival(cells: Cells, baselines: Mapping[str, pd.DataFrame]) -> tuple[dict[str, pd.Series], pd.DataFrame]:
-    """Kaplan-Meier curves of sampled flights, all seeds together, and restricted means over seeds with intervals."""
+def survival(
+    configurations: Configurations, baselines: Mapping[str, pd.DataFrame]
+) -> tuple[dict[str, pd.Series], pd.DataFrame]:
+    """Kaplan-Meier curves of sampled episodes, all seeds together, and restricted means over seeds with
+    intervals.
+    """
     curves, rows = {}, []
-    flown = {name(*key): episodes_of(cell, SAMPLED) for key, cell in cells.items()}
+    flown = {name(*key): episodes_of(configuration, SAMPLED) for key, configuration in configurations.items()}
     for label, part in {**flown, **baselines}.items():
         if part.empty:
             continue
         curves[label] = stats.survival(part["steps"].to_numpy(), part["terminated"].to_numpy())
         means = [
-            stats.restricted_mean(one["steps"].to_numpy(), one["terminated"].to_numpy(), CAP)
+            stats.restricted_mean(one["steps"].to_numpy(), one["terminated"].to_numpy(), LIMIT)
             for _, one in part.groupby("seed")
         ]
         mean = stats.interval(means)
         rows.append([label, mean.n, len(part), part["truncated"].mean(), *mean[:3]])
-    columns = ["cell", "n", "episodes", "cut_off", "restricted_mean", "low", "high"]
+    columns = ["configuration", "n", "episodes", "cut_off", "restricted_mean", "low", "high"]
     return curves, pd.DataFrame(rows, columns=columns)
 
 
-def power(cells: Cells) -> pd.DataFrame:
-    """Seeds a cell that find the paper's difference in reward of two activations of an algorithm: 80 % power at 5 %."""
+def power(configurations: Configurations) -> pd.DataFrame:
+    """Seeds a configuration that find the paper's difference in reward of two activations of an
+    algorithm: 80 % power at 5 %.
+    """
     rows = []
-    for algorithm in algorithms(cells):
-        mine = {activation: cell for (which, activation), cell in paper_cells(cells).items() if which == algorithm}
-        values = {activation: of_seeds(cell, PRIMARY) for activation, cell in mine.items()}
+    for algorithm in algorithms(configurations):
+        mine = {
+            activation: configuration
+            for (which, activation), configuration in paper_configurations(configurations).items()
+            if which == algorithm
+        }
+        values = {activation: of_seeds(configuration, PRIMARY) for activation, configuration in mine.items()}
         for a, b in itertools.combinations(values, 2):
             n = min(len(values[a]), len(values[b]))
             first, second = (paper.printed(algorithm, one, "reward", PRIMARY == PER_FRAME) for one in (a, b))
@@ -196,50 +254,61 @@ def power(cells: Cells) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["pair", "n", "seeds"])
 
 
-def flown(flights: Mapping[tuple[str, str, str], pd.DataFrame]) -> pd.DataFrame:
-    """What flights of the main study look like, one row a cell, mode and seed."""
+def flown(episodes: Mapping[tuple[str, str, str], pd.DataFrame]) -> pd.DataFrame:
+    """What episodes of the main study look like, one row a configuration, mode and seed."""
     parts = [
-        table.assign(cell=name(algorithm, activation), algorithm=algorithm, activation=activation)
-        for (study, algorithm, activation), table in flights.items()
+        table.assign(configuration=name(algorithm, activation), algorithm=algorithm, activation=activation)
+        for (study, algorithm, activation), table in episodes.items()
         if study == "main"
     ]
-    columns = ["mode", "seed", "cell", "algorithm", "activation"]
+    columns = ["mode", "seed", "configuration", "algorithm", "activation"]
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
 
 
-def diagnostics(cells: Cells) -> pd.DataFrame:
+def diagnostics(configurations: Configurations) -> pd.DataFrame:
     """The last tenth of training: mean over seeds and its interval of each diagnostic."""
     rows = []
-    for key, cell in cells.items():
-        progress = pd.concat([run.progress for run in cell.runs], ignore_index=True)
-        late = progress[progress["frame"] > 0.9 * cell.settings["frames"]]
+    for key, configuration in configurations.items():
+        progress = pd.concat([run.progress for run in configuration.runs], ignore_index=True)
+        late = progress[progress["frame"] > 0.9 * configuration.settings["frames"]]
         for column in DIAGNOSTICS:
             if column in late:
                 mean = stats.interval(late.groupby("seed")[column].mean())
-                rows.append({"cell": name(*key), "diagnostic": column, "n": mean.n, **mean._asdict()})
-    return pd.DataFrame(rows, columns=["cell", "diagnostic", "n", "value", "low", "high"])
+                rows.append(
+                    {"configuration": name(*key), "diagnostic": column, "n": mean.n, **mean._asdict()}
+                )
+    return pd.DataFrame(rows, columns=["configuration", "diagnostic", "n", "value", "low", "high"])
 
 
-def compared(cells: Iterable[Key]) -> dict[str, list[Key]]:
-    """What a choice may flip: the mean reward of the first half of these cells minus that of the second."""
-    within = dict.fromkeys([*claims.ALGORITHMS, *algorithms(cells)])
-    between = {" above ".join(map(str.upper, claims.ALGORITHMS)): list(itertools.product(claims.ALGORITHMS, PAIR))}
-    return between | {f"{one.upper()}: tanh above ReLU": list(itertools.product([one], PAIR)) for one in within}
+def compared(configurations: Iterable[Key]) -> dict[str, list[Key]]:
+    """What a choice may flip: the mean reward of the first half of these configurations minus that of the
+    second.
+    """
+    within = dict.fromkeys([*claims.ALGORITHMS, *algorithms(configurations)])
+    between = {
+        " above ".join(map(str.upper, claims.ALGORITHMS)): list(itertools.product(claims.ALGORITHMS, PAIR))
+    }
+    return between | {
+        f"{one.upper()}: tanh above ReLU": list(itertools.product([one], PAIR)) for one in within
+    }
 
 
 def sensitivity(studies: Studies) -> pd.DataFrame:
-    """Each conclusion under each switch, beside it as decided: columns switch, conclusion, value, low, high, n, flips.
+    """Each conclusion under each switch, beside it as decided: columns switch, conclusion, value, low, high,
+    n, flips.
 
-    An algorithm that a switch does not touch is taken as decided. `flips`: the interval lies wholly on the other side
-    of zero than it does as decided; `sign` if only the estimate does.
+    An algorithm that a switch does not touch is taken as decided. `flips`: the interval lies wholly on the
+    other side of zero than it does as decided; `sign` if only the estimate does.
     """
     rows = []
-    for switch, cells in {AS_DECIDED: studies.baseline, **studies.switches}.items():
+    for switch, configurations in {AS_DECIDED: studies.baseline, **studies.switches}.items():
         for conclusion, keys in compared(studies.baseline).items():
-            there = [cells.get(key) or studies.baseline.get(key) for key in keys]
-            if None in there or not any(key in cells for key in keys):
+            there = [configurations.get(key) or studies.baseline.get(key) for key in keys]
+            if None in there or not any(key in configurations for key in keys):
                 continue
-            samples = [of_seeds(cell, PRIMARY) for cell in there if cell is not None]
+            samples = [
+                of_seeds(configuration, PRIMARY) for configuration in there if configuration is not None
+            ]
             found = _first_minus_second(samples)
             rows.append({"switch": switch, "conclusion": conclusion, **found._asdict()})
     decided = {row["conclusion"]: row for row in rows if row["switch"] == AS_DECIDED}
@@ -263,54 +332,69 @@ def _flips(row: Mapping[str, Any], decided: Mapping[str, Any] | None) -> str:
 
 
 def by_default(studies: Studies) -> pd.DataFrame:
-    """PPO's reward minus DQN's, tuned and in the main study: columns settings, activations, value, low, high, n.
+    """PPO's reward minus DQN's, tuned and in the main study: columns settings, activations, value, low, high,
+    n.
 
     Both rows are of the activations that both algorithms have in the study `tuned`.
     """
-    first, second = ([activation for which, activation in studies.tuned if which == one] for one in claims.ALGORITHMS)
+    first, second = (
+        [activation for which, activation in studies.tuned if which == one] for one in claims.ALGORITHMS
+    )
     shared = [activation for activation in first if activation in second]
     keys, rows = list(itertools.product(claims.ALGORITHMS, shared)), []
-    for settings, cells in {f"preset {TUNED}": studies.tuned, "main study": studies.main}.items():
-        samples = [of_seeds(cells[key], SAMPLED) if key in cells else np.empty(0) for key in keys]
+    for settings, configurations in {f"preset {TUNED}": studies.tuned, "main study": studies.main}.items():
+        samples = [
+            of_seeds(configurations[key], SAMPLED) if key in configurations else np.empty(0) for key in keys
+        ]
         found = _first_minus_second(samples)
         rows.append({"settings": settings, "activations": ", ".join(shared), **found._asdict()})
     return pd.DataFrame(rows)
 
 
-def speed(cells: Cells) -> pd.DataFrame:
-    """Wall time of a million frames of one seed, by run: columns cell, seconds, seeds, machine."""
+def speed(configurations: Configurations) -> pd.DataFrame:
+    """Wall time of a million frames of one seed, by run: columns configuration, seconds, seeds, machine."""
     rows = []
-    for key, cell in cells.items():
-        for run, took in zip(timed(cell), hours(cell), strict=True):
+    for key, configuration in configurations.items():
+        for run, took in zip(timed(configuration), hours(configuration), strict=True):
             machine = run.meta.get("machine", {})
             processor = machine.get("processor", "not known") if isinstance(machine, dict) else str(machine)
             rows.append([name(*key), 3600 * took, len(run.seeds), processor])
-    return pd.DataFrame(rows, columns=["cell", "seconds", "seeds", "machine"])
+    return pd.DataFrame(rows, columns=["configuration", "seconds", "seeds", "machine"])
 
 
 def sizes(studies: Studies) -> pd.DataFrame:
-    """How large each study is: columns study, algorithm, activation, seeds, frames (of a seed), worlds (of a seed)."""
+    """How large each study is: columns study, algorithm, activation, seeds, frames (of a seed), worlds
+    (of a seed).
+    """
     named = {"main": studies.main, VECTORISED: studies.vectorised, "baseline": studies.baseline}
     named |= {"initial": studies.initial, **studies.switches, "tuned": studies.tuned}
     rows = [
-        [study, *key, seeds(cell), cell.settings["frames"], cell.settings["n_envs"]]
+        [
+            study,
+            *key,
+            seeds(configuration),
+            configuration.settings["frames"],
+            configuration.settings["n_envs"],
+        ]
         for study, found in named.items()
-        for key, cell in (paper_cells(found) if study == "main" else found).items()
+        for key, configuration in (paper_configurations(found) if study == "main" else found).items()
     ]
     return pd.DataFrame(rows, columns=["study", "algorithm", "activation", "seeds", "frames", "worlds"])
 
 
-def gaps(cells: Cells, scripted: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Reward of test flights, and its gap to the rule's on the same sets: columns who, mode, cap, n and more.
+def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Reward of test episodes, and its gap to the rule's on the same layouts: columns who, mode, limit, n and
+    more.
 
-    `up` is the share of flights that the cap [steps] ended, `above` the share of seeds above the rule. A gap is a mean
-    over seeds of each seed's mean over sets of obstacles, with Student's 95 % interval over seeds; it is NaN without
-    flights of the rule on the same sets and below the same cap. `per_frame` is reward over steps, mean over seeds.
+    `up` is the share of episodes that the time limit [steps] ended, `above` the share of seeds above the
+    rule. A gap is a mean over seeds of each seed's mean over layouts, with Student's 95 % interval over
+    seeds; it is NaN without episodes of the rule on the same layouts and below the same time limit.
+    `per_frame` is reward over steps, mean over seeds.
     """
     known = [(who, "", "scripted", table) for who, table in scripted.items()]
     known += [
-        (name(*key), key[0], reading.split()[0], episodes_of(cell, reading))
-        for reading, (key, cell) in itertools.product(EVALUATIONS, cells.items())
+        (name(*key), key[0], definition.split()[0], episodes_of(configuration, definition))
+        for definition, (key, configuration) in itertools.product(EVALUATIONS, configurations.items())
     ]
     rule = finished(scripted[RULE]) if RULE in scripted else pd.DataFrame()
     rows = []
@@ -319,102 +403,138 @@ def gaps(cells: Cells, scripted: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
         if ended.empty:
             continue
         by_seed = ended.groupby("seed")
-        reward, sums = _mean(by_seed["reward"].mean().to_numpy()), by_seed[["reward", "steps"]].sum()
+        reward, sums = (
+            stats.difference([by_seed["reward"].mean().to_numpy()], []),
+            by_seed[["reward", "steps"]].sum(),
+        )
         own = _to_rule(ended, rule) if who != RULE else np.empty(0)
         above = float((own > 0).mean()) if len(own) else np.nan
-        facts = (_cap(ended), reward.n, len(ended), ended["truncated"].mean())
+        facts = (_limit(ended), reward.n, len(ended), ended["truncated"].mean())
         per_frame = (sums["reward"] / sums["steps"]).mean()
-        rows.append([who, algorithm, mode, *facts, *reward[:3], per_frame, *_mean(own)[:3], above])
-    columns = ["who", "algorithm", "mode", "cap", "n", "flights", "up", "reward", "low", "high", "per_frame"]
+        rows.append(
+            [who, algorithm, mode, *facts, *reward[:3], per_frame, *stats.difference([own], [])[:3], above]
+        )
+    columns = [
+        "who",
+        "algorithm",
+        "mode",
+        "limit",
+        "n",
+        "episodes",
+        "up",
+        "reward",
+        "low",
+        "high",
+        "per_frame",
+    ]
     return pd.DataFrame(rows, columns=[*columns, "gap", "gap_low", "gap_high", "above"])
 
 
 def best(gaps: pd.DataFrame, mode: str, algorithm: str) -> Any:
-    """Where the cell of an algorithm with the highest reward stands in a table of `gaps`; None where there is none."""
+    """Where the configuration of an algorithm with the highest reward stands in a table of `gaps`; None
+    where there is none.
+    """
     mine = gaps[(gaps["mode"] == mode) & (gaps["algorithm"] == algorithm)]
     return mine["reward"].idxmax() if len(mine) else None
 
 
-def _mean(seeds: stats.Array) -> stats.Interval:
-    """The mean of one number a seed [S] with Student's interval."""
-    return stats.difference([seeds], []) if len(seeds) else stats.Interval(np.nan, np.nan, np.nan, 0)
+def _limit(episodes: pd.DataFrame) -> float:
+    """At how many steps episodes were cut off; NaN where none was."""
+    return float(episodes.loc[episodes["truncated"], "steps"].max())
 
 
-def _cap(flights: pd.DataFrame) -> float:
-    """At how many steps flights were cut off; NaN where none was."""
-    return float(flights.loc[flights["truncated"], "steps"].max())
-
-
-def _to_rule(flights: pd.DataFrame, rule: pd.DataFrame) -> stats.Array:
-    """Each seed's mean gap to the rule over the sets of obstacles that both flew [S]; none if their caps differ."""
-    if rule.empty or not set(flights["layout"]) <= set(rule["layout"]) or abs(_cap(flights) - _cap(rule)) > 0:
-        return np.empty(0)  # a cap that ended no flight is NaN
-    of_rule = flights["layout"].map(rule.groupby("layout")["reward"].mean())
-    return (flights["reward"] - of_rule).groupby(flights["seed"]).mean().to_numpy()
+def _to_rule(episodes: pd.DataFrame, rule: pd.DataFrame) -> stats.Array:
+    """Each seed's mean gap to the rule over the layouts that both flew [S]; none if their time limits
+    differ.
+    """
+    if (
+        rule.empty
+        or not set(episodes["layout"]) <= set(rule["layout"])
+        or abs(_limit(episodes) - _limit(rule)) > 0
+    ):
+        return np.empty(0)  # a time limit that ended no episode is NaN
+    of_rule = episodes["layout"].map(rule.groupby("layout")["reward"].mean())
+    return (episodes["reward"] - of_rule).groupby(episodes["seed"]).mean().to_numpy()
 
 
 def effects(studies: Studies) -> pd.DataFrame:
-    """What a setting changes in an algorithm's reward per frame: columns switch, algorithm, frames, and `NUMBERS`.
+    """What a setting changes in an algorithm's reward per frame: columns switch, algorithm, frames, and
+    `NUMBERS`.
 
-    The mean over the activations that both have, minus that as decided; many environments minus one. frames: a seed.
+    The mean over the activations that both have, minus that as decided; many environments minus one. frames:
+    a seed.
     """
-    pairs = [(switch, cells, studies.baseline) for switch, cells in studies.switches.items()]
-    pairs.append((VECTORISED, paper_cells(studies.vectorised), paper_cells(studies.main)))
+    pairs = [
+        (switch, configurations, studies.baseline) for switch, configurations in studies.switches.items()
+    ]
+    pairs.append((VECTORISED, paper_configurations(studies.vectorised), paper_configurations(studies.main)))
     rows = []
     for switch, changed, usual in pairs:
         shared = [key for key in changed if key in usual]
         for algorithm in dict.fromkeys(which for which, _ in shared):
             keys = [key for key in shared if key[0] == algorithm]
-            first, second = ([of_seeds(cells[key], PRIMARY) for key in keys] for cells in (changed, usual))
+            first, second = (
+                [of_seeds(configurations[key], PRIMARY) for key in keys]
+                for configurations in (changed, usual)
+            )
             frames = max(changed[key].settings["frames"] for key in keys)
             rows.append([switch, algorithm, frames, *stats.difference(first, second)])
     return pd.DataFrame(rows, columns=["switch", "algorithm", "frames", *NUMBERS])
 
 
 def one_against_many(studies: Studies) -> pd.DataFrame:
-    """What one environment a seed changes beside the mean, against many: columns measure, algorithm, and `NUMBERS`.
+    """What one environment a seed changes beside the mean, against many: columns measure, algorithm, and
+    `NUMBERS`.
 
     One minus many, mean over the activations that both studies have, with Welch's interval over seeds:
 
-    - scatter: the standard deviation over seeds of reward per frame in the last 100,000 frames (`stats.deviations`);
-    - longest: the longest flight of a seed that is open at the end [steps], 0 where none is;
-    - open: the share of a seed's frames in flights that are open at the end.
+    - scatter: the standard deviation over seeds of reward per frame in the last 100,000 frames
+      (`stats.deviations`);
+    - longest: the longest episode of a seed that is open at the end [steps], 0 where none is;
+    - open: the share of a seed's frames in episodes that are open at the end.
 
     order: Spearman's correlation, one against many, of the activations' mean rewards per frame.
     """
-    one, many = paper_cells(studies.main), paper_cells(studies.vectorised)
+    one, many = paper_configurations(studies.main), paper_configurations(studies.vectorised)
     shared, rows = [key for key in one if key in many], []
     for algorithm in dict.fromkeys(which for which, _ in shared):
-        pairs = [[cells[key] for key in shared if key[0] == algorithm] for cells in (one, many)]
+        pairs = [
+            [configurations[key] for key in shared if key[0] == algorithm] for configurations in (one, many)
+        ]
         for measure, of in {"scatter": _scatter, "longest": _longest, "open": _open}.items():
-            first, second = ([of(cell) for cell in cells] for cells in pairs)
+            first, second = (
+                [of(configuration) for configuration in configurations] for configurations in pairs
+            )
             rows.append([measure, algorithm, *stats.difference(first, second)])
-        first, second = ([of_seeds(cell, PRIMARY) for cell in cells] for cells in pairs)
+        first, second = (
+            [of_seeds(configuration, PRIMARY) for configuration in configurations] for configurations in pairs
+        )
         rows.append(["order", algorithm, *stats.rank_correlation(first, second)])
     return pd.DataFrame(rows, columns=["measure", "algorithm", *NUMBERS])
 
 
-def _scatter(cell: Cell) -> stats.Array:
-    frames = cell.settings["frames"]
-    return stats.deviations(windowed(cell, "reward", [(frames - AFTER, frames)])[0].to_numpy())
+def _scatter(configuration: Configuration) -> stats.Array:
+    frames = configuration.settings["frames"]
+    return stats.deviations(windowed(configuration, "reward", [(frames - AFTER, frames)])[0].to_numpy())
 
 
-def _longest(cell: Cell) -> stats.Array:
-    return np.asarray(_open_flights(cell).max(), dtype=np.float64)
+def _longest(configuration: Configuration) -> stats.Array:
+    return np.asarray(_open_episodes(configuration).max(), dtype=np.float64)
 
 
-def _open(cell: Cell) -> stats.Array:
-    return np.asarray(_open_flights(cell).sum() / cell.settings["frames"])
+def _open(configuration: Configuration) -> stats.Array:
+    return np.asarray(_open_episodes(configuration).sum() / configuration.settings["frames"])
 
 
-def _open_flights(cell: Cell) -> Any:
-    """Steps of flights that are open at the end, 0 for all others, by seed."""
-    ended = cell.episodes["terminated"] | cell.episodes["truncated"]
-    return cell.episodes["steps"].where(~ended, 0).groupby(cell.episodes["seed"])
+def _open_episodes(configuration: Configuration) -> Any:
+    """Steps of episodes that are open at the end, 0 for all others, by seed."""
+    ended = configuration.episodes["terminated"] | configuration.episodes["truncated"]
+    return configuration.episodes["steps"].where(~ended, 0).groupby(configuration.episodes["seed"])
 
 
 def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
-    """What is said of activations, by algorithm, in many environments: columns conclusion, algorithm, value, ...
+    """What is said of activations, by algorithm, in many environments: columns conclusion, algorithm, value,
+    ...
 
     None unless an algorithm beyond the paper's has runs with the activations that some conclusion asks for.
     """
@@ -432,29 +552,38 @@ def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
     return found if {*found["algorithm"]} - {*paper.TABLE_OF} else found[:0]
 
 
-def peaks(cells: Cells) -> pd.DataFrame:
-    """When a cell earns most per frame, and what it loses after 600,000 frames: columns cell, measure, and `NUMBERS`.
+def peaks(configurations: Configurations) -> pd.DataFrame:
+    """When a configuration earns most per frame, and what it loses after 600,000 frames: columns
+    configuration, measure, and `NUMBERS`.
 
-    `peak` is the middle of each seed's best stretch of training [frames]; `lost` the share of the rise in reward per
-    frame, from the first 300,000 frames to the next, that is gone in the last 100,000 (Fieller's interval).
+    `peak` is the middle of each seed's best stretch of training [frames]; `lost` the share of the rise in
+    reward per frame, from the first 300,000 frames to the next, that is gone in the last 100,000 (Fieller's
+    interval).
     """
     rows = []
-    for key, cell in cells.items():
-        frames = cell.settings["frames"]
+    for key, configuration in configurations.items():
+        frames = configuration.settings["frames"]
         if frames < SURGE[1] + AFTER:
             continue
-        best = np.asarray(curve(cell, "reward").round(9).idxmax(), dtype=np.float64)  # of equal ones the first
-        before, surge, after = windowed(cell, "reward", [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]).to_numpy().T
-        rows += [[name(*key), "peak", *_mean(best)], [name(*key), "lost", *stats.ratio(surge - after, surge - before)]]
-    return pd.DataFrame(rows, columns=["cell", "measure", *NUMBERS])
+        # of equal ones the first
+        best = np.asarray(curve(configuration, "reward").round(9).idxmax(), dtype=np.float64)
+        before, surge, after = (
+            windowed(configuration, "reward", [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]).to_numpy().T
+        )
+        rows += [
+            [name(*key), "peak", *stats.difference([best], [])],
+            [name(*key), "lost", *stats.ratio(surge - after, surge - before)],
+        ]
+    return pd.DataFrame(rows, columns=["configuration", "measure", *NUMBERS])
 
 
 def fits(predictions: pd.DataFrame) -> pd.DataFrame:
-    """How well the paper's numbers fit our prediction intervals: columns reading, cell, within, numbers, score.
+    """How well the paper's numbers fit our prediction intervals: columns definition, configuration, within,
+    numbers, score.
 
-    Of so many numbers, so many lie within. A wide interval holds any number, so the score of a 95 % interval (Gneiting
-    and Raftery 2007, eq. 43) is its width plus 2 / 0.05 times how far it misses the number; the mean over numbers, each
-    score in units of the paper's number. Less is better.
+    Of so many numbers, so many lie within. A wide interval holds any number, so the score of a 95 % interval
+    (Gneiting and Raftery 2007, eq. 43) is its width plus 2 / 0.05 times how far it misses the number; the
+    mean over numbers, each score in units of the paper's number. Less is better.
 
     predictions: as `frames.predictions` gives it; numbers without seeds are left out.
     """
@@ -462,17 +591,21 @@ def fits(predictions: pd.DataFrame) -> pd.DataFrame:
     low, high, number = (known[name] for name in ("low", "high", "paper"))
     missed = (low - number).clip(lower=0) + (number - high).clip(lower=0)
     score = (high - low + 2 / 0.05 * missed) / number.abs()
-    named = known.assign(cell=known["algorithm"].str.upper() + " " + known["activation"], score=score)
+    named = known.assign(
+        configuration=known["algorithm"].str.upper() + " " + known["activation"], score=score
+    )
     counted = [
-        (reading, cell, int(part["within"].sum()), len(part), part["score"].mean())
-        for reading, own in named.groupby("reading", sort=False)
-        for cell, part in [(EVERY, own), *own.groupby("cell", sort=False)]
+        (definition, configuration, int(part["within"].sum()), len(part), part["score"].mean())
+        for definition, own in named.groupby("definition", sort=False)
+        for configuration, part in [(EVERY, own), *own.groupby("configuration", sort=False)]
     ]
-    return pd.DataFrame(counted, columns=["reading", "cell", "within", "numbers", "score"])
+    return pd.DataFrame(counted, columns=["definition", "configuration", "within", "numbers", "score"])
 
 
 def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """Rows of scripted policies and of people: `baselines/*.parquet` in the report's folders; what cannot be read."""
+    """Rows of scripted policies and of people: `baselines/*.parquet` in the report's folders; what cannot
+    be read.
+    """
     found, left_out = {}, []
     for path in (path for folder in folders for path in sorted((folder / "baselines").glob("*.parquet"))):
         try:
@@ -482,18 +615,20 @@ def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[st
     return found, left_out
 
 
-def total_frames(cells: Cells) -> str:
+def total_frames(configurations: Configurations) -> str:
     """How many frames a seed has: one number, or from ... to ..."""
-    return least_to_most(cell.settings["frames"] for cell in cells.values())
+    return least_to_most(configuration.settings["frames"] for configuration in configurations.values())
 
 
-def worlds(cells: Cells) -> str:
+def worlds(configurations: Configurations) -> str:
     """How many parallel environments a seed has: one number, or from ... to ..."""
-    return least_to_most(cell.settings["n_envs"] for cell in cells.values())
+    return least_to_most(configuration.settings["n_envs"] for configuration in configurations.values())
 
 
 def least_to_most(counts: Iterable[int], noun: str = "") -> str:
-    """The range of some counts, one number where they are the same; and of what, in the plural unless there is one."""
+    """The range of some counts, one number where they are the same; and of what, in the plural unless
+    there is one.
+    """
     ordered = sorted({*counts})
     shown = " to ".join(f"{count:,}" for count in dict.fromkeys([*ordered[:1], *ordered[-1:]])) or "0"
     return f"{shown} {noun}{'s' * (ordered != [1])}" if noun else shown

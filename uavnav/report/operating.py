@@ -1,6 +1,6 @@
 """Operating characteristics of the rule: how often a claim would be graded what, if we knew the truth.
 
-Letters: D simulated studies, S seeds of a cell.
+Letters: D simulated studies, S seeds of a configuration.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ def characteristics(
 ) -> pd.DataFrame:
     """How often each claim would be graded what: columns claim, truth, grade, share (of `STUDIES`).
 
-    A simulated study has our cells' numbers of seeds, and seeds that scatter as ours do: residuals around our cells'
-    means, drawn with replacement and times sqrt(S / (S - 1)), are added to the true means. A seed's metrics are drawn
-    together. Claims without a part to judge, without seeds, or (of the paper's tables) without printed numbers are left
-    out. seed: of the draws.
+    A simulated study has our configurations' numbers of seeds, and seeds that scatter as ours do: residuals
+    around our configurations' means, drawn with replacement and times sqrt(S / (S - 1)), are added to the
+    true means. A seed's metrics are drawn together. Claims without a part to judge, without seeds, or (of the
+    paper's tables) without printed numbers are left out. seed: of the draws.
     """
     rows = []
     for claim in claims:
@@ -43,12 +43,16 @@ def characteristics(
                 continue
             rng = np.random.default_rng((seed, claim.number))
             judged = judge(parts, _studies(parts, seeds, means, rng), printed)
-            rows += [(claim.number, truth, grade, float((judged.grades == grade).mean())) for grade in GRADES[:-1]]
+            rows += [
+                (claim.number, truth, grade, float((judged.grades == grade).mean())) for grade in GRADES[:-1]
+            ]
     return pd.DataFrame(rows, columns=["claim", "truth", "grade", "share"])
 
 
 def _means(claim: Claim, seeds: Mapping[Term, Array], paper: Evidence, truth: str) -> dict[Term, float]:
-    """The true mean of every term that has seeds; NaN where the paper has no number and the truth is its tables."""
+    """The true mean of every term that has seeds; NaN where the paper has no number and the truth is its
+    tables.
+    """
     known = {term: own for term, own in seeds.items() if len(own)}
     printed = {term: numbers.mean() if len(numbers := paper(*term)) else np.nan for term in known}
     if truth == TABLES:
@@ -64,7 +68,9 @@ def _means(claim: Claim, seeds: Mapping[Term, Array], paper: Evidence, truth: st
 def _studies(
     parts: Sequence[Part], seeds: Mapping[Term, Array], means: Mapping[Term, float], rng: np.random.Generator
 ) -> list[list[Array]]:
-    """Simulated seeds of each part's terms, each [D, S]; those of a cell, or of a paired part, are drawn together."""
+    """Simulated seeds of each part's terms, each [D, S]; those of a configuration, or of a paired part,
+    are drawn together.
+    """
     drawn: dict[object, np.ndarray[Any, np.dtype[np.int64]]] = {}
 
     def simulated(part: Part, term: Term) -> Array:

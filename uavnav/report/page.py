@@ -24,38 +24,39 @@ from uavnav.report import (
     whys,
     worlds,
 )
-from uavnav.report.cells import BINS, label
 from uavnav.report.claims import PRIMARY
+from uavnav.report.configurations import BINS, label
 from uavnav.report.content import Content
 from uavnav.report.quotes import prose
-from uavnav.report.replays import paths, together
 from uavnav.report.verdicts import GRADES, SEEDS
 from uavnav.runs import paper
+from uavnav.runs.definitions import LOG_CURVE, SAMPLED
 from uavnav.runs.metrics import LAST, MODES
-from uavnav.runs.readings import LOG_CURVE, SAMPLED
 from uavnav.style import RULE, drawing, save
 from uavnav.tasks.world import World
 from uavnav.views import browser
+from uavnav.views.replays import paths, together
 
 SECTIONS = {
     "verdicts": "Verdicts",
     "tables": "Tables",
     "curves": "Curves",
-    "flights": "Flights",
+    "episodes": "Episodes",
     "statistics": "Statistics",
     "behaviour": "Behaviour",
     "why": "Why",
     "sensitivity": "Sensitivity",
+    "algorithms": "Algorithms",
+    "worlds": "Worlds",
     "baselines": "Baselines",
     "speed": "Speed",
     "methods": "Methods",
 }
-WITH_WORLDS = {"worlds": "Worlds"}
-"""The section of the study of that name, before the baselines, where there is one."""
+"""By their ids; a report has those of further studies where there are some."""
 TITLE = "DQN against PPO, four activation functions: what holds of the paper"
 """Of a report on other runs than the study's."""
 PREVIEWED = 240
-"""Steps of the flights that the picture of a link shows."""
+"""Steps of the episodes that the picture of a link shows."""
 HERE = Path(__file__).parent
 DECISIONS = [
     line.strip("| ").split(" | ")
@@ -78,13 +79,17 @@ _LINK = re.compile(r"\[([^\[\]]+)\]\(([^()\s]+)\)")
 _MARKDOWN = re.compile(r"`([^`]+)`|\[([^\]]+)\]\([^)]+\)")
 
 
-def _cell(text: str) -> Markup:
-    """A cell of a table: an interval below its number; of Markdown, code is code and a link its words."""
+def _table_cell(text: str) -> Markup:
+    """A cell of a table: an interval below its number; of Markdown, code is code and a link its
+    words.
+    """
     if found := _INTERVAL.fullmatch(text):
         return Markup('{} <span class="interval">{}</span>{}').format(*found.groups())
     parts = []
     for place, part in enumerate(_MARKDOWN.split(text)):
-        parts.append(Markup("<code>{}</code>").format(part) if place % 3 == 1 and part else escape(part or ""))
+        parts.append(
+            Markup("<code>{}</code>").format(part) if place % 3 == 1 and part else escape(part or "")
+        )
     return Markup("").join(parts)
 
 
@@ -112,7 +117,12 @@ def _json(data: Any) -> Markup:
     return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
 
 
-_TEMPLATES.filters |= {"json": _json, "cell": _cell, "of_words": tables.of_words, "markdown": tables.markdown}
+_TEMPLATES.filters |= {
+    "json": _json,
+    "cell": _table_cell,
+    "of_words": tables.of_words,
+    "markdown": tables.markdown,
+}
 _TEMPLATES.filters |= {"linked": linked, "plain": plain, "listed": listed}
 _TEMPLATES.globals |= {"evaluation": evaluation, "evidence": evidence, "frames": frames}
 _TEMPLATES.globals |= {"studies": studies, "whys": whys, "worlds": worlds}
@@ -138,16 +148,18 @@ def contents(content: Content, first: Path) -> dict[str, bytes]:
     for figure in content.narrow:
         pictures[figure.name].append(_embedded(drawing(figure.drawn.figure)))
     for stem, frame in content.tables.items():
-        found[f"tables/{stem}.csv"] = frame.to_csv(index=False, float_format="%.6g", lineterminator="\n").encode()
+        found[f"tables/{stem}.csv"] = frame.to_csv(
+            index=False, float_format="%.6g", lineterminator="\n"
+        ).encode()
     for algorithm, (header, *rows) in content.paper_tables.items():
         shown = [row for row in rows if row[1].startswith(("the paper", "missing", PRIMARY))]
         found[f"tables/paper-{algorithm}.tex"] = tables.latex([header, *shown]).encode()
-    if flights := first_flights(content):
-        drones = paths(flights, PREVIEWED)
-        firsts = {drone["name"]: drone["flights"][0] for drone in flights["drones"]}
+    if episodes := first_episodes(content):
+        drones = paths(episodes, PREVIEWED)
+        firsts = {drone["name"]: drone["episodes"][0] for drone in episodes["drones"]}
         ends = {name: one["ended"] for name, one in firsts.items() if one["steps"] <= PREVIEWED}
         collided = {name for name, ended in ends.items() if ended == "collision"}
-        title, obstacles = plain(said(content)["headline"] or TITLE), np.array(flights["layouts"][0])
+        title, obstacles = plain(said(content)["headline"] or TITLE), np.array(episodes["layouts"][0])
         drawn = arena.preview(title, drones, collided, obstacles, World())
         found["preview.png"] = save(drawn)[1]
     found["report.html"] = page(content, pictures, first).encode()
@@ -172,14 +184,17 @@ _SHORTER: dict[bytes, bytes | Callable[[re.Match[bytes]], bytes]] = {
     rb'<style type="text/css">\*\{': b"<style>*{font-family: 'DejaVu Sans', Verdana, Arial, sans-serif; ",
     rb"([:;]) (?=[^<>]*>)": rb"\1",
     rb'="([^"\']*)"': rb"='\1'",
-    rb"<g>((?:<(?!g\b|defs)[^<>]*/>|<text[^<>]*>[^<>]*</text>)*)</g>|<g/>": rb"\1",  # a group of nothing but its parts
+    # a group of nothing but its parts
+    rb"<g>((?:<(?!g\b|defs)[^<>]*/>|<text[^<>]*>[^<>]*</text>)*)</g>|<g/>": rb"\1",
     rb"(<use [^<>]*) (style='[^']*')/>(?:<use [^<>]* \2/>)+": _grouped,
 }
 """What of matplotlib's SVG a page does without or writes shorter, in this order."""
 
 
 def _embedded(svg: bytes) -> Markup:
-    """A drawing as an address in a page holds it: places to a hundredth of a point, and nothing that is not drawn."""
+    """A drawing as an address in a page holds it: places to a hundredth of a point, and nothing that is
+    not drawn.
+    """
     short = _PLACES.sub(lambda found: _NEEDLESS.sub(rb"\1", found[0]), svg)
     for pattern, instead in _SHORTER.items():
         short = re.sub(pattern, instead, short)
@@ -193,13 +208,15 @@ def said(content: Content, root: str = "") -> dict[str, str]:
 
 
 def render(template: str, content: Content, root: str = "", **more: Any) -> str:
-    """A template filled with the content, the modules that make rows of it (its globals), and more; root: of links."""
+    """A template filled with the content, the modules that make rows of it (its globals), and more; root:
+    of links.
+    """
     found = said(content, root)
     return _TEMPLATES.get_template(template).render(
         more,
         content=content,
         numbers=content.tables,
-        of_paper=studies.paper_cells(content.studies.main),
+        of_paper=studies.paper_configurations(content.studies.main),
         said=found,
         claims=evidence.rows(content, found, root),
         root=root,
@@ -209,8 +226,8 @@ def render(template: str, content: Content, root: str = "", **more: Any) -> str:
 def page(content: Content, pictures: Mapping[str, Sequence[str]], first: Path) -> str:
     """The one HTML file: styles, figures, replays and the player's code are in it.
 
-    pictures: SVG by the figure's name, quoted, for a page and for a phone; first: the report's first folder, for what a
-    command needs.
+    pictures: SVG by the figure's name, quoted, for a page and for a phone; first: the report's first folder,
+    for what a command needs.
     """
     styles = [HERE / "templates" / "page.css", browser.HERE / "replay.css", browser.HERE / "first.css"]
     return render(
@@ -220,31 +237,28 @@ def page(content: Content, pictures: Mapping[str, Sequence[str]], first: Path) -
         js=Markup(browser.joined(PLAYER)),
         folding=Markup(browser.joined([HERE / "templates" / "page.js"])),
         replays=content.replays,
-        together=first_flights(content),
+        together=first_episodes(content),
         version=importlib.metadata.version("uavnav"),
-        sections=_sections(content),
+        sections=sections(content),
         paper_tables=[(_table_name(algorithm), rows) for algorithm, rows in content.paper_tables.items()],
         pictures=pictures,
         first=first,
     )
 
 
-def _sections(content: Content) -> list[tuple[str, str]]:
+def sections(content: Content) -> list[tuple[str, str]]:
     """The ids and titles of the page's sections, in order; of further studies only where there are some."""
-    found = list(SECTIONS.items())
-    more = {"algorithms": "Algorithms"} if {"tuning", "carried"} & {*content.tables} else {}
-    more |= WITH_WORLDS if content.worlds else {}
-    place = list(SECTIONS).index("baselines")
-    return [*found[:place], *more.items(), *found[place:]]
+    there = {"algorithms": bool({"tuning", "carried"} & {*content.tables}), "worlds": bool(content.worlds)}
+    return [(id_, title) for id_, title in SECTIONS.items() if there.get(id_, True)]
 
 
-def first_flights(content: Content) -> dict[str, Any] | None:
+def first_episodes(content: Content) -> dict[str, Any] | None:
     """What flies on the first screen, where at least one policy can beside the rule."""
     gaps = content.tables["gaps"]
     best = [frames.best(gaps, MODES[1], algorithm) for algorithm in paper.TABLE_OF]
     flown = gaps.loc[[place for place in best if place is not None]].sort_values("reward", ascending=False)
-    cells = {who: tables.in_words(who) for who in flown["who"]}
-    shown = together(content.replays, cells, RULE) if content.replays else None
+    configurations = {who: tables.in_words(who) for who in flown["who"]}
+    shown = together(content.replays, configurations, RULE) if content.replays else None
     return shown if shown and len(shown["drones"]) > 1 else None
 
 
@@ -254,12 +268,22 @@ def _table_name(algorithm: str) -> str:
 
 
 def markdown(content: Content) -> str:
-    """report.md: the verdicts, the tables in every reading, how the runs were made."""
-    sections = []
-    questions = (*content.studies.why.values(), *content.studies.switches.values())  # each has a table of its own
-    answered = {id(cell) for cells in questions for cell in cells.values()}
+    """report.md: the verdicts, the tables in every metric definition, how the runs were made."""
+    parts = []
+    # each has a table of its own
+    questions = (
+        *content.studies.why.values(),
+        *content.studies.switches.values(),
+    )
+    answered = {
+        id(configuration) for configurations in questions for configuration in configurations.values()
+    }
     for algorithm in content.paper_tables:
-        mine = [cell for cell in content.cells if cell.algorithm == algorithm and id(cell) not in answered]
+        mine = [
+            configuration
+            for configuration in content.configurations
+            if configuration.algorithm == algorithm and id(configuration) not in answered
+        ]
         part, usual = label(mine)
-        sections.append({"name": algorithm, "usual": usual, "table": tables.table(part, algorithm)})
-    return render("report.md", content, sections=sections, bins=BINS).strip() + "\n"
+        parts.append({"name": algorithm, "usual": usual, "table": tables.table(part, algorithm)})
+    return render("report.md", content, sections=parts, bins=BINS).strip() + "\n"

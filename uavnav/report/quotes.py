@@ -1,9 +1,9 @@
 """The numbers that hand-written prose quotes, and what each sentence takes for granted of them.
 
-`templates/study.md` is the prose on the committed results: a block is a sentence or a few. Beside each number stands
-the sign that its interval must have, and beside each comparison a check. A block that does not hold over a folder's
-tables is left out of that folder's report, so prose is never false. Over `results/` the tests hold every block: whoever
-changes a result rewrites the sentence.
+`templates/study.md` is the prose on the committed results: a block is a sentence or a few. Beside each number
+stands the sign that its interval must have, and beside each comparison a check. A block that does not hold
+over a folder's tables is left out of that folder's report, so prose is never false. Over `results/` the tests
+hold every block: whoever changes a result rewrites the sentence.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ class Quotes:
         places: int | None = None,
         **where: Any,
     ) -> str:
-        """A number of the one row with these values, its interval and a link; negative ones without their sign.
+        """A number of the one row with these values, its interval and a link; negative ones without their
+        sign.
 
         sign: of its interval: `+` above zero, `−` below it, `0` across it, and an empty one anywhere.
         places: decimals, where two significant digits of the interval are not wanted.
@@ -71,13 +72,20 @@ class Quotes:
         """The effect, or its ratio to the paper's, of the part of a claim that its sentence is about."""
         claim = EVERY[number - 1]
         text = claim.parts[claim.shown].text
-        return self.quote("verdicts", sign, column, times, unit, reading=claim.decides, claim=number, text=text)
+        return self.quote(
+            "verdicts", sign, column, times, unit, definition=claim.decides, claim=number, text=text
+        )
 
     def graded(self, grade: str, *claims: int) -> str:
         """How many claims have a grade: these and no others."""
         table = self.table("verdicts")
         decides = table["claim"].map({one.number: one.decides for one in EVERY})
-        grades = table[table["reading"] == decides].groupby("claim")["grade_of_claim"].first().str.partition(" (")[0]
+        grades = (
+            table[table["definition"] == decides]
+            .groupby("claim")["grade_of_claim"]
+            .first()
+            .str.partition(" (")[0]
+        )
         if (found := grades[grades == grade].index.tolist()) != [*claims]:
             raise Untrue(f"claims {found} have the grade {grade}")
         return str(len(found))
@@ -93,7 +101,9 @@ class Quotes:
         return f"[{words}]({self.root}tables/{name}.csv{f'#L{row + 2}' if row is not None else ''})"
 
 
-_TEMPLATES = jinja2.Environment(loader=jinja2.PackageLoader("uavnav.report"), undefined=jinja2.StrictUndefined)
+_TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("uavnav.report"), undefined=jinja2.StrictUndefined
+)
 STUDY = _TEMPLATES.get_template("study.md")
 
 

@@ -14,10 +14,10 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
-from uavnav.report.cells import Cell, Counts, counted, counts, episodes_of, one_line, show
 from uavnav.report.claims import NAMES
+from uavnav.report.configurations import Configuration, episodes_of, one_line, show
 from uavnav.report.frames import RULE, best, estimates, name, per_seed_values
-from uavnav.report.studies import Cells
+from uavnav.report.studies import Configurations
 from uavnav.report.verdicts import (
     BESIDE,
     COUNTS,
@@ -32,8 +32,8 @@ from uavnav.report.verdicts import (
     p_shown,
 )
 from uavnav.runs import paper, trials
+from uavnav.runs.definitions import DEFINITIONS, PER_FRAME, SAMPLED, decimals, words
 from uavnav.runs.metrics import METRICS, MODES, finished, per_seed
-from uavnav.runs.readings import PER_FRAME, READINGS, SAMPLED, decimals, words
 from uavnav.runs.trials import DEFAULT, DIFFERENCE, TUNED
 
 Rows = list[list[str]]
@@ -68,20 +68,22 @@ def with_interval(value: float, low: float, high: float, digits: int = 2) -> str
 
 
 def in_brackets(found: stats.Interval, unit: str = "", places: int | None = None) -> str:
-    """A number and its interval in plain words; the number alone where it has none. Shares and hundreds are whole."""
+    """A number and its interval in plain words; the number alone where it has none. Shares and hundreds
+    are whole.
+    """
     if places is None:
         places = 0 if unit or abs(found.value) > 100 else digits(found)
     value, low, high = (number(round(one, places) + 0.0, max(places, 0)) for one in found[:3])  # no −0
     return value + unit if low == NOTHING else f"{value}{unit} ({low} to {high}{unit})"
 
 
-def in_words(cell: str) -> str:
-    """A cell's label in words: PPO with leaky ReLU."""
-    algorithm, _, activation = cell.partition(" ")
+def in_words(configuration: str) -> str:
+    """A configuration's label in words: PPO with leaky ReLU."""
+    algorithm, _, activation = configuration.partition(" ")
     return f"{algorithm} with {NAMES.get(activation, activation)}"
 
 
-class _Cells(string.Formatter):
+class _Configurations(string.Formatter):
     """Formats whose numbers look as `number` has them."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
@@ -93,7 +95,7 @@ class _Cells(string.Formatter):
 
 def listed(frame: pd.DataFrame, columns: Columns) -> Rows:
     """A row a row; an interval that is not known is left out."""
-    rows, fill = [list(columns)], _Cells().vformat
+    rows, fill = [list(columns)], _Configurations().vformat
     for one in _records(frame):
         shown = (form(one) if callable(form) else fill(form, (), one) for form in columns.values())
         rows.append([cell.replace(f" [{NOTHING}, {NOTHING}]", "") for cell in shown])
@@ -104,7 +106,9 @@ def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(key): value for key, value in one.items()} for one in frame.to_dict("records")]
 
 
-def _across(part: pd.DataFrame, column: str, names: Iterable[str], shown: Callable[[Record], str]) -> list[str]:
+def _across(
+    part: pd.DataFrame, column: str, names: Iterable[str], shown: Callable[[Record], str]
+) -> list[str]:
     """Some rows side by side, in the order of their names in a column; a dash where a name has none."""
     known = {one[column]: shown(one) for one in _records(part)}
     return [known.get(name, NOTHING) for name in names]
@@ -115,16 +119,16 @@ def _needed(one: Record) -> str:
 
 
 INTERACTIONS: Columns = {
-    "reading": "{reading}",
+    "definition": "{definition}",
     "metric": "{metric}",
     "seeds": "{n}",
     "p, change of places": "{p_ranks:.4f}",
     "p, raw scale": "{p_raw:.4f}",
 }
 SURVIVALS: Columns = {
-    "cell": "{cell}",
+    "configuration": "{configuration}",
     "seeds": "{n}",
-    "flights": "{episodes:,}",
+    "episodes": "{episodes:,}",
     "cut off [share]": "{cut_off:.0%}",
     "mean [steps]": "{restricted_mean:.0f} [{low:.0f}, {high:.0f}]",
 }
@@ -132,8 +136,8 @@ GAPS: Columns = {
     "who": "{who}",
     "acting": "{mode}",
     "seeds": "{n}",
-    "flights": "{flights:,}",
-    "up at the cap": "{up:.0%}",
+    "episodes": "{episodes:,}",
+    "that reach the time limit": "{up:.0%}",
     "reward": "{reward:.1f} [{low:.1f}, {high:.1f}]",
     "gap to the rule": "{gap:.1f} [{gap_low:.1f}, {gap_high:.1f}]",
     "seeds above": "{above:.0%}",
@@ -141,26 +145,26 @@ GAPS: Columns = {
 BY_DEFAULT: Columns = {
     "settings": "{settings}",
     "activations of both": "{activations}",
-    "seeds a cell": "{n}",
+    "seeds a configuration": "{n}",
     "PPO − DQN": "{value:.1f} [{low:.1f}, {high:.1f}]",
 }
 SPEEDS: Columns = {
-    "cell": "{cell}",
+    "configuration": "{configuration}",
     "seeds side by side": "{seeds}",
     "wall time [s] of a seed's share": "{seconds:.0f}",
     "machine": "{machine}",
 }
 IMPROVEMENT: Columns = {
-    "cell": "{a}",
+    "configuration": "{a}",
     "against": "{b}",
     "seeds": "{n_a}, {n_b}",
     "probability of more": "{probability:.2f}",
     "Holm's p": "{p_holm:.3f}",
 }
-POWERS: Columns = {"pair": "{pair}", "seeds there are": "{n}", "seeds a cell": _needed}
+POWERS: Columns = {"pair": "{pair}", "seeds there are": "{n}", "seeds a configuration": _needed}
 WHYS: Columns = {
     "question": "{question}",
-    "cell or difference": "{row}",
+    "configuration or difference": "{row}",
     "measure": "{metric}",
     "mean": lambda one: _interval(one, VALUE, digits(stats.Interval(*(one[key] for key in (*VALUE, "n"))))),
     "seeds": "{n}",
@@ -168,7 +172,7 @@ WHYS: Columns = {
 AHEAD: Columns = {
     "world": "{world}",
     "best policy": "{best}",
-    "reward per flight": "{value:.2f} [{low:.2f}, {high:.2f}]",
+    "reward per episode": "{value:.2f} [{low:.2f}, {high:.2f}]",
     "best script": lambda one: one["script"] or NOTHING,
     "its reward": "{scripted:.2f}",
     "ahead": lambda one: one["ahead"] or NOTHING,
@@ -178,12 +182,17 @@ AHEAD: Columns = {
 
 
 def crossed(
-    frame: pd.DataFrame, row: str, column: str, digits: int | None = 3, labels: Mapping[str, str] | None = None
+    frame: pd.DataFrame,
+    row: str,
+    column: str,
+    digits: int | None = 3,
+    labels: Mapping[str, str] | None = None,
 ) -> Rows:
-    """A row a value of one column and a column a value of another: numbers with their intervals, and the fewest seeds.
+    """A row a value of one column and a column a value of another: numbers with their intervals, and the
+    fewest seeds.
 
-    frame: columns value, low, high and n beside; digits: three of numbers below 1 and one of others if None; labels:
-    words for the columns, in their order.
+    frame: columns value, low, high and n beside; digits: three of numbers below 1 and one of others if None;
+    labels: words for the columns, in their order.
     """
 
     def shown(one: Record) -> str:
@@ -204,27 +213,57 @@ def _interval(one: Record, columns: Sequence[str], digits: int = 2) -> str:
 
 
 def over_seeds(frame: pd.DataFrame, columns: Mapping[str, str]) -> Rows:
-    """A row a cell; mean over seeds and interval of some columns, by their labels. frame: a row a seed."""
+    """A row a configuration; mean over seeds and interval of some columns, by their labels. frame: a row
+    a seed.
+    """
     found = [
-        {"cell": cell, "of": name, **stats.interval(part[name].to_numpy())._asdict()}
-        for cell, part in frame.groupby("cell", sort=False)
+        {"configuration": configuration, "of": name, **stats.interval(part[name].to_numpy())._asdict()}
+        for configuration, part in frame.groupby("configuration", sort=False)
         for name in columns
     ]
-    return crossed(pd.DataFrame(found, columns=["cell", "of", *stats.Interval._fields]), "cell", "of", None, columns)
+    return crossed(
+        pd.DataFrame(found, columns=["configuration", "of", *stats.Interval._fields]),
+        "configuration",
+        "of",
+        None,
+        columns,
+    )
 
 
 def audit_rows(findings: Sequence[Finding]) -> Rows:
     """The parts of a claim."""
-    rows = [["question", "the paper", "ours, adjusted interval", "ours : the paper", "Holm's p", "seeds", "verdict"]]
+    rows = [
+        [
+            "question",
+            "the paper",
+            "ours, adjusted interval",
+            "ours : the paper",
+            "Holm's p",
+            "seeds",
+            "verdict",
+        ]
+    ]
     for one in findings:
         ours = effect(one) + (f" ({one.nearest})" if one.nearest else "")
         ratio = with_interval(one.ratio, one.ratio_low, one.ratio_high)
-        rows.append([one.text, number(one.paper, digits(one)), ours, ratio, p_shown(one.p_holm), str(one.n), said(one)])
+        rows.append(
+            [
+                one.text,
+                number(one.paper, digits(one)),
+                ours,
+                ratio,
+                p_shown(one.p_holm),
+                str(one.n),
+                said(one),
+            ]
+        )
     return rows
 
 
 def digits(finding: Finding | stats.Interval) -> int:
-    """Decimals that show an effect's interval with two significant digits; without one, the effect with two."""
+    """Decimals that show an effect's interval with two significant digits; without one, the effect with
+    two.
+    """
     width = finding.high - finding.low
     known = width if width > 0 else abs(finding.value)
     return min(max(1 - math.floor(math.log10(known)), 0), 6) if known > 0 else 2
@@ -257,7 +296,9 @@ def _about(seeds: float) -> str:
 
 
 def side_by_side(seeds: Mapping[str, pd.DataFrame]) -> Rows:
-    """Anything that has flown: a row a metric, a column each; seeds: by name, a row a seed as of `metrics.per_seed`."""
+    """Anything that has flown: a row a metric, a column each; seeds: by name, a row a seed as of
+    `metrics.per_seed`.
+    """
     rows = [["", *seeds], ["seeds", *(str(len(one)) for one in seeds.values())]]
     for column, metric in METRICS.items():
         found = [stats.interval(one[column].dropna().to_numpy()) for one in seeds.values()]
@@ -271,7 +312,9 @@ def _spread(found: stats.Interval) -> str:
 
 
 def operating(shares: pd.DataFrame) -> Rows:
-    """How often each claim would be graded what, if we knew the truth. shares: as `operating.characteristics` gives."""
+    """How often each claim would be graded what, if we knew the truth. shares: as
+    `operating.characteristics` gives.
+    """
     rows = [["", "if the truth were", *GRADES[:-1]]]
     for (claim, truth), part in shares.groupby(["claim", "truth"], sort=False):
         shown = _across(part, "grade", GRADES[:-1], lambda one: f"{one['share']:.1%}")
@@ -279,16 +322,22 @@ def operating(shares: pd.DataFrame) -> Rows:
     return rows
 
 
-def predictions(frame: pd.DataFrame, reading: str) -> Rows:
-    """The paper's numbers as one more seed, with the interval of one: a row a cell, a column a metric."""
+def predictions(frame: pd.DataFrame, definition: str) -> Rows:
+    """The paper's numbers as one more seed, with the interval of one: a row a configuration, a column a
+    metric.
+    """
 
     def shown(one: Record) -> str:
-        own = _interval(one, ["paper", "low", "high"], decimals(one["metric"], reading))
+        own = _interval(one, ["paper", "low", "high"], decimals(one["metric"], definition))
         return f"{own} {'within' if one['within'] else 'outside'}" if one["n"] > 1 else NOTHING
 
-    rows = [["cell", "seeds", *(words(metric, reading) for metric in paper.COLUMNS)]]
-    for key, part in frame[frame["reading"] == reading].groupby(["algorithm", "activation"], sort=False):
-        rows.append([name(*map(str, key)), str(part["n"].max()), *_across(part, "metric", paper.COLUMNS, shown)])
+    rows = [["configuration", "seeds", *(words(metric, definition) for metric in paper.COLUMNS)]]
+    for key, part in frame[frame["definition"] == definition].groupby(
+        ["algorithm", "activation"], sort=False
+    ):
+        rows.append(
+            [name(*map(str, key)), str(part["n"].max()), *_across(part, "metric", paper.COLUMNS, shown)]
+        )
     return rows
 
 
@@ -298,41 +347,57 @@ def frame(found: pd.DataFrame) -> Rows:
     return [list(map(str, found.columns)), *rows]
 
 
-def table(cells: Sequence[Cell], algorithm: str) -> Rows:
-    """A header and rows: for each activation the paper's, then every reading of each cell: means, interquartile means.
+def table(configurations: Sequence[tuple[str, Configuration]], algorithm: str) -> Rows:
+    """A header and rows: for each activation the paper's, then every metric definition of each configuration:
+    means, interquartile means.
 
-    cells: of one algorithm.
+    configurations: of one algorithm, with their labels.
     """
-    rows = [["activation", "reading", "seeds", "episodes", "cut off", *(one.words() for one in METRICS.values())]]
+    rows = [
+        [
+            "activation",
+            "definition",
+            "seeds",
+            "episodes",
+            "cut off",
+            *(one.words() for one in METRICS.values()),
+        ]
+    ]
     of_paper = paper.ACTIVATIONS if algorithm in paper.TABLE_OF else ()
     nothing = [NOTHING] * len(METRICS)
 
     def estimates_of(part: pd.DataFrame, columns: Sequence[str]) -> list[str]:
         return _across(part, "metric", METRICS, lambda one: _estimate(one, columns))
 
-    for activation in dict.fromkeys([*of_paper, *(cell.activation for cell in cells)]):
-        ours = [cell for cell in cells if cell.activation == activation]
+    for activation in dict.fromkeys(
+        [*of_paper, *(configuration.activation for _, configuration in configurations)]
+    ):
+        ours = [
+            (label, configuration)
+            for label, configuration in configurations
+            if configuration.activation == activation
+        ]
         if activation in of_paper:
             for which, per_frame in (("the paper", False), (f"the paper, {PER_FRAME}", True)):
                 printed = _printed(algorithm, activation, per_frame)
                 rows.append([activation, which, "1", NOTHING, NOTHING, *printed])
         if not ours:
             rows.append([activation, "missing: no finished run", "0", NOTHING, NOTHING, *nothing])
-        for cell in ours:
-            found = estimates(per_seed_values({(algorithm, activation): cell}))
-            for reading in READINGS:
-                own = found[found["reading"] == reading]
+        for label, configuration in ours:
+            found = estimates(per_seed_values({(algorithm, activation): configuration}))
+            for definition in DEFINITIONS:
+                own = found[found["definition"] == definition]
                 if not (own["n"] > 0).any():
-                    rows.append([cell.label or activation, f"{reading}: missing", "0", "0", NOTHING, *nothing])
+                    rows.append([label, f"{definition}: missing", "0", "0", NOTHING, *nothing])
                     continue
-                part = _counts(counts(cell, reading))
-                for which, columns in ((reading, MEAN), (f"{reading}, interquartile mean", MIDDLE)):
-                    rows.append([cell.label or activation, which, *part, *estimates_of(own, columns)])
+                part = _counts(episodes_of(configuration, definition))
+                for which, columns in ((definition, MEAN), (f"{definition}, interquartile mean", MIDDLE)):
+                    rows.append([label, which, *part, *estimates_of(own, columns)])
     return rows
 
 
 def _estimate(one: Record, columns: Sequence[str] = MEAN) -> str:
-    return _interval(one, columns, decimals(one["metric"], one["reading"]))
+    return _interval(one, columns, decimals(one["metric"], one["definition"]))
 
 
 def _printed(algorithm: str, activation: str, per_frame: bool) -> list[str]:
@@ -345,52 +410,62 @@ def _printed(algorithm: str, activation: str, per_frame: bool) -> list[str]:
     return shown
 
 
-def _counts(part: Counts) -> list[str]:
+def _counts(episodes: pd.DataFrame) -> list[str]:
     """Seeds, episodes and the share cut off, and at how many steps."""
-    share = f"{part.cut / part.episodes:.1%}" + (f" at {part.cap:,} steps" if part.cut else "")
-    return [str(part.seeds), f"{part.episodes:,}", share]
+    cut = episodes.loc[episodes["truncated"], "steps"]
+    share = f"{len(cut) / len(episodes):.1%}" + (f" at {cut.max():,} steps" if len(cut) else "")
+    return [str(episodes["seed"].nunique()), f"{len(episodes):,}", share]
 
 
-def of_metrics(frame: pd.DataFrame, only: Sequence[str], readings_shown: Sequence[str]) -> Rows:
-    """Cells against metrics, in some readings."""
-    rows = [["cell", "reading", "seeds", *(METRICS[metric].words() for metric in only)]]
-    shown_alone = frame[frame["reading"].isin(list(readings_shown))]
-    for key, part in shown_alone.groupby(["algorithm", "activation", "reading"], sort=False):
-        algorithm, activation, reading = (str(one) for one in key)
+def of_metrics(frame: pd.DataFrame, only: Sequence[str], definitions_shown: Sequence[str]) -> Rows:
+    """Configurations against metrics, in some metric definitions."""
+    rows = [["configuration", "definition", "seeds", *(METRICS[metric].words() for metric in only)]]
+    shown_alone = frame[frame["definition"].isin(list(definitions_shown))]
+    for key, part in shown_alone.groupby(["algorithm", "activation", "definition"], sort=False):
+        algorithm, activation, definition = (str(one) for one in key)
         shown = _across(part, "metric", only, _estimate)
-        rows.append([name(algorithm, activation), reading, str(part["n"].max()), *shown])
+        rows.append([name(algorithm, activation), definition, str(part["n"].max()), *shown])
     return rows
 
 
-def baselines(found: Mapping[str, pd.DataFrame], main: Cells) -> Rows:
-    """Scripts, people and policies from elsewhere beside the study's, on test sets: all metrics, share cut off."""
-    rows = [["who", "seeds", "flights", "cut off", *map(str, METRICS.values())]]
-    learned = {name(*key): episodes_of(cell, SAMPLED) for key, cell in main.items()}
+def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
+    """Scripts, people and policies from elsewhere beside the study's, on test layouts: all metrics, share
+    cut off.
+    """
+    rows = [["who", "seeds", "episodes", "cut off", *map(str, METRICS.values())]]
+    learned = {name(*key): episodes_of(configuration, SAMPLED) for key, configuration in main.items()}
     for who, part in [*found.items(), *learned.items()]:
         ended = finished(part)
         if ended.empty:
             continue
         seeds = per_seed(ended, ratio_of_means=True)
-        totals = {key: one.column for key, one in METRICS.items() if one.scale is None and one.column in ended}
+        totals = {
+            key: one.column for key, one in METRICS.items() if one.scale is None and one.column in ended
+        }
         own = [flown[[*totals.values()]].to_numpy(np.float64).T.copy() for _, flown in ended.groupby("seed")]
         nested = dict(zip(totals, stats.nested_intervals(own), strict=True))
         shown = []
         for key, metric in METRICS.items():
             one = nested[key] if key in nested else stats.interval(seeds[key].to_numpy())
             shown.append(with_interval(*one[:3], min(metric.digits, 2)))
-        rows.append([who, *_counts(counted(ended)), *shown])
+        rows.append([who, *_counts(ended), *shown])
     return rows if found else rows[:1]
 
 
-def flights(frame: pd.DataFrame, root: str = "") -> Rows:
-    """Test flights of the rule and of each of the paper's algorithms' best cells: reward, its gap to the rule, share
-    still up. frame: of `frames.gaps`; root: of links."""
-    rows = [["test flights", "reward", "gap to the rule", "still flying at the limit"]]
+def episodes(frame: pd.DataFrame, root: str = "") -> Rows:
+    """Test episodes of the rule and of each of the paper's algorithms' best configurations: reward, its gap
+    to the rule, share still up. frame: of `frames.gaps`; root: of links.
+    """
+    rows = [["test episodes", "reward", "gap to the rule", "still flying at the limit"]]
     best_ = [best(frame, mode, algorithm) for algorithm in paper.TABLE_OF for mode in MODES]
     known = [*frame.index[frame["who"] == RULE], *(place for place in best_ if place is not None)]
     for place in sorted(known, key=lambda place: -frame["reward"][place]):
         one = frame.loc[place]
-        who = f"{in_words(one['who'])}, {one['mode']}" if one["algorithm"] else f"a hand-written rule (`{one['who']}`)"
+        who = (
+            f"{in_words(one['who'])}, {one['mode']}"
+            if one["algorithm"]
+            else f"a scripted policy (`{one['who']}`)"
+        )
         value, low, high, gap, *ends = map(float, one[[*REWARD, *GAP]])
         reward = in_brackets(stats.Interval(value, low, high, one["n"]))
         behind = in_brackets(stats.Interval(gap, ends[0], ends[1], one["n"]))
@@ -410,7 +485,9 @@ def tuned(found: pd.DataFrame) -> Rows:
 
 
 def reward(numbers: Mapping[str, pd.DataFrame], algorithm: str, which: str) -> str:
-    """Of an algorithm's test flights with some settings; by default those of tanh, where it was not tuned."""
+    """Of an algorithm's test episodes with some settings; by default those of tanh, where it was not
+    tuned.
+    """
     tuned = numbers["tuning"].query("algorithm == @algorithm") if "tuning" in numbers else pd.DataFrame()
     if len(tuned):
         return _across(tuned, "settings", [which], lambda one: _interval(one, VALUE, 1))[0]
@@ -436,31 +513,45 @@ def tried(table: pd.DataFrame) -> Rows:
             continue
         settings = json.loads(top["settings"]).items()
         told = (f"{key}={f'{value:.3g}' if isinstance(value, float) else value}" for key, value in settings)
-        rows.append([str(algorithm).upper(), *shown, number(top["value"], 1), str(top["trial"]), ", ".join(told)])
+        rows.append(
+            [str(algorithm).upper(), *shown, number(top["value"], 1), str(top["trial"]), ", ".join(told)]
+        )
     return rows
 
 
-def facts(cells: list[Cell]) -> list[str]:
-    """Versions, commits, machines, banks and evaluations, and which runs have which where they are not the same."""
+def facts(configurations: list[Configuration]) -> list[str]:
+    """Versions, commits, machines, layouts and evaluations, and which runs have which where they are not
+    the same.
+    """
     lines = []
-    for kind in ("versions", "git_commit", "machine", "bank", "evaluation"):
+    for kind in ("versions", "git_commit", "machine", "layouts", "evaluation"):
         groups: dict[str, list[str]] = {}
-        for run in (run for cell in cells for run in cell.runs):
+        for run in (run for configuration in configurations for run in configuration.runs):
             fact = run.meta.get(kind)
             if isinstance(fact, dict):
                 fact = ", ".join(f"{key} {show(value)}" for key, value in fact.items())
             groups.setdefault(one_line(fact or "not known"), []).append(str(run.path))
         for value, paths in groups.items():
-            lines.append(f"{kind.replace('_', ' ')}: {value}" + (f" ({', '.join(paths)})" if len(groups) > 1 else ""))
+            lines.append(
+                f"{kind.replace('_', ' ')}: {value}" + (f" ({', '.join(paths)})" if len(groups) > 1 else "")
+            )
     return lines
 
 
-def run_table(cells: list[Cell]) -> Rows:
+def run_table(configurations: list[Configuration]) -> Rows:
     """How each run was made."""
-    rows = [["run", "cell", "seeds", "frames per seed", "ended", "wall time", "threads", "compiled"]]
-    for run, whose in [(run, f"{cell.algorithm} {cell.activation}") for cell in cells for run in cell.runs]:
+    rows = [["run", "configuration", "seeds", "frames per seed", "ended", "wall time", "threads", "compiled"]]
+    for run, whose in [
+        (run, f"{configuration.algorithm} {configuration.activation}")
+        for configuration in configurations
+        for run in configuration.runs
+    ]:
         seconds, first, last = run.meta.get("wall_seconds"), run.seeds[0], run.seeds[-1]
-        wall = str(datetime.timedelta(seconds=round(seconds))) if isinstance(seconds, (int, float)) else "not known"
+        wall = (
+            str(datetime.timedelta(seconds=round(seconds)))
+            if isinstance(seconds, (int, float))
+            else "not known"
+        )
         how = [show(run.meta.get(fact, "not known")) for fact in ("threads", "compiled")]
         seeds = str(first) if first == last else f"{first} ... {last}"
         ended = str(run.meta.get("ended", "not known")).partition("T")[0]
@@ -474,7 +565,9 @@ def of_words(rows: Rows) -> list[bool]:
 
 
 def markdown(rows: Rows) -> str:
-    """A table whose first row is its header and whose numbers, from the third column on, are right-aligned."""
+    """A table whose first row is its header and whose numbers, from the third column on, are
+    right-aligned.
+    """
     rule = ["---" if words or place < 2 else "---:" for place, words in enumerate(of_words(rows))]
     lines = (" | ".join(cell.replace("|", "\\|") for cell in row) for row in [rows[0], rule, *rows[1:]])
     return "\n".join(f"| {line} |" for line in lines)

@@ -1,7 +1,8 @@
 """A study that tunes each algorithm with the same budget: what it has left, default against tuned.
 
-It is read from its folder, beside the other studies (`uavnav.studies.tuning`): its cells are in no other table.
-Letters: S seeds of a cell.
+It is read from its folder, beside the other studies (`uavnav.studies.tuning`): its configurations are in no
+other table.
+Letters: S seeds of a configuration.
 """
 
 from __future__ import annotations
@@ -10,17 +11,15 @@ import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pandas as pd
 
-from uavnav import stats, style
+from uavnav import stats
 from uavnav.report import frames
-from uavnav.report.cells import Cell, collect, episodes_of, one_line
-from uavnav.report.studies import Cells
+from uavnav.report.configurations import collect, one_line
+from uavnav.report.studies import Configurations
 from uavnav.runs import trials
-from uavnav.runs.metrics import finished
-from uavnav.runs.readings import SAMPLED, words
+from uavnav.runs.definitions import SAMPLED
 from uavnav.runs.tables import RunError
 from uavnav.runs.trials import COLUMNS, DEFAULT, DIFFERENCE, IMPORTANCE, OF_IMPORTANCE, TABLE, TUNED
 
@@ -30,9 +29,9 @@ Table = pd.DataFrame
 def read(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str, Table], list[str]]:
     """The tables of the first study that tuned in some folders, by name, and a line for what is of no use.
 
-    tuning: columns algorithm, settings (default, tuned, their difference), value, low, high, n, and the gap to the
-    hand-written rule; tuning_pairs: differences of two algorithms; tuning_trials: what was tried, with the `best` so
-    far; tuning_importance: shares of settings.
+    tuning: columns algorithm, settings (default, tuned, their difference), value, low, high, n, and the gap
+    to the scripted policy; tuning_pairs: differences of two algorithms; tuning_trials: what was tried, with
+    the `best` so far; tuning_importance: shares of settings.
     """
     found = trials.folders(of)
     if not found:
@@ -47,15 +46,15 @@ def read(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str, 
         won = {name: row["trial"] for name in algorithms if (row := trials.best(tried, name))}
     except RunError as error:
         return {}, [str(error), *left_out]
-    cells: dict[str, Cells] = {DEFAULT: {}, TUNED: {}}
+    configurations: dict[str, Configurations] = {DEFAULT: {}, TUNED: {}}
     places = [(DEFAULT, folder / DEFAULT)]
     places += [(TUNED, folder / trials.winner(trial) / name) for name, trial in won.items()]
     for which, place in places:
-        own, lines = _cells(place)
-        cells[which] |= own
+        own, lines = _configurations(place)
+        configurations[which] |= own
         left_out += lines
-    compared = _compared(cells, baselines, algorithms)
-    tables = {"tuning": compared, "tuning_pairs": _pairs(cells, algorithms)}
+    compared = _compared(configurations, baselines, algorithms)
+    tables = {"tuning": compared, "tuning_pairs": _pairs(configurations, algorithms)}
     return tables | {"tuning_trials": tried, "tuning_importance": importance}, left_out
 
 
@@ -66,65 +65,52 @@ def so_far(trials: Table) -> pd.Series[float]:
     return best
 
 
-def _cells(folder: Path) -> tuple[Cells, list[str]]:
+def _configurations(folder: Path) -> tuple[Configurations, list[str]]:
     if not folder.is_dir():
         return {}, []
     try:
         found, left_out = collect([folder])
     except RunError as error:
         return {}, [one_line(error)]
-    return {(cell.algorithm, cell.activation): cell for cell in found}, left_out
+    return {
+        (configuration.algorithm, configuration.activation): configuration for configuration in found
+    }, left_out
 
 
-def _compared(cells: Mapping[str, Cells], baselines: Mapping[str, Table], algorithms: Sequence[str]) -> Table:
-    gaps = {which: frames.gaps(found, baselines) for which, found in cells.items()}
+def _compared(
+    configurations: Mapping[str, Configurations], baselines: Mapping[str, Table], algorithms: Sequence[str]
+) -> Table:
+    gaps = {which: frames.gaps(found, baselines) for which, found in configurations.items()}
     rows = []
     for algorithm in algorithms:
         seeds: dict[str, list[stats.Array]] = {}
-        for which, found in cells.items():
-            mine = [(key, cell) for key, cell in found.items() if key[0] == algorithm]
-            seeds[which] = [one for _, cell in mine if len(one := rewards(cell))]
+        for which, found in configurations.items():
+            mine = [(key, configuration) for key, configuration in found.items() if key[0] == algorithm]
+            seeds[which] = [
+                one for _, configuration in mine if len(one := frames.of_seeds(configuration, SAMPLED))
+            ]
             gap = gaps[which].query("mode == 'sampled' and algorithm == @algorithm")
             own = gap[["gap", "gap_low", "gap_high"]].to_numpy()[0] if len(gap) else [np.nan] * 3
             if seeds[which]:
                 rows.append([algorithm, which, *stats.difference(seeds[which], []), *own])
         if all(seeds.values()):
-            rows.append([algorithm, DIFFERENCE, *stats.difference(seeds[TUNED], seeds[DEFAULT]), *[np.nan] * 3])
+            rows.append(
+                [algorithm, DIFFERENCE, *stats.difference(seeds[TUNED], seeds[DEFAULT]), *[np.nan] * 3]
+            )
     columns = ["algorithm", "settings", "value", "low", "high", "n", "gap", "gap_low", "gap_high"]
     return pd.DataFrame(rows, columns=columns)
 
 
-def _pairs(cells: Mapping[str, Cells], algorithms: Sequence[str]) -> Table:
+def _pairs(configurations: Mapping[str, Configurations], algorithms: Sequence[str]) -> Table:
     rows = []
-    for which, found in cells.items():
-        of = {key[0]: [one] for key, cell in found.items() if len(one := rewards(cell))}
-        for first, second in itertools.combinations([algorithm for algorithm in algorithms if algorithm in of], 2):
+    for which, found in configurations.items():
+        of = {
+            key[0]: [one]
+            for key, configuration in found.items()
+            if len(one := frames.of_seeds(configuration, SAMPLED))
+        }
+        for first, second in itertools.combinations(
+            [algorithm for algorithm in algorithms if algorithm in of], 2
+        ):
             rows.append([f"{first} − {second}", which, *stats.difference(of[first], of[second])])
     return pd.DataFrame(rows, columns=["pair", "settings", "value", "low", "high", "n"])
-
-
-def rewards(cell: Cell) -> stats.Array:
-    """The mean reward of each seed's sampled test flights [S]."""
-    flown = finished(episodes_of(cell, SAMPLED))
-    return np.asarray(flown.groupby("seed")["reward"].mean(), dtype=np.float64)
-
-
-@matplotlib.rc_context(style.STYLE)
-def draw(found: Table, rule: float, width: float = style.WIDTH) -> style.Drawn:
-    """Default and tuned, a row each; found: as `read` gives it."""
-    shown = found[found["settings"] != DIFFERENCE]
-    rows = [f"{one['algorithm'].upper()} {one['settings']}, n = {one['n']}" for one in shown.to_dict("records")]
-    figure, axes = style.panel("", 0.42 * len(rows) + 1.3, width)
-    said = []
-    for row, one in enumerate(shown.to_dict("records")):
-        colour = style.CLEAR if one["settings"] == TUNED else style.PALE
-        axes.plot([one["low"], one["high"]], [row, row], color=colour, linewidth=3, solid_capstyle="butt")
-        axes.plot(one["value"], row, "o", color=colour, markersize=9)
-        interval = style.said(stats.Interval(one["value"], one["low"], one["high"], one["n"]))
-        said.append(f"{one['algorithm'].upper()} {one['settings']} {interval}")
-    style.name_rows(axes, rows)
-    axes.set_xlabel(words("reward", SAMPLED))
-    if np.isfinite(rule):
-        axes.axvline(rule, **style.DASHED)
-        said.append(f"{style.RULE} {style.number(rule)}")
-    return style.Drawn(figure, f"Reward of a test flight: {'; '.join(said)}.")

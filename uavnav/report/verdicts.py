@@ -1,9 +1,10 @@
-"""The second rule of the audit: Welch's intervals over training seeds, equivalence, Holm within a claim, grades.
+"""The second rule of the audit: Welch's intervals over training seeds, equivalence, Holm within a claim,
+grades.
 
-templates/prose.md says it in words. Where seeds scatter as ours do (per frame, two cells of an algorithm), Welch's 95 %
-intervals cover 94.9, 94.3, 94.1 and 94.5 % with 5, 10, 20 and 40 seeds, and bootstrap-t 95.1, 93.7, 93.4 and 94.1 %;
-the worst pair, with a cell of which one seed in twenty learns late, 84 and 81 %. Letters: S seeds of a cell, P parts of
-a claim, J contrasts of a part.
+templates/prose.md says it in words. Where seeds scatter as ours do (per frame, two configurations of an
+algorithm), Welch's 95 % intervals cover 94.9, 94.3, 94.1 and 94.5 % with 5, 10, 20 and 40 seeds, and
+bootstrap-t 95.1, 93.7, 93.4 and 94.1 %; the worst pair, with a configuration of which one seed in twenty
+learns late, 84 and 81 %. Letters: S seeds of a configuration, P parts of a claim, J contrasts of a part.
 """
 
 from __future__ import annotations
@@ -21,13 +22,19 @@ from uavnav.stats import Array, Contrasts, Flags
 Names = np.ndarray[Any, np.dtype[np.str_]]
 
 SEEDS = 5
-"""A verdict needs so many seeds in every cell: the fewest of which the coverage was measured."""
+"""A verdict needs so many seeds in every configuration: the fewest of which the coverage was measured."""
 ALPHA = 0.05
 POWER = 0.8
 """A part counts if the paper's own effect would be found with this probability."""
 HALF = 0.5
 """An effect is absent if it lies within plus and minus this share of the paper's."""
-VERDICTS = REPLICATES, REVERSES, ABSENT, OPEN, DEGENERATE = "replicates", "reverses", "absent", "open", "degenerate"
+VERDICTS = REPLICATES, REVERSES, ABSENT, OPEN, DEGENERATE = (
+    "replicates",
+    "reverses",
+    "absent",
+    "open",
+    "degenerate",
+)
 COUNTS, NO_RUNS, TOO_FEW = "counts", "no runs", "too few seeds"
 AGAINST_ITSELF, TOO_SMALL, BESIDE = "the paper contradicts itself", "too small to see", "beside the claim"
 """Whether a part counts for its claim's grade, and why not (`DEGENERATE` is a reason too)."""
@@ -55,8 +62,8 @@ class Finding(NamedTuple):
     less_than_half: bool  # of the paper's effect, also where the direction is clear
     standing: str  # whether it counts for the grade, and why not
     power: float  # to find the paper's effect
-    to_detect: float  # seeds a cell that find the paper's effect with `POWER`
-    to_equal: float  # seeds a cell that show its absence with `POWER`, where nothing differs
+    to_detect: float  # seeds a configuration that find the paper's effect with `POWER`
+    to_equal: float  # seeds a configuration that show its absence with `POWER`, where nothing differs
 
 
 class Judgement(NamedTuple):
@@ -74,7 +81,8 @@ class Judgement(NamedTuple):
 def audit(evidence: Evidence, paper: Evidence, claims: Sequence[Claim] = CLAIMS) -> list[Finding]:
     """Every part of every claim, in order, by the rule.
 
-    evidence: of our runs; paper: of the printed tables in the same reading, one number a cell.
+    evidence: of our runs; paper: of the printed tables by the same metric definition, one number
+        a configuration.
     """
     return [finding for claim in claims for finding in _audit(claim, evidence, paper)]
 
@@ -98,11 +106,13 @@ def effects(part: Part, paper: Evidence) -> Array:
 
 
 def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Sequence[Array]) -> Judgement:
-    """Judge a claim. samples: of each part its terms, each [..., S]; printed: of each part the paper's effects [J].
+    """Judge a claim. samples: of each part its terms, each [..., S]; printed: of each part the paper's
+    effects [J].
 
-    A part is candidate for the grade if the paper's tables show it or say nothing, its cells have `SEEDS` seeds, and
-    its measure varies. A candidate counts if the paper's effect is found with `POWER` at the level `ALPHA` / candidates
-    (Bonferroni's, Holm's first). Holm's family are the parts that count; the others are judged by themselves.
+    A part is candidate for the grade if the paper's tables show it or say nothing, its configurations have
+    `SEEDS` seeds, and its measure varies. A candidate counts if the paper's effect is found with `POWER` at
+    the level `ALPHA` / candidates (Bonferroni's, Holm's first). Holm's family are the parts that count; the
+    others are judged by themselves.
     """
     found = [_contrasts(part, of) for part, of in zip(parts, samples, strict=True)]
     shape = np.broadcast_shapes(*(one.value.shape[:-1] for one in found if one is not None), ())
@@ -117,10 +127,14 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
         if one is None:
             continue
         p_for, p_against = _p_values(part, one)
-        p[..., place], toward[..., place] = np.minimum(1.0, 2 * np.minimum(p_for, p_against)), p_for < p_against
+        p[..., place], toward[..., place] = (
+            np.minimum(1.0, 2 * np.minimum(p_for, p_against)),
+            p_for < p_against,
+        )
         effect = _extreme(part, own)
         low, high = _interval(part, one, 2 * ALPHA)
-        within[..., place] = (-HALF * effect < low) & (high < HALF * effect)  # never of an unknown or negative effect
+        # never of an unknown or negative effect
+        within[..., place] = (-HALF * effect < low) & (high < HALF * effect)
         varies = (one.error > 0).all(-1)
         if not part.beside:
             standings[..., place] = AGAINST_ITSELF if effect <= 0 else np.where(varies, COUNTS, DEGENERATE)
@@ -137,10 +151,18 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
 
 
 def _grades(verdicts: Names, standings: Names) -> Names:
-    """The grades [...] of claims from their parts' verdicts and standings, each [..., P]."""
+    """The grades [...] of claims from their parts' verdicts and standings, each [..., P].
+
+    Of the parts that count: all replicate -> replicates; some -> in part; none, and one reverses or is absent
+    -> does not; none, and nothing is shown -> open. A claim all of whose parts stand beside it is context.
+    """
     counting = standings == COUNTS
-    do, against = ((np.isin(verdicts, kinds) & counting).sum(-1) for kinds in ((REPLICATES,), (REVERSES, ABSENT)))
-    grades = np.select([do == 0, do < counting.sum(-1)], [np.where(against > 0, DOES_NOT, OPEN), IN_PART], REPLICATES)
+    do, against = (
+        (np.isin(verdicts, kinds) & counting).sum(-1) for kinds in ((REPLICATES,), (REVERSES, ABSENT))
+    )
+    grades = np.select(
+        [do == 0, do < counting.sum(-1)], [np.where(against > 0, DOES_NOT, OPEN), IN_PART], REPLICATES
+    )
     return np.where((standings == BESIDE).all(-1), CONTEXT, grades)
 
 
@@ -162,7 +184,9 @@ class Grade(NamedTuple):
 
 def grade(findings: Sequence[Finding]) -> Grade:
     """The grade of a claim from its parts."""
-    verdicts, standings = (np.array([getattr(one, field) for one in findings]) for field in ("verdict", "standing"))
+    verdicts, standings = (
+        np.array([getattr(one, field) for one in findings]) for field in ("verdict", "standing")
+    )
     counting = standings == COUNTS
     replicating = int((counting & (verdicts == REPLICATES)).sum())
     return Grade(str(_grades(verdicts, standings)), replicating, int(counting.sum()))
@@ -173,22 +197,24 @@ def _size(sample: Array) -> int:
 
 
 def _contrasts(part: Part, samples: Sequence[Array]) -> Contrasts | None:
-    """A part's contrasts [..., J]; None where a cell has too few seeds."""
+    """A part's contrasts [..., J]; None where a configuration has too few seeds."""
     if min(map(_size, samples)) < SEEDS:
         return None
     return stats.welch(samples, np.array(part.weights), part.paired)
 
 
 def _extreme(part: Part, effects_: Array) -> float:
-    """The effect of a part: the smallest of its contrasts where every one has to be above zero, else the largest."""
+    """The effect of a part: the smallest of its contrasts where every one has to be above zero, else the
+    largest.
+    """
     return float(np.min(effects_) if part.every else np.max(effects_))
 
 
 def _p_values(part: Part, found: Contrasts) -> tuple[Array, Array]:
     """One-sided p values for the part and against it: [...] each.
 
-    Every contrast is above zero: an intersection-union test, the largest p counts. One is below: Holm over the J. Where
-    at least one has to be above, the two change places.
+    Every contrast is above zero: an intersection-union test, the largest p counts. One is below: Holm over
+    the J. Where at least one has to be above, the two change places.
     """
     above = found.above()
     count = above.shape[-1]
@@ -200,8 +226,8 @@ def _p_values(part: Part, found: Contrasts) -> tuple[Array, Array]:
 def _interval(part: Part, found: Contrasts, level: float) -> tuple[Array, Array]:
     """The interval of 1 - level of a part's effect: it excludes 0 exactly where `_p_values` say so.
 
-    The smallest of J contrasts is above the smallest of their lower ends, each at level / 2, and below the smallest of
-    their upper ends, each at level / 2J.
+    The smallest of J contrasts is above the smallest of their lower ends, each at level / 2, and below the
+    smallest of their upper ends, each at level / 2J.
     """
     count = found.value.shape[-1]
     if part.every:
@@ -210,7 +236,9 @@ def _interval(part: Part, found: Contrasts, level: float) -> tuple[Array, Array]
 
 
 def _power(part: Part, found: Contrasts, effects_: Array, level: float | Array) -> Array:
-    """How probably the paper's effects [J] are found, at least (Slepian): [...]; level of the two-sided test [...]."""
+    """How probably the paper's effects [J] are found, at least (Slepian): [...]; level of the two-sided
+    test [...].
+    """
     one_sided = np.asarray(level)[..., None] / 2
     if part.every:
         return np.asarray(found.power(effects_, one_sided).prod(-1))
@@ -218,9 +246,11 @@ def _power(part: Part, found: Contrasts, effects_: Array, level: float | Array) 
 
 
 def _levels(judged: Judgement) -> Array:
-    """Holm's level of each part [P]: `ALPHA` / m for the smallest p, `ALPHA` / (m - 1) for the next, and so on.
+    """Holm's level of each part [P]: `ALPHA` / m for the smallest p, `ALPHA` / (m - 1) for the next, and so
+    on.
 
-    The first that fails and all after it are held against the same; a part that does not count against `ALPHA`.
+    The first that fails and all after it are held against the same; a part that does not count against
+    `ALPHA`.
     """
     levels = np.full(len(judged.p), ALPHA)
     counting = np.flatnonzero(judged.standings == COUNTS)
@@ -272,7 +302,9 @@ def _finding(
 def _value(part: Part, samples: Sequence[Array]) -> float:
     if not min(map(_size, samples)):
         return math.nan
-    return _extreme(part, np.array(part.weights) @ stats.rounded(np.array([sample.mean() for sample in samples])))
+    return _extreme(
+        part, np.array(part.weights) @ stats.rounded(np.array([sample.mean() for sample in samples]))
+    )
 
 
 def _one_order(found: Contrasts) -> Array:
@@ -282,10 +314,11 @@ def _one_order(found: Contrasts) -> Array:
 
 
 def _needed(part: Part, found: Contrasts, effects_: Array, level: float, n: int) -> tuple[float, float]:
-    """Seeds a cell with which the paper's effects [J] are found, and with which two one-sided tests show absence.
+    """Seeds a configuration with which the paper's effects [J] are found, and with which two one-sided tests
+    show absence.
 
-    Both with `POWER`, the second where all cells are equal; seeds scatter as ours, and none of our effects enters. The
-    errors of n seeds a cell are those of ours times sqrt(n / seeds).
+    Both with `POWER`, the second where all configurations are equal; seeds scatter as ours, and none of our
+    effects enters. The errors of n seeds a configuration are those of ours times sqrt(n / seeds).
     """
 
     def of(seeds: int) -> Contrasts:

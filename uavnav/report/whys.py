@@ -1,7 +1,8 @@
-"""Why cells differ: questions to side studies that each change one setting; templates/study.md answers them.
+"""Why configurations differ: questions to side studies that each change one setting; templates/study.md
+answers them.
 
-A question is data: rows to show, and contrasts that answer it. To add one, add it to `QUESTIONS` and its cells to
-uavnav/studies/why.yaml. Letters: S seeds of a cell.
+A question is data: rows to show, and contrasts that answer it. To add one, add it to `QUESTIONS` and its
+configurations to uavnav/studies/why.yaml. Letters: S seeds of a configuration.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ SHORT, LONG = "baseline", "vectorised"
 
 
 class Contrast(NamedTuple):
-    """The mean of some cells minus that of others; `templates/study.md` quotes it by its name."""
+    """The mean of some configurations minus that of others; `templates/study.md` quotes it by its name."""
 
     metric: str
     name: str
@@ -44,8 +45,12 @@ class Question(NamedTuple):
 Answers = tuple[dict[str, Place], list[Contrast]]
 
 
-def _sweep(metric: str, setting: str, values: Sequence[str], usual: str, *algorithms: str, low: int = 0) -> Answers:
-    """A row for each value of a setting, with tanh, and the lowest value (at place `low`) against the highest."""
+def _sweep(
+    metric: str, setting: str, values: Sequence[str], usual: str, *algorithms: str, low: int = 0
+) -> Answers:
+    """A row for each value of a setting, with tanh, and the lowest value (at place `low`) against the
+    highest.
+    """
     rows: dict[str, Place] = {}
     contrasts = []
     for one in algorithms:
@@ -65,8 +70,14 @@ def _activations() -> Answers:
     for one in ALGORITHMS:
         rows |= {f"{one.upper()} {activation}": (SHORT, one, activation) for activation in plain}
         for study, label in changed.items():
-            rows |= {f"{one.upper()} {name}, {label}": (study, one, name) for name in ("tanh", "sigmoid", "relu")}
-        pairs = [("tanh", "relu", SHORT, ""), ("relu6", "relu", SHORT, ""), ("sigmoid_centred", "sigmoid", SHORT, "")]
+            rows |= {
+                f"{one.upper()} {name}, {label}": (study, one, name) for name in ("tanh", "sigmoid", "relu")
+            }
+        pairs = [
+            ("tanh", "relu", SHORT, ""),
+            ("relu6", "relu", SHORT, ""),
+            ("sigmoid_centred", "sigmoid", SHORT, ""),
+        ]
         pairs += [("tanh", "relu", study, f", both with {label}") for study, label in changed.items()]
         for a, b, study, how in pairs:
             name = f"{one.upper()} with {a} minus with {b}{how}"
@@ -75,7 +86,9 @@ def _activations() -> Answers:
 
 
 def _of_pair(study: str, how: str, metrics: Sequence[str], labels: Mapping[str, str]) -> Answers:
-    """A row for each algorithm, activation of the pair and study, as long as the paper's; a study against `LONG`."""
+    """A row for each algorithm, activation of the pair and study, as long as the paper's; a study against
+    `LONG`.
+    """
     rows = {
         f"{one.upper()} {activation}, {label}": (which, one, activation)
         for one, activation in itertools.product(ALGORITHMS, PAIR)

@@ -1,7 +1,7 @@
 """Where which algorithm flies: the study `worlds`, its verdicts on claims 12 to 16, its tables and figures.
 
-Its runs lie in the folder `worlds` of a report's folder, apart from those that answer for the paper's tables. Letters:
-S seeds of a cell.
+Its runs lie in the folder `worlds` of a report's folder, apart from those that answer for the paper's tables.
+Letters: S seeds of a configuration.
 """
 
 from __future__ import annotations
@@ -12,30 +12,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from uavnav import stats, style
-from uavnav.report.cells import of_worlds, one_line, order, settings_of
 from uavnav.report.claims import ALL_WORLDS, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
+from uavnav.report.configurations import of_worlds, one_line, order, settings_of
 from uavnav.runs import Run, run_folders
-from uavnav.runs.metrics import EVALUATED, FLIGHTS, OWN, collided, of_flights
+from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
 from uavnav.runs.tables import RunError, read_table
 from uavnav.stats import Array, Interval
 from uavnav.tasks.protocol import ACROSS_STEPS, DRAWS, EPISODES, SCRIPTS
 
 if TYPE_CHECKING:
-    from uavnav.evaluation.scripts import Protocol
+    from uavnav.runs.evaluations import Protocol
 
 MODE = "sampled"
 DEFAULT, TUNED = "vectorised", "fast"
 """The presets of the study; a world's name says the second."""
 MEASURES = {
-    "reward": "reward per flight",
-    "greedy": "reward per flight, greedy",
-    "collisions": FLIGHTS["collisions"],
+    "reward": "reward per episode",
+    "greedy": "reward per episode, greedy",
+    "collisions": PER_EPISODE["collisions"],
     "survival": "restricted mean survival [steps]",
 }
 
@@ -52,13 +50,15 @@ class Worlds(NamedTuple):
 
     seeds: dict[Key, pd.DataFrame]  # a row a seed: `MEASURES`, those of `metrics.OWN`, and what claims ask
     scripted: dict[tuple[str, str], pd.DataFrame]  # the same of a world's scripts
-    rungs: dict[tuple[str, float], dict[str, pd.DataFrame]]  # ladder and rung -> the same of the scripts there
+    # ladder and rung -> the same of the scripts there
+    rungs: dict[tuple[str, float], dict[str, pd.DataFrame]]
     runs: pd.DataFrame  # how each run was made, a row a run
     left_out: list[str]
 
 
 def gather(folders: Sequence[Path]) -> Worlds | None:
-    """Read the study in some folders of a report, and the rows of scripts in its worlds; None where there is none.
+    """Read the study in some folders of a report, and the rows of scripts in its worlds; None where there is
+    none.
 
     Raises:
         RunError: a folder cannot be read.
@@ -88,15 +88,22 @@ def gather(folders: Sequence[Path]) -> Worlds | None:
     if not seeds:
         return None
     in_order = sorted(places, key=lambda name: (name != "drone", *_digits_last(name)))
-    seeds = dict(sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0]))))
+    seeds = dict(
+        sorted(seeds.items(), key=lambda item: (in_order.index(_place(item[0][0])), *_rank(item[0])))
+    )
     scripted, rungs, lines = _of_scripts([home / "baselines" for home in homes], in_order, places, seeds)
     return Worlds(seeds, scripted, rungs, pd.DataFrame(made), [*left_out, *lines])
 
 
 def _of_scripts(
-    folders: Sequence[Path], names: Sequence[str], places: Mapping[str, Protocol | None], seeds: Mapping[Key, Table]
+    folders: Sequence[Path],
+    names: Sequence[str],
+    places: Mapping[str, Protocol | None],
+    seeds: Mapping[Key, Table],
 ) -> tuple[dict[tuple[str, str], Table], dict[tuple[str, float], dict[str, Table]], list[str]]:
-    """What scripts reach in each world and on each rung that the paper's world flew, and a line for missing rows."""
+    """What scripts reach in each world and on each rung that the paper's world flew, and a line for
+    missing rows.
+    """
     from uavnav.evaluation.scripts import rows_of_scripts
     from uavnav.tasks import ladders, layouts
 
@@ -115,7 +122,9 @@ def _of_scripts(
             continue
         scripted |= {(name, rule): own for rule, own in flown_as(protocol).items()}
     if (protocol := places.get("drone")) is not None:
-        there = {metric for (world, _, _), table in seeds.items() if _place(world) == "drone" for metric in table}
+        there = {
+            metric for (world, _, _), table in seeds.items() if _place(world) == "drone" for metric in table
+        }
         for rung in ((name, rung) for name in layouts.RUNGS for rung in ladders.LADDERS[name].rungs):
             if at("reward", *rung) in there:
                 rungs[rung] = flown_as(protocol._replace(layouts=ladders.sets_of(*rung)))
@@ -124,13 +133,18 @@ def _of_scripts(
 
 def _made(world: str, run: Run) -> dict[str, object]:
     """How a run was made: what tells it apart from the others, and what its `meta.json` says of it."""
-    who = {"world": world, "algorithm": run.algorithm, "activation": run.config["activation"], "seeds": len(run.seeds)}
+    who = {
+        "world": world,
+        "algorithm": run.algorithm,
+        "activation": run.config["activation"],
+        "seeds": len(run.seeds),
+    }
     facts = {name: run.meta.get(name) for name in ("git_commit", "ended", "wall_seconds")}
     return {"run": str(run.path), **who, **facts, **(run.meta.get("machine") or {})}
 
 
 def _rank(key: Key) -> tuple[object, ...]:
-    """Where a cell stands in its world: the default presets first."""
+    """Where a configuration stands in its world: the default presets first."""
     return key[0] != _place(key[0]), *order(key[1:])
 
 
@@ -145,31 +159,35 @@ def _place(world: str) -> str:
 
 
 def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
-    """Where a run was trained, how scripts fly there, and its table of seeds: of the study's flights alone.
+    """Where a run was trained, how scripts fly there, and its table of seeds: of the study's episodes alone.
 
     Raises:
         RunError: its world is not known, or it was not flown as in the study.
     """
-    from uavnav.evaluation import files_of, rows_across  # these know the tasks, and so load torch
+    from uavnav.evaluation import Protocol, rows_across  # these know the tasks, and so load torch
     from uavnav.evaluation.scripts import protocol_in
     from uavnav.evaluation.transfer import named, trained_in
     from uavnav.tasks.ladders import LADDERS
 
     task, sets = trained_in(run)
-    cap = task.cap(ACROSS_STEPS)
-    name, _ = files_of(sets, EPISODES, cap)
+    limit = task.limit(ACROSS_STEPS)
+    name = Protocol(sets, EPISODES, limit).file("evaluation")
     if not (run.path / name).exists():
         raise RunError(f"{run.path}: has no {name}; give its study again")
-    rows = read_table(run.path / name, EVALUATED | {"distance": "int64", "mode": "object"}, "evaluate the run again")
-    table = measured(rows[rows["mode"] == MODE], cap)
+    rows = read_table(
+        run.path / name, EVALUATED | {"distance": "int64", "mode": "object"}, "evaluate the run again"
+    )
+    table = measured(rows[rows["mode"] == MODE], limit)
     if len(greedy := rows[rows["mode"] == "greedy"]):
         table["greedy"] = greedy.groupby("seed")["reward"].mean()
     for name, ladder in LADDERS.items():
-        path = run.path / rows_across(name, EPISODES, cap)
+        path = run.path / rows_across(name, EPISODES, limit)
         if path.exists():
-            flown = read_table(path, {"seed": "int64", "rung": "float64", "mode": "object"}, "evaluate it again")
+            flown = read_table(
+                path, {"seed": "int64", "rung": "float64", "mode": "object"}, "evaluate it again"
+            )
             for rung in ladder.rungs:
-                one = measured(flown[(flown["mode"] == MODE) & (flown["rung"] == rung)], cap)
+                one = measured(flown[(flown["mode"] == MODE) & (flown["rung"] == rung)], limit)
                 table = table.join(one.set_axis([at(str(metric), name, rung) for metric in one], axis=1))
             if name == "density":
                 rewards = table[[at("reward", name, rung) for rung in ladder.rungs]]
@@ -177,22 +195,28 @@ def read(run: Run) -> tuple[str, Protocol | None, pd.DataFrame]:
     if "grad_norm" in run.progress:
         norms = run.progress.groupby("seed")["grad_norm"]
         table[VARIATION] = norms.std() / norms.mean()
-    return named(task, sets), protocol_in(task, sets, EPISODES, cap), table
+    return named(task, sets), protocol_in(task, sets, EPISODES, limit), table
 
 
-def measured(flown: pd.DataFrame, cap: int) -> pd.DataFrame:
-    """The measures of some flights, a row a seed. A flight that reaches its goal counts as cut off there."""
+def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
+    """The measures of some episodes, a row a seed. An episode that reaches its goal counts as cut off
+    there.
+    """
     ended = collided(flown)
     survival = {
-        seed: stats.restricted_mean(one["steps"].to_numpy(), np.asarray(ended[one.index], dtype=np.float64), cap)
+        seed: stats.restricted_mean(
+            one["steps"].to_numpy(), np.asarray(ended[one.index], dtype=np.float64), limit
+        )
         for seed, one in flown.groupby("seed")
     }
-    return of_flights(flown).drop(columns="survive").assign(survival=pd.Series(survival))
+    return of_episodes(flown).drop(columns="survive").assign(survival=pd.Series(survival))
 
 
 @dataclass(eq=False)
 class Evidence:
-    """What the claims of the discussion ask (an `Evidence` of `claims`); means over worlds are of cells in all."""
+    """What the claims of the discussion ask (an `Evidence` of `claims`); means over worlds are of
+    configurations in all.
+    """
 
     seeds: Mapping[Key, pd.DataFrame]
 
@@ -215,43 +239,51 @@ class Evidence:
             table = self._seeds.get((study, algorithm, activation))
             return np.empty(0) if table is None or metric not in table else table[metric].dropna().to_numpy()
         flown = [one[metric] for one in self._everywhere(algorithm, activation) if metric in one]
-        return pd.concat(flown, axis=1, join="inner").mean(axis=1).dropna().to_numpy() if flown else np.empty(0)
+        return (
+            pd.concat(flown, axis=1, join="inner").mean(axis=1).dropna().to_numpy() if flown else np.empty(0)
+        )
 
     def _everywhere(self, algorithm: str, activation: str) -> list[pd.DataFrame]:
-        """A cell's seeds in each world, with the default preset; nothing where it lacks a world."""
+        """A configuration's seeds in each world, with the default preset; nothing where it lacks a world."""
         found = [self._seeds.get((world, algorithm, activation), pd.DataFrame()) for world in self._worlds]
         return found if all(map(len, found)) else []
 
     def _explains(self, metric: str) -> Array:
-        """The rank correlation of a measure with the reward across the cells of a world, mean over worlds: [S].
+        """The rank correlation of a measure with the reward across the configurations of a world, mean over
+        worlds: [S].
 
         Seeds of the same number are taken together: as if each were a study of its own.
         """
         measure = next(name for name, explains in EXPLAINS.items() if explains == metric)
         parts = []
         for world in self._worlds:
-            cells = (key for key in self._seeds if key[0] == world and self._everywhere(*key[1:]))
-            mine = [table for cell in cells if measure in (table := self._seeds[cell])]
+            configurations = (key for key in self._seeds if key[0] == world and self._everywhere(*key[1:]))
+            mine = [
+                table for configuration in configurations if measure in (table := self._seeds[configuration])
+            ]
             if len(mine) > 2:
                 first, second = (
-                    pd.concat([table[name] for table in mine], axis=1, join="inner", keys=range(len(mine))).rank(axis=1)
+                    pd.concat(
+                        [table[name] for table in mine], axis=1, join="inner", keys=range(len(mine))
+                    ).rank(axis=1)
                     for name in (measure, "reward")
                 )
                 parts.append(first.T.corrwith(second.T))
         return pd.concat(parts, axis=1).mean(axis=1).dropna().to_numpy() if parts else np.empty(0)
 
 
-# -- what a report shows ----------------------------------------------------------------------------------------------
+# -- what a report shows -------------------------------------------------------------------------------------
 
 
 def summary(found: Worlds) -> pd.DataFrame:
-    """A row a world, cell (or script) and measure: value, low, high and n, intervals over seeds."""
+    """A row a world, configuration (or script) and measure: value, low, high and n, intervals over seeds."""
     values = []
     everything = [(key[0], _named(key), table) for key, table in found.seeds.items()]
     everything += [(world, rule, table) for (world, rule), table in found.scripted.items()]
     for world, name, table in everything:
         for metric in (one for one in (*MEASURES, *OWN) if one in table):
-            if metric == "survival" and "success" in table:  # most flights end at the goal: few tell how long one lives
+            # most episodes end at the goal: few tell how long one lives
+            if metric == "survival" and "success" in table:
                 continue
             one = stats.interval(table[metric].dropna().to_numpy())
             values.append([_place(world), name, metric, *one[:3], one.n])
@@ -263,27 +295,24 @@ def _named(key: Key) -> str:
     return f"{algorithm.upper()} {activation}" + (" fast" if world != _place(world) else "")
 
 
-def worlds_of(found: pd.DataFrame) -> list[str]:
-    """The worlds of a summary, in order."""
-    return [*dict.fromkeys(found["world"])]
-
-
 def _rewards(found: pd.DataFrame) -> dict[str, tuple[dict[str, Interval], dict[str, Interval]]]:
-    """Rewards of each world's learned cells, the best first, and of its scripts."""
+    """Rewards of each world's learned configurations, the best first, and of its scripts."""
     rewards = {}
     for world, mine in found[found["metric"] == "reward"].groupby("world", sort=False):
         both = {row[1]: Interval(*row[3:]) for row in mine.itertuples(index=False)}
-        best = sorted((item for item in both.items() if item[0] not in SCRIPTS), key=lambda item: -item[1].value)
+        best = sorted(
+            (item for item in both.items() if item[0] not in SCRIPTS), key=lambda item: -item[1].value
+        )
         rewards[str(world)] = dict(best), {who: one for who, one in both.items() if who in SCRIPTS}
     return rewards
 
 
 def leaders(found: pd.DataFrame) -> pd.DataFrame:
-    """Who is ahead in each world, by reward per flight: columns world, best, value, low, high, script, scripted, ahead
-    and chance. found: of `summary`.
+    """Who is ahead in each world, by reward per episode: columns world, best, value, low, high, script,
+    scripted, ahead and chance. found: of `summary`.
 
-    A script is ahead if it is above every policy's interval, a policy if its interval is above every script. `chance`
-    has the policies whose interval is not above random flight's.
+    A script is ahead if it is above every policy's interval, a policy if its interval is above every script.
+    `chance` has the policies whose interval is not above random flight's.
     """
     rows = []
     for world, (learned, scripts) in _rewards(found).items():
@@ -307,34 +336,10 @@ def _top(one: Interval) -> float:
     return one.high if np.isfinite(one.high) else one.value
 
 
-@matplotlib.rc_context(style.STYLE)
-def draw(found: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
-    """Reward per flight of every cell, a panel a world; the lines are scripts."""
-    rewards = _rewards(found)
-    counts = [len(learned) for learned, _ in rewards.values()]
-    figure = Figure(figsize=(width, sum(0.9 + 0.3 * count for count in counts)), layout="constrained")
-    panels = figure.subplots(len(counts), 1, squeeze=False, height_ratios=[2 + n for n in counts])[:, 0]
-    looks, told = dict(zip(SCRIPTS, (":", "-.", "--"), strict=True)), []
-    for axes, (world, (learned, scripts)) in zip(panels, rewards.items(), strict=True):
-        for row, (who, one) in enumerate(learned.items()):
-            colour = style.COLOURS.get(who.split()[1], style.OTHER_COLOURS[0])
-            axes.plot([one.low, one.high], [row, row], color=colour, linewidth=2.4, solid_capstyle="butt")
-            axes.plot(one.value, row, "o", color=colour, markeredgecolor="white", markersize=8)
-        for name, one in scripts.items():
-            axes.axvline(one.value, linestyle=looks[name], color=style.INK, linewidth=1.2, label=name)
-        style.name_rows(axes, [*learned])
-        axes.set_title(world)
-        best, most = next(iter(learned.items()))
-        told.append(f"{world}: {style.said(most)} of {best}")
-    panels[-1].set_xlabel("reward per flight, sampled")
-    lines = {line.get_label(): line for axes in panels for line in axes.get_legend_handles_labels()[0]}
-    style.legend(figure, [*lines.values()], columns=3)
-    return style.Drawn(figure, f"Best reward per flight in each world: {'; '.join(told)}.")
-
-
 def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn | None:
-    """The cells that were trained in the paper's world across a ladder, means of their activations, and the scripts;
-    None where no cell was."""
+    """The configurations that were trained in the paper's world across a ladder, means of their activations,
+    and the scripts; None where no configuration was.
+    """
     from uavnav.evaluation import across
     from uavnav.tasks.ladders import LADDERS
 
@@ -346,7 +351,9 @@ def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn 
         who = algorithm.upper() + (" fast" if world != _place(world) else "")
         for rung in rungs:
             for metric in (one for one in ("reward", "collisions", *OWN) if at(one, name, rung) in flown[0]):
-                one = stats.difference([table[at(metric, name, rung)].dropna().to_numpy() for table in flown], [])
+                one = stats.difference(
+                    [table[at(metric, name, rung)].dropna().to_numpy() for table in flown], []
+                )
                 parts.append([who, MODE, float(rung), metric, one.n, *one[:3]])
     if not parts:
         return None
@@ -357,9 +364,3 @@ def ladder(found: Worlds, name: str, width: float = style.WIDTH) -> style.Drawn 
             parts.append([rule, "scripted", float(rung), metric, one.n, *one[:3]])
     columns = ["name", "mode", "rung", "measure", "n", "value", "low", "high"]
     return across.draw(pd.DataFrame(parts, columns=columns), LADDERS[name], width)
-
-
-def numbers(found: Worlds) -> dict[str, pd.DataFrame]:
-    """The tables of a report, by the name of their CSV."""
-    places = summary(found)
-    return {"places": places, "leaders": leaders(places), "places_runs": found.runs}

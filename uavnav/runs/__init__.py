@@ -4,14 +4,17 @@
     meta.json           versions, git commit, machine, threads, wall time, status, frames per seed
     episodes.parquet    one row per training episode, the columns of `metrics.EPISODE_COLUMNS`
     progress.parquet    one row per iteration and seed: losses and diagnostics
-    policy.safetensors  the networks of all seeds; where it was left out, the command of the run trains it again
-    evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled); see `own_evaluation`
-    behaviour.parquet   the actions of some test flights, one row per step (see `uavnav.report.behaviour`)
-    arena.parquet       the same of flights in the empty arena (see `uavnav.evaluation.in_empty_arena`)
-    values.parquet      what each seed expects and gets, where outputs are values (see `uavnav.evaluation.values`)
+    policy.safetensors  the networks of all seeds; where it was left out, the run's command trains it again
+    evaluation.parquet  one row per test episode: the same columns, and `mode` (greedy or sampled); see
+                        `runs.evaluations`
+    behaviour.parquet   the actions of some test episodes, one row per step (see `uavnav.report.behaviour`)
+    arena.parquet       the same of episodes in the empty arena (see `uavnav.evaluation.in_empty_arena`)
+    values.parquet      what each seed expects and gets, where outputs are values (see
+                        `uavnav.evaluation.values`)
     checkpoint/         the snapshots of an unfinished run (see `uavnav.training.checkpoints`)
-    workers/            an unfinished run whose seeds are spread over processes: a run's folder for each of them
-    progress.json       while it trains: its frames per seed, of how many, at how many a second, its rewards, and when
+    workers/            an unfinished run whose seeds are spread over processes: a run's folder for each
+    progress.json       while it trains: its frames per seed, of how many, at how many a second, its rewards,
+                        and when
     stop                while it trains: whoever writes this file asks it to save and stop
     tensorboard/ wandb/ logs, if the run has them (see `uavnav.training.loggers`)
 
@@ -30,10 +33,10 @@ from pydantic import Field
 
 from uavnav import files
 from uavnav.files import Facts
+from uavnav.runs.evaluations import usual
 from uavnav.runs.metrics import EVALUATED, TRAINED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.runs.trials import TRIALS, TUNING
-from uavnav.tasks.protocol import CAPS, EPISODES
 
 FINISHED = "finished"
 EVALUATION = "evaluation.parquet"
@@ -89,7 +92,7 @@ class Meta(Facts):
     threads: Annotated[int, Field(ge=1, le=2**12)] = 1
     processes: Annotated[int, Field(ge=1, le=MOST_SEEDS)] = 1
     versions: dict[str, str | None] = Field(default_factory=dict)
-    bank: dict[str, str | int | None] = Field(default_factory=dict)
+    layouts: dict[str, str | int | None] = Field(default_factory=dict)
     machine: dict[str, Any] | str = Field(default_factory=dict)
     plugins: dict[str, str] = Field(default_factory=dict)
     beyond_preset: dict[str, Any] = Field(default_factory=dict)
@@ -111,7 +114,8 @@ class Run:
     Args:
         path: the run's folder.
         fresh: true if this call trained the run, false if the run existed before.
-        rows: whether its training episodes are read; a study that is judged by its flights may leave them out.
+        rows: whether its training episodes are read; a study that is judged by its episodes may leave them
+            out.
 
     Raises:
         RunError: the folder is missing or is no run's, or the run is not finished or damaged.
@@ -148,7 +152,7 @@ class Run:
 
     def evaluations(self) -> list[Path]:
         """The files of its evaluations, the run's own before those of other protocols."""
-        own = own_evaluation(self.config.get("task", "drone"))
+        own = usual(self.config.get("task", "drone")).file("evaluation")
         others = sorted(path.name for path in self.path.glob(f"{Path(EVALUATION).stem}-*.parquet"))
         paths = (self.path / name for name in dict.fromkeys([own, EVALUATION, *others]))
         return [path for path in paths if os.path.lexists(path)]
@@ -164,13 +168,12 @@ class Run:
         return self.path / name.replace(Path(EVALUATION).stem, Path(BEHAVIOUR).stem, 1)
 
     def _table(self, name: str, columns: Mapping[str, str]) -> pd.DataFrame:
-        again = "evaluate the run again" if name.startswith(Path(EVALUATION).stem) else "run again with overwrite=true"
+        again = (
+            "evaluate the run again"
+            if name.startswith(Path(EVALUATION).stem)
+            else "run again with overwrite=true"
+        )
         return read_table(self.path / name, columns, again)
-
-
-def own_evaluation(task: str) -> str:
-    """The file of the evaluation that a run of a task has if nothing else is said, of a task of the package."""
-    return EVALUATION.replace(".", f"-test-{EPISODES}-{CAPS[task]}.") if task in CAPS else EVALUATION
 
 
 def default_folder(algorithm: str, preset: str, activation: str) -> Path:
@@ -179,7 +182,9 @@ def default_folder(algorithm: str, preset: str, activation: str) -> Path:
 
 
 def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str, Any]:
-    """What a run's config.yaml or meta.json holds; raises a RunError where it is missing, damaged, or no run's."""
+    """What a run's config.yaml or meta.json holds; raises a RunError where it is missing, damaged, or no
+    run's.
+    """
     said: Any
     kind: type[Facts]
     kind, what = (Meta, "facts") if path.suffix == ".json" else (Config, "configuration")
@@ -190,7 +195,9 @@ def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str,
     if not isinstance(said, dict):
         raise RunError(f"{path}: not a run's {what}; {instead}")
     if "n_worlds" in said:
-        raise RunError(f"{path}: written by uavnav 0.1, which reads it; train it again, or install that version")
+        raise RunError(
+            f"{path}: written by uavnav 0.1, which reads it; train it again, or install that version"
+        )
     try:
         files.facts(kind, said)
     except ValueError as error:
@@ -201,7 +208,8 @@ def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str,
 def progress(folder: Path) -> dict[str, Any]:
     """What `progress.json` says; empty where it cannot be read.
 
-    `frames` per seed of `total`, `rate` (0: not known yet), `rewards` of each seed (none: not known yet), and `at`.
+    `frames` per seed of `total`, `rate` (0: not known yet), `rewards` of each seed (none: not known yet), and
+    `at`.
     """
     try:
         there = files.facts(Progress, files.read_json(folder / PROGRESS))
@@ -211,7 +219,9 @@ def progress(folder: Path) -> dict[str, Any]:
 
 
 def heard(told: Mapping[str, Any], now: float) -> bool:
-    """Whether a run that said this runs: by a clock that was set back, one that was killed may speak of the future."""
+    """Whether a run that said this runs: by a clock that was set back, one that was killed may speak of
+    the future.
+    """
     return bool(told) and abs(now - told["at"]) < SILENCE
 
 
@@ -235,7 +245,11 @@ def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
         elif "episodes.parquet" in there:
             strays.append(f"{path}: has episodes.parquet and no config.yaml; not a run of this package")
         elif Path(path).name not in OF_REPORTS:
-            strays += [f"{path}/{name}: lies where no run is" for name in sorted(there) if name.endswith(".parquet")]
+            strays += [
+                f"{path}/{name}: lies where no run is" for name in sorted(there) if name.endswith(".parquet")
+            ]
     if not found:
-        raise RunError(f"{folder}: holds no run; give a folder that does, or train one with out={folder}/ppo/tanh")
+        raise RunError(
+            f"{folder}: holds no run; give a folder that does, or train one with out={folder}/ppo/tanh"
+        )
     return found, strays

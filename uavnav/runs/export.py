@@ -25,6 +25,7 @@ from uavnav.algorithms import ALGORITHMS
 from uavnav.networks import AgentLinear
 from uavnav.runs.policies import Policy, PolicyError
 from uavnav.runs.tables import write
+from uavnav.tasks.table import header
 from uavnav.tasks.world import VERSION
 
 SUFFIXES = (".onnx", ".pt2")
@@ -52,8 +53,8 @@ def export_policy(policy: Policy, path: str | Path) -> Path:
         "values": ALGORITHMS[policy.algorithm].values,
         "acts": policy.acts,
         "epsilon": policy.epsilon,
-        **policy.task.header(),
-        "bank": policy.bank,
+        **header(policy.task),
+        "layouts": policy.layouts,
         "world_version": VERSION,
     }
     write(path, _onnx(program, facts) if path.suffix == ".onnx" else _pt2(program, facts))
@@ -62,12 +63,22 @@ def export_policy(policy: Policy, path: str | Path) -> Path:
 
 def _program(policy: Policy) -> torch.export.ExportedProgram:
     """The policy's network as a graph over any number of rows."""
-    layers = [_linear(layer) if isinstance(layer, AgentLinear) else layer for layer in policy.network.children()]
+    layers = [
+        _linear(layer) if isinstance(layer, AgentLinear) else layer for layer in policy.network.children()
+    ]
     rows = torch.zeros(2, policy.task.observation_size)
     shapes = ({0: torch.export.Dim("rows")},)
-    program = torch.export.export(Values(nn.Sequential(*layers), policy.head).eval(), (rows,), dynamic_shapes=shapes)
+    program = torch.export.export(
+        Values(nn.Sequential(*layers), policy.head).eval(), (rows,), dynamic_shapes=shapes
+    )
     for node in program.graph.nodes:
-        for name in ("stack_trace", "nn_module_stack", "source_fn_stack", "from_node"):  # paths of this machine
+        # paths of this machine
+        for name in (
+            "stack_trace",
+            "nn_module_stack",
+            "source_fn_stack",
+            "from_node",
+        ):
             node.meta.pop(name, None)
     return program
 
@@ -98,7 +109,13 @@ def _onnx(program: torch.export.ExportedProgram, facts: dict[str, Any]) -> bytes
         logger.setLevel(level)
     assert result is not None
     model = result.model_proto
-    for part in (model.graph, *model.graph.node, *model.graph.value_info, *model.graph.input, *model.graph.output):
+    for part in (
+        model.graph,
+        *model.graph.node,
+        *model.graph.value_info,
+        *model.graph.input,
+        *model.graph.output,
+    ):
         part.ClearField("metadata_props")  # paths and names of this package's classes
     model.metadata_props.add(key=FACTS, value=json.dumps(facts))
     content: bytes = model.SerializeToString()

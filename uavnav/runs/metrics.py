@@ -1,7 +1,8 @@
-"""The six metrics of sec. 4.3, as means over episodes; `readings` has all that the paper may have averaged.
+"""The six metrics of sec. 4.3, as means over episodes; `definitions` has all that the paper may have
+averaged.
 
-A table of episodes has one row per episode and the columns of `EPISODE_COLUMNS`. To add a metric, add a line to
-`METRICS`. A metric that counts something new also needs a column in `EPISODE_COLUMNS`.
+A table of episodes has one row per episode and the columns of `EPISODE_COLUMNS`. To add a metric, add a line
+to `METRICS`. A metric that counts something new also needs a column in `EPISODE_COLUMNS`.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ TRAINED, EVALUATED = (
 """Columns without which a table of training episodes, or of evaluated ones, is none."""
 
 MODES = ("greedy", "sampled")
-"""How a policy is evaluated: always the best action, or as at the end of training (sampled DQN: epsilon = 0.05)."""
+"""How a policy is evaluated: always the best action, or as at the end of training (sampled DQN: epsilon =
+0.05).
+"""
 
 LAST = 100
 """Episodes that count as the last; Stable-Baselines3's log averages the same number."""
@@ -49,7 +52,7 @@ class Metric(NamedTuple):
     digits: int = 3  # most decimals in a report
     unit: str = ""
     better: int = 1  # 1: more is better, -1: less is better
-    over: str = "collision"  # or `frame`: what the reading *per frame* divides a sum by
+    over: str = "collision"  # or `frame`: what the metric definition *per frame* divides a sum by
 
     def words(self, over: str = "") -> str:
         """In words, with its unit; over: what a sum is divided by, if it is to be said."""
@@ -73,7 +76,7 @@ METRICS: dict[str, Metric] = {
 
 
 class Own(NamedTuple):
-    """A metric that only some worlds or banks have, over all episodes of a seed."""
+    """A metric that only some worlds or layouts have, over all episodes of a seed."""
 
     label: str
     columns: tuple[str, ...]  # that a table must have
@@ -82,9 +85,11 @@ class Own(NamedTuple):
 
 OWN: dict[str, Own] = {
     "passages_per_1000_steps": Own(
-        "passages per 1,000 steps", ("passages",), lambda rows: 1000 * rows["passages"].sum() / rows["steps"].sum()
+        "passages per 1,000 steps",
+        ("passages",),
+        lambda rows: 1000 * rows["passages"].sum() / rows["steps"].sum(),
     ),
-    "passages_per_flight": Own("passages per flight", ("passages",), lambda rows: rows["passages"].mean()),
+    "passages_per_episode": Own("passages per episode", ("passages",), lambda rows: rows["passages"].mean()),
     "success": Own("success [%]", ("succeeded",), lambda rows: 100 * rows["succeeded"].mean()),
     "collision": Own("collision [%]", ("succeeded",), lambda rows: 100 * collided(rows).mean()),
     "time_out": Own("time-out [%]", ("succeeded",), lambda rows: 100 * rows["truncated"].mean()),
@@ -93,22 +98,26 @@ OWN: dict[str, Own] = {
 """By name; a table shows those whose columns it has."""
 
 
-FLIGHTS = {
-    "reward": "reward per flight",
+PER_EPISODE = {
+    "reward": "reward per episode",
     "collisions": "collisions per 1,000 px",
-    "survive": "flights still up at the cap [%]",
+    "survive": "episodes that reach the time limit [%]",
 }
-"""What flights in any world are judged by, in words with its unit; those of `OWN` that rows tell come on top."""
+"""What episodes in any world are judged by, in words with its unit; those of `OWN` that rows tell come on
+top.
+"""
 COLLISIONS_PER = 1000.0  # px
 
 
 def collided(episodes: pd.DataFrame) -> pd.Series:
-    """Whether each episode ended at an obstacle; a goal ends a flight too."""
+    """Whether each episode ended at an obstacle; a goal ends an episode too."""
     return episodes["terminated"] & (episodes.get("succeeded", 0) == 0)
 
 
-def of_flights(flown: pd.DataFrame) -> pd.DataFrame:
-    """Each measure of some episodes: a row a seed, a column a measure; those of `FLIGHTS` and of `OWN`."""
+def of_episodes(flown: pd.DataFrame) -> pd.DataFrame:
+    """Each measure of some episodes: a row a seed, a column a measure; those of `PER_EPISODE` and of
+    `OWN`.
+    """
     sums = (
         flown.assign(hit=collided(flown))
         .groupby("seed")
@@ -120,7 +129,9 @@ def of_flights(flown: pd.DataFrame) -> pd.DataFrame:
 
 
 def spl(episodes: pd.DataFrame) -> float:
-    """Success weighted by path length (Anderson et al. 2018): the mean of success x shortest / max(flown, shortest)."""
+    """Success weighted by path length (Anderson et al. 2018): the mean of success x shortest / max(flown,
+    shortest).
+    """
     shortest = episodes["shortest"]
     return float((episodes["succeeded"] * shortest / np.maximum(episodes["distance"], shortest)).mean())
 
@@ -128,7 +139,10 @@ def spl(episodes: pd.DataFrame) -> float:
 def own(episodes: pd.DataFrame) -> pd.DataFrame:
     """The metrics of `OWN` that a table has the columns for: one row per seed, one column per metric."""
     there = {name: one for name, one in OWN.items() if set(one.columns) <= set(episodes.columns)}
-    found = {seed: {name: one.value(rows) for name, one in there.items()} for seed, rows in episodes.groupby("seed")}
+    found = {
+        seed: {name: one.value(rows) for name, one in there.items()}
+        for seed, rows in episodes.groupby("seed")
+    }
     return pd.DataFrame.from_dict(found, orient="index", columns=list(there))
 
 
@@ -139,7 +153,9 @@ def finished(episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 def in_order(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The episodes that ended, those of each seed together and in order of time; a table that is so as it is."""
+    """The episodes that ended, those of each seed together and in order of time; a table that is so as it
+    is.
+    """
     ended = np.flatnonzero(episodes["terminated"] | episodes["truncated"])
     keys = [episodes[name].to_numpy()[ended] for name in ("env", "frame", "seed") if name in episodes]
     is_later = np.ones(max(len(ended) - 1, 0), dtype=bool)
@@ -172,8 +188,8 @@ def per_episode(episodes: pd.DataFrame) -> pd.DataFrame:
 def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFrame:
     """Mean metrics over the episodes that ended: one row per seed, one column per metric.
 
-    Ratios (stops, full stops, turns, speed) are means of the episodes' ratios. With `ratio_of_means`, they are ratios
-    of sums (decision 13). A metric is NaN if the table lacks its column.
+    Ratios (stops, full stops, turns, speed) are means of the episodes' ratios. With `ratio_of_means`, they
+    are ratios of sums (decision 13). A metric is NaN if the table lacks its column.
     """
     ended = finished(episodes)
     if not ratio_of_means:
@@ -181,4 +197,6 @@ def per_seed(episodes: pd.DataFrame, ratio_of_means: bool = False) -> pd.DataFra
     of_seeds = counted(ended).groupby(ended["seed"])
     sums = of_seeds.sum(min_count=1)
     ratios = {name: metric.scale for name, metric in METRICS.items() if metric.scale is not None}
-    return of_seeds.mean().assign(**{name: scale * sums[name] / sums["steps"] for name, scale in ratios.items()})
+    return of_seeds.mean().assign(
+        **{name: scale * sums[name] / sums["steps"] for name, scale in ratios.items()}
+    )

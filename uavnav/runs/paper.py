@@ -1,4 +1,4 @@
-"""The paper's tables 1 and 2, as printed: one run per cell, of 1,000,000 steps."""
+"""The paper's tables 1 and 2, as printed: one run per configuration, of 1,000,000 steps."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import math
 
 TITLE = "Comparative Analysis of DQN and PPO Algorithms in UAV Obstacle Avoidance 2D Simulation"
 COLUMNS = ("steps", "full_stops", "turns", "distance", "speed", "reward")
-"""The six metrics in the tables' order; their units: per episode, %, %, px per episode, px per step, per episode."""
+"""The six metrics in the tables' order; their units: per episode, %, %, px per episode, px per step, per
+episode.
+"""
 
 TABLES: dict[tuple[str, str], dict[str, float]] = {
-    cell: dict(zip(COLUMNS, row, strict=True))
-    for cell, row in {
+    configuration: dict(zip(COLUMNS, row, strict=True))
+    for configuration, row in {
         ("dqn", "tanh"): (159.434, 1.497, 62.558, 649.456, 4.318, -6.982),
         ("dqn", "sigmoid"): (211.367, 0.626, 59.983, 797.7136, 4.984, -5.666),
         ("dqn", "relu"): (205.576, 3.881, 67.722, 761.555, 3.993, -7.616),
@@ -22,7 +24,9 @@ TABLES: dict[tuple[str, str], dict[str, float]] = {
     }.items()
 }
 TABLE_OF, CURVES_OF = {"dqn": 1, "ppo": 2}, {"dqn": 4, "ppo": 5}
-"""Numbers of an algorithm's table and of its figure with learning curves; the algorithms in the paper's order."""
+"""Numbers of an algorithm's table and of its figure with learning curves; the algorithms in the paper's
+order.
+"""
 PATHS = (6, 7)
 """Numbers of the figures with flown paths."""
 ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
@@ -32,8 +36,9 @@ ACTIVATIONS = ("tanh", "sigmoid", "relu", "leaky_relu")
 def printed(algorithm: str, activation: str, metric: str, per_frame: bool = False) -> float:
     """A number of the tables; NaN where they have none.
 
-    per_frame: as in the reading *per frame*: reward / steps, and distance / steps for the speed. Each of the paper's
-    episodes ended in a collision, so that its steps and distance are per collision as they are.
+    per_frame: as in the metric definition *per frame*: reward / steps, and distance / steps for the speed.
+    Each of the paper's episodes ended in a collision, so that its steps and distance are per collision as
+    they are.
     """
     row = TABLES.get((algorithm, activation), {})
     if per_frame and row:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import pickle
-import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,14 +26,17 @@ from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
 from uavnav.tasks import tensors as safe
 from uavnav.tasks.rewards import REWARDS
-from uavnav.tasks.simulator import EMPTY, TASKS, Task, make_task
+from uavnav.tasks.table import EMPTY, TASKS, make_task
 from uavnav.tasks.world import VERSION, World
+from uavnav.tasks.wrapper import WrappedTask
 
 SB3_WEIGHTS = "policy.pth"
 SB3_MAX_BYTES = 2**26
 """Of a zip's weights, unpacked: a network of 64-64 has a hundred thousand."""
 SB3_EPSILON = 0.05
-"""Stable-Baselines3's final epsilon by default, and ours in the preset `vectorised`: a zip's weights do not tell."""
+"""Stable-Baselines3's final epsilon by default, and ours in the preset `vectorised`: a zip's weights do
+not tell.
+"""
 
 
 class PolicyError(OneLineError, ValueError):
@@ -63,7 +65,7 @@ class Header(files.Facts):
     layer_norm: bool = False
     acts: str | None = None  # files of earlier versions do not say
     head: Annotated[str, Field(max_length=100)] | None = None
-    bank: str | None = None
+    layouts: str | None = None
     plugins: list[str] = Field(default_factory=list)
 
 
@@ -74,12 +76,12 @@ class Policy:
     network: nn.Module
     algorithm: str
     greedy: bool
-    task: Task  # that it was trained in, without the bank
+    task: WrappedTask  # that it was trained in, without the split
     acts: str  # in training: a name of `uavnav.acting.ACTS`
     head: str  # how outputs become one number an action: a name of `HEADS` there, with its numbers
     epsilon: float = 0.0  # the share of random actions, where its way to act has one
     seed: int = 0  # that it was trained with
-    bank: str | None = None  # SHA-256 of the bank that it was trained on
+    layouts: str | None = None  # SHA-256 of the split that it was trained on
 
     @property
     def world(self) -> World:
@@ -89,7 +91,7 @@ class Policy:
     @property
     def reward(self) -> str:
         """The reward that it was trained with."""
-        return self.task.reward
+        return self.task.task.reward
 
     @property
     def mode(self) -> str:
@@ -145,11 +147,6 @@ def zips(words: Sequence[str], activation: str | None) -> list[str]:
     return found
 
 
-def as_option(error: Exception) -> str:
-    """An error's line as a command says it."""
-    return re.sub("^plugins=", "--plugins ", str(error)).replace("activation=...", "--activation")
-
-
 def seeds(path: str | Path) -> list[int]:
     """The training seeds of a policy file; raises a PolicyError as `load_policy` does."""
     load_policy(path)
@@ -166,12 +163,17 @@ def contents(path: Path) -> tuple[dict[str, Tensor], Header]:
         tensors, said = safe.read(path)
         header = files.facts(Header, files.parsed(said.get("uavnav", "{}")))
     except (OSError, ValueError) as error:
-        raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
+        raise PolicyError(
+            f"{path}: not a readable policy file ({error}); give the one of a finished run"
+        ) from error
     return tensors, header
 
 
-def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, activation: str | None = None) -> Policy:
-    """The policy of one seed of a run's folder (or of its policy.safetensors); nothing is unpickled or executed.
+def load_policy(
+    run: str | Path, seed: int | None = None, greedy: bool = True, activation: str | None = None
+) -> Policy:
+    """The policy of one seed of a run's folder (or of its policy.safetensors); nothing is unpickled or
+    executed.
 
     A `.zip` is read as one of Stable-Baselines3: the weights of a PPO or a DQN with MlpPolicy, and nothing
     else of it.
@@ -179,8 +181,8 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     Args:
         run: a run's folder, its policy file, or the zip that `model.save` of Stable-Baselines3 wrote.
         seed: which training seed; the first one if None. A zip has no seeds.
-        greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon (0.05 for
-            a zip).
+        greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon
+            (0.05 for a zip).
         activation: of a zip's hidden layers, which its weights do not tell; a run knows its own.
 
     Raises:
@@ -188,21 +190,28 @@ def load_policy(run: str | Path, seed: int | None = None, greedy: bool = True, a
     """
     if is_zip(run):
         if seed is not None:
-            raise PolicyError(f"{run}: seed={seed}; a zip of Stable-Baselines3 holds one policy: give no seed")
+            raise PolicyError(
+                f"{run}: seed={seed}; a zip of Stable-Baselines3 holds one policy: give no seed"
+            )
         return _from_sb3(Path(run), greedy, activation)
     if activation is not None:
         raise PolicyError(f"{run}: activation={activation}; a run knows its own: give it for a .zip alone")
     return next(_policies(run, None if seed is None else [seed], greedy))
 
 
-def load_policies(run: str | Path, seeds: Sequence[int] | None = None, greedy: bool = True) -> dict[int, Policy]:
+def load_policies(
+    run: str | Path, seeds: Sequence[int] | None = None, greedy: bool = True
+) -> dict[int, Policy]:
     """The policies of some seeds of a run, or of all, by seed. Raises a PolicyError as `load_policy` does."""
     return {policy.seed: policy for policy in _policies(run, seeds, greedy)}
 
 
 def by_mode(policies: Mapping[int, Policy]) -> dict[str, dict[int, Policy]]:
     """The same policies greedy and sampled, by mode and seed."""
-    return {mode: {seed: replace(one, greedy=mode == "greedy") for seed, one in policies.items()} for mode in MODES}
+    return {
+        mode: {seed: replace(one, greedy=mode == "greedy") for seed, one in policies.items()}
+        for mode in MODES
+    }
 
 
 def _policies(run: str | Path, seeds: Sequence[int] | None, greedy: bool) -> Iterator[Policy]:
@@ -227,13 +236,25 @@ def _policies(run: str | Path, seeds: Sequence[int] | None, greedy: bool) -> Ite
         own = {key: tensor[agent : agent + 1] for key, tensor in weights.items()}
         for key, tensor in own.items():
             if not tensor.isfinite().all():
-                raise Diverged(f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr")
+                raise Diverged(
+                    f"{path}: policy.{key} of seed {seed} is not finite, it diverged; train with a lower lr"
+                )
         network = mlp(sizes, header.activation, [torch.Generator()], "default", layer_norm=header.layer_norm)
         network.load_state_dict(own)
-        yield Policy(network, header.algorithm, greedy, task, str(acts), str(head), header.epsilon, seed, header.bank)
+        yield Policy(
+            network,
+            header.algorithm,
+            greedy,
+            task,
+            str(acts),
+            str(head),
+            header.epsilon,
+            seed,
+            header.layouts,
+        )
 
 
-def _trained_in(path: Path, header: Header, acts: str | None, head: str | None) -> Task:
+def _trained_in(path: Path, header: Header, acts: str | None, head: str | None) -> WrappedTask:
     """The task of a policy's training, whose parts and ways to act are all known here."""
     if header.world_version != VERSION:
         raise PolicyError(f"{path}: trained in world version {header.world_version}, this is {VERSION}")
@@ -249,13 +270,17 @@ def _trained_in(path: Path, header: Header, acts: str | None, head: str | None) 
             hint = plugins.missing(header.plugins) or f"; {choose_from(value, choices)}"
             raise PolicyError(f"{path}: unknown {name} {value!r}{hint}")
     try:
-        return make_task(EMPTY, header.world, header.reward, header.max_steps, header.task, header.stack, header.faults)
+        return make_task(
+            EMPTY, header.world, header.reward, header.max_steps, header.task, header.stack, header.faults
+        )
     except (TypeError, ValueError) as error:
-        raise PolicyError(f"{path}: not a readable policy file ({error}); give the one of a finished run") from error
+        raise PolicyError(
+            f"{path}: not a readable policy file ({error}); give the one of a finished run"
+        ) from error
 
 
 def _network(
-    path: Path, header: Header, tensors: Mapping[str, Tensor], head: str, task: Task
+    path: Path, header: Header, tensors: Mapping[str, Tensor], head: str, task: WrappedTask
 ) -> tuple[list[int], dict[str, Tensor]]:
     """The sizes of the layers of a file's networks, and their weights [A, ...] as a network calls them.
 
@@ -275,7 +300,9 @@ def _network(
             raise ValueError("other tensors")
         n_actions = values_of(head, torch.zeros(1, outputs)).shape[-1]
     except (KeyError, IndexError, RuntimeError, TypeError, ValueError, OverflowError) as error:
-        raise PolicyError(f"{path}: its tensors do not fit its header; give the one of a finished run") from error
+        raise PolicyError(
+            f"{path}: its tensors do not fit its header; give the one of a finished run"
+        ) from error
     _check_sizes(path, inputs, n_actions, task)
     return sizes, weights
 
@@ -289,7 +316,7 @@ def _warn_of_changed_plugins(path: Path, header: Header) -> None:
             raise PolicyError(str(error)) from error
 
 
-def _check_sizes(path: Path, inputs: int, outputs: int, task: Task) -> None:
+def _check_sizes(path: Path, inputs: int, outputs: int, task: WrappedTask) -> None:
     if inputs != task.observation_size or outputs != task.world.n_actions:
         raise PolicyError(
             f"{path}: sees {inputs} numbers and chooses from {outputs} actions, not"
@@ -297,7 +324,7 @@ def _check_sizes(path: Path, inputs: int, outputs: int, task: Task) -> None:
         )
 
 
-# -- Stable-Baselines3 ------------------------------------------------------------------------------------------------
+# -- Stable-Baselines3 ---------------------------------------------------------------------------------------
 
 SB3_LAYERS = {"ppo": ("mlp_extractor.policy_net.", "action_net."), "dqn": ("q_net.q_net.", "")}
 """Where a zip keeps the hidden layers that choose actions, and the last one if it lies apart."""
@@ -316,13 +343,19 @@ def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
     _check_sizes(path, sizes[0], sizes[-1], task)
     if activation is None:
         choices = ", ".join(sorted(ACTIVATIONS))
-        raise PolicyError(f"{path}: its weights do not tell the activation; give activation=..., one of {choices}")
+        raise PolicyError(
+            f"{path}: its weights do not tell the activation; give activation=..., one of {choices}"
+        )
     if activation not in ACTIVATIONS:
-        raise PolicyError(f"{path}: unknown activation {activation!r}; {choose_from(activation, ACTIVATIONS)}")
+        raise PolicyError(
+            f"{path}: unknown activation {activation!r}; {choose_from(activation, ACTIVATIONS)}"
+        )
     network = mlp(sizes, activation, [torch.Generator()], "default")
     for index, (weight, bias) in enumerate(layers):
         if not (weight.isfinite().all() and bias.isfinite().all()):
-            raise PolicyError(f"{path}: layer {index} is not finite, it diverged; train with a lower learning_rate")
+            raise PolicyError(
+                f"{path}: layer {index} is not finite, it diverged; train with a lower learning_rate"
+            )
         network[2 * index].load_state_dict({"weight": weight.T[None], "bias": bias[None, None]})
     return Policy(network, algorithm, greedy, task, how.acts, how.head, SB3_EPSILON)
 
@@ -336,11 +369,15 @@ def _sb3_layers(path: Path, tensors: dict[str, Tensor]) -> tuple[str, list[tuple
     expected = {f"{name}{part}" for name in names for part in ("weight", "bias")}
     strange = sorted(expected ^ {key for key in tensors if not key.startswith(SB3_OTHERS)})
     if strange:
-        raise PolicyError(f"{path}: no MlpPolicy of PPO or DQN, for its {', '.join(strange[:2])}; give one of them")
+        raise PolicyError(
+            f"{path}: no MlpPolicy of PPO or DQN, for its {', '.join(strange[:2])}; give one of them"
+        )
     layers = [(tensors[f"{name}weight"], tensors[f"{name}bias"]) for name in names]
     fits = all(weight.ndim == 2 and bias.shape == weight.shape[:1] for weight, bias in layers)
     if not fits or any(len(bias) != weight.shape[1] for (_, bias), (weight, _) in pairwise(layers)):
-        raise PolicyError(f"{path}: the shapes of its layers do not fit each other; give what model.save wrote")
+        raise PolicyError(
+            f"{path}: the shapes of its layers do not fit each other; give what model.save wrote"
+        )
     return algorithm, layers
 
 
@@ -359,11 +396,13 @@ def _sb3_tensors(path: Path) -> dict[str, Tensor]:
             raise ValueError("not a table of float32 tensors")
         if sum(value.numel() for value in tensors.values()) * 4 > SB3_MAX_BYTES:
             raise ValueError(f"more than {SB3_MAX_BYTES:,} bytes of weights")
-    except Exception as error:  # zlib, zipfile, struct and torch raise nearly every kind, in any number of lines
+    except Exception as error:
+        # zlib, zipfile, struct and torch raise nearly every kind, in any number of lines
         problem = "its weights are more than tensors" if isinstance(error, pickle.UnpicklingError) else error
         reason = str(problem).strip().splitlines()[0] if str(problem).strip() else type(error).__name__
         raise PolicyError(
-            f"{path}: not a readable zip of Stable-Baselines3 ({reason}); give what model.save of PPO or DQN wrote"
+            f"{path}: not a readable zip of Stable-Baselines3 ({reason}); give what model.save of PPO or "
+            "DQN wrote"
         ) from error
     return {str(name): value for name, value in tensors.items()}
 

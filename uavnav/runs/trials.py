@@ -14,13 +14,21 @@ from uavnav import files
 from uavnav.runs.tables import RunError, read_csv
 
 TUNING, TRIALS, TUNED = "tuning", "trials", "tuned"
-"""What a study that tunes writes into; in there its trials, which are no runs of their own; and winners, by trial."""
+"""What a study that tunes writes into; in there its trials, which are no runs of their own; and winners,
+by trial.
+"""
 DEFAULT = "default"
 """Settings of rows of a comparison, beside `TUNED`."""
 DIFFERENCE = "tuned − default"
 """Settings of a row that compares the winner with the default."""
 TABLE, IMPORTANCE = "trials.csv", "importance.csv"
-COLUMNS = {"algorithm": "object", "trial": "int64", "state": "object", "value": "float64", "settings": "object"}
+COLUMNS = {
+    "algorithm": "object",
+    "trial": "int64",
+    "state": "object",
+    "value": "float64",
+    "settings": "object",
+}
 OF_IMPORTANCE = {"algorithm": "object", "setting": "object", "importance": "float64"}
 MOST_TRIALS = 10**6
 """Of an algorithm, at most."""

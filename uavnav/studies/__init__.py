@@ -1,16 +1,21 @@
-"""Studies: many cells that are trained, evaluated and reported as one. A study is a yaml file here, or one of yours.
+"""Studies: many configurations that are trained, evaluated and reported as one. A study is a yaml file here,
+or one of yours.
 
     what: one line that says what it is
-    banks: [4, 12]              # made first: training sets with so many obstacles, {out}/banks/4/train.safetensors
-    settings:                   # of every cell, unless it says otherwise
-      activation: [tanh, relu]  # a list stands for a cell each, in all combinations
+    obstacles: [4, 12]          # made first: layouts to train on with so many obstacles, in
+                                # {out}/layouts/4/train.safetensors
+    settings:                   # of every configuration, unless it says otherwise
+      activation: [tanh, relu]  # a list stands for a configuration each, in all combinations
       n_seeds: 20               # any setting of an algorithm
-      evaluate: {episodes: 10, max_steps: 500}  # by default 200 test sets of 10,000 steps, or of the task's own cap
-                                # where that is lower; false: not at all; with `across: [density]` ladders too
-      dqn: {learning_starts: 1000}              # of one algorithm's cells
-    cells:
-      - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in {out}/rate-0.001/ppo/tanh and so on
-    scripts: baselines          # scripted policies fly in the world of each cell too, as it does; their rows go there
+      evaluate: {episodes: 10, max_steps: 500}  # by default 200 test layouts of 10,000 steps, or of the
+                                # task's own time limit where that is lower; false: not at all; with
+                                # `across: [density]` ladders too
+      dqn: {learning_starts: 1000}              # of one algorithm's configurations
+    configurations:
+      - {algorithm: [ppo, dqn], folder: "rate-{lr}", lr: [1.0e-3, 1.0e-4]}   # in
+                                # {out}/rate-0.001/ppo/tanh and so on
+    scripts: baselines          # scripted policies fly in the world of each configuration too, as it does;
+                                # their rows go there
     tune: ...                   # settings that are searched for first: `search`
 
 `run` carries a study out, and `uavnav.cli.study` is its command.
@@ -33,30 +38,30 @@ from pydantic import Field
 from uavnav import files
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError, choose_from, one_line, told, unknown, unknown_key
-from uavnav.evaluation import EPISODES, MAX_STEPS, MOST_STEPS, files_of
+from uavnav.evaluation import EPISODES, MAX_STEPS, MOST_STEPS, Protocol
 from uavnav.settings import Whole, checked
 from uavnav.tasks import layouts
 from uavnav.tasks.layouts import LayoutError, judged_on
 from uavnav.tasks.protocol import LADDER_NAMES, SPLITS
-from uavnav.tasks.simulator import TASKS
+from uavnav.tasks.table import TASKS
 from uavnav.training.config import TrainConfig
 
 HERE = Path(__file__).parent
-KEYS = ("what", "banks", "settings", "cells", "scripts", "tune")
-OF_CELLS = ("folder", "algorithm", "evaluate")
-"""Keys of a cell that are no settings of its algorithm."""
+KEYS = ("what", "obstacles", "settings", "configurations", "scripts", "tune")
+OF_CONFIGURATIONS = ("folder", "algorithm", "evaluate")
+"""Keys of a configuration that are no settings of its algorithm."""
 PROTOCOL = ("episodes", "max_steps")
-"""Keys of `evaluate` that every cell is flown by."""
-MOST_CELLS = 10_000
+"""Keys of `evaluate` that every configuration is flown by."""
+MOST_CONFIGURATIONS = 10_000
 """Of a study, its trials included."""
 MOST_OBSTACLES = 1_000
-"""Of a set of a study's own banks."""
+"""Of a layout of a study's own splits."""
 FORMAT = r"[,_]?0?\d{0,2}[,_]?(\.\d{1,2})?[defgs%]?"
 """Of a value in a folder's name."""
 PATH = 1_000
 """Characters of a folder within a study's, at most; the operating system gives 255 bytes to each part."""
-BANK = "layouts"
-"""A key of `evaluate` for another bank than the test sets."""
+LAYOUTS = "layouts"
+"""A key of `evaluate` for another layout file than the test layouts."""
 
 
 class _Loader(files.Loader):
@@ -68,26 +73,30 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, [*"-+012345678
 
 
 def load(text: str) -> Any:
-    """What a YAML text says; numbers may be written as 1e6. Raises a ValueError as `files.parsed_yaml` does."""
+    """What a YAML text says; numbers may be written as 1e6. Raises a ValueError as `files.parsed_yaml`
+    does.
+    """
     return files.parsed_yaml(text, _Loader)
 
 
-class Cell(NamedTuple):
+class Configuration(NamedTuple):
     """A run of a study."""
 
     config: TrainConfig
     out: Path
     evaluation: dict[str, Any] | None
-    """`episodes`, sets of the bank `test` or of `layouts`, and `max_steps`; None: it is not flown."""
+    """`episodes`, layouts of the split `test` or of `layouts`, and `max_steps`; None: it is not flown."""
     across: tuple[str, ...] = ()
-    """Ladders that it flies too, with as many sets and steps."""
+    """Ladders that it flies too, with as many layouts and steps."""
     study: str = ""
     """The name of its study, which its `meta.json` keeps."""
 
     @property
-    def flights(self) -> tuple[str, ...]:
+    def episodes(self) -> tuple[str, ...]:
         """The files of rows and of behaviour that its evaluation leaves; none where it is not flown."""
-        return () if self.evaluation is None else files_of(**{BANK: "test"} | self.evaluation)
+        if self.evaluation is None:
+            return ()
+        return tuple(Protocol(**self.evaluation).file(name) for name in ("evaluation", "behaviour"))
 
 
 class Study(NamedTuple):
@@ -95,9 +104,9 @@ class Study(NamedTuple):
 
     name: str
     what: str
-    banks: list[int]
+    obstacles: list[int]
     settings: Mapping[str, Any]
-    cells: list[Mapping[str, Any]]
+    configurations: list[Mapping[str, Any]]
     tune: Mapping[str, Any] | None = None
     scripts: str | None = None
 
@@ -117,7 +126,9 @@ def read(name: str) -> Study:
         raise ConfigError(f"name={told(name)}: there is no such study; {choose_from(name, names())}")
     path = Path(name) if name.endswith(".yaml") else HERE / f"{name}.yaml"
     if not os.path.lexists(path):
-        raise ConfigError(f"{name}: there is no such study; {choose_from(name, names())}, or give a file of your own")
+        raise ConfigError(
+            f"{name}: there is no such study; {choose_from(name, names())}, or give a file of your own"
+        )
     try:
         said = files.read_yaml(path, _Loader)
     except (OSError, ValueError) as error:
@@ -129,21 +140,29 @@ def read(name: str) -> Study:
 
 
 def _study(name: str, said: Any) -> Study:
-    if not isinstance(said, dict) or not isinstance(said.get("cells"), list) or not said["cells"]:
-        raise ConfigError("is no study; give a list of `cells`, as uavnav/studies/paper.yaml does")
+    if (
+        not isinstance(said, dict)
+        or not isinstance(said.get("configurations"), list)
+        or not said["configurations"]
+    ):
+        raise ConfigError("is no study; give a list of `configurations`, as uavnav/studies/paper.yaml does")
     for key in said:
         if key not in KEYS:
             raise unknown_key(str(key), KEYS)
-    banks = said.get("banks", [])
-    if not isinstance(banks, list) or not all(type(k) is int and 0 <= k <= MOST_OBSTACLES for k in banks):
-        raise ConfigError(f"banks={banks}; give a list of numbers of obstacles, such as [4, 12]")
-    for cell in said["cells"]:
-        if not isinstance(cell, dict) or "algorithm" not in cell:
-            raise ConfigError(f"{cell}: is no cell; it needs at least an `algorithm`")
-        if not algorithms(cell) or not all(isinstance(name, str) for name in algorithms(cell)):
-            raise ConfigError(f"algorithm={cell['algorithm']}; give a name, or a list of some")
+    obstacles = said.get("obstacles", [])
+    if not isinstance(obstacles, list) or not all(
+        type(k) is int and 0 <= k <= MOST_OBSTACLES for k in obstacles
+    ):
+        raise ConfigError(f"obstacles={obstacles}; give a list of numbers of obstacles, such as [4, 12]")
+    for configuration in said["configurations"]:
+        if not isinstance(configuration, dict) or "algorithm" not in configuration:
+            raise ConfigError(f"{configuration}: is no configuration; it needs at least an `algorithm`")
+        if not algorithms(configuration) or not all(
+            isinstance(name, str) for name in algorithms(configuration)
+        ):
+            raise ConfigError(f"algorithm={configuration['algorithm']}; give a name, or a list of some")
     settings = said.get("settings", {})
-    for part in (settings, *said["cells"]):
+    for part in (settings, *said["configurations"]):
         check_settings("settings", part)
         for algorithm in ALGORITHMS:
             check_settings(algorithm, part.get(algorithm, {}))
@@ -154,25 +173,36 @@ def _study(name: str, said: Any) -> Study:
     if scripts is not None and not (isinstance(scripts, str) and _is_folder(scripts) and _is_within(scripts)):
         raise ConfigError(f"scripts={scripts}; give a folder's name, such as baselines")
     return Study(
-        name, one_line(said.get("what", name)), [*dict.fromkeys(banks)], settings, said["cells"], tune, scripts
+        name,
+        one_line(said.get("what", name)),
+        [*dict.fromkeys(obstacles)],
+        settings,
+        said["configurations"],
+        tune,
+        scripts,
     )
 
 
 def only(study: Study, chosen: str | None) -> Study:
-    """The same with the cells of some algorithms, their names between commas.
+    """The same with the configurations of some algorithms, their names between commas.
 
     Raises:
-        ConfigError: it has no cell of one of them.
+        ConfigError: it has no configuration of one of them.
     """
     if chosen is None:
         return study
     wanted = [name.strip() for name in chosen.split(",")]
-    there = {name for cell in study.cells for name in algorithms(cell)}
+    there = {name for configuration in study.configurations for name in algorithms(configuration)}
     for name in wanted:
         if name not in there:
             raise unknown("algorithms", name, there)
-    kept = [dict(cell) | {"algorithm": [name for name in algorithms(cell) if name in wanted]} for cell in study.cells]
-    return study._replace(cells=[cell for cell in kept if cell["algorithm"]])
+    kept = [
+        dict(configuration) | {"algorithm": [name for name in algorithms(configuration) if name in wanted]}
+        for configuration in study.configurations
+    ]
+    return study._replace(
+        configurations=[configuration for configuration in kept if configuration["algorithm"]]
+    )
 
 
 def check_settings(name: str, said: Any) -> None:
@@ -181,38 +211,54 @@ def check_settings(name: str, said: Any) -> None:
         raise ConfigError(f"{name}={said}; give keys and values")
 
 
-def algorithms(cell: Mapping[str, Any]) -> list[str]:
-    """Those of an entry of `cells`."""
-    return cell["algorithm"] if isinstance(cell["algorithm"], list) else [cell["algorithm"]]
+def algorithms(configuration: Mapping[str, Any]) -> list[str]:
+    """Those of an entry of `configurations`."""
+    return (
+        configuration["algorithm"]
+        if isinstance(configuration["algorithm"], list)
+        else [configuration["algorithm"]]
+    )
 
 
-def cells(study: Study, out: Path, seeds: int | None = None, frames: int | None = None) -> list[Cell]:
-    """The cells of a study below a folder, with other numbers of seeds and frames where they are given.
+def configurations(
+    study: Study, out: Path, seeds: int | None = None, frames: int | None = None
+) -> list[Configuration]:
+    """The configurations of a study below a folder, with other numbers of seeds and frames where they are
+    given.
 
     Raises:
-        ConfigError: a setting is wrong, or two cells share a folder.
+        ConfigError: a setting is wrong, or two configurations share a folder.
     """
     given = {key: value for key, value in (("n_seeds", seeds), ("total_frames", frames)) if value is not None}
-    found: list[Cell] = []
-    left = MOST_CELLS
-    for cell in study.cells:
-        for algorithm in algorithms(cell):
+    found: list[Configuration] = []
+    left = MOST_CONFIGURATIONS
+    for configuration in study.configurations:
+        for algorithm in algorithms(configuration):
             if algorithm not in ALGORITHMS:
                 raise ConfigError(f"study {study.name}: {unknown('algorithm', algorithm, ALGORITHMS)}")
-            several = _of(algorithm, study.settings) | _of(algorithm, cell) | {"algorithm": algorithm} | given
+            several = (
+                _of(algorithm, study.settings)
+                | _of(algorithm, configuration)
+                | {"algorithm": algorithm}
+                | given
+            )
             left -= math.prod(len(value) for key, value in several.items() if _is_list(key, value))
             if left < 0:
                 raise ConfigError(
-                    f"study {study.name}: cells stand for more than {MOST_CELLS:,} runs; give fewer values"
+                    f"study {study.name}: configurations stand for more than {MOST_CONFIGURATIONS:,} runs; "
+                    "give fewer values"
                 )
             try:
-                found += [_cell(one, out)._replace(study=study.name) for one in _combinations(several)]
+                found += [
+                    _configuration(one, out)._replace(study=study.name) for one in _combinations(several)
+                ]
             except (ConfigError, LayoutError) as error:
                 raise ConfigError(f"study {study.name}: {error}") from error
-    for folder, number in Counter(cell.out for cell in found).items():
+    for folder, number in Counter(configuration.out for configuration in found).items():
         if number > 1:
             raise ConfigError(
-                f"study {study.name}: folder={folder}: two cells share it; name in braces what they differ in"
+                f"study {study.name}: folder={folder}: two configurations share it; name in braces what "
+                "they differ in"
             )
     return found
 
@@ -224,12 +270,16 @@ def _of(algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _is_list(key: str, value: Any) -> bool:
-    """Whether a value stands for several cells; a list of units is one value."""
-    return isinstance(value, list) and not (key == "hidden" and not any(isinstance(one, list) for one in value))
+    """Whether a value stands for several configurations; a list of units is one value."""
+    return isinstance(value, list) and not (
+        key == "hidden" and not any(isinstance(one, list) for one in value)
+    )
 
 
 def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """One cell for each combination of the values that are lists; `hidden` is one by itself, unless it holds some."""
+    """One configuration for each combination of the values that are lists; `hidden` is one by itself,
+    unless it holds some.
+    """
     values = {key: value if _is_list(key, value) else [value] for key, value in several.items()}
     for key, value in values.items():
         if not value:
@@ -238,29 +288,43 @@ def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield dict(zip(values, chosen, strict=True))
 
 
-def _cell(said: Mapping[str, Any], out: Path) -> Cell:
-    settings = {key: value for key, value in said.items() if key not in OF_CELLS}
+def _configuration(said: Mapping[str, Any], out: Path) -> Configuration:
+    settings = {key: value for key, value in said.items() if key not in OF_CONFIGURATIONS}
     if "layouts" in settings:
         settings["layouts"] = _filled("layouts", settings["layouts"], {"out": out})
     config: TrainConfig = ALGORITHMS[said["algorithm"]].config.from_mapping(settings)
     names = {key: "null" if value is None else value for key, value in said.items()}
     folder = _filled("folder", said.get("folder", ""), names)
     if not _is_folder(folder):
-        raise ConfigError(f"folder={folder}: no folder has such a name; give a shorter one of printable characters")
+        raise ConfigError(
+            f"folder={folder}: no folder has such a name; give a shorter one of printable characters"
+        )
     if not (out / folder).resolve().is_relative_to(out.resolve()):
         raise ConfigError(f"folder={folder}: leads out of the study's own; give one within")
-    evaluation, across = _protocol(said.get("evaluate", True), TASKS[config.task].cap(MAX_STEPS))
+    evaluation, across = _protocol(said.get("evaluate", True), TASKS[config.task].limit(MAX_STEPS))
     if evaluation is not None:
-        sets = len(layouts.load(evaluation[BANK], config.world)) if BANK in evaluation else SPLITS["test"].n
+        sets = (
+            len(layouts.load(evaluation[LAYOUTS], config.world))
+            if LAYOUTS in evaluation
+            else SPLITS["test"].n
+        )
         if evaluation["episodes"] > sets:
-            raise ConfigError(f"evaluate.episodes={evaluation['episodes']}; give at most {sets}, the bank's sets")
-    if evaluation is not None and (bank := judged_on(config.layouts)) != "test" and bank != config.layouts:
-        evaluation = {BANK: bank} | evaluation
-    return Cell(config, out / folder / config.algorithm / config.activation, evaluation, across)
+            raise ConfigError(
+                f"evaluate.episodes={evaluation['episodes']}; give at most {sets}, the split's layouts"
+            )
+    if (
+        evaluation is not None
+        and (all_layouts := judged_on(config.layouts)) != "test"
+        and all_layouts != config.layouts
+    ):
+        evaluation = {LAYOUTS: all_layouts} | evaluation
+    return Configuration(config, out / folder / config.algorithm / config.activation, evaluation, across)
 
 
 def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
-    """A pattern whose names in braces are filled in, with short formats alone: a long one may ask for gigabytes."""
+    """A pattern whose names in braces are filled in, with short formats alone: a long one may ask for
+    gigabytes.
+    """
     filled = ""
     try:
         for text, name, width, conversion in string.Formatter().parse(str(pattern)):
@@ -272,9 +336,11 @@ def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
             if len(filled) > PATH:
                 raise ValueError(f"it has more than {PATH:,} characters")
     except KeyError as error:
-        raise ConfigError(f"{key}={pattern}: names {error}, which the cell does not set") from error
+        raise ConfigError(f"{key}={pattern}: names {error}, which the configuration does not set") from error
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{key}={pattern}: cannot be filled in ({error}); give names such as {{lr}}") from error
+        raise ConfigError(
+            f"{key}={pattern}: cannot be filled in ({error}); give names such as {{lr}}"
+        ) from error
     return filled
 
 
@@ -290,19 +356,23 @@ def _is_folder(name: str) -> bool:
     return all(len(part.encode()) <= 255 for part in name.split("/"))
 
 
-def _protocol(said: Any, cap: int) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
-    """How a cell is flown, and across which ladders; cap: on steps, if none is said."""
-    usual = dict(zip(PROTOCOL, (EPISODES, cap), strict=True))
+def _protocol(said: Any, limit: int) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """How a configuration is flown, and across which ladders; limit: of steps, if none is said."""
+    usual = dict(zip(PROTOCOL, (EPISODES, limit), strict=True))
     if isinstance(said, bool):
         return (usual if said else None), ()
-    if not isinstance(said, dict) or not said.keys() <= {*PROTOCOL, BANK, "across"}:
-        raise ConfigError(f"evaluate={said}; give true, false, or some of {', '.join((*PROTOCOL, BANK, 'across'))}")
+    if not isinstance(said, dict) or not said.keys() <= {*PROTOCOL, LAYOUTS, "across"}:
+        raise ConfigError(
+            f"evaluate={said}; give true, false, or some of {', '.join((*PROTOCOL, LAYOUTS, 'across'))}"
+        )
     across = said.get("across", [])
     if not isinstance(across, list) or not all(name in LADDER_NAMES for name in across):
         raise ConfigError(f"across={across}; give a list of some of {', '.join(LADDER_NAMES)}")
-    if BANK in said and not isinstance(said[BANK], str):
-        raise ConfigError(f"evaluate.{BANK}={said[BANK]}; give a name")
+    if LAYOUTS in said and not isinstance(said[LAYOUTS], str):
+        raise ConfigError(f"evaluate.{LAYOUTS}={said[LAYOUTS]}; give a name")
     protocol = usual | {key: value for key, value in said.items() if key != "across"}
     for key in PROTOCOL:
-        protocol[key] = checked(f"evaluate.{key}", protocol[key], Annotated[Whole, Field(ge=1, le=MOST_STEPS)])
+        protocol[key] = checked(
+            f"evaluate.{key}", protocol[key], Annotated[Whole, Field(ge=1, le=MOST_STEPS)]
+        )
     return protocol, tuple(dict.fromkeys(across))

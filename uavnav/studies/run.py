@@ -1,8 +1,9 @@
-"""Carry a study out: workers as jobs of an engine, cells put together and evaluated as they finish.
+"""Carry a study out: workers as jobs of an engine, configurations put together and evaluated as they finish.
 
-Everything lies in files below the study's folder, so that the same command goes on after whatever has ended it. An
-engine's word that a job runs is a hint: whether a job lives is what its own heartbeat says, and how it ended is in the
-files. A worker whose job has died is given again, under its folder's next name, and goes on from its last snapshot.
+Everything lies in files below the study's folder, so that the same command goes on after whatever has ended
+it. An engine's word that a job runs is a hint: whether a job lives is what its own heartbeat says, and how it
+ended is in the files. A worker whose job has died is given again, under its folder's next name, and goes on
+from its last snapshot.
 """
 
 from __future__ import annotations
@@ -21,14 +22,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-import pandas as pd
-
 from uavnav import files, plugins
 from uavnav.errors import ConfigError
-from uavnav.evaluation import rows_across
+from uavnav.evaluation import rows_across, together
 from uavnav.runs import ARENA, FINISHED, MOST_SEEDS, POLICY, STOP, VALUES, Run, progress, read_settings
 from uavnav.runs.tables import RunError, lock, read_table, write_table
-from uavnav.studies import Cell, engines
+from uavnav.studies import Configuration, engines
 from uavnav.studies.engines import Engine
 from uavnav.tasks import layouts
 from uavnav.training import heartbeat, machine, recorder, workers
@@ -48,7 +47,7 @@ IDLE_SECONDS = 3600.0
 """Without any job that lives, after which a study ends, unless its engine says that jobs are queued."""
 STUCK_SECONDS = 4 * 3600.0
 """Without a frame more, after which a job counts as dead although its heart beats."""
-FLIGHT_SECONDS = 48 * 3600.0
+EPISODE_SECONDS = 48 * 3600.0
 """Given to an evaluation, whose heartbeat says no frames."""
 ANSWER_SECONDS = 120.0
 """Given to an engine to answer a question."""
@@ -58,8 +57,8 @@ SAY_SECONDS = 60.0
 """Between two lines that say what a study waits for."""
 
 CHECK = "its machines are checked, which may wait in a queue"
-FLIGHTS = "flying"
-"""Begins the names of the files of an evaluation's job, in its cell's folder."""
+EPISODES = "flying"
+"""Begins the names of the files of an evaluation's job, in its configuration's folder."""
 
 Tell = Callable[[Sequence["Work"]], None]
 Say = Callable[[str], None]
@@ -68,11 +67,11 @@ Answer = TypeVar("Answer")
 
 @dataclass
 class Work:
-    """A cell that is not finished, as a study sees it."""
+    """A configuration that is not finished, as a study sees it."""
 
-    cell: Cell
+    configuration: Configuration
     workers: list[Worker] = field(default_factory=list)
-    flights: int = 0  # that were missing when its last evaluation began
+    episodes: int = 0  # that were missing when its last evaluation began
     attempts: int = 0  # to fly it that left no file more
     problem: str = ""
     diverged: bool = False
@@ -90,7 +89,7 @@ class Work:
     @property
     def total(self) -> int:
         """Of all its seeds, in the end."""
-        return self.cell.config.frames * self.cell.config.n_seeds
+        return self.configuration.config.frames * self.configuration.config.n_seeds
 
 
 @dataclass
@@ -101,7 +100,8 @@ class Job:
     worker: Worker | None  # None: an evaluation
     handle: Any = None
     told: dict[str, Any] = field(default_factory=dict)  # by its newest heartbeat
-    number: str = field(default_factory=lambda: secrets.token_hex(4))  # so that no former job is taken for this one
+    # so that no former job is taken for this one
+    number: str = field(default_factory=lambda: secrets.token_hex(4))
     since: float = 0.0  # when the engine took it
     moved: float = 0.0  # when its frames grew last
     heard: float = 0.0  # when its newest heartbeat, or its beginning, was seen
@@ -111,11 +111,13 @@ class Job:
     @property
     def folder(self) -> Path:
         """Where its heartbeat is."""
-        return self.work.cell.out if self.worker is None else self.worker.folder
+        return self.work.configuration.out if self.worker is None else self.worker.folder
 
     def file(self, end: str) -> Path:
         """One of its files: `log` exists once it has begun, `ended` once it has ended by itself."""
-        return self.folder / f"{FLIGHTS}-{self.number}.{end}" if self.worker is None else self.worker.file(end)
+        return (
+            self.folder / f"{EPISODES}-{self.number}.{end}" if self.worker is None else self.worker.file(end)
+        )
 
     @property
     def begun(self) -> bool:
@@ -147,7 +149,10 @@ class Unanswered(RunError):
 
 
 def asked(
-    engine: Engine, question: Callable[[], Answer], seconds: float | None = None, wait: Say = lambda told: None
+    engine: Engine,
+    question: Callable[[], Answer],
+    seconds: float | None = None,
+    wait: Say = lambda told: None,
 ) -> Answer:
     """What an engine answers.
 
@@ -184,36 +189,44 @@ def let_go(engine: Engine) -> None:
         asked(engine, engine.close)
 
 
-def trained(cell: Cell) -> bool:
-    """Whether a cell's rows are there. A repository may keep them without the policy."""
-    meta = cell.out / "meta.json"
+def trained(configuration: Configuration) -> bool:
+    """Whether a configuration's rows are there. A repository may keep them without the policy."""
+    meta = configuration.out / "meta.json"
     return meta.is_file() and read_settings(meta).get("status") == FINISHED
 
 
-def unflown(cell: Cell) -> list[list[str]]:
-    """The flights of a cell that its study asks for and that are missing: each the words of `uavnav evaluate`."""
-    if cell.evaluation is None:
+def unflown(configuration: Configuration) -> list[list[str]]:
+    """The episodes of a configuration that its study asks for and that are missing: each the words of
+    `uavnav evaluate`.
+    """
+    if configuration.evaluation is None:
         return []
-    bounds = {key: value for key, value in cell.evaluation.items() if key != "layouts"}
-    missing = [] if (cell.out / cell.flights[0]).exists() else [_words(cell.evaluation)]
-    ladders = [name for name in cell.across if not (cell.out / rows_across(name, **bounds)).exists()]
+    bounds = {key: value for key, value in configuration.evaluation.items() if key != "layouts"}
+    missing = (
+        [] if (configuration.out / configuration.episodes[0]).exists() else [_words(configuration.evaluation)]
+    )
+    ladders = [
+        name
+        for name in configuration.across
+        if not (configuration.out / rows_across(name, **bounds)).exists()
+    ]
     return missing + [[*_words(bounds), "--alone", "--across", *ladders]] * bool(ladders)
 
 
-def evaluated(cell: Cell) -> bool:
-    """Whether a cell was flown as its study asks."""
-    return not unflown(cell)
+def evaluated(configuration: Configuration) -> bool:
+    """Whether a configuration was flown as its study asks."""
+    return not unflown(configuration)
 
 
 def _words(protocol: Mapping[str, Any]) -> list[str]:
     return [part for key, value in protocol.items() for part in (f"--{key.replace('_', '-')}", str(value))]
 
 
-def make_banks(out: Path, numbers: Sequence[int]) -> None:
-    """Write the training banks that a study asks for, unless they are there."""
+def make_layouts(out: Path, numbers: Sequence[int]) -> None:
+    """Write the training splits that a study asks for, unless they are there."""
     split = layouts.SPLITS["train"]
     for k in numbers:
-        path = out / "banks" / str(k) / "train.safetensors"
+        path = out / "layouts" / str(k) / "train.safetensors"
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             layouts.save(layouts.generate(split.n, k, split.seed), path, seed=split.seed, split="train")
@@ -224,22 +237,23 @@ class Runner:
 
     Args:
         out: its folder, which all machines see.
-        cells: of the study; what is finished of them is left as it is.
+        configurations: of the study; what is finished of them is left as it is.
         engine: where its jobs run.
         seeds_per_worker: how many seeds a worker trains; by default the engine's own.
-        policies: train a cell again of which a repository has kept the rows alone.
+        policies: train a configuration again of which a repository has kept the rows alone.
         checkpoint_seconds: the least time between two snapshots of a worker.
-        tell: is told the cells under way, now and then.
+        tell: is told the configurations under way, now and then.
         say: is told what happens, a line each.
 
     Raises:
-        ConfigError, LayoutError, RunError: before any work: a cell's folder holds something else, or cannot be written.
+        ConfigError, LayoutError, RunError: before any work: a configuration's folder holds something else, or
+            cannot be written.
     """
 
     def __init__(
         self,
         out: Path,
-        cells: Sequence[Cell],
+        configurations: Sequence[Configuration],
         engine: Engine,
         seeds_per_worker: int | None = None,
         policies: bool = False,
@@ -251,16 +265,27 @@ class Runner:
         self.checkpoint_seconds = checkpoint_seconds
         self.per_worker = seeds_per_worker or engine.SEEDS_PER_WORKER
         self.policies = policies
-        for cell in cells:
-            if cell.config.n_seeds > MOST_SEEDS:
-                raise ConfigError(f"{cell.out}: n_seeds={cell.config.n_seeds}; give at most {MOST_SEEDS:,}")
-        self.works = [Work(cell) for cell in cells if not (self._trained(cell) and evaluated(cell))]
-        for cell in cells:
-            Recorder(cell.out, cell.config)  # the folder of a finished one, too, may hold another run
+        for configuration in configurations:
+            if configuration.config.n_seeds > MOST_SEEDS:
+                raise ConfigError(
+                    f"{configuration.out}: n_seeds={configuration.config.n_seeds}; give at most "
+                    f"{MOST_SEEDS:,}"
+                )
+        self.works = [
+            Work(configuration)
+            for configuration in configurations
+            if not (self._trained(configuration) and evaluated(configuration))
+        ]
+        for configuration in configurations:
+            # the folder of a finished one, too, may hold another run
+            Recorder(configuration.out, configuration.config)
         for work in self.works:
-            if own := machine.own_parts(work.cell.config):
-                raise ConfigError(f"{work.cell.out}: {own} is known to this process alone; give it as a plugin")
-        self._waiting: deque[tuple[Work, Worker | None]] = deque()  # for a place; without a worker to be evaluated
+            if own := machine.own_parts(work.configuration.config):
+                raise ConfigError(
+                    f"{work.configuration.out}: {own} is known to this process alone; give it as a plugin"
+                )
+        # for a place; without a worker to be evaluated
+        self._waiting: deque[tuple[Work, Worker | None]] = deque()
         self._running: list[Job] = []
         self._stop: int | None = None
         self._leaving: list[tuple[float, Job]] = []  # jobs that have said their last words, since when
@@ -268,19 +293,20 @@ class Runner:
         self._looked = self._said = 0.0
         self._lived = self._answered = time.monotonic()  # when a job lived, and the engine answered, last
 
-    def _trained(self, cell: Cell) -> bool:
-        return trained(cell) and (not self.policies or (cell.out / POLICY).exists())
+    def _trained(self, configuration: Configuration) -> bool:
+        return trained(configuration) and (not self.policies or (configuration.out / POLICY).exists())
 
     def run(self) -> list[Work]:
         """Train and evaluate what is left.
 
         Returns:
-            The cells that failed, each with its `problem`.
+            The configurations that failed, each with its `problem`.
 
         Raises:
             ConfigError: the engine's machines do not see the folder.
             Interrupted: by SIGINT or SIGTERM; every worker was asked to save itself.
-            RunError: another process carries it out, its engine does not answer, or no job has lived for an hour.
+            RunError: another process carries it out, its engine does not answer, or no job has lived for an
+                hour.
         """
         self.out.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as stack:
@@ -308,7 +334,10 @@ class Runner:
     def _check_engine(self) -> None:
         """Have the engine check its machines, which may wait in a queue and may be stopped there."""
         asked(
-            self.engine, lambda: self.engine.check(self.out), CHECK_SECONDS, lambda told: self.say(f"{told}: {CHECK}")
+            self.engine,
+            lambda: self.engine.check(self.out),
+            CHECK_SECONDS,
+            lambda told: self.say(f"{told}: {CHECK}"),
         )
 
     def _ask(self, question: Callable[[], Answer], unknown: Answer) -> Answer:
@@ -335,18 +364,20 @@ class Runner:
         self._stop = number
 
     def _begin(self, work: Work) -> None:
-        """Write into a cell's folder how it is carried out, and see what is left to do."""
-        cell, config = work.cell, work.cell.config
-        if self._trained(cell):
+        """Write into a configuration's folder how it is carried out, and see what is left to do."""
+        configuration, config = work.configuration, work.configuration.config
+        if self._trained(configuration):
             self._waiting.appendleft((work, None))
             return
-        own = Recorder(cell.out, config)
-        n = own.processes(-(-config.n_seeds // self.per_worker) if self.per_worker else machine.processes(config))
+        own = Recorder(configuration.out, config)
+        n = own.processes(
+            -(-config.n_seeds // self.per_worker) if self.per_worker else machine.processes(config)
+        )
         with machine.use_threads(machine.threads(config, n)), own:
             own.note(processes=n)
-        work.workers = workers.split(config, cell.out, n)
+        work.workers = workers.split(config, configuration.out, n)
         for worker in work.workers:
-            part = Cell(worker.config, worker.folder, cell.evaluation)
+            part = Configuration(worker.config, worker.folder, configuration.evaluation)
             worker.done = trained(part) and evaluated(part)
             worker.frames = worker.config.frames if worker.done else 0
         self._waiting.extend((work, worker) for worker in work.workers if not worker.done)
@@ -354,7 +385,7 @@ class Runner:
             self._join(work)
 
     def _start(self) -> None:
-        """Give the engine as many jobs as it takes: evaluations first, which finish cells."""
+        """Give the engine as many jobs as it takes: evaluations first, which finish configurations."""
         jobs = list[Job]()
         self._slots = self._ask(self.engine.slots, 0)
         while self._waiting and len(self._running) + len(jobs) < self._slots:
@@ -369,23 +400,35 @@ class Runner:
 
     def _words(self, job: Job) -> list[str]:
         """The command line of a job."""
-        cell = job.work.cell
+        configuration = job.work.configuration
         if job.worker is None:
-            missing = unflown(cell)
-            job.work.flights = len(missing)
-            words = ["uavnav.cli.flights", str(job.file("ended")), str(cell.out), *missing[0], "--quiet"]
+            missing = unflown(configuration)
+            job.work.episodes = len(missing)
+            words = [
+                "uavnav.cli.episodes",
+                str(job.file("ended")),
+                str(configuration.out),
+                *missing[0],
+                "--quiet",
+            ]
             words += ["--plugins", ",".join(plugins.LOADED)] if plugins.LOADED else []
         else:
-            threads = machine.threads(cell.config, len(job.work.workers))
+            threads = machine.threads(configuration.config, len(job.work.workers))
             how = {"checkpoint_seconds": self.checkpoint_seconds}
-            words = ["uavnav.cli.worker", *job.worker.prepare(threads, cell.evaluation, **how)]
+            words = ["uavnav.cli.worker", *job.worker.prepare(threads, configuration.evaluation, **how)]
         return engines.logged(["-m", *words], job.file("log"))
 
     def _over(self) -> list[Job]:
-        """The jobs that have ended, by their engine's word or, now and then, by their files; and dead ones."""
+        """The jobs that have ended, by their engine's word or, now and then, by their files; and dead
+        ones.
+        """
         handles = [job.handle for job in self._running]
         unknown = [False for _ in handles]
-        ended = self._ask(lambda: [self.engine.ended(handle) for handle in handles], unknown) if handles else unknown
+        ended = (
+            self._ask(lambda: [self.engine.ended(handle) for handle in handles], unknown)
+            if handles
+            else unknown
+        )
         look = time.monotonic() - self._looked >= heartbeat.SECONDS
         return [
             job
@@ -394,13 +437,19 @@ class Runner:
         ]
 
     def _dead(self, job: Job) -> bool:
-        """Whether a job is silent, stuck, or does not begin, for longer than its engine explains; then it is ended."""
+        """Whether a job is silent, stuck, or does not begin, for longer than its engine explains; then it
+        is ended.
+        """
         silence, now = job.silence(), time.monotonic()
         if not job.begun:
             what, since, limit = "has not begun", now - job.since, QUEUE_SECONDS
         elif job.spoke and silence < SILENT_SECONDS:
             trains = job.told.get("frames", 0) < job.told.get("total", 0)
-            what, since, limit = "has got no further", now - job.moved, STUCK_SECONDS if trains else FLIGHT_SECONDS
+            what, since, limit = (
+                "has got no further",
+                now - job.moved,
+                STUCK_SECONDS if trains else EPISODE_SECONDS,
+            )
         else:
             what, since, limit = "has been silent", silence, SILENT_SECONDS if job.spoke else BEGIN_SECONDS
         if since < limit or self._ask(lambda: self.engine.queued(job.handle), True):
@@ -444,7 +493,7 @@ class Runner:
             self.say(f"{_shown(self.out)}: {what}; {engine}")
 
     def _ended(self, job: Job) -> None:
-        """See how a job ended: go on with its cell, give it again, or note what is wrong."""
+        """See how a job ended: go on with its configuration, give it again, or note what is wrong."""
         said = job.last_words()
         if job.worker is None:
             self._flown(job, said)
@@ -464,46 +513,49 @@ class Runner:
             self._waiting.appendleft((job.work, job.worker))
 
     def _flown(self, job: Job, said: dict[str, Any]) -> None:
-        work, left = job.work, len(unflown(job.work.cell))
+        work, left = job.work, len(unflown(job.work.configuration))
         if not left:
-            for path in work.cell.out.glob(f"{FLIGHTS}-*.*"):
+            for path in work.configuration.out.glob(f"{EPISODES}-*.*"):
                 files.remove(path)
-            self.say(f"{_shown(work.cell.out)}: finished")
-        elif left < work.flights:
+            self.say(f"{_shown(work.configuration.out)}: finished")
+        elif left < work.episodes:
             work.attempts = 0
             self._waiting.appendleft((work, None))
         elif not said and work.attempts < ATTEMPTS:
             work.attempts += not job.unbegun
-            self.say(f"{_shown(work.cell.out)}: the job of its evaluation is gone; given again")
+            self.say(f"{_shown(work.configuration.out)}: the job of its evaluation is gone; given again")
             self._waiting.appendleft((work, None))
         else:
             self._failed(work, f"was not evaluated, see {job.file('log')}")
 
     def _failed(self, work: Work, problem: str) -> None:
         work.problem = problem
-        self.say(f"{_shown(work.cell.out)}: {problem}")
+        self.say(f"{_shown(work.configuration.out)}: {problem}")
 
     def _join(self, work: Work) -> None:
-        """Put a cell's workers together, in its own folder."""
-        cell, n = work.cell, len(work.workers)
+        """Put a configuration's workers together, in its own folder."""
+        configuration, n = work.configuration, len(work.workers)
         try:
-            with machine.use_threads(machine.threads(cell.config, n)), Recorder(cell.out, cell.config) as own:
+            with (
+                machine.use_threads(machine.threads(configuration.config, n)),
+                Recorder(configuration.out, configuration.config) as own,
+            ):
                 compiled = all(Run(worker.folder).meta["compiled"] for worker in work.workers)
-                own.meta |= {"study": cell.study}
+                own.meta |= {"study": configuration.study}
                 own.note(compiled=compiled, processes=n)
-                _join_flights(cell, [worker.folder for worker in work.workers])
+                _join_episodes(configuration, [worker.folder for worker in work.workers])
                 workers.join(own, work.workers)
                 self._stop = self._stop or own.stop
         except (OSError, RunError) as error:
             self._failed(work, str(error))
             return
-        if evaluated(cell):
-            self.say(f"{_shown(cell.out)}: finished")
+        if evaluated(configuration):
+            self.say(f"{_shown(configuration.out)}: finished")
         else:
             self._waiting.appendleft((work, None))
 
     def _look(self) -> None:
-        """See now and then how far the workers are, and write how far their cells are."""
+        """See now and then how far the workers are, and write how far their configurations are."""
         now = time.monotonic()
         if now - self._looked < heartbeat.SECONDS:
             return
@@ -520,11 +572,14 @@ class Runner:
             frames = min(worker.frames for worker in work.workers)
             rates = [worker.rate for worker in work.workers if worker.rate]
             with contextlib.suppress(OSError):
-                heartbeat.tell(work.cell.out, frames, work.cell.config.frames, min(rates, default=None))
+                heartbeat.tell(
+                    work.configuration.out, frames, work.configuration.config.frames, min(rates, default=None)
+                )
 
     def _stopped(self) -> Interrupted:
         """Ask the workers to save themselves, and wait until they have."""
-        self._running = [job for job in self._running if job.worker is not None]  # an evaluation has nothing to save
+        # an evaluation has nothing to save
+        self._running = [job for job in self._running if job.worker is not None]
         for job in self._running:
             with contextlib.suppress(OSError):
                 (job.folder / STOP).touch()
@@ -534,20 +589,21 @@ class Runner:
             for job in self._over():
                 self._running.remove(job)
         number = self._stop or signal.SIGTERM
-        what = f"{_shown(self.out)}: stopped by {signal.Signals(number).name}; the same command goes on from there"
+        what = (
+            f"{_shown(self.out)}: stopped by {signal.Signals(number).name}; the same command goes on from "
+            "there"
+        )
         return Interrupted(what, number, 0, wanted=False)
 
 
-def _join_flights(cell: Cell, folders: Sequence[Path]) -> None:
-    """Put what the workers have flown together, in the order of one evaluation of all seeds: mode by mode."""
+def _join_episodes(configuration: Configuration, folders: Sequence[Path]) -> None:
+    """Put what the workers have flown together, in the order of one evaluation of all seeds."""
     beside = [name for name in (ARENA, VALUES) if all((folder / name).exists() for folder in folders)]
-    for name in (*beside, *reversed(cell.flights)):  # rows last: who finds them has the others too
+    for name in (*beside, *reversed(configuration.episodes)):  # rows last: who finds them has the others too
         parts = [read_table(folder / name, {"seed": "int64"}, "delete it") for folder in folders]
-        table = pd.concat(parts, ignore_index=True)
-        if "mode" in table:
-            table = table.sort_values("mode", kind="stable", ignore_index=True)
+        table = together(parts)
         table.attrs = parts[0].attrs
-        write_table(cell.out / name, table)
+        write_table(configuration.out / name, table)
 
 
 def _shown(path: Path) -> str:

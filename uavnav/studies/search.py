@@ -1,11 +1,12 @@
-"""What a study tunes, as its file says it: trials, ranges, and the space of each algorithm; and what was tried.
+"""What a study tunes, as its file says it: trials, ranges, and the space of each algorithm; and what was
+tried.
 
     tune:
       trials: 40                                    # of each algorithm, the first with the default settings
       at_once: 4                                    # of each algorithm in a round
-      settings: {n_seeds: 2, evaluate: {...}}       # of every trial; the objective is the mean reward, sampled
+      settings: {n_seeds: 2, evaluate: {...}}       # of every trial; its value is the mean sampled reward
       ranges: {rate: {low: 1.0e-5, high: 1.0e-2, log: true}, width: [32, 64]}
-      space: {ppo: {lr: rate, hidden: width}}       # setting: range; `hidden` is the width of each of its layers
+      space: {ppo: {lr: rate, hidden: width}}       # setting: range; of `hidden` the width of each layer
 
 `uavnav.studies.tuning` carries it out. Nothing here needs Optuna.
 """
@@ -23,7 +24,7 @@ from uavnav import studies
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError, unknown, unknown_key
 from uavnav.runs.trials import COLUMNS, TABLE, TRIALS, TUNED, TUNING, best, read, winner
-from uavnav.studies import Cell, Study
+from uavnav.studies import Configuration, Study
 
 KEYS = {"trials": int, "at_once": int, "settings": dict, "ranges": dict, "space": dict}
 
@@ -52,8 +53,10 @@ class Plan(NamedTuple):
 
     @property
     def algorithms(self) -> list[str]:
-        """Those that the study has cells of."""
-        there = {name for cell in self.study.cells for name in studies.algorithms(cell)}
+        """Those that the study has configurations of."""
+        there = {
+            name for configuration in self.study.configurations for name in studies.algorithms(configuration)
+        }
         return [name for name in self.said["space"] if name in there]
 
     def range(self, algorithm: str, setting: str) -> Any:
@@ -65,26 +68,35 @@ class Plan(NamedTuple):
         usual = ALGORITHMS[algorithm].presets["vectorised"]
         return {name: _short(name, getattr(usual, name, None)) for name in self.said["space"][algorithm]}
 
-    def cell(self, algorithm: str, settings: Mapping[str, Any], folder: str, usual: Mapping[str, Any]) -> Cell:
-        """A cell with some settings of the search space."""
+    def configuration(
+        self, algorithm: str, settings: Mapping[str, Any], folder: str, usual: Mapping[str, Any]
+    ) -> Configuration:
+        """A configuration with some settings of the search space."""
         own = {name: [value] * 2 if name == "hidden" else value for name, value in settings.items()}
         entry = {"algorithm": algorithm, "folder": f"{TUNING}/{folder}", **own}
-        found = studies.cells(self.study._replace(settings=usual, cells=[entry]), self.out, self.seeds, self.frames)
+        found = studies.configurations(
+            self.study._replace(settings=usual, configurations=[entry]), self.out, self.seeds, self.frames
+        )
         if len(found) != 1:
-            raise ConfigError(f"{algorithm}: a trial is one cell, not {len(found)}; give one value of each setting")
+            raise ConfigError(
+                f"{algorithm}: a trial is one configuration, not {len(found)}; give one value of each setting"
+            )
         return found[0]
 
-    def trial(self, algorithm: str, number: int, settings: Mapping[str, Any]) -> Cell:
-        return self.cell(algorithm, settings, f"{TRIALS}/{number:03}", self.said["settings"])
+    def trial(self, algorithm: str, number: int, settings: Mapping[str, Any]) -> Configuration:
+        return self.configuration(algorithm, settings, f"{TRIALS}/{number:03}", self.said["settings"])
 
-    def winner(self, algorithm: str, trials: pd.DataFrame) -> Cell | None:
-        """The best trial's settings, trained as the study's other cells are; None where no trial has finished.
+    def winner(self, algorithm: str, trials: pd.DataFrame) -> Configuration | None:
+        """The best trial's settings, trained as the study's other configurations are; None where no trial has
+        finished.
 
         Its folder has the trial's number, so that another winner after more trials is a run of its own.
         """
         if (found := best(trials, algorithm)) is None:
             return None
-        return self.cell(algorithm, json.loads(found["settings"]), winner(found["trial"]), self.study.settings)
+        return self.configuration(
+            algorithm, json.loads(found["settings"]), winner(found["trial"]), self.study.settings
+        )
 
 
 def _short(name: str, value: Any) -> Any:
@@ -94,14 +106,16 @@ def _short(name: str, value: Any) -> Any:
 
 def plan(
     study: Study, out: Path, trials: int | None = None, seeds: int | None = None, frames: int | None = None
-) -> Plan:
-    """What a study's file says of tuning, and other numbers where they are given.
+) -> Plan | None:
+    """What a study's file says of tuning, and other numbers where they are given; None where it tunes
+    nothing.
 
     Raises:
-        ConfigError: a key, a range or a setting is not right, a default lies outside of its range, or trials share
-            seeds with the cells that are compared in the end.
+        ConfigError: a key, a range or a setting is not right, a default lies outside of its range, or trials
+            share seeds with the configurations that are compared in the end.
     """
-    said = study.tune or {}
+    if (said := study.tune) is None:
+        return None
     try:
         for key in said:
             if key not in KEYS:
@@ -110,10 +124,12 @@ def plan(
             if type(said.get(key)) is not kind or not said[key] or (kind is int and said[key] < 1):
                 raise ConfigError(f"{key}={said.get(key)}; give it as uavnav/studies/tuning.yaml does")
         found = Plan(study, out, trials or said["trials"], seeds, frames)
-        if found.trials * len(found.said["space"]) > studies.MOST_CELLS:
-            raise ConfigError(f"trials={found.trials}; give at most {studies.MOST_CELLS:,} in all")
+        if found.trials * len(found.said["space"]) > studies.MOST_CONFIGURATIONS:
+            raise ConfigError(f"trials={found.trials}; give at most {studies.MOST_CONFIGURATIONS:,} in all")
         studies.check_settings("settings", said["settings"])
-        for algorithm in dict.fromkeys(name for cell in study.cells for name in studies.algorithms(cell)):
+        for algorithm in dict.fromkeys(
+            name for configuration in study.configurations for name in studies.algorithms(configuration)
+        ):
             if algorithm not in said["space"]:
                 raise unknown("algorithm", algorithm, said["space"])
         for algorithm in said["space"]:
@@ -129,21 +145,27 @@ def plan(
 def _check(found: Plan, algorithm: str) -> None:
     space = found.said["space"][algorithm]
     if not isinstance(space, dict) or not space:
-        raise ConfigError(f"space: {algorithm}={space}; give settings with the names of their ranges, as lr: rate")
+        raise ConfigError(
+            f"space: {algorithm}={space}; give settings with the names of their ranges, as lr: rate"
+        )
     for setting, name in space.items():
-        if not isinstance(setting, str) or setting in studies.OF_CELLS:
+        if not isinstance(setting, str) or setting in studies.OF_CONFIGURATIONS:
             raise unknown_key(str(setting), found.defaults(algorithm))
         if not isinstance(name, str) or name not in found.said["ranges"]:
             raise unknown("range", name, found.said["ranges"])
         values = found.range(algorithm, setting)
         bounds = isinstance(values, dict) and {"low", "high"} <= values.keys() <= {"low", "high", "log"}
         if not bounds and (not isinstance(values, list) or not 2 <= len(values) <= MOST_VALUES):
-            raise ConfigError(f"{name}={values}; give a list of values, or low and high, and log: true if you like")
+            raise ConfigError(
+                f"{name}={values}; give a list of values, or low and high, and log: true if you like"
+            )
         if bounds and not _in_order(**values):
-            raise ConfigError(f"{name}={values}; give numbers, low below high, and low above 0 with log: true")
+            raise ConfigError(
+                f"{name}={values}; give numbers, low below high, and low above 0 with log: true"
+            )
         for value in [values["low"], values["high"]] if bounds else values:
-            if not found.trial(algorithm, 0, {setting: value}).flights:
-                raise ConfigError("settings: evaluate=false; a trial is judged by its flights, leave it out")
+            if not found.trial(algorithm, 0, {setting: value}).episodes:
+                raise ConfigError("settings: evaluate=false; a trial is judged by its episodes, leave it out")
         usual = found.defaults(algorithm)[setting]
         number = type(usual) in (int, float)
         if not (number and values["low"] <= usual <= values["high"] if bounds else usual in values):
@@ -158,12 +180,12 @@ def _in_order(low: Any, high: Any, log: Any = False) -> bool:
 def _check_seeds(found: Plan) -> None:
     """A winner is judged on seeds that did not choose it."""
     said, seeds = found.study.settings, found.seeds
-    compared = studies.cells(found.study, found.out, seeds, found.frames)
+    compared = studies.configurations(found.study, found.out, seeds, found.frames)
     for algorithm in found.algorithms:
         seen = {*found.trial(algorithm, 0, {}).config.seeds}
-        own = [cell for cell in compared if cell.config.algorithm == algorithm]
-        for cell in (found.cell(algorithm, {}, TUNED, said), *own):
-            if shared := seen.intersection(cell.config.seeds):
+        own = [configuration for configuration in compared if configuration.config.algorithm == algorithm]
+        for configuration in (found.configuration(algorithm, {}, TUNED, said), *own):
+            if shared := seen.intersection(configuration.config.seeds):
                 raise ConfigError(
                     f"{algorithm}: seed={min(shared)} is of trials and of what they are compared in; "
                     "give fewer seeds, or another seed in settings"
@@ -175,20 +197,25 @@ def trials(found: Plan) -> pd.DataFrame:
     return read(found.folder / TABLE, COLUMNS)
 
 
-def winners(found: Plan) -> list[Cell]:
-    """The cells that train the best trial's settings of each algorithm that has a finished one."""
-    cells = [found.winner(name, trials(found)) for name in found.algorithms]
-    return [cell for cell in cells if cell is not None]
+def winners(found: Plan) -> list[Configuration]:
+    """The configurations that train the best trial's settings of each algorithm that has a finished one."""
+    configurations = [found.winner(name, trials(found)) for name in found.algorithms]
+    return [configuration for configuration in configurations if configuration is not None]
 
 
-def planned(found: Plan) -> list[tuple[Cell, str | None]]:
-    """All cells of a tuning beside the study's own, a told trial's with its state; settings not known are defaults."""
+def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
+    """All configurations of a tuning beside the study's own, a told trial's with its state; settings not
+    known are defaults.
+    """
     there = trials(found).set_index(["algorithm", "trial"])["state"].to_dict()
     wanted = [(name, number) for name in found.algorithms for number in range(found.trials)]
     own = [(found.trial(*key, found.defaults(key[0])), there.get(key)) for key in wanted]
-    cells = {name: found.winner(name, trials(found)) for name in found.algorithms}
+    configurations = {name: found.winner(name, trials(found)) for name in found.algorithms}
     usual = found.study.settings
-    return own + [(cell or found.cell(name, {}, TUNED, usual), None) for name, cell in cells.items()]
+    return own + [
+        (configuration or found.configuration(name, {}, TUNED, usual), None)
+        for name, configuration in configurations.items()
+    ]
 
 
 def space(study: Study) -> list[list[str]]:

@@ -1,8 +1,10 @@
-"""Tuning: the same number of trials for each algorithm of a study, over the search space of its file (`search`).
+"""Tuning: the same number of trials for each algorithm of a study, over the search space of its file
+(`search`).
 
-Optuna asks and is told, and keeps its journal as lines of JSON in `journal.jsonl`. Trials are cells like any other, so
-that a killed one goes on from its last snapshot. They are asked for in rounds of `at_once`, each with a sampler whose
-seed is its number: whatever kills the study, the same command ends with the same trials.
+Optuna asks and is told, and keeps its journal as lines of JSON in `journal.jsonl`. Trials are configurations
+like any other, so that a killed one goes on from its last snapshot. They are asked for in rounds of
+`at_once`, each with a sampler whose seed is its number: whatever kills the study, the same command ends with
+the same trials.
 
 `trials.csv` and `importance.csv` hold what a report says of them, without Optuna.
 """
@@ -24,7 +26,7 @@ from uavnav import files
 from uavnav.errors import ConfigError
 from uavnav.runs.tables import RunError, lock, read_table, write
 from uavnav.runs.trials import COLUMNS, DIVERGED, FINISHED, IMPORTANCE, OF_IMPORTANCE, TABLE, read
-from uavnav.studies import Cell
+from uavnav.studies import Configuration
 from uavnav.studies.run import Work
 from uavnav.studies.search import Plan
 
@@ -42,11 +44,12 @@ class Line(files.Facts):
     worker_id: str
 
 
-Train = Callable[[Sequence[Cell]], list[Work]]
+Train = Callable[[Sequence[Configuration]], list[Work]]
 
 
 def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[Work]:
-    """Ask, train and tell, until each algorithm has its trials; train: a study's cells, those that failed returned.
+    """Ask, train and tell, until each algorithm has its trials; train: a study's configurations, those that
+    failed returned.
 
     Returns:
         The trials that failed for another reason than that they diverged; the same call repeats them.
@@ -69,11 +72,14 @@ def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[
             ]
             if not round_:
                 break
-            failed = {str(work.cell.out): work for work in train([cell for _, _, cell in round_])}
+            failed = {
+                str(work.configuration.out): work
+                for work in train([configuration for _, _, configuration in round_])
+            }
             if others := [work for work in failed.values() if not work.diverged]:
                 return others
-            for search, trial, cell in round_:
-                value = math.nan if str(cell.out) in failed else objective(cell)
+            for search, trial, configuration in round_:
+                value = math.nan if str(configuration.out) in failed else objective(configuration)
                 if math.isfinite(value):
                     search.tell(trial.number, value)
                 else:
@@ -86,9 +92,13 @@ def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[
     return []
 
 
-def objective(cell: Cell) -> float:
-    """The mean reward of a trial's sampled flights, all seeds alike."""
-    rows = read_table(cell.out / cell.flights[0], {"mode": "object", "reward": "float64"}, "evaluate it again")
+def objective(configuration: Configuration) -> float:
+    """The mean reward of a trial's sampled episodes, all seeds alike."""
+    rows = read_table(
+        configuration.out / configuration.episodes[0],
+        {"mode": "object", "reward": "float64"},
+        "evaluate it again",
+    )
     return float(rows.loc[rows["mode"] == "sampled", "reward"].mean())
 
 
@@ -112,12 +122,16 @@ def _storage(optuna: Any, journal: Path) -> Any:
             os.truncate(journal, said.rfind(b"\n") + 1)  # else the next line would be joined to it
         return optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(str(journal)))
     except Exception as error:  # Optuna raises any kind at a line that it has not written
-        raise RunError(f"{journal}: cannot be read ({' '.join(str(error).split())}); give another out=") from error
+        raise RunError(
+            f"{journal}: cannot be read ({' '.join(str(error).split())}); give another out="
+        ) from error
 
 
 def _search(optuna: Any, storage: Any, found: Plan, algorithm: str) -> Any:
     """The study of Optuna's that holds an algorithm's trials, new or as it was left."""
-    search = optuna.create_study(storage=storage, study_name=algorithm, direction="maximize", load_if_exists=True)
+    search = optuna.create_study(
+        storage=storage, study_name=algorithm, direction="maximize", load_if_exists=True
+    )
     space = {setting: found.range(algorithm, setting) for setting in found.said["space"][algorithm]}
     same = {"space": space, "seeds": found.seeds, "frames": found.frames}
     same = json.loads(json.dumps(same | {key: found.said[key] for key in ("settings", "at_once")}))
@@ -133,7 +147,9 @@ def _ask(optuna: Any, found: Plan, algorithm: str, search: Any) -> list[Any]:
 
     A new one is thought out in memory and written as one line, so that no kill leaves a half of it.
     """
-    ranges = {name: _distribution(optuna, found.range(algorithm, name)) for name in found.said["space"][algorithm]}
+    ranges = {
+        name: _distribution(optuna, found.range(algorithm, name)) for name in found.said["space"][algorithm]
+    }
     while True:
         there = search.get_trials(deepcopy=False)
         running = [trial for trial in there if not trial.state.is_finished()]
@@ -163,7 +179,13 @@ def _told(search: Any) -> list[Any]:
 def _keep(found: Plan, searches: Mapping[str, Any]) -> None:
     """Write the table of what was told."""
     rows = [
-        [name, trial.number, DIVERGED if trial.value is None else FINISHED, trial.value, json.dumps(trial.params)]
+        [
+            name,
+            trial.number,
+            DIVERGED if trial.value is None else FINISHED,
+            trial.value,
+            json.dumps(trial.params),
+        ]
         for name, search in searches.items()
         for trial in _told(search)
     ]
@@ -183,7 +205,8 @@ def _importance(optuna: Any, searches: Mapping[str, Any]) -> pd.DataFrame:
     rows = []
     for name, search in searches.items():
         evaluator = optuna.importance.FanovaImportanceEvaluator(seed=0)
-        with contextlib.suppress(ValueError, RuntimeError):  # fewer than two trials, or all have the same value
+        # fewer than two trials, or all have the same value
+        with contextlib.suppress(ValueError, RuntimeError):
             found = optuna.importance.get_param_importances(search, evaluator=evaluator)
             rows += [[name, setting, float(share)] for setting, share in found.items()]
     return pd.DataFrame(rows, columns=[*OF_IMPORTANCE])

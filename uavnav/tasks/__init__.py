@@ -1,1 +1,3 @@
-"""The worlds as pure functions over batches: constants, obstacles, motion, sensing, rewards, scripted rules."""
+"""The worlds as pure functions over batches: constants, obstacles, motion, sensing, rewards, scripted
+rules.
+"""

@@ -1,4 +1,6 @@
-"""Scripted policies, of the form that `uavnav.evaluate_policy` takes: what a learned one must be better than."""
+"""Scripted policies, of the form that `uavnav.evaluate_policy` takes: what a learned one must be better
+than.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,9 @@ from torch import Tensor
 from uavnav.tasks.goal import SCALE, GoalWorld
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import SCRIPTS
-from uavnav.tasks.simulator import Space, Task
 from uavnav.tasks.space import SpaceWorld, decode
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 
 AnyPolicy = Callable[[Tensor, torch.Generator | None], Tensor]
 """observation [N, 30] (or what else the task senses), generator -> action [N] int64 in 0..99."""
@@ -36,13 +38,16 @@ def straight_ahead(observation: Tensor, generator: torch.Generator | None = None
     return torch.full(observation.shape[:-1], FULL_SPEED)
 
 
-def reactive(observation: Tensor, generator: torch.Generator | None = None, world: World | None = None) -> Tensor:
-    """Fly straight at full speed where that is certainly safe, else turn left on the spot; where a goal is sensed too,
-    `towards_goal`.
+def reactive(
+    observation: Tensor, generator: torch.Generator | None = None, world: World | None = None
+) -> Tensor:
+    """Fly straight at full speed where that is certainly safe, else turn left on the spot; where a goal is
+    sensed too, `towards_goal`.
 
-    The distance to a convex body at d px in a direction with forward component y falls by at most s y over s px
-    straight ahead, and what is behind recedes: d - 9 y > 30 for all that is in view excludes a collision. It looks at
-    the newest observation of a stack. world: what is sensed; by default as the size of one observation tells.
+    The distance to a convex body at d px in a direction with forward component y falls by at most s y over s
+    px straight ahead, and what is behind recedes: d - 9 y > 30 for all that is in view excludes a collision.
+    It looks at the newest observation of a stack. world: what is sensed; by default as the size of one
+    observation tells.
     """
     if world is None and observation.shape[-1] % WITH_GOAL == 0:
         return towards_goal(observation, generator)
@@ -56,8 +61,8 @@ def _of_size(observation: Tensor) -> World:
 
 
 def _seen(observation: Tensor, world: World) -> tuple[Tensor, Tensor, Tensor]:
-    """The slots of the newest observation: directions [..., S, axes], the last of them forward, distances [..., S] px,
-    and which are empty [..., S] bool.
+    """The slots of the newest observation: directions [..., S, axes], the last of them forward, distances
+    [..., S] px, and which are empty [..., S] bool.
     """
     width, axes = len(world.slot_low), len(world.size)
     slots = observation[..., : world.n_slots * width].reshape(*observation.shape[:-1], world.n_slots, width)
@@ -80,11 +85,14 @@ LOOK = 60.0  # [px] that must be free in a direction
 ROOM = 2.0  # [px] beyond the drone's own radius
 
 
-def towards_goal(observation: Tensor, generator: torch.Generator | None = None, world: World | None = None) -> Tensor:
+def towards_goal(
+    observation: Tensor, generator: torch.Generator | None = None, world: World | None = None
+) -> Tensor:
     """Turn to the free direction that is nearest to the goal's, and fly as far as is certainly safe.
 
-    A direction is free if the nearest point of nothing in view comes too close to the next 60 px there, or to the way
-    to a goal that is nearer. The drone turns on the spot while it has 45 degrees or more to turn, or nothing is free.
+    A direction is free if the nearest point of nothing in view comes too close to the next 60 px there, or to
+    the way to a goal that is nearer. The drone turns on the spot while it has 45 degrees or more to turn, or
+    nothing is free.
     world: as of `reactive`.
     """
     world = world or GOAL
@@ -116,9 +124,13 @@ ENOUGH = 40.0  # [px] of clearance, beyond which more is worth nothing
 
 
 def _ways() -> tuple[Tensor, Tensor, Tensor]:
-    """Ways to fly: places [W, STEPS, 2] px to the right and forward, first action [W], what each is worth [W] px."""
+    """Ways to fly: places [W, STEPS, 2] px to the right and forward, first action [W], what each is worth
+    [W] px.
+    """
     sides = (WORLD.n_turns // 2, WORLD.n_turns // 2 + 1 - WORLD.n_turns)  # [degrees] the greatest turns
-    turn, turning, speed = torch.cartesian_prod(torch.tensor(sides), torch.tensor(TURNING), torch.tensor(SPEEDS)).T
+    turn, turning, speed = torch.cartesian_prod(
+        torch.tensor(sides), torch.tensor(TURNING), torch.tensor(SPEEDS)
+    ).T
     step = torch.arange(1, STEPS + 1)
     heading = torch.deg2rad((turn[:, None] * step.minimum(turning[:, None])).float())
     pace = torch.where((step <= turning[:, None]) | (turning[:, None] == 0), speed[:, None], FULL_SPEED)
@@ -131,12 +143,15 @@ def _ways() -> tuple[Tensor, Tensor, Tensor]:
 PLACES, FIRST, WORTH = _ways()
 
 
-def dodge(observation: Tensor, generator: torch.Generator | None = None, world: World | None = None) -> Tensor:
-    """The first action of the way that keeps most clear of what is in view, also if that comes nearer by itself.
+def dodge(
+    observation: Tensor, generator: torch.Generator | None = None, world: World | None = None
+) -> Tensor:
+    """The first action of the way that keeps most clear of what is in view, also if that comes nearer by
+    itself.
 
-    It judges 46 ways of 16 steps, each a turn and then straight on, as the dynamic window approach does (Fox et al.
-    1997). A way that leads farther counts a little more. It never stands still without a turn, and looks at no sensed
-    velocities. world: as of `reactive`.
+    It judges 46 ways of 16 steps, each a turn and then straight on, as the dynamic window approach does (Fox
+    et al. 1997). A way that leads farther counts a little more. It never stands still without a turn, and
+    looks at no sensed velocities. world: as of `reactive`.
     """
     world = world or _of_size(observation)
     towards, distance, empty = _seen(observation, world)
@@ -146,7 +161,7 @@ def dodge(observation: Tensor, generator: torch.Generator | None = None, world: 
     return FIRST[(clear.clamp(max=ENOUGH) + WORTH).argmax(-1)]
 
 
-# -- in a box --------------------------------------------------------------------------------------------------------
+# -- in a box ------------------------------------------------------------------------------------------------
 
 BOX = SpaceWorld()
 AHEAD = BOX.n_distances - 1  # straight ahead, 9 px
@@ -161,8 +176,11 @@ def straight_in_the_box(observation: Tensor, generator: torch.Generator | None =
     return torch.full(observation.shape[:-1], AHEAD)
 
 
-def reactive_in_the_box(observation: Tensor, generator: torch.Generator | None = None, world: World = BOX) -> Tensor:
-    """As `reactive`, and for the same reason never into what it senses: straight at full speed, else a yaw to the left.
+def reactive_in_the_box(
+    observation: Tensor, generator: torch.Generator | None = None, world: World = BOX
+) -> Tensor:
+    """As `reactive`, and for the same reason never into what it senses: straight at full speed, else a yaw to
+    the left.
 
     world: what is sensed.
     """
@@ -170,7 +188,9 @@ def reactive_in_the_box(observation: Tensor, generator: torch.Generator | None =
 
 
 def _ways_in_the_box() -> tuple[Tensor, Tensor, Tensor]:
-    """As `_ways`, by yaw and pitch: places [W, LOOKED_AHEAD, 3] px to the right, up and forward, and the rest."""
+    """As `_ways`, by yaw and pitch: places [W, LOOKED_AHEAD, 3] px to the right, up and forward, and the
+    rest.
+    """
     action = torch.arange(BOX.n_actions)
     yaw, pitch, speed = decode(action, BOX)
     greatest = (yaw.abs() % 4 == 0) & (pitch.abs() % 4 == 0)
@@ -192,9 +212,11 @@ BOX_STRAIGHT = int((BOX_FIRST == AHEAD).nonzero())
 EASY = 15.0  # [px] of clearance straight ahead with which it does not turn, for a turn costs
 
 
-def dodge_in_the_box(observation: Tensor, generator: torch.Generator | None = None, world: World = BOX) -> Tensor:
-    """As `dodge`, of 67 ways of 10 steps that turn to eight sides, where straight on is not clear; it knows nothing of
-    its pitch, which may be at its end. world: what is sensed.
+def dodge_in_the_box(
+    observation: Tensor, generator: torch.Generator | None = None, world: World = BOX
+) -> Tensor:
+    """As `dodge`, of 67 ways of 10 steps that turn to eight sides, where straight on is not clear; it knows
+    nothing of its pitch, which may be at its end. world: what is sensed.
     """
     towards, distance, empty = _seen(observation, world)
     centre = torch.where(empty[..., None], torch.inf, towards * (distance + SPHERE)[..., None])
@@ -210,9 +232,10 @@ def chosen_among(world: World) -> tuple[int, int]:
     return usual.n_turns, usual.n_distances
 
 
-def suited(policy: AnyPolicy, task: Task) -> AnyPolicy:
-    """The policy that a name stands for in a task: a box has its own straight flight, and `reactive` is a rule for what
-    stands still, what moves, or a goal, that knows the task's world. Other policies are as they are.
+def suited(policy: AnyPolicy, task: WrappedTask) -> AnyPolicy:
+    """The policy that a name stands for in a task: a box has its own straight flight, and `reactive` is a
+    rule for what stands still, what moves, or a goal, that knows the task's world. Other policies are as they
+    are.
 
     Raises:
         ValueError: a script is to fly where there are other turns and distances than it chooses among.
@@ -222,11 +245,13 @@ def suited(policy: AnyPolicy, task: Task) -> AnyPolicy:
     own, (turns, distances) = task.world, chosen_among(task.world)
     if (own.n_turns, own.n_distances) != (turns, distances):
         given = f"n_turns={own.n_turns}, n_distances={own.n_distances}"
-        raise ValueError(f"{given}: scripts choose among {turns} turns and {distances} distances; leave them out")
+        raise ValueError(
+            f"{given}: scripts choose among {turns} turns and {distances} distances; leave them out"
+        )
     if policy is not reactive:
-        return straight_in_the_box if isinstance(task, Space) and policy is straight_ahead else policy
+        return straight_in_the_box if isinstance(own, SpaceWorld) and policy is straight_ahead else policy
     rule: Callable[..., Tensor]
-    if isinstance(task, Space):
+    if isinstance(own, SpaceWorld):
         rule = reactive_in_the_box if task.STATIC else dodge_in_the_box
     elif task.STATIC:
         rule = towards_goal if isinstance(own, GoalWorld) else reactive

@@ -1,4 +1,5 @@
-"""Sets of circles that stand still, the paper's obstacles: how they are drawn, and what makes a bank of them valid.
+"""Circles that stand still, the paper's obstacles: how they are drawn, and what makes a layout file of them
+valid.
 
 In a world of three dimensions they are spheres. Letter: D the dimensions of the world.
 """
@@ -18,22 +19,25 @@ from uavnav.tasks.world import World
 
 
 class LayoutError(OneLineError, ValueError):
-    """A bank cannot be found, read or trusted; the message says what is wrong and what would be right."""
+    """A layout file cannot be found, read or trusted; the message says what is wrong and what would be
+    right.
+    """
 
 
 MOST_OBSTACLES = 20_000_000
-"""Of all sets of a bank: half a gigabyte where they are drawn."""
+"""Of all layouts of a layout file: half a gigabyte where they are drawn."""
 DRAWS = 1_000
 """Places that an obstacle may try; the paper's world refuses one in eleven."""
 
 
 def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
-    """Draw n sets of k obstacles: radius uniform in [30, 100], centre uniform in the window, drawn again until the
-    edge is at least 50 px from the start (sec. 4.1). Obstacles may overlap each other and the border.
+    """Draw n layouts of k obstacles: radius uniform in [30, 100], centre uniform in the window, drawn again
+    until the edge is at least 50 px from the start (sec. 4.1). Obstacles may overlap each other and the
+    border.
 
     Returns:
-        Tensor [n, k, D + 1] float32 of (x, y, radius) px, in 3D of (x, y, z, radius); the same for the same arguments
-        on every machine.
+        Tensor [n, k, D + 1] float32 of (x, y, radius) px, in 3D of (x, y, z, radius); the same for the same
+        arguments on every machine.
 
     Raises:
         LayoutError: n, k or seed is negative, or an obstacle finds no place.
@@ -43,47 +47,50 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
         given = f"n={told(n)}, k={told(k)}, seed={told(seed)}"
         raise LayoutError(f"{given}; give whole numbers of at least 0 and at most {MOST_WHOLE:,}")
     if n * max(k, 1) > MOST_OBSTACLES:
-        raise LayoutError(f"n={n}, k={k}; give at most {MOST_OBSTACLES:,} obstacles or sets in all")
+        raise LayoutError(f"n={n}, k={k}; give at most {MOST_OBSTACLES:,} obstacles or layouts in all")
     if not isinstance(world, World):
         raise LayoutError(f"world={told(world)}; give a World")
     rng = np.random.Generator(np.random.PCG64(seed))
     smallest, largest = np.float32(world.obstacle_radius_min), np.float32(world.obstacle_radius_max)
     size = np.array(world.size, dtype=np.float32)
-    bank = np.empty((n, k, len(size) + 1), dtype=np.float32)
-    bank[..., -1] = smallest + (largest - smallest) * rng.random((n, k), dtype=np.float32)
+    layouts = np.empty((n, k, len(size) + 1), dtype=np.float32)
+    layouts[..., -1] = smallest + (largest - smallest) * rng.random((n, k), dtype=np.float32)
     misplaced = np.ones((n, k), dtype=bool)
     for _ in range(DRAWS):
-        bank[misplaced, :-1] = rng.random((int(misplaced.sum()), len(size)), dtype=np.float32) * size
-        misplaced = edge_to_start(bank, world) < world.safe_zone
+        layouts[misplaced, :-1] = rng.random((int(misplaced.sum()), len(size)), dtype=np.float32) * size
+        misplaced = edge_to_start(layouts, world) < world.safe_zone
         if not misplaced.any():
-            return torch.from_numpy(bank)
+            return torch.from_numpy(layouts)
     raise LayoutError(
-        f"safe_zone={world.safe_zone:g}: an obstacle with a radius of {bank[misplaced, -1].max():g} px found no place"
+        f"safe_zone={world.safe_zone:g}: an obstacle with a radius of {layouts[misplaced, -1].max():g} px "
+        "found no place"
         f" in {DRAWS:,} draws; give a smaller safe_zone or obstacle_radius_max"
     )
 
 
-def validate(bank: Tensor, world: World | None = None, more: int = 0) -> None:
-    """Check shape, type, finiteness, the range of radii and the safe zone; a row begins with its centre and radius,
-    and has so many numbers more.
+def validate(layouts: Tensor, world: World | None = None, more: int = 0) -> None:
+    """Check shape, type, finiteness, the range of radii and the safe zone; a row begins with its centre and
+    radius, and has so many numbers more.
 
     Raises:
         LayoutError: naming the first set that is wrong.
     """
     world = world or World()
-    if not isinstance(bank, Tensor):
-        raise LayoutError(f"{told(bank)}: is no bank; give a tensor")
+    if not isinstance(layouts, Tensor):
+        raise LayoutError(f"{told(layouts)}: is no tensor of layouts; give a tensor")
     columns = len(world.size) + 1 + more
-    if bank.ndim != 3 or bank.shape[-1] != columns or bank.shape[0] == 0:
-        raise LayoutError(f"a bank has the shape [n > 0, k, {columns}], not {list(bank.shape)}")
-    if bank.dtype != torch.float32:
-        raise LayoutError(f"a bank holds float32, not {str(bank.dtype).removeprefix('torch.')}")
-    numbers = bank.cpu().numpy()
+    if layouts.ndim != 3 or layouts.shape[-1] != columns or layouts.shape[0] == 0:
+        raise LayoutError(f"layouts have the shape [n > 0, k, {columns}], not {list(layouts.shape)}")
+    if layouts.dtype != torch.float32:
+        raise LayoutError(f"layouts hold float32, not {str(layouts.dtype).removeprefix('torch.')}")
+    numbers = layouts.cpu().numpy()
     radius = numbers[..., len(world.size)]
     edge = edge_to_start(np.nan_to_num(numbers), world)
     smallest, largest = world.obstacle_radius_min, world.obstacle_radius_max
     refuse_first(~np.isfinite(numbers).all(-1), "is not finite")
-    refuse_first(~((radius >= smallest) & (radius <= largest)), f"has a radius outside {smallest:g} ... {largest:g} px")
+    refuse_first(
+        ~((radius >= smallest) & (radius <= largest)), f"has a radius outside {smallest:g} ... {largest:g} px"
+    )
     refuse_first(edge < world.safe_zone, f"is nearer than {world.safe_zone:g} px to the start")
 
 
@@ -94,9 +101,9 @@ def refuse_first(wrong: np.ndarray, rule: str) -> None:
         raise LayoutError(f"obstacle {obstacle} of set {row} {rule}")
 
 
-def edge_to_start(bank: np.ndarray, world: World) -> np.ndarray:
+def edge_to_start(layouts: np.ndarray, world: World) -> np.ndarray:
     """Distance from the start to every obstacle's edge [n, k] px, in float64."""
     axes = len(world.size)
-    offset = bank[..., :axes].astype(np.float64) - np.array(world.start)
-    edge: np.ndarray = functools.reduce(np.hypot, np.moveaxis(offset, -1, 0)) - bank[..., axes]
+    offset = layouts[..., :axes].astype(np.float64) - np.array(world.start)
+    edge: np.ndarray = functools.reduce(np.hypot, np.moveaxis(offset, -1, 0)) - layouts[..., axes]
     return edge

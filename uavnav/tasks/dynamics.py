@@ -24,7 +24,11 @@ def direction(heading: Tensor) -> tuple[Tensor, Tensor]:
     heading [...] whole degrees in 0..359 -> cos, sin [...] float32.
     """
     cosine, sine = torch.stack([COSINE.to(heading.device)[heading], SINE.to(heading.device)[heading]])
-    return cosine, sine  # stacked, they are looked up once a row in a compiled step, and not for each candidate again
+    # stacked, they are looked up once a row in a compiled step, and not for each candidate again
+    return (
+        cosine,
+        sine,
+    )
 
 
 def decode(action: Tensor, world: World) -> tuple[Tensor, Tensor]:
@@ -37,7 +41,9 @@ def decode(action: Tensor, world: World) -> tuple[Tensor, Tensor]:
     return angle, action % world.n_distances
 
 
-def move(x: Tensor, y: Tensor, heading: Tensor, angle: Tensor, distance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def move(
+    x: Tensor, y: Tensor, heading: Tensor, angle: Tensor, distance: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     """Turn first, then fly straight along the new heading.
 
     x, y [...] px, heading [...] and angle [...] whole degrees, distance [...] px -> the new x, y, heading.

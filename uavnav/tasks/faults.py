@@ -1,13 +1,15 @@
-"""What goes wrong between the world and a policy: noise, lost echoes, late observations, an actuator that sticks.
+"""What goes wrong between the world and a policy: noise, lost echoes, late observations, an actuator that
+sticks.
 
-The settings are read without torch. The functions are pure; the random numbers come in as tensors, which a task draws
-(`simulator.Task.draw`). Letters: B the batch shape (any, also none), S slots of an observation.
+The settings are read without torch. The functions are pure; the random numbers come in as tensors, which a
+task draws (`wrapper.WrappedTask.draw`). Letters: B the batch shape (any, also none), S slots of an
+observation.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+import math
+from typing import TYPE_CHECKING, Annotated, Any
 
 from uavnav.errors import MOST_WHOLE, ConfigError, told, unknown_key
 from uavnav.settings import AtLeast0, Settings, Share, Whole, at_most, key
@@ -15,9 +17,10 @@ from uavnav.settings import AtLeast0, Settings, Share, Whole, at_most, key
 if TYPE_CHECKING:
     from torch import Tensor
 
-
 MOST_REMEMBERED = 1_000
-"""Observations that one can come too late by, and that a policy can see at once: a state remembers them all."""
+"""Observations that one can come too late by, and that a policy can see at once: a state remembers them
+all.
+"""
 
 
 class Faults(Settings):
@@ -27,7 +30,9 @@ class Faults(Settings):
         ConfigError: a number is out of its range.
     """
 
-    noise: Annotated[AtLeast0, at_most(MOST_WHOLE)] = key(0.0, "standard deviation σ of each sensed distance", "px")
+    noise: Annotated[AtLeast0, at_most(MOST_WHOLE)] = key(
+        0.0, "standard deviation σ of each sensed distance", "px"
+    )
     lost: Share = key(0.0, "of each echo to be lost, whatever the others do", "probability")
     late: Whole = key(0, "by which each observation comes too late", "steps", ge=0, le=MOST_REMEMBERED)
     sticky: Share = key(0.0, "of the last executed action to be executed again", "probability")
@@ -38,31 +43,29 @@ class Faults(Settings):
         return ",".join(found) or "none"
 
     def sizes(self, n_slots: int) -> list[int]:
-        """How many random numbers a row needs in a step: normal ones of noise, uniform ones of lost, and of sticky."""
+        """How many random numbers a row needs in a step: normal ones of noise, uniform ones of lost, and
+        of sticky.
+        """
         return [n_slots * (self.noise > 0), n_slots * (self.lost > 0), int(self.sticky > 0)]
 
-    def echoes(self, distance: Tensor, filled: Tensor, draws: Tensor) -> tuple[Tensor, Tensor]:
-        """What comes back of the echoes of slots: d + σ ε, and a slot is emptied with probability `lost`.
+    def disturbed(self, distance: Tensor, draws: Tensor) -> Tensor:
+        """What is sensed of distances: d + σ ε, and infinite with probability `lost`, as of an empty slot.
 
-        distance [S, *B] px, filled [S, *B] bool, draws [*B, n] of `sizes` -> distance px, filled.
+        distance [S, *B] px, draws [*B, n] of `sizes` -> [S, *B] px.
         """
         normal, uniform, _ = draws.split(self.sizes(len(distance)), -1)  # type: ignore[no-untyped-call]
         if self.noise:
             distance = distance + self.noise * normal.movedim(-1, 0)
         if self.lost:
-            filled = filled & (uniform.movedim(-1, 0) >= self.lost)
-        return distance, filled
-
-    @property
-    def disturbs(self) -> bool:
-        """Whether chance has a part in what is sensed."""
-        return bool(self.noise or self.lost)
+            distance = distance.masked_fill(uniform.movedim(-1, 0) < self.lost, math.inf)
+        return distance
 
     def executed(self, action: Tensor, last: Tensor, steps: Tensor, draws: Tensor) -> Tensor:
-        """The action that is executed: the last one again with probability `sticky`, not in an episode's first step.
+        """The action that is executed: the last one again with probability `sticky`, not in an episode's
+        first step.
 
-        action, last [*B] int64, steps [*B] since the episode began, draws [*B, n] of `sizes` -> [*B]. Machado et al.
-        (2018), "Revisiting the Arcade Learning Environment".
+        action, last [*B] int64, steps [*B] since the episode began, draws [*B, n] of `sizes` -> [*B]. Machado
+        et al. (2018), "Revisiting the Arcade Learning Environment".
         """
         sticks = (draws[..., -1] < self.sticky) & (steps > 0)
         return last.where(sticks, action)
@@ -80,14 +83,6 @@ RUNGS: dict[str, tuple[float, ...]] = {
 }
 """The ladders of evaluation: the values of each fault that a policy is flown with, in the fault's unit."""
 
-AnyTask = TypeVar("AnyTask", bound=Any)
-
-
-def rung(task: AnyTask, name: str, value: float) -> AnyTask:
-    """The same task with one of its faults at a value of `RUNGS`, its other faults as they are."""
-    found: AnyTask = replace(task, faults=task.faults.replace(**{name: value}))
-    return found
-
 
 def from_words(words: str) -> Faults:
     """Faults from `noise=5,late=2`, or from `none`.
@@ -103,7 +98,9 @@ def from_words(words: str) -> Faults:
         try:
             values[name] = int(given) if name == "late" else float(given)
         except ValueError:
-            raise ConfigError(f"{told(word.strip())}; give a number, as noise=5, or whole steps, as late=2") from None
+            raise ConfigError(
+                f"{told(word.strip())}; give a number, as noise=5, or whole steps, as late=2"
+            ) from None
     return Faults(**values)
 
 

@@ -14,11 +14,14 @@ import torch
 from torch import Tensor
 
 from uavnav.tasks import faults, layouts, slalom
-from uavnav.tasks.simulator import Moving, Space, SpaceMoving, Task
+from uavnav.tasks.moving import Moving
+from uavnav.tasks.space import Space, SpaceMoving
 from uavnav.tasks.state import State
+from uavnav.tasks.task import Task
+from uavnav.tasks.wrapper import WrappedTask
 
 Measure = Callable[[State, State], dict[str, Tensor]]
-"""States before and after a step -> numbers [*B] that an evaluation adds up over each flight."""
+"""States before and after a step -> numbers [*B] that an evaluation adds up over each episode."""
 
 
 class Ladder(NamedTuple):
@@ -26,71 +29,76 @@ class Ladder(NamedTuple):
 
     words: str
     rungs: tuple[float, ...]
-    task: Callable[[Task, float, str], Task]  # of a policy, rung, split -> what it flies there
+    task: Callable[[WrappedTask, float, str], WrappedTask]  # of a policy, rung, split -> what it flies there
     measure: Measure | None = None
-    of: tuple[str, ...] = ()  # kinds of banks whose worlds have it (`layouts.kind_of`); by default all
+    of: tuple[str, ...] = ()  # kinds of layouts whose worlds have it (`layouts.kind_of`); by default all
     any_task: bool = True  # also one of a plugin; else its functions would be lost, as another class is flown
 
-    def fits(self, task: Task) -> bool:
+    def fits(self, task: WrappedTask) -> bool:
         """Whether a policy that was trained in a task can be flown on it."""
         return (not self.of or layouts.kind_of(task.world) in self.of) and (
-            self.any_task or type(task) in (Task, Moving, Space, SpaceMoving)
+            self.any_task or type(task.task) in (Task, Moving, Space, SpaceMoving)
         )
 
 
 def sets_of(ladder: str, rung: float, split: str = "test") -> str:
-    """The name of a rung's sets, on a ladder of banks."""
+    """The name of a rung's layouts, on a ladder of layouts."""
     return f"{ladder}-{rung:g}/{split}"
 
 
-def density(task: Task, rung: float, split: str = "test") -> Task:
-    """The policy's world with so many obstacles a set."""
+def density(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
+    """The policy's world with so many obstacles a layout."""
     return task.on(sets_of("density", rung, split), task.max_steps)
 
 
-def gaps(task: Task, rung: float, split: str = "test") -> Task:
+def gaps(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
     """The policy's world with four columns of circles, each with a gap of so many px."""
     return task.on(sets_of("slalom", rung, split), task.max_steps)
 
 
-def arc(task: Task, rung: float, split: str = "test") -> Task:
+def arc(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
     """The policy's world with a sensor of so many degrees."""
-    return replace(task, world=task.world.replace(sensor_arc=rung)).on(split, task.max_steps)
+    return task.replace(world=task.world.replace(sensor_arc=rung)).on(split, task.max_steps)
 
 
-def reach(task: Task, rung: float, split: str = "test") -> Task:
-    """The policy's world with a sensor that reaches so many px; a proximity is still 1 at the reach of its training."""
-    flown = replace(task, world=task.world.replace(sensor_radius=rung))
+def reach(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
+    """The policy's world with a sensor that reaches so many px; a proximity is still 1 at the reach of
+    its training.
+    """
+    flown = task.replace(world=task.world.replace(sensor_radius=rung))
     return reached(flown, task.trained_reach or task.world.sensor_radius).on(split, task.max_steps)
 
 
-def reached(task: Task, own: float) -> Task:
+def reached(task: WrappedTask, own: float) -> WrappedTask:
     """A task as a policy flies it whose sensor reached so many px in training."""
-    return replace(task, trained_reach=None if task.world.sensor_radius == own else own)
+    return task.replace(trained_reach=None if task.world.sensor_radius == own else own)
 
 
-def speed(task: Task, rung: float, split: str = "test") -> Task:
-    """The policy's world with obstacles of up to so many px a step: the bank of 2 px a step, its velocities scaled."""
-    kind = SpaceMoving if isinstance(task, Space) else Moving
+def speed(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
+    """The policy's world with obstacles of up to so many px a step: the split of 2 px a step, its
+    velocities scaled.
+    """
+    kind = SpaceMoving if isinstance(task.task, Space) else Moving
     usual = kind.WORLD()
-    bank, still = layouts.load(split, usual), len(usual.size) + 1  # numbers of a place and a radius
-    bank = torch.cat([bank[..., :still], bank[..., still:] * (rung / usual.speed_max)], -1)
+    all_layouts, still = layouts.load(split, usual), len(usual.size) + 1  # numbers of a place and a radius
+    all_layouts = torch.cat(
+        [all_layouts[..., :still], all_layouts[..., still:] * (rung / usual.speed_max)], -1
+    )
     world = task.world if isinstance(task.world, kind.WORLD) else kind.WORLD(**task.world.model_dump())
-    kept = task.reward, task.max_steps, task.stack, task.faults, task.trained_reach
-    return kind(world, layouts.resolve(bank, world), *kept)
+    return replace(task, task=kind(world, layouts.resolve(all_layouts, world), task.reward, task.max_steps))
 
 
-def fault(name: str) -> Callable[[Task, float, str], Task]:
+def fault(name: str) -> Callable[[WrappedTask, float, str], WrappedTask]:
     """The policy's world with one fault of the sensor or the actuator at a value; its other faults stay."""
 
-    def at(task: Task, rung: float, split: str = "test") -> Task:
-        return faults.rung(task, name, rung).on(split, task.max_steps)
+    def at(task: WrappedTask, rung: float, split: str = "test") -> WrappedTask:
+        return task.replace(faults=task.faults.replace(**{name: rung})).on(split, task.max_steps)
 
     return at
 
 
 LADDERS = {
-    "density": Ladder("obstacles a set", tuple(range(0, 21, 2)), density, of=("drone", "moving", "goal")),
+    "density": Ladder("obstacles a layout", tuple(range(0, 21, 2)), density, of=("drone", "moving", "goal")),
     "slalom": Ladder("gap [px]", (160, 140, 120, 110, 100, 90, 80, 70), gaps, slalom.passages, ("drone",)),
     "arc": Ladder("sensor's arc [degrees]", (60, 90, 120, 180), arc),
     "reach": Ladder("sensor's radius [px]", (60, 90, 120, 160), reach),
@@ -109,7 +117,7 @@ LADDERS = {
 """By name, in the order of a report."""
 
 
-def measure_of(bank: str | Path | Tensor) -> Measure | None:
-    """What an evaluation on a bank counts beside the metrics, by its name or by its file's header."""
-    named = "" if isinstance(bank, Tensor) else layouts.split_of(bank)
+def measure_of(all_layouts: str | Path | Tensor) -> Measure | None:
+    """What an evaluation on a layout file counts beside the metrics, by its name or by its file's header."""
+    named = "" if isinstance(all_layouts, Tensor) else layouts.split_of(all_layouts)
     return LADDERS["slalom"].measure if named.startswith("slalom-") else None

@@ -1,8 +1,9 @@
-"""Banks of obstacle sets: generate, save, load and validate; the disjoint splits `train`, `validation` and `test`.
+"""Layouts and layout files: generate, save, load and validate; the disjoint splits `train`, `validation` and
+`test`.
 
-A bank is a float32 tensor [n, k, 3] of (x, y, radius) in px, stored as safetensors with a header that says how it was
-made; other worlds have more columns. `uavnav layouts` writes the three that ship with the package, or others; see its
---help.
+A layout file is a float32 tensor [n, k, 3] of (x, y, radius) in px, stored as safetensors with a header that
+says how it was made; other worlds have more columns. `uavnav layouts` writes the three that ship with the
+package, or others; see its --help.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ from torch import Tensor
 from uavnav import files
 from uavnav.errors import MOST_WHOLE, did_you_mean, told
 from uavnav.tasks import circles, goal, moving, slalom, space, tensors
-from uavnav.tasks.circles import LayoutError as LayoutError  # this and the next two are also names of this module
+from uavnav.tasks.circles import (
+    LayoutError as LayoutError,  # this and the next two are also names of this module
+)
 from uavnav.tasks.circles import generate as generate
 from uavnav.tasks.circles import validate as validate
 from uavnav.tasks.protocol import DEFAULT_K
@@ -37,15 +40,15 @@ SILENT_SETS = 1_000
 
 
 class Kind(NamedTuple):
-    """The banks of a world: how sets are drawn, and what makes them valid."""
+    """The layouts of a world: how layouts are drawn, and what makes them valid."""
 
     world: type[World]
-    generate: Callable[[int, int, int, World], Tensor]  # n, k, seed, world -> bank
+    generate: Callable[[int, int, int, World], Tensor]  # n, k, seed, world -> layouts
     validate: Callable[[Tensor, World], None]
-    reads: tuple[str, ...] = ()  # fields of the world that sets are drawn by, beside those of the paper's
+    reads: tuple[str, ...] = ()  # fields of the world that layouts are drawn by, beside those of the paper's
     ships: bool = False  # the splits of the world's defaults are files of the package
-    beside: int = 0  # rows of a set that are no obstacles
-    k: int = DEFAULT_K  # obstacles of a set where nothing else is said
+    beside: int = 0  # rows of a layout that are no obstacles
+    k: int = DEFAULT_K  # obstacles of a layout where nothing else is said
 
 
 KINDS = {
@@ -68,27 +71,33 @@ DRAWN_BY = (
     *("width", "height", "depth", "border", "drone_radius"),
     *("obstacle_radius_min", "obstacle_radius_max", "safe_zone"),
 )
-"""Fields that a world's sets are drawn by."""
+"""Fields that a world's layouts are drawn by."""
 SHAPES = (*DRAWN_BY, "sensor_radius", "sensor_arc", "n_slots")
 """The same, and those that its size must fit; a header has those that are not as usual."""
 
 RUNGS = ("density", "slalom")
-"""By difficulty: `density-12/test` has 12 obstacles a set; `slalom-80/test`, of the paper's world, gaps of 80 px."""
+"""By difficulty: `density-12/test` has 12 obstacles a layout; `slalom-80/test`, of the paper's world,
+gaps of 80 px.
+"""
 
 
 def is_rung(layouts: str | Path) -> bool:
-    """Whether a bank's name is that of a rung, such as `density-12/test`, and no file's."""
+    """Whether a layout file's name is that of a rung, such as `density-12/test`, and no file's."""
     return str(layouts).startswith(tuple(f"{ladder}-" for ladder in RUNGS)) and not os.path.isfile(layouts)
 
 
 def split_of(layouts: str | Path) -> str:
-    """The split, or the rung and its split, that a bank's name stands for, or that its file's header says."""
+    """The split, or the rung and its split, that a layout file's name stands for, or that its file's
+    header says.
+    """
     file = layouts not in SPLITS and os.path.isfile(layouts)
     return _open(Path(layouts))[1].get("split", "") if file else str(layouts)
 
 
 def kind_of(world: World) -> str:
-    """The name in `KINDS` of a world's banks: of its class, or of the nearest class that it derives from."""
+    """The name in `KINDS` of a world's layouts: of its class, or of the nearest class that it derives
+    from.
+    """
     names = {kind.world: name for name, kind in KINDS.items()}
     found = next((names[one] for one in type(world).__mro__ if one in names), None)
     if found is None:
@@ -97,8 +106,8 @@ def kind_of(world: World) -> str:
 
 
 def _ships(world: World) -> bool:
-    """Whether its splits are files of the package: the paper's are for every `World`, those of goals, whose files hold
-    lengths of ways, for worlds that are drawn by the defaults.
+    """Whether its splits are files of the package: the paper's are for every `World`, those of goals, whose
+    files hold lengths of ways, for worlds that are drawn by the defaults.
     """
     kind = KINDS[kind_of(world)]
     fields = (*kind.reads, *(DRAWN_BY if kind.beside else ()))
@@ -106,36 +115,36 @@ def _ships(world: World) -> bool:
     return kind.ships and all(getattr(world, field, None) == getattr(usual, field, None) for field in fields)
 
 
-def save(bank: Tensor, path: str | Path, *, seed: int, split: str, world: World | None = None) -> None:
-    """Write a bank [n, k, 3] with its header; the file appears whole or not at all.
+def save(layouts: Tensor, path: str | Path, *, seed: int, split: str, world: World | None = None) -> None:
+    """Write a layout file [n, k, 3] with its header; the file appears whole or not at all.
 
-    world: whose bank it is, with the fields that its sets were drawn by.
+    world: whose split it is, with the fields that its layouts were drawn by.
 
     Raises:
-        LayoutError: the bank is not valid, or the place cannot be written.
+        LayoutError: the split is not valid, or the place cannot be written.
     """
     world = World() if world is None else world
     if not isinstance(path, (str, Path)) or not isinstance(split, str):
         raise LayoutError(f"path={told(path)}, split={told(split)}; give a file's path and a name")
-    KINDS[kind_of(world)].validate(bank, world)
+    KINDS[kind_of(world)].validate(layouts, world)
     path = Path(path)
-    header = _header(bank, seed, split, world)
+    header = _header(layouts, seed, split, world)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        files.write(path, _in_order(serialize({"obstacles": bank.contiguous()}, header)))
+        files.write(path, _in_order(serialize({"obstacles": layouts.contiguous()}, header)))
     except (OSError, ValueError, SafetensorError) as error:
         raise LayoutError(f"{path}: cannot be written ({error}); give a path that can be written") from error
 
 
-def _header(bank: Tensor, seed: int, split: str, world: World) -> dict[str, str]:
-    """What a bank's file says of it."""
+def _header(layouts: Tensor, seed: int, split: str, world: World) -> dict[str, str]:
+    """What the header of a layout file says."""
     header = {
         "world_version": VERSION,
         "generator_seed": str(seed),
-        "n": str(bank.shape[0]),
-        "k": str(bank.shape[1] - KINDS[kind_of(world)].beside),
+        "n": str(layouts.shape[0]),
+        "k": str(layouts.shape[1] - KINDS[kind_of(world)].beside),
         "split": split,
-        "sha256": checksum(bank),
+        "sha256": checksum(layouts),
     }
     name = kind_of(world)
     own = {"task": name} if name != "drone" else {}
@@ -145,10 +154,10 @@ def _header(bank: Tensor, seed: int, split: str, world: World) -> dict[str, str]
 
 
 def load(layouts: str | Path, world: World | None = None) -> Tensor:
-    """Read a bank: `train`, `validation`, `test`, a rung's such as `density-12/test` and `slalom-80/test`, or the path
-    of a file that `uavnav layouts` wrote.
+    """Read a layout file: `train`, `validation`, `test`, a rung's such as `density-12/test` and
+    `slalom-80/test`, or the path of a file that `uavnav layouts` wrote.
 
-    world: whose bank it is; the paper's by default.
+    world: whose split it is; the paper's by default.
 
     Returns:
         Tensor [n, k, 3] float32 of (x, y, radius) px; in other worlds as their tasks say.
@@ -160,24 +169,28 @@ def load(layouts: str | Path, world: World | None = None) -> Tensor:
 
 
 def resolve(layouts: str | Path | Tensor, world: World) -> Tensor:
-    """A bank from its name or path, or the tensor itself, valid for this world; raises as `load` does."""
+    """A layout file from its name or path, or the tensor itself, valid for this world; raises as `load`
+    does.
+    """
     validate = KINDS[kind_of(world)].validate
     if isinstance(layouts, Tensor):
         validate(layouts, world)
         return layouts
-    bank = load(layouts, world)
+    all_layouts = load(layouts, world)
     try:
-        validate(bank, world)
+        validate(all_layouts, world)
     except LayoutError as error:
-        raise LayoutError(f"layouts={str(layouts)!r}: {error}; give a bank that fits this world") from error
-    return bank
+        raise LayoutError(
+            f"layouts={str(layouts)!r}: {error}; give a layout file that fits this world"
+        ) from error
+    return all_layouts
 
 
 def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[str, str]]:
-    """The bank and its header; raises as `load` does.
+    """The split and its header; raises as `load` does.
 
-    The paper's splits are files of the package, and so are those of goals. Others are drawn when they are asked for, by
-    the fields of their world.
+    The paper's splits are files of the package, and so are those of goals. Others are drawn when they are
+    asked for, by the fields of their world.
     """
     world = World() if world is None else world
     name = kind_of(world)
@@ -188,109 +201,123 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     if is_rung(layouts):
         return _of_ones_own(_rung(str(layouts), World() if name == "drone" else world))
     file = str(layouts) if name == "drone" else f"{name}-{layouts}"
-    path = Path(__file__).parent / "banks" / f"{file}.safetensors" if layouts in SPLITS else Path(layouts)
+    path = Path(__file__).parent / "splits" / f"{file}.safetensors" if layouts in SPLITS else Path(layouts)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
         choices = f"{', '.join(SPLITS)} or a file's path{did_you_mean(layouts, SPLITS)}"
-        raise LayoutError(f"layouts={str(layouts)!r}: no such bank; choose from {choices}")
-    bank, header = _open(path)
+        raise LayoutError(f"layouts={str(layouts)!r}: no such layout file; choose from {choices}")
+    all_layouts, header = _open(path)
     if header.get("task", "drone") != name:
         raise LayoutError(
-            f"{path}: a bank of task={header.get('task', 'drone')}, not of task={name}; give one of those"
+            f"{path}: a layout file of task={header.get('task', 'drone')}, not of task={name}; give one of "
+            "those"
         )
     drawn_by = _drawn_by(header, path)
     try:
-        KINDS[name].validate(bank, drawn_by)
+        KINDS[name].validate(all_layouts, drawn_by)
     except LayoutError as error:
         raise LayoutError(f"{path}: {error}; generate it anew") from error
-    n, k = len(bank), bank.shape[1] - KINDS[name].beside
+    n, k = len(all_layouts), all_layouts.shape[1] - KINDS[name].beside
     if (header.get("n"), header.get("k")) != (str(n), str(k)):
         raise LayoutError(
-            f"{path}: its header says n={header.get('n')}, k={header.get('k')}, not n={n}, k={k} as its obstacles are;"
+            f"{path}: its header says n={header.get('n')}, k={header.get('k')}, not n={n}, k={k} as its "
+            "obstacles are;"
             " generate it anew"
         )
-    if header.get("sha256") != checksum(bank):
+    if header.get("sha256") != checksum(all_layouts):
         raise LayoutError(f"{path}: the checksum does not match, the file is damaged; generate it anew")
-    return bank, header
+    return all_layouts, header
 
 
 def _of_ones_own(found: tuple[Tensor, dict[str, str]]) -> tuple[Tensor, dict[str, str]]:
-    """A copy of a bank that is kept."""
+    """A copy of a layout file that is kept."""
     return found[0].clone(), dict(found[1])
 
 
 @functools.lru_cache(maxsize=8)
 def _drawn(split: str, world: World) -> tuple[Tensor, dict[str, str]]:
-    """A split of a world whose banks are no files of the package, and its header."""
+    """A split of a world whose layouts are no files of the package, and its header."""
     kind = KINDS[kind_of(world)]
     if isinstance(world, goal.GoalWorld) and SPLITS[split].n > SILENT_SETS:
-        told = f"{SPLITS[split].n:,} sets with goals are drawn for this world, {SPLITS[split].n / 100:.0f} s of a core"
+        told = (
+            f"{SPLITS[split].n:,} layouts with goals are drawn for this world, "
+            f"{SPLITS[split].n / 100:.0f} s of a core"
+        )
         warnings.warn(f"layouts={split}: {told}", stacklevel=2)
-    bank = kind.generate(SPLITS[split].n, kind.k, SPLITS[split].seed, world)
-    return bank, _header(bank, SPLITS[split].seed, split, world)
+    layouts = kind.generate(SPLITS[split].n, kind.k, SPLITS[split].seed, world)
+    return layouts, _header(layouts, SPLITS[split].seed, split, world)
 
 
-@functools.lru_cache(maxsize=16)  # whoever flies a ladder finds its 11 banks, which cost 110 s where sets have goals
+# whoever flies a ladder finds its 11 layouts, which cost 110 s where layouts have goals
+@functools.lru_cache(maxsize=16)
 def _rung(layouts: str, world: World) -> tuple[Tensor, dict[str, str]]:
     """A split of a rung, such as `density-12/test`, and its header."""
     ladder, rung, split = re.fullmatch(r"([a-z]+)-([^/]*)/?(.*)", layouts, re.DOTALL).groups()  # type: ignore[union-attr]
     if len(rung) > len(str(MOST_WHOLE)):  # whatever it says is too much
-        raise LayoutError(f"layouts={told(layouts)}: no such bank; give fewer digits")
+        raise LayoutError(f"layouts={told(layouts)}: no such layout file; give fewer digits")
     if split not in SPLITS or not rung.isdecimal():
         near, example = (
             did_you_mean(split, SPLITS),
             rung if rung.isdecimal() else {"density": 12}.get(ladder, 100),
         )
         raise LayoutError(
-            f"layouts={layouts!r}: no such bank; give a rung and a split, such as {ladder}-{example}/test{near}"
+            f"layouts={layouts!r}: no such layout file; give a rung and a split, such as "
+            f"{ladder}-{example}/test{near}"
         )
     name, (n, seed) = kind_of(world), SPLITS[split]
     if ladder == "slalom" and name != "drone":
-        raise LayoutError(f"layouts={layouts!r}: a slalom is of task=drone, not of task={name}; give density-8/{split}")
-    bank = _generate(layouts, n, int(rung), seed, world)
-    return bank, _header(bank, seed, layouts, world)
+        raise LayoutError(
+            f"layouts={layouts!r}: a slalom is of task=drone, not of task={name}; give density-8/{split}"
+        )
+    all_layouts = _generate(layouts, n, int(rung), seed, world)
+    return all_layouts, _header(all_layouts, seed, layouts, world)
 
 
 def _generate(split: str, n: int, k: int, seed: int, world: World) -> Tensor:
-    """The sets of a split, of k obstacles each, or of a slalom's rung, whose name says its gap."""
+    """The layouts of a split, of k obstacles each, or of a slalom's rung, whose name says its gap."""
     gap = re.match(r"slalom-(\d+)/", split)
     return slalom.generate(n, int(gap[1]), seed) if gap else KINDS[kind_of(world)].generate(n, k, seed, world)
 
 
 def _open(path: Path) -> tuple[Tensor, dict[str, str]]:
-    """What a file holds, if it is a bank of this version."""
+    """What a file holds, if it is a layout file of this version."""
     try:
         found, header = tensors.read(path)
     except (OSError, ValueError) as error:
-        raise LayoutError(f"{path}: not a readable bank ({error}); make one with uavnav layouts") from error
-    if (bank := found.get("obstacles")) is None:
+        raise LayoutError(
+            f"{path}: not a readable layout file ({error}); make one with uavnav layouts"
+        ) from error
+    if (layouts := found.get("obstacles")) is None:
         raise LayoutError(f"{path}: holds no tensor `obstacles`; make one with uavnav layouts")
     if header.get("world_version") != VERSION:
         raise LayoutError(
-            f"{path}: made for world version {header.get('world_version')}, this is {VERSION}; generate it anew"
+            f"{path}: made for world version {header.get('world_version')}, this is {VERSION}; generate it "
+            "anew"
         )
-    return bank, header
+    return layouts, header
 
 
 def check(layouts: str | Path) -> tuple[Tensor, dict[str, str]]:
-    """The bank and its header, if it is what the seed in its header generates.
+    """The split and its header, if it is what the seed in its header generates.
 
     Raises:
         LayoutError: it is not, or as `load` does.
     """
     named = not isinstance(layouts, (str, Path)) or layouts in SPLITS
     world = World() if named else _world_of(layouts)
-    bank, header = read(layouts, world)
+    all_layouts, header = read(layouts, world)
     if layouts == header["split"] and layouts not in SPLITS:  # a rung, which was generated just now
-        return bank, header
+        return all_layouts, header
     kind, seed = KINDS[kind_of(world)], header.get("generator_seed", "")
-    drawn = header.get("split", ""), len(bank), bank.shape[1] - kind.beside
-    if not re.fullmatch(r"[0-9]{1,20}", seed) or not torch.equal(bank, _generate(*drawn, int(seed), world)):
+    drawn = header.get("split", ""), len(all_layouts), all_layouts.shape[1] - kind.beside
+    if not re.fullmatch(r"[0-9]{1,20}", seed) or not torch.equal(
+        all_layouts, _generate(*drawn, int(seed), world)
+    ):
         raise LayoutError(f"{layouts}: is not what seed {seed} generates; generate it anew")
-    return bank, header
+    return all_layouts, header
 
 
 def _world_of(path: str | Path) -> World:
-    """The world that a file's header names, with the fields that its sets were drawn by."""
+    """The world that a file's header names, with the fields that its layouts were drawn by."""
     if not os.path.isfile(path):
         return World()
     return _drawn_by(_open(Path(path))[1], path)
@@ -303,31 +330,38 @@ def _drawn_by(header: Mapping[str, str], path: str | Path) -> World:
         own: dict[str, Any] = {name: float(header[name]) for name in kind.reads}
         return kind.world(**own, **{name: files.parsed(header[name]) for name in SHAPES if name in header})
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise LayoutError(f"{path}: its header does not say how it was drawn ({error}); generate it anew") from error
+        raise LayoutError(
+            f"{path}: its header does not say how it was drawn ({error}); generate it anew"
+        ) from error
 
 
 def judged_on(layouts: str | Path) -> str:
-    """The test sets that belong to a training bank: of a rung its own, such as `density-12/test`; else `test`."""
+    """The test layouts that belong to a training split: of a rung its own, such as `density-12/test`;
+    else `test`.
+    """
     rung, slash, split = str(layouts).rpartition("/")
     return f"{rung}/test" if slash and split in SPLITS and re.match(r"[a-z]+-[^/]*$", rung) else "test"
 
 
 def name_of(layouts: str | Path) -> str:
-    """A bank's name as part of a file's: `test`, `density-12-test`, or a path's last part and of its checksum the
-    first."""
+    """A layout file's name as part of a file's: `test`, `density-12-test`, or a path's last part and of its
+    checksum the first.
+    """
     if layouts in SPLITS or not os.path.isfile(layouts):
         return str(layouts).replace("/", "-")
     return f"{Path(layouts).stem}-{checksum(_open(Path(layouts))[0])[:8]}"
 
 
 def _in_order(content: bytes) -> bytes:
-    """The same safetensors with a sorted header, which the library writes in any order: same bank, same bytes."""
+    """The same safetensors with a sorted header, which the library writes in any order: same layouts,
+    same bytes.
+    """
     size = int.from_bytes(content[:8], "little")
     header = json.dumps(json.loads(content[8 : 8 + size]), sort_keys=True).encode()
     header += b" " * (-len(header) % 8)
     return len(header).to_bytes(8, "little") + header + content[8 + size :]
 
 
-def checksum(bank: Tensor) -> str:
-    """SHA-256 of a bank's numbers."""
-    return hashlib.sha256(bank.cpu().contiguous().numpy().tobytes()).hexdigest()
+def checksum(layouts: Tensor) -> str:
+    """SHA-256 of a layout file's numbers."""
+    return hashlib.sha256(layouts.cpu().contiguous().numpy().tobytes()).hexdigest()

@@ -6,7 +6,7 @@ Letters: K obstacles of a layout, S = 28 border squares that can matter, N = K +
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,37 +15,49 @@ from uavnav.tasks.dynamics import direction
 from uavnav.tasks.world import World
 
 VIEW_TOLERANCE = 1e-6
-"""A direction counts as in front of the drone down to this much behind it, so that rounding never hides a neighbour."""
+"""A direction counts as in front of the drone down to this much behind it, so that rounding never hides a
+neighbour.
+"""
 
 FEW, MANY_ROWS = 36, 1024
-"""Up to `FEW` candidates, as many as the paper's 8 circles and 28 squares, are ranked by counting in a graph, if it has
-fewer than `MANY_ROWS` rows."""
+"""Up to `FEW` candidates, as many as the paper's 8 circles and 28 squares, are ranked by counting in a graph,
+if it has fewer than `MANY_ROWS` rows.
+"""
 
 FAR = 1e6
 """Coordinates of a circle that is never sensed [px]."""
 
-Echoes = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""What faults make of the slots: true distance [S, ...] px, filled [S, ...] bool -> sensed distance, filled."""
+
+class Scan(NamedTuple):
+    """What comes back to the sensor, slot by slot, before eq. (13) scales it; the slots lead, the batch
+    comes last.
+    """
+
+    numbers: Tensor  # [F, S, ...] the direction, forward last, then the velocity where it is sensed
+    distance: Tensor  # [S, ...] px, infinite of an empty slot
 
 
 def sense(
-    x: Tensor,
-    y: Tensor,
-    heading: Tensor,
-    obstacles: Tensor,
-    world: World,
-    velocities: Tensor | None = None,
-    echoes: Echoes | None = None,
+    x: Tensor, y: Tensor, heading: Tensor, obstacles: Tensor, world: World, velocities: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
     """The ten sensed obstacles and the distance to the nearest one.
 
     x, y [...] px, heading [...] whole degrees in 0..359, obstacles [..., K, 3] of (x, y, radius) px ->
-    slots [..., 10, 3] of (right, forward, distance), eq. (13), and clearance [...] px, the smallest distance from the
-    drone's centre to any circle or border square, in view or not: at most `world.drone_radius` is a collision.
-    What is in view, the order of slots and the clearance follow from true distances, whatever `echoes` does.
+    slots [..., 10, 3] of (right, forward, distance), eq. (13), and clearance [...] px, the smallest distance
+    from the drone's centre to any circle or border square, in view or not: at most `world.drone_radius` is a
+    collision.
 
-    With velocities [..., K, 2], as shares of the greatest speed, a slot has two numbers more: the obstacle's velocity
-    to the right and forward, clamped to [-1, 1]; zero of a square or an empty slot.
+    With velocities [..., K, 2], as shares of the greatest speed, a slot has two numbers more: the obstacle's
+    velocity to the right and forward, clamped to [-1, 1]; zero of a square or an empty slot.
+    """
+    found, near = scan(x, y, heading, obstacles, world, velocities)
+    return encode(found, world), near
+
+
+def scan(
+    x: Tensor, y: Tensor, heading: Tensor, obstacles: Tensor, world: World, velocities: Tensor | None = None
+) -> tuple[Scan, Tensor]:
+    """As `sense`, with distances in px: what comes back, and the clearance [...] px.
 
     Inside, candidates lead and the batch comes last: the innermost loops run over many drones, and vectorise.
     """
@@ -54,32 +66,23 @@ def sense(
     scale = torch.where(length > 0, 1 / length, 0.0)  # a centre that coincides has no direction: u = (0, 0)
     right, forward = to_drone_frame(dx * scale, dy * scale, heading)
     in_view = (distance <= world.sensor_radius) & (forward >= world.view_cosine - VIEW_TOLERANCE)
-    proximity = distance if echoes else scaled(distance, world)  # of what echoes disturb, it is worked out later
-    triples = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), proximity if echoes else proximity.clamp(0, 1)])
+    candidates = torch.stack([right.clamp(-1, 1), forward.clamp(0, 1), distance])
     of_circles = None
     if velocities is not None:
         east, north = velocities.movedim((-1, -2), (0, 1))
         of_circles = torch.stack(to_drone_frame(east, north, heading)).clamp(-1, 1)
-    slots = first_in_view(triples, distance, in_view, world, echoes, of_circles)
-    return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
+    return first_in_view(candidates, in_view, world, of_circles), distance.amin(0)
 
 
-def scaled(distance: Tensor, world: World) -> Tensor:
-    """l in eq. (13) before it is clamped: 0 at the drone's edge, 1 at its sensor's reach. Distance [...] px."""
-    return (distance - world.drone_radius) / (world.sensor_radius - world.drone_radius)
-
-
-def at_reach(reach: float, world: World, echoes: Echoes | None = None) -> Echoes:
-    """Echoes after which l in eq. (13) is 1 at another reach [px] than the sensor's radius."""
-    near = world.drone_radius
-    ratio = (world.sensor_radius - near) / (reach - near)
-
-    def of_reach(distance: Tensor, filled: Tensor) -> tuple[Tensor, Tensor]:
-        if echoes is not None:
-            distance, filled = echoes(distance, filled)
-        return near + (distance - near) * ratio, filled
-
-    return of_reach
+def encode(found: Scan, world: World) -> Tensor:
+    """Eq. (13) of what came back: slots [..., S, F + 1], with the proximity after the direction."""
+    axes = len(world.size)
+    proximity = (found.distance - world.drone_radius) / (world.sensor_radius - world.drone_radius)
+    slots = torch.cat([found.numbers[:axes], proximity.clamp(0, 1)[None], found.numbers[axes:]])
+    far = 1.0 if world.padding == "far" else 0.0
+    padding = torch.tensor([far * (n == axes) for n in range(len(slots))], device=slots.device)
+    slots = torch.where(found.distance < math.inf, slots, padding.reshape(-1, *[1] * found.distance.ndim))
+    return slots.movedim((0, 1), (-1, -2)).contiguous()
 
 
 def clearance(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> Tensor:
@@ -88,7 +91,9 @@ def clearance(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> Tensor:
 
 
 def _candidates(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> tuple[Tensor, Tensor, Tensor]:
-    """Offsets to all that may be sensed, and the distance to its edge [px]: dx, dy, distance, each [N, ...]."""
+    """Offsets to all that may be sensed, and the distance to its edge [px]: dx, dy, distance, each [N,
+    ...].
+    """
     # without a circle, a graph would work the squares out again in every comparison
     if not obstacles.shape[-2]:
         obstacles = obstacles.new_tensor([[FAR, FAR, 0.0]]).expand(*x.shape, 1, 3)
@@ -101,7 +106,8 @@ def _candidates(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> tuple[
 
 
 def to_drone_frame(dx: Tensor, dy: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-    """Rotate offsets into the drone's frame: right and forward components. Eq. (10) with a = 90 degrees - heading.
+    """Rotate offsets into the drone's frame: right and forward components. Eq. (10) with a = 90 degrees -
+    heading.
 
     dx, dy [N, ...] px, heading [...] whole degrees -> right, forward [N, ...] px.
     """
@@ -110,7 +116,9 @@ def to_drone_frame(dx: Tensor, dy: Tensor, heading: Tensor) -> tuple[Tensor, Ten
 
 
 def _offsets_to_circles(x: Tensor, y: Tensor, obstacles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Offsets to the centres, eq. (9), and to the edges (negative inside) [px]: [K, 3, ...] -> each [K, ...]."""
+    """Offsets to the centres, eq. (9), and to the edges (negative inside) [px]: [K, 3, ...] -> each [K,
+    ...].
+    """
     dx = obstacles[:, 0] - x
     dy = obstacles[:, 1] - y
     return dx, dy, torch.sqrt(dx * dx + dy * dy) - obstacles[:, 2]
@@ -119,10 +127,10 @@ def _offsets_to_circles(x: Tensor, y: Tensor, obstacles: Tensor) -> tuple[Tensor
 def _offsets_to_squares(x: Tensor, y: Tensor, world: World) -> tuple[Tensor, Tensor]:
     """Offsets to the nearest points of the border squares that can be in view or nearest: dx, dy [S, ...] px.
 
-    Only the nearer of two opposite walls can be in view, and only its squares within the sensor's radius of the drone:
-    14 and 14 stand for all 136 (13 would do, but for a drone whose centre lies on a line between two squares and in the
-    wall itself). They come in index order: the bottom or top row from left to right with
-    its corners, then the left or right column from bottom to top without them.
+    Only the nearer of two opposite walls can be in view, and only its squares within the sensor's radius of
+    the drone: 14 and 14 stand for all 136 (13 would do, but for a drone whose centre lies on a line between
+    two squares and in the wall itself). They come in index order: the bottom or top row from left to right
+    with its corners, then the left or right column from bottom to top without them.
     """
     columns, rows, side = world.width // world.border, world.height // world.border, float(world.border)
     reach, count = world.sensed_squares_each_way, world.sensed_squares_of_a_wall
@@ -140,70 +148,50 @@ def _offsets_to_squares(x: Tensor, y: Tensor, world: World) -> tuple[Tensor, Ten
     return torch.cat([row_dx, column_dx]), torch.cat([row_dy, column_dy])
 
 
-def _offset_to_square(x: Tensor, y: Tensor, left: Tensor, bottom: Tensor, side: float) -> tuple[Tensor, Tensor]:
+def _offset_to_square(
+    x: Tensor, y: Tensor, left: Tensor, bottom: Tensor, side: float
+) -> tuple[Tensor, Tensor]:
     """Offset from the drone to the nearest point of closed squares, zero inside: dx, dy [S, ...] px."""
     return torch.clamp(x, left, left + side) - x, torch.clamp(y, bottom, bottom + side) - y
 
 
-def first_in_view(
-    numbers: Tensor,
-    distance: Tensor,
-    in_view: Tensor,
-    world: World,
-    echoes: Echoes | None = None,
-    more: Tensor | None = None,
-) -> Tensor:
-    """The first ten candidates in view, nearest (or lowest index) first, ties by index; empty slots are padded.
+def first_in_view(candidates: Tensor, in_view: Tensor, world: World, more: Tensor | None = None) -> Scan:
+    """The first ten candidates in view, nearest (or lowest index) first, ties by index.
 
-    numbers [F, N, ...] of each candidate, after its direction the proximity (or where there are echoes the distance),
-    distance, in_view [N, ...], more [G, K, ...] further numbers of the first K candidates, which are zero of the others
-    -> slots [F + G, 10, ...]. In a graph the candidates are gone through ten times, each time for the nearest that is
-    left: adding and comparing fuse and vectorise where a sort and a scatter do not, and floats where flags and integers
-    do not. `FEW` candidates of less than `MANY_ROWS` rows are ranked at once instead, each by the number of candidates
-    before it: that grows with N squared, but its steps do not depend on each other. Step by step nothing fuses, and a
-    sort is five times faster. All three ways give the same bits.
+    candidates [F, N, ...], the distance [px] last, in_view [N, ...] bool, more [G, K, ...] further numbers of
+    the first K candidates, which are zero of the others -> numbers [F - 1 + G, 10, ...], distance [10, ...].
+    In a graph the candidates are gone through ten times, each time for the nearest that is left: adding and
+    comparing fuse and vectorise where a sort and a scatter do not, and floats where flags and integers do
+    not. `FEW` candidates of less than `MANY_ROWS` rows are ranked at once instead, each by the number of
+    candidates before it: that grows with N squared, but its steps do not depend on each other. Step by step
+    nothing fuses, and a sort is five times faster. All three ways give the same bits.
     """
+    distance = candidates[-1]
     index, slot = (
         torch.arange(n, dtype=distance.dtype, device=distance.device).reshape(-1, *[1] * (distance.ndim - 1))
         for n in (len(distance), world.n_slots)
     )
     key = torch.where(in_view, distance if world.slots == "nearest" else index, math.inf)
-    parts = [numbers] if more is None else [numbers, more]
+    parts = [candidates] if more is None else [candidates, more]
     if type(distance) is Tensor:  # and not what stands for one while a graph is traced
         order = key.sort(dim=0, stable=True).indices[: world.n_slots]
         if more is not None:
             others = more.new_zeros(len(more), len(key) - more.shape[1], *key.shape[1:])
-            numbers = torch.cat([numbers, torch.cat([more, others], 1)])
-        slots = numbers.gather(1, order.expand(len(numbers), *order.shape)) + 0.0  # a sum has no -0.0
+            candidates = torch.cat([candidates, torch.cat([more, others], 1)])
+        slots = candidates.gather(1, order.expand(len(candidates), *order.shape)) + 0.0  # a sum has no -0.0
     elif len(key) > FEW or key[0].numel() >= MANY_ROWS:
         slots = _one_by_one(parts, key, index, world.n_slots)
     else:
         before = (key[:, None] < key) | ((key[:, None] == key) & (index[:, None] < index))
         rank = before.sum(0, dtype=distance.dtype)
-        found = [torch.where(rank[: part.shape[1]] == slot[:, None], part[:, None], 0.0).sum(2) for part in parts]
+        found = [
+            torch.where(rank[: part.shape[1]] == slot[:, None], part[:, None], 0.0).sum(2) for part in parts
+        ]
         slots = found[0] if more is None else torch.cat(found)
     filled = slot < (key < math.inf).sum(0, dtype=distance.dtype)
-    return _padded(slots, filled, world) if echoes is None else heard(slots, slots[_nth(world)], filled, world, echoes)
-
-
-def heard(slots: Tensor, distance: Tensor, filled: Tensor, world: World, echoes: Echoes) -> Tensor:
-    """Slots [F, S, ...] as their echoes come back: of true distances [S, ...] px, where filled [S, ...] bool."""
-    sensed, filled = echoes(distance, filled)
-    proximity = scaled(sensed, world).clamp(0, 1)
-    which = torch.arange(len(slots), device=slots.device).reshape(-1, *[1] * filled.ndim)
-    return _padded(torch.where(which == _nth(world), proximity, slots), filled, world)
-
-
-def _padded(slots: Tensor, filled: Tensor, world: World) -> Tensor:
-    """Slots [F, S, ...] with padding where none is filled [S, ...] bool."""
-    far = 1.0 if world.padding == "far" else 0.0
-    padding = torch.tensor([far * (n == _nth(world)) for n in range(len(slots))], device=slots.device)
-    return torch.where(filled, slots, padding.reshape(-1, *[1] * filled.ndim))
-
-
-def _nth(world: World) -> int:
-    """Where the proximity is among a slot's numbers: after the direction."""
-    return len(world.size)
+    axes = len(world.size)
+    numbers = slots[:axes] if more is None else torch.cat([slots[:axes], slots[axes + 1 :]])
+    return Scan(numbers, torch.where(filled, slots[axes], math.inf))
 
 
 def _one_by_one(parts: list[Tensor], key: Tensor, index: Tensor, n_slots: int) -> Tensor:

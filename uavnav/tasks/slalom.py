@@ -1,6 +1,8 @@
-"""Four columns of circles across the window, each with one gap: a bank for the paper's world, without new physics.
+"""Four columns of circles across the window, each with one gap: a layout file for the paper's world, without
+new physics.
 
-A set holds 48 places, twelve a column from the bottom up. A place without a circle is `NOWHERE`, far out of reach.
+A layout holds 48 places, twelve a column from the bottom up. A place without a circle is `NOWHERE`, far out
+of reach.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ WIDEST = 480
 
 
 def generate(n: int, gap: int, seed: int = 0) -> Tensor:
-    """Draw n sets: the middle of each column's gap is uniform in [60 + gap / 2, 540 - gap / 2] px. Circles that reach
-    into the gap are taken away, and the two beside it are moved to its ends.
+    """Draw n layouts: the middle of each column's gap is uniform in [60 + gap / 2, 540 - gap / 2] px. Circles
+    that reach into the gap are taken away, and the two beside it are moved to its ends.
 
     gap: from edge to edge [px].
 
@@ -46,16 +48,20 @@ def generate(n: int, gap: int, seed: int = 0) -> Tensor:
     below, above = y + RADIUS <= bottom, y - RADIUS >= top
     y = np.where(y == np.where(below, y, -np.inf).max(-1, keepdims=True), bottom - RADIUS, y)
     y = np.where(above & (np.cumsum(above, -1) == 1), top + RADIUS, y)
-    bank = np.empty((n, len(COLUMNS), PLACES, 3), dtype=np.float32)
-    bank[:] = NOWHERE
+    layouts = np.empty((n, len(COLUMNS), PLACES, 3), dtype=np.float32)
+    layouts[:] = NOWHERE
     kept = below | above
     place = np.cumsum(kept, -1) - 1
     row, column, _ = np.nonzero(kept)
-    bank[row, column, place[kept]] = np.stack([np.array(COLUMNS)[column], y[kept], np.full(len(row), RADIUS)], -1)
-    return torch.from_numpy(bank.reshape(n, -1, 3))
+    layouts[row, column, place[kept]] = np.stack(
+        [np.array(COLUMNS)[column], y[kept], np.full(len(row), RADIUS)], -1
+    )
+    return torch.from_numpy(layouts.reshape(n, -1, 3))
 
 
 def passages(before: State, after: State) -> dict[str, Tensor]:
-    """Whether each row's step took the drone's centre from one side of a column's x to the other: `passages` [*B]."""
+    """Whether each row's step took the drone's centre from one side of a column's x to the other:
+    `passages` [*B].
+    """
     columns = torch.tensor(COLUMNS, device=after.x.device)
     return {"passages": ((before.x[..., None] > columns) != (after.x[..., None] > columns)).sum(-1)}

@@ -1,8 +1,8 @@
-"""A box in 3D with spheres, where a drone turns by yaw and by pitch: worlds, banks, motion, what is sensed.
+"""A box in 3D with spheres, where a drone turns by yaw and by pitch: worlds, layouts, motion, what is sensed.
 
-A bank has rows (x, y, z, radius), where spheres move also (vx, vy, vz) [px a step]; z points up. Spheres are drawn,
-checked and moved as circles are (`circles`, `moving`). `simulator.Space` and `simulator.SpaceMoving` are the tasks.
-Letters: B the batch shape, K spheres of a set, N = K + 3 candidates that may be sensed.
+A layout file has rows (x, y, z, radius), where spheres move also (vx, vy, vz) [px a step]; z points up.
+Spheres are drawn, checked and moved as circles are (`circles`, `moving`).
+Letters: B the batch shape, K spheres of a layout, N = K + 3 candidates that may be sensed.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from uavnav.errors import ConfigError
 from uavnav.settings import key
 from uavnav.tasks import circles
 from uavnav.tasks.dynamics import direction
-from uavnav.tasks.moving import VELOCITIES, MovingWorld
-from uavnav.tasks.sensing import VIEW_TOLERANCE, Echoes, first_in_view, scaled, to_drone_frame
+from uavnav.tasks.moving import VELOCITIES, Moving, MovingWorld
+from uavnav.tasks.sensing import VIEW_TOLERANCE, Scan, first_in_view, to_drone_frame
 from uavnav.tasks.state import State
+from uavnav.tasks.task import Task
 from uavnav.tasks.world import Positive, World
 
 DEFAULT_K = 40
@@ -32,7 +33,9 @@ STEEPEST = 45
 """Pitch at most, up or down [degrees]."""
 
 SpaceState = cast(type[State], namedtuple("SpaceState", (*State._fields, "z", "pitch")))
-"""A state in 3D: `heading` is the yaw, z [*B] px float32, pitch [*B] whole degrees in -45..45 int64, up positive."""
+"""A state in 3D: `heading` is the yaw, z [*B] px float32, pitch [*B] whole degrees in -45..45 int64, up
+positive.
+"""
 
 
 class SpaceWorld(World):
@@ -81,7 +84,7 @@ class SpaceMovingWorld(SpaceWorld, MovingWorld):
 
 
 def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = None) -> Tensor:
-    """Draw n sets of k spheres as `circles.generate` draws circles, with centres uniform in the box.
+    """Draw n layouts of k spheres as `circles.generate` draws circles, with centres uniform in the box.
 
     Returns:
         Tensor [n, k, 4] float32 of (x, y, z, radius) px.
@@ -116,8 +119,8 @@ def generate_moving(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | No
 def decode(action: Tensor, world: SpaceWorld) -> tuple[Tensor, Tensor, Tensor]:
     """Split an action into the yaw, the pitch and the distance that it asks for.
 
-    action [...] int64 in 0..99 -> yaw and pitch 0, +2, +4, -2, -4 degrees (left and up positive), distance 0, 3, 6,
-    9 px, each [...]: `a // 20`, `a // 4 % 5`, `a % 4`.
+    action [...] int64 in 0..99 -> yaw and pitch 0, +2, +4, -2, -4 degrees (left and up positive), distance 0,
+    3, 6, 9 px, each [...]: `a // 20`, `a // 4 % 5`, `a % 4`.
     """
     n, half = world.n_turns, world.n_turns // 2
     rest = torch.div(action, world.n_distances, rounding_mode="floor")
@@ -129,7 +132,9 @@ def decode(action: Tensor, world: SpaceWorld) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def move(state: State, yaw: Tensor, pitch: Tensor, distance: Tensor) -> State:
-    """Turn, keep the pitch within its bounds, then fly straight along f: yaw, pitch [*B] degrees, distance [*B] px."""
+    """Turn, keep the pitch within its bounds, then fly straight along f: yaw, pitch [*B] degrees,
+    distance [*B] px.
+    """
     heading = (state.heading + yaw) % 360
     pitch = (pitch_of(state) + pitch).clamp(-STEEPEST, STEEPEST)
     (cosine, sine), (level, up) = direction(heading), direction(pitch % 360)
@@ -142,26 +147,23 @@ def move(state: State, yaw: Tensor, pitch: Tensor, distance: Tensor) -> State:
     )
 
 
-def sense(
-    state: State,
-    obstacles: Tensor,
-    world: SpaceWorld,
-    velocities: Tensor | None = None,
-    echoes: Echoes | None = None,
-) -> tuple[Tensor, Tensor]:
-    """The ten nearest spheres and walls in view, and the distance to the nearest of all.
+def scan(
+    state: State, obstacles: Tensor, world: SpaceWorld, velocities: Tensor | None = None
+) -> tuple[Scan, Tensor]:
+    """What comes back of the ten nearest spheres and walls in view, and the distance to the nearest of all.
 
-    obstacles [*B, K, 4] px -> slots [*B, 10, 4] of (right, up, forward, proximity), and clearance [*B] px from the
-    drone's centre. Velocities [*B, K, 3] as shares of the greatest speed, and echoes, are as of `sensing.sense`; with
-    velocities a slot has three numbers more.
+    obstacles [*B, K, 4] px -> directions (right, up, forward) and distances of ten slots, and the clearance
+    [*B] px from the drone's centre. Velocities [*B, K, 3], as shares of the greatest speed, are three numbers
+    more of a slot.
 
-    A wall has one nearest point, on its inner plane (distance 0 beyond it). Of two opposite walls the nearer one stands
-    for both, for the sensor never reaches the other: 43 candidates for 40 spheres and six walls.
+    A wall has one nearest point, on its inner plane (distance 0 beyond it). Of two opposite walls the nearer
+    one stands for both, for the sensor never reaches the other: 43 candidates for 40 spheres and six walls.
     """
     spheres = obstacles.movedim((-2, -1), (0, 1))
     dx, dy, dz = spheres[:, 0] - state.x, spheres[:, 1] - state.y, spheres[:, 2] - z_of(state)
     length = torch.sqrt(dx * dx + dy * dy + dz * dz)
-    scale = torch.where(length > 0, 1 / length, 0.0)  # a centre that coincides has no direction: u = (0, 0, 0)
+    # a centre that coincides has no direction: u = (0, 0, 0)
+    scale = torch.where(length > 0, 1 / length, 0.0)
     outwards, gaps = _walls(state, world)
     distance = torch.cat([length - spheres[:, 3], gaps])
     blank = max(world.n_slots - len(distance), 0)  # out of reach, where there are fewer candidates than slots
@@ -170,13 +172,11 @@ def sense(
     towards = torch.cat([towards, outwards, towards.new_zeros(3, blank, *state.x.shape)], 1)
     right, up, forward = to_body(towards, state)
     in_view = (distance <= world.sensor_radius) & (forward >= world.view_cosine - VIEW_TOLERANCE)
-    proximity = distance if echoes else scaled(distance, world).clamp(0, 1)
-    numbers = torch.stack([right.clamp(-1, 1), up.clamp(-1, 1), forward.clamp(0, 1), proximity])
+    candidates = torch.stack([right.clamp(-1, 1), up.clamp(-1, 1), forward.clamp(0, 1), distance])
     of_spheres = None
     if velocities is not None:
         of_spheres = torch.stack(to_body(velocities.movedim((-1, -2), (0, 1)), state)).clamp(-1, 1)
-    slots = first_in_view(numbers, distance, in_view, world, echoes, of_spheres)
-    return slots.movedim((0, 1), (-1, -2)).contiguous(), distance.amin(0)
+    return first_in_view(candidates, in_view, world, of_spheres), distance.amin(0)
 
 
 def to_body(vectors: Tensor, state: State) -> tuple[Tensor, Tensor, Tensor]:
@@ -209,3 +209,38 @@ def pitch_of(state: State) -> Tensor:
     """The pitch of each drone [*B] whole degrees."""
     found: Tensor = getattr(state, "pitch")  # noqa: B009
     return found
+
+
+class Space(Task):
+    """A drone in a box with spheres, which turns by yaw and by pitch. A step turns if it asks for one."""
+
+    WORLD = SpaceWorld
+    STATIC = True
+    STATE = SpaceState
+    world: SpaceWorld
+
+    def start(self, layout: Tensor, heading: Tensor) -> State:
+        """The state at the beginning of an episode: at the centre of the box, level."""
+        z = torch.full_like(layout, self.world.start[2], dtype=torch.float32)
+        return self.STATE(*super().start(layout, heading), z, torch.zeros_like(layout))  # type: ignore[call-arg]
+
+    def info(self, state: State) -> dict[str, Tensor]:
+        """As of the paper's task, and z, yaw and pitch."""
+        facts = {"z": z_of(state), "yaw": state.heading, "pitch": pitch_of(state)}
+        return super().info(state) | facts
+
+    def sense(self, state: State) -> tuple[Scan, Tensor]:
+        """What comes back of spheres and walls, and the clearance [*B] px."""
+        return scan(state, self.obstacles(state), self.world, self.sensed_velocities(state))
+
+    def move(self, state: State, action: Tensor) -> tuple[State, Tensor, Tensor]:
+        """Turn, then fly: where the drone is after action [*B], degrees asked for [*B], distance [*B] px."""
+        yaw, pitch, distance = decode(action, self.world)
+        return move(state, yaw, pitch, distance), yaw.abs() + pitch.abs(), distance
+
+
+class SpaceMoving(Moving, Space):
+    """The same among spheres that fly straight on and bounce off the sides of the box."""
+
+    WORLD = SpaceMovingWorld
+    world: SpaceMovingWorld

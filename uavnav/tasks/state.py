@@ -1,4 +1,4 @@
-"""What a batch of flights is at one moment. Letters: B the batch shape (any, also none)."""
+"""What a batch of episodes is at one moment. Letters: B the batch shape (any, also none)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ UP = 90
 class State(NamedTuple):
     """Where each drone is and what it did since its episode began; every field has the batch shape B.
 
-    A task may have a class of its own with more fields (`simulator.Task.STATE`); a drone that remembers has two more
-    (`memory.FIELDS`).
+    A task may have a class of its own with more fields (`Task.STATE`); a drone that remembers has two more
+    (`wrapper.remembering`).
     """
 
     x: Tensor  # [px] float32
     y: Tensor  # [px] float32
     heading: Tensor  # whole degrees in 0..359, int64
-    layout: Tensor  # index of the obstacle set in the bank, int64
+    layout: Tensor  # index of the layout in the split, int64
     steps: Tensor  # int64, as are the next four
     stops: Tensor  # steps with distance = 0
     full_stops: Tensor  # steps with distance = 0 and angle = 0

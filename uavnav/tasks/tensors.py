@@ -27,7 +27,14 @@ def parsed(content: bytes) -> tuple[dict[str, Tensor], dict[str, str]]:
     """The same of what a file holds; raises a ValueError where it is no safetensors."""
     try:
         found = load(content)
-    except (SafetensorError, AssertionError, KeyError, TypeError, RuntimeError) as error:  # all but the first of torch
+    except (
+        SafetensorError,
+        AssertionError,
+        KeyError,
+        TypeError,
+        RuntimeError,
+    ) as error:
+        # all but the first of torch
         raise ValueError(str(error) or type(error).__name__) from error
     size = int.from_bytes(content[:8], "little")
     return dict(sorted(found.items())), files.parsed(content[8 : 8 + size]).get(METADATA) or {}

@@ -1,7 +1,7 @@
 """Everything physical about the simulated world: one home for every constant, with its unit and its source.
 
-Section and equation numbers are the paper's ("Comparative Analysis of DQN and PPO Algorithms in UAV Obstacle Avoidance
-2D Simulation"). Where the paper is silent the choice is a row of docs/decisions.md.
+Section and equation numbers are the paper's ("Comparative Analysis of DQN and PPO Algorithms in UAV Obstacle
+Avoidance 2D Simulation"). Where the paper is silent the choice is a row of docs/decisions.md.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from uavnav.errors import ConfigError
 from uavnav.settings import Settings, Whole, at_most, key
 
 VERSION = "1"
-"""Version of the world's semantics and of the distribution of obstacles; written into every bank, run and policy."""
+"""Version of the world's semantics and of the distribution of obstacles; written into every split, run
+and policy.
+"""
 
 
 MOST = 1_000_000
@@ -52,14 +54,18 @@ class World(Settings):
     reward_per_pixel: Number = key(0.01, "for flying straight on, eq. (14)", "reward per px")
     slots: Literal["nearest", "listed"] = key("nearest", "which ten obstacles are sensed (decision 3)")
     padding: Literal["far", "zeros"] = key("far", "an empty slot: (0, 0, 1) or (0, 0, 0) (decision 6)")
-    start_heading: Literal["up", "random"] = key("up", "90 degrees, or uniform over whole degrees (decision 8)")
+    start_heading: Literal["up", "random"] = key(
+        "up", "90 degrees, or uniform over whole degrees (decision 8)"
+    )
 
     def check(self) -> None:
         if self.width % self.border or self.height % self.border:
             raise ConfigError(f"border={self.border} must divide width={self.width} and height={self.height}")
         if min(self.width, self.height) // self.border < self.sensed_squares_of_a_wall + 2:
             reach = f"sensor_radius={self.sensor_radius:g}"
-            raise ConfigError(f"{reach} reaches two opposite walls at once; give a smaller one, or a larger window")
+            raise ConfigError(
+                f"{reach} reaches two opposite walls at once; give a smaller one, or a larger window"
+            )
         if self.n_slots > 2 * self.sensed_squares_of_a_wall:
             raise ConfigError(f"n_slots={self.n_slots}; give 1 to {2 * self.sensed_squares_of_a_wall}")
         if not 0 <= self.drone_radius < self.sensor_radius:
@@ -112,7 +118,9 @@ class World(Settings):
 
     @property
     def sensed_squares_of_a_wall(self) -> int:
-        """How many neighbouring squares of a wall hold all that its sensor can reach, wherever the drone is."""
+        """How many neighbouring squares of a wall hold all that its sensor can reach, wherever the drone
+        is.
+        """
         return 2 * self.sensed_squares_each_way + 2
 
     @property

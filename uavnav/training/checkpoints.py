@@ -1,10 +1,11 @@
 """Snapshots of a run that is under way: whole or not there, checked when read, never unpickled.
 
-A folder holds the two newest states and, for DQN, the replay buffer as a chain of chunks to which each snapshot adds
-what is new. A file's name ends in the first half of its SHA-256, so that a cut or a flipped byte shows.
+A folder holds the two newest states and, for DQN, the replay buffer as a chain of chunks to which each
+snapshot adds what is new. A file's name ends in the first half of its SHA-256, so that a cut or a flipped
+byte shows.
 
-    state-<frames>-<sha>.safetensors    tensors by dotted path; facts and the names of the chunks in its header
-    replay-<first row>-<sha>.safetensors
+    state-<frames>-<sha>.safetensors    tensors by dotted path; facts and the names of the chunks in its
+    header replay-<first row>-<sha>.safetensors
 """
 
 from __future__ import annotations
@@ -100,7 +101,9 @@ class Checkpoints:
         self._rows_saved = 0
 
     def save(self, frames: int, state: Nested, facts: Nested, replay: ReplayBuffer | None = None) -> None:
-        """Write a state and what the buffer has gained since the last one; then drop the states before the last two."""
+        """Write a state and what the buffer has gained since the last one; then drop the states before
+        the last two.
+        """
         self.folder.mkdir(exist_ok=True)
         if replay is not None:
             self._save_new_rows(replay, frames)
@@ -131,7 +134,8 @@ class Checkpoints:
         return name
 
     def load(self, replay: ReplayBuffer | None = None, take: Take = lambda snapshot: None) -> Snapshot | None:
-        """The newest snapshot that is whole, which `take` has taken; the buffer, if one is given, is filled from it.
+        """The newest snapshot that is whole, which `take` has taken; the buffer, if one is given, is filled
+        from it.
 
         None where there is none.
 
@@ -184,7 +188,9 @@ class Checkpoints:
             raise RunError(f"{path}: not a snapshot ({error})") from error
         for key in self.identity:
             if header.identity.get(key) != self.identity[key]:
-                raise RunError(f"{path}: saved with {key}={header.identity.get(key)}, not {self.identity[key]}")
+                raise RunError(
+                    f"{path}: saved with {key}={header.identity.get(key)}, not {self.identity[key]}"
+                )
         return Snapshot(path, state, header.facts, header.chunks)
 
     def _check_chunks(self, snapshot: Snapshot, replay: ReplayBuffer | None) -> None:
@@ -203,7 +209,9 @@ class Checkpoints:
                 raise RunError(f"{snapshot.path}: its {name} has other rows")
             kinds.add(tuple(sorted((key, str(one.dtype), *one.shape[1:]) for key, one in found.items())))
         wanted = 0 if replay is None else max(snapshot.frames - replay.storage.max_size, 0)
-        if len(kinds) > 1 or (replay is not None and snapshot.frames and not (firsts and firsts[0] <= wanted)):
+        if len(kinds) > 1 or (
+            replay is not None and snapshot.frames and not (firsts and firsts[0] <= wanted)
+        ):
             raise RunError(f"{snapshot.path}: its chunks do not belong together")
 
     def _chunks_of(self, states: list[Path]) -> Iterator[list[str]]:
@@ -250,8 +258,11 @@ def _first_row(chunk: str) -> int:
 
 
 def _refill(replay: ReplayBuffer, first: int, chunk: Mapping[str, Tensor]) -> None:
-    """Append rows to a buffer so that they come to lie where they were: row `first` at its place in the ring."""
+    """Append rows to a buffer so that they come to lie where they were: row `first` at its place in the
+    ring.
+    """
     rows = TensorDict(chunk, batch_size=chunk["action"].shape).unflatten_keys("/")
     while skipped := (first - replay.write_count) % replay.storage.max_size:
-        replay.extend(rows[:skipped])  # more than the whole ring was written between two snapshots: no row counts yet
+        # more than the whole ring was written between two snapshots: no row counts yet
+        replay.extend(rows[:skipped])
     replay.extend(rows)

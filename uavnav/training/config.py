@@ -1,4 +1,6 @@
-"""What a training run is configured by: the fields that all algorithms share, and the checks that answer back."""
+"""What a training run is configured by: the fields that all algorithms share, and the checks that answer
+back.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +18,19 @@ from uavnav.errors import ConfigError, among, told, unknown
 from uavnav.graph import telling_line
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import default_folder
-from uavnav.settings import AtLeast0, Count, OneOf, Settings, Share, Units, Whole, key, part
+from uavnav.settings import AtLeast0, Count, OneOf, Settings, Share, Units, Whole, flat, key, part
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
-from uavnav.tasks.simulator import TASKS, Task, make_task
+from uavnav.tasks.table import TASKS, make_task
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 
 TASK = "drone"
 """The task of a run that names none."""
 STEP_BYTES = 60
 """Of a step of an iteration beside its two observations: an episode's counts, action, reward and flags."""
 SEED_BYTES = 80_000
-"""The order in which a seed takes the sets of the bank `train`."""
+"""The order in which a seed takes the layouts of the split `train`."""
 ROW_COLUMNS = 5
 """Numbers of a row of progress, at least: seed, frame, pace, and some of the algorithm's."""
 ROW_BYTES = 600
@@ -39,7 +42,8 @@ MOST_LAYERS = 100
 
 Compile = Annotated[
     Literal["auto", "on", "off"],
-    BeforeValidator(lambda value: {True: "on", False: "off"}[value] if isinstance(value, bool) else value),  # of YAML
+    # of YAML
+    BeforeValidator(lambda value: {True: "on", False: "off"}[value] if isinstance(value, bool) else value),
 ]
 
 
@@ -53,13 +57,16 @@ class TrainConfig(Settings):
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"vectorised": {}}
     """What each preset sets, where it is not given, instead of the defaults."""
     MICROSECONDS: ClassVar[Mapping[tuple[str, bool], tuple[float, float]]] = {}
-    """What a frame takes, by preset and compiled or not: a part that all seeds of a process share, and one a seed.
+    """What a frame takes, by preset and compiled or not: a part that all seeds of a process share, and one a
+    seed.
 
     Measured on the two cores of docs/benchmarks.md; a preset that is not there was not measured.
     """
 
     COPIES: ClassVar[int] = 3
-    """Numbers that an agent keeps for each weight of a network: itself and Adam's moments, and those of others."""
+    """Numbers that an agent keeps for each weight of a network: itself and Adam's moments, and those of
+    others.
+    """
     algorithm: ClassVar[str]
     """Its name in `uavnav.algorithms.ALGORITHMS`."""
 
@@ -76,9 +83,10 @@ class TrainConfig(Settings):
     init: Init = key("default", "of the weights; default is PyTorch's, unit suits gains to activations")
     layer_norm: bool = key(False, "LayerNorm before each activation, without parameters of its own")
     layouts: str = key(
-        "train", "bank of obstacles: train, validation, test, a rung such as density-12/train, or a file's path"
+        "train",
+        "layouts: a split (train, validation, test), a rung such as density-12/train, or a file's path",
     )
-    max_steps: Count | None = key(None, "cap on an episode, which truncates it", "steps")
+    max_steps: Count | None = key(None, "time limit of an episode, which truncates it", "steps")
     reward: Annotated[str, AfterValidator(OneOf(REWARDS))] = key("eq14", "what a step earns")
     task: Annotated[str, AfterValidator(OneOf(TASKS))] = key(TASK, "what is flown")
     stack: Whole = key(1, "newest ones that a policy sees at once", "observations", ge=1, le=MOST_REMEMBERED)
@@ -100,7 +108,9 @@ class TrainConfig(Settings):
         settings = {"reward": TASKS[task].REWARD} | chosen
         if settings.get("max_steps") is None:
             settings["max_steps"] = TASKS[task].MAX_STEPS
-        return settings | {name: part(kind, name, settings.get(name)) for name, kind in parts_of(task).items()}
+        return settings | {
+            name: part(kind, name, settings.get(name)) for name, kind in parts_of(task).items()
+        }
 
     def check(self) -> None:
         try:
@@ -109,10 +119,13 @@ class TrainConfig(Settings):
             raise ConfigError(str(error)) from error
         if self.frames_per_iteration % self.n_envs:
             raise ConfigError(
-                f"n_envs={self.n_envs}; give a divisor of the {self.frames_per_iteration} frames of an iteration"
+                f"n_envs={self.n_envs}; give a divisor of the {self.frames_per_iteration} frames of an "
+                "iteration"
             )
         if not self.hidden or min(self.hidden) < 1:
-            raise ConfigError(f"hidden={told(list(self.hidden))}; give at least one layer, each of at least 1 unit")
+            raise ConfigError(
+                f"hidden={told(list(self.hidden))}; give at least one layer, each of at least 1 unit"
+            )
         if len(self.hidden) > MOST_LAYERS:
             raise ConfigError(f"hidden: {len(self.hidden)} layers; give at most {MOST_LAYERS}")
         try:
@@ -120,7 +133,9 @@ class TrainConfig(Settings):
                 warnings.simplefilter("ignore")  # of names that torch knew once
                 torch.ones(1, device=self.device).item()  # `meta`, say, has no numbers
         except Exception as error:  # each kind of device has its own
-            raise ConfigError(f"device={told(self.device)}; choose cpu, or a device that this machine has") from error
+            raise ConfigError(
+                f"device={told(self.device)}; choose cpu, or a device that this machine has"
+            ) from error
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> Self:
@@ -136,7 +151,9 @@ class TrainConfig(Settings):
             whole, _, field = name.partition(".")
             own = given.get(whole) or {}
             if isinstance(own, Settings):
-                raise ConfigError(f"there is no key '{name}' beside {whole}={type(own).__name__}; give one of them")
+                raise ConfigError(
+                    f"there is no key '{name}' beside {whole}={type(own).__name__}; give one of them"
+                )
             if isinstance(own, Mapping):
                 given[whole] = {**own, field: given.pop(name)}
         return cls(**given)
@@ -144,11 +161,16 @@ class TrainConfig(Settings):
     @classmethod
     def names(cls) -> list[str]:
         """The names of all settings, with those of a world and of faults as a command line sets them."""
-        return [*super().names(), *(f"{name}.{one}" for name, kind in parts_of(TASK).items() for one in kind.names())]
+        return [
+            *super().names(),
+            *(f"{name}.{one}" for name, kind in parts_of(TASK).items() for one in kind.names()),
+        ]
 
     @classmethod
     def as_run(cls, mapping: Mapping[str, Any]) -> dict[str, Any]:
-        """The settings in a run's config.yaml; what came later than the run is as a run had it then: the default."""
+        """The settings in a run's config.yaml; what came later than the run is as a run had it then: the
+        default.
+        """
         default = plain(cls())
         there = {key: value for key, value in mapping.items() if key != "algorithm"}
         for name, kind in parts_of(there.get("task", TASK)).items():
@@ -157,12 +179,16 @@ class TrainConfig(Settings):
 
     @classmethod
     def usual(cls, preset: str, task: str) -> dict[str, Any]:
-        """The settings of a preset in a task. They are built with a reward that asks nothing more of an algorithm."""
+        """The settings of a preset in a task. They are built with a reward that asks nothing more of an
+        algorithm.
+        """
         reward = cls.model_fields["reward"].default
         return plain(cls(preset=preset, task=task, reward=reward)) | {"reward": TASKS[task].REWARD}
 
     def beyond_preset(self) -> dict[str, Any]:
-        """The settings in which this configuration differs from its preset, apart from what every table names."""
+        """The settings in which this configuration differs from its preset, apart from what every table
+        names.
+        """
         named = ("preset", "activation", "seed", "n_seeds", "total_frames", "n_envs", "device", "compile")
         mine, theirs = flat(plain(self)), flat(self.usual(self.preset, self.task))
         theirs["task"] = TASK
@@ -182,20 +208,30 @@ class TrainConfig(Settings):
         named = f"n_seeds={self.n_seeds}, n_envs={self.n_envs}: the {steps:,} frames of an iteration"
         needed = steps * (2 * 4 * self.observation_size + STEP_BYTES)
         self.check_memory(named, needed, "fewer frames an iteration, environments or seeds")
-        self.check_memory(f"n_seeds={self.n_seeds}: their orders of a bank", SEED_BYTES * self.n_seeds, "fewer seeds")
+        self.check_memory(
+            f"n_seeds={self.n_seeds}: their orders of a layout file", SEED_BYTES * self.n_seeds, "fewer seeds"
+        )
         named = f"hidden={told(list(self.hidden))}: the products of the last layer's units"
-        self.check_memory(named, 12 * self.n_seeds * self.hidden[-1] ** 2, "a narrower last layer or fewer seeds")
+        self.check_memory(
+            named, 12 * self.n_seeds * self.hidden[-1] ** 2, "a narrower last layer or fewer seeds"
+        )
         if self.stack > 1 or self.faults.late:
             kept = max(self.stack, self.faults.late) * self.world.observation_size
-            named = f"stack={self.stack}, faults.late={self.faults.late}: the observations that are remembered"
-            self.check_memory(named, 4 * self.n_seeds * self.n_envs * kept, "fewer of them, environments or seeds")
+            named = (
+                f"stack={self.stack}, faults.late={self.faults.late}: the observations that are remembered"
+            )
+            self.check_memory(
+                named, 4 * self.n_seeds * self.n_envs * kept, "fewer of them, environments or seeds"
+            )
         rows = self.frames // max(self.frames_between_rows, self.frames_per_iteration)
         named = f"total_frames={self.total_frames}: its {rows:,} rows of progress a seed"
         needed = rows * (ROW_BYTES + self.n_seeds * 8 * ROW_COLUMNS)
         self.check_memory(named, needed, "fewer frames, or more of them an iteration")
 
     def check_memory(self, what: str, needed: int, instead: str) -> None:
-        """Raise a ConfigError where something would take more bytes than the machine has; instead: what to give."""
+        """Raise a ConfigError where something would take more bytes than the machine has; instead: what
+        to give.
+        """
         if self.device != "cpu":
             return
         available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -215,7 +251,9 @@ class TrainConfig(Settings):
 
     @property
     def frames_between_rows(self) -> int:
-        """Collected per seed between two rows of progress, if an iteration has fewer; here unknown, one row in all."""
+        """Collected per seed between two rows of progress, if an iteration has fewer; here unknown, one
+        row in all.
+        """
         return self.frames
 
     @property
@@ -261,22 +299,21 @@ class TrainConfig(Settings):
         except Exception as error:  # a caller's function may raise any kind
             raise ConfigError(f"task={self.task} with reward={self.reward}: {telling_line(error)}") from error
 
-    def make_task(self) -> Task:
-        """The task with these settings; raises a LayoutError where its bank is not right."""
-        return make_task(self.layouts, self.world, self.reward, self.max_steps, self.task, self.stack, self.faults)
+    def make_task(self) -> WrappedTask:
+        """The task with these settings; raises a LayoutError where its split is not right."""
+        return make_task(
+            self.layouts, self.world, self.reward, self.max_steps, self.task, self.stack, self.faults
+        )
 
 
 def plain(config: TrainConfig) -> dict[str, Any]:
     """Its settings as YAML and JSON hold them, with lists for tuples."""
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in config.model_dump().items()}
+    return {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in config.model_dump().items()
+    }
 
 
 def parts_of(task: str) -> dict[str, type[World] | type[Faults]]:
     """The classes of `PARTS` in a task of `TASKS`."""
     return {"world": TASKS[task].WORLD, "faults": Faults}
-
-
-def flat(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with a name for each field of `PARTS`, as a command line gives them: `world.sensor_arc`."""
-    own = {f"{part}.{name}": value for part in PARTS for name, value in settings[part].items()}
-    return {name: value for name, value in settings.items() if name not in PARTS} | own

@@ -60,7 +60,8 @@ class Display:
     def begin(self, path: Path, facts: Mapping[str, Any], until: int | None = None) -> None:
         """Say, before the first frame, what the run does, how, and about how long that takes.
 
-        path: of its folder; facts: what its meta.json says of `compiled`, `processes` and `threads`; until: stop there.
+        path: of its folder; facts: what its meta.json says of `compiled`, `processes` and `threads`; until:
+            stop there.
         """
         if not self._quiet:
             frames = self._config.frames
@@ -74,7 +75,9 @@ class Display:
         task = self._progress.tasks[0]
         rate = f"{task.speed / 1000:,.1f}k" if task.speed else "-"
         done = f"{frames // 1000:,}k/{self._config.frames // 1000:,}k"
-        self._progress.update(self._task, completed=frames, done=done, rate=rate, reward=with_spread(rewards, 1))
+        self._progress.update(
+            self._task, completed=frames, done=done, rate=rate, reward=with_spread(rewards, 1)
+        )
         if self._unknown and frames >= self._config.frames_before_learning:
             self._tell_how_long(frames)
         if self._tell is not None:
@@ -94,18 +97,18 @@ class Display:
 
 
 @contextlib.contextmanager
-def flights(what: str, n: int, max_steps: int, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
-    """A bar for an evaluation of n flights, on a terminal alone, that goes when they have ended.
+def episodes(what: str, n: int, max_steps: int, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """A bar for an evaluation of n episodes, on a terminal alone, that goes when they have ended.
 
     Yields:
-        What is to be told each step's number and how many flights go on after it.
+        What is to be told each step's number and how many episodes go on after it.
     """
     console = _console()
     bar = Progress(
         TextColumn(what),
         BarColumn(bar_width=12),
         TextColumn("step {task.completed:,.0f} of at most {task.total:,.0f}, {task.fields[up]:,} of"),
-        TextColumn(f"{n:,} flights go on"),
+        TextColumn(f"{n:,} episodes go on"),
         console=console,
         transient=True,
         disable=quiet or not console.is_terminal,
@@ -116,9 +119,13 @@ def flights(what: str, n: int, max_steps: int, quiet: bool = False) -> Iterator[
 
 
 def opening(config: TrainConfig, frames: int, path: Path, facts: Mapping[str, Any]) -> tuple[str, str]:
-    """What a run does and where it goes; how, and about how long it takes. Arguments as of `Display.begin`."""
+    """What a run does and where it goes; how, and about how long it takes. Arguments as of
+    `Display.begin`.
+    """
     first, last = config.seeds[0], config.seeds[-1]
-    seeds, each = (f"seed {first}", "") if first == last else (f"{config.n_seeds} seeds ({first} to {last})", " each")
+    seeds, each = (
+        (f"seed {first}", "") if first == last else (f"{config.n_seeds} seeds ({first} to {last})", " each")
+    )
     worlds = f"{config.n_envs} parallel environment{'' if config.n_envs == 1 else 's'}"
     who = f"{config.algorithm} {config.activation}, preset {config.preset}"
     what = f"{who}: {seeds}, {frames:,} frames{each} in {worlds}"
@@ -133,7 +140,9 @@ def opening(config: TrainConfig, frames: int, path: Path, facts: Mapping[str, An
 
 
 def seconds(config: TrainConfig, frames: int, processes: int, compiled: bool) -> float | None:
-    """How long training takes, as measured with these presets on two cores; None for what was not measured."""
+    """How long training takes, as measured with these presets on two cores; None for what was not
+    measured.
+    """
     usual = type(config)(preset=config.preset, n_seeds=config.n_seeds)
     known = config.MICROSECONDS.get((config.preset, compiled))
     other = (config.n_envs, config.device) != (usual.n_envs, usual.device)
@@ -158,7 +167,9 @@ class _Terminal(Console):
 
 
 def _console() -> Console:
-    """The terminal; in a notebook without ipywidgets plain text, where rich would warn at every step of a bar."""
+    """The terminal; in a notebook without ipywidgets plain text, where rich would warn at every step of a
+    bar.
+    """
     return _Terminal(force_jupyter=None if find_spec("ipywidgets") else False)
 
 

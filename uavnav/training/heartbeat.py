@@ -1,4 +1,6 @@
-"""A run's sign of life: `progress.json`, written every few seconds by a thread of the process that works on the run."""
+"""A run's sign of life: `progress.json`, written every few seconds by a thread of the process that works
+on the run.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,8 @@ class Heartbeat:
         folder: of the run.
         total: frames per seed in the end.
         frames: per seed so far.
-        watched: whether the process that started this one holds the other end of the standard input. When it is gone,
-            the run shall stop.
+        watched: whether the process that started this one holds the other end of the standard input. When it
+            is gone, the run shall stop.
     """
 
     def __init__(self, folder: Path, total: int, frames: int = 0, watched: bool = False) -> None:
@@ -56,7 +58,8 @@ class Heartbeat:
     def tell(self, frames: int) -> None:
         """Note how many frames per seed there are now, for the next beat."""
         now = time.perf_counter()
-        if self._first is None or not self._first[1]:  # a worker's frames of before a resume come with its first word
+        # a worker's frames of before a resume come with its first word
+        if self._first is None or not self._first[1]:
             self._first = now, frames
         since, before = self._first
         self._frames, self._rate = frames, (frames - before) / (now - since) if now > since else 0.0
@@ -79,7 +82,9 @@ class Heartbeat:
 
 
 def tell(folder: Path, frames: int, total: int, rate: float | None, rewards: Sequence[float] = ()) -> None:
-    """Write how far a run is: frames per seed, of how many, at so many a second, if that is known; raises OSError."""
+    """Write how far a run is: frames per seed, of how many, at so many a second, if that is known; raises
+    OSError.
+    """
     finite = [reward for reward in rewards[:MOST_REWARDS] if math.isfinite(reward)]
     facts = {"frames": frames, "total": total, "rate": rate, "rewards": finite, "at": time.time()}
     files.write(folder / PROGRESS, json.dumps(facts).encode())

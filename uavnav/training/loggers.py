@@ -1,14 +1,14 @@
 """Live logs of a run, through TorchRL's loggers for TensorBoard and Weights & Biases.
 
-A log lies in the run's folder, in `tensorboard/` or `wandb/`. It receives each row of progress.parquet when the row is
-written: every column as `column/seed 3` against frames per seed, and `reward`, the mean over the seed's last 100
-episodes. If seeds are spread over processes, their rows go to the parent process, which alone logs. Logging draws no
-random number and is not part of a run's configuration.
+A log lies in the run's folder, in `tensorboard/` or `wandb/`. It receives each row of progress.parquet when
+the row is written: every column as `column/seed 3` against frames per seed, and `reward`, the mean over the
+seed's last 100 episodes. If seeds are spread over processes, their rows go to the parent process, which alone
+logs. Logging draws no random number and is not part of a run's configuration.
 
 Every log is complete: a resumed run opens a new log and first writes the rows of its snapshot.
 
-Weights & Biases stays offline (`wandb sync` uploads a log later) unless WANDB_MODE=online, and receives no packages,
-code, paths, host or user.
+Weights & Biases stays offline (`wandb sync` uploads a log later) unless WANDB_MODE=online, and receives no
+packages, code, paths, host or user.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ def chosen(logger: str | Sequence[str]) -> list[str]:
 
 
 class Logs:
-    """The logs of a run: call it with rows, as columns of equal length by name, `seed` and `frame` among them.
+    """The logs of a run: call it with rows, as columns of equal length by name, `seed` and `frame` among
+    them.
 
     The first call opens the logs, even if it has no rows.
 
@@ -58,10 +59,12 @@ class Logs:
         names: the result of `chosen`.
         folder: the run's folder.
         algorithm: a part of the logs' title.
-        settings: the run's settings; a bank's path is logged as its file name.
+        settings: the run's settings; a layout file's path is logged as its file name.
     """
 
-    def __init__(self, names: Sequence[str], folder: Path, algorithm: str, settings: Mapping[str, Any]) -> None:
+    def __init__(
+        self, names: Sequence[str], folder: Path, algorithm: str, settings: Mapping[str, Any]
+    ) -> None:
         self._names, self._folder = names, folder
         self._title = f"{algorithm} {settings['activation']}"
         self._settings = {**settings, "algorithm": algorithm, "layouts": Path(settings["layouts"]).name}
@@ -79,7 +82,9 @@ class Logs:
                     self._open[name] = OPEN[name](self._folder, self._title, self._settings)
                 except Exception as error:  # each library has its own kinds
                     why = telling_line(error)
-                    raise RunError(f"logger={name}: cannot be opened ({why}); give another, or none") from error
+                    raise RunError(
+                        f"logger={name}: cannot be opened ({why}); give another, or none"
+                    ) from error
             with self._dropping(name):
                 for frame, values in by_frame.items():
                     self._open[name].log_metrics(values, step=frame)
@@ -99,7 +104,8 @@ class Logs:
         except Exception as error:
             self._names = [other for other in self._names if other != name]
             warnings.warn(
-                f"logger={name} fails and is left out ({telling_line(error)}); once the run is finished, delete"
+                f"logger={name} fails and is left out ({telling_line(error)}); once the run is finished, "
+                "delete"
                 f" {self._folder / name} and give the same command to log it from its tables",
                 stacklevel=3,
             )
@@ -122,7 +128,8 @@ def _open_tensorboard(folder: Path, title: str, settings: Mapping[str, Any]) -> 
 
     log = TensorboardLogger("tensorboard", log_dir=str(folder))
     lines = (f"    {name}: {value}" for name, value in settings.items())
-    log.experiment.add_text("settings", "\n".join([title, "", *lines]))  # its hyperparameter table takes no lists
+    # its hyperparameter table takes no lists
+    log.experiment.add_text("settings", "\n".join([title, "", *lines]))
     return log
 
 
@@ -154,7 +161,9 @@ def _open_wandb(folder: Path, title: str, settings: Mapping[str, Any]) -> Any:
         save_dir=str(folder.absolute()),  # wandb's service may run in another working folder
         project=PROJECT,
         log_env_packages=False,
-        mode="online" if os.environ.get("WANDB_MODE") == "online" else "offline",  # wandb's own `offline` is permanent
+        mode="online"
+        if os.environ.get("WANDB_MODE") == "online"
+        else "offline",  # wandb's own `offline` is permanent
         reinit="create_new",  # leaves a wandb run of the caller untouched
         settings=nothing_of_the_machine,
     )

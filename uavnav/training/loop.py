@@ -33,7 +33,9 @@ Row = Mapping[str, Tensor | float]
 
 
 Fit = Callable[[Recorder, bool, Tell | None], Run]
-"""Trains the run of a recorder in this process, as `alone` does: quietly or not, and telling of its progress."""
+"""Trains the run of a recorder in this process, as `alone` does: quietly or not, and telling of its
+progress.
+"""
 
 
 class Trainee(Protocol):
@@ -156,10 +158,11 @@ def train(
         quiet: show no progress.
         checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
         until: stop after so many frames per seed, as if by a signal.
-        tell: called now and then with the frames per seed so far and each seed's mean reward over its last 100
-            episodes.
+        tell: called now and then with the frames per seed so far and each seed's mean reward over its last
+            100 episodes.
         processes: how many workers train the seeds; by default one for each core, where that pays.
-        logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see `uavnav.loggers`.
+        logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see
+            `uavnav.loggers`.
         fit: trains all seeds in this process, instead of `alone`; a recipe has one.
 
     Returns:
@@ -190,10 +193,14 @@ def train(
     config.check_machine()
     config.try_task()
     if processes is not None and (type(processes) is not int or not 1 <= processes <= config.n_seeds):
-        raise ConfigError(f"processes={told(processes)}; give a whole number from 1 to n_seeds={config.n_seeds}")
+        raise ConfigError(
+            f"processes={told(processes)}; give a whole number from 1 to n_seeds={config.n_seeds}"
+        )
     n = recorder.processes(processes or machine.processes(config) if fit is alone else 1)
     if n > 1 and fit is not alone:
-        raise RunError(f"out={folder}: its run began in {n} processes; uavnav train {config.algorithm} goes on with it")
+        raise RunError(
+            f"out={folder}: its run began in {n} processes; uavnav train {config.algorithm} goes on with it"
+        )
     if n > 1 and (own := machine.own_parts(config)):
         raise ConfigError(f"processes={n}: {own} is known to this process alone; give processes=1")
     with contextlib.closing(logs), machine.use_threads(machine.threads(config, n)):

@@ -1,4 +1,6 @@
-"""How a run uses the machine, by its configuration and never by a clock: compiled or not, processes, threads."""
+"""How a run uses the machine, by its configuration and never by a clock: compiled or not, processes,
+threads.
+"""
 
 from __future__ import annotations
 
@@ -32,18 +34,19 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """As malloc.h calls them."""
 PAYS_FROM = 100_000
 """Frames per seed from which compilation (20-60 s when cold) is paid back by faster updates."""
-FLIGHTS_PAY_FROM = 2_000
-"""Steps that a flight may last from which the compilation of the world's step is paid back."""
+EPISODES_PAY_FROM = 2_000
+"""Steps that an episode may last from which the compilation of the world's step is paid back."""
 MANY = 10_000_000
-"""Steps of all flights, if none ended, from which the first step is compiled already."""
+"""Steps of all episodes, if none ended, from which the first step is compiled already."""
 EAGER_STEPS = 1_024
-"""Of an evaluation, before its step is compiled: most flights have ended by then, and often all of them."""
+"""Of an evaluation, before its step is compiled: most episodes have ended by then, and often all of them."""
 EAGER = "runs without compilation, several times slower"
 """Begins the warning where `compile=auto` finds no compiler."""
 
 
 def decide(config: TrainConfig) -> bool:
-    """Follow `compile=on` or `off`; with `auto`, compile runs long enough to pay for it where a compiler is at hand.
+    """Follow `compile=on` or `off`; with `auto`, compile runs long enough to pay for it where a compiler is
+    at hand.
 
     Raises:
         ConfigError: `compile=on` where nothing can be compiled.
@@ -52,15 +55,17 @@ def decide(config: TrainConfig) -> bool:
         return False
     problem = graph.problem(config.device)
     if problem and config.compile == "on":
-        raise ConfigError(f"compile=on: no graph can be compiled here ({problem}); install g++ and Python's headers")
+        raise ConfigError(
+            f"compile=on: no graph can be compiled here ({problem}); install g++ and Python's headers"
+        )
     if problem:
         warnings.warn(f"{EAGER}: {problem}", stacklevel=2)
     return problem is None
 
 
-def flights(max_steps: int | None) -> bool:
-    """Whether to compile the world's step for flights that may last so long, where a compiler is at hand."""
-    return max_steps is not None and max_steps >= FLIGHTS_PAY_FROM and graph.problem("cpu") is None
+def episodes(max_steps: int | None) -> bool:
+    """Whether to compile the world's step for episodes that may last so long, where a compiler is at hand."""
+    return max_steps is not None and max_steps >= EPISODES_PAY_FROM and graph.problem("cpu") is None
 
 
 def processes(config: TrainConfig) -> int:
@@ -74,7 +79,9 @@ def processes(config: TrainConfig) -> int:
 
 
 def own_parts(config: TrainConfig) -> str:
-    """What the caller has added or changed without a plugin, so that no other process knows it; often nothing."""
+    """What the caller has added or changed without a plugin, so that no other process knows it; often
+    nothing.
+    """
     own = []
     for setting, (table, known) in plugins.TABLES.items():
         name = getattr(config, setting)
@@ -91,12 +98,16 @@ def cores() -> int:
 
 
 def threads(config: TrainConfig, processes: int) -> int:
-    """One where processes share the seeds; two are slower than one for fewer than 4 agents, and faster from there."""
+    """One where processes share the seeds; two are slower than one for fewer than 4 agents, and faster
+    from there.
+    """
     return 1 if config.n_seeds < 4 or processes > 1 else min(2, cores())
 
 
 def forks() -> bool:
-    """Whether a fork of this process can compute beside it: on Linux, as PyTorch's DataLoader does it there."""
+    """Whether a fork of this process can compute beside it: on Linux, as PyTorch's DataLoader does it
+    there.
+    """
     return sys.platform == "linux" and cores() > 1 and not multiprocessing.current_process().daemon
 
 
@@ -136,10 +147,11 @@ def _do(work: Callable[[], Result], said: Connection) -> None:
 def keep_memory_flat(weights: int = 0) -> None:
     """Let this process return large blocks to the system when they are freed.
 
-    glibc raises the size from which it does so up to 32 MB by itself: rollouts then lie on a heap among small things
-    that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Blocks as large as a layer's
-    weights [bytes], and as its outputs for a batch of a few hundred, stay if the weights are larger still: each update
-    has such blocks, and new pages would take half of its time. Other C libraries are left as they are.
+    glibc raises the size from which it does so up to 32 MB by itself: rollouts then lie on a heap among small
+    things that live on, and ten seeds of PPO grow by 5 to 10 MB an iteration, to 3 to 5 GB. Blocks as large
+    as a layer's weights [bytes], and as its outputs for a batch of a few hundred, stay if the weights are
+    larger still: each update has such blocks, and new pages would take half of its time. Other C libraries
+    are left as they are.
     """
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")
@@ -151,7 +163,9 @@ def keep_memory_flat(weights: int = 0) -> None:
 
 @contextlib.contextmanager
 def little_garbage() -> Iterator[None]:
-    """Leave what lives already out of Python's collections of garbage, which take a twelfth of a run of small steps."""
+    """Leave what lives already out of Python's collections of garbage, which take a twelfth of a run of
+    small steps.
+    """
     gc.freeze()
     try:
         yield

@@ -1,7 +1,7 @@
 """Statistics of a network's hidden units, on poses that are the same for every run.
 
-The statistics are the shares of dormant and saturated units, and the effective rank. Letters: A agents, P poses,
-H units of a layer.
+The statistics are the shares of dormant and saturated units, and the effective rank. Letters: A agents, P
+poses, H units of a layer.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -18,16 +17,20 @@ from uavnav.networks import ACTIVATIONS, Activation
 from uavnav.tasks import layouts
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.seeding import stream
-from uavnav.tasks.simulator import Task
+from uavnav.tasks.wrapper import WrappedTask
 
 POSES = 512
 DORMANT = 0.025
-"""A unit is dormant if its mean |activation| is at most this share of its layer's mean (Sokar et al. 2023)."""
+"""A unit is dormant if its mean |activation| is at most this share of its layer's mean (Sokar et al.
+2023).
+"""
 SATURATED = 0.05
-"""A unit is saturated at a pose if its activation's slope there is at most this share of the steepest slope."""
+"""A unit is saturated at a pose if its activation's slope there is at most this share of the steepest
+slope.
+"""
 
 
-def poses(task: Task) -> Tensor:
+def poses(task: WrappedTask) -> Tensor:
     """What a drone sees at poses drawn once over the window and the task's train split: observation [P, 30].
 
     As if an episode began there, and without faults, so that nothing of it is random.
@@ -35,9 +38,11 @@ def poses(task: Task) -> Tensor:
     generator = stream(0, "probe")
     axes = zip("xyz", task.world.size, strict=False)  # a window has two
     places = {axis: torch.rand(POSES, generator=generator) * size for axis, size in axes}
-    task = replace(task, bank=layouts.load("train", task.world), faults=NO_FAULTS)
-    heading, layout = (torch.randint(most, (POSES,), generator=generator) for most in (360, len(task.bank)))
-    observation, _ = task.observe(task.remember(task.place(layout, heading)._replace(**places)))
+    task = task.replace(layouts=layouts.load("train", task.world), faults=NO_FAULTS)
+    heading, layout = (
+        torch.randint(most, (POSES,), generator=generator) for most in (360, len(task.layouts))
+    )
+    observation, _ = task.observe(task.remember(task.start(layout, heading)._replace(**places)))
     return observation
 
 
@@ -45,9 +50,9 @@ def poses(task: Task) -> Tensor:
 def units(network: nn.Sequential, observation: Tensor) -> dict[str, Tensor]:
     """Statistics [A] of the hidden units of each agent's network, on observation [P, 30].
 
-    `dormant` and `saturated` are shares over all hidden layers. `effective_rank` belongs to the last hidden layer's
-    activations [P, H]: the exponential of the entropy of their singular values, as shares of the sum (Roy and Vetterli
-    2007).
+    `dormant` and `saturated` are shares over all hidden layers. `effective_rank` belongs to the last hidden
+    layer's activations [P, H]: the exponential of the entropy of their singular values, as shares of the sum
+    (Roy and Vetterli 2007).
     """
     dormant, saturated = [], []
     hidden = observation.expand(len(next(network.parameters())), -1, -1)
@@ -83,7 +88,9 @@ def _with_slope(activation: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tens
 
 
 def _effective_rank(x: Tensor) -> Tensor:
-    """The effective ranks of matrices: [A, P, H] -> [A]; 0 for a matrix of zeros, NaN for a matrix not finite."""
+    """The effective ranks of matrices: [A, P, H] -> [A]; 0 for a matrix of zeros, NaN for a matrix not
+    finite.
+    """
     gram = (x.mT @ x).double()
     finite = gram.isfinite().flatten(1).all(1)
     values = torch.linalg.eigvalsh(torch.where(finite[:, None, None], gram, 0.0)).clamp(min=0).sqrt()

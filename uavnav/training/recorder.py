@@ -29,8 +29,8 @@ from uavnav.runs import FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, WO
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.tables import LOCK, Columns, RunError, with_reward, write, write_table
 from uavnav.tasks import layouts
-from uavnav.tasks.simulator import TASKS
 from uavnav.tasks.state import COUNTS, State
+from uavnav.tasks.table import TASKS
 from uavnav.training import provenance
 from uavnav.training.checkpoints import Checkpoints, Snapshot, Stateful
 from uavnav.training.config import TrainConfig, plain
@@ -51,7 +51,7 @@ CHECKPOINT_SHARE = 0.04
 """What snapshots may take of a run's time: where writing one takes long, the next comes later."""
 UNFINISHED = ("checkpoint", WORKERS)
 """Folders of a run that is not finished."""
-BANK_FACTS = ("n", "k", "split", "generator_seed", "sha256")
+LAYOUT_FACTS = ("n", "k", "split", "generator_seed", "sha256")
 
 
 class Tables(files.Facts):
@@ -69,17 +69,20 @@ class Rows(files.Facts):
 
 
 class Interrupted(RunError):
-    """SIGINT, SIGTERM or `until` stopped a run; it was saved and can go on, or the message says that it was not."""
+    """SIGINT, SIGTERM or `until` stopped a run; it was saved and can go on, or the message says that it
+    was not.
+    """
 
     def __init__(self, message: str, signum: int, frames: int, wanted: bool) -> None:
         super().__init__(message)
-        self.signum = signum
+        self.signum, self.status = signum, 128 + signum
         self.frames = frames  # per seed, as saved; 0 if nothing was
         self.wanted = wanted  # by `until`
 
 
 class Recorder:
-    """Collects a run's rows while it trains, saves snapshots, and writes its folder. Nothing is written before `with`.
+    """Collects a run's rows while it trains, saves snapshots, and writes its folder. Nothing is written
+    before `with`.
 
     Args:
         path: the run's folder.
@@ -91,7 +94,7 @@ class Recorder:
         watched: whether another process watches the run as a worker of its own (see `Heartbeat`).
 
     Raises:
-        LayoutError: the bank that the run trains on cannot be read.
+        LayoutError: the split that the run trains on cannot be read.
         RunError: the folder belongs to something else, is in use, or cannot be written.
     """
 
@@ -110,12 +113,15 @@ class Recorder:
         self._tables: dict[str, list[Columns]] = {"episodes": [], "progress": []}
         self._before: dict[str, Any] = {}
         self._recent: list[deque[float]] = []
-        _, bank = layouts.read(config.layouts, config.world)
-        self.meta = provenance.facts() | {"bank": {name: bank.get(name) for name in BANK_FACTS}}
+        _, all_layouts = layouts.read(config.layouts, config.world)
+        self.meta = provenance.facts() | {"layouts": {name: all_layouts.get(name) for name in LAYOUT_FACTS}}
         self._lock = FileLock(self.path / LOCK)
         self._described = {"algorithm": config.algorithm, **plain(config)}
-        identity = {**self._described, **{f"version of {name}": v for name, v in self.meta["versions"].items()}}
-        identity["layouts"] = self.meta["bank"]["sha256"]  # whatever path leads to it
+        identity = {
+            **self._described,
+            **{f"version of {name}": v for name, v in self.meta["versions"].items()},
+        }
+        identity["layouts"] = self.meta["layouts"]["sha256"]  # whatever path leads to it
         noted = self.meta.get("plugins", {})
         identity |= {"format": SNAPSHOT_FORMAT, "plugins": sorted(noted)}
         identity |= {f"version of {name}.py": sha[:12] for name, sha in noted.items()}
@@ -157,16 +163,19 @@ class Recorder:
             raise RunError(f"out={path}: holds a run with task={there['task']}; give another folder{needed}")
         if there["algorithm"] == self.config.algorithm:
             there = {"algorithm": there["algorithm"], **self.config.as_run(there)}
-        same_bank = meta.get("bank", self.meta["bank"]) == self.meta["bank"]
+        same_layouts = meta.get("layouts", self.meta["layouts"]) == self.meta["layouts"]
         for key in sorted({*there, *self._described}, key=str):
-            if there.get(key) != self._described.get(key) and not (key == "layouts" and meta and same_bank):
+            if there.get(key) != self._described.get(key) and not (
+                key == "layouts" and meta and same_layouts
+            ):
                 raise RunError(
                     f"out={path}: holds a run with {key}={there.get(key)}, not {self._described.get(key)};"
                     " give another folder, or overwrite=true"
                 )
-        if not same_bank:
+        if not same_layouts:
             raise RunError(
-                f"out={path}: the bank layouts={self.config.layouts} has changed since this run began; give another"
+                f"out={path}: the split layouts={self.config.layouts} has changed since this run began; "
+                "give another"
                 " folder, or overwrite=true"
             )
         if meta.get("status") != FINISHED:
@@ -188,7 +197,9 @@ class Recorder:
             raise self._unwritable(error) from error
         try:
             if self._check_folder():
-                raise RunError(f"out={self.path}: was finished by another process meanwhile; give the command again")
+                raise RunError(
+                    f"out={self.path}: was finished by another process meanwhile; give the command again"
+                )
             self._begin()
         except OSError as error:
             self._release()
@@ -198,6 +209,8 @@ class Recorder:
             raise
         self.stop: int | None = None
         self._handlers: dict[int, Any] = {}
+        # Ctrl-C is noted, and the next `checkpoint` saves and raises `Interrupted`; a second one ends at
+        # once.
         if threading.current_thread() is threading.main_thread():
             self._handlers = {number: signal.signal(number, self._note_stop) for number in STOPS}
         self.heartbeat = Heartbeat(self.path, self.config.frames, watched=self.watched)
@@ -206,7 +219,7 @@ class Recorder:
 
     def _begin(self) -> None:
         if self._overwrite:
-            there = (*(self.path / name for name in FILES), *self.path.glob("*.parquet"))  # flights too
+            there = (*(self.path / name for name in FILES), *self.path.glob("*.parquet"))  # episodes too
             if folder := next((path for path in there if path.is_dir() and not path.is_symlink()), None):
                 raise RunError(f"out={self.path}: {folder.name} is a folder; give another folder")
             self._remove_unfinished()
@@ -215,7 +228,9 @@ class Recorder:
         for name in LOG_FOLDERS:  # of an earlier part of the run; every log is whole
             shutil.rmtree(self.path / name, ignore_errors=True)
         self._began = self._saved = time.perf_counter()
-        self.meta = self._before | self.meta | {"status": "running", "started": self._before.get("started", _now())}
+        self.meta = (
+            self._before | self.meta | {"status": "running", "started": self._before.get("started", _now())}
+        )
         write(self.path / "config.yaml", yaml.safe_dump(self._described, sort_keys=False).encode())
         self._write_meta()
 
@@ -224,7 +239,9 @@ class Recorder:
             signal.signal(number, handler)
         gone = self.heartbeat.gone  # what lies there now is another run's
         if kind is not None and self.meta.get("status") != FINISHED and not gone:
-            self.meta |= {"status": "interrupted" if issubclass(kind, (Interrupted, KeyboardInterrupt)) else "failed"}
+            self.meta |= {
+                "status": "interrupted" if issubclass(kind, (Interrupted, KeyboardInterrupt)) else "failed"
+            }
             with contextlib.suppress(RunError):  # on a full disk the error under way says more
                 self._write_meta()
         self.heartbeat.__exit__(kind, *error)
@@ -243,7 +260,8 @@ class Recorder:
         signal.signal(number, self._handlers[number])
 
     def resume(self, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> int:
-        """Set the parts to the newest usable snapshot, where there is one, and tell the log what lies behind the run.
+        """Set the parts to the newest usable snapshot, where there is one, and tell the log what lies behind
+        the run.
 
         Returns:
             The frames per seed that the snapshot has behind it.
@@ -262,12 +280,16 @@ class Recorder:
                     self._recent[seed - self.config.seed].append(reward)
             self._began -= snapshot.facts["wall_seconds"]
         if self.log is not None:
-            tables = {name: pd.DataFrame(_joined(rows, ["seed", "frame"])) for name, rows in self._tables.items()}
+            tables = {
+                name: pd.DataFrame(_joined(rows, ["seed", "frame"])) for name, rows in self._tables.items()
+            }
             self.log(with_reward(**tables))
         return frames
 
     def _take(self, snapshot: Snapshot, parts: Mapping[str, Stateful]) -> None:
-        """Set the parts to a snapshot; where one does not take it, all are as before and a RunError says so."""
+        """Set the parts to a snapshot; where one does not take it, all are as before and a RunError says
+        so.
+        """
         self._columns(snapshot)
         before = {name: part.state_dict() for name, part in parts.items()}
         saved = snapshot.state.get("parts", {})
@@ -296,7 +318,9 @@ class Recorder:
                 rows = found[table]
                 if rows and not {*needed} <= {*rows}:
                     raise ValueError(f"{table} lack columns")
-                if len({column.shape for column in rows.values()}) > 1 or any(one.ndim != 1 for one in rows.values()):
+                if len({column.shape for column in rows.values()}) > 1 or any(
+                    one.ndim != 1 for one in rows.values()
+                ):
                     raise ValueError(f"{table} are no table")
                 if rows and not np.isin(rows["seed"], self.config.seeds).all():
                     raise ValueError(f"{table} have other seeds")
@@ -316,7 +340,9 @@ class Recorder:
         if self.heartbeat.asked:
             self.stop = self.stop or signal.SIGTERM
 
-    def checkpoint(self, frames: int, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None) -> None:
+    def checkpoint(
+        self, frames: int, parts: Mapping[str, Stateful], replay: ReplayBuffer | None = None
+    ) -> None:
         """Save a snapshot if one is due, or if a signal asks to stop.
 
         Raises:
@@ -355,7 +381,8 @@ class Recorder:
         )
 
     def snapshot_tables(self) -> tuple[int, dict[str, pd.DataFrame]]:
-        """The newest snapshot of an unfinished run: its frames per seed, and the rows of episodes and of progress.
+        """The newest snapshot of an unfinished run: its frames per seed, and the rows of episodes and of
+        progress.
 
         Raises:
             RunError: there is none.
@@ -364,7 +391,8 @@ class Recorder:
         return snapshot.frames, {table: pd.DataFrame(rows) for table, rows in self._columns(snapshot).items()}
 
     def repeat(self, compile: bool) -> bool:
-        """Whether to compile, and in how many threads torch works: as the unfinished run began, where there is one.
+        """Whether to compile, and in how many threads torch works: as the unfinished run began, where there
+        is one.
 
         Raises:
             RunError: it was compiled, and here that cannot be done.
@@ -373,7 +401,9 @@ class Recorder:
         if isinstance(before.get("threads"), int):
             torch.set_num_threads(before["threads"])
         if before.get("compiled") and not compile:
-            raise RunError(f"out={self.path}: the run began compiled, and nothing can be compiled here; install g++")
+            raise RunError(
+                f"out={self.path}: the run began compiled, and nothing can be compiled here; install g++"
+            )
         return bool(before.get("compiled", compile))
 
     def processes(self, number: int) -> int:
@@ -381,7 +411,9 @@ class Recorder:
         return int(self._before.get("processes", 1)) if self._before else number
 
     def note(self, **facts: Any) -> None:
-        """Add how the run is carried out to meta.json, and to what a snapshot must share with the run that resumes."""
+        """Add how the run is carried out to meta.json, and to what a snapshot must share with the run
+        that resumes.
+        """
         facts = facts | {"threads": torch.get_num_threads()}
         self.meta |= facts | {"beyond_preset": self.config.beyond_preset()}
         self._checkpoints.identity |= facts
@@ -432,15 +464,24 @@ class Recorder:
         if self.watched:
             self.heartbeat.rewards = self.recent_rewards()
         if self.log is not None:
-            self.log({**row, "reward": np.array([np.mean(recent) if recent else np.nan for recent in self._recent])})
+            self.log(
+                {
+                    **row,
+                    "reward": np.array([np.mean(recent) if recent else np.nan for recent in self._recent]),
+                }
+            )
 
     def recent_rewards(self) -> list[float]:
         """Each seed's mean reward over its last 100 episodes; seeds without any are left out."""
         return [sum(recent) / len(recent) for recent in self._recent if recent]
 
     def finish(self, policy: bytes, frames: int, wall_seconds: float | None = None) -> Run:
-        """Write everything, the status last, and read it back; wall_seconds: that it took, if others took it."""
-        episodes = pd.DataFrame(_joined(self._tables["episodes"], list(EPISODE_COLUMNS))).astype(EPISODE_COLUMNS)
+        """Write everything, the status last, and read it back; wall_seconds: that it took, if others took
+        it.
+        """
+        episodes = pd.DataFrame(_joined(self._tables["episodes"], list(EPISODE_COLUMNS))).astype(
+            EPISODE_COLUMNS
+        )
         progress = pd.DataFrame(_joined(self._tables["progress"], ["seed", "frame"]))
         write_table(self.path / "episodes.parquet", episodes)
         write_table(self.path / "progress.parquet", progress)

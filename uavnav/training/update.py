@@ -1,9 +1,10 @@
-"""Gradient steps of a whole population: the gradient of each agent's loss, its norm clipped, and an optimiser's step.
+"""Gradient steps of a whole population: the gradient of each agent's loss, its norm clipped, and an
+optimiser's step.
 
-Agents share no parameter, so the gradient of the sum of their losses is, agent by agent, the gradient of each one's
-own loss; optimisers are elementwise; only the norm must be taken per agent. A step is a pure function of TensorDicts,
-so that many of them fit into one graph. Letters: A agents, the leading axis of every parameter and target; M
-minibatches of N rows.
+Agents share no parameter, so the gradient of the sum of their losses is, agent by agent, the gradient of each
+one's own loss; optimisers are elementwise; only the norm must be taken per agent. A step is a pure function
+of TensorDicts, so that many of them fit into one graph. Letters: A agents, the leading axis of every
+parameter and target; M minibatches of N rows.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ An agent's minibatches then find these in the caches, which a step of all agents
 
 
 class Adam(NamedTuple):
-    """As at the end of section 2 of Kingma and Ba (2015): the bias of the moments is corrected in the rate."""
+    """As at the end of section 2 of Kingma and Ba (2015): the bias of the moments is corrected in the
+    rate.
+    """
 
     lr: float
     eps: float
@@ -68,7 +71,9 @@ class RMSprop(NamedTuple):
     ) -> tuple[TensorDictBase, dict[str, TensorDictBase]]:
         """The parameters and moments after a step."""
         square = moments["square"].apply(lambda v, g: v * ALPHA + (1 - ALPHA) * g * g, gradient)
-        params = params.apply(lambda value, g, v: value - rate[0] * g / (v.sqrt() + self.eps), gradient, square)
+        params = params.apply(
+            lambda value, g, v: value - rate[0] * g / (v.sqrt() + self.eps), gradient, square
+        )
         return params, {"square": square}
 
 
@@ -76,8 +81,9 @@ class Learner:
     """Steps on the parameters of a loss module, in place, any number of minibatches a call.
 
     Args:
-        loss: a batch [A, N] -> losses [A, N] by name, of networks whose parameters lead with the agent axis. As in
-            TorchRL, the target of a parameter has its name with `target_` in front, and needs no gradient.
+        loss: a batch [A, N] -> losses [A, N] by name, of networks whose parameters lead with the agent axis.
+            As in TorchRL, the target of a parameter has its name with `target_` in front, and needs no
+            gradient.
         losses: names of what it returns; an agent's loss is the sum of their means over the agent's rows.
         optimiser: `Adam` or `RMSprop`.
         max_grad_norm: each agent's gradient is scaled down to this norm; None leaves it as it is.
@@ -101,20 +107,27 @@ class Learner:
         self.compile, self.tau = compile, tau
         params = {name: value for name, value in loss.named_parameters() if value.requires_grad}
         others = {
-            name: value for name, value in (*loss.named_parameters(), *loss.named_buffers()) if name not in params
+            name: value
+            for name, value in (*loss.named_parameters(), *loss.named_buffers())
+            if name not in params
         }
         targets = {name: value for name, value in others.items() if name.removeprefix("target_") in params}
         self.constants = TensorDict({name: value for name, value in others.items() if name not in targets})
         agents = [len(next(iter(params.values())))]
         self.params = TensorDict(params, agents)
-        zeros = {name: self.params.apply(lambda value: torch.zeros_like(value.detach())) for name in optimiser.moments}
+        zeros = {
+            name: self.params.apply(lambda value: torch.zeros_like(value.detach()))
+            for name in optimiser.moments
+        }
         followers = {"targets": targets} if targets else {}
         self.state = TensorDict({"params": self.params, "moments": zeros, **followers}, agents)
         self.steps = torch.zeros((), dtype=torch.float64, device=next(iter(params.values())).device)
         self._run: Callable[[TensorDictBase], Tensor] | None = None  # compiled at the first call
 
     def learn(self, batches: TensorDictBase) -> dict[str, Tensor]:
-        """Updates from minibatches [A, M, N], one after the other; each agent's mean losses and gradient norm, [A]."""
+        """Updates from minibatches [A, M, N], one after the other; each agent's mean losses and gradient
+        norm, [A].
+        """
         if not self.compile:
             steps = [self.step(batch) for batch in batches.unbind(1)]
             return {name: torch.stack([found[name] for found in steps]).mean(0) for name in steps[0]}
@@ -125,14 +138,18 @@ class Learner:
         return dict(zip(self.names, found, strict=True))
 
     def step(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        """One update of every agent from a minibatch [A, N]; returns each agent's losses and gradient norm, [A]."""
+        """One update of every agent from a minibatch [A, N]; returns each agent's losses and gradient
+        norm, [A].
+        """
         with torch.no_grad():
             found, following = self._update(self._rates(1)[0], self.state, batch)
             self.state.update_(following)
             self.steps += 1
         return dict(zip(self.names, found, strict=True))
 
-    def _update(self, rate: Tensor, state: TensorDictBase, batch: TensorDictBase) -> tuple[Tensor, TensorDict]:
+    def _update(
+        self, rate: Tensor, state: TensorDictBase, batch: TensorDictBase
+    ) -> tuple[Tensor, TensorDict]:
         """One step: the losses and the gradient's norm [losses + 1, A], and the next state."""
         params = state["params"]
         with torch.enable_grad():
@@ -146,7 +163,10 @@ class Learner:
         params, moments = self.optimiser.step(rate, params, gradient, state["moments"])
         following = {"params": params, "moments": moments}
         if self.tau:
-            pairs = [(name, target, params[name.removeprefix("target_")]) for name, target in state["targets"].items()]
+            pairs = [
+                (name, target, params[name.removeprefix("target_")])
+                for name, target in state["targets"].items()
+            ]
             following["targets"] = {name: target.lerp(value, self.tau) for name, target, value in pairs}
         return torch.cat([losses.detach(), norm[None]]), TensorDict(following, params.shape)
 
@@ -156,10 +176,15 @@ class Learner:
         return self.optimiser.rates(step).to(next(iter(self.params.values())).dtype)
 
     def _compiled(self, batches: TensorDictBase) -> Callable[[TensorDictBase], Tensor]:
-        """All updates of a call as one graph, however many there are, of all agents at once or of each in turn."""
+        """All updates of a call as one graph, however many there are, of all agents at once or of each in
+        turn.
+        """
         held = TensorDict({**self.state, "constants": self.constants})
-        names, keys = list(held.keys(True, True)), list(batches.keys(True, True))
-        n_constants = len(self.constants.keys()) + (0 if self.tau else len(self.state.get("targets", {}).keys()))
+        names = list(held.keys(True, True))
+        keys = list(batches.keys(True, True, sort=True))  # also those of a refilled buffer: one graph
+        n_constants = len(self.constants.keys()) + (
+            0 if self.tau else len(self.state.get("targets", {}).keys())
+        )
 
         def update(rate: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
             given = TensorDict(dict(zip(names, tensors[: len(names)], strict=True)))

@@ -1,4 +1,6 @@
-"""The file of a run's policies: the networks of all seeds, and what rebuilds them. `uavnav.runs.policies` reads it."""
+"""The file of a run's policies: the networks of all seeds, and what rebuilds them. `uavnav.runs.policies`
+reads it.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +17,7 @@ from uavnav.acting import Actor
 from uavnav.errors import ConfigError
 from uavnav.networks import mlp
 from uavnav.tasks import tensors
+from uavnav.tasks.table import header
 from uavnav.tasks.world import VERSION
 from uavnav.training.config import TrainConfig
 
@@ -33,7 +36,9 @@ def check(networks: Mapping[str, nn.Module], config: TrainConfig) -> None:
 
 
 def serialize(networks: Mapping[str, nn.Module], config: TrainConfig, actor: Actor) -> bytes:
-    """The bytes of a policy file: the networks of all seeds; in its header what rebuilds them, and their whole task."""
+    """The bytes of a policy file: the networks of all seeds; in its header what rebuilds them, and their
+    whole task.
+    """
     facts = {
         "algorithm": config.algorithm,
         "activation": config.activation,
@@ -43,7 +48,7 @@ def serialize(networks: Mapping[str, nn.Module], config: TrainConfig, actor: Act
         "acts": actor.acts,
         "head": actor.head,
         "epsilon": config.final_epsilon,
-        **config.make_task().header(),
+        **header(config.make_task()),
         "world_version": VERSION,
         **({"plugins": list(plugins.LOADED)} if plugins.LOADED else {}),
     }
@@ -56,7 +61,9 @@ def serialize(networks: Mapping[str, nn.Module], config: TrainConfig, actor: Act
 
 
 def join(paths: Sequence[Path]) -> bytes:
-    """The bytes of one policy file from those of runs that differ in nothing but their seeds, in that order."""
+    """The bytes of one policy file from those of runs that differ in nothing but their seeds, in that
+    order.
+    """
     parts, seeds = [], []
     for path in paths:
         found, header = tensors.read(path)

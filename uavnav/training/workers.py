@@ -1,15 +1,14 @@
 """A run's seeds spread over processes: each worker is an ordinary run of some seeds, below the run's folder.
 
-    workers/0        a run's folder, with its settings, snapshots and lock, and with its tables once it has finished
-    workers/0.job    what its process is told, in JSON
-    workers/0.ended  how its process ended, in JSON
-    workers/0.log    what its process prints, where a study has given it to an engine
+    workers/0        a run's folder, with its settings, snapshots and lock, and with its tables once it has
+    finished workers/0.job    what its process is told, in JSON workers/0.ended  how its process ended, in
+    JSON workers/0.log    what its process prints, where a study has given it to an engine
 
-Whoever starts a worker reads its `progress.json`, and writes the file `stop` to have it save and end. When all have
-finished, their rows and weights are put together, and `workers` goes.
+Whoever starts a worker reads its `progress.json`, and writes the file `stop` to have it save and end. When
+all have finished, their rows and weights are put together, and `workers` goes.
 
-A worker may be given to another process. Its folder then gets the next name, `0.2` after `0.1`: the former process, if
-it lives on, finds its folder gone and can no longer write.
+A worker may be given to another process. Its folder then gets the next name, `0.2` after `0.1`: the former
+process, if it lives on, finds its folder gone and can no longer write.
 """
 
 from __future__ import annotations
@@ -75,13 +74,19 @@ class Worker:
         return self.folder.with_name(f"{self.folder.name}.{end}")
 
     def take(self) -> None:
-        """Give its folder the next name, or make it, so that only the process that is started next can write there."""
+        """Give its folder the next name, or make it, so that only the process that is started next can
+        write there.
+        """
         if self.folder.is_dir():
             taken = self.folder.with_suffix(f".{int(self.folder.suffix[1:] or 0) + 1}")
             self.folder = self.folder.rename(taken)
         else:
             self.folder.mkdir(parents=True)
-        of_before = [*(self.folder / name for name in (LOCK, STOP, PROGRESS)), self.file("ended"), self.file("log")]
+        of_before = [
+            *(self.folder / name for name in (LOCK, STOP, PROGRESS)),
+            self.file("ended"),
+            self.file("log"),
+        ]
         for left in of_before:
             left.unlink(missing_ok=True)
 
@@ -100,7 +105,11 @@ class Worker:
             self.take()
         except OSError as error:
             raise RunError(f"{self.folder}: cannot be written ({error})") from error
-        told: dict[str, Any] = {"out": str(self.folder), "folder": str(Path.cwd()), "config": plain(self.config)}
+        told: dict[str, Any] = {
+            "out": str(self.folder),
+            "folder": str(Path.cwd()),
+            "config": plain(self.config),
+        }
         told |= {"threads": threads, "evaluation": evaluation, "how": how}
         write(self.file("job"), json.dumps(told).encode())
         kind = type(self.config)
@@ -117,10 +126,14 @@ class Worker:
 
     def problem(self, status: int | None) -> str:
         """What its process said was wrong; status: of the process, if it has ended."""
-        return str(self.last_words().get("error", UNWRITTEN.format(self.folder) if status == os.EX_IOERR else ""))
+        return str(
+            self.last_words().get("error", UNWRITTEN.format(self.folder) if status == os.EX_IOERR else "")
+        )
 
     def saved(self) -> int:
-        """The frames per seed that are behind its newest snapshot, or all where it has finished; 0: none is saved."""
+        """The frames per seed that are behind its newest snapshot, or all where it has finished; 0: none
+        is saved.
+        """
         try:
             recorder = Recorder(self.folder, self.config)
             return self.config.frames if recorder.finished else recorder.snapshot_tables()[0]
@@ -149,7 +162,9 @@ def split(config: TrainConfig, folder: Path, n: int) -> list[Worker]:
 
 def _newest(path: Path) -> Path:
     """The folder of a worker, by the name that it was given last."""
-    names = {int(one.suffix[1:]): one for one in path.parent.glob(f"{path.name}.*") if one.suffix[1:].isdecimal()}
+    names = {
+        int(one.suffix[1:]): one for one in path.parent.glob(f"{path.name}.*") if one.suffix[1:].isdecimal()
+    }
     return names[max(names)] if names else path
 
 
@@ -157,7 +172,8 @@ def train(recorder: Recorder, n: int, threads: int, tell: Tell) -> Run:
     """Train the seeds of a run in n workers of this machine, and put them together.
 
     Args:
-        recorder: of the whole run, already entered; its log is told every row of progress, of whichever worker.
+        recorder: of the whole run, already entered; its log is told every row of progress, of whichever
+            worker.
         n: how many workers.
         threads: of each.
         tell: is told where the whole run is.
@@ -181,7 +197,9 @@ def train(recorder: Recorder, n: int, threads: int, tell: Tell) -> Run:
         folder = workers[saved.index(0)].folder
         raise Interrupted(NOT_SAVED.format(folder), recorder.stop or signal.SIGTERM, 0, wanted=False)
     if (frames := min(saved)) < recorder.config.frames:
-        raise recorder.interrupted(frames, wanted=recorder.stop is None and frames >= (recorder.until or math.inf))
+        raise recorder.interrupted(
+            frames, wanted=recorder.stop is None and frames >= (recorder.until or math.inf)
+        )
     _log(recorder.log, workers)
     run = join(recorder, workers)
     rewards = finished(run.episodes).groupby("seed")["reward"]
@@ -190,7 +208,8 @@ def train(recorder: Recorder, n: int, threads: int, tell: Tell) -> Run:
 
 
 def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Process], tell: Tell) -> str:
-    """Wait until all workers have ended, or all shall stop: because of a signal, or as one of them ended too early.
+    """Wait until all workers have ended, or all shall stop: because of a signal, or as one of them ended too
+    early.
 
     Returns:
         What is wrong with the one that ended too early, if anything is.
@@ -222,7 +241,11 @@ def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Pr
 def _started(recorder: Recorder, workers: Sequence[Worker], threads: int) -> Iterator[list[Process]]:
     """The processes of workers; those that run in the end are stopped."""
     processes: list[Process] = []
-    how: dict[str, Any] = {"checkpoint_seconds": recorder.checkpoint_seconds, "until": recorder.until, "watched": True}
+    how: dict[str, Any] = {
+        "checkpoint_seconds": recorder.checkpoint_seconds,
+        "until": recorder.until,
+        "watched": True,
+    }
     begin = f"import sys; sys.path[:] = {sys.path!r}; {COMMAND}"
     seconds = STOP_SECONDS
     try:
@@ -246,7 +269,9 @@ def _started(recorder: Recorder, workers: Sequence[Worker], threads: int) -> Ite
 
 
 def end(processes: Sequence[Process], seconds: float = 0.0) -> None:
-    """Wait for processes to end; after so many seconds they get a SIGTERM, and after `END_SECONDS` more a SIGKILL."""
+    """Wait for processes to end; after so many seconds they get a SIGTERM, and after `END_SECONDS` more a
+    SIGKILL.
+    """
     for limit, insist in ((seconds, Process.terminate), (END_SECONDS, Process.kill)):
         since = time.monotonic()
         while any(process.poll() is None for process in processes) and time.monotonic() < since + limit:
@@ -258,7 +283,9 @@ def end(processes: Sequence[Process], seconds: float = 0.0) -> None:
 
 
 def _log(log: Log | None, workers: Sequence[Worker]) -> None:
-    """Tell a run's log, where there is one, the rows of its workers' snapshots and tables that it was not told yet."""
+    """Tell a run's log, where there is one, the rows of its workers' snapshots and tables that it was not
+    told yet.
+    """
     if log is None:
         return
     for worker in workers:
@@ -276,7 +303,8 @@ def _log(log: Log | None, workers: Sequence[Worker]) -> None:
 
 
 def snapshot_tables(folder: Path, config: TrainConfig) -> tuple[int, dict[str, pd.DataFrame]]:
-    """The newest snapshot of an unfinished run, of all its workers: frames per seed, rows of episodes and of progress.
+    """The newest snapshot of an unfinished run, of all its workers: frames per seed, rows of episodes and of
+    progress.
 
     Raises:
         RunError: there is none.
@@ -292,7 +320,9 @@ def snapshot_tables(folder: Path, config: TrainConfig) -> tuple[int, dict[str, p
 
 
 def join(recorder: Recorder, workers: Sequence[Worker]) -> Run:
-    """Put the finished workers of a run that is being recorded together; it took as long as the slowest of them."""
+    """Put the finished workers of a run that is being recorded together; it took as long as the slowest
+    of them.
+    """
     runs = [Run(worker.folder) for worker in workers]
     recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
     policy = weights.join([run.path / POLICY for run in runs])
@@ -300,7 +330,9 @@ def join(recorder: Recorder, workers: Sequence[Worker]) -> Run:
 
 
 def _in_order(episodes: list[pd.DataFrame]) -> pd.DataFrame:
-    """Episodes as one process would have noted them: in the order of their ends, then those cut off, seed by seed."""
+    """Episodes as one process would have noted them: in the order of their ends, then those cut off, seed
+    by seed.
+    """
     there = [table for table in episodes if len(table)]
     if not there:
         return episodes[0]
@@ -314,4 +346,6 @@ def _by_frame(progress: list[pd.DataFrame]) -> pd.DataFrame:
     there = [table for table in progress if len(table)]
     if not there:
         return progress[0]
-    return pd.concat(there, ignore_index=True).sort_values(["frame", "seed"], kind="stable", ignore_index=True)
+    return pd.concat(there, ignore_index=True).sort_values(
+        ["frame", "seed"], kind="stable", ignore_index=True
+    )

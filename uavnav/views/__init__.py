@@ -1,1 +1,1 @@
-"""How flights are shown: as films and pictures, in a window, in a browser; and the look of all figures."""
+"""How episodes are shown: as films and pictures, in a window, in a browser; and the look of all figures."""

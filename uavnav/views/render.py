@@ -1,6 +1,6 @@
-"""The world as a picture: one state as RGB, flights side by side as a film, without a screen.
+"""The world as a picture: one state as RGB, episodes side by side as a film, without a screen.
 
-`uavnav render RUN... --out flight.gif` draws what trained policies do on the same set of obstacles.
+`uavnav render RUN... --out flight.gif` draws what trained policies do on the same layout.
 """
 
 from __future__ import annotations
@@ -22,26 +22,38 @@ from torch import Tensor
 
 from uavnav import files
 from uavnav.envs import drawing
-from uavnav.envs.drawing import BORDER, GROUND, INK, OBSTACLE, PILOTS, SENSED, STEPS_PER_SECOND, Colour, Picture, font
+from uavnav.envs.drawing import (
+    BORDER,
+    GROUND,
+    INK,
+    OBSTACLE,
+    PILOTS,
+    SENSED,
+    STEPS_PER_SECOND,
+    Colour,
+    Picture,
+    font,
+)
 from uavnav.errors import did_you_mean, did_you_mean_run
 from uavnav.evaluation import episodes
 from uavnav.runs import policies
-from uavnav.tasks import layouts as banks
+from uavnav.tasks import layouts as splits
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.protocol import EPISODES
-from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.state import State, at
+from uavnav.tasks.table import EMPTY, make_task
+from uavnav.tasks.wrapper import WrappedTask
 
 SUFFIXES = (".mp4", ".gif", ".png")
 COLOURS = 128  # of a GIF
-GAP = 8  # between flights side by side [px]
-WIDTHS = range(160, 3841)  # of one flight's picture [px]
-MOST_FLOWN = 100_000  # steps of a flight that is drawn: its states are kept
+GAP = 8  # between episodes side by side [px]
+WIDTHS = range(160, 3841)  # of one episode's picture [px]
+MOST_FLOWN = 100_000  # steps of an episode that is drawn: its states are kept
 SLOWEST = Fraction(1, 100)  # pictures per second of a film
 FASTEST_GIF = 50  # pictures per second: viewers slow shorter pauses than 0.02 s down
 
 
-# -- flights ---------------------------------------------------------------------------------------------------------
+# -- episodes ------------------------------------------------------------------------------------------------
 
 
 class Pilot(NamedTuple):
@@ -49,7 +61,7 @@ class Pilot(NamedTuple):
 
     name: str
     policy: AnyPolicy
-    task: Task
+    task: WrappedTask
     seed: int = 0
 
     @property
@@ -63,12 +75,12 @@ class Pilot(NamedTuple):
         return f"{self.name}, {self.mode}" if self.mode else self.name
 
 
-class Flight(NamedTuple):
+class Episode(NamedTuple):
     """One episode: its states, the first and the last included, and how it ended."""
 
     pilot: Pilot
     states: list[State]
-    ended: str  # collided, arrived, or nothing at the cap
+    ended: str  # collided, arrived, or nothing at the time limit
 
 
 def load_pilots(
@@ -84,7 +96,7 @@ def load_pilots(
 
     Raises:
         PolicyError: no such run or seed, or an activation for runs alone.
-        ValueError: there is no such task, or the runs fly banks of several.
+        ValueError: there is no such task, or the runs fly layouts of several.
     """
     zips, pilots = policies.zips(words, activation), []
     scripted = make_task(EMPTY, task=task)
@@ -98,31 +110,34 @@ def load_pilots(
                 raise policies.PolicyError(f"{error}{did_you_mean_run(word, BASELINES)}") from error
             pilots.append(Pilot("/".join(Path(word).resolve().parts[-2:]), policy, policy.task, policy.seed))
     of_runs = [pilot.task for pilot in pilots if pilot.task is not scripted]
-    if len(kinds := {banks.kind_of(one.world) for one in of_runs}) > 1:
-        raise ValueError(f"runs of task={' and task='.join(sorted(kinds))} have no set in common; give those of one")
+    if len(kinds := {splits.kind_of(one.world) for one in of_runs}) > 1:
+        raise ValueError(
+            f"runs of task={' and task='.join(sorted(kinds))} have no set in common; give those of one"
+        )
     task_of = {scripted: of_runs[0] if of_runs else scripted}
     placed = [one._replace(task=task_of.get(one.task, one.task)) for one in pilots]
     return [one._replace(policy=suited(one.policy, one.task)) for one in placed]
 
 
 def load_layout(layouts: str, layout: int, pilots: Sequence[Pilot] = ()) -> Tensor:
-    """A bank [n, k, 3] px of the pilots' world, in which there is a set of that index.
+    """A layout file [n, k, 3] px of the pilots' world, in which there is a layout of that index.
 
     Raises:
-        ValueError: there is no such bank, or it has no such set.
+        ValueError: there is no such layout file, or it has no such set.
     """
-    bank = banks.load(layouts, pilots[0].task.world if pilots else None)
-    if not 0 <= layout < len(bank):
-        raise ValueError(f"--layout {layout}: choose from 0 to {len(bank) - 1}")
-    return bank
+    all_layouts = splits.load(layouts, pilots[0].task.world if pilots else None)
+    if not 0 <= layout < len(all_layouts):
+        raise ValueError(f"--layout {layout}: choose from 0 to {len(all_layouts) - 1}")
+    return all_layouts
 
 
-def fly(pilot: Pilot, bank: Tensor, layout: int, max_steps: int) -> Flight:
-    """One episode of a policy on one set of obstacles: the very flight that an evaluation of 200 sets counts.
+def fly(pilot: Pilot, layouts: Tensor, layout: int, max_steps: int) -> Episode:
+    """One episode of a policy on one layout: the very episode that an evaluation of 200 layouts counts.
 
-    An evaluation flies its sets as one batch, in which sampled actions of one flight follow others; so does this.
+    An evaluation flies its layouts as one batch, in which sampled actions of one episode follow others; so
+    does this.
     """
-    task = pilot.task.on(bank[: max(EPISODES, layout + 1)], max_steps)
+    task = pilot.task.on(layouts[: max(EPISODES, layout + 1)], max_steps)
     states = [at(episodes.start(task, [pilot.seed]), layout)]
     for step in episodes.steps([(pilot.seed, pilot.policy)], task):
         mine = step.place[step.episode == layout].squeeze()
@@ -130,22 +145,23 @@ def fly(pilot: Pilot, bank: Tensor, layout: int, max_steps: int) -> Flight:
         if step.outcomes.terminated[mine] or step.outcomes.truncated[mine]:
             arrived = "arrived" if step.outcomes.terminated[mine] else ""
             hit = step.outcomes.clearance[mine] <= task.world.drone_radius
-            return Flight(pilot, states, "collided" if hit else arrived)
-    raise AssertionError("every flight ends at its cap")
+            return Episode(pilot, states, "collided" if hit else arrived)
+    raise AssertionError("every episode ends at its time limit")
 
 
 class Film(Sequence[Picture]):
-    """Flights on the same set of obstacles, side by side, with their trails: drawn when they are asked for.
+    """Episodes on the same layout, side by side, with their trails: drawn when they are asked for.
 
-    obstacles: a set of the bank, such as [K, 3] px; width: of one flight's picture [px]; every: steps from one picture
-    to the next. The last picture is that of the last step of the longest flight; a flight that is over stands still.
+    obstacles: a layout of the split, such as [K, 3] px; width: of one episode's picture [px]; every: steps
+    from one picture to the next. The last picture is that of the last step of the longest episode; an episode
+    that is over stands still.
     """
 
-    def __init__(self, flights: Sequence[Flight], obstacles: Tensor, width: int, every: int = 1) -> None:
-        self.flights, self.obstacles, self.width = flights, obstacles, width
-        self._trails = [[_place(state) for state in flight.states] for flight in flights]
-        self._panel = functools.lru_cache(len(flights))(self._draw)  # what stands still is drawn once
-        last = max(len(flight.states) for flight in flights) - 1
+    def __init__(self, episodes: Sequence[Episode], obstacles: Tensor, width: int, every: int = 1) -> None:
+        self.episodes, self.obstacles, self.width = episodes, obstacles, width
+        self._trails = [[_place(state) for state in episode.states] for episode in episodes]
+        self._panel = functools.lru_cache(len(episodes))(self._draw)  # what stands still is drawn once
+        last = max(len(episode.states) for episode in episodes) - 1
         self.steps = [*range(0, last, every), last]
 
     def __len__(self) -> int:
@@ -161,7 +177,10 @@ class Film(Sequence[Picture]):
         if isinstance(index, slice):
             return [self[one] for one in range(*index.indices(len(self)))]
         step = self.steps[index]
-        panels = [self._panel(number, min(step, len(flight.states) - 1)) for number, flight in enumerate(self.flights)]
+        panels = [
+            self._panel(number, min(step, len(episode.states) - 1))
+            for number, episode in enumerate(self.episodes)
+        ]
         columns = len(panels) if len(panels) <= 3 else math.ceil(math.sqrt(len(panels)))
         rows = math.ceil(len(panels) / columns)
         width, height = panels[0].width + GAP, panels[0].height + GAP
@@ -171,14 +190,14 @@ class Film(Sequence[Picture]):
         return np.asarray(picture)
 
     def _draw(self, number: int, step: int) -> Image.Image:
-        """One flight with its caption."""
-        flight, colour = self.flights[number], PILOTS[number % len(PILOTS)]
-        state, trail = flight.states[step], self._trails[number][: step + 1]
-        task = flight.pilot.task.with_bank(self.obstacles[None])
+        """One episode with its caption."""
+        episode, colour = self.episodes[number], PILOTS[number % len(PILOTS)]
+        state, trail = episode.states[step], self._trails[number][: step + 1]
+        task = episode.pilot.task.replace(layouts=self.obstacles[None])
         here = state._replace(layout=torch.tensor(0))
         arena = drawing.draw_arena(here, task, self.width, [(trail, colour)], colour)
-        ended = flight.ended if step == len(flight.states) - 1 else ""
-        strip = _caption(self.width, flight.pilot, state, ended, colour)
+        ended = episode.ended if step == len(episode.states) - 1 else ""
+        strip = _caption(self.width, episode.pilot, state, ended, colour)
         panel = Image.new("RGB", (self.width, arena.height + strip.height))
         panel.paste(arena, (0, 0))
         panel.paste(strip, (0, arena.height))
@@ -191,14 +210,15 @@ def _place(state: State) -> tuple[float, ...]:
 
 
 def _caption(width: int, pilot: Pilot, state: State, ended: str, colour: Colour) -> Image.Image:
-    """A line below a flight: who flies, greedy or sampled, and how far it is."""
+    """A line below an episode: who flies, greedy or sampled, and how far it is."""
     size = max(8, width // 32)
     strip = Image.new("RGB", (width, 2 * size), GROUND)
     canvas = ImageDraw.Draw(strip)
     canvas.ellipse((size // 2, size // 2, size // 2 + size, size // 2 + size), fill=colour)
     steps, reward = int(state.steps), f"{float(state.reward):.2f}"
     told = [f"step {steps}   reward {reward}", f"{steps}   {reward}"]
-    for counts in [f"{ended} at {told[0]}", *told] if ended else told:  # the first that leaves room for the name
+    # the first that leaves room for the name
+    for counts in [f"{ended} at {told[0]}", *told] if ended else told:
         room = width - 3 * size - canvas.textlength(f"{counts} {pilot.mode}", font(size))
         if room > 3 * size:
             break
@@ -209,18 +229,21 @@ def _caption(width: int, pilot: Pilot, state: State, ended: str, colour: Colour)
     if pilot.mode:
         after = 2 * size + canvas.textlength(f"{name} ", font(size, bold=True))
         canvas.text((after, size), pilot.mode, INK, font(size), anchor="lm")
-    canvas.text((width - size // 2, size), counts, SENSED if ended == "collided" else INK, font(size), anchor="rm")
+    canvas.text(
+        (width - size // 2, size), counts, SENSED if ended == "collided" else INK, font(size), anchor="rm"
+    )
     return strip
 
 
-# -- files -----------------------------------------------------------------------------------------------------------
+# -- files ---------------------------------------------------------------------------------------------------
 
 
 def check_picture(path: Path, rate: Fraction) -> str:
     """The kind of a file by its name, if pictures can be written there, so many per second.
 
     Raises:
-        ValueError: it is none of the three, its folder is missing, PyAV is, or a film would be too fast or too slow.
+        ValueError: it is none of the three, its folder is missing, PyAV is, or a film would be too fast or
+            too slow.
     """
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
@@ -243,7 +266,8 @@ def check_picture(path: Path, rate: Fraction) -> str:
 def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PER_SECOND) -> None:
     """Write pictures as MP4 or GIF, or the last one as PNG; the file is whole or not there.
 
-    fps: pictures per second. MP4 needs an even width and height: an odd one gains a column or a row of its edge.
+    fps: pictures per second. MP4 needs an even width and height: an odd one gains a column or a row of its
+        edge.
 
     Raises:
         ValueError: the file is none of these, too fast or too slow (`check_picture`), or cannot be written.
@@ -262,7 +286,9 @@ def save(frames: Sequence[Picture], path: Path, fps: float | Fraction = STEPS_PE
 
 
 def _gif(frames: Sequence[Picture], rate: Fraction) -> io.BytesIO:
-    """An animated GIF in few colours. Its clock counts hundredths of a second: pauses differ by one to keep time."""
+    """An animated GIF in few colours. Its clock counts hundredths of a second: pauses differ by one to
+    keep time.
+    """
     palette = _palette(frames)
     ticks = [round(100 * index / rate) for index in range(len(frames) + 1)]
     pauses = [10 * (later - now) for now, later in itertools.pairwise(ticks)]
@@ -273,7 +299,9 @@ def _gif(frames: Sequence[Picture], rate: Fraction) -> io.BytesIO:
 
 
 def _palette(frames: Sequence[Picture]) -> Image.Image:
-    """The colours of a GIF: those that things are drawn in, and the rest from five pictures spread over the film."""
+    """The colours of a GIF: those that things are drawn in, and the rest from five pictures spread over
+    the film.
+    """
     own = list(dict.fromkeys((GROUND, BORDER, OBSTACLE, INK, SENSED, *PILOTS)))
     spread = [frames[round(index * (len(frames) - 1) / 4)][::2, ::2] for index in range(5)]
     mixed = Image.fromarray(np.concatenate(spread)).quantize(COLOURS - len(own)).getpalette() or []

@@ -1,7 +1,7 @@
 """The help of each algorithm, as `uavnav train ALGORITHM --help` shows it.
 
-`python -m uavnav.cli.help` writes it into this folder for each algorithm of the package, where it is found without
-torch.
+`python -m uavnav.cli.help` writes it into this folder for each algorithm of the package, where it is found
+without torch.
 """
 
 from pathlib import Path

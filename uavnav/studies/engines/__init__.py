@@ -1,8 +1,8 @@
 """Where the jobs of a study run: on the cores of this machine, on a Ray cluster, or on a SLURM cluster.
 
-A job is a command line, and what it needs lies in files below a folder that all machines see. An engine starts jobs,
-and may know that one has ended; whether a job lives, and how it ended, is in the files. An engine is a file here and a
-line of `ENGINES`.
+A job is a command line, and what it needs lies in files below a folder that all machines see. An engine
+starts jobs, and may know that one has ended; whether a job lives, and how it ended, is in the files. An
+engine is a file here and a line of `ENGINES`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ class Engine(Protocol):
     """Starts jobs. Building one raises a ConfigError where it cannot be used here."""
 
     SEEDS_PER_WORKER: int | None
-    """How many seeds a worker trains, unless it is given; None: as one machine spreads them over its cores."""
+    """How many seeds a worker trains, unless it is given; None: as one machine spreads them over its
+    cores.
+    """
 
     def slots(self) -> int:
         """How many jobs it runs at once, at this moment."""
@@ -40,7 +42,9 @@ class Engine(Protocol):
         """Start command lines, and return what stands for each."""
 
     def ended(self, job: Any) -> bool:
-        """Whether a job is known to have ended, or to have died with its machine; false is no proof that it lives."""
+        """Whether a job is known to have ended, or to have died with its machine; false is no proof that
+        it lives.
+        """
 
     def queued(self, job: Any) -> bool:
         """Whether the engine explains that a job has not begun, however long that lasts."""
@@ -56,15 +60,20 @@ def build(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) 
     """An engine by its name and its settings; others: further keys, which a wrong one may have meant.
 
     Raises:
-        ConfigError: there is no such engine or setting, what it needs is not installed, or there is no such cluster.
+        ConfigError: there is no such engine or setting, what it needs is not installed, or there is no such
+            cluster.
     """
     kind, values = described(name, settings, others)
     engine: Engine = kind(**values)
     return engine
 
 
-def described(name: str, settings: Mapping[str, Any], others: Collection[str] = ()) -> tuple[Any, dict[str, Any]]:
-    """The class of an engine and its settings, checked; arguments and errors are as of `build`, which needs more."""
+def described(
+    name: str, settings: Mapping[str, Any], others: Collection[str] = ()
+) -> tuple[Any, dict[str, Any]]:
+    """The class of an engine and its settings, checked; arguments and errors are as of `build`, which
+    needs more.
+    """
     if name not in ENGINES:
         raise unknown("engine", name, ENGINES)
     kind = getattr(importlib.import_module(f"uavnav.studies.engines.{name}"), ENGINES[name])
@@ -77,7 +86,8 @@ def described(name: str, settings: Mapping[str, Any], others: Collection[str] = 
 
 
 class Probe:
-    """A folder of a new name in the folder of a study: a machine that sees it copies a file in it, under its own name.
+    """A folder of a new name in the folder of a study: a machine that sees it copies a file in it, under its
+    own name.
 
     So a folder of the same path on the machine's own disk, or one that it may not write to, does not pass.
     """
@@ -119,7 +129,9 @@ def unseen(folder: Path, machine: str) -> ConfigError:
 
 def lacking(engine: str, machine: str) -> ConfigError:
     """The error where a machine does not have this environment."""
-    return ConfigError(f"engine={engine}: {machine} has no {sys.executable}; install uavnav there, at that path")
+    return ConfigError(
+        f"engine={engine}: {machine} has no {sys.executable}; install uavnav there, at that path"
+    )
 
 
 def logged(words: Sequence[str], log: Path) -> list[str]:

@@ -37,7 +37,9 @@ class Local:
 
     def start(self, jobs: Sequence[list[str]]) -> list[subprocess.Popen[bytes]]:
         # signals of the terminal come to the study alone
-        started = [subprocess.Popen(words, stdin=subprocess.DEVNULL, start_new_session=True) for words in jobs]
+        started = [
+            subprocess.Popen(words, stdin=subprocess.DEVNULL, start_new_session=True) for words in jobs
+        ]
         self._running += started
         return started
 

@@ -1,7 +1,8 @@
-"""Jobs on a Ray cluster: each is one call of `subprocess.call` on one CPU, so that nothing of ours is pickled.
+"""Jobs on a Ray cluster: each is one call of `subprocess.call` on one CPU, so that nothing of ours is
+pickled.
 
-Each job is given to one machine, so that it is known to have died where Ray says that the machine has. Ray itself may
-never tell the end of a job whose machine is gone.
+Each job is given to one machine, so that it is known to have died where Ray says that the machine has. Ray
+itself may never tell the end of a job whose machine is gone.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ class Ray:
             ray.init(address=self.address, log_to_driver=False, logging_level=logging.ERROR)
         except (OSError, RuntimeError, ValueError) as error:
             raise ConfigError(
-                f"engine=ray: there is no Ray cluster at address={self.address}; `ray start --head` begins one"
+                f"engine=ray: there is no Ray cluster at address={self.address}; `ray start --head` begins "
+                "one"
             ) from error
         self._head: str = ray.get_runtime_context().gcs_address
         self._running: dict[Any, str] = {}  # the machine of each job
@@ -65,7 +67,8 @@ class Ray:
         """The CPUs of each machine that lives; some of these may not answer any more, and get no further job.
 
         Raises:
-            ConfigError: the head of the cluster is gone, for which Ray itself would wait, and then end this process.
+            ConfigError: the head of the cluster is gone, for which Ray itself would wait, and then end this
+                process.
         """
         if time.monotonic() - self._seen < LOOK_SECONDS:
             return dict(self._living)
@@ -82,7 +85,9 @@ class Ray:
         nodes = [node for node in self._ray.nodes() if node["Alive"]]
         self._living = {node["NodeID"]: int(node["Resources"].get("CPU", 0)) for node in nodes}
         with ThreadPoolExecutor() as pool:
-            answers = pool.map(_answers, [f"{node['NodeManagerAddress']}:{node['NodeManagerPort']}" for node in nodes])
+            answers = pool.map(
+                _answers, [f"{node['NodeManagerAddress']}:{node['NodeManagerPort']}" for node in nodes]
+            )
         answering = {node["NodeID"] for node, there in zip(nodes, answers, strict=True) if there}
         self._answering = {key: n for key, n in self._living.items() if key in answering or not answering}
         self._seen = time.monotonic()
@@ -142,7 +147,9 @@ class Ray:
             machine = max(free, key=lambda one: (free[one] > 0, one not in self._doubted, free[one]))
             free[machine] -= 1
             call = self._ray.remote(subprocess.call)
-            job = call.options(num_cpus=1, max_retries=0, scheduling_strategy=self._only(machine)).remote(words)
+            job = call.options(num_cpus=1, max_retries=0, scheduling_strategy=self._only(machine)).remote(
+                words
+            )
             self._running[job] = machine
             started.append(job)
         return started
@@ -156,7 +163,8 @@ class Ray:
 
     def queued(self, job: Any) -> bool:
         machine = self._running.get(job)
-        there = [one for one, where in self._running.items() if where == machine]  # in the order they were given
+        # in the order they were given
+        there = [one for one, where in self._running.items() if where == machine]
         return machine in self._machines() and job in there[self._living[machine] :]
 
     def cancel(self, job: Any) -> None:
@@ -178,7 +186,9 @@ def _answers(address: str) -> bool:
 
 
 def _knock(address: str) -> None:
-    """Raise an OSError where nobody listens at host:port; Ray itself would wait a minute and then end the process."""
+    """Raise an OSError where nobody listens at host:port; Ray itself would wait a minute and then end the
+    process.
+    """
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if host and port.isdigit():
         socket.create_connection((host, int(port)), KNOCK_SECONDS).close()

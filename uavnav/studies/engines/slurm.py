@@ -1,4 +1,6 @@
-"""Jobs on a SLURM cluster, through submitit: each is a command line, and those given together are one job array."""
+"""Jobs on a SLURM cluster, through submitit: each is a command line, and those given together are one job
+array.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ class Slurm:
         except ModuleNotFoundError as error:
             raise engines.missing("slurm") from error
         if self.cluster == "slurm" and shutil.which("sbatch") is None:
-            raise ConfigError("engine=slurm: there is no sbatch on this machine; give the command where it is")
+            raise ConfigError(
+                "engine=slurm: there is no sbatch on this machine; give the command where it is"
+            )
         self._submitit: Any = submitit
         self._running: list[Any] = []
         self._executor: Any = None

@@ -1,8 +1,8 @@
 """What runs in a browser: the worlds and their drawing, one home each, without a build step or a framework.
 
-`world.js` is the worlds, held to Python's by tests/test_playground.py, `sets.js` their obstacles; `drawing.js` draws
-them, and `box.js` those in 3D. `replay.js` plays recorded flights on a report, and the folder `playground` flies live.
-A page holds the scripts that it needs, one after the other.
+`world.js` is the worlds, held to Python's by tests/test_playground.py, `sets.js` their obstacles;
+`drawing.js` draws them, and `box.js` those in 3D. `replay.js` plays recorded episodes on a report, and the
+folder `playground` flies live. A page holds the scripts that it needs, one after the other.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from uavnav.tasks import baselines, goal, slalom
-from uavnav.tasks.simulator import TASKS
+from uavnav.tasks.table import TASKS
 
 HERE = Path(__file__).parent
 WORLD = (HERE / "world.js", HERE / "sets.js", HERE / "drawing.js")
 """What every page with a drone needs, in the order in which a browser reads it."""
 
 PLAYER = (*WORLD, HERE / "box.js", HERE / "replay.js")
-"""What a page with recorded flights needs."""
+"""What a page with recorded episodes needs."""
 
 SLALOM = {name: getattr(slalom, name.upper()) for name in ("columns", "radius", "spacing", "height")}
 GOAL = {name: getattr(goal, name.upper()) for name in ("room", "far", "grid", "tries", "scale")}
@@ -38,8 +38,8 @@ IN_3D = {"space": "a box in 3D", "space-moving": "a box in 3D, moving spheres"}
 
 
 def constants() -> dict[str, dict[str, Any]]:
-    """What `world.js` needs of each world, by its name there: constants, the cap on steps, and `RULES`."""
-    kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is a bank alone
+    """What `world.js` needs of each world, by its name there: constants, the time limit, and `RULES`."""
+    kinds = {name: TASKS.get(name, TASKS["drone"]) for name in TITLES}  # a slalom is a layout file alone
     return {
         name: {"world": kind.WORLD().model_dump(), "max_steps": kind.MAX_STEPS, "rules": RULES.get(name, {})}
         for name, kind in kinds.items()

@@ -1,7 +1,7 @@
 /*
- * The player of recorded flights: startReplays(root, data) builds it inside an element.
+ * The player of recorded episodes: startReplays(root, data) builds it inside an element.
  *
- * `data` is what uavnav/report/replays.py records; drawing.js draws it, and box.js what is in 3D. Nothing moves before the reader asks for it.
+ * `data` is what uavnav/views/replays.py records; drawing.js draws it, and box.js what is in 3D. Nothing moves before the reader asks for it.
  */
 
 const SPEEDS = [0.25, 1, 4];
@@ -10,7 +10,7 @@ const TYPES = {
   float32: [4, "getFloat32"],
 }; // of a field: its bytes, and what reads it
 
-// ---------------------------------------------------------------------------------------------- reading a flight
+// ---------------------------------------------------------------------------------------------- reading an episode
 
 async function inflate(text) {
   const packed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
@@ -18,14 +18,14 @@ async function inflate(text) {
   return new Response(stream).arrayBuffer();
 }
 
-/** The fields of a flight by name: each a function of the step (and the column) that gives the number. */
-async function unpack(flight, fields) {
-  const view = new DataView(await inflate(flight.bytes));
+/** The fields of an episode by name: each a function of the step (and the column) that gives the number. */
+async function unpack(episode, fields) {
+  const view = new DataView(await inflate(episode.bytes));
   const read = {};
   let start = 0;
   for (const { name, type, unit, chosen, columns } of fields) {
     const [bytes, getter] = TYPES[type];
-    const rows = flight.steps + (chosen ? 0 : 1); // the last pose chooses nothing
+    const rows = episode.steps + (chosen ? 0 : 1); // the last pose chooses nothing
     const first = start;
     read[name] = (step, column = 0) => view[getter](first + bytes * (column * rows + step), true) * unit;
     start += bytes * rows * columns;
@@ -33,12 +33,12 @@ async function unpack(flight, fields) {
   return read;
 }
 
-/** A cell in words, and where it flies if that has a name. */
+/** A configuration in words, and where it flies if that has a name. */
 function named({ algorithm, label, mode, place }) {
   return [`${algorithm.toUpperCase()} ${label}`, mode, ...(place ? [place.title] : [])].join(", ");
 }
 
-/** What stands around a flight at a step: { circles, goal }. */
+/** What stands around an episode at a step: { circles, goal }. */
 function around({ layouts }, { place }, { layout }, step) {
   if (!place) return { circles: layouts[layout] };
   const set = place.sets[layout];
@@ -63,12 +63,12 @@ function droneAt(world, read, step, trail = Infinity) {
   return { pose, trail: flown, sensed: sensedPoints(world, pose, slots) };
 }
 
-function crashedAt(flight, step) {
-  return step === flight.steps && flight.ended === "collision";
+function crashedAt(episode, step) {
+  return step === episode.steps && episode.ended === "collision";
 }
 
-function ending(flight) {
-  return `${flight.ended} at ${flight.steps}`;
+function ending(episode) {
+  return `${episode.ended} at ${episode.steps}`;
 }
 
 // ---------------------------------------------------------------------------------------------- the page's elements
@@ -92,9 +92,9 @@ function button(parent, text, name) {
 function build(root) {
   const player = make(root, "div", { className: "replay", tabIndex: 0 });
   player.setAttribute("role", "group");
-  player.setAttribute("aria-label", "Player of flights. Space plays and pauses, left and right arrows step.");
+  player.setAttribute("aria-label", "Player of episodes. Space plays and pauses, left and right arrows step.");
   const choice = make(player, "div", { className: "replay-row" });
-  const cell = labelled(choice, "policy", "select");
+  const configuration = labelled(choice, "policy", "select");
   const seed = labelled(choice, "seed", "select");
   const layout = labelled(choice, "obstacles", "select");
   const stage = make(player, "div", { className: "replay-stage" });
@@ -114,7 +114,7 @@ function build(root) {
   const caption = make(side, "figcaption");
   const values = make(side, "canvas");
   values.setAttribute("role", "img");
-  return { player, cell, seed, layout, arena, caption, values, back, play, forward, slider, speed, status };
+  return { player, configuration, seed, layout, arena, caption, values, back, play, forward, slider, speed, status };
 }
 
 /** Give a select its choices [value, text], and keep what was chosen if it is still there. */
@@ -129,18 +129,18 @@ class Player {
   constructor(root, data) {
     this.data = data;
     this.parts = build(root);
-    this.flight = null; // the one that is shown
+    this.episode = null; // the one that is shown
     this.read = null; // its fields, once it is unpacked
     this.step = 0;
     this.playing = false;
-    fill(this.parts.cell, data.cells.map((one, place) => [place, named(one)]));
+    fill(this.parts.configuration, data.configurations.map((one, place) => [place, named(one)]));
     this.listen();
     this.chooseCell();
   }
 
   listen() {
-    const { player, cell, seed, layout, back, play, forward, slider } = this.parts;
-    cell.addEventListener("change", () => this.chooseCell());
+    const { player, configuration, seed, layout, back, play, forward, slider } = this.parts;
+    configuration.addEventListener("change", () => this.chooseCell());
     seed.addEventListener("change", () => this.chooseSeed());
     layout.addEventListener("change", () => this.load());
     play.addEventListener("click", () => this.toggle());
@@ -169,41 +169,41 @@ class Player {
   }
 
   chooseCell() {
-    const flights = this.data.cells[this.parts.cell.value].flights;
-    const seeds = [...new Set(flights.map(({ seed }) => seed))];
+    const episodes = this.data.configurations[this.parts.configuration.value].episodes;
+    const seeds = [...new Set(episodes.map(({ seed }) => seed))];
     fill(this.parts.seed, seeds.map((seed) => [seed, seed]));
     this.chooseSeed();
   }
 
   chooseSeed() {
-    const { cell, seed, layout } = this.parts;
-    const flights = this.data.cells[cell.value].flights.filter((flight) => flight.seed === Number(seed.value));
-    fill(layout, flights.map((flight) => [flight.layout, `${flight.layout + 1} (${ending(flight)})`]));
+    const { configuration, seed, layout } = this.parts;
+    const episodes = this.data.configurations[configuration.value].episodes.filter((episode) => episode.seed === Number(seed.value));
+    fill(layout, episodes.map((episode) => [episode.layout, `${episode.layout + 1} (${ending(episode)})`]));
     this.load();
   }
 
   async load() {
-    const { cell, seed, layout, slider, status } = this.parts;
+    const { configuration, seed, layout, slider, status } = this.parts;
     this.pause();
-    this.cell = this.data.cells[cell.value];
-    this.world = this.cell.place?.world ?? this.data.world;
-    this.actions = this.cell.place?.actions ?? this.data.actions;
+    this.configuration = this.data.configurations[configuration.value];
+    this.world = this.configuration.place?.world ?? this.data.world;
+    this.actions = this.configuration.place?.actions ?? this.data.actions;
     this.grid = gridOf(this.actions);
     this.parts.arena.style.aspectRatio = this.world.depth ? shapeOf(this.world) : this.world.width / this.world.height;
-    const flight = this.cell.flights.find(
+    const episode = this.configuration.episodes.find(
       (one) => one.seed === Number(seed.value) && one.layout === Number(layout.value),
     );
-    this.flight = flight;
+    this.episode = episode;
     this.read = null;
-    status.textContent = "unpacking the flight …";
+    status.textContent = "unpacking the episode …";
     try {
-      const read = await unpack(flight, this.cell.place?.fields ?? this.data.fields);
-      if (this.flight !== flight) return; // another was chosen meanwhile
+      const read = await unpack(episode, this.configuration.place?.fields ?? this.data.fields);
+      if (this.episode !== episode) return; // another was chosen meanwhile
       this.read = read;
-      slider.max = flight.steps;
+      slider.max = episode.steps;
       this.show(0);
     } catch (error) {
-      if (this.flight === flight) status.textContent = `This flight cannot be shown in this browser (${error.message}).`;
+      if (this.episode === episode) status.textContent = `This episode cannot be shown in this browser (${error.message}).`;
     }
   }
 
@@ -216,14 +216,14 @@ class Player {
     if (!this.read) return;
     this.playing = true;
     this.mark();
-    if (this.step === this.flight.steps) this.show(0);
+    if (this.step === this.episode.steps) this.show(0);
     let due = 0; // steps, whole and parts
     everyPicture(this, (seconds) => {
       due += seconds * STEPS_PER_SECOND * Number(this.parts.speed.value);
       const whole = Math.floor(due);
       due -= whole;
       if (whole) this.show(this.step + whole);
-      if (this.step === this.flight.steps) this.pause();
+      if (this.step === this.episode.steps) this.pause();
     });
   }
 
@@ -250,7 +250,7 @@ class Player {
 
   show(step) {
     if (!this.read) return;
-    this.step = Math.min(Math.max(step, 0), this.flight.steps);
+    this.step = Math.min(Math.max(step, 0), this.episode.steps);
     this.parts.slider.value = this.step;
     this.describe();
     this.draw();
@@ -259,35 +259,35 @@ class Player {
   describe() {
     if (!this.read) return;
     const { slider, status, caption, arena, values } = this.parts;
-    const [{ flight, read, step, cell }, last] = [this, this.flight.steps];
+    const [{ episode, read, step, configuration }, last] = [this, this.episode.steps];
     const where = `step ${step} of ${last}`;
     const facts = `reward so far ${fixed(read.reward(step), 2)}, clearance ${fixed(read.clearance(step), 1)} px`;
-    const did = step === last ? { goal: "goal reached" }[flight.ended] ?? flight.ended : `action: ${inWords(this.actions[read.action(step)])}`;
+    const did = step === last ? { goal: "goal reached" }[episode.ended] ?? episode.ended : `action: ${inWords(this.actions[read.action(step)])}`;
     status.textContent = `${where}: ${facts}, ${did}`;
     slider.setAttribute("aria-valuetext", where);
-    caption.textContent = `${cell.values} of each action (the chosen one is framed)`;
+    caption.textContent = `${configuration.values} of each action (the chosen one is framed)`;
     arena.setAttribute("aria-label", `The ${this.world.depth ? "box" : "arena"} at ${where}, seen from above${this.world.depth ? " and from the side" : ""}`);
     const range = step === last ? "none" : `from ${short(read.low(step))} to ${short(read.high(step))}`;
-    values.setAttribute("aria-label", `${cell.values} of the ${this.actions.length} actions: ${range}`);
+    values.setAttribute("aria-label", `${configuration.values} of the ${this.actions.length} actions: ${range}`);
   }
 
   draw() {
     if (!this.read) return;
-    const { read, step, colours, font, grid, flight, world } = this;
-    const over = step === flight.steps;
-    const drone = { ...droneAt(world, read, step), crashed: crashedAt(flight, step) };
-    const scene = { world, ...around(this.data, this.cell, flight, step), colours };
+    const { read, step, colours, font, grid, episode, world } = this;
+    const over = step === episode.steps;
+    const drone = { ...droneAt(world, read, step), crashed: crashedAt(episode, step) };
+    const scene = { world, ...around(this.data, this.configuration, episode, step), colours };
     if (world.depth) drawBox(this.parts.arena, { ...scene, drone, font });
     else drawArena(this.parts.arena, { ...scene, drones: [drone] });
     const values = over
-      ? { instead: "the flight is over" }
+      ? { instead: "the episode is over" }
       : { shares: (action) => read.value(step, action), chosen: read.action(step), low: read.low(step), high: read.high(step) };
     drawValues(this.parts.values, { grid, colours, font, ...values });
   }
 }
 
-/** Build the player inside an element; with no flights it says so. */
+/** Build the player inside an element; with no episodes it says so. */
 function startReplays(root, data) {
-  if (data.cells.length) new Player(root, data);
-  else make(root, "p", { className: "replay-status", textContent: "There is no policy whose flight could be shown." });
+  if (data.configurations.length) new Player(root, data);
+  else make(root, "p", { className: "replay-status", textContent: "There is no policy whose episode could be shown." });
 }

@@ -1,15 +1,15 @@
 /*
- * Recorded flights side by side on the same obstacles: startTogether(root, data) lets them play by themselves, set after
+ * Recorded episodes side by side on the same obstacles: startTogether(root, data) lets them play by themselves, set after
  * set, and no faster than the screen. Where the reader asks for less motion, they wait for the button.
  *
  * `root` holds a figure with a canvas and an output for each drone, and a button. `data` is what `together` of
- * uavnav/report/replays.py gives; drawing.js draws it.
+ * uavnav/views/replays.py gives; drawing.js draws it.
  */
 
 const TOGETHER_SPEED = 60; // [steps / s]
 const TRAIL = 160; // [steps] that a trail is long
-const STILL = 240; // [steps] where flights stand that do not play
-const REST = 1.5; // [s] after the last flight of a set
+const STILL = 240; // [steps] where episodes stand that do not play
+const REST = 1.5; // [s] after the last episode of a set
 
 class Together {
   constructor(root, data) {
@@ -18,7 +18,7 @@ class Together {
     this.drones = [...root.querySelectorAll("figure")].map((figure, place) => ({
       canvas: figure.querySelector("canvas"),
       output: figure.querySelector("output"),
-      flights: data.drones[place].flights,
+      episodes: data.drones[place].episodes,
       figure,
     }));
     this.button = root.querySelector("button");
@@ -35,13 +35,13 @@ class Together {
     this.draw();
   }
 
-  /** Unpack the flights on a set of obstacles, and begin. */
+  /** Unpack the episodes on a layout, and begin. */
   async load(set) {
-    const flights = this.drones.map((drone) => drone.flights[set]);
-    const read = await Promise.all(flights.map((flight) => unpack(flight, this.data.fields)));
-    this.drones.forEach((drone, place) => Object.assign(drone, { flight: flights[place], read: read[place] }));
+    const episodes = this.drones.map((drone) => drone.episodes[set]);
+    const read = await Promise.all(episodes.map((episode) => unpack(episode, this.data.fields)));
+    this.drones.forEach((drone, place) => Object.assign(drone, { episode: episodes[place], read: read[place] }));
     this.set = set;
-    this.last = Math.max(...flights.map(({ steps }) => steps));
+    this.last = Math.max(...episodes.map(({ steps }) => steps));
     this.step = this.playing ? 0 : Math.min(STILL, this.last);
     this.mark();
     this.draw();
@@ -74,21 +74,21 @@ class Together {
 
   draw() {
     if (this.step === undefined) return;
-    for (const { canvas, output, flight, read, colours } of this.drones) {
-      const step = Math.min(this.step, flight.steps);
-      const crashed = crashedAt(flight, step);
+    for (const { canvas, output, episode, read, colours } of this.drones) {
+      const step = Math.min(this.step, episode.steps);
+      const crashed = crashedAt(episode, step);
       const drone = { ...droneAt(this.data.world, read, step, TRAIL), crashed, fades: true };
       if (crashed) drone.sensed = [];
       drawArena(canvas, { world: this.data.world, circles: this.data.layouts[this.set], drones: [drone], colours });
       const reward = `reward ${fixed(read.reward(step), 1)}`;
       const at = step.toLocaleString("en");
-      const ended = step < flight.steps ? `step ${at}` : crashed ? `collided at step ${at}` : `stopped at step ${at}`;
+      const ended = step < episode.steps ? `step ${at}` : crashed ? `collided at step ${at}` : `stopped at step ${at}`;
       output.textContent = `${reward}, ${ended}`;
     }
   }
 }
 
-/** Bring the flights of a page's first screen to life. */
+/** Bring the episodes of a page's first screen to life. */
 function startTogether(root, data) {
   root.hidden = false;
   return new Together(root, data);

@@ -1,7 +1,7 @@
 """What the live window does, without a window: a game, the keys and the mouse that change it, and time.
 
-A `Game` is a value: every function takes one and returns the next. The drawing is in `hud`, the window in `play`.
-Which key does what is in `keys`.
+A `Game` is a value: every function takes one and returns the next. The drawing is in `hud`, the window in
+`play`. Which key does what is in `keys`.
 """
 
 from __future__ import annotations
@@ -22,21 +22,23 @@ from uavnav.evaluation import episodes
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.policies import Policy
 from uavnav.runs.tables import RunError, lock, read_table, write_table
-from uavnav.tasks import layouts as banks
+from uavnav.tasks import layouts as splits
 from uavnav.tasks import space
 from uavnav.tasks.dynamics import decode
 from uavnav.tasks.protocol import MAX_STEPS
-from uavnav.tasks.simulator import EMPTY, Task, make_task
 from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.state import COUNTS, UP, State
+from uavnav.tasks.table import EMPTY, make_task
+from uavnav.tasks.task import Task
 from uavnav.tasks.world import World
+from uavnav.tasks.wrapper import WrappedTask
 from uavnav.views.render import Pilot
-from uavnav.views.window.table import BANK, LEFT, RIGHT, RISE, ROWS, SINK, TILTING, TURNING
+from uavnav.views.window.table import DRAWN, LEFT, RIGHT, RISE, ROWS, SINK, TILTING, TURNING
 
 PACES = (1 / 10, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
 """How many times as fast as the simulation's own rate."""
 LONGEST_PAUSE = 0.1  # [s] of simulated time that a slow frame may catch up
-KEPT_TRAILS = 5  # of earlier flights on the same set
+KEPT_TRAILS = 5  # of earlier episodes on the same layout
 
 SHIFTS = frozenset({"left shift", "right shift"})
 
@@ -50,7 +52,7 @@ class Choice(NamedTuple):
 
 
 class Leg(NamedTuple):
-    """A part of a flight that one pilot flew."""
+    """A part of an episode that one pilot flew."""
 
     pilot: int
     points: tuple[tuple[float, ...], ...]  # (x, y), in 3D (x, y, z) [px]
@@ -58,27 +60,27 @@ class Leg(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Game:
-    """One set of obstacles, one drone, several pilots of whom one flies; pilot 0 is the person at the keys."""
+    """One layout, one drone, several pilots of whom one flies; pilot 0 is the person at the keys."""
 
-    bank: Tensor  # [n, k, 3] px, or more columns, as its task has it
+    layouts: Tensor  # [n, k, 3] px, or more columns, as its task has it
     split: str  # its name, or its path
     pilots: tuple[Pilot, ...]
     pilot: int
     state: State
     choice: Choice
-    index: int = 0  # the present set, or the one that came before a set of one's own
+    index: int = 0  # the present layout, or the one that came before one of one's own
     obstacles: Tensor = EMPTY  # [1, K, 3] px, the present set
     generator: torch.Generator = field(default_factory=torch.Generator)  # of sampled actions, and of faults
     max_steps: int = MAX_STEPS
     person: int = 0
     rows_path: Path = ROWS
-    bank_path: Path = BANK
+    drawn_path: Path = DRAWN
     own: bool = False  # the obstacles are one's own
     clearance: float = math.inf  # [px]
     earned: float = 0.0  # reward of the last step
-    ended: str = ""  # how the flight ended
-    legs: tuple[Leg, ...] = ()  # of the present flight
-    ghosts: tuple[Leg, ...] = ()  # of earlier flights on this set
+    ended: str = ""  # how the episode ended
+    legs: tuple[Leg, ...] = ()  # of the present episode
+    ghosts: tuple[Leg, ...] = ()  # of earlier episodes on this layout
     distance: int = 0  # [px a step], set by the keys
     held: frozenset[str] = frozenset()  # keys that are down
     tapped: frozenset[str] = frozenset()  # turning keys that went down since the last step
@@ -88,20 +90,20 @@ class Game:
     help: bool = False
     drawing: bool = False
     circle: tuple[float, float, float] | None = None  # x, y, radius [px] under the mouse
-    flights: tuple[dict[str, Any], ...] = ()  # rows of finished flights by hand, not saved yet
+    episodes: tuple[dict[str, Any], ...] = ()  # rows of finished episodes by hand, not saved yet
     message: str = ""
-    warned: bool = False  # that closing loses flights
+    warned: bool = False  # that closing loses episodes
     closed: bool = False
 
     @property
     def waiting(self) -> bool:
-        """A person's flight begins with the first key, and no step counts before it."""
+        """A person's episode begins with the first key, and no step counts before it."""
         return self.pilot == 0 and not (int(self.state.steps) or self.distance or self.turning)
 
     @property
-    def task(self) -> Task:
+    def task(self) -> WrappedTask:
         """The task of the one who flies, on the present obstacles."""
-        return replace(self.pilots[self.pilot].task, bank=self.obstacles, max_steps=self.max_steps)
+        return self.pilots[self.pilot].task.replace(layouts=self.obstacles, max_steps=self.max_steps)
 
     @property
     def world(self) -> World:
@@ -119,7 +121,9 @@ def in_3d(world: World) -> bool:
 
 
 def parts(world: World) -> tuple[Tensor, Tensor, Tensor]:
-    """What each action asks for: the turn, the pitch [degrees] and the distance [px], [n] each; 2D has no pitch."""
+    """What each action asks for: the turn, the pitch [degrees] and the distance [px], [n] each; 2D has no
+    pitch.
+    """
     actions = torch.arange(world.n_actions)
     if isinstance(world, SpaceWorld):
         return space.decode(actions, world)
@@ -138,15 +142,22 @@ def colour(pilot: int) -> Colour:
 
 
 def new(
-    pilots: Sequence[Pilot], bank: Tensor, split: str = "test", index: int = 0, you: Pilot | None = None, **how: Any
+    pilots: Sequence[Pilot],
+    layouts: Tensor,
+    split: str = "test",
+    index: int = 0,
+    you: Pilot | None = None,
+    **how: Any,
 ) -> Game:
-    """A game on one set of a bank; the first of the pilots flies, or the person where there is none.
+    """A game on one layout of a split; the first of the pilots flies, or the person where there is none.
 
     you: the person, by default in the paper's world; how: other fields of `Game`, such as `max_steps`.
     """
     you = you or Pilot("you", nobody, make_task(EMPTY))
     state = you.task.start(torch.tensor(0), torch.tensor(UP), you.task.draw(1, torch.Generator())[0])
-    return following(Game(bank, split, (you, *pilots), min(len(pilots), 1), state, Choice(0), **how), index)
+    return following(
+        Game(layouts, split, (you, *pilots), min(len(pilots), 1), state, Choice(0), **how), index
+    )
 
 
 def nobody(observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -154,7 +165,7 @@ def nobody(observation: Tensor, generator: torch.Generator | None = None) -> Ten
     raise AssertionError("the keys say what a person does")
 
 
-# -- time ------------------------------------------------------------------------------------------------------------
+# -- time ----------------------------------------------------------------------------------------------------
 
 
 def advance(game: Game, seconds: float) -> Game:
@@ -212,7 +223,9 @@ def look(game: Game) -> Game:
 
 
 def steer(game: Game) -> Game:
-    """A person's action by the keys that are down: the greatest turn to that side, or the least, and the distance."""
+    """A person's action by the keys that are down: the greatest turn to that side, or the least, and the
+    distance.
+    """
     if game.pilot or game.ended:
         return game
     turns, pitches, distances = parts(game.world)
@@ -229,23 +242,23 @@ def _by(angles: Tensor, side: int, game: Game) -> int:
 
 
 def _landed(game: Game, collided: bool) -> Game:
-    """The flight is over; if a person flew all of it on a test set, it is one to keep."""
+    """The episode is over; if a person flew all of it on a test layout, it is one to keep."""
     if {leg.pilot for leg in game.legs} != {0}:
         return game
-    if game.own or game.split != "test" or type(game.task) is not Task:
-        return replace(game, message="Flights of the test sets alone can be kept")
+    if game.own or game.split != "test" or type(game.task.task) is not Task:
+        return replace(game, message="Episodes of the test layouts alone can be kept")
     steps, counts = int(game.state.steps), {name: getattr(game.state, name).item() for name in COUNTS}
     place = {"seed": game.person, "frame": steps, "env": game.index, "layout": game.index}
     row = place | counts | {"terminated": collided, "truncated": not collided}
-    game = replace(game, flights=(*game.flights, row), warned=False)
+    game = replace(game, episodes=(*game.episodes, row), warned=False)
     return replace(game, message=unsaved(game))
 
 
-# -- what keys do ----------------------------------------------------------------------------------------------------
+# -- what keys do --------------------------------------------------------------------------------------------
 
 
 def reset(game: Game) -> Game:
-    """The same set from the start; the trail of the flight so far stays."""
+    """The same layout from the start; the trail of the episode so far stays."""
     flown = tuple(leg for leg in game.legs if len(leg.points) > 1)
     game.generator.manual_seed(game.pilots[game.pilot].seed)
     heading = episodes.headings(game.task, game.index + 1)[-1]
@@ -258,14 +271,14 @@ def reset(game: Game) -> Game:
 
 
 def following(game: Game, by: int) -> Game:
-    """Another set of the bank, so many further on, counted round and round."""
-    index = (game.index + by) % len(game.bank)
-    obstacles = game.bank[index : index + 1]
+    """Another layout of the split, so many further on, counted round and round."""
+    index = (game.index + by) % len(game.layouts)
+    obstacles = game.layouts[index : index + 1]
     return reset(replace(game, index=index, obstacles=obstacles, own=False, legs=(), ghosts=()))
 
 
 def seat(game: Game, pilot: int) -> Game:
-    """Hand the drone over, wherever it is; the next pilot remembers nothing of the flight so far."""
+    """Hand the drone over, wherever it is; the next pilot remembers nothing of the episode so far."""
     if pilot >= len(game.pilots):
         return replace(game, message=f"There is no pilot {pilot}: 0 to {len(game.pilots) - 1}")
     swapped = replace(game, pilot=pilot, distance=int(parts(game.world)[2][game.choice.action]))
@@ -303,7 +316,7 @@ def single_step(game: Game) -> Game:
 
 def draw(game: Game) -> Game:
     """Begin to draw obstacles, or fly what was drawn."""
-    if in_3d(game.world) or banks.KINDS[banks.kind_of(game.world)].beside:
+    if in_3d(game.world) or splits.KINDS[splits.kind_of(game.world)].beside:
         return replace(game, message="Obstacles are drawn in worlds of two dimensions without a goal")
     return replace(reset(replace(game, legs=(), ghosts=())), drawing=not game.drawing)
 
@@ -314,24 +327,24 @@ def clear(game: Game) -> Game:
     return replace(game, obstacles=game.obstacles[:, :0], own=True)
 
 
-def save_bank(game: Game) -> Game:
-    """Write the present obstacles as a bank of one set, to a name that is free."""
-    path, number = game.bank_path, 1
+def save_layouts(game: Game) -> Game:
+    """Write the present obstacles as a layout file of one layout, to a name that is free."""
+    path, number = game.drawn_path, 1
     while path.exists():
         number += 1
-        path = game.bank_path.with_stem(f"{game.bank_path.stem}-{number}")
+        path = game.drawn_path.with_stem(f"{game.drawn_path.stem}-{number}")
     try:
-        banks.save(game.obstacles, path, seed=0, split="own", world=game.world)
-    except banks.LayoutError as error:
+        splits.save(game.obstacles, path, seed=0, split="own", world=game.world)
+    except splits.LayoutError as error:
         return replace(game, message=str(error))
     return replace(game, message=f"Saved: uavnav play --layouts {path}")
 
 
-def save_flights(game: Game) -> Game:
-    """Add the rows of flights by hand to the file, after those that it has."""
-    if not game.flights:
-        return replace(game, message="No finished flight by hand to save")
-    path, rows = game.rows_path, pd.DataFrame(list(game.flights)).astype(EPISODE_COLUMNS)
+def save_episodes(game: Game) -> Game:
+    """Add the rows of episodes by hand to the file, after those that it has."""
+    if not game.episodes:
+        return replace(game, message="No finished episode by hand to save")
+    path, rows = game.rows_path, pd.DataFrame(list(game.episodes)).astype(EPISODE_COLUMNS)
     rows.attrs = {"layouts": game.split, "max_steps": game.max_steps}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -340,11 +353,11 @@ def save_flights(game: Game) -> Game:
             write_table(path, rows)
     except (RunError, OSError) as error:
         return replace(game, message=str(error))
-    return replace(game, flights=(), message=f"Saved: {path} holds {counted(len(rows))}")
+    return replace(game, episodes=(), message=f"Saved: {path} holds {counted(len(rows))}")
 
 
 def read_rows(path: Path) -> pd.DataFrame | None:
-    """The rows of a file of flights by hand; None where there is no file.
+    """The rows of a file of episodes by hand; None where there is no file.
 
     Raises:
         RunError: it is another table, or damaged.
@@ -364,17 +377,17 @@ def close(game: Game) -> Game:
 
 
 def leave(game: Game) -> Game:
-    """Close the window; before flights by hand are lost, ask once."""
-    if game.flights and not game.warned:
+    """Close the window; before episodes by hand are lost, ask once."""
+    if game.episodes and not game.warned:
         return replace(game, warned=True, help=False, message=f"{unsaved(game)}; once more closes without")
     return replace(game, closed=True)
 
 
 def unsaved(game: Game) -> str:
     """What has not been saved, and how to."""
-    return f"{counted(len(game.flights))} by hand not saved yet: K saves"
+    return f"{counted(len(game.episodes))} by hand not saved yet: K saves"
 
 
-def counted(flights: int) -> str:
-    """`1 flight`, `2 flights`."""
-    return f"{flights} flight{'s' * (flights != 1)}"
+def counted(episodes: int) -> str:
+    """`1 episode`, `2 episodes`."""
+    return f"{episodes} episode{'s' * (episodes != 1)}"

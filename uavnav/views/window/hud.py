@@ -1,7 +1,8 @@
-"""The live window as a picture: a game and a size in, pixels out. Who flies, what it sees, does next, and how it fares.
+"""The live window as a picture: a game and a size in, pixels out. Who flies, what it sees, does next, and how
+it fares.
 
-Everything is laid out in units that are one pixel in a window of `DESIGN` and scale with it; the panel is beside the
-arena, or below it where that leaves more room.
+Everything is laid out in units that are one pixel in a window of `DESIGN` and scale with it; the panel is
+beside the arena, or below it where that leaves more room.
 """
 
 from __future__ import annotations
@@ -119,7 +120,14 @@ class _Block:
         self.canvas.text(self.at(x, y), words, fill, face, anchor=anchor)
 
     def box(
-        self, x: float, y: float, wide: float, high: float, fill: Ink | None, outline: Ink | None = None, line: int = 1
+        self,
+        x: float,
+        y: float,
+        wide: float,
+        high: float,
+        fill: Ink | None,
+        outline: Ink | None = None,
+        line: int = 1,
     ) -> None:
         corners = (*self.at(x, y), *self.at(x + wide, y + high))
         self.canvas.rectangle(corners, fill=fill, outline=outline, width=max(1, round(line * self.unit)))
@@ -142,12 +150,15 @@ def _sketch(canvas: ImageDraw.ImageDraw, game: Game, places: Places) -> None:
 def headline(game: Game) -> tuple[str, str]:
     """What is going on, and what one can do now; empty while a drone flies."""
     if game.drawing:
-        return "Drawing obstacles", "drag: one more · right click: one less · C: none · E: fly them · B: save them"
+        return (
+            "Drawing obstacles",
+            "drag: one more · right click: one less · C: none · E: fly them · B: save them",
+        )
     if game.ended:
         return game.ended, "R: start again · N: next set"
     if game.waiting:
         nose = " · T G: nose up, down" if in_3d(game.world) else ""
-        return "You fly", f"↑ ↓: speed · ← →: turn{nose} · the first key starts the flight"
+        return "You fly", f"↑ ↓: speed · ← →: turn{nose} · the first key starts the episode"
     if game.paused:
         return "Paused", "Space: go on · the full stop: one step"
     return "", ""
@@ -168,10 +179,14 @@ def _banner(canvas: ImageDraw.ImageDraw, game: Game, places: Places) -> None:
 
 
 def _facts(block: _Block, game: Game) -> None:
-    """Who flies, where, how fast time goes, and the metrics of the flight so far."""
+    """Who flies, where, how fast time goes, and the metrics of the episode so far."""
     block.canvas.ellipse((*block.at(0, 4), *block.at(16, 20)), fill=colour(game.pilot))
     block.write(24, 12, game.pilots[game.pilot].title, 19, bold=True, room=BLOCK - 24)
-    where = "obstacles of your own" if game.own else f"{game.split}, set {game.index} of 0 to {len(game.bank) - 1}"
+    where = (
+        "obstacles of your own"
+        if game.own
+        else f"{game.split}, set {game.index} of 0 to {len(game.layouts) - 1}"
+    )
     pace = "paused" if game.paused else f"{STEPS_PER_SECOND * PACES[game.pace]:g} steps a second"
     block.write(0, 36, f"{pace} · {where}", fill=BORDER, room=BLOCK)
     columns = 2 if len(game.pilots) <= 6 else 3
@@ -190,7 +205,7 @@ def _facts(block: _Block, game: Game) -> None:
 
 
 def figures(game: Game) -> dict[str, str]:
-    """The metrics of the flight so far and the last step's reward, as label and value."""
+    """The metrics of the episode so far and the last step's reward, as label and value."""
     steps, shown = int(game.state.steps), {}
     for metric in METRICS.values():
         value = float(getattr(game.state, metric.column))
@@ -198,14 +213,17 @@ def figures(game: Game) -> dict[str, str]:
         if metric.scale is None:
             shown[label] = f"{value:.2f}" if value % 1 else f"{value:.0f}"
         else:
-            shown[label] = f"{metric.scale * value / steps:.{1 if metric.scale > 1 else 2}f}" if steps else "-"
+            shown[label] = (
+                f"{metric.scale * value / steps:.{1 if metric.scale > 1 else 2}f}" if steps else "-"
+            )
     shown["reward, eq. (14)"] = f"{float(shown.pop('reward')):+.2f}"
     return shown | {"reward of the last step": f"{game.earned:+.2f}"}
 
 
 def _grid(block: _Block, game: Game) -> None:
-    """The 100 actions: turns from left to right as they turn, distances upwards, in 3D in each pitch; the next one
-    outlined twice."""
+    """The 100 actions: turns from left to right as they turn, distances upwards, in 3D in each pitch; the
+    next one outlined twice.
+    """
     world, choice = game.world, game.choice
     actions = list(zip(*(part.tolist() for part in parts(world)), strict=True))
     angle, pitch, distance = actions[choice.action]
@@ -213,7 +231,9 @@ def _grid(block: _Block, game: Game) -> None:
     turn += f", nose {pitch:+d}°" if pitch else ""
     block.write(0, 8, f"{'Last' if game.ended else 'Next'} action: {turn}, {distance} px", 14, bold=True)
     columns = {one: number for number, one in enumerate(sorted({turn for turn, *_ in actions}, reverse=True))}
-    rows = {one: number for number, one in enumerate(sorted({tuple(rest) for _, *rest in actions}, reverse=True))}
+    rows = {
+        one: number for number, one in enumerate(sorted({tuple(rest) for _, *rest in actions}, reverse=True))
+    }
     left, top, width, height = 26.0, 24.0, 240 / len(columns), 210 / len(rows)
     shades = [UNKNOWN] * world.n_actions if choice.values is None else _shades(choice.values)
     if choice.values is None:
@@ -230,16 +250,22 @@ def _grid(block: _Block, game: Game) -> None:
     ways, boxed = len(world.distances), in_3d(world)
     for number, (tilt, far) in enumerate(rows):
         if not boxed or not number % ways:  # of a pitch once
-            words, here = (f"{tilt:+d}" if tilt else "0", tilt == pitch) if boxed else (str(far), far == distance)
+            words, here = (
+                (f"{tilt:+d}" if tilt else "0", tilt == pitch) if boxed else (str(far), far == distance)
+            )
             middle = top + (number + (ways if boxed else 1) / 2) * height
             block.write(left - 8, middle, words, 11, here, INK if here else BORDER, "rm")
     bottom = top + len(rows) * height + 29
-    upwards = f"↑ pitch [°], {', '.join(map(str, reversed(world.distances)))} px" if boxed else "↑ distance [px]"
+    upwards = (
+        f"↑ pitch [°], {', '.join(map(str, reversed(world.distances)))} px" if boxed else "↑ distance [px]"
+    )
     block.write(left, bottom, f"← left   turn [°]   right →     {upwards}", 11, fill=BORDER)
     block.write(0, bottom + 21, f"nearest obstacle {game.clearance:.0f} px", 13)
     block.write(BLOCK, bottom + 21, f"a collision at {world.drone_radius:.0f}", 11, fill=BORDER, anchor="rm")
     if choice.values is not None:
-        _scale(block, choice.values, choice.meaning, left + len(columns) * width + 10, top, len(rows) * height)
+        _scale(
+            block, choice.values, choice.meaning, left + len(columns) * width + 10, top, len(rows) * height
+        )
 
 
 def _scale(block: _Block, values: torch.Tensor, meaning: str, x: float, top: float, height: float) -> None:

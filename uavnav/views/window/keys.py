@@ -14,7 +14,9 @@ _BY_NAME = {name: key for key in KEYS for name in key.names}
 def press(game: Game, name: str) -> Game:
     """A key went down."""
     name = ALIASES.get(name, name)
-    game = replace(game, message="", held=game.held | {name}, tapped=game.tapped | ({name} & (TURNING | TILTING)))
+    game = replace(
+        game, message="", held=game.held | {name}, tapped=game.tapped | ({name} & (TURNING | TILTING))
+    )
     if name not in _BY_NAME:
         return _act(game, "steer")
     key = _BY_NAME[name]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from uavnav.tasks import layouts as banks
+from uavnav.tasks import layouts as splits
 from uavnav.views.window.game import Game
 
 
@@ -31,7 +31,7 @@ def drag(game: Game, x: float, y: float) -> Game:
 
 
 def drop(game: Game) -> Game:
-    """The button went up: the obstacle is there, if a bank may have it."""
+    """The button went up: the obstacle is there, if a layout file may have it."""
     if game.circle is None:
         return game
     if refused := problem(game):
@@ -42,14 +42,14 @@ def drop(game: Game) -> Game:
 def problem(game: Game) -> str:
     """Why the obstacle under the mouse cannot be there; empty if it can."""
     try:
-        banks.resolve(_with(game), game.world)
-    except banks.LayoutError as error:
+        splits.resolve(_with(game), game.world)
+    except splits.LayoutError as error:
         return f"Not there: {error}"
     return ""
 
 
 def _with(game: Game) -> Tensor:
-    """The set with the circle under the mouse, which stands still where others move."""
+    """The layout with the circle under the mouse, which stands still where others move."""
     circle = torch.zeros(1, 1, game.obstacles.shape[-1])
     circle[..., :3] = torch.tensor(game.circle)
     return torch.cat([game.obstacles, circle], dim=1)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 LEFT, RIGHT, RISE, SINK = "left", "right", "t", "g"
 TURNING, TILTING = frozenset({LEFT, RIGHT}), frozenset({RISE, SINK})
-ROWS, BANK = Path("results/baselines/human.parquet"), Path("own.safetensors")
-"""Where flights by hand and drawn obstacles are saved if nothing else is said."""
+ROWS, DRAWN = Path("results/baselines/human.parquet"), Path("own.safetensors")
+"""Where episodes by hand and drawn obstacles are saved if nothing else is said."""
 
 
 class Key(NamedTuple):
@@ -39,14 +39,14 @@ KEYS = (
     Key(("-",), "-", "slower: ½, ¼, ⅒ of 30 steps a second", "paced", -1),
     Key(("=", "+"), "+ =", "faster: up to 4 times", "paced", 1),
     Key(("r", "return"), "R Enter", "start again on the same obstacles; the trail stays", "reset"),
-    Key(("n",), "N", "next set of obstacles", "following", 1),
-    Key(("p",), "P", "the set before", "following", -1),
-    Key(("page down",), "PgDn", "ten sets on", "following", 10),
-    Key(("page up",), "PgUp", "ten sets back", "following", -10),
+    Key(("n",), "N", "next layout", "following", 1),
+    Key(("p",), "P", "the layout before", "following", -1),
+    Key(("page down",), "PgDn", "ten layouts on", "following", 10),
+    Key(("page up",), "PgUp", "ten layouts back", "following", -10),
     Key(("e",), "E", "draw obstacles; again: fly them", "draw"),
     Key(("c", "delete"), "C Del", "while drawing: take all obstacles away", "clear"),
-    Key(("b",), "B", "save these obstacles as a bank", "save_bank"),
-    Key(("k",), "K", "keep flights by hand as rows for the report", "save_flights"),
+    Key(("b",), "B", "save these obstacles as a layout file", "save_layouts"),
+    Key(("k",), "K", "keep episodes by hand as rows for the report", "save_episodes"),
     Key(("h", "f1"), "H F1", "this help", "show_help"),
     Key(("escape", "q"), "Esc Q", "close the help, the drawing, the window", "close"),
 )

@@ -1,7 +1,8 @@
-"""`uavnav playground`: the world and trained policies as one page, to be opened from disk: nothing here trains.
+"""`uavnav playground`: the world and trained policies as one page, to be opened from disk: nothing here
+trains.
 
-The page holds the worlds (`uavnav.views.browser`), the weights of some seeds of each run as they are, in float32, and
-scripts without a framework. It loads nothing. What a link to it says is checked by `link.js`.
+The page holds the worlds (`uavnav.views.browser`), the weights of some seeds of each run as they are, in
+float32, and scripts without a framework. It loads nothing. What a link to it says is checked by `link.js`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.moving import MovingWorld
 from uavnav.tasks.protocol import DEFAULT_K
-from uavnav.tasks.simulator import name_of
+from uavnav.tasks.table import name_of
 from uavnav.tasks.world import World
 from uavnav.views import browser
 
@@ -40,9 +41,11 @@ SEEDS = 3
 MOST = 36
 """Networks on a page: a network of 64-64 takes 67 kB, and a page shall stay below 3 MB."""
 DEPTH = 2
-"""Runs lie so many folders below the one that is given: ppo/tanh. Studies within studies are deeper, and left out."""
+"""Runs lie so many folders below the one that is given: ppo/tanh. Studies within studies are deeper, and
+left out.
+"""
 FIRST_SET = 3
-"""The set of obstacles that the page begins with."""
+"""The layout that the page begins with."""
 
 
 class Setting(NamedTuple):
@@ -93,7 +96,8 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 def collect(folders: Sequence[Path]) -> tuple[list[dict[str, Any]], list[str]]:
-    """The policies of the runs in some folders, as the page reads them, and a line for each run that is left out.
+    """The policies of the runs in some folders, as the page reads them, and a line for each run that is left
+    out.
 
     Raises:
         RunError: a folder is missing, or holds no run.
@@ -112,7 +116,9 @@ def collect(folders: Sequence[Path]) -> tuple[list[dict[str, Any]], list[str]]:
     if not kept:
         where = ", ".join(map(str, folders))
         because = f" ({left_out[0]})" if left_out else ""
-        raise ConfigError(f"{where}: no policy that the page can fly{because}; give a folder with a finished run")
+        raise ConfigError(
+            f"{where}: no policy that the page can fly{because}; give a folder with a finished run"
+        )
     kept.sort(key=lambda one: _order(one[1][0]))
     names = Counter((own[0].algorithm, _activation(own[0])) for _, own in kept)
     found = []
@@ -153,14 +159,18 @@ def _order(policy: Policy) -> tuple[int, int]:
 
 def _activation(policy: Policy) -> str:
     """Of its hidden layers."""
-    return next((one.name for one in policy.network.children() if isinstance(one, networks.Activation)), "identity")
+    return next(
+        (one.name for one in policy.network.children() if isinstance(one, networks.Activation)), "identity"
+    )
 
 
 def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
     """A policy as the page holds it; where: its run, if its algorithm and activation do not tell."""
     layers = [layer for layer in policy.network.children() if isinstance(layer, networks.AgentLinear)]
     numbers = b"".join(
-        part.detach().numpy().astype("<f4").tobytes() for layer in layers for part in (layer.weight, layer.bias)
+        part.detach().numpy().astype("<f4").tobytes()
+        for layer in layers
+        for part in (layer.weight, layer.bias)
     )
     activation = _activation(policy)
     title = f"{policy.algorithm.upper()} {activation.replace('_', ' ')}, seed {policy.seed}"
@@ -196,7 +206,7 @@ def page(found: Sequence[dict[str, Any]]) -> str:
     data = {"tasks": browser.constants(), "settings": settings, "worlds": WORLDS, "metrics": metrics}
     data |= {"policies": found, "set": FIRST_SET, "k": DEFAULT_K}
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
-    cells = len({(one["algorithm"], one["activation"]) for one in found})
+    configurations = len({(one["algorithm"], one["activation"]) for one in found})
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True)
     return environment.from_string((HERE / "playground.html").read_text(encoding="utf-8")).render(
         css=Markup(browser.joined([HERE / "playground.css"])),
@@ -207,6 +217,7 @@ def page(found: Sequence[dict[str, Any]]) -> str:
         worlds=WORLDS,
         world=World(),
         algorithms=" and ".join(dict.fromkeys(one["algorithm"].upper() for one in found)),
-        told=f"It holds {len(found)} trained networks: {cells} pairs of an algorithm and an activation.",
+        told=f"It holds {len(found)} trained networks: {configurations} pairs of an algorithm and an "
+        "activation.",
         version=importlib.metadata.version("uavnav"),
     )

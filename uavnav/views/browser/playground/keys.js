@@ -18,7 +18,7 @@ const KEYS = [
     "=": (app) => (app.stage.drawing ? app.alter(0, 0, STRIDE.size) : app.paced(1)),
   }],
   ["R", "start again on the same obstacles", { r: (app) => app.again() }],
-  ["N P", "next set of obstacles, the set before", { n: (app) => app.setOf(1), p: (app) => app.setOf(-1) }],
+  ["N P", "next layout, the layout before", { n: (app) => app.setOf(1), p: (app) => app.setOf(-1) }],
   ["1 … 4", "the drone in focus", Object.fromEntries([1, 2, 3, 4].map((n) => [n, (app) => app.focusOn(n - 1)]))],
   ["T", "take the drone in focus, hand it back", { t: (app) => app.take() }],
   ["C", "hand it to the next policy", { c: (app) => app.nextPolicy() }],

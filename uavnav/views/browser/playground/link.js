@@ -3,7 +3,7 @@
  * does not pass is named and left out.
  *
  * A scene is { world, set, k, circles, pilots, focus, speed, greedy, seed } and the world's settings: the name of the world,
- * the number of the set of obstacles, how many circles it has, circles [x, y, radius] px if they were drawn by hand (else
+ * the number of the layout, how many circles it has, circles [x, y, radius] px if they were drawn by hand (else
  * null), who flies each drone, which drone is in focus, the speed, whether policies take the best action always, and the
  * seed of all random numbers. The settings are those of `data.settings`: gap, pace, noise, lost, late, sticky.
  */

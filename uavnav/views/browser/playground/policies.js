@@ -1,5 +1,5 @@
 /*
- * Trained networks, as uavnav/networks.py and uavnav/training/sampling.py have them: functions of what is sensed and of
+ * Trained networks, as uavnav/networks.py and uavnav/acting.py have them: functions of what is sensed and of
  * uniform random numbers.
  *
  * A network's numbers are float32; sums are taken in double, so that outputs differ from PyTorch's in their last bits.

@@ -1,5 +1,5 @@
 /*
- * The hand-written rules of uavnav/tasks/baselines.py, one for each world: functions of what is sensed alone.
+ * The scripted policies of uavnav/tasks/baselines.py, one for each world: functions of what is sensed alone.
  */
 
 const MARGIN = 0.01; // [px] against rounding

@@ -1,4 +1,6 @@
-"""The process of an evaluation that a study has started: `uavnav evaluate`, with a heartbeat in the run's folder."""
+"""The process of an evaluation that a study has started: `uavnav evaluate`, with a heartbeat in the run's
+folder.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +10,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from uavnav import files
-from uavnav.cli.evaluate import main as evaluate
+from uavnav.cli import commands
 from uavnav.training.heartbeat import Heartbeat
 
 
 def main(argv: Sequence[str]) -> None:
-    """argv: the file that is to tell how this ended, and the words of `uavnav evaluate`, a run's folder first."""
+    """argv: the file that is to tell how this ended, and the words of `uavnav evaluate`, a run's folder
+    first.
+    """
     ended, *words = argv
     status: object = 1
     try:
         with Heartbeat(Path(words[0]), total=0):
-            status = evaluate(words)
+            status = commands.run("evaluate", words)
     except SystemExit as stop:
         status = stop.code
     finally:

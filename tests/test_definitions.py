@@ -1,4 +1,6 @@
-"""The readings *per frame* and *log curve*: closed forms, plain loops over rows, and Stable-Baselines3's own log."""
+"""The metric definitions *per frame* and *log curve*: closed forms, plain loops over rows, and
+Stable-Baselines3's own log.
+"""
 
 import itertools
 import math
@@ -13,30 +15,34 @@ from made_up import episodes
 
 from uavnav.algorithms import ALGORITHMS
 from uavnav.runs import Run, paper
+from uavnav.runs.definitions import (
+    DEFINITIONS,
+    LOG_CURVE,
+    PER_FRAME,
+    decimals,
+    log_curve,
+    per_frame,
+    within,
+    words,
+)
 from uavnav.runs.metrics import METRICS, Metric, per_seed
-from uavnav.runs.readings import LOG_CURVE, PER_FRAME, READINGS, decimals, log_curve, per_frame, within, words
 
 RESULTS = Path(__file__).parent.parent / "results"
-COMMITTED = (
-    "vectorised/dqn/sigmoid",
-    "vectorised/ppo/tanh",
-    "paper/ppo/tanh",
-    "algorithms/fast/dqn/tanh",
-)
+COMMITTED = ("vectorised/dqn/sigmoid", "vectorised/ppo/tanh", "paper/ppo/tanh", "algorithms/fast/dqn/tanh")
 SIX = {"stops": 100, "full_stops": 100, "turns": 100, "speed": 1}
 """The ratios, and what they are times."""
 
 
-def flights(*rows):
+def own_episodes(*rows):
     """From (seed, frame, world, steps, distance, reward, terminated, truncated); half of the steps turn."""
     made = episodes("seed frame env steps distance reward terminated truncated", *rows)
     return made.assign(stops=1, turns=made["steps"] // 2)
 
 
-CRASH, CAP, OPEN = (True, False), (False, True), (False, False)
+CRASH, LIMIT, OPEN = (True, False), (False, True), (False, False)
 
 
-# -- the same by plain loops ------------------------------------------------------------------------------------------
+# -- the same by plain loops ---------------------------------------------------------------------------------
 
 
 def slow_per_frame(rows, frames):
@@ -49,19 +55,25 @@ def slow_per_frame(rows, frames):
         collisions += bool(row["terminated"])
     found = {name: 100 * sums[name] / frames for name in ("stops", "full_stops", "turns")}
     found |= {"speed": sums["distance"] / frames, "reward": sums["reward"] / frames}
-    return found | {name: sums[name] / collisions if collisions else math.nan for name in ("steps", "distance")}
+    return found | {
+        name: sums[name] / collisions if collisions else math.nan for name in ("steps", "distance")
+    }
 
 
 def slow_log(rows, frames, unit, every):
     """One seed's entries, in order of time: a list of dicts. Steps of all worlds pass one by one."""
-    ended = sorted((row for row in rows if row["terminated"] or row["truncated"]), key=lambda row: row["frame"])
+    ended = sorted(
+        (row for row in rows if row["terminated"] or row["truncated"]), key=lambda row: row["frame"]
+    )
     buffer, entries, count, place = deque(maxlen=100), [], 0, 0
 
     def dump():
         if buffer:
             entries.append({name: math.fsum(one[name] for one in buffer) / len(buffer) for name in METRICS})
 
-    times = sorted({*(row["frame"] for row in ended), *(range(every, frames + 1, every) if unit == "frames" else ())})
+    times = sorted(
+        {*(row["frame"] for row in ended), *(range(every, frames + 1, every) if unit == "frames" else ())}
+    )
     for time in times:
         now = []
         while place < len(ended) and ended[place]["frame"] == time:
@@ -70,7 +82,9 @@ def slow_log(rows, frames, unit, every):
         for row in sorted(now, key=lambda row: row.get("env", 0)):
             own = {name: row[name] for name in ("steps", "distance", "reward")}
             own["speed"] = row["distance"] / row["steps"]
-            buffer.append(own | {name: 100 * row[name] / row["steps"] for name in ("stops", "full_stops", "turns")})
+            buffer.append(
+                own | {name: 100 * row[name] / row["steps"] for name in ("stops", "full_stops", "turns")}
+            )
         if unit == "frames" and time % every == 0:
             dump()
         for _ in now if unit == "episodes" else ():
@@ -81,7 +95,7 @@ def slow_log(rows, frames, unit, every):
 
 
 def slow_within(rows, column, windows, n_envs, collision):
-    """One seed's, by each flight's overlap with each window."""
+    """One seed's, by each episode's overlap with each window."""
     found = []
     for low, high in windows:
         total = 0.0
@@ -104,16 +118,25 @@ def assert_equal(table, slow):
 
 
 def mean_of(entries):
-    return {name: math.fsum(one[name] for one in entries) / len(entries) if entries else math.nan for name in METRICS}
+    return {
+        name: math.fsum(one[name] for one in entries) / len(entries) if entries else math.nan
+        for name in METRICS
+    }
 
 
 def compare_with_loops(table, frames, n_envs, rhythms, windows):
     """Everything of a table of episodes, in both ways."""
     by_seed = {seed: part.to_dict("records") for seed, part in table.groupby("seed")}
-    assert_equal(per_frame(table, frames), {seed: slow_per_frame(rows, frames) for seed, rows in by_seed.items()})
+    assert_equal(
+        per_frame(table, frames), {seed: slow_per_frame(rows, frames) for seed, rows in by_seed.items()}
+    )
     ended = table.loc[table["terminated"] | table["truncated"], "seed"].unique()
     for unit, every in rhythms:
-        logs = {seed: mean_of(slow_log(rows, frames, unit, every)) for seed, rows in by_seed.items() if seed in ended}
+        logs = {
+            seed: mean_of(slow_log(rows, frames, unit, every))
+            for seed, rows in by_seed.items()
+            if seed in ended
+        }
         assert_equal(log_curve(table, frames, unit, every), logs)
     for column, collision in (("reward", -10.0), ("distance", 0.0), ("terminated", 1.0)):
         slow = {seed: slow_within(rows, column, windows, n_envs, collision) for seed, rows in by_seed.items()}
@@ -130,7 +153,9 @@ def test_committed_runs_read_the_same_by_plain_loops(name):
 
 @st.composite
 def runs(draw):
-    """Episodes, frames and worlds: flights fill all frames of every world; the last may be open, others may be cut."""
+    """Episodes, frames and worlds: episodes fill all frames of every world; the last may be open, others
+    may be cut.
+    """
     n_envs, length = draw(st.integers(1, 3)), draw(st.integers(1, 40))
     rows = []
     for seed in range(draw(st.integers(1, 3))):
@@ -139,10 +164,12 @@ def runs(draw):
             while done < length:
                 steps = draw(st.integers(1, length - done))
                 done += steps
-                ends = draw(st.sampled_from([CRASH, CAP, OPEN] if done == length else [CRASH, CAP]))
+                ends = draw(st.sampled_from([CRASH, LIMIT, OPEN] if done == length else [CRASH, LIMIT]))
                 reward = draw(st.floats(-20, 100, allow_subnormal=False))
-                rows.append((seed, done * n_envs, world, steps, draw(st.integers(0, 9 * steps)), reward, *ends))
-    return flights(*draw(st.permutations(rows))), length * n_envs, n_envs
+                rows.append(
+                    (seed, done * n_envs, world, steps, draw(st.integers(0, 9 * steps)), reward, *ends)
+                )
+    return own_episodes(*draw(st.permutations(rows))), length * n_envs, n_envs
 
 
 @settings(max_examples=60, deadline=None)
@@ -166,58 +193,77 @@ def test_windows_add_up_to_the_whole_whatever_their_edges(run, inner):
     np.testing.assert_allclose(whole, per_frame(table, frames)["reward"], atol=1e-12)
 
 
-def test_flights_and_what_is_open_at_the_end_fill_every_frame_of_every_run():
+def test_episodes_and_what_is_open_at_the_end_fill_every_frame_of_every_run():
     for path in sorted(RESULTS.rglob("episodes.parquet")):
         run = Run(path.parent)
         assert run.episodes.groupby("seed")["steps"].sum().tolist() == [run.frames] * len(run.seeds), path
 
 
-# -- closed forms -----------------------------------------------------------------------------------------------------
+# -- closed forms --------------------------------------------------------------------------------------------
 
 
-def test_per_frame_counts_the_open_flight_and_steps_are_per_collision():
-    """40 frames: 10 steps at 2 px and a crash, 10 at 4 px cut off by a cap, 20 at 9 px in an open flight."""
-    table = flights((0, 10, 0, 10, 20, -9.8, *CRASH), (0, 20, 0, 10, 40, 0.4, *CAP), (0, 40, 0, 20, 180, 1.8, *OPEN))
+def test_per_frame_counts_the_open_episode_and_steps_are_per_collision():
+    """40 frames: 10 steps at 2 px and a crash, 10 at 4 px cut off by a time limit, 20 at 9 px in an open
+    episode.
+    """
+    table = own_episodes(
+        (0, 10, 0, 10, 20, -9.8, *CRASH), (0, 20, 0, 10, 40, 0.4, *LIMIT), (0, 40, 0, 20, 180, 1.8, *OPEN)
+    )
     (row,) = per_frame(table, 40).to_dict("records")
     assert row == pytest.approx(
-        {"steps": 40, "distance": 240, "stops": 7.5, "full_stops": 0, "turns": 50, "speed": 6, "reward": -7.6 / 40}
+        {
+            "steps": 40,
+            "distance": 240,
+            "stops": 7.5,
+            "full_stops": 0,
+            "turns": 50,
+            "speed": 6,
+            "reward": -7.6 / 40,
+        }
     )
 
 
 def test_a_seed_that_never_collides_has_no_steps_per_collision_and_all_else():
-    row = per_frame(flights((3, 40, 0, 40, 360, 3.6, *OPEN)), 40).loc[3]
+    row = per_frame(own_episodes((3, 40, 0, 40, 360, 3.6, *OPEN)), 40).loc[3]
     assert row[["steps", "distance"]].isna().all()
     assert row[["reward", "speed"]].tolist() == pytest.approx([0.09, 9])
 
 
 def test_a_log_by_frames_weighs_frames_and_one_by_episodes_weighs_episodes():
-    """99 flights of a frame with -10 and one of 901 with 90; a log of every 100 frames, or of every fourth flight."""
+    """99 episodes of a frame with -10 and one of 901 with 90; a log of every 100 frames, or of every
+    fourth episode.
+    """
     rows = [(0, frame, 0, 1, 0, -10.0, *CRASH) for frame in range(1, 100)]
-    table = flights(*rows, (0, 1000, 0, 901, 0, 90.0, *CRASH))
+    table = own_episodes(*rows, (0, 1000, 0, 901, 0, 90.0, *CRASH))
     means = [-10.0] * 9 + [(99 * -10 + 90) / 100]
     assert log_curve(table, 1000, "frames", 100)["reward"].tolist() == [pytest.approx(np.mean(means))]
-    assert log_curve(table, 1000, "episodes", 4)["reward"].tolist() == [pytest.approx((24 * -10 + means[-1]) / 25)]
+    assert log_curve(table, 1000, "episodes", 4)["reward"].tolist() == [
+        pytest.approx((24 * -10 + means[-1]) / 25)
+    ]
 
 
 def test_the_log_forgets_what_is_more_than_100_episodes_ago_and_has_nothing_before_the_first():
     rows = [(0, 50 + n, 0, 1, 0, 7.0 if n < 100 else 1.0, *CRASH) for n in range(200)]
-    table = flights(*rows)
+    table = own_episodes(*rows)
     assert log_curve(table, 249, "frames", 249)["reward"].tolist() == [1]
-    assert log_curve(table, 149, "frames", 49)["reward"].tolist() == [pytest.approx(7)]  # at 98 and 147, not at 49
+    # at 98 and 147, not at 49
+    assert log_curve(table, 149, "frames", 49)["reward"].tolist() == [pytest.approx(7)]
 
 
-def test_flights_that_end_in_one_step_of_parallel_worlds_are_all_in_the_mean_before_any_is_counted():
-    """Six end at frame 6, in the order of their worlds: the entry after the fourth holds the fifth and sixth too."""
-    table = flights(*((0, 6, world, 1, 0, float(world), *CRASH) for world in (5, 4, 3, 2, 1, 0)))
+def test_episodes_that_end_in_one_step_of_parallel_worlds_are_all_in_the_mean_before_any_is_counted():
+    """Six end at frame 6, in the order of their worlds: the entry after the fourth holds the fifth and
+    sixth too.
+    """
+    table = own_episodes(*((0, 6, world, 1, 0, float(world), *CRASH) for world in (5, 4, 3, 2, 1, 0)))
     assert log_curve(table, 6, "episodes", 4)["reward"].tolist() == [2.5]
     one_by_one = table.assign(frame=table["env"] + 1)
     assert log_curve(one_by_one, 6, "episodes", 4)["reward"].tolist() == [1.5]
 
 
-def test_seeds_without_a_finished_flight_have_no_log():
-    table = flights((0, 9, 0, 9, 0, 1.0, *CRASH), (1, 9, 0, 9, 0, 1.0, *OPEN))
+def test_seeds_without_a_finished_episode_have_no_log():
+    table = own_episodes((0, 9, 0, 9, 0, 1.0, *CRASH), (1, 9, 0, 9, 0, 1.0, *OPEN))
     assert log_curve(table, 9, "frames", 3).index.tolist() == [0]
-    assert log_curve(table, 9, "episodes", 4)["reward"].isna().tolist() == [True]  # one flight and no fourth
+    assert log_curve(table, 9, "episodes", 4)["reward"].isna().tolist() == [True]  # one episode and no fourth
     assert log_curve(table[1:], 9, "frames", 3).shape == (0, len(METRICS))
 
 
@@ -225,7 +271,7 @@ def test_a_metric_of_a_users_own_is_in_every_reading(monkeypatch):
     monkeypatch.setitem(METRICS, "near", Metric("near misses", "near"))
     monkeypatch.setitem(METRICS, "slow", Metric("slow", "distance", 100.0))
     monkeypatch.setitem(METRICS, "lost", Metric("lost", "reward", over="frame"))
-    table = flights((0, 10, 0, 10, 20, -9.0, *CRASH), (0, 20, 0, 10, 40, -10.0, *CRASH)).assign(near=3)
+    table = own_episodes((0, 10, 0, 10, 20, -9.0, *CRASH), (0, 20, 0, 10, 40, -10.0, *CRASH)).assign(near=3)
     for found, near, slow, lost in (
         (per_frame(table, 20), 3, 300, -19 / 20),
         (log_curve(table, 20, "frames", 20), 3, 300, -9.5),
@@ -238,10 +284,16 @@ def test_a_metric_of_a_users_own_is_in_every_reading(monkeypatch):
 
 def test_a_metric_in_the_words_and_decimals_of_a_reading():
     assert [words(name, PER_FRAME) for name in ("reward", "steps", "distance", "turns", "speed")] == [
-        *("reward per frame", "steps per collision", "distance per collision [px]", "turning [%]", "speed [px a step]")
+        *(
+            "reward per frame",
+            "steps per collision",
+            "distance per collision [px]",
+            "turning [%]",
+            "speed [px a step]",
+        )
     ]
     assert words("reward", LOG_CURVE) == "reward per episode"
-    assert [decimals("reward", reading) for reading in READINGS[:3]] == [4, 2, 2]
+    assert [decimals("reward", definition) for definition in DEFINITIONS[:3]] == [4, 2, 2]
 
 
 def test_the_papers_reward_per_frame_is_reward_over_steps_and_its_speed_distance_over_steps():
@@ -251,7 +303,7 @@ def test_the_papers_reward_per_frame_is_reward_over_steps_and_its_speed_distance
     assert math.isnan(paper.printed("dqn", "mish", "reward", per_frame=True))
 
 
-# -- Stable-Baselines3 ------------------------------------------------------------------------------------------------
+# -- Stable-Baselines3 ---------------------------------------------------------------------------------------
 
 
 def test_the_rhythm_of_a_log_is_the_algorithms_own_and_unknown_where_a_setting_is_missing():
@@ -264,7 +316,8 @@ def test_the_rhythm_of_a_log_is_the_algorithms_own_and_unknown_where_a_setting_i
 
 
 def learned(algorithm, n_envs):
-    """Stable-Baselines3 learns for 10,000 frames: all that its logger held at each dump, and the episodes that ended.
+    """Stable-Baselines3 learns for 10,000 frames: all that its logger held at each dump, and the episodes
+    that ended.
 
     The episodes are those of the infos, from which it fills its own buffer.
     """
@@ -301,10 +354,12 @@ def learned(algorithm, n_envs):
     model = getattr(sb3, algorithm.upper())("MlpPolicy", worlds, seed=1, device="cpu", **own)
     model.set_logger(Logger(None, [Held()]))
     model.learn(10_000, Watch())
-    return held, flights(*rows), model.num_timesteps
+    return held, own_episodes(*rows), model.num_timesteps
 
 
-@pytest.mark.parametrize(("algorithm", "n_envs"), [("ppo", 1), ("ppo", 4), ("dqn", 1), ("dqn", 4), ("a2c", 4)])
+@pytest.mark.parametrize(
+    ("algorithm", "n_envs"), [("ppo", 1), ("ppo", 4), ("dqn", 1), ("dqn", 4), ("a2c", 4)]
+)
 def test_the_log_curve_is_the_mean_of_what_stable_baselines3s_logger_holds(algorithm, n_envs):
     held, table, frames = learned(algorithm, n_envs)
     unit, every = ALGORITHMS[algorithm].rhythm({"frames_per_batch": 256, "n_steps": 2, "n_envs": n_envs})

@@ -1,7 +1,8 @@
-"""The readings: all that the paper's tables may have averaged over (decision 12), from the rows of a run.
+"""The metric definitions: all that the paper's tables may have averaged over (decision 12), from the rows of
+a run.
 
-A reading is a table with a row a seed and a column a metric of `metrics.METRICS`. Frames are per seed. A flight of s
-steps in one of W parallel environments that ended at frame f lasted from f - s W to f.
+A metric definition is a table with a row a seed and a column a metric of `metrics.METRICS`. Frames are per
+seed. An episode of s steps in one of W parallel environments that ended at frame f lasted from f - s W to f.
 """
 
 from __future__ import annotations
@@ -16,33 +17,33 @@ import pandas as pd
 from uavnav.runs.metrics import LAST, METRICS, MODES, counted, in_order, per_episode
 
 PER_FRAME = "per frame"
-"""The primary reading: of all frames, those of flights open at the end too."""
+"""The primary metric definition: of all frames, those of episodes open at the end too."""
 LOG_CURVE = "log curve"
 """What Stable-Baselines3 logs, averaged: most likely what the paper printed."""
 ALL = "all training episodes"
 TOTALS = f"{ALL}, ratios of totals"
 LAST_EPISODES = f"last {LAST} training episodes"
 GREEDY, SAMPLED = EVALUATIONS = tuple(f"{mode} evaluation" for mode in MODES)
-READINGS = (PER_FRAME, LOG_CURVE, ALL, TOTALS, LAST_EPISODES, *EVALUATIONS)
+DEFINITIONS = (PER_FRAME, LOG_CURVE, ALL, TOTALS, LAST_EPISODES, *EVALUATIONS)
 """In the order of the report."""
 
 
-def words(metric: str, reading: str) -> str:
-    """A metric as a reading takes it: `reward per frame`."""
-    return METRICS[metric].words(METRICS[metric].over if reading == PER_FRAME else "episode")
+def words(metric: str, definition: str) -> str:
+    """A metric as a metric definition takes it: `reward per frame`."""
+    return METRICS[metric].words(METRICS[metric].over if definition == PER_FRAME else "episode")
 
 
-def decimals(metric: str, reading: str) -> int:
+def decimals(metric: str, definition: str) -> int:
     """How many a metric is shown with: four where it is a small part of 1, as a frame's reward."""
     one = METRICS[metric]
-    return 4 if reading == PER_FRAME and one.scale is None and one.over == "frame" else min(one.digits, 2)
+    return 4 if definition == PER_FRAME and one.scale is None and one.over == "frame" else min(one.digits, 2)
 
 
 def per_frame(episodes: pd.DataFrame, frames: int) -> pd.DataFrame:
     """Reward, stops, turns and speed per frame of all frames; steps and distance per collision.
 
-    Sums are over all rows, flights open at the end too, and are divided by the frames of a seed or its collisions. A
-    seed without a collision has NaN per collision. frames: that each seed had.
+    Sums are over all rows, episodes open at the end too, and are divided by the frames of a seed or its
+    collisions. A seed without a collision has NaN per collision. frames: that each seed had.
     """
     seed = episodes["seed"]
     sums = counted(episodes).groupby(seed).sum(min_count=1)
@@ -50,16 +51,19 @@ def per_frame(episodes: pd.DataFrame, frames: int) -> pd.DataFrame:
     table = {}
     for name, metric in METRICS.items():
         of_frames = metric.scale is not None or metric.over == "frame"
-        table[name] = (metric.scale or 1) * sums[name] / (frames if of_frames else collisions.where(collisions > 0))
+        table[name] = (
+            (metric.scale or 1) * sums[name] / (frames if of_frames else collisions.where(collisions > 0))
+        )
     return pd.DataFrame(table)
 
 
 def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.DataFrame:
-    """The mean over a run's log of Stable-Baselines3's `rollout/ep_rew_mean`, and of each other metric likewise.
+    """The mean over a run's log of Stable-Baselines3's `rollout/ep_rew_mean`, and of each other metric
+    likewise.
 
-    An entry of the log is the mean of the last 100 episodes that have ended by then; ratios are means of the episodes'
-    ratios. There is no entry before the first episode has ended. Episodes that end in one step of all environments are
-    all in the mean before any is counted. A seed without an entry has NaN.
+    An entry of the log is the mean of the last 100 episodes that have ended by then; ratios are means of the
+    episodes' ratios. There is no entry before the first episode has ended. Episodes that end in one step of
+    all environments are all in the mean before any is counted. A seed without an entry has NaN.
 
     frames: that each seed had; unit, every: it logs every so many `frames` per seed or finished `episodes`.
     """
@@ -73,8 +77,8 @@ def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.
         logged = own[every - 1 :: every] if unit == "episodes" else np.arange(every, frames + 1, every)
         behind = np.searchsorted(own, logged, side="right")
         if len(behind := behind[behind > 0]):
-            flights = np.stack([column[low:high] for column in values], 1)
-            sums = np.vstack([np.zeros(len(METRICS)), flights.cumsum(0)])
+            rows = np.stack([column[low:high] for column in values], 1)
+            sums = np.vstack([np.zeros(len(METRICS)), rows.cumsum(0)])
             since = np.maximum(behind - LAST, 0)
             means[place] = ((sums[behind] - sums[since]) / (behind - since)[:, None]).mean(0)
     return pd.DataFrame(means, pd.Index(seeds, name="seed"), list(METRICS))
@@ -89,23 +93,25 @@ def within(
 ) -> pd.DataFrame:
     """A column's sum per frame in windows [low, high) of frames: a row a seed, a column a window.
 
-    A flight's sum is spread evenly over its frames, but for what the collision at its end brings, which lies in its
-    last frame. collision: how much that is.
+    An episode's sum is spread evenly over its frames, but for what the collision at its end brings, which
+    lies in its last frame. collision: how much that is.
     """
     edges, place = np.unique(np.asarray(windows, dtype=np.float64), return_inverse=True)
     owner, seeds = pd.factorize(episodes["seed"], sort=True)
     steps, end, total = (episodes[name].to_numpy(np.float64) for name in ("steps", "frame", column))
     at_end = collision * episodes["terminated"].to_numpy(np.float64)
-    first = np.searchsorted(edges, end - steps * n_envs, side="right")  # edges that a flight begins behind
+    first = np.searchsorted(edges, end - steps * n_envs, side="right")  # edges that an episode begins behind
     behind = np.searchsorted(edges, end)  # and those that it ends behind
     size = len(seeds), len(edges) + 1
     whole = first == behind  # between two edges
     sums = np.bincount(owner[whole] * size[1] + behind[whole], total[whole], math.prod(size)).reshape(size)
-    before = sums.cumsum(1)[:, :-1].astype(np.float64)  # of no flights, bincount counts in int64
+    before = sums.cumsum(1)[:, :-1].astype(np.float64)  # of no episodes, bincount counts in int64
     owner, steps, end, total, at_end = (column[~whole] for column in (owner, steps, end, total, at_end))
     for index, edge in enumerate(edges):
-        flown = np.clip((edge - end) / (steps * n_envs) + 1, 0, 1)  # the part of each flight before the edge
+        flown = np.clip((edge - end) / (steps * n_envs) + 1, 0, 1)  # the part of each episode before the edge
         earned = (total - at_end) * flown + at_end * (end <= edge)
         before[:, index] += np.bincount(owner, earned, len(seeds))
     low, high = place.reshape(-1, 2).T
-    return pd.DataFrame((before[:, high] - before[:, low]) / (edges[high] - edges[low]), pd.Index(seeds, name="seed"))
+    return pd.DataFrame(
+        (before[:, high] - before[:, low]) / (edges[high] - edges[low]), pd.Index(seeds, name="seed")
+    )

@@ -1,0 +1,321 @@
+"""Configurations from run folders: runs of the same settings, whatever their seeds. Nothing here trains.
+
+A *configuration* is an algorithm with an activation and all other settings. Frames are per seed throughout.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from uavnav.algorithms import ALGORITHMS
+from uavnav.runs import Run, paper, run_folders, trials
+from uavnav.runs.definitions import (
+    EVALUATIONS,
+    LAST_EPISODES,
+    LOG_CURVE,
+    PER_FRAME,
+    TOTALS,
+    log_curve,
+    per_frame,
+    within,
+)
+from uavnav.runs.metrics import EPISODE_COLUMNS, MODES, finished, in_order, last_episodes, per_seed
+from uavnav.runs.tables import RunError
+from uavnav.settings import flat
+from uavnav.tasks.world import World
+
+BINS = 25
+"""Points of a learning curve: a run's frames fall into so many bins."""
+WORLDS = "worlds"
+"""The folder, in a report's, of the study of that name, which `report.worlds` reads."""
+NO_SETTINGS = ("algorithm", "activation", "seed", "n_seeds")
+NAMED = ("preset", "frames", "n_envs", "obstacles", "reward", "init")
+"""Settings that every section names; it names others where configurations differ in them or from their
+preset.
+"""
+EMPTY = pd.DataFrame(columns=[*EPISODE_COLUMNS, "mode"]).astype(EPISODE_COLUMNS)
+Key = tuple[str, str]
+"""Algorithm and activation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """Runs that differ in their seeds alone."""
+
+    algorithm: str
+    activation: str
+    settings: dict[str, Any]  # all else that its runs share
+    runs: list[Run]
+    episodes: pd.DataFrame  # of training, the columns of `metrics.EPISODE_COLUMNS`
+    evaluation: pd.DataFrame  # the same and `mode`; no rows where there is none
+    # by metric definition, or by curve
+    known: dict[str, pd.DataFrame] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def study(self) -> str:
+        """The study that its first run names, if it is of one."""
+        return str(self.runs[0].meta.get("study", ""))
+
+
+def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
+    """The configurations of all runs in some folders, and one line for each run or table that is of no use.
+
+    Raises:
+        RunError: a folder is missing or holds no run, or no run can be used.
+    """
+    walked = [run_folders(folder) for folder in folders]
+    apart = [folder.resolve() for folder in of_worlds(folders)]
+    there = {path.resolve(): path for found, _ in walked for path in found}
+    main = {key: path for key, path in there.items() if not any(key.is_relative_to(one) for one in apart)}
+    paths = _beside_tuning(folders, main)
+    configurations: dict[str, Configuration] = {}
+    left_out = []
+    for path in paths.values():
+        try:
+            configuration = read(path)
+            key = json.dumps(
+                [configuration.algorithm, configuration.activation, configuration.settings],
+                sort_keys=True,
+                default=str,
+            )
+            configurations[key] = (
+                _merged(configurations[key], configuration) if key in configurations else configuration
+            )
+        except RunError as error:
+            left_out.append(one_line(error))
+    if not configurations and main == there:
+        raise RunError(f"{', '.join(map(str, folders))}: no run that can be used; {left_out[0]}")
+    return list(configurations.values()), [*left_out, *(line for _, strays in walked for line in strays)]
+
+
+def of_worlds(folders: Sequence[Path]) -> list[Path]:
+    """The folders of the study `worlds` in those of a report."""
+    found = [folder / WORLDS for folder in folders]
+    return [folder for folder in found if folder.is_dir() and not (folder / "config.yaml").exists()]
+
+
+def _beside_tuning(folders: Sequence[Path], paths: Mapping[Path, Path]) -> Mapping[Path, Path]:
+    """Without the runs of a study that tunes, which has a section of its own; if it is all there is, its
+    defaults.
+    """
+    tuned = [folder.resolve() for folder in trials.folders(folders)]
+    beside = {
+        key: path for key, path in paths.items() if not any(key.is_relative_to(folder) for folder in tuned)
+    }
+    defaults = {
+        key: path
+        for key, path in paths.items()
+        if any(key.is_relative_to(folder / "default") for folder in tuned)
+    }
+    return beside or defaults or paths
+
+
+def read(path: Path) -> Configuration:
+    """The configuration of one run.
+
+    Raises:
+        RunError: it is missing, damaged, not finished, or lacks what a report needs.
+    """
+    run = Run(path)
+    if "n_envs" not in run.config:
+        raise RunError(
+            f"{path / 'config.yaml'}: does not say in how many environments; not a run of this package"
+        )
+    for key in ("layouts", "versions", "beyond_preset"):
+        run.meta.setdefault(key, {})
+    evaluation = run.evaluation()
+    run.meta["evaluation"] = "none" if evaluation is None else _protocol(run, evaluation)
+    return Configuration(
+        run.algorithm,
+        run.config["activation"],
+        settings_of(run),
+        [run],
+        _checked(run, "episodes", run.episodes),
+        EMPTY if evaluation is None else _checked(run, "evaluation", evaluation),
+    )
+
+
+def _protocol(run: Run, rows: pd.DataFrame) -> str:
+    """Which evaluation was read: its file, its layouts, its split and its time limit; and which files
+    were not.
+    """
+    cut = rows.loc[rows["truncated"], "steps"]
+    limit = rows.attrs.get("max_steps", cut.max() if len(cut) else "not known")
+    layouts = rows.attrs.get("layouts", "not known")
+    own, *others = (path.name for path in run.evaluations())
+    read = f"{own}, {rows['layout'].nunique()} layouts ({layouts}), at most {show(limit)} steps"
+    return read + (f"; not read: {', '.join(others)}" if others else "")
+
+
+def settings_of(run: Run) -> dict[str, Any]:
+    """All that a run's episodes depend on, except algorithm, activation and seeds.
+
+    A field of the world is `world.<field>`. A layout file is its checksum, whatever path led to it.
+    """
+    config = {"layouts": "train"} | flat(run.config)
+    all_layouts, layouts = run.meta["layouts"], str(config.pop("layouts"))
+    facts = {
+        "frames": run.frames,
+        "obstacles": all_layouts.get("k", "not known"),
+        "layouts": all_layouts.get("sha256", layouts),
+        "world.version": run.meta["versions"].get("world", "not known"),
+    }
+    return {key: value for key, value in config.items() if key not in NO_SETTINGS} | facts
+
+
+def _checked(run: Run, name: str, rows: pd.DataFrame) -> pd.DataFrame:
+    """The columns that rows of episodes have; or a RunError."""
+    if not set(rows["seed"]) <= set(run.seeds):
+        raise RunError(f"{run.path / name}.parquet: has seeds that config.yaml has not")
+    columns = [column for column in (*EPISODE_COLUMNS, "mode") if column in rows]
+    return rows if columns == [*rows] else rows[columns]  # no copy, for the rows of many seeds are gigabytes
+
+
+def _merged(configuration: Configuration, other: Configuration) -> Configuration:
+    (added,) = other.runs
+    for run in configuration.runs:
+        if twice := sorted({*run.seeds} & {*added.seeds}):
+            raise RunError(
+                f"{added.path}: its seed {twice[0]} is in {run.path} already, with the same settings"
+            )
+    return replace(
+        configuration,
+        runs=[*configuration.runs, added],
+        episodes=_joined(configuration.episodes, other.episodes),
+        evaluation=_joined(configuration.evaluation, other.evaluation),
+    )
+
+
+def _joined(*tables: pd.DataFrame) -> pd.DataFrame:
+    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
+
+
+def algorithms(keys: Iterable[Key]) -> list[str]:
+    """The algorithms of some configurations, in order."""
+    return list(dict.fromkeys(algorithm for algorithm, _ in sorted(keys, key=order)))
+
+
+def order(key: Key) -> tuple[int | bool | str, ...]:
+    """Where a configuration stands: the paper's activations before others, the paper's algorithms before
+    those of the table.
+    """
+    algorithm, activation = key
+    known, of_paper = [*paper.TABLE_OF, *ALGORITHMS, algorithm], [*paper.ACTIVATIONS, activation]
+    is_other = activation not in paper.ACTIVATIONS
+    return is_other, known.index(algorithm), algorithm, of_paper.index(activation), activation
+
+
+def label(configurations: list[Configuration]) -> tuple[list[tuple[str, Configuration]], str]:
+    """An algorithm's configurations in the paper's order, by how each differs from what is usual; and
+    what is usual.
+    """
+    settings = [
+        {key: show(value) for key, value in configuration.settings.items()}
+        for configuration in configurations
+    ]
+    differing = {key for one in settings for key in one if len({other.get(key) for other in settings}) > 1}
+    differing -= {"total_frames"} if "frames" in differing else set()
+    beyond = {
+        key
+        for configuration in configurations
+        for run in configuration.runs
+        for key in flat(run.meta["beyond_preset"])
+    } - {"layouts"}
+    named = [*NAMED, *sorted((differing | beyond).difference(NAMED))]
+    usual = {
+        key: Counter(one.get(key) for one in settings).most_common(1)[0][0] for key in named if configurations
+    }
+    labelled = []
+    for configuration, own in zip(configurations, settings, strict=True):
+        changes = ", ".join(f"{key}={own.get(key)}" for key in usual if own.get(key) != usual[key])
+        labelled.append(
+            (
+                f"{configuration.activation} ({changes})" if changes else configuration.activation,
+                configuration,
+            )
+        )
+    labelled.sort(key=lambda pair: (*order((pair[1].algorithm, pair[1].activation)), pair[0]))
+    return labelled, ", ".join(f"{key}={value}" for key, value in usual.items())
+
+
+def episodes_of(configuration: Configuration, definition: str) -> pd.DataFrame:
+    """The episodes that a metric definition is of."""
+    if definition in EVALUATIONS:
+        mode = MODES[EVALUATIONS.index(definition)]
+        return finished(configuration.evaluation[configuration.evaluation["mode"] == mode])
+    if definition == PER_FRAME:
+        return configuration.episodes
+    return (
+        last_episodes(configuration.episodes)
+        if definition == LAST_EPISODES
+        else in_order(configuration.episodes)
+    )
+
+
+def read_as(configuration: Configuration, definition: str) -> pd.DataFrame:
+    """A row a seed and a column a metric; no rows where there are no episodes, or the log's rhythm is not
+    known.
+
+    It is worked out once, however often it is asked for: leave the table as it is.
+    """
+    if definition not in configuration.known:
+        configuration.known[definition] = _read_as(
+            configuration, definition, episodes_of(configuration, definition)
+        )
+    return configuration.known[definition]
+
+
+def _read_as(configuration: Configuration, definition: str, episodes: pd.DataFrame) -> pd.DataFrame:
+    own = configuration.settings
+    if definition == PER_FRAME:
+        return per_frame(episodes, own["frames"])
+    if definition == LOG_CURVE:
+        rhythm = (
+            ALGORITHMS[configuration.algorithm].rhythm(own) if configuration.algorithm in ALGORITHMS else None
+        )
+        return log_curve(episodes, own["frames"], *rhythm) if rhythm else per_seed(episodes[:0])
+    return per_seed(episodes, ratio_of_means=definition == TOTALS)
+
+
+def windowed(
+    configuration: Configuration, column: str, windows: Sequence[tuple[float, float]]
+) -> pd.DataFrame:
+    """A column of training per frame in windows of frames: a row a seed, a column a window
+    (`definitions.within`).
+    """
+    own = configuration.settings
+    at_end = {"reward": own.get("world.collision_reward", World().collision_reward), "terminated": 1.0}
+    return within(configuration.episodes, column, windows, own["n_envs"], at_end.get(column, 0.0))
+
+
+def curve(configuration: Configuration, column: str) -> pd.DataFrame:
+    """A column per frame in each of `BINS` equal stretches of training (index: its middle) and of each seed.
+
+    It is worked out once, as `read_as` is.
+    """
+    if column not in configuration.known:
+        edges = np.linspace(0, configuration.settings["frames"], BINS + 1)
+        seeds = windowed(configuration, column, [*itertools.pairwise(edges)])
+        configuration.known[column] = seeds.T.set_axis((edges[:-1] + edges[1:]) / 2)
+    return configuration.known[column]
+
+
+def show(value: object) -> str:
+    return (
+        f"{value:,}"
+        if isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+        else one_line(value)
+    )
+
+
+def one_line(text: object) -> str:
+    return " ".join(str(text).split())

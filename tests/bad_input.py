@@ -1141,7 +1141,7 @@ CASES = [
     word("evaluate random --max-steps=2147483648", "max_steps=2147483648", "at most 1,000,000"),
     word("ppo 'seed=1\n2'", "seed=1\\n2", WHOLE),
     word(f"ppo seed={'9' * 5000}", "seed=inf", WHOLE),
-    word(f"ppo seed={'[' * 500}{']' * 500}", "seed=[[[", ";"),
+    word(f"ppo seed={'[' * 500}{']' * 500}", "seed=[[[", "cannot be read"),
     word("ppo 'device='\"'\"'cpu'", "device='cpu", "cannot be read"),
     word("ppo preset=3", "preset=3", "choose from"),
     word(f"ppo preset={'x' * 300}", "preset=xxx", "choose from fast"),

@@ -18,6 +18,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 SETTINGS_BYTES = 2**18
 """Of a file that a person or a command wrote in YAML or JSON, at most: a run's own have a few thousand."""
+MOST_NESTED = 100
+"""Levels of lists and mappings in YAML, whatever the stack of who reads it would bear."""
 TABLE_BYTES = 2**31
 """Of a table, at most."""
 MEMORY_BYTES = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -101,12 +103,19 @@ def parsed(text: str | bytes) -> Any:
 
 
 class Loader(yaml.SafeLoader):
-    """Plain YAML: no aliases, with which a few lines stand for billions."""
+    """Plain YAML: no aliases, with which a few lines stand for billions, and at most `MOST_NESTED` levels."""
+
+    depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             raise yaml.composer.ComposerError(None, None, "aliases are not taken")
-        return super().compose_node(parent, index)
+        self.depth += 1
+        if self.depth > MOST_NESTED:
+            raise yaml.composer.ComposerError(None, None, "nested too deeply")
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
     def construct_yaml_int(self, node: Any) -> int:
         return _whole(super().construct_yaml_int(node))

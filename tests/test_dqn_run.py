@@ -21,6 +21,15 @@ from uavnav.tasks.world import World
 from uavnav.training.recorder import Recorder
 from uavnav.training.update import Learner
 
+UNLEARNED = {
+    "n_seeds": 2,
+    "n_envs": 16,
+    "total_frames": 400,
+    "learning_starts": 32,
+    "lr": 0.0,
+    "batch_size": 64,
+}
+"""25 steps of 16 environments, in which nothing is learned."""
 SWITCHES = {"slots": "listed", "padding": "zeros"}
 WATCHED = DQNConfig(
     seed=3,
@@ -268,15 +277,7 @@ def test_a_buffer_without_next_observations_gives_the_transitions_that_one_with_
 
     A buffer of 88 rows is full after five and a half steps, so that later ones lie across its end.
     """
-    settings = {
-        "n_seeds": 2,
-        "n_envs": 16,
-        "total_frames": 400,
-        "learning_starts": 32,
-        "lr": 0.0,
-        "batch_size": 64,
-    }
-    config = DQNConfig(**settings, buffer_size=size, compile="off")
+    config = DQNConfig(**UNLEARNED, buffer_size=size, compile="off")
     lean = watch(config, tmp_path / "lean")
     full = watch(config.replace(max_steps=10_000, buffer_size=400), tmp_path / "full")
     assert "observation" not in lean.buffer[:]["next"].keys()  # noqa: SIM118  (a TensorDict is not a dict)
@@ -308,16 +309,8 @@ def test_targets_of_3_steps_sum_the_rewards_up_to_a_collision_or_cap_and_bootstr
 
     A time limit has an observation of its own, after as many steps as there were.
     """
-    settings = {
-        "n_seeds": 2,
-        "n_envs": 16,
-        "total_frames": 400,
-        "learning_starts": 32,
-        "lr": 0.0,
-        "batch_size": 64,
-    }
     seen = watch(
-        DQNConfig(**settings, n_steps=3, gamma=0.5, max_steps=limit, compile="off"), tmp_path / "run"
+        DQNConfig(**UNLEARNED, n_steps=3, gamma=0.5, max_steps=limit, compile="off"), tmp_path / "run"
     )
     stored = seen.buffer[:]
     assert len(seen.minibatches) == 22 * 4  # the first step after frame 48

@@ -1,0 +1,29 @@
+"""One colour for one pilot, in figures, films, pages and the playground; safe for colour-blind readers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from uavnav.tasks.protocol import SCRIPTS
+
+PILOTS = {"you": "#E69F00", "ppo": "#0072B2", "dqn": "#D55E00", **dict.fromkeys(SCRIPTS, "#009E73")}
+"""By who flies: a person, an algorithm's policy, a scripted policy."""
+OTHERS = ("#56B4E9", "#CC79A7", "#000000")
+"""Of further pilots, in their order. All are Okabe and Ito's, without the yellow."""
+
+
+def colours(pilots: Iterable[str]) -> list[str]:
+    """A colour for each pilot of one picture or page, in their order.
+
+    pilots: `you`, an algorithm's or a scripted policy's name. The first of a kind has its kind's colour; each
+        further one has the next of `OTHERS`.
+    """
+    result: list[str] = []
+    others = 0
+    for pilot in pilots:
+        colour = PILOTS.get(pilot, "")
+        if not colour or colour in result:
+            colour = OTHERS[others % len(OTHERS)]
+            others += 1
+        result.append(colour)
+    return result

@@ -127,10 +127,6 @@ class DQNConfig(QConfig):
             "double": True,
         },
     }
-    MICROSECONDS: ClassVar[dict[tuple[str, bool], tuple[float, float]]] = {
-        ("vectorised", True): (30.0, 26.2),
-        ("vectorised", False): (373.5, 26.2),
-    }
 
     loss: Literal["huber", "squared"] = key("huber", "Stable-Baselines3's, or squared as in eq. (1)")
 

@@ -55,11 +55,6 @@ class PPOConfig(TrainConfig):
             "lr": 1e-3,
         },
     }
-    MICROSECONDS: ClassVar[dict[tuple[str, bool], tuple[float, float]]] = {
-        ("vectorised", True): (24.7, 25.9),
-        ("vectorised", False): (338.4, 25.9),
-        ("fast", True): (4.6, 35.4),
-    }
 
     lr: AtLeast0 = key(3e-4, "Adam's learning rate")
     frames_per_batch: Count = key(2048, "collected in an iteration, from all environments", "frames a seed")

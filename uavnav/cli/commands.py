@@ -50,7 +50,7 @@ RUN_COLUMNS = (
     "reward_greedy",
     "age",
 )
-"""Of the table that `uavnav runs` prints."""
+"""What `uavnav runs` says of a run and sorts by; its table shows less."""
 
 
 TRAIN = ("train", "study", "verify")
@@ -63,6 +63,8 @@ def run(name: str, words: Sequence[str], **how: Any) -> int:
     how: further arguments of the command's `main`, such as a recipe's `fit`.
     """
     arguments = parse(name, words)
+    if name == "train" and "torch" not in sys.modules:
+        _say_at_once(arguments)
     try:
         if names := getattr(arguments, "plugins", None):
             from uavnav import plugins  # brings torch
@@ -88,6 +90,14 @@ def run(name: str, words: Sequence[str], **how: Any) -> int:
         else:
             raise
     return 2
+
+
+def _say_at_once(given: argparse.Namespace) -> None:
+    """The first line of training, before the imports that take seconds."""
+    if not (given.quiet or given.json or given.help or given.cfg):
+        preset, activation = (names_in(given.settings, key) or [USUAL[key]] for key in USUAL)
+        who = f"{given.algorithm} {', '.join(activation)}, preset {', '.join(preset)}"
+        print(f"{who}: loading torch …", flush=True)
 
 
 def _as_option(error: Exception) -> str:
@@ -189,8 +199,10 @@ def needs(algorithm: str, settings: Sequence[str]) -> str:
     from uavnav.runs import default_folder, read_settings
     from uavnav.runs.tables import RunError
 
-    names = {key: next(iter(names_in(settings, key)), usual) for key, usual in USUAL.items()}
-    folder = next(iter(names_in(settings, "out")), "") or default_folder(algorithm, **names)
+    given = {key: next(iter(names_in(settings, key)), usual) for key, usual in USUAL.items()}
+    changes = dict(word.lstrip("+").split("=", 1) for word in settings)
+    changes = {key: value for key, value in changes.items() if key not in (*USUAL, "plugins", "out")}
+    folder = next(iter(names_in(settings, "out")), "") or default_folder(algorithm, **given, changes=changes)
     try:
         noted = read_settings(Path(folder) / "meta.json").get("plugins")
     except RunError:
@@ -275,12 +287,14 @@ def _runs(parser: Parser) -> None:
     """List the runs of some folders: what each is, how far it is, and what it reached."""
     parser.epilog = "example: uavnav runs results --sort reward_sampled"
     parser.add_argument(
-        "folders", nargs="*", metavar="FOLDER", help="of runs (default: runs, and results if it is there)"
+        "folders", nargs="*", metavar="FOLDER", help="of runs (default: runs if it is there, else results)"
     )
     parser.add_argument(
         "--sort", choices=RUN_COLUMNS, metavar="COLUMN", help=f"by one of {', '.join(RUN_COLUMNS)}"
     )
-    _output(parser, "--json")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--watch", action="store_true", help="renew the list every 2 seconds, until Ctrl-C")
+    how.add_argument("--json", action="store_true", help="print all that is known as JSON, and nothing else")
 
 
 def _play(parser: Parser) -> None:

@@ -5,6 +5,7 @@ A run that says it is running, and whose `progress.json` is older than a minute,
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
 import os
@@ -15,8 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.compute
+from rich.console import Console, Group, JustifyMethod, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
 
-from uavnav.cli import commands
 from uavnav.errors import complain
 from uavnav.runs import (
     FINISHED,
@@ -24,46 +28,58 @@ from uavnav.runs import (
     progress,
     read_settings,
     run_folders,
+    saved_frames,
 )
 from uavnav.runs.evaluations import usual
+from uavnav.runs.lately import Lately, line, span
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError, arrow
 
+COLUMNS: dict[str, JustifyMethod] = {
+    "run": "left",
+    "policy": "left",
+    "seeds": "right",
+    "frames": "right",
+    "status": "left",
+    "sampled": "right",
+    "greedy": "right",
+    "age": "right",
+}
+"""Of the table; `sampled` and `greedy` are rewards of a test episode."""
+WATCH_SECONDS = 2.0
+WIDEST = 1_000
+"""Columns of what is no terminal."""
 MEANS = {f"reward_{mode}": mode for mode in reversed(MODES)}
 STATES = {FINISHED: "finished", "failed": "failed"}
 """By the status in meta.json; whatever else it says, a run that does not run was stopped."""
 
 
 def row(path: Path, now: float) -> dict[str, Any]:
-    """What is said of a run: `commands.RUN_COLUMNS`, `total` frames, and its pace where it runs.
+    """What is said of a run: `RUN_COLUMNS`, `total` frames, and while it trains its pace and `lately`.
 
-    Frames are per seed, so far; they are not known of a run that was stopped. Rewards are means over the
+    Frames are per seed: so far, or those that are saved of a run that was stopped. Rewards are means over the
     run's own evaluation. Raises a RunError where its files are no run's.
     """
     config = read_settings(path / "config.yaml")
     if "total_frames" not in config:
         raise RunError(f"{path / 'config.yaml'}: not a run's, its total_frames=None; give a run's folder")
     meta = read_settings(path / "meta.json") if os.path.lexists(path / "meta.json") else {}
-    running = _progress(path, now) if meta.get("status") == "running" else {}
+    told = progress(path)
+    running = told if meta.get("status") == "running" and heard(told, now) else {}
+    frames = running.get("frames", meta.get("frames"))
     return {
         "run": str(path),
         **{key: config[key] for key in ("algorithm", "activation")},
         "task": str(config.get("task", "drone")),
         "preset": str(config.get("preset", "")),
         "seeds": [config["seed"], config["seed"] + config["n_seeds"] - 1],
-        "frames": running.get("frames", meta.get("frames")),
+        "frames": saved_frames(path) or told.get("frames", 0) if frames is None else frames,
         "total": config["total_frames"],
         "status": "running" if running else STATES.get(str(meta.get("status")), "stopped"),
         **_rewards(path, str(config.get("task", "drone"))),
         "age": _age(str(meta.get("ended") or meta.get("started")), now),
         **_pace(running),
     }
-
-
-def _progress(path: Path, now: float) -> dict[str, Any]:
-    """How far a running run is; empty where it has been silent for a minute."""
-    known = progress(path)
-    return known if heard(known, now) else {}
 
 
 def _age(written: str, now: float) -> int | None:
@@ -74,12 +90,13 @@ def _age(written: str, now: float) -> int | None:
         return None
 
 
-def _pace(running: Mapping[str, Any]) -> dict[str, float]:
-    """Frames per second of each seed and the seconds that are left, where they are known."""
-    rate = running.get("rate")
-    if not rate:
+def _pace(running: Mapping[str, Any]) -> dict[str, Any]:
+    """What a run does while it trains; frames per second of each seed and the seconds left, where known."""
+    if not running:
         return {}
-    return {"frames_per_second": rate, "seconds_left": (running["total"] - running["frames"]) / rate}
+    rate, lately = running["rate"], {"lately": running["lately"].model_dump()}
+    left = running["total"] - running["frames"]
+    return lately | ({"frames_per_second": rate, "seconds_left": left / rate} if rate else {})
 
 
 def _rewards(path: Path, task: str) -> dict[str, float | None]:
@@ -102,31 +119,24 @@ def _rewards(path: Path, task: str) -> dict[str, float | None]:
 # -- in words ------------------------------------------------------------------------------------------------
 
 
-def span(seconds: float) -> str:
-    """`40 s`, `4 min`, `3 h`, `12 days`."""
-    for unit, size in (("s", 60), ("min", 60), ("h", 48)):
-        if seconds < 1.5 * size:
-            return f"{seconds:.0f} {unit}"
-        seconds /= 24 if unit == "h" else 60
-    return f"{seconds:.0f} days"
-
-
 def words(one: Mapping[str, Any]) -> list[str]:
-    """A run as the table shows it."""
+    """A run as the table shows it, by `COLUMNS`."""
     first, last = one["seeds"]
-    status = one["status"]
-    if "seconds_left" in one:
-        status += f", {one['frames_per_second'] / 1000:.1f}k frames/s, {span(one['seconds_left'])} left"
-    done = f"{one['frames']:,} " if one["frames"] is not None else ""
-    shown = {
-        **one,
-        "seeds": str(first) if first == last else f"{first} to {last}",
-        "frames": done.rstrip() if one["status"] == "finished" else f"{done}of {one['total']:,}",
-        "status": status,
-        "age": "" if one["age"] is None else span(one["age"]),
-        **{column: "" if one[column] is None else f"{one[column]:.1f}" for column in MEANS},
-    }
-    return [str(shown[column]) for column in commands.RUN_COLUMNS]
+    done = one["status"] == "finished"
+    return [
+        one["run"],
+        f"{one['algorithm']} {one['activation']}",
+        f"{last - first + 1:,}",
+        thousands(one["frames"]) if done else f"{thousands(one['frames'])}/{thousands(one['total'])}",
+        one["status"],
+        *("" if one[column] is None else f"{one[column]:,.1f}" for column in MEANS),
+        "" if one["age"] is None else span(one["age"]),
+    ]
+
+
+def thousands(frames: int) -> str:
+    """`401k`; fewer than a thousand as they are."""
+    return f"{frames // 1000:,}k" if frames >= 1000 else str(frames)
 
 
 def order(column: str) -> Callable[[Mapping[str, Any]], tuple[bool, Any]]:
@@ -142,32 +152,52 @@ def order(column: str) -> Callable[[Mapping[str, Any]], tuple[bool, Any]]:
     return key
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A line a run, numbers to the right."""
-    lines = [list(commands.RUN_COLUMNS), *map(words, rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    right = [column in ("seeds", "frames", "age", *MEANS) for column in commands.RUN_COLUMNS]
-    told = [
-        "  ".join(
-            configuration.rjust(width) if to_right else configuration.ljust(width)
-            for configuration, width, to_right in zip(line, widths, right, strict=True)
-        )
-        for line in lines
-    ]
-    return "\n".join(line.rstrip() for line in told)
+def shown(rows: Sequence[Mapping[str, Any]]) -> Group:
+    """Each run that trains, with its curve, above a table of all runs."""
+    training: list[RenderableType] = []
+    for one in rows:
+        if "lately" in one:
+            now = one["frames"], one["total"], one.get("frames_per_second")
+            training += [Text(one["run"]), Text(f"  {line(*now, Lately(**one['lately']))}"), Text()]
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    for name, justify in COLUMNS.items():
+        table.add_column(name, justify=justify, no_wrap=name != "run", overflow="fold")
+    for one in rows:
+        table.add_row(*map(Text, words(one)))
+    return Group(*training, table)
+
+
+def found(folders: Sequence[str], sort: str | None, tell: bool) -> list[dict[str, Any]]:
+    """What is said of every run; tell: say which are left out."""
+    now, rows = time.time(), []
+    for path in dict.fromkeys(path for folder in folders for path in run_folders(Path(folder))[0]):
+        try:
+            rows.append(row(path, now))
+        except RunError as error:
+            if tell:
+                complain("runs", f"left out: {error}")
+    return sorted(rows, key=order(sort)) if sort else rows
 
 
 def main(arguments: Namespace) -> int:
     """List the runs of some folders: what each is, how far it is, and what it reached."""
-    default = [name for name in ("runs", "results") if Path(name).is_dir()] or ["runs"]
-    now, rows = time.time(), []
-    found = [path for folder in arguments.folders or default for path in run_folders(Path(folder))[0]]
-    for path in dict.fromkeys(found):
-        try:
-            rows.append(row(path, now))
-        except RunError as error:
-            complain("runs", f"left out: {error}")
-    if arguments.sort:
-        rows.sort(key=order(arguments.sort))
-    print(json.dumps(rows, indent=2) if arguments.json else table(rows))
+    own = [name for name in ("runs", "results") if Path(name).is_dir()] or ["runs"]
+    folders = arguments.folders or own[:1]
+    rows = found(folders, arguments.sort, tell=True)
+    if arguments.json:
+        print(json.dumps(rows, indent=2))
+        return 0
+    console = Console(highlight=False)
+    if not console.is_terminal and "COLUMNS" not in os.environ:  # nothing limits a file
+        console.width = WIDEST
+    if not (arguments.watch and console.is_terminal):
+        console.print(shown(rows))
+        if arguments.watch:
+            complain("runs", "--watch: no terminal to renew, so this is shown once")
+        return 0
+    show = Live(shown(rows), console=console, auto_refresh=False)
+    with contextlib.suppress(KeyboardInterrupt), show as live:
+        while True:
+            time.sleep(WATCH_SECONDS)
+            live.update(shown(found(folders, arguments.sort, tell=False)), refresh=True)
     return 0

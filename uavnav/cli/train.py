@@ -12,7 +12,6 @@ import re
 import shlex
 from argparse import Namespace
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -34,10 +33,12 @@ from uavnav.tasks.world import World
 from uavnav.training.config import PARTS, TASK, TrainConfig, plain
 from uavnav.training.loggers import chosen
 from uavnav.training.loop import Fit, alone, train
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, free_folder
 
 MOST_CONFIGURATIONS = 1_000
 """Runs of a sweep."""
+MOST_COMPARED = 4
+"""The newest runs of a sweep, in the command that compares them."""
 
 
 def _folder(value: Any) -> Any:
@@ -54,7 +55,7 @@ Folder = Annotated[str | None, BeforeValidator(_folder)]
 class Command(Settings):
     """The keys of the command itself; all others are fields of the algorithm's configuration."""
 
-    out: Folder = key(None, "the run's folder; null is runs/ALGORITHM[-PRESET]/ACTIVATION")
+    out: Folder = key(None, "the run's folder; null is runs/ALGORITHM-PRESET/ACTIVATION, and what differs")
     overwrite: bool = key(False, "start anew if the folder already holds a run")
     checkpoint_seconds: Seconds = key(CHECKPOINT_SECONDS, "the shortest time between two snapshots")
     evaluate: bool = key(True, "fly 200 test layouts after training, once greedily and once as in training")
@@ -102,8 +103,8 @@ def main(given: Namespace, fit: Fit = alone) -> int:
         raise ConfigError(f"{error}{commands.needs(given.algorithm, given.settings)}") from error
     if given.json:
         print(json.dumps([summary.record(run) for run in finished], indent=2))
-    elif not given.quiet and finished and finished[-1].fresh:
-        print(_next(finished[-1], given.plugins))
+    elif not given.quiet and len(finished) == len(orders) and finished[-1].fresh:
+        print(_next(finished, orders[-1], given.plugins))
     return 0 if len(finished) == len(orders) else 2
 
 
@@ -196,12 +197,9 @@ def _order(kind: type[TrainConfig], settings: dict[str, Any]) -> Order:
     config = kind.from_mapping(
         {name: value for name, value in settings.items() if name not in Command.names()}
     )
-    order = Order(config, config.folder, command)
-    return (
-        order
-        if command.out is None
-        else order._replace(out=Path(_filled(command.out, flat(_settings(order)))))
-    )
+    if command.out is None:
+        return Order(config, free_folder(config), command)
+    return Order(config, Path(_filled(command.out, flat(plain(config) | command.model_dump()))), command)
 
 
 def _settings(order: Order) -> dict[str, Any]:
@@ -260,14 +258,31 @@ def _train(order: Order, quiet: bool, fit: Fit) -> Run:
         rows = evaluate_run(finished, quiet=quiet)
         if not quiet:
             summary.show(summary.of_evaluation(rows, finished))
+            print(summary.verdict(rows, config))
     return finished
 
 
-def _next(finished: Run, names: Sequence[str]) -> str:
-    """What to do with a run next, with the very commands; names: of the plugins that it needs."""
-    run = finished.path
+def _next(runs: Sequence[Run], order: Order, names: Sequence[str]) -> str:
+    """What to do next with the newest run, which an order describes, in commands that run as they stand.
+
+    runs: all of a sweep; names: of the plugins that they need.
+    """
+    paths = [str(run.path) for run in runs]
     with_plugins = ["--plugins", ",".join(names)] if names else []
-    watch = ["uavnav", "play" if find_spec("pygame") else "render", str(run), *with_plugins]
-    root = str(run) if run.is_absolute() or run.parts[:1] in ((), ("..",)) else run.parts[0]
-    compare = ["uavnav", "report", root, "--out", "report", *with_plugins]
-    return f"watch it:    {shlex.join(watch)}\ncompare it:  {shlex.join(compare)}"
+    longer = order.config.replace(total_frames=2 * order.config.total_frames)
+    given = {"preset": longer.preset, "activation": longer.activation, **longer.changes()}
+    given["total_frames"] = longer.total_frames
+    if order.command.out is not None:
+        given["out"] = f"{order.out}-{longer.total_frames}"
+    if names:
+        given["plugins"] = [*names]
+    commands = {
+        "watch it": ["play", paths[-1], *with_plugins],
+        "compare it": ["compare", *paths[-MOST_COMPARED:], "reactive", *with_plugins],
+        "train longer": [
+            "train",
+            longer.algorithm,
+            *(f"{name}={shown(value)}" for name, value in given.items()),
+        ],
+    }
+    return "\n".join(f"{what + ':':14}{shlex.join(['uavnav', *words])}" for what, words in commands.items())

@@ -14,12 +14,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from uavnav.algorithms import ALGORITHMS
+from uavnav.evaluation import scripts
 from uavnav.runs import Run, metrics, paper
 from uavnav.runs.definitions import ALL, LOG_CURVE, PER_FRAME, decimals, log_curve, per_frame
+from uavnav.runs.lately import Lately, sparkline, with_spread
 from uavnav.runs.metrics import METRICS, per_seed
+from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.protocol import SPLITS
+from uavnav.tasks.table import TASKS
 from uavnav.tasks.world import World
-from uavnav.training.display import with_spread
+from uavnav.training.config import TrainConfig
 
 DEFINITIONS = {"world": ("slots", "padding", "start_heading"), "reward": ("eq14", "additive", "initial")}
 """Fields of the world that the paper does not fix, and rewards that its text allows."""
@@ -162,9 +166,31 @@ def _own(rows: pd.DataFrame) -> list[str]:
     ]
 
 
+def verdict(rows: pd.DataFrame, config: TrainConfig) -> str:
+    """How a run flies that acts as in training, in a sentence, beside `reactive` where that flies the same.
+
+    rows: as `evaluate_run` gives them on the test split; config: of the run.
+    """
+    flown, task = rows[rows["mode"] == "sampled"], TASKS[config.task]
+    ends = f"{flown['truncated'].mean():.0%} of episodes reach the limit of {rows.attrs['max_steps']:,} steps"
+    if "succeeded" in flown:
+        ends = f"{flown['succeeded'].mean():.0%} of episodes reach the goal"
+    usual = (config.world, config.reward, config.faults) == (task.WORLD(), task.REWARD, NO_FAULTS)
+    beside = f", the scripted policy {scripts.REWARDS[config.task]:,.0f}"
+    told = f"{ends}; reward {flown['reward'].mean():,.0f}"
+    return told + beside if usual and config.task in scripts.REWARDS else told
+
+
 def report(run: Run) -> None:
-    """Print the summary, how long the run took, and where it is."""
+    """Print the summary, what the seeds did last, how long the run took, and where it is."""
     show(of_run(run))
+    lately = Lately(**run.meta["lately"])
+    print(
+        f"{sparkline(lately.curve)} in the last tenth, open episodes too: reward per 1,000 frames"
+        f" {with_spread(lately.rewards, 1)};\n"
+        f"  {statistics.mean(lately.flying):.0%} of environments still fly, their episodes"
+        f" {statistics.mean(lately.lengths):,.0f} steps long so far"
+    )
     print(f"{run.meta['wall_seconds']:.0f} s; the run is in {run.path}")
 
 

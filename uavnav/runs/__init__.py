@@ -13,8 +13,8 @@
                         `uavnav.evaluation.values`)
     checkpoint/         the snapshots of an unfinished run (see `uavnav.training.checkpoints`)
     workers/            an unfinished run whose seeds are spread over processes: a run's folder for each
-    progress.json       while it trains: its frames per seed, of how many, at how many a second, its rewards,
-                        and when
+    progress.json       while it trains: its frames per seed, of how many, at how many a second, what its
+                        seeds do (see `uavnav.runs.lately`), and when
     stop                while it trains: whoever writes this file asks it to save and stop
     tensorboard/ wandb/ logs, if the run has them (see `uavnav.training.loggers`)
 
@@ -23,7 +23,9 @@ Files appear whole or not at all. A folder is locked while a run writes to it.
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -34,6 +36,7 @@ from pydantic import Field
 from uavnav import files
 from uavnav.files import Facts
 from uavnav.runs.evaluations import usual
+from uavnav.runs.lately import NOTHING, Lately
 from uavnav.runs.metrics import EVALUATED, TRAINED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.runs.trials import TRIALS, TUNING
@@ -55,6 +58,8 @@ OF_REPORTS = ("baselines", "bench", "tables", "figures")
 """Folders that a report reads or writes itself."""
 SILENCE = 60.0
 """Seconds after which a run that has written no progress no longer runs."""
+LONGEST_NAME = 80
+"""Of what differs from a preset, in a folder's name."""
 MOST_SEEDS = 2**20
 """Of a run, and of a file of policies."""
 Name = Annotated[str, Field(pattern=r"^[^\x00-\x1f/]+$", max_length=100)]
@@ -96,6 +101,7 @@ class Meta(Facts):
     machine: dict[str, Any] | str = Field(default_factory=dict)
     plugins: dict[str, str] = Field(default_factory=dict)
     beyond_preset: dict[str, Any] = Field(default_factory=dict)
+    lately: Lately = NOTHING
 
 
 class Progress(Facts):
@@ -105,7 +111,7 @@ class Progress(Facts):
     total: Count
     rate: Annotated[float, Field(ge=0)] | None
     at: float
-    rewards: list[float] = Field(default_factory=list)
+    lately: Lately = NOTHING
 
 
 class Run:
@@ -176,9 +182,16 @@ class Run:
         return read_table(self.path / name, columns, again)
 
 
-def default_folder(algorithm: str, preset: str, activation: str) -> Path:
-    """runs/<algorithm>[-<preset>]/<activation>, below the current directory."""
-    return Path("runs") / (algorithm if preset == "vectorised" else f"{algorithm}-{preset}") / activation
+def default_folder(algorithm: str, preset: str, activation: str, changes: Mapping[str, str]) -> Path:
+    """runs/<algorithm>-<preset>/<activation>[-<key>=<value> ...], below the current directory.
+
+    changes: what else differs from the preset, as a command line gives it; a hash stands for it where it is
+        long, or no file's name.
+    """
+    told = "-".join(f"{name}={value.strip('[]')}" for name, value in changes.items())
+    if not re.fullmatch(rf"[\w.,=+-]{{0,{LONGEST_NAME}}}", told, re.ASCII):
+        told = hashlib.sha256(told.encode()).hexdigest()[:8]
+    return Path("runs") / f"{algorithm}-{preset}" / "-".join(filter(None, (activation, told)))
 
 
 def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str, Any]:
@@ -208,14 +221,26 @@ def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str,
 def progress(folder: Path) -> dict[str, Any]:
     """What `progress.json` says; empty where it cannot be read.
 
-    `frames` per seed of `total`, `rate` (0: not known yet), `rewards` of each seed (none: not known yet), and
-    `at`.
+    `frames` per seed of `total`, `rate` (0: not known yet), `lately`, and `at`.
     """
     try:
         there = files.facts(Progress, files.read_json(folder / PROGRESS))
     except (OSError, ValueError):
         return {}
     return {name: getattr(there, name) for name in Progress.model_fields} | {"rate": there.rate or 0}
+
+
+def saved_frames(folder: Path) -> int:
+    """The frames per seed behind the newest snapshot of an unfinished run, by the files' names; 0: there is
+    none.
+    """
+    workers = [one for one in folder.glob(f"{WORKERS}/*") if one.is_dir()]
+    if workers:
+        return min(map(saved_frames, workers))
+    if not (folder / "checkpoint").is_dir() and os.path.lexists(folder / "meta.json"):
+        return read_settings(folder / "meta.json").get("frames") or 0  # a worker that has finished
+    states = sorted(path.name for path in folder.glob("checkpoint/state-*-*.safetensors"))
+    return int(states[-1].split("-")[1]) if states else 0
 
 
 def heard(told: Mapping[str, Any], now: float) -> bool:

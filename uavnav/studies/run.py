@@ -26,6 +26,7 @@ from uavnav import files, plugins
 from uavnav.errors import ConfigError
 from uavnav.evaluation import rows_across, together
 from uavnav.runs import ARENA, FINISHED, MOST_SEEDS, POLICY, STOP, VALUES, Run, progress, read_settings
+from uavnav.runs.lately import all_seeds
 from uavnav.runs.tables import RunError, lock, read_table, write_table
 from uavnav.studies import Configuration, engines
 from uavnav.studies.engines import Engine
@@ -567,13 +568,17 @@ class Runner:
         for _, worker, told in training:
             worker.rate = told.get("rate", 0.0)
             if told.get("frames", 0) > worker.frames:
-                worker.frames, worker.attempts = told["frames"], 0
+                worker.frames, worker.attempts, worker.lately = told["frames"], 0, told["lately"]
         for work in {id(work): work for work, _, _ in training}.values():
             frames = min(worker.frames for worker in work.workers)
             rates = [worker.rate for worker in work.workers if worker.rate]
             with contextlib.suppress(OSError):
                 heartbeat.tell(
-                    work.configuration.out, frames, work.configuration.config.frames, min(rates, default=None)
+                    work.configuration.out,
+                    frames,
+                    work.configuration.config.frames,
+                    min(rates, default=None),
+                    all_seeds([worker.lately for worker in work.workers]),
                 )
 
     def _stopped(self) -> Interrupted:

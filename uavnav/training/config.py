@@ -18,7 +18,7 @@ from uavnav.errors import ConfigError, among, told, unknown
 from uavnav.graph import telling_line
 from uavnav.networks import ACTIVATIONS, Init
 from uavnav.runs import default_folder
-from uavnav.settings import AtLeast0, Count, OneOf, Settings, Share, Units, Whole, flat, key, part
+from uavnav.settings import AtLeast0, Count, OneOf, Settings, Share, Units, Whole, flat, key, part, shown
 from uavnav.tasks.faults import MOST_REMEMBERED, Faults
 from uavnav.tasks.rewards import REWARDS, check_reward
 from uavnav.tasks.table import TASKS, make_task
@@ -56,13 +56,6 @@ class TrainConfig(Settings):
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"vectorised": {}}
     """What each preset sets, where it is not given, instead of the defaults."""
-    MICROSECONDS: ClassVar[Mapping[tuple[str, bool], tuple[float, float]]] = {}
-    """What a frame takes, by preset and compiled or not: a part that all seeds of a process share, and one a
-    seed.
-
-    Measured on the two cores of docs/benchmarks.md; a preset that is not there was not measured.
-    """
-
     COPIES: ClassVar[int] = 3
     """Numbers that an agent keeps for each weight of a network: itself and Adam's moments, and those of
     others.
@@ -185,14 +178,16 @@ class TrainConfig(Settings):
         reward = cls.model_fields["reward"].default
         return plain(cls(preset=preset, task=task, reward=reward)) | {"reward": TASKS[task].REWARD}
 
-    def beyond_preset(self) -> dict[str, Any]:
-        """The settings in which this configuration differs from its preset, apart from what every table
-        names.
-        """
-        named = ("preset", "activation", "seed", "n_seeds", "total_frames", "n_envs", "device", "compile")
+    def changes(self) -> dict[str, Any]:
+        """The settings in which this configuration differs from its preset, the activation aside."""
         mine, theirs = flat(plain(self)), flat(self.usual(self.preset, self.task))
-        theirs["task"] = TASK
-        return {name: value for name, value in mine.items() if name not in named and value != theirs[name]}
+        theirs |= {"task": TASK, "activation": self.activation}
+        return {name: value for name, value in mine.items() if value != theirs[name]}
+
+    def beyond_preset(self) -> dict[str, Any]:
+        """The same, apart from what every table names."""
+        named = ("seed", "n_seeds", "total_frames", "n_envs", "device", "compile")
+        return {name: value for name, value in self.changes().items() if name not in named}
 
     def make(self, compile: bool) -> Any:
         """The algorithm with these settings, as `uavnav.training.loop` needs it."""
@@ -284,7 +279,8 @@ class TrainConfig(Settings):
     @property
     def folder(self) -> Path:
         """Where its run goes by default."""
-        return default_folder(self.algorithm, self.preset, self.activation)
+        changes = {name: shown(value) for name, value in self.changes().items()}
+        return default_folder(self.algorithm, self.preset, self.activation, changes)
 
     @property
     def observation_size(self) -> int:

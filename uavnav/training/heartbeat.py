@@ -5,22 +5,19 @@ on the run.
 from __future__ import annotations
 
 import json
-import math
 import select
 import threading
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 from uavnav import files
 from uavnav.runs import PROGRESS, STOP
+from uavnav.runs.lately import NOTHING, Lately
 
 SECONDS = 5.0
 """The time between two beats."""
 WATCHED_SECONDS = 0.5
 """The same of a worker that another process of this machine watches."""
-MOST_REWARDS = 1_000
-"""Seeds whose reward is told, at most."""
 
 
 class Heartbeat:
@@ -38,7 +35,7 @@ class Heartbeat:
         self.folder, self.total, self.watched = folder, total, watched
         self.gone = False  # the folder was taken away, as when another process has taken the run over
         self.asked = False  # somebody has written the file `stop`
-        self.rewards: Sequence[float] = ()  # each seed's mean over its last episodes
+        self.lately = NOTHING
         self._frames, self._rate = frames, 0.0
         self._first: tuple[float, int] | None = None
         self._over = threading.Event()
@@ -67,7 +64,7 @@ class Heartbeat:
     def beat(self) -> None:
         """Write once, and look whether the run shall stop."""
         try:
-            tell(self.folder, self._frames, self.total, self._rate or None, self.rewards)
+            tell(self.folder, self._frames, self.total, self._rate or None, self.lately)
             self.asked = self.asked or (self.folder / STOP).exists()
         except FileNotFoundError:
             self.gone = True
@@ -81,10 +78,9 @@ class Heartbeat:
             self.beat()
 
 
-def tell(folder: Path, frames: int, total: int, rate: float | None, rewards: Sequence[float] = ()) -> None:
+def tell(folder: Path, frames: int, total: int, rate: float | None, lately: Lately = NOTHING) -> None:
     """Write how far a run is: frames per seed, of how many, at so many a second, if that is known; raises
     OSError.
     """
-    finite = [reward for reward in rewards[:MOST_REWARDS] if math.isfinite(reward)]
-    facts = {"frames": frames, "total": total, "rate": rate, "rewards": finite, "at": time.time()}
+    facts = {"frames": frames, "total": total, "rate": rate, "lately": lately.model_dump(), "at": time.time()}
     files.write(folder / PROGRESS, json.dumps(facts).encode())

@@ -26,7 +26,7 @@ from uavnav.training import loggers, machine, weights, workers
 from uavnav.training.checkpoints import Stateful
 from uavnav.training.config import TrainConfig, plain
 from uavnav.training.display import Display, Tell
-from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
+from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, free_folder
 
 Row = Mapping[str, Tensor | float]
 """What a row of progress says beside seed and frame: [A], or one number for all."""
@@ -105,7 +105,7 @@ class Session:
         with self.recorder, self.display, machine.little_garbage():
             self.recorder.note(compiled=self.compile)
             self.frames = self._logged = self.recorder.resume(self.parts, replay)
-            self.display.begin(self.recorder.path, self.recorder.meta, self.recorder.until)
+            self.display.begin(self.recorder.path, self.recorder.meta, self.recorder.until, self.frames)
             yield
 
     def batches(self) -> Iterator[tuple[int, TensorDictBase]]:
@@ -129,7 +129,7 @@ class Session:
         rate = (self.frames - self._logged) / (now - self._began)
         self._began, self._logged = now, self.frames
         self.recorder.add_progress(self.frames, **row, frames_per_second=rate)
-        self.display.update(self.frames, self.recorder.recent_rewards())
+        self.display.update(self.frames, self.recorder.look(self.env.state, self.frames))
 
     def finish(self) -> Run:
         """Write the run's policies and tables."""
@@ -153,13 +153,14 @@ def train(
 
     Args:
         config: the settings of an algorithm.
-        out: the run's folder; by default runs/<algorithm>[-<preset>]/<activation>.
+        out: the run's folder; by default runs/<algorithm>-<preset>/<activation>, and what differs
+            from the preset behind it.
         overwrite: start anew where the folder holds a run.
         quiet: show no progress.
         checkpoint_seconds: the least time between two snapshots, from which an unfinished run is resumed.
         until: stop after so many frames per seed, as if by a signal.
-        tell: called now and then with the frames per seed so far and each seed's mean reward over its last
-            100 episodes.
+        tell: called now and then with the frames per seed so far and each seed's reward per 1,000 frames,
+            lately and with open episodes (see `uavnav.runs.lately`).
         processes: how many workers train the seeds; by default one for each core, where that pays.
         logger: `tensorboard`, `wandb`, a list of both, or `none`: logs beside the tables, see
             `uavnav.loggers`.
@@ -183,7 +184,7 @@ def train(
     checked("checkpoint_seconds", checkpoint_seconds, Seconds)
     checked("until", until, Count | None)
     names = loggers.chosen(logger)
-    folder = Path(out or config.folder)
+    folder = Path(out) if out else free_folder(config)
     logs = loggers.Logs(names, folder, config.algorithm, plain(config))
     recorder = Recorder(folder, config, overwrite, checkpoint_seconds, until, logs if names else None)
     if recorder.finished:
@@ -213,7 +214,7 @@ def _together(recorder: Recorder, n: int, quiet: bool, tell: Tell | None) -> Run
     compile = recorder.repeat(machine.decide(config))
     with recorder, Display(config, quiet, tell) as display:
         recorder.note(compiled=compile, processes=n)
-        display.begin(recorder.path, recorder.meta, recorder.until)
+        display.begin(recorder.path, recorder.meta, recorder.until, workers.saved(recorder, n))
         return workers.train(recorder, n, machine.threads(config, n), display.update)
 
 

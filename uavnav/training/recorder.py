@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import hashlib
 import json
 import os
 import shutil
@@ -26,6 +27,7 @@ from torch import Tensor
 
 from uavnav import files, plugins
 from uavnav.runs import FILES, FINISHED, LOG_FOLDERS, POLICY, PROGRESS, STOP, WORKERS, Run, read_settings
+from uavnav.runs.lately import Lately, Watch
 from uavnav.runs.metrics import EPISODE_COLUMNS, LAST
 from uavnav.runs.tables import LOCK, Columns, RunError, with_reward, write, write_table
 from uavnav.tasks import layouts
@@ -66,6 +68,7 @@ class Rows(files.Facts):
 
     wall_seconds: Annotated[float, Field(ge=0)]
     columns: Tables
+    curve: list[float] = Field(default_factory=list)
 
 
 class Interrupted(RunError):
@@ -78,6 +81,27 @@ class Interrupted(RunError):
         self.signum, self.status = signum, 128 + signum
         self.frames = frames  # per seed, as saved; 0 if nothing was
         self.wanted = wanted  # by `until`
+
+
+class OtherRun(RunError):
+    """A folder holds a run of another configuration."""
+
+
+def free_folder(config: TrainConfig) -> Path:
+    """Where a run goes for which no folder is given; another one than the default folder's own run has its
+    hash behind.
+    """
+    folder = config.folder
+    if os.path.lexists(folder / "config.yaml"):
+        try:
+            Recorder(folder, config)
+        except OtherRun:
+            _, about = layouts.read(config.layouts, config.world)
+            told = json.dumps([plain(config), about.get("sha256")]).encode()
+            return folder.with_name(f"{folder.name}-{hashlib.sha256(told).hexdigest()[:8]}")
+        except RunError:
+            pass  # whoever uses the folder is told
+    return folder
 
 
 class Recorder:
@@ -160,7 +184,7 @@ class Recorder:
         meta = read_settings(path / "meta.json") if os.path.lexists(path / "meta.json") else {}
         if there.get("task", self.config.task) not in TASKS:
             needed = plugins.missing(meta.get("plugins", {}))
-            raise RunError(f"out={path}: holds a run with task={there['task']}; give another folder{needed}")
+            raise OtherRun(f"out={path}: holds a run with task={there['task']}; give another folder{needed}")
         if there["algorithm"] == self.config.algorithm:
             there = {"algorithm": there["algorithm"], **self.config.as_run(there)}
         same_layouts = meta.get("layouts", self.meta["layouts"]) == self.meta["layouts"]
@@ -168,12 +192,12 @@ class Recorder:
             if there.get(key) != self._described.get(key) and not (
                 key == "layouts" and meta and same_layouts
             ):
-                raise RunError(
+                raise OtherRun(
                     f"out={path}: holds a run with {key}={there.get(key)}, not {self._described.get(key)};"
                     " give another folder, or overwrite=true"
                 )
         if not same_layouts:
-            raise RunError(
+            raise OtherRun(
                 f"out={path}: the split layouts={self.config.layouts} has changed since this run began; "
                 "give another"
                 " folder, or overwrite=true"
@@ -186,6 +210,7 @@ class Recorder:
 
     def __enter__(self) -> Self:
         self._recent = [deque[float](maxlen=LAST) for _ in self.config.seeds]
+        self._watch = Watch(self.config.seeds, self.config.n_envs, self.config.frames)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock.acquire(blocking=False)
@@ -278,6 +303,9 @@ class Recorder:
             for rows in self._tables["episodes"]:
                 for seed, reward in zip(rows["seed"].tolist(), rows["reward"].tolist(), strict=True):
                     self._recent[seed - self.config.seed].append(reward)
+                self._watch.add(rows)
+            open_now = snapshot.state["parts"]["env"]["state"]["reward"]
+            self._watch.resume(open_now, frames, snapshot.facts.get("curve", []))
             self._began -= snapshot.facts["wall_seconds"]
         if self.log is not None:
             tables = {
@@ -360,6 +388,7 @@ class Recorder:
             state[table] = {name: torch.from_numpy(values) for name, values in columns.items()}
         columns_of = {table: list(columns) for table, columns in joined.items()}
         facts = {"frames": frames, "wall_seconds": now - self._began, "columns": columns_of}
+        facts["curve"] = self.heartbeat.lately.curve
         try:
             self._checkpoints.save(frames, state, facts, replay)
         except OSError as error:
@@ -435,6 +464,7 @@ class Recorder:
         flags = {name: ended[name].squeeze(-1) for name in ("terminated", "truncated")}
         counts = {name: ended["episode", name] for name in ("layout", *COUNTS)}
         self._append_episodes(agent, frame=frame + (time_step + 1) * n_envs, env=env, **counts, **flags)
+        self._watch.add(self._tables["episodes"][-1])
         for seed_index, reward in zip(agent.tolist(), ended["episode", "reward"].tolist(), strict=True):
             self._recent[seed_index].append(reward)
 
@@ -461,8 +491,6 @@ class Recorder:
         for name, value in values.items():
             row[name] = value.detach().cpu().numpy() if isinstance(value, Tensor) else np.full(n, value)
         self._tables["progress"].append(row)
-        if self.watched:
-            self.heartbeat.rewards = self.recent_rewards()
         if self.log is not None:
             self.log(
                 {
@@ -471,9 +499,10 @@ class Recorder:
                 }
             )
 
-    def recent_rewards(self) -> list[float]:
-        """Each seed's mean reward over its last 100 episodes; seeds without any are left out."""
-        return [sum(recent) / len(recent) for recent in self._recent if recent]
+    def look(self, state: State, frames: int) -> Lately:
+        """What the seeds do after so many frames per seed, also told in the folder; state: of now."""
+        self.heartbeat.lately = self._watch.look(state, frames)
+        return self.heartbeat.lately
 
     def finish(self, policy: bytes, frames: int, wall_seconds: float | None = None) -> Run:
         """Write everything, the status last, and read it back; wall_seconds: that it took, if others took
@@ -488,6 +517,7 @@ class Recorder:
         write(self.path / POLICY, policy)
         wall = time.perf_counter() - self._began if wall_seconds is None else wall_seconds
         self.meta |= {"status": FINISHED, "frames": frames, "wall_seconds": round(wall, 3), "ended": _now()}
+        self.meta["lately"] = self.heartbeat.lately.model_dump()
         self._write_meta()
         try:
             self._remove_unfinished()

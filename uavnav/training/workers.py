@@ -22,7 +22,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +31,11 @@ import pandas as pd
 
 from uavnav import files, plugins
 from uavnav.runs import POLICY, PROGRESS, STOP, WORKERS, Run, progress
-from uavnav.runs.metrics import LAST, finished
+from uavnav.runs.lately import NOTHING, Lately, all_seeds
 from uavnav.runs.tables import LOCK, RunError, with_reward, write
 from uavnav.training import heartbeat, weights
 from uavnav.training.config import TrainConfig, plain
-from uavnav.training.display import Tell
+from uavnav.training.display import Update
 from uavnav.training.recorder import Interrupted, Log, Recorder
 
 SILENT = "{}: its process ended without a word; the same command goes on from the last snapshot"
@@ -64,7 +64,7 @@ class Worker:
     config: TrainConfig
     frames: int = 0  # per seed so far
     rate: float = 0.0  # frames a second of each seed, while it runs
-    rewards: list[float] = field(default_factory=list)  # each seed's mean over its last episodes
+    lately: Lately = NOTHING
     logged: int = 0  # frames per seed of which a log was told
     attempts: int = 0  # since it last got further
     done: bool = False
@@ -118,7 +118,7 @@ class Worker:
     def look(self) -> None:
         """See how far it is."""
         told = progress(self.folder)
-        self.frames, self.rewards = told.get("frames", self.frames), told.get("rewards", self.rewards)
+        self.frames, self.lately = told.get("frames", self.frames), told.get("lately", self.lately)
 
     def last_words(self) -> dict[str, Any]:
         """What its process wrote when it ended; empty where it has not, or died."""
@@ -168,7 +168,7 @@ def _newest(path: Path) -> Path:
     return names[max(names)] if names else path
 
 
-def train(recorder: Recorder, n: int, threads: int, tell: Tell) -> Run:
+def train(recorder: Recorder, n: int, threads: int, tell: Update) -> Run:
     """Train the seeds of a run in n workers of this machine, and put them together.
 
     Args:
@@ -202,12 +202,16 @@ def train(recorder: Recorder, n: int, threads: int, tell: Tell) -> Run:
         )
     _log(recorder.log, workers)
     run = join(recorder, workers)
-    rewards = finished(run.episodes).groupby("seed")["reward"]
-    tell(run.frames, rewards.apply(lambda of_seed: of_seed.tail(LAST).mean()).tolist())
+    tell(run.frames, recorder.heartbeat.lately)
     return run
 
 
-def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Process], tell: Tell) -> str:
+def saved(recorder: Recorder, n: int) -> int:
+    """The frames per seed from which all of a run's n workers go on."""
+    return min(worker.saved() for worker in split(recorder.config, recorder.path, n))
+
+
+def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Process], tell: Update) -> str:
     """Wait until all workers have ended, or all shall stop: because of a signal, or as one of them ended too
     early.
 
@@ -216,7 +220,7 @@ def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Pr
     """
     running = list(zip(workers, processes, strict=True))
     goal = min(recorder.until or math.inf, recorder.config.frames)
-    before, logged = (0, list[float]()), time.monotonic()
+    before, logged = (0, NOTHING), time.monotonic()
     while running and recorder.stop is None:
         time.sleep(POLL_SECONDS)
         for worker, process in [*running]:
@@ -226,7 +230,9 @@ def _watch(recorder: Recorder, workers: Sequence[Worker], processes: Sequence[Pr
                 running.remove((worker, process))
                 if worker.saved() < goal:
                     return worker.problem(status) or ("" if words else SILENT.format(worker.folder))
-        now = min(worker.frames for worker in workers), [one for worker in workers for one in worker.rewards]
+        lately = all_seeds([worker.lately for worker in workers])
+        now = min(worker.frames for worker in workers), lately
+        recorder.heartbeat.lately = lately
         recorder.tell(now[0])
         if now != before:
             tell(*now)
@@ -325,6 +331,7 @@ def join(recorder: Recorder, workers: Sequence[Worker]) -> Run:
     """
     runs = [Run(worker.folder) for worker in workers]
     recorder.add_rows(_in_order([run.episodes for run in runs]), _by_frame([run.progress for run in runs]))
+    recorder.heartbeat.lately = all_seeds([Lately(**run.meta.get("lately", {})) for run in runs])
     policy = weights.join([run.path / POLICY for run in runs])
     return recorder.finish(policy, runs[0].frames, max(run.meta["wall_seconds"] for run in runs))
 

@@ -312,7 +312,7 @@ MANY = {PPOConfig: 16, A2CConfig: 16, DQNConfig: 64, C51Config: 64, SACConfig: 6
 def test_the_default_preset_is_vectorised_and_the_papers_has_one_environment(kind, many):
     assert (kind().preset, kind().n_envs) == ("vectorised", many)
     assert kind(preset="paper") == kind(n_envs=1).replace(preset="paper")
-    assert kind().folder == Path("runs") / kind.algorithm / "tanh"
+    assert kind().folder == Path("runs") / f"{kind.algorithm}-vectorised" / "tanh"
     assert runs.Config.model_fields["preset"].default == "vectorised"  # of a config.yaml that names none
 
 

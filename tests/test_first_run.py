@@ -3,7 +3,6 @@
 import importlib
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +14,7 @@ from uavnav.algorithms.c51 import C51Config
 from uavnav.algorithms.dqn import DQNConfig
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.algorithms.sac import SACConfig
+from uavnav.runs.lately import NOTHING
 from uavnav.training import display
 
 PACKAGE = Path(uavnav.__file__).parent
@@ -34,31 +34,8 @@ def python(*words, cwd, **environment):
 
 # -- what a run says -----------------------------------------------------------------------------------------
 
-RATES = {("ppo", 1): 19_762, ("ppo", 10): 64_829, ("dqn", 1): 17_802, ("dqn", 10): 62_120}
-"""Frames/s of all seeds together, compiled, when the estimate was made; a new measurement need not change
-it.
-"""
 
-
-@pytest.mark.parametrize(("algorithm", "n_seeds"), RATES)
-def test_the_estimate_gives_the_measured_rates_back(algorithm, n_seeds):
-    config = {"ppo": PPOConfig, "dqn": DQNConfig}[algorithm](n_seeds=n_seeds)
-    found = display.seconds(config, 1_000_000, processes=min(n_seeds, 2), compiled=True)
-    assert found == pytest.approx(1_000_000 * n_seeds / RATES[algorithm, n_seeds], rel=0.01)
-
-
-def test_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_docs_and_the_rate_of_five_seeds():
-    found = display.seconds(PPOConfig(preset="fast"), 200_000, processes=1, compiled=True)
-    assert found == pytest.approx(8, rel=0.01)
-    text = (PACKAGE.parent / "docs" / "performance.md").read_text()
-    assert re.search(r"200,000 frames of PPO\b[^.]*\b15 s\b", text)
-    run = uavnav.Run(PACKAGE.parent / "results" / "algorithms" / "fast" / "ppo" / "tanh")
-    rate = run.frames / run.meta["wall_seconds"]
-    found = display.seconds(PPOConfig(preset="fast", n_seeds=5), run.frames, processes=2, compiled=True)
-    assert found == pytest.approx(run.frames / rate, rel=0.2)
-
-
-def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_long_it_still_takes(
+def test_where_no_terminal_shows_a_run_it_says_after_five_seconds_of_learning_how_long_it_still_takes(
     monkeypatch, capsys
 ):
     clock = [0.0]
@@ -67,34 +44,22 @@ def test_a_run_whose_rate_is_not_known_says_after_five_seconds_of_learning_how_l
     with display.Display(config, quiet=False) as shown:
         shown.begin(Path("run"), {"compiled": False, "threads": 1})
         for clock[0], frames in [(0.0, 500), (9.0, 1000), (13.0, 3000), (14.0, 6000), (20.0, 9000)]:
-            shown.update(frames, [0.0])
+            shown.update(frames, NOTHING)
     lines = [line for line in capsys.readouterr().out.splitlines() if "at this rate" in line]
     # 1,000 frames/s from frame 1,000 on, and 74,000 are left
-    assert lines == ["about 70 s more at this rate"]
+    assert lines == ["about 74 s more at this rate"]
 
 
-@pytest.mark.parametrize(
-    "given", [{"epochs": 3}, {"n_envs": 32}, {"hidden": (256, 256)}, {"preset": "fast", "lr": 1}]
-)
-def test_there_is_no_estimate_of_what_was_not_measured(given, tmp_path):
-    config = PPOConfig(**given)
-    assert display.seconds(config, 1_000_000, processes=1, compiled=True) is None
-    _, how = display.opening(config, 1_000_000, tmp_path, {"compiled": True, "threads": 1})
-    assert how.endswith("1 process of 1 thread: the bar tells how long")
-
-
-def test_a_run_says_what_it_does_how_and_about_how_long():
+def test_a_run_says_what_it_does_how_and_from_where_it_goes_on():
     facts = {"compiled": True, "processes": 2, "threads": 1}
-    what, how = display.opening(PPOConfig(n_seeds=10, seed=5), 1_001_472, Path("runs/ppo/tanh"), facts)
-    assert what == (
+    config = PPOConfig(n_seeds=10, seed=5)
+    assert [*display.opening(config, 1_001_472, Path("runs/ppo-vectorised/tanh"), facts, 81_920)] == [
         "ppo tanh, preset vectorised: 10 seeds (5 to 14), 1,001,472 frames each in 16 parallel environments,"
-        " into runs/ppo/tanh"
-    )
-    assert how == (
-        "compiled (takes 3 s, or 15 to 30 s the first time), 2 processes of 1 thread: about 3 min on the "
-        "two cores of"
-        " docs/benchmarks.md"
-    )
+        " into runs/ppo-vectorised/tanh",
+        "2 processes of 1 thread, compiled, which takes a while the first time",
+        "resumed at 81,920 of 1,001,472",
+    ]
+    assert len([*display.opening(config, 1_001_472, Path("run"), facts, 0)]) == 2
 
 
 @pytest.mark.parametrize(
@@ -112,7 +77,7 @@ def test_a_run_that_ends_before_its_first_update_says_so(kind, given, before, tm
         (before - 65, f", too few to learn (updates begin after {before:,}), into"),
         (beyond, ""),
     ):
-        what, _ = display.opening(kind(**given, total_frames=total), 10, tmp_path, facts)
+        what, _ = display.opening(kind(**given, total_frames=total), 10, tmp_path, facts, 0)
         assert words in what
         assert ("too few" in what) == bool(words)
 
@@ -133,9 +98,7 @@ def test_training_opens_with_these_lines_unless_it_is_quiet(processes, quiet, tm
             "ppo tanh, preset vectorised: 2 seeds (0 to 1), 512 frames each in 4 parallel environments, into "
             + str(tmp_path / "run")
         )
-        assert second.startswith(
-            f"not compiled, {processes} process{'es' if processes > 1 else ''} of 1 thread: "
-        )
+        assert second == f"{processes} process{'es' if processes > 1 else ''} of 1 thread, not compiled"
 
 
 # -- no warnings ---------------------------------------------------------------------------------------------

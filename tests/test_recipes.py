@@ -16,14 +16,19 @@ import yaml
 from uavnav import PolicyError, load_policy
 from uavnav.__main__ import main
 from uavnav.algorithms.a2c import A2CConfig
+from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli import commands
+from uavnav.evaluation import evaluate_policy, scripts, summary
 from uavnav.runs import Run
+from uavnav.runs.evaluations import usual
 from uavnav.runs.metrics import per_seed
 from uavnav.runs.tables import RunError
+from uavnav.tasks.baselines import BASELINES
 from uavnav.training.loop import train
 from uavnav.training.recorder import Recorder
 
 RECIPES = Path(__file__).parent.parent / "recipes"
+RESULTS = RECIPES.parent / "results"
 SHORT = {
     "ppo": ["total_frames=1e3", "frames_per_batch=512", "epochs=1", "evaluate=false"],
     "dqn": ["total_frames=1e3", "learning_starts=500", "evaluate=false"],
@@ -62,9 +67,11 @@ def process(folder, name, *arguments):
 def test_a_short_run_prints_its_table_beside_the_papers_and_where_it_is(recipe, tmp_path, algorithm):
     status, out, err = recipe(algorithm, "activation=relu", "n_seeds=2", *SHORT[algorithm])
     assert (status, err) == (0, "")
-    run = Run(tmp_path / "runs" / algorithm / "relu")
+    (folder,) = (tmp_path / "runs" / f"{algorithm}-vectorised").iterdir()
+    assert folder.name.startswith("relu-n_seeds=2-total_frames=")
+    run = Run(folder)
     assert run.config["n_seeds"] == 2
-    assert f"runs/{algorithm}/relu" in out
+    assert str(folder.relative_to(tmp_path)) in out
     for words in (
         "steps",
         "full stops [%]",
@@ -100,15 +107,48 @@ def test_a_finished_run_says_so_in_one_line_and_exits_0(recipe):
     assert out == "mine: this run is already finished; overwrite=true starts it anew\n"
 
 
-def test_after_training_it_says_what_to_do_next_with_the_very_commands(recipe, monkeypatch):
-    monkeypatch.setattr("uavnav.cli.train.find_spec", lambda name: None)  # no pygame
-    _, out, _ = recipe("ppo", "out=runs/my own", *SHORT["ppo"])
-    last = ["watch it:    uavnav render 'runs/my own'", "compare it:  uavnav report runs --out report"]
-    assert out.splitlines()[-2:] == last
-    for line in last:
-        program, command, *words = shlex.split(line.partition(":")[2])
-        assert program == "uavnav"
-        commands.parse(command, words)
+@pytest.mark.slow
+def test_after_training_it_says_what_to_do_next_in_commands_that_run_as_they_stand(recipe, tmp_path):
+    _, out, _ = recipe("a2c", "out=runs/my own", *SHORT["a2c"])
+    last = out.splitlines()[-3:]
+    assert last[:2] == [
+        "watch it:     uavnav play 'runs/my own'",
+        "compare it:   uavnav compare 'runs/my own' reactive",
+    ]
+    watch, compare, longer = [shlex.split(line.partition(":")[2])[1:] for line in last]
+    commands.parse(*watch[:1], watch[1:])
+    assert main(compare) == 0
+    assert main([*longer, "evaluate=false"]) == 0
+    run = Run(tmp_path / "runs" / "my own")
+    config = {"total_frames": 2 * run.config["total_frames"]}
+    assert Run(tmp_path / longer[-1].removeprefix("out=")).config == run.config | config
+
+
+def test_the_end_is_a_sentence_beside_the_scripted_policy_where_that_flies_the_same():
+    rows = pd.DataFrame(
+        {"mode": ["sampled"] * 4 + ["greedy"], "truncated": [True] * 3 + [False] * 2, "reward": [312.4] * 5}
+    )
+    rows.attrs["max_steps"] = 10_000
+    words = "75% of episodes reach the limit of 10,000 steps; reward 312"
+    assert summary.verdict(rows, PPOConfig()) == f"{words}, the scripted policy 428"
+    assert summary.verdict(rows, PPOConfig(reward="initial")) == words
+    goal = rows.assign(succeeded=[1, 1, 1, 1, 0])
+    assert summary.verdict(goal, PPOConfig(task="goal")).startswith("100% of episodes reach the goal; ")
+
+
+def test_what_the_scripted_policy_earns_is_the_mean_of_its_committed_rows():
+    for task, folder in (("drone", "."), ("goal", "worlds")):
+        rows = pd.read_parquet(
+            RESULTS / folder / "baselines" / usual(task)._replace(task=task).file("reactive")
+        )
+        assert scripts.REWARDS[task] == round(rows["reward"].mean(), 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["moving", "space", "space-moving"])
+def test_the_scripted_policy_earns_as_much_in_tasks_without_committed_rows(task):
+    rows = evaluate_policy(BASELINES["reactive"], task=task)
+    assert scripts.REWARDS[task] == pytest.approx(rows["reward"].mean(), abs=0.005)
 
 
 def test_quiet_prints_nothing_and_json_the_numbers_of_the_tables_and_nothing_else(recipe, tmp_path):
@@ -132,7 +172,8 @@ def test_a_sweep_trains_each_activation_into_its_own_folder(recipe, tmp_path):
     status, _, err = recipe("ppo", "-m", "activation=relu,tanh", "seed=3", *SHORT["ppo"])
     assert (status, err) == (0, "")
     for activation in ("relu", "tanh"):
-        run = Run(tmp_path / "runs" / "ppo" / activation)
+        (folder,) = (tmp_path / "runs" / "ppo-vectorised").glob(f"{activation}-*")
+        run = Run(folder)
         assert run.config["activation"] == activation
         assert set(run.episodes.seed) == {3}
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]
@@ -169,7 +210,8 @@ def test_train_runs_a_plugins_algorithm_activation_and_reward_and_what_needs_it_
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "the run is in run" in done.stdout
-    assert done.stdout.endswith("\ncompare it:  uavnav report run --out report --plugins a_plugin\n")
+    assert "\ncompare it:   uavnav compare run reactive --plugins a_plugin\n" in done.stdout
+    assert done.stdout.endswith(" plugins=a_plugin\n")
     run = Run(tmp_path / "run")
     assert (run.algorithm, run.config["activation"], run.config["reward"]) == ("mine", "sine", "still")
     assert list(run.meta["plugins"]) == ["a_plugin"]
@@ -234,7 +276,7 @@ def test_as_a_process_a_short_run_leaves_its_folder_and_no_warning(tmp_path):
 def test_in_the_folder_that_one_stands_in_a_run_ends_with_what_to_do_next(recipe):
     status, out, err = recipe("a2c", "out=.", *SHORT["a2c"])
     assert (status, err) == (0, "")
-    assert "uavnav report . --out report" in out
+    assert "uavnav compare . reactive" in out
 
 
 def test_of_a_sweep_the_configurations_beside_one_that_diverges_are_trained(recipe, tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import re
 import shutil
 from pathlib import Path
 
@@ -229,9 +230,31 @@ def test_an_interrupted_run_says_so_and_can_be_run_again(tmp_path, monkeypatch):
     assert train(config, out=tmp_path / "run", quiet=True).frames == 1024
 
 
-def test_runs_go_to_a_folder_of_their_algorithm_preset_and_activation():
-    assert ppo.PPOConfig(activation="relu").folder == Path("runs/ppo/relu")
+def test_runs_go_to_a_folder_of_their_algorithm_preset_activation_and_what_differs_else():
+    assert ppo.PPOConfig(activation="relu").folder == Path("runs/ppo-vectorised/relu")
     assert dqn.PRESETS["vectorised-2.3"].folder == Path("runs/dqn-vectorised-2.3/tanh")
+    fast = ppo.PPOConfig(preset="fast", lr=0.002, n_seeds=4, hidden=(32, 32), task="goal")
+    assert fast.folder == Path("runs/ppo-fast/tanh-n_seeds=4-hidden=32,32-lr=0.002-task=goal")
+    assert fast.replace(lr=1e-3, world={"sensor_arc": 90}).folder.name.endswith(
+        "-task=goal-world.sensor_arc=90"
+    )
+    odd = [ppo.PPOConfig(layouts=path).folder.name for path in ("some/a.json", "some/b.json", "x" * 81)]
+    assert len({*odd}) == 3
+    assert all(re.fullmatch("tanh-[0-9a-f]{8}", name) for name in odd)
+
+
+def test_a_default_folder_that_holds_another_run_is_left_to_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    how = {"total_frames": 128, "frames_per_batch": 128, "epochs": 1, "compile": "off"}
+    config = ppo.PPOConfig(**how)
+    other = ppo.train(config.replace(lr=0.1), config.folder, quiet=True)
+    runs = [ppo.train(config, quiet=True, overwrite=overwrite) for overwrite in (False, False, True)]
+    assert [run.fresh for run in runs] == [True, False, True]
+    assert {run.path.name[:-8] for run in runs} == {f"{config.folder.name}-"}
+    assert len({run.path for run in runs}) == 1
+    assert Run(other.path).config["lr"] == 0.1
+    with pytest.raises(RunError, match=r"holds a run with lr=0\.1, not 0\.0003; give another folder"):
+        ppo.train(config, other.path, quiet=True)
 
 
 def test_a_run_of_version_0_1_is_refused_in_one_line_and_stays_as_it_is(tmp_path):

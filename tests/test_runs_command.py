@@ -9,7 +9,7 @@ import yaml
 
 from uavnav.__main__ import main
 from uavnav.algorithms.ppo import PPOConfig
-from uavnav.cli.runs import row, span
+from uavnav.cli.runs import row
 from uavnav.runs import progress as told
 from uavnav.training import heartbeat
 from uavnav.training.recorder import Recorder
@@ -80,7 +80,7 @@ def test_a_rate_leaves_out_the_frames_of_before_a_resume_whenever_they_are_told(
 )
 def test_a_run_that_says_it_runs_and_was_silent_for_60_s_was_stopped(progress, tmp_path):
     found = row(write(tmp_path / "run", "running", progress), NOW)
-    assert (found["status"], found["frames"], "seconds_left" in found) == ("stopped", None, False)
+    assert (found["status"], "seconds_left" in found) == ("stopped", False)
 
 
 @pytest.mark.parametrize(("status", "shown"), [("interrupted", "stopped"), ("failed", "failed")])
@@ -109,41 +109,57 @@ def test_the_reward_of_a_run_with_a_goal_is_that_of_its_own_cap_and_no_other_pro
     assert (row(run, NOW)["reward_greedy"], row(run, NOW)["reward_sampled"]) == (1.0, 2.0)
 
 
-def test_the_list_is_a_line_a_run_sorted_as_asked_and_json_holds_the_same(tmp_path, capsys, monkeypatch):
+def test_a_stopped_run_has_the_frames_of_its_newest_snapshot_or_else_of_its_last_word(tmp_path):
+    run = write(tmp_path / "run", "interrupted", PROGRESS)
+    assert row(run, NOW)["frames"] == 100_000
+    for folder, frames in (("workers/0", 81_920), ("workers/1.2", 73_728), ("workers/1.2", 65_536)):
+        (run / folder / "checkpoint").mkdir(parents=True, exist_ok=True)
+        (run / folder / "checkpoint" / f"state-{frames:012d}-{'0' * 32}.safetensors").touch()
+    assert row(run, NOW)["frames"] == 73_728
+    write(run / "workers" / "2", "finished")
+    assert row(run, NOW)["frames"] == 73_728
+
+
+LATELY = {
+    "rewards": [30.0, 32.0],
+    "flying": [0.75, 1.0],
+    "lengths": [400.0, 424.0],
+    "curve": [-200.0, -100.0, 40.0],
+}
+
+
+def test_the_list_fits_80_columns_sorted_as_asked_and_json_holds_the_same(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("time.time", lambda: NOW)
-    write(tmp_path / "runs" / "b", "finished", activation="tanh", n_seeds=1)
-    write(tmp_path / "runs" / "c", "running", PROGRESS | {"at": NOW}, algorithm="dqn")
     write(tmp_path / "results" / "a", "interrupted", preset="vectorised")
     write(tmp_path / "results" / "a" / "checkpoint", "finished")
     assert main(["runs"]) == 0
+    assert "results/a" in capsys.readouterr().out
+    write(
+        tmp_path / "runs" / "ppo-vectorised" / "tanh-learning_starts=1000",
+        "finished",
+        activation="leaky_relu",
+    )
+    write(tmp_path / "runs" / "c", "running", PROGRESS | {"at": NOW, "lately": LATELY}, algorithm="dqn")
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["runs", "--watch"]) == 0  # which is no terminal
     out, err = capsys.readouterr()
-    lines = [line.split() for line in out.splitlines()]
-    assert err == ""
-    assert [line[0] for line in lines] == ["run", "runs/b", "runs/c", "results/a"]
-    assert lines[1][1:] == ["ppo", "tanh", "drone", "fast", "3", "401,408", "finished", "2", "min"]
-    shown = "dqn relu drone fast 3 to 4 100,000 of 400,000 running, 2.0k frames/s, 2 min left 60 min"
-    assert lines[2][1:] == shown.split()
-    assert lines[3][1:] == [
-        "ppo",
-        "relu",
-        "drone",
-        "vectorised",
-        "3",
-        "to",
-        "4",
-        "of",
-        "400,000",
-        "stopped",
-        "60",
-        "min",
+    assert err == "uavnav runs: --watch: no terminal to renew, so this is shown once\n"
+    lines = out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert lines[:2] == [
+        "runs/c",
+        "  ▁▃▇········· 25% 2k/s, 2 min left; reward/1k 31 ± 1, 88% fly, 412 steps",
     ]
+    assert lines[3].split() == ["run", "policy", "seeds", "frames", "status", "sampled", "greedy", "age"]
+    assert lines[4].split() == ["runs/c", "dqn", "relu", "2", "100k/400k", "running", "60", "min"]
+    assert lines[5].split()[1:] == ["ppo", "leaky_relu", "2", "401k", "finished", "2", "min"]
     assert main(["runs", "runs", "results", "--sort", "frames", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
-    assert [(one["run"], one["frames"]) for one in rows] == [
-        ("runs/b", 401_408),
-        ("runs/c", 100_000),
-        ("results/a", None),
+    assert [(one["frames"], one.get("lately")) for one in rows] == [
+        (401_408, None),
+        (100_000, LATELY),
+        (0, None),
     ]
 
 
@@ -162,11 +178,3 @@ def test_what_is_no_run_is_one_line_and_the_others_are_listed(tmp_path, capsys, 
     assert main(["runs"]) == 2
     line = "uavnav runs: runs: there is no such folder; give a folder that holds runs\n"
     assert capsys.readouterr() == ("", line)
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(40, "40 s"), (240, "4 min"), (3 * 3600, "3 h"), (12 * 86_400, "12 days"), (95, "2 min")],
-)
-def test_a_span_is_in_its_own_unit(seconds, words):
-    assert span(seconds) == words

@@ -252,7 +252,7 @@ def _algorithms() -> str:
 
 def _evaluate(parser: Parser) -> None:
     """Fly runs, scripted policies or zips of Stable-Baselines3 on the test split: one row an episode."""
-    parser.epilog = "example: uavnav evaluate runs/ppo/relu reactive --episodes 200"
+    parser.epilog = "example: uavnav evaluate runs/ppo-vectorised/relu reactive --episodes 200"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     parser.add_argument("--episodes", type=whole, default=EPISODES, help=f"layouts (default: {EPISODES})")
     told = (
@@ -300,7 +300,7 @@ def _runs(parser: Parser) -> None:
 def _play(parser: Parser) -> None:
     """Fly a drone with the keyboard, or watch policies fly it, in a window."""
     table = "\n".join(f"  {shown:12} {does}" for shown, does in HELP)
-    parser.epilog = f"example: uavnav play runs/ppo/relu reactive --layout 20\n\nkeys:\n{table}"
+    parser.epilog = f"example: uavnav play runs/ppo-vectorised/relu reactive --layout 20\n\nkeys:\n{table}"
     parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN}; keys 1 to 9 (default: you fly)")
     _episode(parser)
     told = f"time limit (default: {MAX_STEPS:,}, or the task's own if less)"
@@ -343,7 +343,7 @@ def _playground(parser: Parser) -> None:
 
 def _render(parser: Parser) -> None:
     """Draw episodes on the same obstacles, side by side, as MP4 or GIF, or their trails as PNG."""
-    parser.epilog = "example: uavnav render runs/ppo/relu reactive --out flight.gif"
+    parser.epilog = "example: uavnav render runs/ppo-vectorised/relu reactive --out flight.gif"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     parser.add_argument(
         "--out",
@@ -385,7 +385,7 @@ def _study(parser: Parser) -> None:
 
 def _compare(parser: Parser) -> None:
     """Compare runs, zips of Stable-Baselines3 and scripted policies: intervals, probabilities, curves."""
-    parser.epilog = "example: uavnav compare runs/ppo/relu runs/dqn/relu reactive --out compare.html"
+    parser.epilog = "example: uavnav compare runs/ppo-fast/relu runs/dqn-fast/relu reactive"
     parser.add_argument("runs", nargs="+", metavar="RUN", help=RUN)
     _activation(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="a page, compare.html")
@@ -405,7 +405,7 @@ def _report(parser: Parser) -> None:
 
 def _verify(parser: Parser) -> None:
     """Repeat a run from its config.yaml and say whether its rows and weights are the same, bit for bit."""
-    parser.epilog = "example: uavnav verify runs/ppo/relu --frames 20000"
+    parser.epilog = "example: uavnav verify runs/ppo-vectorised/relu --frames 20000"
     parser.add_argument("run", type=Path, metavar="RUN", help="a finished run's folder")
     parser.add_argument("--frames", type=whole, help="repeat only the first so many frames per seed")
     _plugins(parser)
@@ -427,7 +427,7 @@ def _bench(parser: Parser) -> None:
 
 def _export(parser: Parser) -> None:
     """Write a trained policy as ONNX (.onnx) or for torch.export.load (.pt2)."""
-    parser.epilog = "example: uavnav export runs/ppo/relu --out policy.onnx"
+    parser.epilog = "example: uavnav export runs/ppo-vectorised/relu --out policy.onnx"
     parser.add_argument(
         "run", metavar="RUN", help="a run's folder, its policy file, or a zip of Stable-Baselines3"
     )

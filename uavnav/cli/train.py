@@ -273,9 +273,9 @@ def _next(runs: Sequence[Run], order: Order, names: Sequence[str]) -> str:
     given = {"preset": longer.preset, "activation": longer.activation, **longer.changes()}
     given["total_frames"] = longer.total_frames
     if order.command.out is not None:
-        given["out"] = f"{order.out}-{longer.total_frames}"
+        given["out"] = str(order.out.parent / f"{order.out.name or 'run'}-{longer.total_frames}")
     if names:
-        given["plugins"] = [*names]
+        given["plugins"] = names[0] if len(names) == 1 else [*names]
     commands = {
         "watch it": ["play", paths[-1], *with_plugins],
         "compare it": ["compare", *paths[-MOST_COMPARED:], "reactive", *with_plugins],

@@ -68,12 +68,12 @@ def sparkline(curve: Sequence[float]) -> str:
 
 def line(frames: int, total: int, rate: float | None, lately: Lately) -> str:
     """How far a run is and what it does, in 80 columns; rate: frames a second of each seed, where known."""
-    pace = f" {rate / 1000:,.1f}k/s, {span((total - frames) / rate)} left" if rate else ""
+    pace = f" {rate / 1000:.3g}k/s, {span((total - frames) / rate)} left" if rate else ""
     done = f"{sparkline(lately.curve)} {min(frames / total, 1):.0%}{pace}"
     if not lately.rewards:
         return done
     flying = f"{np.mean(lately.flying):.0%} fly, {np.mean(lately.lengths):,.0f} steps"
-    return f"{done}; reward/1k {with_spread(lately.rewards, 1)}, {flying}"
+    return f"{done}; reward/1k {with_spread(lately.rewards, int(len(lately.rewards) == 1))}, {flying}"
 
 
 def with_spread(values: Sequence[float], digits: int) -> str:

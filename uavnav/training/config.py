@@ -279,7 +279,7 @@ class TrainConfig(Settings):
     @property
     def folder(self) -> Path:
         """Where its run goes by default."""
-        changes = {name: shown(value) for name, value in self.changes().items()}
+        changes = {name: shown(value).removesuffix(".0") for name, value in self.changes().items()}
         return default_folder(self.algorithm, self.preset, self.activation, changes)
 
     @property

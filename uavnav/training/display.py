@@ -74,7 +74,7 @@ class Display:
         if rate and seconds >= RATE_SECONDS and not self._told_how_long:
             self._told_how_long = True
             left = (total - frames) / rate
-            if left > RATE_SECONDS and not self._progress.console.is_terminal:
+            if left > RATE_SECONDS and not (self._quiet or self._progress.console.is_terminal):
                 self._say(f"about {span(left)} more at this rate")
         if self._tell is not None:
             self._tell(frames, lately.rewards)

@@ -293,7 +293,9 @@ def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
         PolicyError, match=r"do not tell the activation; give activation=\.\.\., one of elu, .*tanh"
     ):
         load_policy(path)
-    with pytest.raises(PolicyError, match="unknown activation 'Tanh'; choose from elu, "):
+    with pytest.raises(
+        PolicyError, match=r"unknown activation 'Tanh'; did you mean tanh\? choose from elu, "
+    ):
         load_policy(path, activation="Tanh")
     with pytest.raises(
         PolicyError, match="seed=3; a zip of Stable-Baselines3 holds one policy: give no seed"

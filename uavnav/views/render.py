@@ -247,7 +247,7 @@ def check_picture(path: Path, rate: Fraction) -> str:
     """
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
-        raise ValueError(f"{path}: choose an .mp4, .gif or .png file{did_you_mean(kind, SUFFIXES)}")
+        raise ValueError(f"{path}{did_you_mean(kind, SUFFIXES)}: choose an .mp4, .gif or .png file")
     if not os.path.isdir(path.parent):
         reason = f"there is no folder {path.parent}"
         raise ValueError(f"{path}: cannot be written ({reason}); give a path that can be written")

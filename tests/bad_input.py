@@ -1344,7 +1344,7 @@ CASES = [
     *(
         word(
             f"{name} theirs.zip{out}",
-            "theirs.zip: its weights do not tell the activation",
+            "theirs.zip: it does not tell the activation",
             "give --activation, one of",
         )
         for name, out in (

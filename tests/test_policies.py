@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -46,6 +47,18 @@ def test_each_seed_has_weights_of_its_own_and_the_first_is_the_default(run):
     assert not torch.equal(values[0], values[1])
     assert not torch.equal(values[1], values[2])
     assert torch.equal(uavnav.load_policy(run.path / POLICY).values(observation), values[0])
+
+
+def test_an_array_or_a_list_is_answered_with_an_array(run):
+    policy = uavnav.load_policy(run.path)
+    observation = torch.rand(5, 30)
+    for given in (observation.numpy(), observation.double().numpy(), observation.tolist()):
+        action = policy(given)
+        assert isinstance(action, np.ndarray)
+        assert (action.dtype, action.tolist()) == (np.int64, policy(observation).tolist())
+    assert policy(observation[0].numpy()).shape == ()
+    with pytest.raises(uavnav.PolicyError, match=r"shape \[5, 29\]; give \[..., 30\]"):
+        policy(observation[:, 1:].numpy())
 
 
 def test_sampling_follows_its_generator(run):

@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import difflib
 import io
-import os
 import re
 import sys
 from collections.abc import Collection
-from pathlib import Path
 from typing import Any, NoReturn
 
 MOST = 270
@@ -100,19 +98,6 @@ def did_you_mean(value: object, choices: Collection[str]) -> str:
     """
     near = nearest(value, choices)
     return f" (did you mean {near}?)" if near else ""
-
-
-def did_you_mean_run(run: str, others: Collection[str]) -> str:
-    """The same for a run's folder that is not there: the nearest folder beside it, or one of the others."""
-    path = Path(run)
-    if os.path.exists(run):
-        return ""
-    try:
-        beside = [one.name for one in path.parent.iterdir() if one.is_dir()]
-    except OSError:
-        beside = []
-    near = difflib.get_close_matches(path.name, beside, n=1)
-    return f" (did you mean {path.with_name(near[0])}?)" if near else did_you_mean(run, others)
 
 
 def choose_from(value: object, choices: Collection[str]) -> str:

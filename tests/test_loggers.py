@@ -313,7 +313,7 @@ def test_loggers_are_chosen_by_name_one_or_several():
 
 @pytest.mark.parametrize("wrong", ["tensorbord", None, 3, ["wandb", "tensorbord"], {"wandb": 1}])
 def test_an_unknown_logger_is_answered_with_the_choices_and_nothing_is_written(wrong, tmp_path):
-    with pytest.raises(ConfigError, match=r"^logger=.*; choose from none, tensorboard, wandb"):
+    with pytest.raises(ConfigError, match=r"^logger=.*; .*choose from none, tensorboard, wandb"):
         train(tmp_path / "run", logger=wrong)
     assert not list(tmp_path.iterdir())
 

@@ -16,6 +16,7 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from rich.markup import escape
 from rich.table import Table
 
 from uavnav import stats, style
@@ -183,12 +184,15 @@ def shown(table: pd.DataFrame, name: str) -> Table:
     text = Table(title=title, title_justify="left", box=None)
     text.add_column("who", overflow="fold", width=18)
     text.add_column("")
-    for column in ("rung", *map(in_words, measures)):
-        text.add_column(column, justify="right")
+    text.add_column("rung", justify="right")
+    for measure in measures:  # an interval is never cut
+        ends = table.loc[table["measure"] == measure, ["value", "low", "high"]].to_numpy()
+        least = max(len(word) for triple in ends for word in _with_interval(*triple).split())
+        text.add_column(in_words(measure), justify="right", min_width=least)
     for (who, mode), mine in table.groupby(["name", "mode"], sort=False):
         for at, (rung, own) in enumerate(mine.groupby("rung", sort=False)):
             values = own.set_index("measure")[["value", "low", "high"]].reindex(measures).to_numpy()
-            cells = [_with_interval(*triple) for triple in values]
+            cells = [escape(_with_interval(*triple)) for triple in values]
             text.add_row(*([str(who), str(mode)] if not at else ["", ""]), f"{rung:g}", *cells)
     return text
 
@@ -200,7 +204,7 @@ def in_words(measure: str) -> str:
 
 def _with_interval(value: float, low: float, high: float) -> str:
     number, *ends = (style.number(round(one, 9)) if np.isfinite(one) else "–" for one in (value, low, high))
-    return f"{number} \\[{','.join(ends)}]" if np.isfinite(low) else number
+    return f"{number} [{','.join(ends)}]" if np.isfinite(low) else number
 
 
 def across(

@@ -24,6 +24,7 @@ from uavnav.runs import (
     progress,
     read_settings,
     run_folders,
+    shipped,
 )
 from uavnav.runs.evaluations import usual
 from uavnav.runs.metrics import MODES
@@ -121,7 +122,7 @@ def words(one: Mapping[str, Any]) -> list[str]:
     shown = {
         **one,
         "seeds": str(first) if first == last else f"{first} to {last}",
-        "frames": done.rstrip() if one["status"] == "finished" else f"{done}of {one['total']:,}",
+        "frames": done.rstrip() if one["status"] in ("finished", "shipped") else f"{done}of {one['total']:,}",
         "status": status,
         "age": "" if one["age"] is None else span(one["age"]),
         **{column: "" if one[column] is None else f"{one[column]:.1f}" for column in MEANS},
@@ -159,8 +160,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def main(arguments: Namespace) -> int:
     """List the runs of some folders: what each is, how far it is, and what it reached."""
-    default = [name for name in ("runs", "results") if Path(name).is_dir()] or ["runs"]
-    now, rows = time.time(), []
+    default = [name for name in ("runs", "results") if Path(name).is_dir()]
+    now, rows = time.time(), [] if arguments.folders else shipped.rows()
     found = [path for folder in arguments.folders or default for path in run_folders(Path(folder))[0]]
     for path in dict.fromkeys(found):
         try:

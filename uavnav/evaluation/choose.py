@@ -10,6 +10,7 @@ import json
 import sys
 from pathlib import Path
 
+import pandas as pd
 from safetensors.torch import save
 
 from uavnav.evaluation import fly_modes, on
@@ -33,19 +34,32 @@ LAYOUTS = "validation"
 def main(results: Path) -> None:
     """Evaluate every seed of each run, and write the best one's policy."""
     chosen = {}
-    for name, folder in RUNS.items():
-        run = Run(results / folder, rows=False)
+    for name, folder in sorted(RUNS.items()):
+        run = Run(results / folder, rows=False)  # its evaluation is of the test split
         modes = by_mode(load_policies(run.path))
         task = on(next(iter(modes["greedy"].values())).task, LAYOUTS)
         with machine.use_threads(1):
             rows = fly_modes(modes, task).episodes
-        rewards = rows.pivot_table("reward", "seed", "mode")
-        seed = int(rewards.mean(axis=1).idxmax())
-        chosen[name] = {"run": f"{results.name}/{folder}", "seed": seed, "frames": run.frames}
-        chosen[name] |= rewards.loc[seed].round(2).to_dict()
+        flown = run.evaluation()
+        assert flown is not None, f"{run.path}: evaluate it on the test split first"
+        validation, test = _rewards(rows), _rewards(flown)
+        seed = int(validation.mean(axis=1).idxmax())
+        chosen[name] = {
+            "run": f"{results.name}/{folder}",
+            **{key: run.config[key] for key in ("algorithm", "activation", "preset")},
+            "seed": seed,
+            "frames": run.frames,
+            LAYOUTS: validation.loc[seed].to_dict(),
+            "test": test.loc[seed].to_dict(),
+        }
         write(FOLDER / f"{name}{SUFFIX}", one_seed(run.path / POLICY, seed))
         print(name, chosen[name], flush=True)
     write(CHOSEN, json.dumps(chosen, indent=2).encode() + b"\n")
+
+
+def _rewards(rows: pd.DataFrame) -> pd.DataFrame:
+    """Mean rewards of an episode: a row a seed, a column a mode."""
+    return rows.pivot_table("reward", "seed", "mode").round(2)
 
 
 def one_seed(path: Path, seed: int) -> bytes:

@@ -171,7 +171,7 @@ def zips(words: Sequence[str], activation: str | None) -> list[str]:
 def seeds(path: str | Path) -> list[int]:
     """The training seeds of a policy file; raises a PolicyError as `load_policy` does."""
     load_policy(path)
-    return contents(Path(path))[1].seeds
+    return contents(shipped.found(path))[1].seeds
 
 
 def contents(path: Path) -> tuple[dict[str, Tensor], Header]:

@@ -17,7 +17,7 @@ from uavnav.tasks.protocol import SCRIPTS
 FOLDER = Path(__file__).parent / "trained"
 SUFFIX = ".safetensors"
 CHOSEN = FOLDER / "chosen.json"
-"""By name: the run that a policy is of, its seed, frames, and rewards on the validation split."""
+"""By name: the run that a policy is of, its seed, and its rewards on the splits `validation` and `test`."""
 
 
 def shipped() -> dict[str, Path]:
@@ -25,10 +25,21 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(FOLDER.glob(f"*{SUFFIX}"))}
 
 
-def chosen() -> dict[str, dict[str, Any]]:
-    """What `CHOSEN` says: by name `run`, `seed`, `frames` of training, `greedy` and `sampled` reward."""
-    found: dict[str, dict[str, Any]] = files.read_json(CHOSEN)
-    return found
+def rows() -> list[dict[str, Any]]:
+    """The policies as `uavnav runs` lists runs."""
+    return [
+        {
+            "run": name,
+            **{key: one[key] for key in ("algorithm", "activation", "preset", "frames")},
+            "task": "drone",
+            "seeds": [one["seed"], one["seed"]],
+            "total": one["frames"],
+            "status": "shipped",
+            **{f"reward_{mode}": reward for mode, reward in one["test"].items()},
+            "age": None,
+        }
+        for name, one in files.read_json(CHOSEN).items()
+    ]
 
 
 def is_shipped(run: str | Path) -> bool:

@@ -161,13 +161,14 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 def main(arguments: Namespace) -> int:
     """List the runs of some folders: what each is, how far it is, and what it reached."""
     default = [name for name in ("runs", "results") if Path(name).is_dir()]
-    now, rows = time.time(), [] if arguments.folders else shipped.rows()
+    now, rows = time.time(), []
     found = [path for folder in arguments.folders or default for path in run_folders(Path(folder))[0]]
     for path in dict.fromkeys(found):
         try:
             rows.append(row(path, now))
         except RunError as error:
             complain("runs", f"left out: {error}")
+    rows += [] if arguments.folders else shipped.rows()
     if arguments.sort:
         rows.sort(key=order(arguments.sort))
     print(json.dumps(rows, indent=2) if arguments.json else table(rows))

@@ -46,7 +46,8 @@ def main(results: Path) -> None:
         seed = int(validation.mean(axis=1).idxmax())
         chosen[name] = {
             "run": f"{results.name}/{folder}",
-            **{key: run.config[key] for key in ("algorithm", "activation", "preset")},
+            "algorithm": run.algorithm,
+            **{key: run.config[key] for key in ("activation", "preset")},
             "seed": seed,
             "frames": run.frames,
             LAYOUTS: validation.loc[seed].to_dict(),

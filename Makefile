@@ -4,7 +4,7 @@ BIN := .venv/bin
 RESULTS ?= results
 ENGINE ?= engine=local
 
-.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds tuning baselines report docs help layouts picture clean
+.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds tuning baselines policies report docs help layouts picture clean
 
 train: .venv/.installed
 	$(BIN)/uavnav train ppo activation=relu
@@ -36,6 +36,9 @@ tuning: .venv/.installed-dev # Optuna comes with what tests need
 
 baselines: .venv/.installed # what needs no learning, on the test layouts
 	$(BIN)/uavnav evaluate random straight reactive --out $(RESULTS)/baselines
+
+policies: .venv/.installed # those that ship, chosen on the validation split among the committed runs
+	$(BIN)/python -m uavnav.evaluation.choose $(RESULTS)
 
 report: .venv/.installed # the report, docs/results.md and the findings in the README
 	$(BIN)/uavnav report $(RESULTS)

@@ -743,7 +743,7 @@ CASES = [
     ),
     policy("epsilon a word", facts(epsilon="small")),
     policy("an unknown switch", facts(world={"gravity": 9.81})),
-    policy("an unknown task", facts(task="dron"), "unknown task 'dron'", "(did you mean drone?)"),
+    policy("an unknown task", facts(task="dron"), "unknown task 'dron'", "did you mean drone?"),
     policy(
         "an unknown way to act", facts(acts="beta"), "unknown way to act 'beta'", "choose from categorical"
     ),
@@ -1080,7 +1080,7 @@ CASES = [
     config({"world": {"border": 30}}, "must divide width=800", "world.border=30 "),
     config({"world": {"slotz": "nearest"}}, "did you mean world.slots?", "there is no key 'world.slotz'"),
     config({"world": 3}, "such as world.width=800"),
-    config({"task": "dron"}, "choose from drone, goal, moving, space, space-moving (did you mean drone?)"),
+    config({"task": "dron"}, "did you mean drone? choose from drone, goal, moving, space, space-moving"),
     config({"slots": "listed"}, "did you mean world.slots?", "there is no key 'slots'"),
     config({"init": "xavier"}, "choose from default, orthogonal"),
     config({"compile": "maybe"}, "choose from auto, off, on"),
@@ -1106,7 +1106,7 @@ CASES = [
     word("ppo plugins=nowhere", "plugins=nowhere: is no module in ", "without .py"),
     word("ppo plugins=thesis.py", "plugins=thesis.py: ", "without .py"),
     word(f"{EVALUATE} --plugins nowhere", "--plugins nowhere: ", "without .py"),
-    word("poo", f"algorithm=poo; choose from {KNOWN}", "did you mean ppo?"),
+    word("poo", "algorithm=poo; ", f"did you mean ppo? choose from {KNOWN}"),
     word("activation=relu", "algorithm=; ", f"choose from {KNOWN}"),
     word("ppo relu", "'relu'", ""),
     word("ppo -m activation=relu,rleu", "activation=rleu; ", "did you mean relu?"),
@@ -1175,7 +1175,7 @@ CASES = [
     ),
     argument("0 seeds of a script", None, "--seeds 0", "at least 1", "evaluate random --seeds=0"),
     argument("seeds of a rule", None, "--seeds 2", "only random has several", "evaluate reactive --seeds=2"),
-    misused("a reward", lambda f: fly(f, reward="eq15"), "reward='eq15'", "choose from eq14"),
+    misused("a reward", lambda f: fly(f, reward="eq15"), "reward='eq15'", "choose from additive, eq14"),
     misused(
         "a slot order", lambda f: uavnav.World(slots="first"), "slots=first", "choose from listed, nearest"
     ),
@@ -1222,10 +1222,12 @@ CASES = [
     ),
     *(word(f"{VERIFY} --frames={n}", f"--frames {n}: ", "give a number of at least 1") for n in (0, -5)),
     # words of other commands
-    word("layouts --split trian", "argument --split: trian: choose from all, test", "did you mean train?"),
+    word("layouts --split trian", "argument --split: trian", "did you mean train? choose from all, test"),
     word("layouts --slpit train", "there is no argument --slpit", "did you mean --split?"),
     word(
-        "layouts --check tset", "layouts='tset': no such layout file; choose from train", "did you mean test?"
+        "layouts --check tset",
+        "layouts='tset': no such layout file",
+        "(did you mean test?); choose from train",
     ),
     word("evaluate reactiv", "reactiv: no such run folder; give a run's", "did you mean reactive?"),
     word("evaluate random --acros density", "there is no argument --acros", "did you mean --across?"),
@@ -1235,7 +1237,7 @@ CASES = [
     *(word(f"{one} random --sampled", "no argument --sampled", "") for one in SHOWS),
     *(word(f"{RENDER} --layout={n}", f"--layout {n}", "choose from 0 to 999") for n in (1000, -1)),
     *(word(f"{RENDER} --{key}=0", f"--{key}", "give") for key in ("steps", "every", "speed", "width")),
-    word(f"{RENDER} --out=x.gfi", "x.gfi: choose an .mp4, .gif or .png file", "did you mean .gif?"),
+    word(f"{RENDER} --out=x.gfi", "x.gfi (did you mean .gif?)", "choose an .mp4, .gif or .png file"),
     word(f"{RENDER} --out=x.gif --every=100000", "0.0003 pictures per second", "0.01 at least"),
     word(f"{RENDER} --out=x.gif --speed=2", "60 pictures per second", "50 at most: draw fewer"),
     word(f"{RENDER} --activation=tanh", "--activation tanh: runs know", "with a .zip"),
@@ -1254,7 +1256,7 @@ CASES = [
     word("play --out thesis/chapter.txt", "chapter.txt: missing or damaged", "move it away"),
     word("play --out /proc/x/human.parquet", "/proc/x/human.parquet", "cannot be written ("),
     word("play --drawn policy/own", "policy/own: cannot be written", "Not a directory"),
-    word("bench --only trainig", "argument --only: trainig: choose from", "did you mean training?"),
+    word("bench --only trainig", "argument --only: trainig", "did you mean training? choose from"),
     word("bench --only", "--only", "expected at least one argument"),
     word("bench --quik", "there is no argument --quik", "did you mean --quick?"),
     word("bench --out .", ".: cannot be written", "is a folder"),
@@ -1265,7 +1267,7 @@ CASES = [
     word(
         "ppo out=${activatoin}",
         "there is no key 'activatoin'",
-        "such as activation (did you mean activation?)",
+        "did you mean activation? choose from 55, such as activation",
     ),
     word(
         "ppo layouts=nowhere",
@@ -1342,7 +1344,7 @@ CASES = [
     *(
         word(
             f"{name} theirs.zip{out}",
-            "theirs.zip: its weights do not tell the activation",
+            "theirs.zip: it does not tell the activation",
             "give --activation, one of",
         )
         for name, out in (

@@ -2,6 +2,7 @@
 
 import functools
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -49,6 +50,19 @@ def test_a_ladder_is_judged_by_reward_collisions_per_1000_px_and_episodes_still_
         "survive": 25.0,
     }
     assert set(table["n"]) == {2}
+
+
+def test_the_interval_of_one_seed_is_over_its_episodes_and_of_several_over_seeds():
+    rows = pd.DataFrame({"seed": 0, "mode": "sampled", "rung": 2.0, "reward": [1.0, 3.0] * 50})
+    rows = rows.assign(distance=1000, terminated=[True, False] * 50, truncated=[False, True] * 50)
+    table = across.judged({"mine": rows}, of_one_seed=True).set_index("measure")
+    assert set(zip(table["n"], table["over"], strict=True)) == {(100, "episodes")}
+    half = 1.96 * 1.0 / 100**0.5  # of a mean of 100 that are 1 or 3
+    assert table.loc["reward", ["low", "high"]].tolist() == pytest.approx([2 - half, 2 + half], abs=0.05)
+    assert table.loc["collisions", ["low", "high"]].tolist() == pytest.approx([0.402, 0.598], abs=0.025)
+    both = pd.concat([rows, rows.assign(seed=1, reward=4.0)])
+    table = across.judged({"mine": both}, of_one_seed=True).set_index("measure")
+    assert table.loc["reward", ["n", "value", "low", "high", "over"]].tolist() == [2, 3.0, 2.0, 4.0, "seeds"]
 
 
 def test_an_episode_that_reaches_its_goal_has_not_collided():
@@ -104,10 +118,14 @@ def test_the_ladder_speed_is_not_for_a_plugins_task_whose_own_functions_it_would
 def test_no_number_of_a_table_is_cut_off_whatever_the_width_of_the_terminal(columns, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(columns))
     measures = [*PER_EPISODE, "passages_per_1000_steps", "passages_per_episode"]
-    rows = [("runs/ppo/of_a_long_name", "sampled", 160.0, measure, 123.4) for measure in measures]
-    table = pd.DataFrame(rows, columns=["name", "mode", "rung", "measure", "value"])
+    who = ["runs/ppo/of_a_long_name", "sampled", 160.0]
+    rows = [(*who, measure, 10, 123.4, 99.5, 145.6, "seeds") for measure in measures]
+    table = pd.DataFrame(
+        rows, columns=["name", "mode", "rung", "measure", "n", "value", "low", "high", "over"]
+    )
     summary.show(across.shown(table, "slalom"))
-    assert capsys.readouterr().out.count(" 123.4") == len(measures)
+    out = capsys.readouterr().out
+    assert out.count(" 123.4") == out.count("[99.5,145.6]") == len(measures)
 
 
 def test_a_ladder_of_circles_is_left_out_for_who_flies_in_a_box_and_alone_it_is_refused(tmp_path):
@@ -153,7 +171,7 @@ def test_without_a_run_scripts_fly_the_world_that_is_named(tmp_path, capsys):
     assert err.startswith("left out: the ladder density, which the world of straight")
     told = json.loads(printed)
     assert {one["ladder"] for one in told} == {"sticky"}
-    assert {(one["low"], one["high"]) for one in told} == {(None, None)}  # of one seed, and NaN is no JSON
+    assert {(one["over"], one["n"]) for one in told} == {("episodes", 2)}  # of one seed
     assert (tmp_path / "new" / "folder" / "across-sticky-2-5.png").exists()
     assert main([*words, "--layouts", "train"]) == 2
     assert (
@@ -217,6 +235,16 @@ def test_each_run_flies_by_the_cap_of_its_own_task_unless_one_is_given(
     scripts = "random 2,000, straight 2,000, reactive 2,000"
     differ = f"time limits differ (plain 2,000, goal 1,000, {scripts}); --max-steps gives all the same"
     assert told == ([] if given else [differ])
+
+
+def test_a_ladder_says_first_that_2_episodes_are_a_sketch_and_how_long_it_will_take(tmp_path, capsys):
+    words = ["evaluate", "straight", "--across", "sticky", "--episodes", "2", "--max-steps", "5"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    assert "95 % intervals over 2 episodes, a sketch" in " ".join(out.split())
+    sketch, long = err.splitlines()
+    assert sketch == "2 episodes a rung are a sketch; give 20 or more for intervals that hold"
+    assert re.fullmatch(r"about \d+ s more, as the first rung took: 24 episodes on 4 rungs", long)
 
 
 def test_the_figure_says_its_rewards_in_words_and_leaves_the_greedy_episodes_out():

@@ -1,7 +1,9 @@
 """Policies of Stable-Baselines3 act here as they do there, and no zip is ever unpickled."""
 
+import base64
 import functools
 import io
+import json
 import os
 import pickle
 import re
@@ -50,7 +52,7 @@ def saved(request, env, tmp_path_factory):
     model.learn(512)
     path = tmp_path_factory.mktemp("sb3") / "model.zip"
     model.save(path)
-    return model, load_policy(path, activation=name), path, name
+    return model, load_policy(path), path, name  # whose settings say its activation
 
 
 @pytest.fixture(scope="module")
@@ -290,10 +292,12 @@ def test_only_the_weights_of_a_zip_are_read(algorithm, tmp_path, monkeypatch):
 def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
     path = zipped(tmp_path / "model.zip", {"policy.pth": pth(weights())})
     with pytest.raises(
-        PolicyError, match=r"do not tell the activation; give activation=\.\.\., one of elu, .*tanh"
+        PolicyError, match=r"it does not tell the activation; give activation=\.\.\., one of elu, .*tanh"
     ):
         load_policy(path)
-    with pytest.raises(PolicyError, match="unknown activation 'Tanh'; choose from elu, "):
+    with pytest.raises(
+        PolicyError, match=r"unknown activation 'Tanh'; did you mean tanh\? choose from elu, "
+    ):
         load_policy(path, activation="Tanh")
     with pytest.raises(
         PolicyError, match="seed=3; a zip of Stable-Baselines3 holds one policy: give no seed"
@@ -301,6 +305,32 @@ def test_the_activation_is_asked_for_a_zip_and_only_for_a_zip(tmp_path):
         load_policy(path, seed=3, activation="tanh")
     with pytest.raises(PolicyError, match=r"activation=tanh; a run knows its own: give it for a \.zip alone"):
         load_policy(tmp_path, activation="tanh")
+
+
+KWARGS = {"activation_fn": "<class 'torch.nn.modules.activation.LeakyReLU'>"}
+SAYS = {
+    "an activation": (KWARGS, "a.module", "leaky_relu"),
+    "a default": ({}, "stable_baselines3.common.policies", "tanh"),
+    "a class of one's own": ({}, "my_module", None),
+    "an activation of one's own": ({"activation_fn": "<class 'my_module.Bend'>"}, "a.module", None),
+}
+
+
+@pytest.mark.parametrize("name", SAYS)
+def test_an_activation_in_plain_text_is_read_and_the_pickle_beside_it_is_not(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given, module, activation = SAYS[name]
+    bomb = base64.b64encode(pickle.dumps(Bomb())).decode()
+    said = {"policy_kwargs": {":serialized:": bomb, **given}, "policy_class": {"__module__": module}}
+    path = zipped(tmp_path / "model.zip", {"policy.pth": pth(weights()), "data": json.dumps(said)})
+    if activation is None:
+        with pytest.raises(PolicyError, match="it does not tell the activation"):
+            load_policy(path)
+    else:
+        assert load_policy(path).network[1].name == activation
+        with pytest.raises(PolicyError, match=f"activation=elu; its own is {activation}: leave it out"):
+            load_policy(path, activation="elu")
+    assert not (tmp_path / "a pickle was executed").exists()
 
 
 def test_beside_a_script_in_another_world_a_zips_rows_are_of_its_own(saved, tmp_path, capsys):

@@ -27,13 +27,10 @@ from uavnav.tasks.world import World
 from uavnav.training.config import plain
 
 WRONG = [
-    ({"activation": "rleu"}, "activation=rleu; choose from elu, .* (did you mean relu?)"),
+    ({"activation": "rleu"}, "activation=rleu; did you mean relu? choose from elu, .*"),
     ({"activation": 3}, "activation=3; give a name"),
     ({"activation": None}, "activation=None; give a name"),
-    (
-        {"activatoin": "relu"},
-        "there is no key 'activatoin'; choose from .*activation .*(did you mean activation?)",
-    ),
+    ({"activatoin": "relu"}, "key 'activatoin'; did you mean activation? choose from .*activation"),
     ({"n_seeds": 0}, "n_seeds=0; give a number of at least 1"),
     ({"n_seeds": "two"}, "n_seeds=two; give a whole number"),
     ({"n_seeds": True}, "n_seeds=True; give a whole number"),
@@ -52,23 +49,23 @@ WRONG = [
     ({"hidden": []}, "hidden=[]; give at least one layer, each of at least 1 unit"),
     ({"hidden": [64, 0]}, "hidden=[64, 0]; give at least one layer, each of at least 1 unit"),
     ({"hidden": [64, "x"]}, "hidden=x; give a whole number"),
-    ({"reward": "eq15"}, "reward=eq15; choose from additive, eq14, goal, initial (did you mean eq14?)"),
+    ({"reward": "eq15"}, "reward=eq15; did you mean eq14? choose from additive, eq14, goal, initial"),
     (
         {"task": "dron"},
-        "task=dron; choose from drone, goal, moving, space, space-moving (did you mean drone?)",
+        "task=dron; did you mean drone? choose from drone, goal, moving, space, space-moving",
     ),
     ({"world": {"slots": "first"}}, "world.slots=first; choose from listed, nearest"),
     ({"world": {"padding": "ones"}}, "world.padding=ones; choose from far, zeros"),
     ({"world": {"start_heading": "down"}}, "world.start_heading=down; choose from random, up"),
     (
         {"world": {"slot": "listed"}},
-        "there is no key 'world.slot'; choose from .*(did you mean world.slots?)",
+        "there is no key 'world.slot'; did you mean world.slots? choose from ",
     ),
     ({"world": {"sensor_arc": "wide"}}, "world.sensor_arc=wide; give a number"),
     ({"world": {"n_slots": 0}}, "world.n_slots=0"),
     ({"world": {"drone_radius": True}}, "world.drone_radius=True; give a number"),
     ({"world": "flat"}, "world=flat; give fields of the world, such as world.width=800"),
-    ({"slots": "listed"}, "there is no key 'slots'; choose from .*(did you mean world.slots?)"),
+    ({"slots": "listed"}, "there is no key 'slots'; did you mean world.slots? choose from "),
     ({"init": "xavier"}, "init=xavier; choose from default, orthogonal"),
     ({"compile": "maybe"}, "compile=maybe; choose from auto, off, on"),
     ({"device": "gpu"}, "device=gpu; choose cpu, or a device that this machine has"),

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import types
 
+import numpy as np
 import pandas as pd
 import pytest
 import torch
@@ -273,16 +274,31 @@ def test_the_command_evaluates_a_run_and_a_baseline_prints_a_table_of_each_and_e
         lambda n: torch.full((n,), -1),
         lambda n: torch.zeros(n),
         lambda n: torch.zeros(n, 1, dtype=torch.int64),
-        lambda n: [0] * n,
+        lambda n: [0.0] * n,
+        lambda n: [[0], [1, 2]],
         lambda n: 3,
     ],
 )
 def test_a_policy_that_gives_no_actions_is_refused_in_one_line(action):
     with pytest.raises(
-        ValueError, match=r"a policy chose .*; it must give int64 \[4\] from 0 to 99"
+        ValueError, match=r"a policy chose .*; it must give whole numbers \[4\] from 0 to 99"
     ) as refused:
         evaluate_policy(lambda observation, generator: action(len(observation)), episodes=4, max_steps=5)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        lambda observation: np.full(len(observation), 9),
+        lambda observation: [9] * len(observation),
+        lambda observation, generator: torch.full((len(observation),), 9, dtype=torch.int32),
+    ],
+    ids=["an array of one argument", "a list of one argument", "a tensor of two"],
+)
+def test_a_function_of_one_or_two_arguments_may_give_an_array_a_list_or_a_tensor(policy):
+    flown = {"episodes": 4, "max_steps": 30}
+    assert evaluate_policy(policy, **flown).equals(evaluate_policy(straight_ahead, **flown))
 
 
 # -- protocols -----------------------------------------------------------------------------------------------

@@ -142,7 +142,7 @@ def test_three_actions_for_two_rows_and_an_action_of_2_7_are_refused():
     ("arguments", "says"),
     [
         ({"layouts": "trian"}, "choose from train, validation, test"),
-        ({"reward": "eq41"}, "choose from eq14, additive, initial, goal"),
+        ({"reward": "eq41"}, "did you mean eq14. choose from additive, eq14, goal, initial"),
         ({"max_steps": 0}, "max_steps=0"),
         ({"render_mode": "human"}, "rgb_array"),
         ({"num_envs": 0}, "num_envs=0"),

@@ -104,7 +104,9 @@ def test_each_activation_is_its_formula(name):
 
 
 def test_an_unknown_activation_is_answered_with_the_choices():
-    with pytest.raises(ValueError, match=r"activation='rleu'; choose from elu, gelu, .*tanh"):
+    with pytest.raises(
+        ValueError, match=r"activation='rleu'; did you mean relu\? choose from elu, gelu, .*tanh"
+    ):
         mlp([30, 64, 100], "rleu", generators(0), "default")
 
 

@@ -1,13 +1,19 @@
 """A stored policy: the same numbers as in training, without unpickling, and damaged files are named."""
 
+import json
+import shutil
+import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 import uavnav
+from uavnav.__main__ import main
 from uavnav.algorithms import dqn, ppo
-from uavnav.runs import POLICY
+from uavnav.runs import POLICY, shipped
+from uavnav.runs.paper import TABLES
 from uavnav.tasks import layouts
 from uavnav.training.weights import serialize
 from uavnav.views import render
@@ -46,6 +52,18 @@ def test_each_seed_has_weights_of_its_own_and_the_first_is_the_default(run):
     assert not torch.equal(values[0], values[1])
     assert not torch.equal(values[1], values[2])
     assert torch.equal(uavnav.load_policy(run.path / POLICY).values(observation), values[0])
+
+
+def test_an_array_or_a_list_is_answered_with_an_array(run):
+    policy = uavnav.load_policy(run.path)
+    observation = torch.rand(5, 30)
+    for given in (observation.numpy(), observation.double().numpy(), observation.tolist()):
+        action = policy(given)
+        assert isinstance(action, np.ndarray)
+        assert (action.dtype, action.tolist()) == (np.int64, policy(observation).tolist())
+    assert policy(observation[0].numpy()).shape == ()
+    with pytest.raises(uavnav.PolicyError, match=r"shape \[5, 29\]; give \[..., 30\]"):
+        policy(observation[:, 1:].numpy())
 
 
 def test_sampling_follows_its_generator(run):
@@ -112,3 +130,57 @@ def test_a_policy_comes_back_with_the_world_reward_and_cap_that_it_was_trained_i
     assert (pilot.task.world, pilot.task.reward, pilot.mode) == (config.world, "additive", "sampled")
     flown = render.fly(pilot, layouts.load("test"), 0, 30)
     assert flown.pilot.task.world.sensor_arc == 90
+
+
+# -- policies that ship --------------------------------------------------------------------------------------
+
+
+def test_ten_policies_ship_in_2_mb_each_the_chosen_seed_of_its_run_bit_for_bit():
+    paths, rows = shipped.shipped(), {row["run"]: row for row in shipped.rows()}
+    paper = {f"{algorithm}-{activation}" for algorithm, activation in TABLES}
+    assert paths.keys() == rows.keys() == paper | {"ppo-fast-tanh", "dqn-fast-tanh"}
+    assert sum(path.stat().st_size for path in shipped.FOLDER.iterdir()) < 2 * 2**20
+    data = tomllib.loads((RESULTS.parent / "pyproject.toml").read_text())["tool"]["setuptools"][
+        "package-data"
+    ]
+    there = {path for glob in data["uavnav.runs"] for path in shipped.FOLDER.parent.glob(glob)}
+    assert there == {*shipped.FOLDER.iterdir()}
+    observation = torch.rand(5, 30)
+    for name, said in json.loads(shipped.CHOSEN.read_text()).items():
+        policy, own = uavnav.load_policy(name), uavnav.load_policy(RESULTS.parent / said["run"], said["seed"])
+        assert torch.equal(policy.values(observation), own.values(observation))
+        assert (policy.seed, policy.world, policy.epsilon) == (said["seed"], own.world, own.epsilon)
+        row = rows[name]
+        parts = [row["algorithm"], *["fast"] * (row["preset"] == "fast"), row["activation"]]
+        assert name == "-".join(parts)
+
+
+def test_a_path_comes_before_a_name_and_a_slip_is_answered_with_the_nearest_and_all(
+    run, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert uavnav.load_policy("ppo-tanh").seed != 4
+    with pytest.raises(
+        uavnav.PolicyError, match=r"\(did you mean ppo-tanh\?\), or one of dqn-fast-tanh, dqn-"
+    ):
+        uavnav.load_policy("ppo-tanhh")
+    for command in ("evaluate", "compare reactive", "render"):
+        assert main([*command.split(), "ppo-tahn"]) == 2
+        assert "(did you mean ppo-tanh?), or one of dqn-fast-tanh, " in capsys.readouterr().err
+    shutil.copytree(run.path, "ppo-tanh")
+    assert uavnav.load_policy("ppo-tanh").seed == 4
+
+
+def test_a_name_flies_wherever_a_run_does(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    short = ["--episodes", "2", "--max-steps", "20"]
+    assert main(["evaluate", "dqn-fast-tanh", *short, "--out", "rows"]) == 0
+    assert sorted(one.stem for one in (tmp_path / "rows").iterdir()) == [
+        f"dqn-fast-tanh-{mode}-test-2-20" for mode in ("greedy", "sampled")
+    ]
+    assert main(["evaluate", "ppo-tanh", *short, "--across", "sticky", "--json"]) == 0
+    assert main(["render", "ppo-tanh", "--steps", "5", "--out", "a.png"]) == 0
+    assert "ppo-tanh, sampled: 5 steps" in capsys.readouterr().out
+    assert main(["runs"]) == 0  # without a run of one's own
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines() if "shipped" in line]
+    assert listed == [*shipped.shipped()]

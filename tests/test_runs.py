@@ -87,6 +87,28 @@ def test_every_world_step_belongs_to_exactly_one_episode_row(trained):
         assert (ends.layout.diff().dropna() == 1).all() or (ends.layout.diff() < -9000).any()
 
 
+def test_a_run_says_what_it_is_and_in_a_notebook_as_a_table(trained):
+    _, _, run = trained
+    name = run.algorithm
+    facts = f"algorithm {name}, activation tanh, seeds 0 to 1, frames 1,024, status finished"
+    assert repr(run) == f"Run({run.path}: {facts})"
+    assert f"<td>{run.path}</td>" in run._repr_html_()
+
+
+def test_a_folder_of_runs_names_the_first_few_in_one_line(tmp_path):
+    for n in range(30):
+        folder = tmp_path / "runs" / "ppo" / f"tanh-{n:02}"
+        (folder / "workers" / "0").mkdir(parents=True)
+        for place in (folder, folder / "workers" / "0"):
+            (place / "config.yaml").touch()
+    with pytest.raises(
+        RunError, match=r"holds runs and is none; give one of .*tanh-00, .* and \d+ more$"
+    ) as told:
+        Run(tmp_path / "runs")
+    shown = str(told.value).count("tanh-")
+    assert str(told.value).endswith(f" and {30 - shown} more")
+
+
 def test_the_same_seed_gives_the_same_bits_and_another_seed_others(trained, tmp_path):
     train, config, run = trained
     again = train(config, out=tmp_path / "again", quiet=True)

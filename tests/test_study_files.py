@@ -184,13 +184,12 @@ def test_every_committed_run_is_a_configuration_of_a_study_with_its_settings():
         ("[", "cannot be read"),
         (
             "configurations: [{algorithm: ppo}]\nwaht: x",
-            "there is no key 'waht'; choose from configurations, obstacles, scripts, settings, tune, what "
-            "(did",
+            "there is no key 'waht'; did you mean what? choose from configurations, obstacles, scripts, ",
         ),
         ("configurations: [{folder: x}]", "is no configuration; it needs at least an `algorithm`"),
         (
             "configurations: [{algorithm: pop}]",
-            f"algorithm=pop; choose from {', '.join(sorted(ALGORITHMS))} (did you mean ppo?)",
+            f"algorithm=pop; did you mean ppo? choose from {', '.join(sorted(ALGORITHMS))}",
         ),
         ("configurations: [{algorithm: ppo, lrr: 1}]", "there is no key 'lrr'"),
         (
@@ -335,9 +334,12 @@ def test_what_is_no_study_file_is_refused_in_one_line_before_anything_is_written
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["papr"], "papr: there is no such study; choose from algorithms, initial, paper, sensitivity"),
+        (
+            ["papr"],
+            "no such study; did you mean paper? choose from algorithms, initial, paper, sensitivity",
+        ),
         (["paper", "engine=cloud"], "engine=cloud; choose from local, ray, slurm"),
-        (["paper", "sede=3"], "there is no key 'sede'; choose from"),
+        (["paper", "sede=3"], "there is no key 'sede'; did you mean seeds? choose from"),
         (["paper", "seeds=many"], "seeds=many; give a whole number"),
         (["paper", "seeds"], "'seeds' is no setting; settings are key=value: engine=local"),
         (["paper", "partition=long"], "there is no key 'partition'"),

@@ -307,12 +307,12 @@ def test_the_page_shows_the_search_space_of_the_file():
         (("trials: 14", "trials: many"), "tune: trials=many; give it as uavnav/studies/tuning.yaml does"),
         (
             ("hidden: width}", "hidden: widht}"),
-            "tune: range=widht; choose from passes, rate, width (did you mean widt",
+            "tune: range=widht; did you mean width? choose from passes, rate, width",
         ),
         (("lr: rate, hidden: width}", "lrr: rate}"), "there is no key 'lrr'"),
         (("[32, 64, 128]", "[32, 128]"), "width=[32, 128]; the default of ppo, hidden=64, is not in it"),
         (("[32, 64, 128]", "64"), "width=64; give a list of values, or low and high"),
-        (("a2c: {", "sac: {"), "tune: algorithm=a2c; choose from ppo, sac"),
+        (("a2c: {", "sac: {"), "tune: algorithm=a2c; did you mean sac? choose from ppo, sac"),
         (("low: 1,", "low: 0,"), "epochs=0; give a number of at least 1"),
         (
             ("low: 1.0e-5", "low: 0.0"),
@@ -328,10 +328,13 @@ def test_the_page_shows_the_search_space_of_the_file():
         (("epochs: passes}", "max_steps: passes}"), "the default of ppo, max_steps=None, is not in it"),
         (
             ("epochs: passes}", "max_grad_norm: [passes]}"),
-            "range=['passes']; choose from passes, rate, width",
+            "range=['passes']; did you mean passes? choose from passes, rate, width",
         ),
         (("at_once: 3", "at_once: -3"), "tune: at_once=-3; give it as uavnav/studies/tuning.yaml does"),
-        (("    a2c: {", "    pop: {lr: rate}\n    a2c: {"), "tune: algorithm=pop; choose from a2c, "),
+        (
+            ("    a2c: {", "    pop: {lr: rate}\n    a2c: {"),
+            "tune: algorithm=pop; did you mean ppo? choose from a2c, ",
+        ),
         (
             ("activation: tanh", "activation: [tanh, relu]"),
             "tune: ppo: a trial is one configuration, not 2; give one value",

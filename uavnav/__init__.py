@@ -110,8 +110,8 @@ def __getattr__(name: str) -> Any:
         return getattr(importlib.import_module(f"uavnav.{_NAMES[name]}"), name)
     if name in HOMES or name in _MODULES:
         return importlib.import_module(HOMES.get(name, f"uavnav.{name}"))
-    choices = f"{', '.join(__all__)}{did_you_mean(name, __all__)}"
-    raise AttributeError(f"module 'uavnav' has no attribute {name!r}; it has {choices}")
+    near = did_you_mean(name, __all__)
+    raise AttributeError(f"module 'uavnav' has no attribute {name!r}{near}; it has {', '.join(__all__)}")
 
 
 def __dir__() -> list[str]:

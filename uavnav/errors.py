@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import difflib
 import io
-import os
 import re
 import sys
 from collections.abc import Collection
-from pathlib import Path
 from typing import Any, NoReturn
 
 MOST = 270
@@ -87,39 +85,32 @@ class OneLineError(Exception):
         super().__init__(one_line(message))
 
 
-def did_you_mean(value: object, choices: Collection[str]) -> str:
-    """` (did you mean relu?)`, the nearest of the choices, as the end of a message; empty where none is
-    near.
-    """
+def nearest(value: object, choices: Collection[str]) -> str:
+    """The nearest of the choices; empty where none is near."""
     word = told(value)
     of_a_part = [choice for choice in choices if choice.endswith(f".{word}")]  # `slots` for `world.slots`
-    near = of_a_part or difflib.get_close_matches(word, choices, n=1)
-    return f" (did you mean {near[0]}?)" if near else ""
+    return next(iter(of_a_part or difflib.get_close_matches(word, choices, n=1)), "")
 
 
-def did_you_mean_run(run: str, others: Collection[str]) -> str:
-    """The same for a run's folder that is not there: the nearest folder beside it, or one of the others."""
-    path = Path(run)
-    if os.path.exists(run):
-        return ""
-    try:
-        beside = [one.name for one in path.parent.iterdir() if one.is_dir()]
-    except OSError:
-        beside = []
-    near = difflib.get_close_matches(path.name, beside, n=1)
-    return f" (did you mean {path.with_name(near[0])}?)" if near else did_you_mean(run, others)
+def did_you_mean(value: object, choices: Collection[str]) -> str:
+    """` (did you mean relu?)`, the nearest of the choices, for a message that does not list them; often
+    empty.
+    """
+    near = nearest(value, choices)
+    return f" (did you mean {near}?)" if near else ""
 
 
 def choose_from(value: object, choices: Collection[str]) -> str:
-    """`choose from elu, gelu (did you mean gelu?)`: the choices by name, some of very many, and the
-    nearest.
+    """`did you mean gelu? choose from elu, gelu`: the nearest of the choices, and all or some of them by
+    name.
     """
     choices = [told(choice) for choice in choices]  # a file may have keys that are no words
     names = sorted(choices)
     if len(", ".join(names)) > LONG:
         near = difflib.get_close_matches(told(value), names, n=SOME, cutoff=0.4)
         names = [f"{len(names)}, such as {', '.join(near or names[:SOME])}"]
-    return f"choose from {', '.join(names)}{did_you_mean(value, choices)}"
+    meant = nearest(value, choices)
+    return f"{meant and f'did you mean {meant}? '}choose from {', '.join(names)}"
 
 
 def among(value: object, choices: Collection[str]) -> bool:

@@ -36,7 +36,7 @@ from uavnav.views.window.table import DRAWN, HELP, ROWS
 
 TASKS = ", ".join(TASK_NAMES)
 
-RUN = f"a run's folder, a Stable-Baselines3 .zip, or {', '.join(SCRIPTS)}"
+RUN = f"a run's folder, a policy that ships (ppo-tanh), a Stable-Baselines3 .zip, or {', '.join(SCRIPTS)}"
 RUN_COLUMNS = (
     "run",
     "algorithm",
@@ -511,7 +511,7 @@ def _faults(parser: Parser) -> None:
 
 
 def _activation(parser: Parser) -> None:
-    parser.add_argument("--activation", help="of a .zip's hidden layers, which its weights do not tell")
+    parser.add_argument("--activation", help="of a .zip's hidden layers, where it does not say it itself")
 
 
 def _output(parser: Parser, *flags: str) -> None:

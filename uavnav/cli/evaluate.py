@@ -9,12 +9,12 @@ from argparse import Namespace
 from collections.abc import Mapping
 from pathlib import Path
 
-from uavnav.errors import ConfigError, did_you_mean_run
+from uavnav.errors import ConfigError
 from uavnav.evaluation import Protocol, evaluate_run, on, summary
 from uavnav.evaluation.across import Flyer, across, of_run
 from uavnav.evaluation.transfer import transfer
 from uavnav.files import check_out
-from uavnav.runs import Run, policies
+from uavnav.runs import Run, policies, shipped
 from uavnav.runs.tables import RunError, write_table
 from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.faults import from_option
@@ -28,17 +28,19 @@ MOST_SEEDS = 1_000
 
 
 def _found(name: str, arguments: Namespace) -> Run | Flyer:
-    """A run, a zip or a scripted policy."""
+    """A run, a zip, a policy that ships or a scripted policy."""
     if name in BASELINES:
         seeds = range(arguments.seeds if name == DRAWS else 1)
         return Flyer(name, {"scripted": dict.fromkeys(seeds, BASELINES[name])})
     if policies.is_zip(name):
         zipped = policies.load_policy(name, activation=arguments.activation)
         return Flyer(name, policies.by_mode({0: zipped}))
+    if shipped.is_shipped(name):
+        return Flyer(name, policies.by_mode(policies.load_policies(name)))
     try:
         return Run(name)
     except RunError as error:
-        raise RunError(f"{error}{did_you_mean_run(name, BASELINES)}") from error
+        raise RunError(f"{error}{shipped.instead(name)}") from error
 
 
 def _check(arguments: Namespace, found: Mapping[str, Run | Flyer]) -> None:

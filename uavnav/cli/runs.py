@@ -29,6 +29,7 @@ from uavnav.runs import (
     read_settings,
     run_folders,
     saved_frames,
+    shipped,
 )
 from uavnav.runs.evaluations import usual
 from uavnav.runs.lately import Lately, line, span
@@ -122,7 +123,7 @@ def _rewards(path: Path, task: str) -> dict[str, float | None]:
 def words(one: Mapping[str, Any]) -> list[str]:
     """A run as the table shows it, by `COLUMNS`."""
     first, last = one["seeds"]
-    done = one["status"] == "finished"
+    done = one["status"] in ("finished", "shipped")
     return [
         one["run"],
         f"{one['algorithm']} {one['activation']}",
@@ -167,23 +168,27 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Group:
     return Group(*training, table)
 
 
-def found(folders: Sequence[str], sort: str | None, tell: bool) -> list[dict[str, Any]]:
-    """What is said of every run; tell: say which are left out."""
-    now, rows = time.time(), []
+def found(given: Namespace, tell: bool) -> list[dict[str, Any]]:
+    """What is said of every run in the folders given, or of one's own and those that ship.
+
+    tell: say which are left out.
+    """
+    own = [name for name in ("runs", "results") if Path(name).is_dir()]
+    folders = given.folders or own[:1]
+    now, rows = time.time(), list[dict[str, Any]]()
     for path in dict.fromkeys(path for folder in folders for path in run_folders(Path(folder))[0]):
         try:
             rows.append(row(path, now))
         except RunError as error:
             if tell:
                 complain("runs", f"left out: {error}")
-    return sorted(rows, key=order(sort)) if sort else rows
+    rows += [] if given.folders else shipped.rows()
+    return sorted(rows, key=order(given.sort)) if given.sort else rows
 
 
 def main(arguments: Namespace) -> int:
     """List the runs of some folders: what each is, how far it is, and what it reached."""
-    own = [name for name in ("runs", "results") if Path(name).is_dir()] or ["runs"]
-    folders = arguments.folders or own[:1]
-    rows = found(folders, arguments.sort, tell=True)
+    rows = found(arguments, tell=True)
     if arguments.json:
         print(json.dumps(rows, indent=2))
         return 0
@@ -199,5 +204,5 @@ def main(arguments: Namespace) -> int:
     with contextlib.suppress(KeyboardInterrupt), show as live:
         while True:
             time.sleep(WATCH_SECONDS)
-            live.update(shown(found(folders, arguments.sort, tell=False)), refresh=True)
+            live.update(shown(found(arguments, tell=False)), refresh=True)
     return 0

@@ -31,7 +31,7 @@ from uavnav.settings import Seconds, Settings, flat, key, shown
 from uavnav.tasks.table import TASKS
 from uavnav.tasks.world import World
 from uavnav.training.config import PARTS, TASK, TrainConfig, plain
-from uavnav.training.loggers import chosen
+from uavnav.training.loggers import chosen, shown_by
 from uavnav.training.loop import Fit, alone, train
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, free_folder
 
@@ -105,6 +105,10 @@ def main(given: Namespace, fit: Fit = alone) -> int:
         print(json.dumps([summary.record(run) for run in finished], indent=2))
     elif not given.quiet and len(finished) == len(orders) and finished[-1].fresh:
         print(_next(finished, orders[-1], given.plugins))
+    if not (given.json or given.quiet):
+        for run in finished:
+            for shown in shown_by(run.path, chosen(orders[0].command.logger)):
+                print(f"see its log: {shown}")
     return 0 if len(finished) == len(orders) else 2
 
 

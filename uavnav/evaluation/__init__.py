@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -63,7 +63,7 @@ class Evaluation(NamedTuple):
 
 
 def evaluate_policy(
-    policy: AnyPolicy,
+    policy: Callable[..., Any],
     layouts: str | Path | Tensor = "test",
     episodes: int = EPISODES,
     max_steps: int | None = None,
@@ -76,7 +76,9 @@ def evaluate_policy(
     """One episode on each of the first layouts of a layout file, each starting at the centre.
 
     Args:
-        policy: what `uavnav.load_policy` returns, or any callable of that form.
+        policy: what `uavnav.load_policy` returns, or a function of observations [n, 30] that returns a whole
+            number from 0 to 99 for each [n], as a tensor, an array or a list. If it takes two arguments, the
+            second is a generator.
         layouts: `train`, `validation`, `test`, a layout file's path, or a tensor [n, k, 3].
         episodes: how many layouts, from the first.
         max_steps: an episode that lasts so long is cut off: `truncated`, a censored observation and no
@@ -98,7 +100,9 @@ def evaluate_policy(
             policy that sees another number of numbers than there are in this world.
     """
     if not callable(policy):
-        raise ConfigError(f"policy={told(policy)}; give what load_policy returns, or a function of that form")
+        raise ConfigError(
+            f"policy={told(policy)}; give what load_policy returns, or a function of observations"
+        )
     checked("seed", seed, Whole)
     own = policy.task if isinstance(policy, Policy) else make_task(EMPTY)
     if task is not None or (world is not None and type(world) is not type(own.world)):

@@ -6,7 +6,8 @@ ladder.
 
 from __future__ import annotations
 
-import itertools
+import re
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,9 +16,12 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from rich.markup import escape
 from rich.table import Table
 
 from uavnav import stats, style
+from uavnav.algorithms import ALGORITHMS
+from uavnav.colours import PILOTS, colours
 from uavnav.evaluation import check_bounds, fly_modes, rows_across, summary
 from uavnav.files import check_out, write
 from uavnav.runs import Run, metrics
@@ -29,6 +33,10 @@ from uavnav.tasks.protocol import ACROSS_STEPS, SPLITS
 from uavnav.tasks.table import EMPTY, make_task
 from uavnav.tasks.wrapper import WrappedTask
 from uavnav.training import display, machine
+
+SKETCH = 20
+"""Episodes a rung below which an interval over episodes says little."""
+RESAMPLES = 500
 
 
 class Flyer(NamedTuple):
@@ -70,38 +78,67 @@ def climb(
     max_steps: int = ACROSS_STEPS,
     quiet: bool = True,
     scripted: WrappedTask | None = None,
+    tell: Callable[[float], object] = lambda seconds: None,
 ) -> pd.DataFrame:
     """Fly every rung of a ladder on its first test layouts.
 
     scripted: the task of a scripted policy; by default the paper's.
+    tell: is told how many seconds the first rung took.
 
     Returns:
         A row an episode: the columns of `metrics.EPISODE_COLUMNS`, `mode` and `rung`.
     """
     own = who.task or scripted or make_task(EMPTY)
-    parts = []
+    parts: list[pd.DataFrame] = []
+    start = time.monotonic()
     for rung in ladder.rungs:
         task = ladder.task(own.replace(max_steps=max_steps), rung, "test")
         rows = who.fly(
             task.replace(layouts=task.layouts[:episodes]), f"{ladder.words} {rung:g}", quiet, ladder.measure
         )
         parts.append(rows.assign(rung=float(rung)))
+        if len(parts) == 1:
+            tell(time.monotonic() - start)
     return pd.concat(parts, ignore_index=True)
 
 
-def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung") -> pd.DataFrame:
-    """Means and 95 % intervals over seeds, a row a name, mode, rung and measure; rows: of `climb`, by name.
+def judged(rows: Mapping[str, pd.DataFrame], by: str = "rung", of_one_seed: bool = False) -> pd.DataFrame:
+    """Means and 95 % intervals, a row a name, mode, rung and measure; rows: of `climb`, by name.
 
+    An interval is over n seeds. One seed has none; with `of_one_seed`, its interval is over its n episodes,
+    which says nothing of other seeds. The column `over` says which.
     by: the column that tells where an episode was.
     """
     found = []
     for name, table in rows.items():
         for (mode, rung), own in table.groupby(["mode", by], sort=False):
-            for measure, values in metrics.of_episodes(own).items():
+            seeds = metrics.of_episodes(own)
+            ends = over_episodes(own) if of_one_seed and len(seeds) == 1 else None
+            for measure, values in seeds.items():
                 one = stats.interval(values.dropna().to_numpy())
-                found.append([name, mode, rung, measure, one.n, one.value, one.low, one.high])
-    columns = ["name", "mode", by, "measure", "n", "value", "low", "high"]
+                if ends is not None:
+                    one = one._replace(low=ends[measure].iloc[0], high=ends[measure].iloc[1], n=len(own))
+                over = "seeds" if ends is None else "episodes"
+                found.append([name, mode, rung, measure, one.n, one.value, one.low, one.high, over])
+    columns = ["name", "mode", by, "measure", "n", "value", "low", "high", "over"]
     return pd.DataFrame(found, columns=columns)
+
+
+def over_episodes(rows: pd.DataFrame) -> pd.DataFrame:
+    """Both ends of each measure's interval over episodes of one seed: two rows, a column a measure."""
+    drawn = np.random.default_rng(0).integers(len(rows), size=(RESAMPLES, len(rows)))
+    resampled = rows.iloc[drawn.ravel()].assign(seed=np.arange(RESAMPLES).repeat(len(rows)))
+    return metrics.of_episodes(resampled).quantile(stats.TAILS)
+
+
+def in_brief(table: pd.DataFrame) -> str:
+    """What the intervals of `judged` are over, in words; few episodes are a sketch."""
+    said = []
+    for over, of_kind in table.groupby("over", sort=False):
+        numbers = sorted(of_kind["n"].unique())
+        few = ", a sketch" if over == "episodes" and numbers[0] < SKETCH else ""
+        said.append(f"{' to '.join(f'{n:,}' for n in dict.fromkeys([numbers[0], numbers[-1]]))} {over}{few}")
+    return f"95 % intervals over {', or of one seed over '.join(said)}"
 
 
 @matplotlib.rc_context(style.STYLE)
@@ -113,17 +150,17 @@ def draw(table: pd.DataFrame, ladder: Ladder, width: float = style.WIDTH) -> sty
     panels = figure.subplots(len(measures), 1, sharex=True)
     names = list(dict.fromkeys(mine["name"]))
     learned = [name for name in names if name not in BASELINES]
-    colours = dict(
-        zip(learned, itertools.cycle([*style.COLOURS.values(), *style.OTHER_COLOURS]), strict=False)
-    )
+    kinds = [_kind(name) for name in learned]
+    colour_of = PILOTS | dict(zip(learned, colours(kinds), strict=True))
     lines = dict(zip(BASELINES, (":", "-.", "--"), strict=True))
     for axes, measure in zip(panels, measures, strict=True):
         for name, own in mine[mine["measure"] == measure].groupby("name", sort=False):
-            colour, line = colours.get(str(name), style.INK), lines.get(str(name), "-")
+            colour, line = colour_of[str(name)], lines.get(str(name), "-")
             axes.plot(own["rung"], own["value"], line, color=colour, marker="o", label=str(name))
             axes.fill_between(own["rung"], own["low"], own["high"], color=colour, alpha=0.15, linewidth=0)
         axes.set_title(in_words(measure))
-    panels[-1].set_xlabel(ladder.words)
+    below = [in_brief(mine)] if "over" in mine else []
+    panels[-1].set_xlabel("\n".join([ladder.words, *below]))
     panels[-1].set_xticks(sorted(ladder.rungs))
     style.legend(figure, panels[0].get_legend_handles_labels()[0])
     first, last = ladder.rungs[0], ladder.rungs[-1]
@@ -135,18 +172,28 @@ def draw(table: pd.DataFrame, ladder: Ladder, width: float = style.WIDTH) -> sty
     return style.Drawn(figure, f"Reward per episode from {first:g} to {last:g} of {ladder.words}: {told}.")
 
 
+def _kind(name: str) -> str:
+    """The algorithm that a policy's name or path tells, or the name."""
+    return next((word for word in re.findall("[a-z0-9]+", name.lower()) if word in ALGORITHMS), name)
+
+
 def shown(table: pd.DataFrame, name: str) -> Table:
     """A ladder as a table: a row a policy, mode and rung, a column a measure."""
     measures = list(dict.fromkeys(table["measure"]))
-    text = Table(title=f"{name}: {LADDERS[name].words}", title_justify="left", box=None)
+    title = f"{name}: {LADDERS[name].words}; {in_brief(table)}"
+    text = Table(title=title, title_justify="left", box=None)
     text.add_column("who", overflow="fold", width=18)
     text.add_column("")
-    for column in ("rung", *map(in_words, measures)):
-        text.add_column(column, justify="right")
+    text.add_column("rung", justify="right")
+    for measure in measures:  # an interval is never cut
+        ends = table.loc[table["measure"] == measure, ["value", "low", "high"]].to_numpy()
+        least = max(len(word) for triple in ends for word in _with_interval(*triple).split())
+        text.add_column(in_words(measure), justify="right", min_width=least)
     for (who, mode), mine in table.groupby(["name", "mode"], sort=False):
         for at, (rung, own) in enumerate(mine.groupby("rung", sort=False)):
-            values = own.set_index("measure")["value"].reindex(measures)
-            text.add_row(*([str(who), str(mode)] if not at else ["", ""]), f"{rung:g}", *map(_number, values))
+            values = own.set_index("measure")[["value", "low", "high"]].reindex(measures).to_numpy()
+            cells = [escape(_with_interval(*triple)) for triple in values]
+            text.add_row(*([str(who), str(mode)] if not at else ["", ""]), f"{rung:g}", *cells)
     return text
 
 
@@ -155,8 +202,9 @@ def in_words(measure: str) -> str:
     return metrics.PER_EPISODE.get(measure) or metrics.OWN[measure].label
 
 
-def _number(value: float) -> str:
-    return style.number(round(value, 9)) if np.isfinite(value) else "–"
+def _with_interval(value: float, low: float, high: float) -> str:
+    number, *ends = (style.number(round(one, 9)) if np.isfinite(one) else "–" for one in (value, low, high))
+    return f"{number} [{','.join(ends)}]" if np.isfinite(low) else number
 
 
 def across(
@@ -219,17 +267,29 @@ def across(
         each = ", ".join(f"{name} {limit:,}" for name, limit in limits.items())
         tell(f"time limits differ ({each}); --max-steps gives all the same")
     folder.mkdir(parents=True, exist_ok=True)
+    if not quiet and episodes < SKETCH:
+        tell(f"{episodes} episodes a rung are a sketch; give {SKETCH} or more for intervals that hold")
+    flown = {one.name: episodes * sum(map(len, one.modes.values())) for one in flyers}
+    rungs = sum(len(LADDERS[name].rungs) for name in climbed)
+
+    def how_long(seconds: float) -> None:
+        n = rungs * sum(flown.values())
+        left = seconds * (n / flown[flyers[0].name] - 1)
+        span = f"{left:.0f} s" if left < 90 else f"{left / 60:.0f} min"
+        tell(f"about {span} more, as the first rung took: {n:,} episodes on {rungs} rungs")
+
     told: list[dict[str, Any]] = []
     for name in climbed:
-        rows = {}
+        rows: dict[str, pd.DataFrame] = {}
         for one in flyers:
-            limit = limits[one.name]
-            rows[one.name] = climb(one, LADDERS[name], episodes, limit, quiet, scripted)
+            limit, first = limits[one.name], not (told or rows or quiet)
+            ask = [how_long] if first else []
+            rows[one.name] = climb(one, LADDERS[name], episodes, limit, quiet, scripted, *ask)
             if one.run is not None:
                 rows[one.name].attrs = {"ladder": name, "episodes": episodes, "max_steps": limit}
                 with lock(one.run.path):
                     write_table(one.run.path / rows_across(name, episodes, limit), rows[one.name])
-        table = judged(rows)
+        table = judged(rows, of_one_seed=True)
         if not quiet:
             summary.show(shown(table, name))
         if not alone:

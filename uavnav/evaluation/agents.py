@@ -7,13 +7,17 @@ product.
 
 from __future__ import annotations
 
+import contextlib
+import inspect
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from uavnav.errors import told
 from uavnav.networks import made_of, stacked
 from uavnav.runs.policies import Policy
 from uavnav.tasks.baselines import AnyPolicy
@@ -21,6 +25,7 @@ from uavnav.tasks.baselines import AnyPolicy
 Seeded = tuple[int, AnyPolicy]
 """The seed of a policy's generator, and the policy."""
 
+INTEGERS = (torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8)
 LEAST_ROWS = 16
 """Of an agent in a product. Where it was tried, fewer than 4 round otherwise, and 16 take as long."""
 
@@ -59,17 +64,15 @@ class Policies:
         return torch.cat(actions).long(), torch.cat(values) if len(values) == len(actions) else None
 
     def _check(self, action: Tensor, n: int) -> None:
-        fits = (
-            isinstance(action, Tensor) and action.shape == (n,) and action.dtype in (torch.int64, torch.int32)
-        )
+        fits = isinstance(action, Tensor) and action.shape == (n,) and action.dtype in INTEGERS
         if not fits or not 0 <= int(action.min()) <= int(action.max()) < self._n_actions:
             shown = (
                 f"{action.dtype} {list(action.shape)}"
                 if isinstance(action, Tensor) and not fits
-                else repr(action)
+                else told(repr(action))
             )
             raise ValueError(
-                f"a policy chose {shown}; it must give int64 [{n}] from 0 to {self._n_actions - 1}"
+                f"a policy chose {shown}; it must give whole numbers [{n}] from 0 to {self._n_actions - 1}"
             )
 
 
@@ -119,16 +122,31 @@ class Agents:
 
 
 class Alone:
-    """Any other policy, such as a script."""
+    """Any other policy, such as a script: it may take an observation alone, and return an array or a list."""
 
     n = 1
 
-    def __init__(self, seed: int, policy: AnyPolicy) -> None:
-        self._policy, self._generator = policy, torch.Generator().manual_seed(seed)
+    def __init__(self, seed: int, policy: Callable[..., Any]) -> None:
+        self._policy = policy
+        self._generators = [torch.Generator().manual_seed(seed)] if _takes_generator(policy) else []
 
-    def act(self, observation: Tensor, sizes: list[int]) -> tuple[Tensor, None]:
+    def act(self, observation: Tensor, sizes: list[int]) -> tuple[Any, None]:
         """[N, obs] -> actions [N], and nothing behind them."""
-        return self._policy(observation, self._generator), None
+        action = self._policy(observation, *self._generators)
+        with contextlib.suppress(TypeError, ValueError, RuntimeError):  # no array: it is refused as it is
+            action = torch.as_tensor(action)
+        return action, None
+
+
+def _takes_generator(policy: Callable[..., Any]) -> bool:
+    """Whether a policy takes two arguments."""
+    try:
+        inspect.signature(getattr(policy, "forward", policy)).bind(None, None)
+    except TypeError:
+        return False
+    except ValueError:  # of a function in C nothing is known
+        return True
+    return True
 
 
 def _kind_of_network(policy: AnyPolicy) -> tuple[object, ...] | None:

@@ -204,5 +204,5 @@ def show(table: Table) -> None:
     whole = console.measure(table, options=console.options.update(width=1000))
     console.width = max(console.width, whole.minimum)
     with console.capture() as text:
-        console.print(table)
+        console.print(table, crop=False)  # rich may take a column more than it measured
     print(text.get(), end="")

@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from uavnav import stats, style
-from uavnav.errors import did_you_mean, did_you_mean_run
+from uavnav.errors import did_you_mean
 from uavnav.report import configurations, curves, tables
 from uavnav.report.configurations import Configuration
-from uavnav.runs import POLICY, Run, read_settings
+from uavnav.runs import POLICY, Run, read_settings, shipped
 from uavnav.runs.evaluations import Protocol
 from uavnav.runs.metrics import EVALUATED, METRICS, per_seed
 from uavnav.runs.tables import RunError, read_table
@@ -108,14 +108,15 @@ def _place(task: str, reward: str, world: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _is_policy(name: str) -> bool:
-    return Path(name).suffix in (".zip", Path(POLICY).suffix) and not os.path.isdir(name)
+    file = Path(name).suffix in (".zip", Path(POLICY).suffix) and not os.path.isdir(name)
+    return file or shipped.is_shipped(name)
 
 
 def _of_run(name: str) -> Contender:
     try:
         run = Run(name)
     except RunError as error:
-        raise RunError(f"{error}{did_you_mean_run(name, SCRIPTS)}") from error
+        raise RunError(f"{error}{shipped.instead(name)}") from error
     rows = run.evaluation()
     if rows is None:
         from uavnav.evaluation import evaluate_run

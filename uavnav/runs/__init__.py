@@ -23,7 +23,9 @@ Files appear whole or not at all. A folder is locked while a run writes to it.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import itertools
 import os
 import re
 from collections.abc import Mapping
@@ -34,6 +36,7 @@ import pandas as pd
 from pydantic import Field
 
 from uavnav import files
+from uavnav.errors import LONG
 from uavnav.files import Facts
 from uavnav.runs.evaluations import usual
 from uavnav.runs.lately import NOTHING, Lately
@@ -56,6 +59,8 @@ NO_RUNS = ("checkpoint", WORKERS, *LOG_FOLDERS)
 """Folders that hold no runs."""
 OF_REPORTS = ("baselines", "bench", "tables", "figures")
 """Folders that a report reads or writes itself."""
+DEPTHS = ("*", "*/*", "*/*/*", "*/*/*/*")
+"""Where a folder of runs may hold them."""
 SILENCE = 60.0
 """Seconds after which a run that has written no progress no longer runs."""
 LONGEST_NAME = 80
@@ -132,9 +137,8 @@ class Run:
         self.fresh = fresh
         if not os.path.isdir(path):  # Path.is_dir would raise for a name that is too long
             raise RunError(f"{path}: no such run folder; give a run's folder")
-        below = () if os.path.lexists(self.path / "config.yaml") else self.path.glob("*/config.yaml")
-        if (other := next(iter(below), None)) is not None:
-            raise RunError(f"{path}: holds runs and is none; give one of them, such as {other.parent}")
+        if runs := runs_below(self.path):
+            raise RunError(f"{path}: {runs}")
         self.config: dict[str, Any] = read_settings(self.path / "config.yaml")
         self.meta: dict[str, Any] = read_settings(self.path / "meta.json")
         if self.meta.get("status") != FINISHED:
@@ -145,6 +149,28 @@ class Run:
         if rows:
             self.episodes = self._table("episodes.parquet", TRAINED)
         self.progress = self._table("progress.parquet", {"seed": "int64", "frame": "int64"})
+
+    def __repr__(self) -> str:
+        return f"Run({self.path}: {', '.join(f'{name} {said}' for name, said in self._facts().items())})"
+
+    def _repr_html_(self) -> str:
+        return pd.Series({"run": str(self.path), **self._facts()}).to_frame().to_html(header=False)
+
+    def _facts(self) -> dict[str, str]:
+        """What it is, for people; rewards are means over the episodes of `evaluation`."""
+        facts = {
+            "algorithm": self.algorithm,
+            "activation": str(self.config["activation"]),
+            "seeds": " to ".join(map(str, dict.fromkeys([self.seeds[0], self.seeds[-1]]))),
+            "frames": f"{self.frames:,}",
+            "status": FINISHED,
+        }
+        with contextlib.suppress(RunError):  # a damaged file has no rewards
+            rows = self.evaluation()
+            if rows is not None:
+                means = rows.groupby("mode")["reward"].mean()
+                facts |= {f"{mode} reward": f"{mean:.1f}" for mode, mean in means.items()}
+        return facts
 
     @property
     def frames(self) -> int:
@@ -192,6 +218,19 @@ def default_folder(algorithm: str, preset: str, activation: str, changes: Mappin
     if not re.fullmatch(rf"[\w.,=+-]{{0,{LONGEST_NAME}}}", told, re.ASCII):
         told = hashlib.sha256(told.encode()).hexdigest()[:8]
     return Path("runs") / f"{algorithm}-{preset}" / "-".join(filter(None, (activation, told)))
+
+
+def runs_below(folder: Path) -> str:
+    """What is wrong with a folder that holds runs and is none, with their names; else empty."""
+    if not os.path.isdir(folder) or os.path.lexists(folder / "config.yaml"):
+        return ""
+    configs = (one for depth in DEPTHS for one in folder.glob(f"{depth}/config.yaml"))
+    names = sorted(str(one.parent) for one in configs if not {*NO_RUNS} & {*one.relative_to(folder).parts})
+    if not names:
+        return ""
+    n = max(1, sum(length < LONG for length in itertools.accumulate(len(name) + 2 for name in names)))
+    more = f" and {len(names) - n} more" if names[n:] else ""
+    return f"holds runs and is none; give one of {', '.join(names[:n])}{more}"
 
 
 def read_settings(path: Path, instead: str = "give a run's folder") -> dict[str, Any]:

@@ -22,6 +22,7 @@ from torch import nn
 
 from uavnav.acting import Values
 from uavnav.algorithms import ALGORITHMS
+from uavnav.errors import choose_from
 from uavnav.networks import AgentLinear
 from uavnav.runs.policies import Policy, PolicyError
 from uavnav.runs.tables import write
@@ -43,7 +44,7 @@ def export_policy(policy: Policy, path: str | Path) -> Path:
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
-        raise PolicyError(f"{path}: its suffix says what to write; choose from {', '.join(SUFFIXES)}")
+        raise PolicyError(f"{path}: its suffix says what to write; {choose_from(path.suffix, SUFFIXES)}")
     missing = [name for name in NEEDED if find_spec(name) is None]
     if path.suffix == ".onnx" and missing:
         raise PolicyError(f"{path}: {missing[0]} is not installed; pip install 'uavnav[onnx]'")

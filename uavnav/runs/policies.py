@@ -5,13 +5,16 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, overload
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from pydantic import Field
 from torch import Tensor, nn
@@ -21,7 +24,7 @@ from uavnav.acting import ACTS, HEADS, SHOWN, values_of
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import OneLineError, choose_from
 from uavnav.networks import ACTIVATIONS, mlp
-from uavnav.runs import MOST_SEEDS, POLICY, read_settings
+from uavnav.runs import MOST_SEEDS, POLICY, read_settings, runs_below, shipped
 from uavnav.runs.metrics import MODES
 from uavnav.runs.tables import RunError
 from uavnav.tasks import tensors as safe
@@ -30,7 +33,9 @@ from uavnav.tasks.table import EMPTY, TASKS, make_task
 from uavnav.tasks.world import VERSION, World
 from uavnav.tasks.wrapper import WrappedTask
 
-SB3_WEIGHTS = "policy.pth"
+Actions = np.ndarray[Any, np.dtype[np.int64]]
+
+SB3_WEIGHTS, SB3_SETTINGS = "policy.pth", "data"
 SB3_MAX_BYTES = 2**26
 """Of a zip's weights, unpacked: a network of 64-64 has a hundred thousand."""
 SB3_EPSILON = 0.05
@@ -107,9 +112,25 @@ class Policy:
         """The same of a network with several agents: observation [A, ..., 30] -> [A, ..., 100]."""
         return values_of(self.head, self.network(observation))
 
-    def __call__(self, observation: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """An action for each row: observation [..., 30] -> int64 [...]; `generator` is used unless greedy."""
-        return self.act(self.values(observation), generator)
+    @overload
+    def __call__(self, observation: Tensor, generator: torch.Generator | None = None) -> Tensor: ...
+
+    @overload
+    def __call__(self, observation: npt.ArrayLike, generator: torch.Generator | None = None) -> Actions: ...
+
+    def __call__(self, observation: Any, generator: torch.Generator | None = None) -> Any:
+        """An action for each row: observation [..., 30] -> int64 [...]; `generator` is used unless greedy.
+
+        A tensor gives a tensor; a NumPy array or a list gives a NumPy array.
+        """
+        if isinstance(observation, Tensor):
+            return self.act(self.values(observation), generator)
+        rows = torch.from_numpy(np.array(observation, dtype=np.float32))
+        if rows.shape[-1:] != (self.task.observation_size,):
+            raise PolicyError(
+                f"observation of shape {list(rows.shape)}; give [..., {self.task.observation_size}]"
+            )
+        return self(rows, generator).numpy()
 
     def act(self, values: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """An action for each row of what `values` gives: [..., 100] -> int64 [...]."""
@@ -150,7 +171,7 @@ def zips(words: Sequence[str], activation: str | None) -> list[str]:
 def seeds(path: str | Path) -> list[int]:
     """The training seeds of a policy file; raises a PolicyError as `load_policy` does."""
     load_policy(path)
-    return contents(Path(path))[1].seeds
+    return contents(shipped.found(path))[1].seeds
 
 
 def contents(path: Path) -> tuple[dict[str, Tensor], Header]:
@@ -175,15 +196,16 @@ def load_policy(
     """The policy of one seed of a run's folder (or of its policy.safetensors); nothing is unpickled or
     executed.
 
-    A `.zip` is read as one of Stable-Baselines3: the weights of a PPO or a DQN with MlpPolicy, and nothing
-    else of it.
+    A `.zip` is read as one of Stable-Baselines3: the weights of a PPO or a DQN with MlpPolicy, and its
+    activation where that is plain text.
 
     Args:
-        run: a run's folder, its policy file, or the zip that `model.save` of Stable-Baselines3 wrote.
+        run: a run's folder, its policy file, the zip that `model.save` of Stable-Baselines3 wrote, or the
+            name of a policy that ships, such as `ppo-tanh`.
         seed: which training seed; the first one if None. A zip has no seeds.
         greedy: the best action always, or as in training: PPO samples, DQN explores with its final epsilon
             (0.05 for a zip).
-        activation: of a zip's hidden layers, which its weights do not tell; a run knows its own.
+        activation: of a zip's hidden layers, if the zip does not say it; a run knows its own.
 
     Raises:
         PolicyError: the file is missing or damaged, has no such seed, or is of another kind of network.
@@ -216,9 +238,10 @@ def by_mode(policies: Mapping[int, Policy]) -> dict[str, dict[int, Policy]]:
 
 def _policies(run: str | Path, seeds: Sequence[int] | None, greedy: bool) -> Iterator[Policy]:
     """Those of some seeds, or of all, one after the other."""
-    path = Path(run) / POLICY if os.path.isdir(run) else Path(run)
+    path = Path(run) / POLICY if os.path.isdir(run) else shipped.found(run)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
-        raise PolicyError(f"{run}: no {POLICY} there; give the folder of a finished run")
+        problem = runs_below(Path(run)) or f"no {POLICY} there; give the folder of a finished run"
+        raise PolicyError(f"{run}: {problem}{shipped.instead(run)}")
     tensors, header = contents(path)
     how = ALGORITHMS.get(header.algorithm)
     acts, head = header.acts or (how and how.acts), header.head or (how and how.head)
@@ -328,6 +351,8 @@ def _check_sizes(path: Path, inputs: int, outputs: int, task: WrappedTask) -> No
 
 SB3_LAYERS = {"ppo": ("mlp_extractor.policy_net.", "action_net."), "dqn": ("q_net.q_net.", "")}
 """Where a zip keeps the hidden layers that choose actions, and the last one if it lies apart."""
+SB3_DEFAULTS = {"ppo": "tanh", "dqn": "relu"}
+"""The activation of its MlpPolicy, where none is given."""
 SB3_OTHERS = ("mlp_extractor.value_net.", "value_net.", "q_net_target.q_net.")
 """Networks that no action depends on."""
 
@@ -341,11 +366,13 @@ def _from_sb3(path: Path, greedy: bool, activation: str | None) -> Policy:
     sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
     task, how = make_task(EMPTY), ALGORITHMS[algorithm]
     _check_sizes(path, sizes[0], sizes[-1], task)
+    said = _sb3_activation(path, algorithm)
+    activation = activation or said
     if activation is None:
         choices = ", ".join(sorted(ACTIVATIONS))
-        raise PolicyError(
-            f"{path}: its weights do not tell the activation; give activation=..., one of {choices}"
-        )
+        raise PolicyError(f"{path}: it does not tell the activation; give activation=..., one of {choices}")
+    if said not in (None, activation):
+        raise PolicyError(f"{path}: activation={activation}; its own is {said}: leave it out")
     if activation not in ACTIVATIONS:
         raise PolicyError(
             f"{path}: unknown activation {activation!r}; {choose_from(activation, ACTIVATIONS)}"
@@ -379,6 +406,23 @@ def _sb3_layers(path: Path, tensors: dict[str, Tensor]) -> tuple[str, list[tuple
             f"{path}: the shapes of its layers do not fit each other; give what model.save wrote"
         )
     return algorithm, layers
+
+
+def _sb3_activation(path: Path, algorithm: str) -> str | None:
+    """The activation that the settings in a zip say in plain text, or the default of Stable-Baselines3's own
+    policies; else None. The pickles beside that text are not touched.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open(SB3_SETTINGS) as file:
+            said = files.parsed(file.read(SB3_MAX_BYTES))
+        given, kind = said["policy_kwargs"], said["policy_class"]
+        if "activation_fn" not in given:
+            own = kind["__module__"].startswith("stable_baselines3.")
+            return SB3_DEFAULTS[algorithm] if own else None
+        found = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", given["activation_fn"])
+        return next(name for name in ACTIVATIONS if found and name.replace("_", "") == found[1].lower())
+    except Exception:  # as of the weights
+        return None
 
 
 def _sb3_tensors(path: Path) -> dict[str, Tensor]:

@@ -203,8 +203,9 @@ def read(layouts: str | Path, world: World | None = None) -> tuple[Tensor, dict[
     file = str(layouts) if name == "drone" else f"{name}-{layouts}"
     path = Path(__file__).parent / "splits" / f"{file}.safetensors" if layouts in SPLITS else Path(layouts)
     if not os.path.isfile(path):  # as Path.is_file, which raises for a name that is too long
-        choices = f"{', '.join(SPLITS)} or a file's path{did_you_mean(layouts, SPLITS)}"
-        raise LayoutError(f"layouts={str(layouts)!r}: no such layout file; choose from {choices}")
+        choices = f"{', '.join(SPLITS)} or a file's path"
+        near = did_you_mean(layouts, SPLITS)
+        raise LayoutError(f"layouts={str(layouts)!r}: no such layout file{near}; choose from {choices}")
     all_layouts, header = _open(path)
     if header.get("task", "drone") != name:
         raise LayoutError(

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uavnav.errors import ConfigError, among, did_you_mean, quoted
+from uavnav.errors import ConfigError, among, choose_from, quoted
 from uavnav.settings import part
 from uavnav.tasks import layouts as splits
 from uavnav.tasks.faults import Faults
@@ -101,7 +101,7 @@ def make_task(
     if isinstance(task, Task):
         return WrappedTask(task, part(Faults, "faults", faults), stack)
     if not among(task, TASKS):
-        raise ConfigError(f"task={quoted(task)}; choose from {', '.join(TASKS)}{did_you_mean(task, TASKS)}")
+        raise ConfigError(f"task={quoted(task)}; {choose_from(task, TASKS)}")
     kind = TASKS[task]
     world, faults = part(kind.WORLD, "world", world), part(Faults, "faults", faults)
     max_steps = kind.MAX_STEPS if max_steps is None else max_steps

@@ -16,7 +16,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
-from uavnav.errors import MOST_WHOLE, ConfigError, among, did_you_mean, quoted, told
+from uavnav.errors import MOST_WHOLE, ConfigError, among, choose_from, quoted, told
 from uavnav.tasks import sensing
 from uavnav.tasks.dynamics import decode, move
 from uavnav.tasks.rewards import REWARDS, Step, Terms, check_reward, total
@@ -78,8 +78,7 @@ class Task:
 
     def __post_init__(self) -> None:
         if not among(self.reward, REWARDS):
-            hint = did_you_mean(self.reward, REWARDS)
-            raise ConfigError(f"reward={quoted(self.reward)}; choose from {', '.join(REWARDS)}{hint}")
+            raise ConfigError(f"reward={quoted(self.reward)}; {choose_from(self.reward, REWARDS)}")
         check_reward(self.reward, self.world)
         limit = self.max_steps
         if limit is not None and (not isinstance(limit, int) or not 1 <= limit <= MOST_WHOLE):

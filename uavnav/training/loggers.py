@@ -16,6 +16,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import shlex
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -121,6 +122,19 @@ def log_finished(run: Run, names: Sequence[str]) -> None:
     if missing:
         with lock(run.path), contextlib.closing(Logs(missing, run.path, run.algorithm, run.config)) as log:
             log(with_reward(run.progress, run.episodes))
+
+
+def shown_by(run: Path, names: Sequence[str]) -> list[str]:
+    """The commands that show the logs of a run; names: the result of `chosen`."""
+    commands = [f"tensorboard --logdir {shlex.quote(str(run))}"] if "tensorboard" in names else []
+    if "wandb" in names:
+        offline = sorted((run / "wandb").glob("offline-run-*"))  # each is complete, the last the newest
+        commands += (
+            [f"wandb sync {shlex.quote(str(offline[-1]))}"]
+            if offline
+            else [f"https://wandb.ai, project {PROJECT}"]
+        )
+    return commands
 
 
 def _open_tensorboard(folder: Path, title: str, settings: Mapping[str, Any]) -> Any:

@@ -34,9 +34,10 @@ from uavnav.envs.drawing import (
     Picture,
     font,
 )
-from uavnav.errors import did_you_mean, did_you_mean_run
+from uavnav.errors import did_you_mean
 from uavnav.evaluation import episodes
 from uavnav.runs import policies
+from uavnav.runs.shipped import is_shipped
 from uavnav.tasks import layouts as splits
 from uavnav.tasks.baselines import BASELINES, AnyPolicy, suited
 from uavnav.tasks.protocol import EPISODES
@@ -104,11 +105,9 @@ def load_pilots(
         if word in BASELINES:
             pilots.append(Pilot(word, BASELINES[word], scripted))
         else:
-            try:
-                policy = policies.load_policy(word, seed, greedy, activation if word in zips else None)
-            except policies.PolicyError as error:
-                raise policies.PolicyError(f"{error}{did_you_mean_run(word, BASELINES)}") from error
-            pilots.append(Pilot("/".join(Path(word).resolve().parts[-2:]), policy, policy.task, policy.seed))
+            policy = policies.load_policy(word, seed, greedy, activation if word in zips else None)
+            name = word if is_shipped(word) else "/".join(Path(word).resolve().parts[-2:])
+            pilots.append(Pilot(name, policy, policy.task, policy.seed))
     of_runs = [pilot.task for pilot in pilots if pilot.task is not scripted]
     if len(kinds := {splits.kind_of(one.world) for one in of_runs}) > 1:
         raise ValueError(
@@ -247,7 +246,7 @@ def check_picture(path: Path, rate: Fraction) -> str:
     """
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
-        raise ValueError(f"{path}: choose an .mp4, .gif or .png file{did_you_mean(kind, SUFFIXES)}")
+        raise ValueError(f"{path}{did_you_mean(kind, SUFFIXES)}: choose an .mp4, .gif or .png file")
     if not os.path.isdir(path.parent):
         reason = f"there is no folder {path.parent}"
         raise ValueError(f"{path}: cannot be written ({reason}); give a path that can be written")

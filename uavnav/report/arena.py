@@ -113,7 +113,7 @@ def preview(
     for place, (name, path) in enumerate(paths.items()):
         axes = figure.add_axes((0.03 + 0.32 * place, 0.06, 0.3, 0.52))
         _arena(axes, obstacles, world)
-        colour = style.FIRST[place % len(style.FIRST)]
+        colour = style.of_pilot(name)
         axes.plot(*path.T, color=colour, linewidth=2.5)
         shade = 0.35 if name in collided else 1.0
         axes.add_patch(Circle(tuple(path[-1]), world.drone_radius, facecolor=colour, alpha=shade, zorder=3))

@@ -65,6 +65,10 @@ class Configuration:
         """The study that its first run names, if it is of one."""
         return str(self.runs[0].meta.get("study", ""))
 
+    @property
+    def n_seeds(self) -> int:
+        return sum(len(run.seeds) for run in self.runs)
+
 
 def collect(folders: Sequence[Path]) -> tuple[list[Configuration], list[str]]:
     """The configurations of all runs in some folders, and one line for each run or table that is of no use.

@@ -18,6 +18,8 @@ from uavnav.report import tables
 from uavnav.views import browser
 
 HERE = Path(__file__).parent / "templates"
+MOST = 100
+"""Rows of a table that a page shows whole, where a number stands for all of it."""
 _MARKS = re.compile(r"\[([^\[\]]+)\]\(([^()\s]+)\)|`([^`]+)`|\*\*([^*]+)\*\*|\*([^*\s][^*]*)\*")
 _ROW = re.compile(r"[\w./]*tables/(\w+)\.csv(?:#L(\d+))?")
 _QUOTED = re.compile(r"#row-(\w+?)-(\d*)(?=[\")])")
@@ -76,10 +78,11 @@ class Quoted(NamedTuple):
 
 
 def quoted(page: str, numbers: Mapping[str, pd.DataFrame]) -> list[Quoted]:
-    """The rows to which a page's links lead, in the order of the tables; a link to no row wants all."""
+    """The rows to which a page's links lead, in the order of the tables; a link to no row wants all of a small table."""
     wanted: dict[str, set[int]] = {}
     for name, line in _QUOTED.findall(page):
-        wanted.setdefault(name, set()).update([int(line)] if line else range(2, 2 + len(numbers[name])))
+        whole = range(2, 2 + len(numbers[name])) if len(numbers[name]) <= MOST else ()
+        wanted.setdefault(name, set()).update([int(line)] if line else whole)
     found = []
     for name in sorted(wanted):
         lines = sorted(wanted[name])

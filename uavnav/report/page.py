@@ -21,6 +21,8 @@ from uavnav.report import (
 from uavnav.report.claims import PRIMARY
 from uavnav.report.configurations import BINS, label
 from uavnav.report.content import Content
+from uavnav.report.mine import Mine, files_of
+from uavnav.report.mine import pictures as mine_pictures
 from uavnav.report.quotes import prose
 from uavnav.report.templating import HERE, TEMPLATES, Source, plain, source
 from uavnav.report.templating import page as fill
@@ -78,9 +80,15 @@ TEMPLATES.globals |= {
 }
 
 
-def contents(content: Content, first: Path) -> dict[str, bytes]:
-    """All files of a report, by their paths in its folder. first: the report's first folder of runs."""
-    found: dict[str, bytes] = {}
+def contents(
+    content: Content, first: Path, own: Mine | None = None, watched: bool = False
+) -> dict[str, bytes]:
+    """All files of a report, by their paths in its folder.
+
+    first: the report's first folder of runs; own: what stands before the study; watched: the page renews
+    itself.
+    """
+    found: dict[str, bytes] = files_of(own) if own else {}
     pictures = {}
     for figure in content.figures:
         svg, png = save(figure.drawn.figure)
@@ -103,7 +111,8 @@ def contents(content: Content, first: Path) -> dict[str, bytes]:
         title, obstacles = plain(said(content)["headline"] or TITLE), np.array(episodes["layouts"][0])
         drawn = arena.preview(title, drones, collided, obstacles, World())
         found["preview.png"] = save(drawn)[1]
-    found["report.html"] = page(content, pictures, first).encode()
+    pictures |= mine_pictures(own) if own else {}
+    found["report.html"] = page(content, pictures, first, own, watched).encode()
     found["report.md"] = markdown(content).encode()
     return found
 
@@ -132,11 +141,17 @@ def render(template: str, content: Content, root: str = "", **more: Any) -> str:
     return TEMPLATES.get_template(template).render(told(content, root, **more))
 
 
-def page(content: Content, pictures: Mapping[str, Sequence[Source]], first: Path) -> str:
+def page(
+    content: Content,
+    pictures: Mapping[str, Sequence[Source]],
+    first: Path,
+    own: Mine | None = None,
+    watched: bool = False,
+) -> str:
     """The one HTML file: styles, figures, replays and the player's code are in it.
 
     pictures: by the figure's name, for a page and for a phone; first: the report's first folder, for what a
-    command needs.
+    command needs; own: what stands before the study; watched: the page renews itself.
     """
     return fill(
         "page.html",
@@ -144,10 +159,13 @@ def page(content: Content, pictures: Mapping[str, Sequence[Source]], first: Path
             content,
             replays=content.replays,
             together=first_episodes(content),
-            sections=sections(content),
+            sections=[("runs", "My runs")] * bool(own) + sections(content),
             paper_tables=[(_table_name(algorithm), rows) for algorithm, rows in content.paper_tables.items()],
             pictures=pictures,
             first=first,
+            mine=own,
+            watched=watched,
+            left_out=content.left_out,
         ),
     )
 

@@ -78,7 +78,7 @@ class Quoted(NamedTuple):
 
 
 def quoted(page: str, numbers: Mapping[str, pd.DataFrame]) -> list[Quoted]:
-    """The rows to which a page's links lead, in the order of the tables; a link to no row wants all of a small table."""
+    """The rows to which a page's links lead; a link to a table as a whole wants all rows of a small one."""
     wanted: dict[str, set[int]] = {}
     for name, line in _QUOTED.findall(page):
         whole = range(2, 2 + len(numbers[name])) if len(numbers[name]) <= MOST else ()
@@ -140,6 +140,7 @@ TEMPLATES.globals |= {
     "css": Markup(browser.joined(STYLES)),
     "js": Markup(browser.joined(PLAYER)),
     "folding": Markup(browser.joined([HERE / "page.js"])),
+    "renewing": Markup(browser.joined([HERE / "renew.js"])),
 }
 
 

@@ -1,0 +1,384 @@
+"""My runs: those that name no study, ranked beside the scripted policy, with their curves and a typical
+episode of each. Unfinished runs are rows too.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from uavnav import style
+from uavnav.errors import OneLineError
+from uavnav.report import charts, compare, curves, tables, templating
+from uavnav.report.compare import Contender, ahead, of_episodes
+from uavnav.report.configurations import EMPTY, Configuration, show
+from uavnav.report.verdicts import SEEDS
+from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
+from uavnav.runs.evaluations import Protocol
+from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.metrics import of_episodes as measures
+from uavnav.runs.tables import RunError, read_table, write_table
+from uavnav.settings import flat
+from uavnav.stats import Interval
+from uavnav.training.checkpoints import Checkpoints
+from uavnav.views import browser, replays
+
+TITLES = browser.TITLES | browser.IN_3D
+SCRIPT = "reactive"
+"""The scripted policy that everything learned is held against."""
+SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
+"""What the ranking says of episodes beside their reward: the first that they have."""
+
+
+class Group(NamedTuple):
+    """Runs whose rewards are of one measure."""
+
+    title: str
+    how: str  # they were evaluated
+    contenders: list[Contender]  # the best first, those without test episodes last
+    scripted: Contender | None
+    ranking: tables.Rows
+    figures: list[tuple[str, style.Drawn, style.Drawn, str]]  # name, wide, narrow, caption
+
+
+class Mine(NamedTuple):
+    """All that a report says of one's own runs."""
+
+    groups: list[Group]
+    best: str  # in a sentence
+    differ: tables.Rows
+    claims: str  # what the verdicts of the paper's claims would need, empty where they can be judged
+    recorded: dict[str, Any] | None
+    left_out: list[str]
+    running: bool
+
+
+def gather(
+    found: Sequence[Configuration],
+    unfinished: Sequence[Path],
+    folders: Sequence[Path],
+    out: Path,
+    tell: Callable[[str], None],
+) -> Mine | None:
+    """What is said of the runs without a study; None where all of them have one.
+
+    found: finished ones of all kinds; out: where episodes of the scripted policy are kept; tell: is told each
+        step of the work.
+    """
+    own = [one for one in found if not one.study]
+    begun = [begin(path) for path in unfinished]
+    if not own and not begun:
+        return None
+    names = _names([str(one.runs[0].path) for one in own] + [str(path) for path in unfinished])
+    status = dict.fromkeys(names, "finished") | dict(
+        zip(names[len(own) :], (said for _, said in begun), strict=True)
+    )
+    contenders = [
+        _contender(name, one) for name, one in zip(names, [*own, *(one for one, _ in begun)], strict=True)
+    ]
+    where = Path(folders[0])
+    tell("ranking runs beside the scripted policy")
+    groups = [_group(members, status, [*folders, out]) for members in _alike(contenders)]
+    tell("flying a typical episode of each run")
+    recorded, left_out = _typical(contenders)
+    return Mine(
+        groups,
+        _best(groups),
+        differences(contenders),
+        _missing(found, where),
+        recorded,
+        left_out,
+        any(said.startswith("running") for _, said in begun),
+    )
+
+
+def unfinished(folders: Sequence[Path]) -> list[Path]:
+    """The folders of runs that are training or were stopped and name no study."""
+    paths = dict.fromkeys(path for folder in folders for path in run_folders(folder)[0])
+    found = []
+    for path in paths:
+        try:
+            meta = read_settings(path / "meta.json")
+            read_settings(path / "config.yaml")
+        except RunError:
+            continue
+        if meta.get("status") != FINISHED and not meta.get("study"):
+            found.append(path)
+    return found
+
+
+def begin(path: Path) -> tuple[Configuration, str]:
+    """An unfinished run as far as it is, and how far that is: its snapshots' episodes."""
+    config, told = read_settings(path / "config.yaml"), progress(path)
+    frames, episodes = _snapshots(path)
+    frames, total = max(frames, told.get("frames", 0)), config["total_frames"]
+    run = heard(told, time.time()) and read_settings(path / "meta.json").get("status") == "running"
+    settings = {"layouts": "train"} | flat(config) | {"frames": max(frames, 1)}
+    status = f"{'running' if run else 'stopped'} at {frames:,} of {total:,} frames"
+    return Configuration(config["algorithm"], config["activation"], settings, [], episodes, EMPTY), status
+
+
+def _snapshots(path: Path) -> tuple[int, pd.DataFrame]:
+    """The frames and the episodes of a run's newest snapshots, of all its workers."""
+    parts, frames = [], []
+    for folder in [path, *sorted((path / WORKERS).glob("*"))]:
+        try:
+            newest = Checkpoints(folder / "checkpoint", {}).newest()
+            rows = {name: newest.state["episodes"][name].numpy() for name in EPISODE_COLUMNS}
+        except (RunError, KeyError):
+            continue
+        parts.append(pd.DataFrame(rows).astype(EPISODE_COLUMNS))
+        frames.append(newest.frames)
+    return min(frames, default=0), pd.concat(parts, ignore_index=True) if parts else EMPTY
+
+
+def _names(paths: Sequence[str]) -> list[str]:
+    """Names of runs without the folders that all share."""
+    return compare.short([f"{path}/" for path in paths]) if len(paths) > 1 else [Path(paths[0]).name]
+
+
+def _contender(name: str, configuration: Configuration) -> Contender:
+    rows = configuration.runs[0].evaluation() if configuration.runs else None
+    return compare.trained(name, configuration, rows)
+
+
+def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:
+    """Those that flew in one world by one protocol together; those that did not fly, with their world's."""
+    groups: list[list[Contender]] = []
+    for one in sorted(contenders, key=lambda one: not one.protocol):
+        for members in groups:
+            first = members[0]
+            if first.place == one.place and (not one.protocol or first.protocol == one.protocol):
+                members.append(one)
+                break
+        else:
+            groups.append([one])
+    return groups
+
+
+def _group(members: Sequence[Contender], status: dict[str, str], folders: Sequence[Path]) -> Group:
+    flown = [one for one in members if len(one.episodes)]
+    found = {one.name: _reward(one) for one in flown}
+    ordered = sorted(flown, key=lambda one: -found[one.name][0].value)
+    ordered += [one for one in members if not len(one.episodes)]
+    scripted = _scripted(ordered[0], folders)
+    looks = style.of_pilots({one.name: one.pilot for one in members})
+    rows = {name: (_dots(flown, name), mean) for name, (mean, _) in found.items()}
+    rule = float(scripted.episodes["reward"].mean()) if scripted else np.nan
+    per_frame = scripted.episodes[["reward", "steps"]].sum() if scripted else None
+    earned = per_frame["reward"] / per_frame["steps"] if per_frame is not None else np.nan
+    learned = {one.name: one.configuration for one in members if one.configuration is not None}
+    task = str(members[0].place["task"])
+    figures = []
+    if rows:
+        draw = functools.partial(charts.episodes, rows, looks, rule, "reward of a test episode")
+        words = "A small dot is a seed, or an episode where there is one seed; a large one is the mean."
+        figures.append((f"ranking-{task}", draw(), draw(width=style.NARROW), words))
+    if any(len(one.episodes) for one in learned.values()):
+        draw = functools.partial(curves.curves, learned, "reward", {}, looks=looks, rule=earned)
+        words = (
+            "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
+        )
+        figures.append((f"curves-{task}", draw(), draw(width=style.NARROW), words))
+    how = compare.flown(ordered) if flown else "no test episodes yet"
+    return Group(
+        TITLES.get(task, task).capitalize(),
+        how,
+        ordered,
+        scripted,
+        _ranking(ordered, scripted, found, status),
+        figures,
+    )
+
+
+def _dots(flown: Sequence[Contender], name: str) -> Any:
+    rows = next(one.episodes for one in flown if one.name == name)
+    seeds = rows.groupby("seed")["reward"].mean()
+    return (seeds if len(seeds) > 1 else rows["reward"]).to_numpy()
+
+
+def _scripted(first: Contender, folders: Sequence[Path]) -> Contender | None:
+    """The scripted policy's episodes on the layouts of a run: kept ones, or flown now and kept.
+
+    None where it cannot fly in the run's world.
+    """
+    if first.configuration is None or not first.configuration.runs or not first.protocol:
+        return None
+    run, protocol = first.configuration.runs[0], first.protocol
+    name = Protocol(
+        *(protocol[key] for key in ("layouts", "episodes", "max_steps")), task=first.place["task"]
+    )
+    name = name.file(SCRIPT)
+    plain = not {"world", "reward", "faults"} & {key.partition(".")[0] for key in run.meta["beyond_preset"]}
+    try:
+        kept = [path for folder in folders if (path := folder / "baselines" / name).exists()] if plain else []
+        if kept:
+            rows = read_table(
+                kept[0], {"layout": "int64", "reward": "float64", "steps": "int64"}, "delete it"
+            )
+            return Contender(SCRIPT, rows, protocol, first.place, None, SCRIPT)
+        flown = compare.fly(SCRIPT, protocol, None, str(run.path))
+        if plain:
+            where = folders[-1] / "baselines" / name
+            where.parent.mkdir(parents=True, exist_ok=True)
+            rows = flown.episodes.copy()
+            rows.attrs = dict(protocol)
+            write_table(where, rows)
+        return flown
+    except (OneLineError, ValueError, OSError):
+        return None
+
+
+def _ranking(
+    ordered: Sequence[Contender],
+    scripted: Contender | None,
+    found: dict[str, tuple[Interval, str]],
+    status: dict[str, str],
+) -> tables.Rows:
+    shown = [*ordered]
+    if scripted is not None:
+        found = found | {scripted.name: of_episodes(scripted.episodes["reward"], scripted.episodes["seed"])}
+        above = sum(
+            one.name in found and found[one.name][0].value > found[scripted.name][0].value for one in ordered
+        )
+        shown.insert(above, scripted)
+    own = {one.name: measures(one.episodes).mean() for one in shown if len(one.episodes)}
+    column = next((name for name in SHOWN if any(name in one for one in own.values())), "survive")
+    rows = [
+        ["run", "reward an episode", "over", SHOWN[column], "minus the scripted policy", "seeds", "training"]
+    ]
+    for one in shown:
+        name = f"scripted policy, `{SCRIPT}`" if one is scripted else one.name
+        n = one.configuration.n_seeds if one.configuration is not None else 1
+        if one.name not in found:
+            rows.append(
+                [name, "not evaluated", *[tables.NOTHING] * 3, str(n or tables.NOTHING), status[one.name]]
+            )
+            continue
+        mean, over = found[one.name]
+        gap = (
+            _number(ahead(one, scripted)[0])
+            if scripted is not None and one is not scripted
+            else tables.NOTHING
+        )
+        share = f"{own[one.name][column]:.0f}"
+        told = "not trained" if one is scripted else status[one.name]
+        rows.append([name, _number(mean), f"{mean.n} {over}", share, gap, str(n), told])
+    return rows
+
+
+def _number(found: Interval) -> str:
+    return tables.with_interval(*found[:3], 0 if abs(found.value) >= 100 else 1)
+
+
+def _best(groups: Sequence[Group]) -> str:
+    """The best run of the first group, beside the scripted policy."""
+    first = groups[0]
+    if not first.contenders or not len(first.contenders[0].episodes):
+        return "No run has been evaluated yet: `uavnav evaluate RUN`."
+    name, (mean, over) = first.contenders[0].name, _reward(first.contenders[0])
+    said = f"**{name}** earns most: {_number(mean)} of reward in a test episode (95 % interval over {over})."
+    if first.scripted is not None:
+        said += f" The scripted policy earns {_number(_reward(first.scripted)[0])}."
+    return said
+
+
+def _reward(one: Contender) -> tuple[Interval, str]:
+    return of_episodes(one.episodes["reward"], one.episodes["seed"])
+
+
+def differences(contenders: Sequence[Contender]) -> tables.Rows:
+    """The settings in which runs of one algorithm differ, and those that all have; a row a run."""
+    known = [(one.name, one.configuration) for one in contenders if one.configuration is not None]
+    named = ["algorithm", "activation", "preset", "task", "frames", "n_envs"]
+    rows = [["run", *named, "and else"]]
+    for name, one in known:
+        peers = [other.settings for _, other in known if other.algorithm == one.algorithm]
+        own = {"algorithm": one.algorithm, "activation": one.activation} | one.settings
+        changed = []
+        for key, value in one.settings.items():
+            usual, _ = Counter(show(other.get(key)) for other in peers).most_common(1)[0]
+            if key not in (*named, "total_frames", "layouts", "obstacles") and show(value) != usual:
+                changed.append(f"{key}={show(value)}")
+        rows.append(
+            [
+                name,
+                *(show(own.get(key, tables.NOTHING)) for key in named),
+                ", ".join(changed) or tables.NOTHING,
+            ]
+        )
+    return rows
+
+
+def _missing(found: Sequence[Configuration], folder: Path) -> str:
+    """What the paper's claims would need, in a sentence; empty where there is enough to judge some."""
+    ready = {
+        (one.algorithm, one.activation)
+        for one in found
+        if one.n_seeds >= SEEDS and one.settings.get("task", "drone") == "drone"
+    } & paper.TABLES.keys()
+    if len(ready) > 1:
+        return ""
+    return (
+        f"The verdicts on the paper's claims need at least two of its {len(paper.TABLES)} configurations with"
+        f" {SEEDS} seeds each; here {len(ready)} {'has' if len(ready) == 1 else 'have'} that many."
+        f" `uavnav study paper out={folder}` trains all of them."
+    )
+
+
+def _typical(contenders: Sequence[Contender]) -> tuple[dict[str, Any] | None, list[str]]:
+    """The replay of each run's median episode by reward; its first one where it was not evaluated."""
+    shown = []
+    for one in contenders:
+        if one.configuration is None or not one.configuration.runs:
+            continue
+        seed, layout = typical(one.episodes) if len(one.episodes) else (None, 0)
+        shown.append(replays.Trained(one.pilot, f"({one.name})", one.configuration.runs, seed, [layout]))
+    recorded = replays.record(shown, n_seeds=1, n_layouts=1)
+    return recorded if recorded["configurations"] else None, recorded["left_out"]
+
+
+def typical(episodes: pd.DataFrame) -> tuple[int, int]:
+    """Seed and layout of the median episode by reward, of two the lesser."""
+    ordered = episodes.sort_values(["reward", "seed", "layout"])
+    middle = ordered.iloc[(len(ordered) - 1) // 2]
+    return int(middle["seed"]), int(middle["layout"])
+
+
+def contents(mine: Mine, left_out: Sequence[str], watched: bool) -> dict[str, bytes]:
+    """The files of a report on one's own runs alone; left_out: a line for each run that is not in it."""
+    told: dict[str, Any] = {
+        "mine": mine,
+        "pictures": pictures(mine),
+        "left_out": left_out,
+        "watched": watched,
+    }
+    return files_of(mine) | {
+        "report.html": templating.page("mine.html", {}, **told).encode(),
+        "report.md": templating.TEMPLATES.get_template("runs.md").render(told).encode(),
+    }
+
+
+def files_of(mine: Mine) -> dict[str, bytes]:
+    """The figures as files."""
+    found = {}
+    for name, drawn, _, _ in (figure for group in mine.groups for figure in group.figures):
+        svg, png = style.save(drawn.figure)
+        found |= {f"figures/{name}.svg": svg, f"figures/{name}.png": png}
+    return found
+
+
+def pictures(mine: Mine) -> dict[str, list[Any]]:
+    """Every figure by its name, for a page and for a phone."""
+    return {
+        name: [templating.source(one.figure) for one in (wide, narrow)]
+        for group in mine.groups
+        for name, wide, narrow, _ in group.figures
+    }

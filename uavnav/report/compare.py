@@ -312,7 +312,10 @@ def page(contenders: Sequence[Contender]) -> bytes:
 
     learned = {one.name: one.configuration for one in contenders if one.configuration is not None}
     looks = style.of_pilots({one.name: one.pilot for one in contenders})
-    shown = [replays.Trained(one.algorithm, f"({name})", one.runs) for name, one in learned.items()]
+    shown = [
+        replays.Trained(one.algorithm, f"({name})", one.runs, colour=looks[name][0])
+        for name, one in learned.items()
+    ]
     recorded = replays.record(shown, n_seeds=1)
     kept = survival(contenders), contenders[0].protocol["max_steps"]
     figures = {"survival": [curves.survival(*kept, width, looks) for width in WIDTHS]}

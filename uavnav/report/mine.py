@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +21,7 @@ from uavnav.report.configurations import EMPTY, Configuration, show
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
 from uavnav.runs.evaluations import Protocol
-from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.metrics import of_episodes as measures
 from uavnav.runs.tables import RunError, read_table, write_table
 from uavnav.settings import flat
@@ -37,6 +36,10 @@ SHOWN = {"success": "reach the goal [%]", "survive": "reach the time limit [%]"}
 """What the ranking says of episodes beside their reward: the first that they have."""
 
 
+Looks = Mapping[str, tuple[str, str]]
+"""A colour and a line by the name of a run."""
+
+
 class Group(NamedTuple):
     """Runs whose rewards are of one measure."""
 
@@ -46,6 +49,10 @@ class Group(NamedTuple):
     scripted: Contender | None
     ranking: tables.Rows
     figures: list[tuple[str, style.Drawn, style.Drawn, str]]  # name, wide, narrow, caption
+
+
+KIND = "algorithm", "preset", "task"
+NOT_SAID = "total_frames", "layouts"
 
 
 class Mine(NamedTuple):
@@ -77,17 +84,17 @@ def gather(
     if not own and not begun:
         return None
     names = _names([str(one.runs[0].path) for one in own] + [str(path) for path in unfinished])
-    status = dict.fromkeys(names, "finished") | dict(
-        zip(names[len(own) :], (said for _, said in begun), strict=True)
-    )
+    said = [f"{one.n_seeds} seed{'s' * (one.n_seeds > 1)}, {one.settings['frames']:,} frames" for one in own]
+    status = dict(zip(names, [*said, *(how for _, how in begun)], strict=True))
     contenders = [
         _contender(name, one) for name, one in zip(names, [*own, *(one for one, _ in begun)], strict=True)
     ]
     where = Path(folders[0])
     tell("ranking runs beside the scripted policy")
-    groups = [_group(members, status, [*folders, out]) for members in _alike(contenders)]
+    looks = style.of_pilots({one.name: one.pilot for one in contenders})
+    groups = [_group(members, status, looks, [*folders, out]) for members in _alike(contenders)]
     tell("flying a typical episode of each run")
-    recorded, left_out = _typical(contenders)
+    recorded, left_out = _typical(contenders, looks)
     return Mine(
         groups,
         _best(groups),
@@ -95,7 +102,7 @@ def gather(
         _missing(found, where),
         recorded,
         left_out,
-        any(said.startswith("running") for _, said in begun),
+        any(how.startswith("running") for _, how in begun),
     )
 
 
@@ -141,7 +148,7 @@ def _snapshots(path: Path) -> tuple[int, pd.DataFrame]:
 
 def _names(paths: Sequence[str]) -> list[str]:
     """Names of runs without the folders that all share."""
-    return compare.short([f"{path}/" for path in paths]) if len(paths) > 1 else [Path(paths[0]).name]
+    return [name.rstrip("/") for name in compare.short([f"{path}/" for path in paths])]
 
 
 def _contender(name: str, configuration: Configuration) -> Contender:
@@ -163,13 +170,14 @@ def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:
     return groups
 
 
-def _group(members: Sequence[Contender], status: dict[str, str], folders: Sequence[Path]) -> Group:
+def _group(
+    members: Sequence[Contender], status: Mapping[str, str], looks: Looks, folders: Sequence[Path]
+) -> Group:
     flown = [one for one in members if len(one.episodes)]
     found = {one.name: _reward(one) for one in flown}
     ordered = sorted(flown, key=lambda one: -found[one.name][0].value)
     ordered += [one for one in members if not len(one.episodes)]
     scripted = _scripted(ordered[0], folders)
-    looks = style.of_pilots({one.name: one.pilot for one in members})
     rows = {name: (_dots(flown, name), mean) for name, (mean, _) in found.items()}
     rule = float(scripted.episodes["reward"].mean()) if scripted else np.nan
     per_frame = scripted.episodes[["reward", "steps"]].sum() if scripted else None
@@ -182,7 +190,8 @@ def _group(members: Sequence[Contender], status: dict[str, str], folders: Sequen
         words = "A small dot is a seed, or an episode where there is one seed; a large one is the mean."
         figures.append((f"ranking-{task}", draw(), draw(width=style.NARROW), words))
     if any(len(one.episodes) for one in learned.values()):
-        draw = functools.partial(curves.curves, learned, "reward", {}, looks=looks, rule=earned)
+        mine = {name: looks[name] for name in learned}
+        draw = functools.partial(curves.curves, learned, "reward", {}, looks=mine, rule=earned)
         words = (
             "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
         )
@@ -193,7 +202,7 @@ def _group(members: Sequence[Contender], status: dict[str, str], folders: Sequen
         how,
         ordered,
         scripted,
-        _ranking(ordered, scripted, found, status),
+        _ranking(ordered, scripted, status),
         figures,
     )
 
@@ -211,67 +220,45 @@ def _scripted(first: Contender, folders: Sequence[Path]) -> Contender | None:
     """
     if first.configuration is None or not first.configuration.runs or not first.protocol:
         return None
-    run, protocol = first.configuration.runs[0], first.protocol
-    name = Protocol(
-        *(protocol[key] for key in ("layouts", "episodes", "max_steps")), task=first.place["task"]
-    )
-    name = name.file(SCRIPT)
-    plain = not {"world", "reward", "faults"} & {key.partition(".")[0] for key in run.meta["beyond_preset"]}
+    run, task = first.configuration.runs[0], str(first.place["task"])
+    layouts, episodes, limit = (first.protocol[key] for key in ("layouts", "episodes", "max_steps"))
+    name = Protocol(layouts, episodes, limit, None, task).file(SCRIPT)
+    usual = not {"world", "reward", "faults"} & {key.partition(".")[0] for key in run.meta["beyond_preset"]}
+    there = [path for folder in folders if usual and (path := folder / "baselines" / name).exists()]
     try:
-        kept = [path for folder in folders if (path := folder / "baselines" / name).exists()] if plain else []
-        if kept:
-            rows = read_table(
-                kept[0], {"layout": "int64", "reward": "float64", "steps": "int64"}, "delete it"
-            )
-            return Contender(SCRIPT, rows, protocol, first.place, None, SCRIPT)
-        flown = compare.fly(SCRIPT, protocol, None, str(run.path))
-        if plain:
-            where = folders[-1] / "baselines" / name
-            where.parent.mkdir(parents=True, exist_ok=True)
+        if there:
+            rows = read_table(there[0], EVALUATED, "delete it")
+            return Contender(SCRIPT, rows, first.protocol, first.place, None, SCRIPT)
+        flown = compare.fly(SCRIPT, first.protocol, None, str(run.path))
+        if usual:
             rows = flown.episodes.copy()
-            rows.attrs = dict(protocol)
-            write_table(where, rows)
+            rows.attrs = {str(key): value for key, value in first.protocol.items()}
+            (folders[-1] / "baselines").mkdir(parents=True, exist_ok=True)
+            write_table(folders[-1] / "baselines" / name, rows)
         return flown
     except (OneLineError, ValueError, OSError):
         return None
 
 
 def _ranking(
-    ordered: Sequence[Contender],
-    scripted: Contender | None,
-    found: dict[str, tuple[Interval, str]],
-    status: dict[str, str],
+    ordered: Sequence[Contender], scripted: Contender | None, status: Mapping[str, str]
 ) -> tables.Rows:
-    shown = [*ordered]
-    if scripted is not None:
-        found = found | {scripted.name: of_episodes(scripted.episodes["reward"], scripted.episodes["seed"])}
-        above = sum(
-            one.name in found and found[one.name][0].value > found[scripted.name][0].value for one in ordered
-        )
-        shown.insert(above, scripted)
-    own = {one.name: measures(one.episodes).mean() for one in shown if len(one.episodes)}
-    column = next((name for name in SHOWN if any(name in one for one in own.values())), "survive")
-    rows = [
-        ["run", "reward an episode", "over", SHOWN[column], "minus the scripted policy", "seeds", "training"]
-    ]
+    """A row a run and one for the scripted policy, the best first; those without test episodes last."""
+    shown = [one for one in (*ordered, scripted) if one is not None and len(one.episodes)]
+    shown.sort(key=lambda one: -_reward(one)[0].value)
+    own = {one.name: measures(one.episodes).mean() for one in shown}
+    column = next(name for name in SHOWN if not own or any(name in one for one in own.values()))
+    rows = [["run", "reward an episode", "over", SHOWN[column], "minus the scripted policy", "training"]]
     for one in shown:
-        name = f"scripted policy, `{SCRIPT}`" if one is scripted else one.name
-        n = one.configuration.n_seeds if one.configuration is not None else 1
-        if one.name not in found:
-            rows.append(
-                [name, "not evaluated", *[tables.NOTHING] * 3, str(n or tables.NOTHING), status[one.name]]
-            )
-            continue
-        mean, over = found[one.name]
-        gap = (
-            _number(ahead(one, scripted)[0])
-            if scripted is not None and one is not scripted
-            else tables.NOTHING
-        )
-        share = f"{own[one.name][column]:.0f}"
-        told = "not trained" if one is scripted else status[one.name]
-        rows.append([name, _number(mean), f"{mean.n} {over}", share, gap, str(n), told])
-    return rows
+        mean, over = _reward(one)
+        numbers = _number(mean), f"{mean.n} {over}", f"{own[one.name][column]:.0f}"
+        if one is scripted:
+            rows.append([f"scripted policy, `{SCRIPT}`", *numbers, tables.NOTHING, "none"])
+        else:
+            gap = _number(ahead(one, scripted)[0]) if scripted is not None else tables.NOTHING
+            rows.append([one.name, *numbers, gap, status[one.name]])
+    late = [one for one in ordered if not len(one.episodes)]
+    return rows + [[one.name, "not evaluated", *[tables.NOTHING] * 3, status[one.name]] for one in late]
 
 
 def _number(found: Interval) -> str:
@@ -295,25 +282,27 @@ def _reward(one: Contender) -> tuple[Interval, str]:
 
 
 def differences(contenders: Sequence[Contender]) -> tables.Rows:
-    """The settings in which runs of one algorithm differ, and those that all have; a row a run."""
-    known = [(one.name, one.configuration) for one in contenders if one.configuration is not None]
+    """What every run was trained with, and in what it differs from its preset or from its peers.
+
+    Peers are runs of the same algorithm, preset and task.
+    """
     named = ["algorithm", "activation", "preset", "task", "frames", "n_envs"]
+    known = {
+        one.name: {"algorithm": one.pilot, "activation": one.configuration.activation}
+        | one.configuration.settings
+        for one in contenders
+        if one.configuration is not None
+    }
     rows = [["run", *named, "and else"]]
-    for name, one in known:
-        peers = [other.settings for _, other in known if other.algorithm == one.algorithm]
-        own = {"algorithm": one.algorithm, "activation": one.activation} | one.settings
-        changed = []
-        for key, value in one.settings.items():
-            usual, _ = Counter(show(other.get(key)) for other in peers).most_common(1)[0]
-            if key not in (*named, "total_frames", "layouts", "obstacles") and show(value) != usual:
-                changed.append(f"{key}={show(value)}")
-        rows.append(
-            [
-                name,
-                *(show(own.get(key, tables.NOTHING)) for key in named),
-                ", ".join(changed) or tables.NOTHING,
-            ]
-        )
+    for one in contenders:
+        own = known[one.name]
+        kind = [own.get(key) for key in KIND]
+        peers = [other for other in known.values() if [other.get(key) for key in KIND] == kind]
+        runs = one.configuration.runs if one.configuration is not None else []
+        beyond = {key for run in runs for key in run.meta["beyond_preset"]} - {"layouts"}
+        differ = beyond | {key for key in own if len({show(peer.get(key)) for peer in peers}) > 1}
+        told = (f"{key}={show(own.get(key))}" for key in sorted(differ.difference(named, NOT_SAID)))
+        rows.append([one.name, *(show(own.get(key)) for key in named), ", ".join(told) or tables.NOTHING])
     return rows
 
 
@@ -333,14 +322,18 @@ def _missing(found: Sequence[Configuration], folder: Path) -> str:
     )
 
 
-def _typical(contenders: Sequence[Contender]) -> tuple[dict[str, Any] | None, list[str]]:
+def _typical(contenders: Sequence[Contender], looks: Looks) -> tuple[dict[str, Any] | None, list[str]]:
     """The replay of each run's median episode by reward; its first one where it was not evaluated."""
     shown = []
     for one in contenders:
         if one.configuration is None or not one.configuration.runs:
             continue
         seed, layout = typical(one.episodes) if len(one.episodes) else (None, 0)
-        shown.append(replays.Trained(one.pilot, f"({one.name})", one.configuration.runs, seed, [layout]))
+        shown.append(
+            replays.Trained(
+                one.pilot, f"({one.name})", one.configuration.runs, seed, [layout], looks[one.name][0]
+            )
+        )
     recorded = replays.record(shown, n_seeds=1, n_layouts=1)
     return recorded if recorded["configurations"] else None, recorded["left_out"]
 
@@ -368,7 +361,7 @@ def contents(mine: Mine, left_out: Sequence[str], watched: bool) -> dict[str, by
 
 def files_of(mine: Mine) -> dict[str, bytes]:
     """The figures as files."""
-    found = {}
+    found: dict[str, bytes] = {}
     for name, drawn, _, _ in (figure for group in mine.groups for figure in group.figures):
         svg, png = style.save(drawn.figure)
         found |= {f"figures/{name}.svg": svg, f"figures/{name}.png": png}

@@ -59,6 +59,7 @@ class Trained(NamedTuple):
     runs: Sequence[Run]
     seed: int | None = None
     layouts: Sequence[int] = ()
+    colour: str = ""  # of its drone; by default the page's accent
 
 
 class Field(NamedTuple):
@@ -148,6 +149,7 @@ def record(
     shown = []
     for configuration, sets, population in ready:
         name = {"algorithm": configuration.algorithm, "label": configuration.label}
+        name |= {"accent": configuration.colour} if configuration.colour else {}
         own = [_pack(episode) for _ in population for episode in next(flown[sets])]
         name |= _place(next(iter(population.values())).task, sets, configuration.layouts or usual)
         shown.append(
@@ -332,15 +334,16 @@ class Episode(NamedTuple):
 
 
 def fly(flyers: Sequence[Flyer], layouts: Tensor, max_steps: int) -> list[list[Episode]]:
-    """The shown episodes of each, on layouts [L, K, 3] px: those that an evaluation counts.
+    """The shown episodes of each trained policy, on layouts [L, K, 3] px: those that an evaluation counts.
 
     All layouts of the split are flown, as an evaluation flies them: sampled actions of one episode follow
     others. In another world, policies fly as many layouts of its own test split.
     """
     found: list[list[Episode]] = [[] for _ in flyers]
-    for places in episodes.alike([flyer.policy for flyer in flyers]):
+    policies = [flyer.policy for flyer in flyers if isinstance(flyer.policy, Policy)]
+    for places in episodes.alike(policies):
         together = [flyers[place] for place in places]
-        own_task = together[0].policy.task
+        own_task = policies[places[0]].task
         task = own_task.on(
             layouts if type(own_task.task) is Task else _layouts(own_task)[: len(layouts)], max_steps
         )

@@ -109,7 +109,7 @@ def first_screen(report: Path) -> str:
     screen = (
         page.partition(FIRST)[2]
         .partition("<!-- end of first -->")[0]
-        .replace('href="tables/', f'href="{REPORT}tables/')
+        .replace('href="#row-', f'href="{REPORT}report.html#row-')
     )
     scripts = page.partition("</footer>")[2].partition('<script type="application/json" id="replay-data">')[0]
     return f"<style>{browser.joined([browser.HERE / 'first.css'])}</style>{screen}{scripts}"

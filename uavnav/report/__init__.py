@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from uavnav import files
+from uavnav.runs import run_folders
 from uavnav.runs.tables import RunError
 
 RUNS, RESULTS, OUT = "runs", "results", "report"
@@ -35,9 +36,9 @@ def places(folders: Sequence[str | Path], out: str | Path | None) -> tuple[list[
     if folders:
         found = [Path(folder) for folder in folders]
         return found, found[0] if out is None else Path(out)
-    own = Path(RUNS).is_dir()
-    usual = Path(RUNS if own else OUT)
-    return [Path(RUNS if own else RESULTS)], usual if out is None else Path(out)
+    committed = Path(RESULTS).is_dir() and not Path(RUNS).is_dir()
+    usual = Path(OUT if committed else RUNS)
+    return [Path(RESULTS if committed else RUNS)], usual if out is None else Path(out)
 
 
 def report(
@@ -55,16 +56,18 @@ def report(
             is.
     """
     read, where = places(folders, out)
+    try:
+        files.check_out(where / "report.html")  # before the work
+    except ValueError as error:
+        raise RunError(str(error)) from error
+    for folder in read:
+        run_folders(folder)
     tell("loading PyTorch")
     from uavnav.report import mine, page  # which fly, and so load torch
     from uavnav.report.configurations import collect
     from uavnav.report.content import gather
     from uavnav.views.replays import record_apart
 
-    try:
-        files.check_out(where / "report.html")  # before the work
-    except ValueError as error:
-        raise RunError(str(error)) from error
     tell("reading runs")
     begun = mine.unfinished(read)
     try:

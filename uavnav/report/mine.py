@@ -15,17 +15,16 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.errors import OneLineError
-from uavnav.report import charts, compare, curves, tables, templating
+from uavnav.report import charts, compare, curves, frames, tables, templating
 from uavnav.report.compare import Contender, ahead, of_episodes
-from uavnav.report.configurations import EMPTY, Configuration, show
+from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
 from uavnav.report.verdicts import SEEDS
 from uavnav.runs import FINISHED, WORKERS, heard, paper, progress, read_settings, run_folders
-from uavnav.runs.evaluations import Protocol
+from uavnav.runs.evaluations import Protocol, usual
 from uavnav.runs.metrics import EPISODE_COLUMNS, EVALUATED
 from uavnav.runs.metrics import of_episodes as measures
 from uavnav.runs.tables import RunError, read_table, write_table
-from uavnav.settings import flat
-from uavnav.stats import Interval
+from uavnav.stats import Array, Interval
 from uavnav.training.checkpoints import Checkpoints
 from uavnav.views import browser, replays
 
@@ -79,30 +78,34 @@ def gather(
     found: finished ones of all kinds; out: where episodes of the scripted policy are kept; tell: is told each
         step of the work.
     """
-    own = [one for one in found if not one.study]
-    begun = [begin(path) for path in unfinished]
+    own = {str(one.runs[0].path): one for one in found if not one.study}
+    begun = {str(path): begin(path) for path in unfinished}
     if not own and not begun:
         return None
-    names = _names([str(one.runs[0].path) for one in own] + [str(path) for path in unfinished])
-    said = [f"{one.n_seeds} seed{'s' * (one.n_seeds > 1)}, {one.settings['frames']:,} frames" for one in own]
-    status = dict(zip(names, [*said, *(how for _, how in begun)], strict=True))
-    contenders = [
-        _contender(name, one) for name, one in zip(names, [*own, *(one for one, _ in begun)], strict=True)
+    paths = dict(zip(_names([*own, *begun], folders), map(Path, [*own, *begun]), strict=True))
+    said = [
+        f"{one.n_seeds} seed{'s' * (one.n_seeds > 1)}, {one.settings['frames']:,} frames"
+        for one in own.values()
     ]
-    where = Path(folders[0])
+    status = dict(zip(paths, [*said, *(how for _, how in begun.values())], strict=True))
+    configurations = [*own.values(), *(one for one, _ in begun.values())]
+    contenders = [_contender(name, one) for name, one in zip(paths, configurations, strict=True)]
     tell("ranking runs beside the scripted policy")
     looks = style.of_pilots({one.name: one.pilot for one in contenders})
-    groups = [_group(members, status, looks, [*folders, out]) for members in _alike(contenders)]
+    groups = []
+    for place, members in enumerate(_alike(contenders)):
+        scripted = _scripted(members[0], paths[members[0].name], [*folders, out])
+        groups.append(_group(members, scripted, status, looks, place))
     tell("flying a typical episode of each run")
     recorded, left_out = _typical(contenders, looks)
     return Mine(
         groups,
-        _best(groups),
+        _best(groups[0], paths),
         differences(contenders),
-        _missing(found, where),
+        _missing(found, folders[0]),
         recorded,
         left_out,
-        any(how.startswith("running") for _, how in begun),
+        any(how.startswith("running") for _, how in begun.values()),
     )
 
 
@@ -123,13 +126,18 @@ def unfinished(folders: Sequence[Path]) -> list[Path]:
 
 def begin(path: Path) -> tuple[Configuration, str]:
     """An unfinished run as far as it is, and how far that is: its snapshots' episodes."""
-    config, told = read_settings(path / "config.yaml"), progress(path)
+    config, meta, told = (
+        read_settings(path / "config.yaml"),
+        read_settings(path / "meta.json"),
+        progress(path),
+    )
     frames, episodes = _snapshots(path)
     frames, total = max(frames, told.get("frames", 0)), config["total_frames"]
-    run = heard(told, time.time()) and read_settings(path / "meta.json").get("status") == "running"
-    settings = {"layouts": "train"} | flat(config) | {"frames": max(frames, 1)}
+    run = heard(told, time.time()) and meta.get("status") == "running"
+    algorithm, activation = config["algorithm"], config["activation"]
     status = f"{'running' if run else 'stopped'} at {frames:,} of {total:,} frames"
-    return Configuration(config["algorithm"], config["activation"], settings, [], episodes, EMPTY), status
+    settings = settings_of(config, meta, max(frames, 1))
+    return Configuration(algorithm, activation, settings, [], episodes, EMPTY), status
 
 
 def _snapshots(path: Path) -> tuple[int, pd.DataFrame]:
@@ -146,9 +154,13 @@ def _snapshots(path: Path) -> tuple[int, pd.DataFrame]:
     return min(frames, default=0), pd.concat(parts, ignore_index=True) if parts else EMPTY
 
 
-def _names(paths: Sequence[str]) -> list[str]:
-    """Names of runs without the folders that all share."""
-    return [name.rstrip("/") for name in compare.short([f"{path}/" for path in paths])]
+def _names(paths: Sequence[str], folders: Sequence[Path]) -> list[str]:
+    """Names of runs: their paths below the report's folders, whole where two would be the same."""
+    short = []
+    for path in map(Path, paths):
+        folder = next(one for one in folders if path.is_relative_to(one))
+        short.append(str(path.relative_to(folder)) if path != folder else path.name)
+    return [name if short.count(name) == 1 else path for name, path in zip(short, paths, strict=True)]
 
 
 def _contender(name: str, configuration: Configuration) -> Contender:
@@ -171,31 +183,34 @@ def _alike(contenders: Sequence[Contender]) -> list[list[Contender]]:
 
 
 def _group(
-    members: Sequence[Contender], status: Mapping[str, str], looks: Looks, folders: Sequence[Path]
+    members: Sequence[Contender],
+    scripted: Contender | None,
+    status: Mapping[str, str],
+    looks: Looks,
+    place: int,
 ) -> Group:
-    flown = [one for one in members if len(one.episodes)]
-    found = {one.name: _reward(one) for one in flown}
-    ordered = sorted(flown, key=lambda one: -found[one.name][0].value)
-    ordered += [one for one in members if not len(one.episodes)]
-    scripted = _scripted(ordered[0], folders)
-    rows = {name: (_dots(flown, name), mean) for name, (mean, _) in found.items()}
-    rule = float(scripted.episodes["reward"].mean()) if scripted else np.nan
-    per_frame = scripted.episodes[["reward", "steps"]].sum() if scripted else None
-    earned = per_frame["reward"] / per_frame["steps"] if per_frame is not None else np.nan
+    """The ranking and the figures of runs in one world; place: of the group, for the names of its files."""
+    flown = sorted((one for one in members if len(one.episodes)), key=lambda one: -_reward(one)[0].value)
+    ordered = [*flown, *(one for one in members if not len(one.episodes))]
+    rows = {one.name: (_dots(one), _reward(one)[0]) for one in flown}
+    rule = earned = np.nan
+    if scripted is not None:
+        rule, sums = _reward(scripted)[0].value, scripted.episodes[["reward", "steps"]].sum()
+        earned = sums["reward"] / sums["steps"]
     learned = {one.name: one.configuration for one in members if one.configuration is not None}
     task = str(members[0].place["task"])
     figures = []
     if rows:
         draw = functools.partial(charts.episodes, rows, looks, rule, "reward of a test episode")
         words = "A small dot is a seed, or an episode where there is one seed; a large one is the mean."
-        figures.append((f"ranking-{task}", draw(), draw(width=style.NARROW), words))
+        figures.append((f"ranking-{place + 1}", draw(), draw(width=style.NARROW), words))
     if any(len(one.episodes) for one in learned.values()):
         mine = {name: looks[name] for name in learned}
         draw = functools.partial(curves.curves, learned, "reward", {}, looks=mine, rule=earned)
         words = (
             "Reward per frame in training, in stretches of each run's frames so far; band: 95 % over seeds."
         )
-        figures.append((f"curves-{task}", draw(), draw(width=style.NARROW), words))
+        figures.append((f"curves-{place + 1}", draw(), draw(width=style.NARROW), words))
     how = compare.flown(ordered) if flown else "no test episodes yet"
     return Group(
         TITLES.get(task, task).capitalize(),
@@ -207,32 +222,31 @@ def _group(
     )
 
 
-def _dots(flown: Sequence[Contender], name: str) -> Any:
-    rows = next(one.episodes for one in flown if one.name == name)
-    seeds = rows.groupby("seed")["reward"].mean()
-    return (seeds if len(seeds) > 1 else rows["reward"]).to_numpy()
+def _dots(one: Contender) -> Array:
+    """A number a seed, or an episode of a single seed."""
+    seeds = one.episodes.groupby("seed")["reward"].mean()
+    return (seeds if len(seeds) > 1 else one.episodes["reward"]).to_numpy(np.float64)
 
 
-def _scripted(first: Contender, folders: Sequence[Path]) -> Contender | None:
+def _scripted(first: Contender, run: Path, folders: Sequence[Path]) -> Contender | None:
     """The scripted policy's episodes on the layouts of a run: kept ones, or flown now and kept.
 
     None where it cannot fly in the run's world.
     """
-    if first.configuration is None or not first.configuration.runs or not first.protocol:
-        return None
-    run, task = first.configuration.runs[0], str(first.place["task"])
-    layouts, episodes, limit = (first.protocol[key] for key in ("layouts", "episodes", "max_steps"))
+    protocol, task = first.protocol or usual(str(first.place["task"])).header(), str(first.place["task"])
+    layouts, episodes, limit = (protocol[key] for key in ("layouts", "episodes", "max_steps"))
     name = Protocol(layouts, episodes, limit, None, task).file(SCRIPT)
-    usual = not {"world", "reward", "faults"} & {key.partition(".")[0] for key in run.meta["beyond_preset"]}
-    there = [path for folder in folders if usual and (path := folder / "baselines" / name).exists()]
+    beyond = {key.partition(".")[0] for key in read_settings(run / "meta.json").get("beyond_preset", {})}
+    plain = not {"world", "reward", "faults"} & beyond
+    there = [path for folder in folders if plain and (path := folder / "baselines" / name).exists()]
     try:
         if there:
             rows = read_table(there[0], EVALUATED, "delete it")
-            return Contender(SCRIPT, rows, first.protocol, first.place, None, SCRIPT)
-        flown = compare.fly(SCRIPT, first.protocol, None, str(run.path))
-        if usual:
+            return Contender(SCRIPT, rows, protocol, first.place, None, SCRIPT)
+        flown = compare.fly(SCRIPT, protocol, None, str(run))
+        if plain:
             rows = flown.episodes.copy()
-            rows.attrs = {str(key): value for key, value in first.protocol.items()}
+            rows.attrs = {str(key): value for key, value in protocol.items()}
             (folders[-1] / "baselines").mkdir(parents=True, exist_ok=True)
             write_table(folders[-1] / "baselines" / name, rows)
         return flown
@@ -247,7 +261,7 @@ def _ranking(
     shown = [one for one in (*ordered, scripted) if one is not None and len(one.episodes)]
     shown.sort(key=lambda one: -_reward(one)[0].value)
     own = {one.name: measures(one.episodes).mean() for one in shown}
-    column = next(name for name in SHOWN if not own or any(name in one for one in own.values()))
+    column = next((name for name in SHOWN if any(name in one for one in own.values())), "survive")
     rows = [["run", "reward an episode", "over", SHOWN[column], "minus the scripted policy", "training"]]
     for one in shown:
         mean, over = _reward(one)
@@ -265,13 +279,13 @@ def _number(found: Interval) -> str:
     return tables.with_interval(*found[:3], 0 if abs(found.value) >= 100 else 1)
 
 
-def _best(groups: Sequence[Group]) -> str:
-    """The best run of the first group, beside the scripted policy."""
-    first = groups[0]
-    if not first.contenders or not len(first.contenders[0].episodes):
-        return "No run has been evaluated yet: `uavnav evaluate RUN`."
-    name, (mean, over) = first.contenders[0].name, _reward(first.contenders[0])
-    said = f"**{name}** earns most: {_number(mean)} of reward in a test episode (95 % interval over {over})."
+def _best(first: Group, paths: Mapping[str, Path]) -> str:
+    """The best run of a group, beside the scripted policy."""
+    best = first.contenders[0]
+    if not len(best.episodes):
+        return f"No run has been evaluated yet: `uavnav evaluate {paths[best.name]}`."
+    mean, over = _reward(best)
+    said = f"**{best.name}** earns most: {_number(mean)} of reward in a test episode (95 % interval over {over})."
     if first.scripted is not None:
         said += f" The scripted policy earns {_number(_reward(first.scripted)[0])}."
     return said

@@ -13,7 +13,6 @@ from PIL import Image, ImageDraw
 
 import uavnav
 from uavnav.cli import commands
-from uavnav.envs import drawing
 from uavnav.envs.drawing import BORDER, DRONE, GROUND, OBSTACLE, SENSED, draw_state
 from uavnav.evaluation.episodes import start
 from uavnav.tasks.baselines import BASELINES, straight_ahead
@@ -80,7 +79,7 @@ def test_straight_ahead_collides_in_step_28_and_its_trail_is_drawn():
     assert flown.ended == "collided"
     frames = Film([flown], obstacles, 800, every=10)
     assert len(frames) == 4
-    assert colour(frames[-1][:600], 400, 350) == DRONE
+    assert colour(frames[-1][:600], 400, 350) == (86, 180, 233)
     assert colour(frames[0][:600], 400, 350) != DRONE
 
 

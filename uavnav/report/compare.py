@@ -268,7 +268,7 @@ def flown(contenders: Sequence[Contender]) -> str:
     return f"{episodes} layouts ({layouts}), at most {limit:,} steps"
 
 
-def short(names: Sequence[str]) -> list[str]:
+def _short(names: Sequence[str]) -> list[str]:
     """Names without the folders that all paths among them share, so that they differ within a narrow
     column.
     """
@@ -281,7 +281,7 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
     """Print the tables, and each run's learning curve as bars."""
     rows = tables.side_by_side(seeds_of(contenders))
     table = Table(
-        "", *short(rows[0][1:]), title=f"Means and 95 % intervals over seeds; {flown(contenders)}", box=None
+        "", *_short(rows[0][1:]), title=f"Means and 95 % intervals over seeds; {flown(contenders)}", box=None
     )
     table.title_justify = "left"
     for row in rows[1:]:

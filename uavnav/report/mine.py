@@ -15,7 +15,7 @@ import pandas as pd
 
 from uavnav import style
 from uavnav.errors import OneLineError
-from uavnav.report import charts, compare, curves, frames, tables, templating
+from uavnav.report import charts, compare, curves, tables, templating
 from uavnav.report.compare import Contender, ahead, of_episodes
 from uavnav.report.configurations import EMPTY, Configuration, settings_of, show
 from uavnav.report.verdicts import SEEDS
@@ -285,7 +285,7 @@ def _best(first: Group, paths: Mapping[str, Path]) -> str:
     if not len(best.episodes):
         return f"No run has been evaluated yet: `uavnav evaluate {paths[best.name]}`."
     mean, over = _reward(best)
-    said = f"**{best.name}** earns most: {_number(mean)} of reward in a test episode (95 % interval over {over})."
+    said = f"**{best.name}** earns most: {_number(mean)} of reward an episode (95 % interval over {over})."
     if first.scripted is not None:
         said += f" The scripted policy earns {_number(_reward(first.scripted)[0])}."
     return said

@@ -58,7 +58,7 @@ def test_runs_are_ranked_beside_the_scripted_policy_over_seeds_or_episodes_and_u
     found = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("|")][2:7]
     assert [row[0] for row in found] == ["scripted policy, `reactive`", "b", "a", "late", "stopped"]
     assert found[1][1:5] == ["7.0 [4.8, 8.2]", "4 episodes", "0", "−3.0 [−5.2, −1.8]"]
-    assert found[2][1:5] == ["2.0 [1.0, 2.7]", "3 seeds", "0", "−8.0 [−9.0, −7.3]"]
+    assert found[2][1:5] == ["2.0 [1.0, 3.0]", "3 seeds", "0", "−8.0 [−9.0, −7.0]"]
     assert found[3][1] == found[4][1] == "not evaluated"
     assert found[4][-1] == "stopped at 400 of 1,000 frames"
     assert "lr=0.5" in text

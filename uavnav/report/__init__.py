@@ -81,7 +81,7 @@ def report(
     if own is not None and own.claims:
         _write_all(where, mine.contents(own, left_out, watched))
         return Written(where / "report.html", [*left_out, *own.left_out], own.running)
-    content = gather(read, record_apart, found, tell)
+    content = gather(read, record_apart, (found[0], left_out), tell)
     tell("writing the page")
     _write_all(where, page.contents(content, read[0], own, watched))
     return Written(where / "report.html", content.left_out, own is not None and own.running)

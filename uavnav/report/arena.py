@@ -144,7 +144,7 @@ def heat_maps(maps: Mapping[str, Array], world: World, width: float = style.WIDT
         )
         axes.plot(*world.start, "^", color="white", markeredgecolor=style.INK, markersize=7)
         axes.grid(visible=False)
-        axes.set(xticks=[0, world.width // 2, world.width], yticks=[0, world.height // 2, world.height])
+        axes.set(xticks=range(0, world.width, world.width // 4), yticks=[0, world.height // 2, world.height])
         axes.set(title=name, xlabel="x [px]")
         ordered = np.sort(np.nan_to_num(share), axis=None)[::-1].cumsum()
         half = (int(np.searchsorted(ordered, ordered[-1] / 2 - 1e-9)) + 1) / share.size

@@ -86,7 +86,9 @@ def _scripted(run: str | None) -> WrappedTask:
     if name not in TASKS:
         noted = read_settings(path.with_name("meta.json")).get("plugins", {})
         raise RunError(f"{path}: task={name}{plugins.missing(noted) or did_you_mean(name, TASKS)}")
-    return make_task(EMPTY, settings["world"], settings["reward"], task=name, faults=settings.get("faults"))
+    return make_task(
+        EMPTY, settings.get("world"), settings.get("reward"), task=name, faults=settings.get("faults")
+    )
 
 
 def _kept(name: str, protocol: Mapping[str, Any], run: str) -> pd.DataFrame | None:

@@ -14,7 +14,6 @@ from uavnav import files
 from uavnav.errors import Parser
 from uavnav.report.content import Content, gather
 from uavnav.report.page import render
-from uavnav.report.templating import anchored, rows
 from uavnav.runs.tables import RunError
 
 BEGIN, END = "<!-- results -->", "<!-- end of results -->"
@@ -24,9 +23,8 @@ PAGES = "docs/results.md", "docs/algorithms.md", "docs/benchmarks.md"
 
 
 def results(content: Content) -> str:
-    """docs/results.md, and in it the rows to which its numbers lead."""
-    text = anchored(render("results.md", content, root="../results/").strip())
-    return f"{text}\n\n## Rows behind the numbers\n\n{rows(text, content.tables).strip()}\n"
+    """docs/results.md."""
+    return render("results.md", content, root="../results/").strip() + "\n"
 
 
 def summary(content: Content) -> str:

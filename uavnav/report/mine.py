@@ -327,7 +327,7 @@ def _missing(found: Sequence[Configuration], folder: Path) -> str:
         for one in found
         if one.n_seeds >= SEEDS and one.settings.get("task", "drone") == "drone"
     } & paper.TABLES.keys()
-    if len(ready) > 1:
+    if len(ready) > 1 or any(one.study for one in found):
         return ""
     return (
         f"The verdicts on the paper's claims need at least two of its {len(paper.TABLES)} configurations with"

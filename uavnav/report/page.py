@@ -155,6 +155,7 @@ def page(
     """
     return fill(
         "page.html",
+        also=render("results.md", content),
         **told(
             content,
             replays=content.replays,

@@ -144,12 +144,8 @@ TEMPLATES.globals |= {
 }
 
 
-def page(template: str, numbers: Mapping[str, pd.DataFrame], **told: Any) -> str:
-    """A page, and in it the rows of tables that its numbers lead to."""
+def page(template: str, numbers: Mapping[str, pd.DataFrame], also: str = "", **told: Any) -> str:
+    """A page, and in it the rows that its numbers lead to; also: Markdown that leads to some too."""
     text = TEMPLATES.get_template(template).render(told, numbers=numbers)
-    return text.replace("<!-- rows -->", rows(text, numbers))
-
-
-def rows(text: str, numbers: Mapping[str, pd.DataFrame]) -> str:
-    """The rows to which a text leads, as HTML."""
-    return TEMPLATES.get_template("rows.html").render(quoted=quoted(text, numbers))
+    rows = TEMPLATES.get_template("rows.html").render(quoted=quoted(text + anchored(also), numbers))
+    return text.replace("<!-- rows -->", rows)

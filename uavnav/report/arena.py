@@ -154,7 +154,8 @@ def heat_maps(maps: Mapping[str, Array], world: World, width: float = style.WIDT
     label = (
         f"share of steps in {world.width / across:.0f} x {world.height / rows:.0f} px (triangle: the start)"
     )
-    look: dict[str, Any] = {"location": "bottom", "fraction": 0.05, "aspect": 50, "ticks": MaxNLocator(5)}
+    ticks = MaxNLocator(5 if width >= style.WIDTH else 3)
+    look: dict[str, Any] = {"location": "bottom", "fraction": 0.05, "aspect": 50, "ticks": ticks}
     figure.colorbar(image, ax=panels, label=label, format=PercentFormatter(1.0), **look)
     return style.Drawn(
         figure, f"{title}: half of the steps fall into this share of the window: {', '.join(said)}."

@@ -16,7 +16,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from uavnav import stats, style
 from uavnav.report.frames import MEASURES
@@ -189,7 +189,8 @@ def sensitivity(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
             axes.plot(row["value"], names.index(str(name)), "o", color=look["color"], markersize=7)
         axes.set_title(textwrap.fill(conclusion, 14 if width >= style.WIDTH else 18))
         axes.set_xlabel("difference\nin mean reward")
-        axes.xaxis.set_major_locator(MaxNLocator(3))
+        axes.xaxis.set_major_locator(MaxNLocator(2))
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         if usual is not None:
             others = rows.drop(index="default")
             same = int((np.sign(others["value"]) == np.sign(usual["value"])).sum())

@@ -208,7 +208,7 @@ def survival(
         half = f"half of them after {over[0]:,.0f} steps" if len(over) else "half of them never"
         said.append(f"{name} {half}, {100 * shares.iloc[-1]:.0f} % up at {shares.index[-1]:,.0f}")
     axes.axvline(limit, **style.DASHED)
-    words, corner = f"time limit: {limit:,} steps ", axes.get_xaxis_transform()
+    words, corner = f"time limit{f': {limit:,} steps' * (width >= style.WIDTH)} ", axes.get_xaxis_transform()
     axes.annotate(
         words, (limit, 0.98), xycoords=corner, color=style.INK, fontsize=11, rotation=90, va="top", ha="right"
     )

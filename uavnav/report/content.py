@@ -105,16 +105,20 @@ class Content:
 
 
 def gather(
-    folders: Sequence[Path], fly: Callable[[Sequence[replays.Trained]], dict[str, Any]] = replays.record
+    folders: Sequence[Path],
+    fly: Callable[[Sequence[replays.Trained]], dict[str, Any]] = replays.record,
+    found: tuple[list[Configuration], list[str]] | None = None,
+    tell: Callable[[str], None] = lambda step: None,
 ) -> Content:
     """Read all runs in some folders, let their policies fly a little, and work out what the report says.
 
-    fly: what gives the replays of some configurations.
+    fly: what gives the replays of some configurations; found: what `collect` gave, if it was asked; tell: is
+        told each step of the work.
 
     Raises:
         RunError: a folder is missing or holds no run, or no run can be used.
     """
-    configurations, left_out = collect(folders)
+    configurations, left_out = found or collect(folders)
     sorted_configurations = studies.sort(configurations)
     left_out += studies.in_none(sorted_configurations)
     of_paper = studies.paper_configurations(sorted_configurations.main)
@@ -129,6 +133,7 @@ def gather(
         ThreadPoolExecutor(1) as beside,
     ):
         replayed = beside.submit(fly, flying)
+        tell("measuring episodes")
         episodes, by_layout, watched, problems = watch(sorted_configurations)
         evidence = {
             definition: Rows(sorted_configurations, definition, episodes, by_layout)
@@ -138,6 +143,7 @@ def gather(
             definition: functools.partial(studies.of_paper, definition=definition)
             for definition in DEFINITIONS
         }
+        tell("judging the claims")
         audits = {definition: audit(evidence[definition], printed[definition]) for definition in DEFINITIONS}
         baselines, unread = frames.baselines(folders)
         tuned, untuned = tuning.read(folders, baselines)
@@ -145,6 +151,7 @@ def gather(
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
         carried = frames.carried(sorted_configurations, evidence[PRIMARY])
+        tell("working out tables")
         numbers = _tables(sorted_configurations, episodes) | {
             "whys": whys.table(evidence[PRIMARY]),
             "overestimation": overestimated,
@@ -171,10 +178,12 @@ def gather(
             numbers["operating"] = pd.concat(errs, ignore_index=True)
             left_out += of_worlds.left_out
         numbers["verdicts"] = frames.verdicts(audits)
+        tell("drawing figures")
         drawn, narrow = (
             figures.draw(of_paper, numbers, watched, survival, of_worlds, width)
             for width in (style.WIDTH, style.NARROW)
         )
+        tell("flying episodes for the replays")
         flown = replayed.result()
     return Content(
         configurations,

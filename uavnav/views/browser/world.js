@@ -192,6 +192,11 @@ class Task {
     return { circles: generate(this.world, k, set) };
   }
 
+  /** The set whose rows [x, y, radius, ...] a layout file has. */
+  read(rows) {
+    return { circles: rows };
+  }
+
   /** A set with other circles [x, y, radius] in place of its own; seed: of what is drawn for them. */
   arrange(set, circles, seed) {
     return { ...set, circles };
@@ -307,6 +312,10 @@ class Moving extends Task {
 class Goal extends Task {
   generate({ k, set }) {
     return generateGoal(this.world, this.rules, k, set);
+  }
+
+  read(rows) {
+    return { circles: rows.slice(0, -1), goal: rows.at(-1).slice(0, 2) };
   }
 
   get observationSize() {

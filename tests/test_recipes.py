@@ -100,15 +100,16 @@ def test_a_finished_run_says_so_in_one_line_and_exits_0(recipe):
     assert out == "mine: this run is already finished; overwrite=true starts it anew\n"
 
 
-def test_after_training_it_says_what_to_do_next_with_the_very_commands(recipe, monkeypatch):
-    monkeypatch.setattr("uavnav.cli.train.find_spec", lambda name: None)  # no pygame
+def test_after_training_it_says_what_to_do_next_with_the_very_commands(recipe):
     _, out, _ = recipe("ppo", "out=runs/my own", *SHORT["ppo"])
-    last = ["watch it:    uavnav render 'runs/my own'", "compare it:  uavnav report runs --out report"]
+    last = ["watch it:    uavnav play 'runs/my own'", "compare it:  uavnav report runs --out report"]
     assert out.splitlines()[-2:] == last
     for line in last:
         program, command, *words = shlex.split(line.partition(":")[2])
         assert program == "uavnav"
         commands.parse(command, words)
+    _, out, _ = recipe("ppo", "out=runs/narrow", "world.sensor_arc=90", *SHORT["ppo"])
+    assert "watch it:    uavnav render runs/narrow" in out.splitlines()  # the playground has other worlds not
 
 
 def test_quiet_prints_nothing_and_json_the_numbers_of_the_tables_and_nothing_else(recipe, tmp_path):

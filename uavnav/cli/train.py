@@ -12,7 +12,6 @@ import re
 import shlex
 from argparse import Namespace
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -35,6 +34,7 @@ from uavnav.training.config import PARTS, TASK, TrainConfig, plain
 from uavnav.training.loggers import chosen
 from uavnav.training.loop import Fit, alone, train
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder
+from uavnav.views.browser.playground import shows
 
 MOST_CONFIGURATIONS = 1_000
 """Runs of a sweep."""
@@ -267,7 +267,7 @@ def _next(finished: Run, names: Sequence[str]) -> str:
     """What to do with a run next, with the very commands; names: of the plugins that it needs."""
     run = finished.path
     with_plugins = ["--plugins", ",".join(names)] if names else []
-    watch = ["uavnav", "play" if find_spec("pygame") else "render", str(run), *with_plugins]
+    watch = ["uavnav", "play" if shows(run) else "render", str(run), *with_plugins]
     root = str(run) if run.is_absolute() or run.parts[:1] in ((), ("..",)) else run.parts[0]
     compare = ["uavnav", "report", root, "--out", "report", *with_plugins]
     return f"watch it:    {shlex.join(watch)}\ncompare it:  {shlex.join(compare)}"

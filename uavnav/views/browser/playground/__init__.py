@@ -191,6 +191,14 @@ def _checked(path: str, policy: Policy) -> Policy:
     return policy
 
 
+def shows(run: Path) -> bool:
+    """Whether the page can fly the policies of a finished run."""
+    try:
+        return bool(_checked(str(run), policies.load_policy(run)))
+    except PolicyError:
+        return False
+
+
 def _refuse(path: str, reason: str) -> None:
     raise PolicyError(f"{path}: {reason}; watch it: uavnav render {path} --out flight.gif")
 

@@ -1202,9 +1202,9 @@ CASES = [
     argument("no drone", lambda f: uavnav.gym.DroneVectorEnv(0), "num_envs=0", "at least 1"),
     argument(
         "a screen",
-        lambda f: uavnav.gym.DroneGymEnv(render_mode="human"),
-        "'human'",
-        "choose None or rgb_array",
+        lambda f: uavnav.gym.DroneGymEnv(render_mode="screen"),
+        "'screen'",
+        "choose None, human or rgb_array",
     ),
     argument(
         "a picture's kind",

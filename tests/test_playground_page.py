@@ -115,7 +115,7 @@ def test_a_link_restores_its_scene_and_the_same_episodes(browser, opened):
 
 
 def test_a_bad_part_of_a_link_is_named_as_text_and_the_rest_holds(browser):
-    first = ask(browser, "playground.first()")
+    first = ask(browser, "playground.data.scene")
     for bad in BAD:
         browser.execute_script("location.hash = arguments[0]", f"speed=2&{bad}")
         wait(browser, lambda: one(browser, "#notice").is_displayed())

@@ -10,8 +10,6 @@ const CIVIDIS = [
   [155, 147, 118], [187, 173, 108], [222, 201, 87], [253, 231, 55],
 ]; // dark to bright evenly, to any colour vision
 
-// ---------------------------------------------------------------------------------------------- words
-
 /** A number to so many decimals, with a minus as in print. */
 function fixed(number, decimals) {
   return number.toFixed(decimals).replace(/^-(0(\.0*)?)$/, "$1").replace("-", "\u2212");
@@ -34,8 +32,6 @@ function inWords(action) {
 function pitchOf(action) {
   return action.length > 2 ? action[1] : 0;
 }
-
-// ---------------------------------------------------------------------------------------------- time and looks
 
 const STEPS_PER_SECOND = 30; // at speed 1
 const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) play goes on, and does not jump
@@ -60,8 +56,6 @@ function watchLooks(element, draw, recolour) {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
   recolour();
 }
-
-// ---------------------------------------------------------------------------------------------- drawing
 
 /** The page's colours as they are now, by their names, each as a canvas understands it. */
 function readColours(element, names = COLOURS) {

@@ -2,10 +2,6 @@
  * The instruments: the table of the race, and of the drone in focus its values, its slots and its hidden units.
  */
 
-const BOUNDS = {
-  tanh: [-1, 1], sigmoid: [0, 1], softsign: [-1, 1], hardtanh: [-1, 1], relu6: [0, 6], sigmoid_centred: [-1, 1],
-}; // of activations that have some
-
 const ENDS = { "": "flying", collision: "crashed", goal: "arrived", "time-out": "time limit" };
 
 /** A text of an element, written only where it is another. */
@@ -35,18 +31,12 @@ function coloursOf(pilots, policies, { known, others }, ink) {
   return pilots.map((pilot) => found.get(pilot).replace("#000000", ink));
 }
 
-/** The way to the goal, from the drone at (x, y): a line, and a diamond at its end so many px away. */
+/** The way to the goal, from the drone at (x, y): a line, and a ring at its end so many px away. */
 function drawWay(context, [x, y], [right, forward], away, colours) {
   line(context, [[x, y], [x + away * right, y - away * forward]], 1, colours.muted);
-  context.save();
-  context.translate(x + away * right, y - away * forward);
-  context.rotate(Math.PI / 4);
-  context.fillStyle = colours.bg;
   context.strokeStyle = colours.fg;
   context.lineWidth = 2;
-  context.fillRect(-5, -5, 10, 10);
-  context.strokeRect(-5, -5, 10, 10);
-  context.restore();
+  ring(context, x + away * right, y - away * forward, 5);
 }
 
 /**
@@ -94,7 +84,7 @@ function drawSlots(canvas, { world, slots, way, mine, colours, font }) {
 }
 
 /** The hidden layers side by side, a square a unit. */
-function drawUnits(canvas, { layers, ranges, colours, font }) {
+function drawUnits(canvas, { layers, colours, font }) {
   const { context, width, height } = fit(canvas);
   context.font = font;
   const gap = 0.06 * width;
@@ -102,7 +92,7 @@ function drawUnits(canvas, { layers, ranges, colours, font }) {
   layers.forEach((units, layer) => {
     const columns = Math.ceil(Math.sqrt(units.length));
     const side = Math.min(share, height) / columns;
-    const [low, high] = ranges[layer];
+    const [low, high] = [Math.min(0, ...units), Math.max(...units)];
     units.forEach((unit, place) => {
       context.fillStyle = colourOf((unit - low) / (high - low || 1));
       const [column, row] = [place % columns, Math.floor(place / columns)];
@@ -184,18 +174,9 @@ class Panel {
     const edge = `; the nearest edge at ${fixed(drone.clearance, 0)} px${goal}`;
     sensor.setAttribute("aria-label", `${filled} of ${slots.length} slots filled${edge}`);
     say(this.find("sensor-title"), way ? "the ten slots it senses, and the way to the goal" : "the ten slots it senses");
-    this.showUnits(policy, hidden, colours, font);
-  }
-
-  showUnits(policy, hidden, colours, font) {
-    const bounds = policy && BOUNDS[policy.activation];
-    const ranges = hidden.map((units) => bounds ?? [Math.min(0, ...units), Math.max(...units)]);
-    const high = ranges.map((range) => short(range[1])).join(" and ");
-    const units = this.find("units");
-    drawUnits(units, { layers: hidden, ranges, colours, font });
-    const words = bounds ? `from ${short(bounds[0])} to ${short(bounds[1])}` : `up to ${high}`;
-    const said = hidden.length ? `its hidden units, ${words}` : "hidden units: none";
+    const said = hidden.length ? "its hidden units, the greater the brighter" : "hidden units: none";
     say(this.find("units-title"), said);
-    units.setAttribute("aria-label", said);
+    this.find("units").setAttribute("aria-label", said);
+    drawUnits(this.find("units"), { layers: hidden, colours, font });
   }
 }

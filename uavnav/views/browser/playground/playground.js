@@ -8,7 +8,6 @@
 
 const MOST_AT_ONCE = 8; // steps from one picture to the next
 const ADDRESS = 200; // [ms] from a change of the scene to the address that holds it
-const INSTRUMENTS = 0.066; // [s] from one picture of the instruments to the next
 const WAYS_TO_END = { collision: "crashed", goal: "arrived", "time-out": "flew to the time limit" };
 const OTHER_LAYOUT = { circles: null };
 const RANDOM_LAYOUT = { layouts: RANDOM, circles: null };
@@ -21,7 +20,7 @@ class Playground {
     const known = [YOU, NOBODY, ...Object.keys(SCRIPTED), ...data.policies.map(({ key }) => key)];
     const splits = [...new Set(Object.values(data.layouts).flatMap((own) => Object.keys(own))), RANDOM];
     this.read = readers(data.settings, { known, splits, world: data.tasks.drone.world });
-    this.race = new Race(data, this.first());
+    this.race = new Race(data, data.scene);
     this.stage = new Stage(this, this.find("stage"));
     this.panel = new Panel(data, this.find);
     this.rows = []; // of a person's finished episodes that are not kept yet
@@ -31,10 +30,6 @@ class Playground {
     this.build(splits);
     this.listen();
     this.open();
-  }
-
-  first() {
-    return structuredClone(this.data.scene);
   }
 
   get world() {
@@ -54,7 +49,7 @@ class Playground {
     clearTimeout(this.later);
     this.playing = false;
     const [parts, wrong] = readLink(location.hash, this.read);
-    this.race.load({ ...this.first(), ...parts });
+    this.race.load({ ...this.data.scene, ...parts });
     if (parts.circles && !this.race.circlesFit()) {
       wrong.push("circles");
       this.race.load({ ...this.scene, circles: null });
@@ -357,12 +352,7 @@ class Playground {
       this.share = steps < MOST_AT_ONCE ? this.share - 1 : 1;
       if (steps < MOST_AT_ONCE) this.advance();
     }
-    this.stage.draw(this.share, this.focus, this.colours);
-    this.unseen = (this.unseen ?? 0) + seconds;
-    if (this.playing && this.unseen > INSTRUMENTS) {
-      this.unseen = 0;
-      this.showInstruments();
-    }
+    this.show();
   }
 
   advance() {
@@ -394,10 +384,6 @@ class Playground {
   /** Everything that moves. */
   show() {
     this.stage.draw(this.share, this.focus, this.colours);
-    this.showInstruments();
-  }
-
-  showInstruments() {
     this.panel.showRace(this.race);
     this.panel.showDrone(this.race, this.focus, this.pilots[this.focus], this.cardColours, this.font);
   }

@@ -81,7 +81,7 @@ class Race {
     if (had === pilot) return;
     if (pilot === YOU && other >= 0) this.handTo(other, this.drones[other].before);
     if (had !== NOBODY) drone.before = had;
-    pilots[place] = pilot;
+    this.scene.pilots = this.scene.pilots.with(place, pilot);
     if (drone.ended) return;
     const waited = this.steps > 0 && !this.flying().includes(drone);
     drone.pilot = pilot;

@@ -17,17 +17,16 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 import torch
-from PIL import Image, ImageDraw
+from PIL import Image, ImageColor, ImageDraw
 from torch import Tensor
 
-from uavnav import files
+from uavnav import colours, files
 from uavnav.envs import drawing
 from uavnav.envs.drawing import (
     BORDER,
     GROUND,
     INK,
     OBSTACLE,
-    PILOTS,
     SENSED,
     STEPS_PER_SECOND,
     Colour,
@@ -68,6 +67,11 @@ class Pilot(NamedTuple):
     def mode(self) -> str:
         """`greedy` or `sampled`; nothing of a script."""
         return self.policy.mode if isinstance(self.policy, policies.Policy) else ""
+
+    @property
+    def kind(self) -> str:
+        """What its colour belongs to: its algorithm, or its name."""
+        return self.policy.algorithm if isinstance(self.policy, policies.Policy) else self.name
 
     @property
     def title(self) -> str:
@@ -159,6 +163,7 @@ class Film(Sequence[Picture]):
 
     def __init__(self, episodes: Sequence[Episode], obstacles: Tensor, width: int, every: int = 1) -> None:
         self.episodes, self.obstacles, self.width = episodes, obstacles, width
+        self.colours = [_rgb(one) for one in colours.colours(episode.pilot.kind for episode in episodes)]
         self._trails = [[_place(state) for state in episode.states] for episode in episodes]
         self._panel = functools.lru_cache(len(episodes))(self._draw)  # what stands still is drawn once
         last = max(len(episode.states) for episode in episodes) - 1
@@ -191,7 +196,7 @@ class Film(Sequence[Picture]):
 
     def _draw(self, number: int, step: int) -> Image.Image:
         """One episode with its caption."""
-        episode, colour = self.episodes[number], PILOTS[number % len(PILOTS)]
+        episode, colour = self.episodes[number], self.colours[number]
         state, trail = episode.states[step], self._trails[number][: step + 1]
         task = episode.pilot.task.replace(layouts=self.obstacles[None])
         here = state._replace(layout=torch.tensor(0))
@@ -202,6 +207,12 @@ class Film(Sequence[Picture]):
         panel.paste(arena, (0, 0))
         panel.paste(strip, (0, arena.height))
         return panel
+
+
+def _rgb(colour: str) -> Colour:
+    """A colour of the table as pictures have it."""
+    red, green, blue = ImageColor.getrgb(colour)[:3]
+    return red, green, blue
 
 
 def _place(state: State) -> tuple[float, ...]:
@@ -302,7 +313,8 @@ def _palette(frames: Sequence[Picture]) -> Image.Image:
     """The colours of a GIF: those that things are drawn in, and the rest from five pictures spread over
     the film.
     """
-    own = list(dict.fromkeys((GROUND, BORDER, OBSTACLE, INK, SENSED, *PILOTS)))
+    table = map(_rgb, (*colours.PILOTS.values(), *colours.OTHERS))
+    own = list(dict.fromkeys((GROUND, BORDER, OBSTACLE, INK, SENSED, *table)))
     spread = [frames[round(index * (len(frames) - 1) / 4)][::2, ::2] for index in range(5)]
     mixed = Image.fromarray(np.concatenate(spread)).quantize(COLOURS - len(own)).getpalette() or []
     palette = Image.new("P", (1, 1))

@@ -44,7 +44,9 @@ PARTS = ("policies", "scripted", "link", "race", "stage", "panel", "keep", "keys
 SCRIPTS = tuple(HERE / f"{name}.js" for name in PARTS)
 """After those of `uavnav.views.browser`, in the order in which a browser reads them."""
 PLACES = (Path("runs"), Path("results/vectorised"))
-"""Where runs are looked for if none is named: in the first of these that has policies."""
+"""Where runs are looked for if none is named: in the first of these that has policies. Policies that ship
+with the package belong at the end.
+"""
 SEEDS = 3
 """Of each run, the lowest, if there is room."""
 MOST = 36
@@ -312,6 +314,7 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
                     raise ConfigError(f"--layout {opening.layout}: choose from 0 to {len(given) - 1}")
                 data["layouts"][name][scene["layouts"]] = _rows(given[: max(EPISODES, opening.layout + 1)])
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    algorithms = " and ".join(dict.fromkeys(one["algorithm"].upper() for one in found))
     configurations = len({(one["algorithm"], one["activation"]) for one in found})
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True)
     return environment.from_string((HERE / "playground.html").read_text(encoding="utf-8")).render(
@@ -322,7 +325,7 @@ def page(flyers: Flyers, opening: Opening | None = None) -> str:
         settings=SETTINGS,
         worlds=WORLDS,
         world=World(),
-        algorithms=" and ".join(dict.fromkeys(one["algorithm"].upper() for one in found)) or "nobody",
+        others=f"networks trained by {algorithms} and a scripted policy" if found else "a scripted policy",
         told=f"It holds {len(found)} trained networks: {configurations} pairs of an algorithm and an "
         "activation.",
         version=importlib.metadata.version("uavnav"),

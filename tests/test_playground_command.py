@@ -73,7 +73,7 @@ def test_a_policy_of_another_world_or_in_3d_is_left_out_in_a_line_and_refused_wh
     assert status == 0
     assert out.endswith(": policies: 1; open it in a browser\n")
     watch = f"watch it: uavnav render {tmp_path / 'there'} --out flight.gif"
-    why = "trained in another world than the playground's, which has every default"
+    why = "trained in another world than the playground's"
     line = f"{tmp_path / 'there'}: {why}; {watch}\n"
     assert err == f"uavnav playground: left out: {line}"
     assert main(["play", str(tmp_path / "there")]) == 2
@@ -98,7 +98,7 @@ def test_policies_trained_with_faults_or_in_other_worlds_of_two_dimensions_are_o
     assert [one["key"].split("-")[-4] for one in found] == ["late", "moving"]
     assert found[1]["title"].startswith("PPO tanh, seed 0 with moving obstacles (")
     assert [line.split(": ", 1)[1].split("; watch it")[0] for line in left_out] == [
-        "trained in another world than the playground's, which has every default",
+        "trained in another world than the playground's",
         "the playground has no stack '4'; it has 1",
     ]
 

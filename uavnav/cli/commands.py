@@ -285,8 +285,8 @@ def _runs(parser: Parser) -> None:
 def _play(parser: Parser) -> None:
     """Watch runs fly in the browser, or fly yourself: writes the playground and opens it."""
     parser.epilog = "example: uavnav play runs/ppo/relu reactive --layout 20"
-    usual = "or folders of them (default: runs if it has any, else results/vectorised)"
-    parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN}, {usual}")
+    usual = "(default: runs if it has any, else results/vectorised)"
+    parser.add_argument("runs", nargs="*", metavar="RUN", help=f"a folder of runs, {RUN} {usual}")
     _episode(parser)
     told = f"time limit (default: {MAX_STEPS:,}, or the task's own if less)"
     parser.add_argument("--max-steps", type=whole, help=told)

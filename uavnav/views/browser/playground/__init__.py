@@ -176,7 +176,7 @@ def _policies(path: str, seed: int | None, activation: str | None, most: int) ->
 def _checked(path: str, policy: Policy) -> Policy:
     """A policy that the page can fly; raises a PolicyError where it cannot."""
     if isinstance(policy.world, SpaceWorld):
-        _refuse(path, "is in 3D, which the playground has not")
+        _refuse(path, "the playground has no 3D")
     for what, value, choices in (
         ("task", name_of(policy.task), ("drone", "moving", "goal")),
         ("activation", _activation(policy), networks.KNOWN),
@@ -189,7 +189,7 @@ def _checked(path: str, policy: Policy) -> Policy:
     usual = type(policy.world)()
     same = {name: getattr(usual, name) for name in ("speed_min", "speed_max") if hasattr(usual, name)}
     if policy.world.replace(**same) != usual:  # the page has obstacles of any speed
-        _refuse(path, "trained in another world than the playground's, which has every default")
+        _refuse(path, "trained in another world than the playground's")
     return policy
 
 

@@ -54,9 +54,8 @@ layouts: .venv/.installed # the layouts that ship with the package, again
 	$(BIN)/uavnav layouts --out uavnav/tasks/splits
 	$(BIN)/uavnav layouts --task goal --out uavnav/tasks/splits
 
-picture: .venv/.installed # the episodes in the README, and the window in docs/start.md
+picture: .venv/.installed # the episodes in the README
 	$(BIN)/python docs/film.py $(RESULTS)/vectorised/ppo/sigmoid $(RESULTS)/vectorised/dqn/sigmoid reactive
-	$(BIN)/python docs/window.py $(RESULTS)/vectorised/ppo/relu $(RESULTS)/vectorised/dqn/relu
 
 clean:
 	rm -rf .venv build *.egg-info

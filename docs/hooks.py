@@ -66,7 +66,7 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
 def flown(folder: Path) -> str:
     """The playground of a folder's runs; nothing where there are none."""
     try:
-        return playground.page(playground.collect([folder])[0])
+        return playground.page(playground.collect([folder]))
     except (ConfigError, RunError):
         return ""
 

@@ -165,7 +165,7 @@ def tree(folder):
 
 def warmed():
     """Import what commands import, once; no threads may be started before a fork."""
-    os.environ |= {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "MPLBACKEND": "agg"}
+    os.environ |= {"BROWSER": "true %s", "MPLBACKEND": "agg"}
     torch.set_num_threads(1)
     attack_files.warmed()
     signal.signal(signal.SIGINT, signal.default_int_handler)

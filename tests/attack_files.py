@@ -325,7 +325,7 @@ def damaged(draw):
     told = f"{part} (seed {seed}): {how} |"
     if words == ["WORKER"]:
         return Case(f"{told} uavnav.cli.worker", _worker, spoil)
-    return command(*words, spoil=spoil, told=told, works=words[0] == "play")
+    return command(*words, spoil=spoil, told=told)
 
 
 def _worker():

@@ -53,7 +53,7 @@ QUICK = {
     "export": ["--out", "policy.pt2"],
     "layouts": ["--out", "layouts", "--n", "4", "--k", "4"],
     "study": ["study.yaml", "out=study", "report=false", "jobs=1"],
-    "play": ["--max-steps", "5"],
+    "play": ["--out", "page.html"],
 }
 """Words that keep a command short, unless the attack takes their place."""
 GIVEN = {"RUN": ("run", "reactive", "model.zip", POLICY), "FOLDER": ("run", "."), "NAME": ("study.yaml",)}

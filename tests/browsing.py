@@ -143,7 +143,7 @@ def playground(once):
     def make(folder):
         from uavnav.views.browser.playground import collect, page
 
-        (folder / "playground.html").write_text(page(collect([RESULTS / "vectorised"])[0]))
+        (folder / "playground.html").write_text(page(collect([RESULTS / "vectorised"])))
 
     return once("playground", make) / "playground.html"
 

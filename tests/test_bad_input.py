@@ -99,8 +99,6 @@ def test_on_the_command_line_it_is_one_line_a_status_and_nothing_changes(case, f
     program, *arguments = [word.replace("{}", str(folder)) for word in shlex.split(case.command)]
     if program not in commands.COMMANDS:
         program, arguments = "train", [program, *arguments]
-    if program == "play":
-        pytest.importorskip("pygame")
     with spoilt(case, folder):
         try:
             status = main([program, *arguments])

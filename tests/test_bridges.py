@@ -17,7 +17,7 @@ from torch import nn
 import uavnav
 from uavnav import PolicyError, evaluate_policy, load_policy
 from uavnav.__main__ import main
-from uavnav.cli import commands, play
+from uavnav.cli import commands
 from uavnav.envs.sb3 import DroneVecEnv
 from uavnav.runs import policies
 from uavnav.views import render
@@ -362,15 +362,19 @@ def test_a_zip_is_drawn_with_its_activation_beside_a_script(tmp_path, capsys):
     assert torch.equal(pilot.policy(observation), load_policy(path, activation="relu")(observation))
 
 
-def test_a_zip_flies_in_the_window_with_its_activation(tmp_path, monkeypatch):
-    pytest.importorskip("pygame")
+def test_a_zip_flies_in_the_playground_with_its_activation(tmp_path):
     path = zipped(tmp_path / "theirs.zip", {"policy.pth": pth(weights())})
-    flown = []
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setattr(play, "play", lambda game: flown.append(game) or game)
-    assert commands.run("play", [str(path), "--activation", "tanh"]) == 0
-    assert flown[0].pilots[1].name == f"{tmp_path.name}/theirs.zip"
-    assert flown[0].choice.meaning == "logits"
+    page = tmp_path / "page.html"
+    assert commands.run("play", [str(path), "--activation", "tanh", "--out", str(page)]) == 0
+    data = json.loads(page.read_text().split('id="data">')[1].split("</script>")[0])
+    (policy,) = data["policies"]
+    assert data["scene"]["pilots"] == ["you", policy["key"], "nobody", "nobody"]
+    assert (policy["activation"], policy["name"]) == ("tanh", "theirs.zip")
+    layers = [
+        layer for layer in load_policy(path, activation="tanh").network.children() if hasattr(layer, "bias")
+    ]
+    own = torch.cat([part.detach().flatten() for layer in layers for part in (layer.weight, layer.bias)])
+    assert base64.b64decode(policy["weights"]) == own.numpy().tobytes()
 
 
 def test_the_package_unpickles_nowhere():

@@ -1,4 +1,4 @@
-"""One loop steps all episodes: evaluations, films and the window show the same ones, compiled or not."""
+"""One loop steps all episodes: evaluations and films show the same ones, compiled or not."""
 
 import dataclasses
 
@@ -17,7 +17,6 @@ from uavnav.tasks.world import World
 from uavnav.training import machine
 from uavnav.views import render
 from uavnav.views.render import Pilot
-from uavnav.views.window import game as rules
 
 ACTS = {"ppo": ("categorical", 0.0), "dqn": ("epsilon-greedy", 0.05)}
 WORLDS = {
@@ -70,18 +69,6 @@ def test_a_film_of_set_260_is_the_row_of_an_evaluation_of_261_sets():
     row = evaluate_policy(policy, episodes=261, max_steps=100, seed=5).iloc[260]
     flown = render.fly(Pilot("", policy, policy.task, 5), layouts.load("test"), 260, 100)
     assert (len(flown.states) - 1, float(flown.states[-1].reward)) == (row.steps, row.reward)
-
-
-def test_the_window_starts_at_the_heading_of_the_film_and_flies_it_greedily():
-    policy, all_layouts = untrained(task=WORLDS["random, additive"]), layouts.load("test")
-    pilot = Pilot("", policy, policy.task, policy.seed)
-    for index in (0, 7):
-        film = render.fly(pilot, all_layouts, index, 60)
-        game = rules.new([pilot], all_layouts, index=index, max_steps=60)
-        assert game.state.heading == film.states[0].heading
-        while not game.ended:
-            game = rules.step(game)
-        assert game.legs[0].points == tuple((float(state.x), float(state.y)) for state in film.states)
 
 
 def test_random_headings_belong_to_the_set_whoever_flies_and_however_many_sets_there_are():

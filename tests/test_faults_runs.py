@@ -28,8 +28,6 @@ from uavnav.training import machine, probes
 from uavnav.training.config import plain
 from uavnav.training.recorder import Interrupted
 from uavnav.views import render, replays
-from uavnav.views.render import Pilot
-from uavnav.views.window import game as rules
 
 fly_command = functools.partial(commands.run, "evaluate")
 
@@ -137,7 +135,7 @@ def test_a_flyer_with_faults_flies_among_others_as_alone_and_its_film_is_its_row
     together = evaluation.fly(policies, task).episodes
     alone = evaluation.fly({6: policies[6]}, task).episodes
     pd.testing.assert_frame_equal(together[together["seed"] == 6].reset_index(drop=True), alone)
-    film = render.fly(Pilot("own", policies[6], own, 6), layouts.load("test")[:20], 7, 60)
+    film = render.fly(render.Pilot("own", policies[6], own, 6), layouts.load("test")[:20], 7, 60)
     row = alone[alone["layout"] == 7].iloc[0]
     last = film.states[-1]
     assert (int(last.steps), int(last.distance), float(last.reward)) == (
@@ -218,21 +216,6 @@ def test_probes_show_a_pose_as_if_an_episode_began_there_and_without_faults():
     plain_poses = probes.poses(make_task("test"))
     assert torch.equal(probes.poses(make_task("test", faults=ALL)), plain_poses)
     assert torch.equal(probes.poses(make_task("test", stack=3)), plain_poses.repeat(1, 3))
-
-
-def test_the_window_hands_a_drone_from_pilot_to_pilot_whatever_each_remembers():
-    tasks = [make_task(EMPTY), make_task(EMPTY, stack=3, faults=ALL), make_task(EMPTY, faults={"late": 1})]
-    pilots = [Pilot(str(nth), untrained(task), task, nth) for nth, task in enumerate(tasks)]
-    game = rules.new(pilots, layouts.load("test"), max_steps=30, you=Pilot("you", rules.nobody, tasks[1]))
-    for pilot in (2, 3, 1, 2):
-        before = game.state
-        game = rules.seat(game, pilot)
-        assert (game.state.x, game.state.steps) == (before.x, before.steps)
-        assert type(game.state) is game.task.state_class
-        for _ in range(3):
-            game = rules.step(game)
-    assert game.ended or int(game.state.steps) == 12
-    assert not int(rules.reset(game).state.steps)
 
 
 # -- configurations, older files -----------------------------------------------------------------------------

@@ -144,7 +144,7 @@ def test_three_actions_for_two_rows_and_an_action_of_2_7_are_refused():
         ({"layouts": "trian"}, "choose from train, validation, test"),
         ({"reward": "eq41"}, "did you mean eq14. choose from additive, eq14, goal, initial"),
         ({"max_steps": 0}, "max_steps=0"),
-        ({"render_mode": "human"}, "rgb_array"),
+        ({"render_mode": "screen"}, "rgb_array"),
         ({"num_envs": 0}, "num_envs=0"),
     ],
 )
@@ -153,6 +153,19 @@ def test_each_of_5_bad_arguments_is_refused_with_the_choices(arguments, says):
     for kind in kinds:
         with pytest.raises(ValueError, match=says):
             kind(**arguments)
+
+
+def test_for_people_each_step_is_a_picture_in_a_window_that_closes(monkeypatch):
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = DroneGymEnv(render_mode="human")
+    env.reset(seed=0)
+    env.step(9)
+    assert env.render() is None
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    assert np.array_equal(shown, drawing.draw_state(env._now(), env.task))
+    env.close()
+    assert pygame.display.get_surface() is None
 
 
 def test_stepping_before_a_reset_is_refused_by_both_kinds():

@@ -1,5 +1,5 @@
-"""The playground's worlds, policies, rules and sets, in a real browser by the page's own code, against
-Python's.
+"""The playground's worlds, policies, scripted policies and layouts, in a real browser by the page's own
+code, against Python's.
 """
 
 import base64
@@ -54,8 +54,8 @@ return [packed(seen.flatMap(({ observation }) => [...observation])),
 FLOWN = (
     PACKED
     + """
-const [name, episodes, sets, faults] = arguments;
-const task = new TASKS[name](playground.data.tasks[name], faults ?? NO_FAULTS);
+const [name, episodes, sets, limit, faults] = arguments;
+const task = new TASKS[name]({ ...playground.data.tasks[name], max_steps: limit }, faults ?? NO_FAULTS);
 return episodes.map(([place, actions, draws]) => {
   let state = task.start(sets[place], draws?.[0]);
   const rows = [];
@@ -233,7 +233,7 @@ def test_50_episodes_of_committed_actions_are_flown_as_by_python_and_end_as_thei
     seen, poses, counts, ends = in_python(task, places, padded)
     last = torch.where(ends.any(1), ends.int().argmax(1) + 1, ends.shape[1]).tolist()
     episodes = [[place, actions[:end]] for (place, actions), end in zip(given, last, strict=True)]
-    found = chrome.execute_script(FLOWN, name_of(task), episodes, sets_of(task))
+    found = chrome.execute_script(FLOWN, name_of(task), episodes, sets_of(task), task.max_steps)
     assert len(episodes) == len(found) == 50
     observed = swapped = crashed = 0
     for place, ((_, actions), (mine, sensed, metrics)) in enumerate(zip(episodes, found, strict=True)):
@@ -262,7 +262,7 @@ def test_50_episodes_of_committed_actions_are_flown_as_by_python_and_end_as_thei
 # -- who flies -----------------------------------------------------------------------------------------------
 
 
-def test_policies_choose_as_in_python_in_999_of_1000_poses_and_the_rule_in_all(
+def test_policies_choose_as_in_python_in_999_of_1000_poses_and_reactive_in_all(
     chrome, opened, all_layouts, poses
 ):
     x, y, heading, places = poses
@@ -348,7 +348,7 @@ def test_with_the_same_random_numbers_faults_do_what_they_do_in_python(chrome, o
     seen, poses, _, ends = in_python(task, torch.arange(20), actions, draws)
     last = torch.where(ends.any(1), ends.int().argmax(1) + 1, 60).tolist()
     episodes = [[n, actions[n, :end].tolist(), draws[n].double().tolist()] for n, end in enumerate(last)]
-    found = chrome.execute_script(FLOWN, name, episodes, sets_of(task), FAULTS)
+    found = chrome.execute_script(FLOWN, name, episodes, sets_of(task), task.max_steps, FAULTS)
     for n, (end, (mine, sensed, _)) in enumerate(zip(last, found, strict=True)):
         assert (unpacked(mine, end, 8) - poses[n, :end]).abs().max() <= CLOSE
         here, there = unpacked(sensed, end + 1, seen.shape[-1]), seen[n, : end + 1]
@@ -359,16 +359,16 @@ def test_with_the_same_random_numbers_faults_do_what_they_do_in_python(chrome, o
     assert differ.sum() >= 15  # negative control: without faults other things are seen
 
 
-@pytest.mark.parametrize(("rule", "expected"), [("moving", dodge), ("goal", towards_goal)])
-def test_the_rules_of_other_worlds_choose_as_in_python_in_999_of_1000_poses(chrome, opened, rule, expected):
-    task, random = make_task("test", task=rule), torch.Generator().manual_seed(2)
+@pytest.mark.parametrize(("name", "expected"), [("moving", dodge), ("goal", towards_goal)])
+def test_reactive_in_other_worlds_chooses_as_in_python_in_999_of_1000_poses(chrome, opened, name, expected):
+    task, random = make_task("test", task=name), torch.Generator().manual_seed(2)
     x, y = (torch.rand(2000, generator=random) * (side - 100) + 50 for side in (800, 600))
     heading, steps = (torch.randint(n, (2000,), generator=random) for n in (360, 1000))
     state = task.start(torch.arange(2000) % 1000, heading)._replace(x=x, y=y, steps=steps)
     seen = task.observe(state)[0]
     words = "const [name, seen] = arguments, { world, rules } = playground.data.tasks[name];"
-    words += "return seen.map((one) => RULES[name](world, Float32Array.from(one), rules));"
-    mine = torch.tensor(chrome.execute_script(words, rule, seen.double().tolist()))
+    words += "return seen.map((one) => REACTIONS[name](world, Float32Array.from(one), rules));"
+    mine = torch.tensor(chrome.execute_script(words, name, seen.double().tolist()))
     assert (mine == expected(seen)).float().mean() >= 0.999
     assert len(mine.unique()) >= 10
 

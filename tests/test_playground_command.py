@@ -1,7 +1,11 @@
-"""`uavnav playground`: which policies are on the page, and what is said of those that cannot be."""
+"""`uavnav play` and `uavnav playground`: who is on the page, what it opens with, and what is said of who
+cannot be.
+"""
 
 import base64
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +14,9 @@ from runs_by_hand import write_policies
 
 from uavnav import load_policy
 from uavnav.__main__ import main
-from uavnav.views.browser.playground import MOST, collect
+from uavnav.runs.metrics import EPISODE_COLUMNS
+from uavnav.tasks import layouts
+from uavnav.views.browser.playground import MOST, collect, runs_in
 
 
 def told(words, capsys):
@@ -19,15 +25,22 @@ def told(words, capsys):
     return status, *capsys.readouterr()
 
 
+def contents(page):
+    """The data that a page holds."""
+    return json.loads(page.read_text().split('id="data">')[1].split("</script>")[0])
+
+
 def on(page):
-    """The policies that a page holds."""
-    return json.loads(page.read_text().split('id="data">')[1].split("</script>")[0])["policies"]
+    return contents(page)["policies"]
+
+
+def scene(page):
+    return contents(page)["scene"]
 
 
 def test_a_page_holds_the_three_lowest_seeds_of_each_run_with_their_weights_as_they_are(tmp_path, capsys):
     write_policies(tmp_path / "runs" / "dqn" / "tanh", "dqn", seed=4, n_seeds=5)
     write_policies(tmp_path / "runs" / "ppo" / "tanh", seed=0, n_seeds=1)
-    write_policies(tmp_path / "runs" / "deep" / "ppo" / "tanh", seed=0, n_seeds=1)
     status, out, err = told([tmp_path / "runs", "--out", tmp_path / "new" / "page.html"], capsys)
     assert (status, err) == (0, "")
     assert out == f"{tmp_path / 'new' / 'page.html'}: policies: 4; open it in a browser\n"
@@ -42,26 +55,33 @@ def test_a_page_holds_the_three_lowest_seeds_of_each_run_with_their_weights_as_t
     assert {one["head"] for one in found} == {"direct"}
 
 
-def test_runs_of_one_algorithm_and_activation_are_told_apart_by_their_folders(tmp_path):
-    for name in ("a", "b"):
+def test_runs_of_one_algorithm_and_activation_are_told_apart_by_their_folders(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "study/b=1 x"):
         write_policies(tmp_path / name, n_seeds=1)
-    found, _ = collect([tmp_path / "a", tmp_path / "b", tmp_path / "a"])
-    parts = tmp_path.parts[-2:]
-    assert [one["key"] for one in found] == [
-        "-".join([*parts, name, "ppo", "tanh", "0"]) for name in ("a", "b")
-    ]
-    assert found[1]["title"] == f"PPO tanh, seed 0 ({'/'.join(parts)}/b)"
+    found = collect(["a", "study/b=1 x", "a"]).policies
+    assert [one["key"] for one in found] == ["a-ppo-tanh-0", "study-b=1-x-ppo-tanh-0"]
+    assert (found[1]["title"], found[1]["name"]) == ("PPO tanh, seed 0 (study/b=1 x)", "b=1 x")
 
 
-def test_a_policy_of_another_world_is_left_out_in_a_line(tmp_path, capsys):
+def test_a_policy_of_another_world_or_in_3d_is_left_out_in_a_line_and_refused_where_it_is_named(
+    tmp_path, capsys
+):
     write_policies(tmp_path / "here", n_seeds=1)
     write_policies(tmp_path / "there", n_seeds=1, world={"sensor_arc": 90.0})
     status, out, err = told([tmp_path, "--out", tmp_path / "page.html"], capsys)
     assert status == 0
     assert out.endswith(": policies: 1; open it in a browser\n")
-    assert err.count("\n") == 1
-    assert err.startswith(
-        f"uavnav playground: left out: {tmp_path / 'there'}: trained in another world than the page's"
+    watch = f"watch it: uavnav render {tmp_path / 'there'} --out flight.gif"
+    why = "trained in another world than the playground's"
+    line = f"{tmp_path / 'there'}: {why}; {watch}\n"
+    assert err == f"uavnav playground: left out: {line}"
+    assert main(["play", str(tmp_path / "there")]) == 2
+    assert capsys.readouterr() == ("", f"uavnav play: {line}")
+    assert main(["play", "--task", "space"]) == 2
+    assert capsys.readouterr().err == (
+        "uavnav play: --task space: the playground has no such world; "
+        "watch it: uavnav render reactive --task space --out flight.gif\n"
     )
 
 
@@ -74,33 +94,100 @@ def test_policies_trained_with_faults_or_in_other_worlds_of_two_dimensions_are_o
         tmp_path / "sensing", n_seeds=1, n_inputs=50, task="moving", world={"sense_velocity": True}
     )
     write_policies(tmp_path / "stacked", n_seeds=1, n_inputs=120, stack=4)
-    found, left_out = collect([tmp_path])
+    found, *_, left_out = collect([tmp_path])
     assert [one["key"].split("-")[-4] for one in found] == ["late", "moving"]
     assert found[1]["title"].startswith("PPO tanh, seed 0 with moving obstacles (")
-    assert [line.split(": ", 1)[1] for line in left_out] == [
-        "trained in another world than the page's, which has every default",
-        "the page has no stack '4'; it has 1",
+    assert [line.split(": ", 1)[1].split("; watch it")[0] for line in left_out] == [
+        "trained in another world than the playground's",
+        "the playground has no stack '4'; it has 1",
     ]
+
+
+def test_play_opens_ones_own_runs_if_there_are_some_and_the_browser_if_it_can(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    addresses = []
+    monkeypatch.setattr("webbrowser.open", lambda address: addresses.append(address) or True)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    assert main(["play"]) == 0  # without any policy, and without a screen
+    path = Path(capsys.readouterr().out.split(": ")[0])
+    assert (scene(path)["pilots"], path.is_relative_to(tmp_path)) == (
+        ["you", "reactive", "nobody", "nobody"],
+        False,
+    )
+    write_policies(tmp_path / "results" / "vectorised" / "ppo" / "relu", n_seeds=1)
+    assert main(["play", "--out", "page.html"]) == 0
+    assert scene(Path("page.html"))["pilots"] == ["you", "ppo-tanh-0", "reactive", "nobody"]
+    for name in ("one", "two"):
+        write_policies(tmp_path / "runs" / "ppo" / name, n_seeds=1)
+    capsys.readouterr()
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert main(["play", "--layout", "150", "--max-steps", "50"]) == 0
+    assert capsys.readouterr() == ("runs/playground.html: policies: 2; it opens in your browser\n", "")
+    assert addresses == [(tmp_path / "runs/playground.html").as_uri()]
+    assert scene(Path("runs/playground.html"))["pilots"] == [
+        "you", "runs-ppo-one-ppo-tanh-0", "runs-ppo-two-ppo-tanh-0", "reactive",
+    ]  # fmt: skip
+    data = contents(Path("runs/playground.html"))
+    assert (data["scene"]["layout"], data["tasks"]["drone"]["max_steps"]) == (150, 50)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "results", "runs"]
+
+
+def test_a_rung_and_a_layout_file_are_on_the_page_under_their_names(tmp_path, capsys):
+    drawn = layouts.generate(3, k=5, seed=2)
+    layouts.save(drawn, tmp_path / "my own.safetensors", seed=2, split="own")
+    for word, name, shape in (
+        (tmp_path / "my own.safetensors", "my-own", [3, 5, 3]),
+        ("density-12/test", "density-12/test", [200, 12, 3]),
+    ):
+        out = str(tmp_path / "page.html")
+        assert main(["play", "reactive", "--layouts", str(word), "--layout", "2", "--out", out]) == 0
+        data = contents(Path(out))
+        assert data["scene"]["layouts"] == name
+        assert data["layouts"]["drone"][name]["shape"] == shape
+    assert list(data["layouts"]["drone"]) == ["test", "validation", "train", "density-12/test"]
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda text: text.replace("steps", "paces"), "cannot be read (its columns are others)"),
+        (lambda text: text.replace(",7,7,", ",7,1000,"), "line 2 is no episode"),
+        (lambda text: text.replace("True,False", "True,True"), "line 2 is no episode"),
+        (lambda text: text.replace("-10.5", "much"), "cannot be read"),
+    ],
+)
+def test_a_file_to_keep_that_is_none_of_the_pages_is_one_line_and_nothing_is_kept(
+    change, line, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    row = [0, 30, 7, 7, 30, 0, 0, 0, 40, -10.5, True, False]
+    text = f"{','.join(EPISODE_COLUMNS)}\n{','.join(map(str, row))}\n"
+    path = tmp_path / "human.csv"
+    path.write_text(change(text))
+    assert main(["play", "--keep", str(path)]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"uavnav play: {path}: {line}")
+    assert "give human.csv, which K of the playground saves" in err
+    assert not (tmp_path / "runs").exists()
+    path.write_text(text)
+    assert main(["play", "--keep", str(path)]) == 0
 
 
 @pytest.mark.parametrize(
     ("make", "line"),
     [
-        (lambda root: None, "there is no such folder; give a folder that holds runs"),
+        (lambda root: None, "no policy.safetensors there; give the folder of a finished run"),
         (lambda root: root.mkdir(), "holds no run; give a folder that does"),
         (
             lambda root: write_policies(root / "run").joinpath("policy.safetensors").unlink(),
-            "no policy that the page can fly",
+            "no policy there; give a finished run's folder",
         ),
         (
             lambda root: write_policies(root / "run").joinpath("policy.safetensors").write_bytes(b"no"),
             "not a readable policy",
         ),
         (lambda root: write_policies(root / "run", world={"slots": "listed"}), "trained in another world"),
-        (
-            lambda root: [write_policies(root / str(n), n_seeds=1) for n in range(MOST + 1)],
-            f"a page holds at most {MOST}",
-        ),
     ],
 )
 def test_what_is_no_folder_of_policies_is_one_line_and_no_page(make, line, tmp_path, capsys):
@@ -111,3 +198,10 @@ def test_what_is_no_folder_of_policies_is_one_line_and_no_page(make, line, tmp_p
     assert line in err
     assert err.count("\n") == 1
     assert not (tmp_path / "page.html").exists()
+
+
+def test_of_very_many_runs_the_newest_are_on_the_page(tmp_path):
+    for age in range(MOST + 2):
+        write_policies(tmp_path / f"{age:02}", n_seeds=1)
+        os.utime(tmp_path / f"{age:02}" / "policy.safetensors", (1e9 - age, 1e9 - age))
+    assert [path.name for path in runs_in(tmp_path)] == [f"{age:02}" for age in range(MOST)]

@@ -1,6 +1,7 @@
 """The playground in a real browser: links, keys, fingers and looks, and that nothing comes from elsewhere."""
 
 import json
+import time
 
 import numpy as np
 import pandas as pd
@@ -27,11 +28,17 @@ from selenium import webdriver
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
+from uavnav.__main__ import main
+from uavnav.cli import play
+from uavnav.colours import colours
+from uavnav.report import frames
 from uavnav.runs import paper
 from uavnav.runs.metrics import METRICS, per_episode
-from uavnav.tasks import goal
+from uavnav.tasks import goal, layouts
+from uavnav.tasks.protocol import SCRIPTS
 from uavnav.tasks.state import COUNTS
-from uavnav.views.browser.playground import SETTINGS, WORLDS, collect, page
+from uavnav.tasks.table import make_task
+from uavnav.views.browser.playground import SETTINGS, WORLDS, Opening, collect, page
 
 pytestmark = pytest.mark.slow
 
@@ -54,7 +61,7 @@ def browser(chrome, opened):
 # -- links ---------------------------------------------------------------------------------------------------
 
 SCENE = (
-    "set=12&k=2&circles=100_100.5_40~700_500_99.9&pilots=rule~ppo-tanh-0~nobody~you"
+    "world=drone&layouts=test&layout=12&circles=100_100.5_40~700_500_99.9&pilots=reactive~ppo-tanh-0~nobody~you"
     "&focus=4&speed=0.25&greedy=yes&seed=9"
 )
 WRITTEN = "writeLink({ ...playground.scene, circles: playground.race.circles }, playground.data.settings)"
@@ -62,17 +69,23 @@ BAD = (
     *("world=mars", "world=toString", "gap=65", "gap=121", "pace=2.25", "noise=21", "late=1.5", "lost=-1"),
     "sticky=<b>",
     *(
-        "set=-1",
-        "set=1e9",
+        "layout=-1",
+        "layout=1e9",
+        "layouts=mars",
         "k=99",
         "k=",
         "speed=99",
         "focus=5",
         "seed=4294967296",
         "greedy=perhaps",
-        "pilots=rule",
+        "pilots=reactive",
     ),
-    *("pilots=you~you~rule~rule", "pilots=rule~rule~rule~<b>", "circles=400_300_50", "circles=100_100_500"),
+    *(
+        "pilots=you~you~reactive~reactive",
+        "pilots=reactive~reactive~reactive~<b>",
+        "circles=400_300_50",
+        "circles=100_100_500",
+    ),
     *("circles=NaN_1_50", "circles=100_100", "__proto__=1", "constructor=x", "toString", "%3Cscript%3E=1"),
     "<img/src=x/onerror=alert(1)>=1",
 )
@@ -84,9 +97,9 @@ def test_a_link_restores_its_scene_and_the_same_episodes(browser, opened):
         visit(browser, opened, f"#{SCENE}")
         assert ask(browser, "playground.scene") == {
             **{name: one.first for name, one in SETTINGS.items()},
-            "world": "drone", "set": 12, "k": 2,
+            "world": "drone", "layouts": "test", "layout": 12, "k": 8,
             "circles": [pytest.approx([100, 100.5, 40]), pytest.approx([700, 500, 99.9])],
-            "pilots": ["rule", "ppo-tanh-0", "nobody", "you"], "focus": 4,
+            "pilots": ["reactive", "ppo-tanh-0", "nobody", "you"], "focus": 4,
             "speed": 0.25, "greedy": True, "seed": 9,
         }  # fmt: skip
         assert not one(browser, "#notice").is_displayed()
@@ -95,11 +108,14 @@ def test_a_link_restores_its_scene_and_the_same_episodes(browser, opened):
     assert ends[0] == ends[1]
     assert ask(browser, WRITTEN) == SCENE
     one(browser, "#next").click()
-    wait(browser, lambda: "set=13&k=2&pilots=rule~ppo-tanh-0~nobody~you&focus=4" in browser.current_url)
+    wait(
+        browser,
+        lambda: "layouts=test&layout=13&pilots=reactive~ppo-tanh-0~nobody~you&focus=4" in browser.current_url,
+    )
 
 
 def test_a_bad_part_of_a_link_is_named_as_text_and_the_rest_holds(browser):
-    first = ask(browser, "playground.first()")
+    first = ask(browser, "playground.data.scene")
     for bad in BAD:
         browser.execute_script("location.hash = arguments[0]", f"speed=2&{bad}")
         wait(browser, lambda: one(browser, "#notice").is_displayed())
@@ -140,7 +156,8 @@ def on_screen(browser, x, y):
     return box[0] + x * box[2] / 800, box[1] + (600 - y) * box[2] / 800
 
 
-def test_arrow_keys_fly_drone_1_and_only_where_no_control_has_the_focus(browser):
+def test_arrow_keys_fly_drone_1_and_only_where_no_list_or_field_has_the_focus(browser):
+    press(browser, ".")  # one step, in which drone 1 waits
     press(browser, Keys.ARROW_UP, Keys.ARROW_UP, "w", Keys.ARROW_DOWN)
     steps(browser, 5)
     assert (drone(browser)["x"], drone(browser)["y"]) == (400, 310)
@@ -157,8 +174,26 @@ def test_arrow_keys_fly_drone_1_and_only_where_no_control_has_the_focus(browser)
     assert ask(browser, "playground.race.hand[1]") == 2
 
 
-def test_time_goes_stops_steps_and_starts_again_by_keys_alone(browser):
-    assert one(browser, "#banner").text == "Press Play, or Space."
+def test_the_first_arrow_key_starts_and_space_lets_one_watch_while_drone_1_waits(browser, opened):
+    assert one(browser, "#banner-words").text == "Press an arrow key to fly, Space to watch."
+    time.sleep(0.3)
+    assert drone(browser, 1)["steps"] == 0
+    press(browser, Keys.ARROW_UP)
+    wait(browser, lambda: drone(browser)["y"] > 302)
+    assert not one(browser, "#banner").is_displayed()
+    assert ask(browser, "[playground.scene.focus, playground.playing]") == [1, True]
+    visit(browser, opened)
+    press(browser, Keys.SPACE)
+    wait(browser, lambda: drone(browser, 1)["steps"] > 5)
+    assert ask(browser, "playground.scene.focus") == 2
+    assert states(browser) == ["waiting", "flying", "flying", "flying"]
+    assert (drone(browser)["steps"], drone(browser)["waited"] > 3) == (0, True)
+    press(browser, "2", Keys.ARROW_LEFT)  # it takes off, and is in focus
+    wait(browser, lambda: drone(browser)["steps"] > 1)
+    assert ask(browser, "playground.scene.focus") == 1
+
+
+def test_time_stops_steps_and_starts_again_by_keys_alone(browser):
     press(browser, Keys.SPACE)
     wait(browser, lambda: drone(browser, 1)["steps"] > 2)
     assert one(browser, "#play").text == "Pause"
@@ -197,12 +232,13 @@ def test_a_seed_repeats_the_random_choices_and_another_makes_others(browser):
 def test_a_drone_is_handed_over_in_mid_episode_and_taken_back_where_it_is(browser):
     steps(browser, 20)
     press(browser, "3", "t")
+    assert states(browser) == ["flying"] * 4  # drone 1 waited, and is flown by the scripted policy now
     before = drone(browser, 2)
     assert ask(browser, "playground.race.drones.map(({ pilot }) => pilot)") == [
-        "rule",
+        "reactive",
         "ppo-tanh-0",
         "you",
-        "rule",
+        "reactive",
     ]
     press(browser, Keys.ARROW_UP)
     steps(browser, 1)
@@ -220,6 +256,7 @@ def test_a_drone_is_handed_over_in_mid_episode_and_taken_back_where_it_is(browse
 
 
 def test_the_table_holds_the_six_metrics_of_each_drone(browser):
+    browser.execute_script("playground.race.begin()")
     steps(browser, 60)
     names = [row.get_attribute("data-metric") for row in find(browser, "[data-metric]")]
     assert names == list(paper.COLUMNS)
@@ -280,20 +317,137 @@ def test_a_finger_steers_and_the_density_is_a_slider(browser):
     assert one(browser, "#k-now").text == "13"
 
 
-def test_a_crash_is_told_and_when_all_are_down_the_race_is_over(browser, opened):
-    visit(browser, opened, "#pilots=you~nobody~nobody~nobody")
-    press(browser, *([Keys.ARROW_UP] * 9), Keys.SPACE)
-    wait(browser, lambda: one(browser, "#banner").is_displayed(), 20)
-    assert one(browser, "#banner").text.startswith("All are down.")
+def test_a_crash_is_told_with_what_one_can_do_next_while_the_others_fly_on(browser, opened):
+    press(browser, *([Keys.ARROW_UP] * 9))
+    wait(browser, lambda: one(browser, "#banner-again").is_displayed(), 20)
+    crashed = drone(browser)
+    assert one(browser, "#banner-words").text.startswith(f"You crashed: step {crashed['steps']}, reward −")
     assert "1, You keys: crashed, step " in one(browser, "#status").get_property("textContent")
-    assert drone(browser)["reward"] == pytest.approx(0.09 * (drone(browser)["steps"] - 1) - 10, abs=0.5)
+    assert crashed["reward"] == pytest.approx(0.09 * (crashed["steps"] - 1) - 10, abs=0.5)
+    wait(browser, lambda: drone(browser, 3)["steps"] > crashed["steps"] + 2)
+    one(browser, "#banner-next").click()
+    assert ask(browser, "[playground.scene.layout, playground.race.steps, playground.playing]") == [
+        4,
+        0,
+        False,
+    ]
+    press(browser, *([Keys.ARROW_UP] * 9))
+    wait(browser, lambda: one(browser, "#banner-again").is_displayed(), 20)
+    press(browser, Keys.ENTER)
+    assert ask(browser, "[playground.scene.layout, playground.race.steps]") == [4, 0]
+    assert one(browser, "#banner-words").text.startswith("Press an arrow key")
+    visit(browser, opened, "#pilots=straight~straight~nobody~nobody")
+    steps(browser, 100)
+    assert one(browser, "#banner-words").text == "All have crashed."
 
 
-def test_it_plays_by_itself_but_not_for_those_who_want_less_motion(browser, opened):
-    assert drone(browser, 1)["steps"] == 0
-    assert not ask(browser, "playground.playing")
-    visit(browser, opened, motion="no-preference")
-    wait(browser, lambda: drone(browser, 1)["steps"] > 3)
+def test_a_crash_stays_with_the_pilot_that_had_it_whoever_has_the_drone_next(browser, opened):
+    """A person who crashed takes another drone; a policy's crash is not the person's who takes its drone."""
+    visit(browser, opened, "#pilots=you~straight~reactive~nobody")
+    press(browser, ".", *([Keys.ARROW_UP] * 9))
+    steps(browser, 60)
+    assert states(browser)[:3] == ["crashed", "crashed", "flying"]
+    names = "document.querySelectorAll('.who')"
+    press(browser, "3", "t")
+    steps(browser, 5)
+    assert ask(browser, f"[...{names}].map((one) => one.textContent)") == ["You", "Scripted", "You", "–"]
+    assert states(browser)[:3] == ["crashed", "crashed", "flying"]
+    assert not one(browser, "#banner").is_displayed()  # the drone that is flown now has not ended
+    press(browser, "2", "t")
+    assert ask(browser, f"[...{names}].map((one) => one.textContent)") == ["You", "Scripted", "Scripted", "–"]
+    assert one(browser, "#acts").text.startswith(
+        "This drone's episode has ended: the next start hands it over."
+    )
+    press(browser, "r")
+    assert ask(browser, "playground.race.drones.map(({ pilot }) => pilot)") == [
+        *("reactive", "you", "reactive", "nobody"),
+    ]
+
+
+# -- layouts, and what leaves the page -----------------------------------------------------------------------
+
+
+def test_layouts_are_those_of_the_splits_by_number_and_sliders_draw_others(browser, opened):
+    for split, number in (("test", 3), ("test", 199), ("validation", 0), ("train", 20)):
+        Select(one(browser, "#layouts")).select_by_value(split)
+        one(browser, "#layout").send_keys(Keys.CONTROL, "a", Keys.NULL, str(number), Keys.TAB)
+        assert ask(browser, "playground.race.circles") == layouts.load(split)[number].double().tolist()
+    press(browser, Keys.ESCAPE, "n")
+    assert ask(browser, "playground.scene.layout") == 21
+    for world in ("moving", "goal"):
+        visit(browser, opened, f"#world={world}&layouts=test&layout=7")
+        rows = make_task("test", task=world).layouts[7].double().tolist()
+        found = ask(browser, "playground.race.set")
+        assert found["circles"] == (rows[:-1] if world == "goal" else rows)
+        assert found.get("goal") == (rows[-1][:2] if world == "goal" else None)
+    slide(browser, "k", 5)
+    assert ask(browser, "[playground.scene.layouts, playground.race.circles.length]") == ["random", 5]
+
+
+@pytest.fixture
+def downloads(browser, tmp_path):
+    browser.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)}
+    )
+    return tmp_path
+
+
+def test_episodes_by_hand_are_kept_and_shown_by_a_report(browser, opened, downloads, monkeypatch, capsys):
+    browser.execute_script("localStorage.clear()")
+    monkeypatch.chdir(downloads)
+    kept = downloads / "human.csv"
+    ends = []
+    for number in (0, 1):
+        visit(browser, opened, f"#layout={number}&pilots=you~nobody~nobody~nobody&focus=1")
+        press(browser, Keys.ARROW_UP, *([Keys.ARROW_UP] * 8))
+        wait(browser, lambda: one(browser, "#banner-keep").is_displayed(), 20)
+        ends.append(drone(browser))
+        press(browser, "k")
+        assert one(browser, "#notice").text.endswith("For a report: uavnav play --keep human.csv")
+        wait(browser, kept.exists)
+        assert main(["play", "--keep", str(kept), "--person", "2"]) == 0
+        kept.unlink()
+    assert capsys.readouterr().out.splitlines()[1].startswith(f"{play.ROWS}: 2 episodes, 1 of them new")
+    (name, rows), *others = frames.baselines([downloads / "runs"])[0].items()
+    assert (name, others, rows["seed"].tolist(), rows["layout"].tolist()) == ("human", [], [2, 2], [0, 1])
+    for column in COUNTS:
+        assert rows[column].tolist() == pytest.approx([end[column] for end in ends])
+    assert rows["terminated"].all()
+    assert rows.attrs == {"layouts": "test", "max_steps": 10_000}
+    press(browser, "k")
+    assert one(browser, "#notice").text.startswith("There is no new episode to keep")
+
+
+def test_only_whole_episodes_by_hand_on_test_layouts_as_they_are_can_be_kept(browser, opened):
+    kept = "rowOf(playground.race, { ...playground.race.drones[0], ended: 'collision' }) !== undefined"
+    for fragment, expected in {
+        "": True, "layouts=train": False, "sticky=0.5": False, "world=moving": False, "circles=none": False,
+        "pilots=reactive~you~nobody~nobody": False,
+    }.items():  # fmt: skip
+        visit(browser, opened, f"#{fragment}")
+        assert ask(browser, kept) == expected, fragment
+    visit(browser, opened)
+    press(browser, "1", "t")
+    steps(browser, 3)
+    press(browser, "t")
+    assert not ask(browser, kept)  # another one began it
+
+
+@pytest.mark.parametrize("world", ["drone", "moving"])
+def test_a_saved_layout_is_one_that_every_command_reads(world, browser, opened, downloads):
+    visit(browser, opened, f"#world={world}&layout=5")
+    one(browser, "#draw").click()
+    one(browser, "#add").click()
+    drawn = ask(browser, "playground.race.set.circles")
+    press(browser, "b")
+    path = downloads / "own.safetensors"
+    wait(browser, path.exists)
+    (saved,) = make_task(path, task=world).layouts
+    assert saved.double().tolist() == drawn
+    assert len(saved) == 9
+    visit(browser, opened, "#world=goal")
+    press(browser, "b")
+    assert one(browser, "#notice").text.startswith("Only layouts with obstacles and without a goal")
 
 
 # -- how it looks --------------------------------------------------------------------------------------------
@@ -372,29 +526,32 @@ def test_each_world_shows_its_own_sliders_and_says_who_flies(browser):
         assert {s for s in ("k", "gap", "pace") if one(browser, f"#{s}").is_displayed()} == sliders
         steps(browser, 1)
         assert states(browser) == [
-            "flying",
+            "waiting",
             *(["cannot fly"] * 2 if name == "goal" else ["flying"] * 2),
             "flying",
         ]
         assert one(browser, "#told").text.startswith(WORLDS[name]["told"])
-    assert one(browser, "#told").text.endswith("No network here has learned that: you and the rule fly.")
+    assert one(browser, "#told").text.endswith(
+        "No network here has learned that: you and the scripted policy fly."
+    )
     assert ask(browser, "playground.scene.focus") == 1  # a drone that can fly
     options = Select(one(browser, "#pilot")).options
-    assert {option.text for option in options if option.is_enabled()} == {"you", "the rule", "nobody"}
+    assert {option.text for option in options if option.is_enabled()} == {"you", "nobody", *SCRIPTS}
     choice.select_by_value("drone")
-    assert ask(browser, "playground.race.flying().length") == 4
+    assert ask(browser, "playground.race.flying().length") == 3
 
 
-def test_the_rule_reaches_its_goal_and_the_page_says_so(browser, opened):
-    visit(browser, opened, "#world=goal&pilots=nobody~nobody~nobody~rule&focus=4")
+def test_reactive_reaches_its_goal_and_the_page_says_so(browser, opened):
+    visit(browser, opened, "#world=goal&pilots=nobody~nobody~nobody~reactive&focus=4")
     steps(browser, 1000)
     assert states(browser)[3] == "arrived"
-    assert one(browser, "#banner").text.startswith("The race is over.")
-    assert "4, Rule scripted: arrived" in one(browser, "#status").get_property("textContent")
+    assert one(browser, "#banner-words").text == "The race is over."
+    assert "4, Scripted reactive: arrived" in one(browser, "#status").get_property("textContent")
     assert one(browser, "#sensor").get_attribute("aria-label").endswith(" px")
     visit(browser, opened, "#world=goal&pilots=you~nobody~nobody~nobody")
+    browser.execute_script("playground.race.begin()")
     steps(browser, 1000)
-    assert states(browser)[0] == "too late"
+    assert states(browser)[0] == "time limit"
 
 
 def test_networks_trained_with_faults_say_so(tmp_path):
@@ -409,23 +566,46 @@ def test_networks_trained_with_faults_say_so(tmp_path):
 def test_a_page_of_networks_trained_for_goals_begins_there_and_they_fly_there_alone(chrome, tmp_path):
     write_policies(tmp_path / "ppo" / "tanh", task="goal", n_seeds=1, n_inputs=33, prefer=[(0, 9)])
     path = tmp_path / "playground.html"
-    path.write_text(page(collect([tmp_path])[0]))
+    path.write_text(page(collect([tmp_path])))
     visit(chrome, path)
     assert ask(chrome, "playground.scene.world") == "goal"
     steps(chrome, 1)
-    assert states(chrome) == ["flying", "flying", "", "flying"]
+    assert states(chrome) == ["waiting", "flying", "flying", ""]
     assert ask(chrome, "playground.race.drones[1].state.y") == 309  # nine pixels up, as it learned
     assert "No network" not in one(chrome, "#told").text
     Select(one(chrome, "#world")).select_by_value("drone")
     steps(chrome, 1)
-    assert states(chrome) == ["flying", "cannot fly", "", "flying"]
+    assert states(chrome) == ["waiting", "cannot fly", "flying", ""]
     link = ask(chrome, "writeLink(playground.scene, playground.data.settings)")
     visit(chrome, path, f"#{link}")
     assert ask(chrome, "playground.scene.world") == "drone"
 
 
+def test_named_runs_and_zips_fly_when_the_page_opens_in_the_colours_of_the_one_table(chrome, tmp_path):
+    for name in ("a", "b"):
+        write_policies(tmp_path / name, n_seeds=2, faults={"late": 2})
+    write_policies(tmp_path / "c", "dqn", n_seeds=1)
+    flyers = collect([tmp_path / "b", "reactive", tmp_path / "a"], seed=1)
+    path = tmp_path / "playground.html"
+    path.write_text(page(flyers, Opening("validation", 7, greedy=True)))
+    visit(chrome, path)
+    scene = ask(chrome, "playground.scene")
+    assert scene["pilots"] == ["you", flyers.named[0], "reactive", flyers.named[2]]
+    assert [key.split("-")[-4:] for key in (scene["pilots"][1], scene["pilots"][3])] == [
+        [name, "ppo", "tanh", "1"] for name in "ba"
+    ]
+    assert (scene["layouts"], scene["layout"], scene["greedy"], scene["late"]) == ("validation", 7, True, 2)
+    assert ask(chrome, "playground.pilots") == colours(["you", "ppo", "reactive", "ppo"])
+    found = collect([tmp_path / "c", tmp_path])
+    assert (len(found.policies), found.named) == (
+        5,
+        [one["key"] for one in found.policies if "dqn" in one["key"]],
+    )
+
+
 def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_draws(browser, opened):
     visit(browser, opened, "#world=moving&pace=4&pilots=you~nobody~nobody~nobody&focus=1")
+    browser.execute_script("playground.race.begin()")
     first = ask(browser, "playground.race.obstaclesAt(1)")
     steps(browser, 20)
     later = ask(browser, "playground.race.obstaclesAt(1)")
@@ -448,9 +628,9 @@ def test_obstacles_move_as_time_goes_and_stand_still_where_they_start_while_one_
 
 
 def test_a_drone_that_nobody_flew_senses_obstacles_where_they_are_once_it_is_handed_over(browser, opened):
-    visit(browser, opened, "#world=moving&pace=4&pilots=rule~nobody~nobody~nobody&set=3")
+    visit(browser, opened, "#world=moving&pace=4&pilots=reactive~nobody~nobody~nobody&layout=3")
     steps(browser, 25)
-    browser.execute_script("playground.handTo(1, 'rule')")
+    browser.execute_script("playground.handTo(1, 'reactive')")
     expected = "playground.race.task.obstacles(playground.race.set, playground.race.steps)"
     # px, at the start
     near = f"Math.min(...{expected}.map(([x, y, r]) => Math.hypot(x - 400, y - 300) - r), 270)"
@@ -465,7 +645,7 @@ def test_a_drone_that_nobody_flew_senses_obstacles_where_they_are_once_it_is_han
 
 
 def test_an_edited_obstacle_leaves_what_sticks_as_it_is(browser, opened):
-    visit(browser, opened, "#sticky=0.5&pilots=rule~nobody~nobody~nobody")
+    visit(browser, opened, "#sticky=0.5&pilots=reactive~nobody~nobody~nobody")
     steps(browser, 3)
     before = ask(browser, "playground.race.drones[0].state.executed")
     browser.execute_script("playground.edit([])")
@@ -473,18 +653,16 @@ def test_an_edited_obstacle_leaves_what_sticks_as_it_is(browser, opened):
 
 
 def test_a_circle_stays_off_the_goal_in_a_drawing_and_in_a_link(browser, opened):
-    visit(browser, opened, "#world=goal&set=5")
+    visit(browser, opened, "#world=goal&layout=5")
     assert ask(browser, "playground.focus") == 0  # the first that can fly
     goal_x, goal_y = ask(browser, "playground.race.set.goal")
-    for at in ((goal_x, goal_y), (goal_x + 30, goal_y), (400, 300), (0, 0), (800, 600)):
-        placed = "allowed(playground.world, [...arguments, 100], playground.race.free)"
-        x, y, radius = browser.execute_script(f"return {placed}", *at)
-        assert np.hypot(x - goal_x, y - goal_y) - radius >= goal.ROOM
-        assert np.hypot(x - 400, y - 300) - radius >= 50
-        assert 0 <= x <= 800
-        assert 0 <= y <= 600
-    for at, words in ((f"{goal_x:.1f}_{goal_y:.1f}", "circles"), (f"{x:.1f}_{y:.1f}", "")):
-        visit(browser, opened, f"#world=goal&set=5&circles={at}_100")
+    placed = "allowed(playground.world, [...arguments, 100], playground.race.free)"
+    for at in ((goal_x, goal_y), (goal_x + 30, goal_y), (400, 300), (400, 449)):
+        assert browser.execute_script(f"return {placed}", *at) is None
+    assert browser.execute_script(f"return {placed}", -9, 700) == [0, 600, 100]
+    assert np.hypot(goal_x, goal_y - 600) - 100 >= goal.ROOM
+    for at, words in ((f"{goal_x:.1f}_{goal_y:.1f}", "circles"), ("0_600", "")):
+        visit(browser, opened, f"#world=goal&layout=5&circles={at}_100")
         assert one(browser, "#notice").text.endswith(f": {words}." if words else "")
         assert bool(ask(browser, "playground.scene.circles")) != bool(words)
 
@@ -499,19 +677,19 @@ def test_faults_are_sliders_in_a_link_and_change_the_episodes(browser, opened):
     for name, value in (("noise", 5), ("lost", 0.1), ("late", 2)):
         slide(browser, name, value)
     assert one(browser, "#faults-now").text == "noise 5, lost 0.1, late 2"
-    wait(browser, lambda: "#noise=5&lost=0.1&late=2&set=" in browser.current_url)
+    wait(browser, lambda: "&noise=5&lost=0.1&late=2&layouts=" in browser.current_url)
     steps(browser, 5)
     assert ask(browser, "playground.race.drones[1].state.seen.length") == 3
 
 
 def test_a_link_restores_another_world_with_its_settings(browser, opened):
     scenes = (
-        "world=slalom&gap=90&sticky=0.25&set=4&k=8",
-        "world=moving&pace=5.5&set=1&k=3",
-        "world=goal&noise=2&set=9&k=12",
+        "world=slalom&gap=90&sticky=0.25&layouts=random&layout=4&k=8",
+        "world=moving&pace=5.5&layouts=random&layout=1&k=3",
+        "world=goal&noise=2&layouts=validation&layout=9",
     )
     for scene in scenes:
-        link = f"{scene}&pilots=you~ppo-relu-1~nobody~rule&focus=4&speed=2&greedy=no&seed=7"
+        link = f"{scene}&pilots=you~ppo-relu-1~nobody~reactive&focus=4&speed=2&greedy=no&seed=7"
         visit(browser, opened, f"#{link}")
         assert not one(browser, "#notice").is_displayed()
         found = ask(browser, "playground.scene")

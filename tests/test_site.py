@@ -22,7 +22,7 @@ import uavnav
 from uavnav import networks
 from uavnav.__main__ import main
 from uavnav.algorithms import ALGORITHMS
-from uavnav.cli import commands, play
+from uavnav.cli import commands
 from uavnav.report import compare
 from uavnav.runs import metrics
 from uavnav.runs.evaluations import Protocol
@@ -237,17 +237,13 @@ PRESUMED = {"docs/bridges.md": ["uavnav train ppo"]}
 
 @pytest.fixture
 def carry_out(tmp_path, monkeypatch, undrawn):
-    """Runs a line in an empty folder, in this process, with tiny settings and a window that closes: its
-    status.
-    """
+    """Runs a line in an empty folder, in this process, with tiny settings and no browser: its status."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setattr("webbrowser.open", lambda address: True)
     monkeypatch.delenv("WANDB_MODE", raising=False)
     monkeypatch.setattr(machine, "cores", lambda: 1)  # no further processes
     # of its own episodes
     monkeypatch.setattr(compare, "Protocol", functools.partial(Protocol, episodes=2, max_steps=20))
-    show = play.show
-    monkeypatch.setattr(play, "show", lambda game: (show(game), close_the_window()))
 
     def run(command):
         if command == "make train":
@@ -262,12 +258,6 @@ def carry_out(tmp_path, monkeypatch, undrawn):
     return run
 
 
-def close_the_window():
-    import pygame
-
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-
-
 def untrained_zip(path):
     sb3 = pytest.importorskip("stable_baselines3")
     from uavnav.envs.sb3 import DroneVecEnv
@@ -279,7 +269,7 @@ def untrained_zip(path):
 @pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("page", sorted({page for page, _ in COMMANDS}))
 def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_path, capfd):
-    for name in ("pygame", "av", "onnxscript", "tensorboard"):
+    for name in ("av", "onnxscript", "tensorboard"):
         pytest.importorskip(name)
     if any("theirs.zip" in command for where, command in COMMANDS if where == page):
         untrained_zip(tmp_path / "theirs.zip")

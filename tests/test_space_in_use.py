@@ -19,9 +19,6 @@ from uavnav.tasks.space import SpaceMovingWorld, SpaceWorld
 from uavnav.tasks.table import make_task
 from uavnav.training import probes
 from uavnav.views import render
-from uavnav.views.window import game as rules
-from uavnav.views.window import hud
-from uavnav.views.window import keys as window_keys
 
 SENSED = {"sense_velocity": True}
 SWITCHES = [("space", {}), ("space-moving", {}), ("space-moving", SENSED)]
@@ -198,54 +195,6 @@ def test_a_film_of_an_episode_in_3d_has_both_views_and_a_trail_in_each():
     left, right = np.hsplit(np.abs(film[0].astype(int) - film[-1]).sum(-1) > 0, [160])
     assert left.any()
     assert right.any()
-
-
-def in_the_window(*pilots):
-    """A game in an empty box, which nobody has flown yet."""
-    task = make_task(torch.empty(3, 0, 4), task="space")
-    you = render.Pilot("you", rules.nobody, task)
-    return rules.new([render.Pilot("scripted", one, task) for one in pilots], task.layouts, "test", 0, you)
-
-
-@pytest.mark.parametrize(
-    ("keys", "shift", "turned", "pitched", "flown"),
-    [
-        (("up", "up"), False, 0, 0, 6),
-        (("up", "up", "up", "up", "down"), False, 0, 0, 6),
-        (("t", "up"), False, 0, 4, 3),
-        (("g", "left"), False, 4, -4, 0),
-        (("g", "right"), True, -2, -2, 0),
-    ],
-)
-def test_in_the_window_a_person_turns_pitches_and_flies_by_what_actions_in_3d_have(
-    keys, shift, turned, pitched, flown
-):
-    game = in_the_window()
-    game = window_keys.press(game, "left shift") if shift else game
-    for name in keys:
-        game = window_keys.press(game, name)
-        game = window_keys.release(game, name) if name in ("up", "down") else game
-    after = rules.step(game)
-    assert (int(after.state.heading), int(after.state.pitch)) == (90 + turned, pitched)
-    assert int(after.state.distance) == flown
-    assert len(after.legs[-1].points[-1]) == 3
-
-
-@pytest.mark.parametrize("size", [hud.DESIGN, (640, 480)])
-def test_the_window_shows_a_box_from_above_and_from_the_side_in_the_space_of_an_arena(size):
-    game = in_the_window(lambda observation, generator=None: torch.tensor(4 + 3))
-    for _ in range(5):
-        game = rules.step(game)
-    places = hud.arrange(size, game.world)
-    assert places.width / places.height == pytest.approx(1608 / 600, rel=0.02)
-    pictures = [np.asarray(hud.draw(one, size)).astype(int) for one in (in_the_window(), game)]
-    shown = slice(places.top, places.top + places.height), slice(places.left, places.left + places.width)
-    changed = np.abs(pictures[0] - pictures[1])[shown].sum(-1) > 0
-    left, right = np.array_split(changed, 2, axis=1)
-    assert left.any()
-    assert right.any()
-    assert rules.draw(game).message == "Obstacles are drawn in worlds of two dimensions without a goal"
-    assert rules.seat(game, 0).distance == 9
 
 
 def _always(observation, generator=None, action=0):

@@ -32,7 +32,6 @@ from uavnav.tasks.protocol import (
     SPLITS,
     TASK_NAMES,
 )
-from uavnav.views.window.table import DRAWN, HELP, ROWS
 
 TASKS = ", ".join(TASK_NAMES)
 
@@ -298,47 +297,31 @@ def _runs(parser: Parser) -> None:
 
 
 def _play(parser: Parser) -> None:
-    """Fly a drone with the keyboard, or watch policies fly it, in a window."""
-    table = "\n".join(f"  {shown:12} {does}" for shown, does in HELP)
-    parser.epilog = f"example: uavnav play runs/ppo-vectorised/relu reactive --layout 20\n\nkeys:\n{table}"
-    parser.add_argument("runs", nargs="*", metavar="RUN", help=f"{RUN}; keys 1 to 9 (default: you fly)")
+    """Watch runs fly in the browser, or fly yourself: writes the playground and opens it."""
+    parser.epilog = "example: uavnav play runs/ppo-vectorised/relu reactive --layout 20"
+    usual = "(default: runs if it has any, else the policies that ship)"
+    parser.add_argument("runs", nargs="*", metavar="RUN", help=f"a folder of runs, {RUN} {usual}")
     _episode(parser)
     told = f"time limit (default: {MAX_STEPS:,}, or the task's own if less)"
     parser.add_argument("--max-steps", type=whole, help=told)
+    parser.add_argument("--out", type=Path, metavar="FILE", help=_PAGE.format("a temporary file"))
+    told = "add the episodes in a file that K of the page saved to those that uavnav report runs shows"
+    parser.add_argument("--keep", type=Path, metavar="FILE", help=told)
     parser.add_argument(
-        "--person", type=whole, default=0, help="who flies by hand: the rows' seed (default: 0)"
+        "--person", type=whole, default=0, help="with --keep: who flew them, the rows' seed (default: 0)"
     )
-    rows = f"as runs/baselines/{ROWS.name}; without a run {ROWS}"
-    parser.add_argument(
-        "--out",
-        type=Path,
-        help="file for rows of episodes by hand (default: where a report of the first RUN's root looks, "
-        f"{rows})",
-    )
-    parser.add_argument("--drawn", type=Path, help=f"file for obstacles that you draw (default: {DRAWN})")
 
 
 def _playground(parser: Parser) -> None:
     """Write playground.html: fly the drone in a browser, beside trained policies and a scripted policy."""
     parser.epilog = "example: uavnav playground runs --out playground.html"
-    of = "a run, or runs with policies up to two folders below"
-    usual = "results/vectorised"
-    parser.add_argument(
-        "folders",
-        nargs="*",
-        type=Path,
-        default=[Path(usual)],
-        metavar="FOLDER",
-        help=f"{of} (default: {usual})",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("playground.html"),
-        metavar="FILE",
-        help="the page (default: playground.html)",
-    )
+    told = "a run, or runs with policies below (default: runs if it has any, else the policies that ship)"
+    parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help=told)
+    parser.add_argument("--out", type=Path, metavar="FILE", help=_PAGE.format("playground.html"))
     _plugins(parser)
+
+
+_PAGE = "the page (default: runs/playground.html where runs is there, else {})"
 
 
 def _render(parser: Parser) -> None:

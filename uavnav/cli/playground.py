@@ -2,21 +2,43 @@
 
 from __future__ import annotations
 
+import tempfile
 from argparse import Namespace
+from pathlib import Path
 
 from uavnav import files
 from uavnav.errors import complain
 from uavnav.runs.tables import write
-from uavnav.views.browser.playground import collect, page
+from uavnav.views.browser.playground import Flyers, Opening, collect, page, usual
+
+NAME = "playground.html"
 
 
 def main(arguments: Namespace) -> int:
     """Write the page with the policies of some folders, and say which were left out."""
-    files.check_out(arguments.out)
-    found, left_out = collect(arguments.folders)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    write(arguments.out, page(found).encode())
-    for line in left_out:
-        complain("playground", f"left out: {line}")
-    print(f"{arguments.out}: policies: {len(found)}; open it in a browser")
+    if arguments.out:
+        files.check_out(arguments.out)
+    flyers = collect(arguments.folders or usual())
+    out = write_page("playground", arguments.out or where(Path(NAME)), flyers)
+    print(f"{out}: policies: {len(flyers.policies)}; open it in a browser")
     return 0
+
+
+def where(otherwise: Path | None = None) -> Path:
+    """The page's file if none is given: in `runs` where that is there, and never in a tracked folder.
+
+    otherwise: where there are no runs; by default a new folder for temporary files.
+    """
+    if Path("runs").is_dir():
+        return Path("runs") / NAME
+    return otherwise or Path(tempfile.mkdtemp(prefix="uavnav-")) / NAME
+
+
+def write_page(command: str, out: Path, flyers: Flyers, opening: Opening | None = None) -> Path:
+    """Write the page, and say which runs are not on it."""
+    content = page(flyers, opening).encode()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write(out, content)
+    for line in flyers.left_out:
+        complain(command, f"left out: {line}")
+    return out

@@ -34,6 +34,7 @@ from uavnav.training.config import PARTS, TASK, TrainConfig, plain
 from uavnav.training.loggers import chosen, shown_by
 from uavnav.training.loop import Fit, alone, train
 from uavnav.training.recorder import CHECKPOINT_SECONDS, Recorder, free_folder
+from uavnav.views.browser.playground import shows
 
 MOST_CONFIGURATIONS = 1_000
 """Runs of a sweep."""
@@ -281,7 +282,7 @@ def _next(runs: Sequence[Run], order: Order, names: Sequence[str]) -> str:
     if names:
         given["plugins"] = names[0] if len(names) == 1 else [*names]
     commands = {
-        "watch it": ["play", paths[-1], *with_plugins],
+        "watch it": ["play" if shows(runs[-1].path) else "render", paths[-1], *with_plugins],
         "compare it": ["compare", *paths[-MOST_COMPARED:], "reactive", *with_plugins],
         "train longer": [
             "train",

@@ -30,8 +30,6 @@ Trail = tuple[Sequence[tuple[float, ...]], Ink]
 # Okabe and Ito's colours, which people with any colour vision tell apart.
 GROUND, BORDER, OBSTACLE, INK = (250, 250, 247), (84, 88, 96), (150, 156, 166), (32, 36, 44)
 DRONE, SENSOR, SENSED, GOAL = (0, 114, 178), (86, 180, 233, 56), (213, 94, 0), (0, 158, 115)
-PILOTS = (DRONE, (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (84, 88, 96))
-"""One for each policy, in order: its drone and its trail."""
 
 STEPS_PER_SECOND = 30
 """The simulation's own rate."""

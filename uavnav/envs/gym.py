@@ -23,6 +23,7 @@ from torch import Tensor
 from uavnav.envs import scalar
 from uavnav.envs.drawing import draw_state
 from uavnav.envs.env import MOST_ROWS
+from uavnav.envs.viewer import Viewer
 from uavnav.errors import ConfigError, among, quoted, told
 from uavnav.tasks.faults import NAMES, Faults
 from uavnav.tasks.seeding import Chance, places
@@ -36,6 +37,8 @@ Observation = np.ndarray[Any, np.dtype[np.floating[Any] | np.integer[Any]]]
 Info = dict[str, Any]
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
+MODES = ("human", "rgb_array")
+"""How one drone is shown: in a window, or as an array."""
 
 
 def observation_space(world: World, stack: int = 1) -> spaces.Box:
@@ -140,7 +143,7 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         LayoutError, ValueError: a bad layout file, reward, time limit, layout or action.
     """
 
-    metadata = METADATA
+    metadata = METADATA | {"render_modes": list(MODES)}
 
     def __init__(
         self,
@@ -154,9 +157,10 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         faults: Faults | Mapping[str, Any] | None = None,
         **fields: Any,
     ) -> None:
-        if render_mode is not None and not among(render_mode, METADATA["render_modes"]):
-            raise ValueError(f"render_mode={quoted(render_mode)}; choose None or rgb_array")
+        if render_mode is not None and not among(render_mode, MODES):
+            raise ValueError(f"render_mode={quoted(render_mode)}; choose None, {' or '.join(MODES)}")
         self.task = _task(layouts, world, reward, max_steps, task, stack, faults, fields)
+        self._viewer = Viewer(METADATA["render_fps"]) if render_mode == "human" else None
         self.world, self.layouts = self.task.world, self.task.layouts
         self.render_mode = render_mode
         self.observation_space = observation_space(self.world, self.task.stack)
@@ -179,7 +183,9 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
             following = (self._layout + 1) % len(self.layouts)
         self._layout = following if chosen is None else chosen
         heading, draws = self._chance.start()
-        return self._episode.start(self._layout, int(heading), draws), self._info()
+        started = self._episode.start(self._layout, int(heading), draws), self._info()
+        self._show()
+        return started
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, Info]:
         if self._layout is None:
@@ -192,7 +198,18 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
             raise ValueError(
                 f"action={told(action)}; give a whole number from 0 to {self.world.n_actions - 1}"
             )
-        return *self._episode.step(index, self._chance.step()), self._info()
+        stepped = *self._episode.step(index, self._chance.step()), self._info()
+        self._show()
+        return stepped
+
+    def _show(self) -> None:
+        """The state in the window, if there is one."""
+        if self._viewer:
+            self._viewer.show(draw_state(self._now(), self.task))
+
+    def close(self) -> None:
+        if self._viewer:
+            self._viewer.close()
 
     def render(self) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
         """The picture of the current state, with `render_mode="rgb_array"`: [600, 800, 3], in 3D [600,
@@ -200,6 +217,8 @@ class DroneGymEnv(_Surroundings, gymnasium.Env[Observation, np.int64]):
         """
         if self.render_mode is None:
             gymnasium.logger.warn('render() shows nothing without render_mode="rgb_array"')
+            return None
+        if self._viewer:  # every reset and step has been shown
             return None
         if self._layout is None:
             raise gymnasium.error.ResetNeeded("call reset() before render()")

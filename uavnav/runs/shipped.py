@@ -25,6 +25,11 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(FOLDER.glob(f"*{SUFFIX}"))}
 
 
+def chosen() -> dict[str, dict[str, Any]]:
+    """What is known of each policy, by its name: see `CHOSEN`."""
+    return files.read_json(CHOSEN)
+
+
 def rows() -> list[dict[str, Any]]:
     """The policies as `uavnav runs` lists runs."""
     return [
@@ -38,7 +43,7 @@ def rows() -> list[dict[str, Any]]:
             **{f"reward_{mode}": reward for mode, reward in one["test"].items()},
             "age": None,
         }
-        for name, one in files.read_json(CHOSEN).items()
+        for name, one in chosen().items()
     ]
 
 

@@ -10,8 +10,6 @@ const CIVIDIS = [
   [155, 147, 118], [187, 173, 108], [222, 201, 87], [253, 231, 55],
 ]; // dark to bright evenly, to any colour vision
 
-// ---------------------------------------------------------------------------------------------- words
-
 /** A number to so many decimals, with a minus as in print. */
 function fixed(number, decimals) {
   return number.toFixed(decimals).replace(/^-(0(\.0*)?)$/, "$1").replace("-", "\u2212");
@@ -34,8 +32,6 @@ function inWords(action) {
 function pitchOf(action) {
   return action.length > 2 ? action[1] : 0;
 }
-
-// ---------------------------------------------------------------------------------------------- time and looks
 
 const STEPS_PER_SECOND = 30; // at speed 1
 const LONGEST_PAUSE = 0.1; // [s] between two pictures; after a longer one (a hidden page) play goes on, and does not jump
@@ -61,8 +57,6 @@ function watchLooks(element, draw, recolour) {
   recolour();
 }
 
-// ---------------------------------------------------------------------------------------------- drawing
-
 /** The page's colours as they are now, by their names, each as a canvas understands it. */
 function readColours(element, names = COLOURS) {
   const probe = element.appendChild(document.createElement("span"));
@@ -73,6 +67,13 @@ function readColours(element, names = COLOURS) {
   }
   probe.remove();
   return found;
+}
+
+/** Black or white, whichever is read more easily on a colour: "#rrggbb" or "rgb(r, g, b)". */
+function inkOn(colour) {
+  const hex = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+  const [red, green, blue] = (colour[0] === "#" ? hex : colour.match(/\d+/g)).map((part) => (part / 255) ** 2.2);
+  return 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.18 ? "#000000" : "#ffffff";
 }
 
 /** Fit a canvas to its place on the screen, sharp on any; its context, cleared, in CSS px, and its size. */
@@ -149,7 +150,7 @@ function drawDrone(context, world, { x, y, angle, reach = 1 }, crashed, thick, c
     for (const turn of [Math.PI / 4, (3 * Math.PI) / 4]) line(context, [at(turn, 1), at(turn + Math.PI, 1)], 4 * thick, colours.accent);
     return;
   }
-  line(context, [[x, y], at(0, reach)], 4, colours.bg);
+  line(context, [[x, y], at(0, reach)], 4, colours.ink);
 }
 
 const SHADES = 8; // of a trail that fades
@@ -167,14 +168,14 @@ function drawFading(context, trail, width, colour) {
 }
 
 /** A rim around a drone, and its sign behind its line, upright whatever the drone's heading. */
-function drawSign(context, world, { x, y, angle }, sign, colour) {
+function drawSign(context, world, { x, y, angle }, sign, colours) {
   context.lineWidth = 2;
-  context.strokeStyle = colour;
+  context.strokeStyle = colours.fg;
   ring(context, x, y, world.drone_radius);
   context.save();
   context.translate(x - 0.42 * world.drone_radius * Math.cos(angle), y - 0.42 * world.drone_radius * Math.sin(angle));
   context.scale(1, -1);
-  context.fillStyle = colour;
+  context.fillStyle = colours.ink;
   context.font = `700 ${0.8 * world.drone_radius}px system-ui, sans-serif`;
   context.textAlign = "center";
   context.textBaseline = "middle";
@@ -200,12 +201,14 @@ function drawGoal(context, world, [x, y], thick, colours) {
 }
 
 /** A drone with its sensor, its trail and what it senses: see drawArena. */
-function drawFlight(context, world, { pose, trail, sensed, crashed, sign, faint, fades }, thick, colours) {
+function drawFlight(context, world, drone, thick, given) {
+  const { pose, trail, sensed, crashed, sign, faint, fades, accent = given.accent, ink = given.bg } = drone;
+  const colours = { ...given, accent, ink };
   if (!faint && !crashed) drawSensor(context, world, pose, colours);
   (fades ? drawFading : line)(context, trail, (faint ? 2 : 2.5) * thick, colours.accent);
   for (const point of sensed) line(context, [[pose.x, pose.y], point], 1.5 * thick, colours.fg);
   drawDrone(context, world, pose, crashed, thick, colours);
-  if (sign && !crashed) drawSign(context, world, pose, sign, colours.bg);
+  if (sign && !crashed) drawSign(context, world, pose, sign, colours);
   context.fillStyle = colours.fg;
   for (const point of sensed) disc(context, ...point, 5 * thick);
 }
@@ -215,8 +218,8 @@ function drawFlight(context, world, { pose, trail, sensed, crashed, sign, faint,
  *
  * A circle is [x, y, radius], with [vx, vy] if it moves; the goal [x, y], if there is one.
  * Each drone has a pose { x, y, angle [radians] }, the trail [x, y] that it flew, and the points that it senses; perhaps
- * `crashed`, `sign` (a character), `accent` (its colour), `faint` where its sensor is not to be shown, and `fades` where
- * its trail does.
+ * `crashed`, `sign` (a character), `accent` (its colour) and `ink` (on it), `faint` where its sensor is not to be shown,
+ * and `fades` where its trail does.
  */
 function drawArena(canvas, { world, circles, goal, drones, colours }) {
   const { context, width } = fit(canvas);
@@ -231,9 +234,7 @@ function drawArena(canvas, { world, circles, goal, drones, colours }) {
   const thick = Math.max(1, 0.6 / scale); // lines must be seen on a small screen too
   for (const circle of circles) if (circle[3] || circle[4]) drawDrift(context, circle, thick, colours);
   if (goal) drawGoal(context, world, goal, thick, colours);
-  for (const drone of drones) {
-    drawFlight(context, world, drone, thick, { ...colours, accent: drone.accent ?? colours.accent });
-  }
+  for (const drone of drones) drawFlight(context, world, drone, thick, colours);
   return { context, thick };
 }
 

@@ -10,8 +10,6 @@ const TYPES = {
   float32: [4, "getFloat32"],
 }; // of a field: its bytes, and what reads it
 
-// ---------------------------------------------------------------------------------------------- reading an episode
-
 async function inflate(text) {
   const packed = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -71,50 +69,33 @@ function ending(episode) {
   return `${episode.ended} at ${episode.steps}`;
 }
 
-// ---------------------------------------------------------------------------------------------- the page's elements
+const PLAYER = `
+<div class="replay" tabindex="0" role="group" aria-label="Player of episodes. Space plays and pauses, left and right arrows step.">
+<div class="replay-row">
+<label class="replay-label"><span>policy</span><select data-part="configuration"></select></label>
+<label class="replay-label"><span>seed</span><select data-part="seed"></select></label>
+<label class="replay-label"><span>obstacles</span><select data-part="layout"></select></label>
+</div>
+<div class="replay-stage">
+<div class="replay-arena"><canvas data-part="arena" role="img"></canvas></div>
+<div class="replay-row replay-transport">
+<button type="button" class="replay-button" data-part="back" title="one step back" aria-label="one step back">◀</button>
+<button type="button" class="replay-button" data-part="play" title="play" aria-label="play">Play</button>
+<button type="button" class="replay-button" data-part="forward" title="one step forward" aria-label="one step forward">▶</button>
+<label class="replay-label"><span>speed</span><select data-part="speed"></select></label>
+<label class="replay-label replay-slider"><span>step</span><input type="range" min="0" max="0" value="0" data-part="slider"></label>
+</div>
+<p class="replay-status" aria-live="polite" data-part="status"></p>
+<figure class="replay-side"><figcaption data-part="caption"></figcaption><canvas data-part="values" role="img"></canvas></figure>
+</div>
+</div>`;
 
-function make(parent, tag, properties = {}) {
-  return parent.appendChild(Object.assign(document.createElement(tag), properties));
-}
-
-function labelled(parent, text, tag, properties = {}) {
-  const label = make(parent, "label", { className: "replay-label" });
-  make(label, "span", { textContent: text });
-  return make(label, tag, properties);
-}
-
-function button(parent, text, name) {
-  const made = make(parent, "button", { type: "button", textContent: text, className: "replay-button", title: name });
-  made.setAttribute("aria-label", name);
-  return made;
-}
-
+/** The player inside an element, and its parts by name. */
 function build(root) {
-  const player = make(root, "div", { className: "replay", tabIndex: 0 });
-  player.setAttribute("role", "group");
-  player.setAttribute("aria-label", "Player of episodes. Space plays and pauses, left and right arrows step.");
-  const choice = make(player, "div", { className: "replay-row" });
-  const configuration = labelled(choice, "policy", "select");
-  const seed = labelled(choice, "seed", "select");
-  const layout = labelled(choice, "obstacles", "select");
-  const stage = make(player, "div", { className: "replay-stage" });
-  const arena = make(make(stage, "div", { className: "replay-arena" }), "canvas");
-  arena.setAttribute("role", "img");
-  const transport = make(stage, "div", { className: "replay-row replay-transport" });
-  const back = button(transport, "◀", "one step back");
-  const play = button(transport, "Play", "play");
-  const forward = button(transport, "▶", "one step forward");
-  const speed = labelled(transport, "speed", "select");
-  fill(speed, SPEEDS.map((times) => [times, `${times}×`]), 1);
-  const slider = labelled(transport, "step", "input", { type: "range", min: 0, max: 0, value: 0 });
-  slider.parentElement.classList.add("replay-slider");
-  const status = make(stage, "p", { className: "replay-status" });
-  status.setAttribute("aria-live", "polite");
-  const side = make(stage, "figure", { className: "replay-side" });
-  const caption = make(side, "figcaption");
-  const values = make(side, "canvas");
-  values.setAttribute("role", "img");
-  return { player, configuration, seed, layout, arena, caption, values, back, play, forward, slider, speed, status };
+  root.insertAdjacentHTML("beforeend", PLAYER);
+  const player = root.lastElementChild;
+  const parts = Array.from(player.querySelectorAll("[data-part]"), (part) => [part.dataset.part, part]);
+  return { player, ...Object.fromEntries(parts) };
 }
 
 /** Give a select its choices [value, text], and keep what was chosen if it is still there. */
@@ -122,8 +103,6 @@ function fill(select, choices, wanted = select.value) {
   select.replaceChildren(...choices.map(([value, text]) => new Option(text, value)));
   if (choices.some(([value]) => String(value) === String(wanted))) select.value = wanted;
 }
-
-// ---------------------------------------------------------------------------------------------- the player
 
 class Player {
   constructor(root, data) {
@@ -133,6 +112,7 @@ class Player {
     this.read = null; // its fields, once it is unpacked
     this.step = 0;
     this.playing = false;
+    fill(this.parts.speed, SPEEDS.map((times) => [times, `${times}×`]), 1);
     fill(this.parts.configuration, data.configurations.map((one, place) => [place, named(one)]));
     this.listen();
     this.chooseCell();
@@ -290,5 +270,5 @@ class Player {
 /** Build the player inside an element; with no episodes it says so. */
 function startReplays(root, data) {
   if (data.configurations.length) new Player(root, data);
-  else make(root, "p", { className: "replay-status", textContent: "There is no policy whose episode could be shown." });
+  else root.insertAdjacentHTML("beforeend", '<p class="replay-status">There is no policy whose episode could be shown.</p>');
 }

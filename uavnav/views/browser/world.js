@@ -26,8 +26,6 @@ function clamp(value, low, high) {
   return Math.min(Math.max(value, low), high);
 }
 
-// ---------------------------------------------------------------------------------------------- how an action moves
-
 /** An action's turn [degrees, left positive] and distance [px]: eqs (11) and (12). */
 function decode(world, action) {
   const turn = Math.floor(action / world.n_distances);
@@ -46,8 +44,6 @@ function move(pose, degrees, pixels) {
   const y = f32(pose.y + f32(pixels * SINES[heading]));
   return { x, y, heading };
 }
-
-// ---------------------------------------------------------------------------------------------- what it senses
 
 /** Offset from a place to the nearest point of [first, first + side]; zero inside. */
 function toInterval(place, first, side) {
@@ -135,8 +131,6 @@ function slotsOf(world, observation) {
   return Array.from({ length: world.n_slots }, (_, slot) => [...observation.subarray(3 * slot, 3 * slot + 3)]);
 }
 
-// ---------------------------------------------------------------------------------------------- faults
-
 const NO_FAULTS = { noise: 0, lost: 0, late: 0, sticky: 0 }; // [px], probability, [steps], probability
 
 /** How many random numbers a step needs: normal ones of noise, uniform ones of lost echoes, and of a sticky actuator. */
@@ -153,8 +147,6 @@ function echoesOf(world, faults, draws) {
   };
 }
 
-// ---------------------------------------------------------------------------------------------- one step
-
 /** The reward of a step: eq. (14), exclusive cases. */
 function reward(world, degrees, pixels, collided) {
   if (collided) return world.collision_reward;
@@ -166,8 +158,6 @@ function metricOf({ column, scale }, state) {
   if (scale === null) return state[column];
   return state.steps ? (scale * state[column]) / state.steps : 0;
 }
-
-// ---------------------------------------------------------------------------------------------- tasks
 
 /** Where a number is that goes on from `place` at `speed` and bounces between 0 and `size`, and its speed then. */
 function reflect(place, speed, steps, size) {
@@ -190,6 +180,11 @@ class Task {
   /** The set of a number, with k circles or gaps of so many px. */
   generate({ k, set }) {
     return { circles: generate(this.world, k, set) };
+  }
+
+  /** The set whose rows [x, y, radius, ...] a layout file has. */
+  read(rows) {
+    return { circles: rows };
   }
 
   /** A set with other circles [x, y, radius] in place of its own; seed: of what is drawn for them. */
@@ -307,6 +302,10 @@ class Moving extends Task {
 class Goal extends Task {
   generate({ k, set }) {
     return generateGoal(this.world, this.rules, k, set);
+  }
+
+  read(rows) {
+    return { circles: rows.slice(0, -1), goal: rows.at(-1).slice(0, 2) };
   }
 
   get observationSize() {

@@ -1,8 +1,8 @@
-"""`uavnav playground`: the world and trained policies as one page, to be opened from disk: nothing here
-trains.
+"""The world and trained policies as one page, to be opened from disk: nothing here trains.
 
-The page holds the worlds (`uavnav.views.browser`), the weights of some seeds of each run as they are, in
-float32, and scripts without a framework. It loads nothing. What a link to it says is checked by `link.js`.
+The page holds the worlds (`uavnav.views.browser`), the first layouts of their splits, the weights of some
+seeds of each run as they are, in float32, and scripts without a framework. It loads nothing. What a link to
+it says is checked by `link.js`.
 """
 
 from __future__ import annotations
@@ -10,42 +10,51 @@ from __future__ import annotations
 import base64
 import importlib.metadata
 import json
+import os
+import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
+import numpy as np
 from markupsafe import Markup
+from torch import Tensor
 
-from uavnav import networks
+from uavnav import colours, networks
 from uavnav.algorithms import ALGORITHMS
 from uavnav.errors import ConfigError
-from uavnav.runs import POLICY, paper, policies, read_settings, run_folders
-from uavnav.runs.metrics import METRICS
-from uavnav.runs.policies import Policy, PolicyError
+from uavnav.runs import POLICY, paper, policies, read_settings, run_folders, shipped
+from uavnav.runs.metrics import EPISODE_COLUMNS, METRICS
+from uavnav.runs.policies import Policy, PolicyError, is_zip
+from uavnav.tasks import layouts as splits
+from uavnav.tasks.baselines import BASELINES
 from uavnav.tasks.faults import NO_FAULTS
 from uavnav.tasks.ladders import LADDERS
 from uavnav.tasks.moving import MovingWorld
-from uavnav.tasks.protocol import DEFAULT_K
+from uavnav.tasks.protocol import DEFAULT_K, EPISODES, MAX_STEPS, SPLITS
+from uavnav.tasks.space import SpaceWorld
 from uavnav.tasks.table import name_of
 from uavnav.tasks.world import World
 from uavnav.views import browser
 
 HERE = Path(__file__).parent
-PARTS = ("policies", "rules", "link", "race", "stage", "panel", "worlds", "keys", "playground")
+PARTS = ("policies", "scripted", "link", "race", "stage", "panel", "keep", "keys", "playground")
 SCRIPTS = tuple(HERE / f"{name}.js" for name in PARTS)
 """After those of `uavnav.views.browser`, in the order in which a browser reads them."""
+OWN = Path("runs")
+"""Where runs are looked for if none is named."""
 SEEDS = 3
 """Of each run, the lowest, if there is room."""
 MOST = 36
 """Networks on a page: a network of 64-64 takes 67 kB, and a page shall stay below 3 MB."""
-DEPTH = 2
-"""Runs lie so many folders below the one that is given: ppo/tanh. Studies within studies are deeper, and
-left out.
-"""
-FIRST_SET = 3
-"""The layout that the page begins with."""
+DRONES = 4
+"""In a race."""
+ALL_SPLITS = ("test", "validation", "train")
+"""Of each of them a page holds the first `EPISODES` layouts."""
+FIRST_LAYOUT = 3
+"""That the page begins with."""
 
 
 class Setting(NamedTuple):
@@ -84,70 +93,116 @@ TOLD = {
 WORLDS = {name: {"title": title, "told": TOLD[name]} for name, title in browser.TITLES.items()}
 
 
+class Flyers(NamedTuple):
+    """The policies of a page, as it reads them, and what could not be on it."""
+
+    policies: list[dict[str, Any]]
+    named: list[str]  # keys of the runs and scripted policies that were named, in order
+    tasks: dict[str, World]  # by the task of a policy: the world of the first one, whose layouts are shown
+    left_out: list[str]  # a line for each run that is not on the page
+
+
+def usual() -> list[str]:
+    """The folder whose policies fly if none is named: of one's own runs, or of the policies that ship."""
+    return [str(OWN if any(OWN.glob(f"**/{POLICY}")) else shipped.FOLDER)]
+
+
 def runs_in(folder: Path) -> list[Path]:
-    """The runs of a folder that have policies: itself, or those at most `DEPTH` below.
+    """The runs in and below a folder that have policies, the newest `MOST`.
 
     Raises:
-        RunError: it is missing, a file, or holds no run.
+        RunError: it holds no run.
     """
-    found, _ = run_folders(folder)
-    near = [path for path in found if len(path.relative_to(folder).parts) <= DEPTH]
-    return [path for path in near if (path / POLICY).exists()]
+    found = [path for path in run_folders(folder)[0] if (path / POLICY).exists()]
+    newest = sorted(found, key=lambda path: (path / POLICY).stat().st_mtime, reverse=True)[:MOST]
+    return [path for path in found if path in newest]
 
 
-def collect(folders: Sequence[Path]) -> tuple[list[dict[str, Any]], list[str]]:
-    """The policies of the runs in some folders, as the page reads them, and a line for each run that is left
-    out.
+def collect(words: Sequence[str | Path], seed: int | None = None, activation: str | None = None) -> Flyers:
+    """The policies of runs, of all runs in folders, and of zips of Stable-Baselines3.
+
+    seed: of every run, by default the lowest; activation: of the zips' hidden layers, where they need one.
 
     Raises:
-        RunError: a folder is missing, or holds no run.
-        ConfigError: no policy is left, or there are more runs than a page holds.
+        RunError: a folder holds no run.
+        PolicyError: a run that is named has no policy, or one that the page cannot fly; or none is left.
     """
-    runs = list(dict.fromkeys(path for folder in folders for path in runs_in(folder)))
-    if len(runs) > MOST:
-        raise ConfigError(f"{len(runs)} runs; a page holds at most {MOST}: give folders with fewer")
-    kept: list[tuple[Path, list[Policy]]] = []
+    zips = policies.zips([str(word) for word in words], activation)
+    named: dict[str, str] = {}  # what was named -> the key of its policy
+    runs: dict[str, bool] = {}  # path -> whether it was named itself
+    for word in map(str, words):
+        if word in BASELINES:
+            named[word] = word
+        elif Path(word) == shipped.FOLDER:
+            runs |= dict.fromkeys(shipped.shipped(), False)
+        elif os.path.isdir(word) and not os.path.isfile(Path(word) / POLICY) and not is_zip(word):
+            runs |= {str(path): False for path in runs_in(Path(word)) if str(path) not in runs}
+        else:
+            runs[word] = True
+            named[word] = ""
+    kept: dict[str, list[Policy]] = {}
     left_out = []
-    for path in runs:
+    for path, alone in runs.items():
         try:
-            kept.append((path, list(_load(path, max(1, min(SEEDS, MOST // len(runs)))))))
+            own = _policies(path, seed, activation if path in zips else None, MOST // len(runs))
+            kept[path] = [_checked(path, policy) for policy in own]
         except PolicyError as error:
+            if alone:
+                raise
             left_out.append(str(error))
-    if not kept:
-        where = ", ".join(map(str, folders))
-        because = f" ({left_out[0]})" if left_out else ""
-        raise ConfigError(
-            f"{where}: no policy that the page can fly{because}; give a folder with a finished run"
+    if not kept and any(str(word) not in BASELINES for word in words):
+        where = ", ".join(map(str, words))
+        raise PolicyError(
+            left_out[0] if left_out else f"{where}: no policy there; give a finished run's folder"
         )
-    kept.sort(key=lambda one: _order(one[1][0]))
-    names = Counter((own[0].algorithm, _activation(own[0])) for _, own in kept)
-    found = []
-    for path, own in kept:
-        alone = names[own[0].algorithm, _activation(own[0])] == 1
-        frames = int(read_settings(path / "meta.json").get("frames", 0))
-        found += [_packed(policy, "" if alone else "/".join(path.parts[-3:]), frames) for policy in own]
-    return found, left_out
+    names = Counter((own[0].algorithm, _activation(own[0])) for own in kept.values())
+    packed = {}
+    for path, own in sorted(kept.items(), key=lambda item: _order(item[1][0])):
+        unique = names[own[0].algorithm, _activation(own[0])] == 1 and not is_zip(path)
+        packed[path] = [_packed(policy, "" if unique else path, _frames(path)) for policy in own]
+    keys = [key or packed[word][0]["key"] for word, key in named.items()]
+    tasks = {name_of(own[0].task): own[0].world for own in reversed(kept.values())}
+    return Flyers([one for own in packed.values() for one in own], keys, tasks, left_out)
 
 
-def _load(path: Path, n_seeds: int) -> Iterator[Policy]:
-    """The policies of a run's lowest seeds; raises a PolicyError where the page cannot fly one."""
-    for seed in policies.seeds(path / POLICY)[:n_seeds]:
-        policy = policies.load_policy(path, seed)
-        shown = ALGORITHMS[policy.algorithm].shown
-        for what, value, choices in (
-            ("task", name_of(policy.task), ("drone", "moving", "goal")),
-            ("activation", _activation(policy), networks.KNOWN),
-            ("way to act", policy.acts, ("categorical", "epsilon-greedy")),
-            ("values", shown, ("probability", "Q value")),
-            ("stack", str(policy.task.stack), ("1",)),
-        ):
-            if value not in choices:
-                raise PolicyError(f"{path}: the page has no {what} {value!r}; it has {', '.join(choices)}")
-        usual = type(policy.world)()
-        same = {name: getattr(usual, name) for name in ("speed_min", "speed_max") if hasattr(usual, name)}
-        if policy.world.replace(**same) != usual:  # the page has obstacles of any speed
-            raise PolicyError(f"{path}: trained in another world than the page's, which has every default")
-        yield policy
+def _policies(path: str, seed: int | None, activation: str | None, most: int) -> list[Policy]:
+    """Those of a run's lowest seeds, at most so many; of one seed, or of a zip, the one that there is."""
+    if seed is not None or is_zip(path) or not os.path.exists(path):
+        return [policies.load_policy(path, seed, False, activation)]
+    lowest = policies.seeds(Path(path) / POLICY if os.path.isdir(path) else path)[: max(1, min(SEEDS, most))]
+    return list(policies.load_policies(path, lowest, False).values())
+
+
+def _checked(path: str, policy: Policy) -> Policy:
+    """A policy that the page can fly; raises a PolicyError where it cannot."""
+    if isinstance(policy.world, SpaceWorld):
+        _refuse(path, "the playground has no 3D")
+    for what, value, choices in (
+        ("task", name_of(policy.task), ("drone", "moving", "goal")),
+        ("activation", _activation(policy), networks.KNOWN),
+        ("way to act", policy.acts, ("categorical", "epsilon-greedy")),
+        ("values", ALGORITHMS[policy.algorithm].shown, ("probability", "Q value")),
+        ("stack", str(policy.task.stack), ("1",)),
+    ):
+        if value not in choices:
+            _refuse(path, f"the playground has no {what} {value!r}; it has {', '.join(choices)}")
+    usual = type(policy.world)()
+    same = {name: getattr(usual, name) for name in ("speed_min", "speed_max") if hasattr(usual, name)}
+    if policy.world.replace(**same) != usual:  # the page has obstacles of any speed
+        _refuse(path, "trained in another world than the playground's")
+    return policy
+
+
+def shows(run: Path) -> bool:
+    """Whether the page can fly the policies of a finished run."""
+    try:
+        return bool(_checked(str(run), policies.load_policy(run)))
+    except PolicyError:
+        return False
+
+
+def _refuse(path: str, reason: str) -> None:
+    raise PolicyError(f"{path}: {reason}; watch it: uavnav render {path} --out flight.gif")
 
 
 def _order(policy: Policy) -> tuple[int, int]:
@@ -164,27 +219,38 @@ def _activation(policy: Policy) -> str:
     )
 
 
+def _frames(run: str) -> int:
+    """Of a run's training; 0 where nothing says it."""
+    if shipped.is_shipped(run):
+        return int(shipped.chosen()[run]["frames"])
+    facts = (Path(run) if os.path.isdir(run) else Path(run).parent) / "meta.json"
+    return int(read_settings(facts).get("frames") or 0) if facts.is_file() else 0
+
+
+def _key(*words: str) -> str:
+    """A name that a link can hold as it is."""
+    return re.sub("[^A-Za-z0-9._=-]+", "-", "-".join(words)).strip("-")
+
+
 def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
     """A policy as the page holds it; where: its run, if its algorithm and activation do not tell."""
     layers = [layer for layer in policy.network.children() if isinstance(layer, networks.AgentLinear)]
-    numbers = b"".join(
-        part.detach().numpy().astype("<f4").tobytes()
-        for layer in layers
-        for part in (layer.weight, layer.bias)
-    )
+    numbers = [part.detach().numpy() for layer in layers for part in (layer.weight, layer.bias)]
     activation = _activation(policy)
-    title = f"{policy.algorithm.upper()} {activation.replace('_', ' ')}, seed {policy.seed}"
+    words = activation.replace("_", " ")
     how = "samples its actions"
     if policy.acts == "epsilon-greedy":
         how = f"a random action in {100 * policy.epsilon:g} % of its steps, else the best"
     task = policy.task
     place = "" if name_of(task) == "drone" else f" with {WORLDS[name_of(task)]['title']}"
     place += "" if task.faults == NO_FAULTS else f" with {str(task.faults).replace(',', ', ')}"
-    words = [*where.split("/"), policy.algorithm, activation, str(policy.seed)] if where else []
+    trained = f"{frames:,} frames of training" if frames else "trained elsewhere"
     return {
-        "key": "-".join(words or [policy.algorithm, activation, str(policy.seed)]),
-        "title": f"{title}{place}" + (f" ({where})" if where else ""),
-        "told": f"{frames:,} frames of training{place}; {how}.",
+        "key": _key(*([where] if where else []), policy.algorithm, activation, str(policy.seed)),
+        "title": f"{policy.algorithm.upper()} {words}, seed {policy.seed}{place}"
+        + (f" ({where})" if where else ""),
+        "name": Path(where).name if where else words,
+        "told": f"{trained}{place}; {how}.",
         "task": name_of(task),
         "algorithm": policy.algorithm,
         "activation": activation,
@@ -193,19 +259,64 @@ def _packed(policy: Policy, where: str, frames: int) -> dict[str, Any]:
         "shown": ALGORITHMS[policy.algorithm].shown,
         "head": policy.head,
         "layer_norm": any(getattr(layer, "layer_norm", False) for layer in policy.network.children()),
+        "faults": {name: value for name, value in task.faults if value},
         "sizes": [layers[0].weight.shape[1], *(layer.weight.shape[2] for layer in layers)],
-        "weights": base64.b64encode(numbers).decode(),
+        "weights": _base64(*numbers),
     }
 
 
-def page(found: Sequence[dict[str, Any]]) -> str:
-    """The one HTML file, with policies as `collect` gives them."""
-    data: dict[str, Any]
+def _base64(*numbers: Any) -> str:
+    """Arrays as the page reads them: float32, the lowest byte first."""
+    return base64.b64encode(b"".join(np.asarray(one, "<f4").tobytes() for one in numbers)).decode()
+
+
+# -- the page ------------------------------------------------------------------------------------------------
+
+
+class Opening(NamedTuple):
+    """What a page shows first."""
+
+    layouts: str = "test"  # a split, a rung or a layout file
+    layout: int = FIRST_LAYOUT
+    task: str = "drone"  # where no run is named
+    greedy: bool = False
+    max_steps: int | None = None  # the time limit; None: each task's own
+
+
+def page(flyers: Flyers, opening: Opening | None = None) -> str:
+    """The one HTML file."""
+    found, opening = flyers.policies, opening or Opening()
     metrics = [{"name": name, **METRICS[name]._asdict()} for name in paper.COLUMNS]
     settings = {name: one._asdict() for name, one in SETTINGS.items()}
-    data = {"tasks": browser.constants(), "settings": settings, "worlds": WORLDS, "metrics": metrics}
-    data |= {"policies": found, "set": FIRST_SET, "k": DEFAULT_K}
+    scene = _scene(flyers, opening)
+    data: dict[str, Any] = {
+        "tasks": browser.constants(),
+        "settings": settings,
+        "worlds": WORLDS,
+        "metrics": metrics,
+        "columns": list(EPISODE_COLUMNS),
+        "colours": {"known": colours.PILOTS, "others": colours.OTHERS},
+        "policies": found,
+        "scene": scene,
+        "layouts": {},
+        "headers": {},
+    }
+    for name in browser.TITLES:
+        own = data["tasks"][name]
+        own["max_steps"] = opening.max_steps or own["max_steps"] or MAX_STEPS
+        world = flyers.tasks.get(name, splits.KINDS.get(name, splits.KINDS["drone"]).world())
+        data["headers"][name] = splits.read("test", world)[1]
+        if name != "slalom":
+            data["layouts"][name] = {
+                split: _rows(splits.load(split, world)[:EPISODES]) for split in ALL_SPLITS
+            }
+            if name == scene["world"]:
+                given = splits.load(opening.layouts, world)
+                if not 0 <= opening.layout < len(given):
+                    raise ConfigError(f"--layout {opening.layout}: choose from 0 to {len(given) - 1}")
+                data["layouts"][name][scene["layouts"]] = _rows(given[: max(EPISODES, opening.layout + 1)])
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    algorithms = " and ".join(dict.fromkeys(one["algorithm"].upper() for one in found))
     configurations = len({(one["algorithm"], one["activation"]) for one in found})
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True)
     return environment.from_string((HERE / "playground.html").read_text(encoding="utf-8")).render(
@@ -216,8 +327,51 @@ def page(found: Sequence[dict[str, Any]]) -> str:
         settings=SETTINGS,
         worlds=WORLDS,
         world=World(),
-        algorithms=" and ".join(dict.fromkeys(one["algorithm"].upper() for one in found)),
+        others=f"networks trained by {algorithms} and a scripted policy" if found else "a scripted policy",
         told=f"It holds {len(found)} trained networks: {configurations} pairs of an algorithm and an "
         "activation.",
         version=importlib.metadata.version("uavnav"),
     )
+
+
+def _rows(layouts: Tensor) -> dict[str, Any]:
+    """Layouts as the page reads them."""
+    return {"shape": list(layouts.shape), "numbers": _base64(layouts)}
+
+
+def _scene(flyers: Flyers, opening: Opening) -> dict[str, Any]:
+    """The scene of a page that is opened without a link: you, and who was named; else two runs and the
+    scripted policy.
+    """
+    named = [one for one in flyers.policies if one["key"] in flyers.named]
+    first = min(named, key=lambda one: flyers.named.index(one["key"]), default=None)
+    tasks = [one["task"] for one in ([first] if first else flyers.policies)]
+    world = opening.task if opening.task in tasks else next(iter(tasks), opening.task)
+    pilots = flyers.named or [*_two(flyers.policies, world), "reactive"]
+    you = ["you"] if len(pilots) < DRONES else []
+    settings = {name: one.first for name, one in SETTINGS.items()} | (first["faults"] if first else {})
+    own = opening.layouts in SPLITS or splits.is_rung(opening.layouts)
+    return {
+        "world": world,
+        "layouts": opening.layouts if own else _key(Path(opening.layouts).stem),
+        "layout": opening.layout,
+        "k": DEFAULT_K,
+        "circles": None,
+        **settings,
+        "pilots": [*you, *pilots, *["nobody"] * DRONES][:DRONES],
+        "focus": 2,
+        "speed": 1,
+        "greedy": opening.greedy,
+        "seed": 0,
+    }
+
+
+def _two(found: Sequence[dict[str, Any]], world: str) -> list[str]:
+    """Keys of the policies of two runs in a world, of two algorithms if there are."""
+    runs: dict[Any, str] = {}
+    algorithms: dict[str, str] = {}
+    for one in found:
+        if one["task"] == world:
+            runs.setdefault((one["algorithm"], one["name"]), one["key"])
+            algorithms.setdefault(one["algorithm"], one["key"])
+    return list(dict.fromkeys([*algorithms.values(), *runs.values()]))[:2]

@@ -17,18 +17,20 @@ const KEYS = [
     "+": (app) => (app.stage.drawing ? app.alter(0, 0, STRIDE.size) : app.paced(1)),
     "=": (app) => (app.stage.drawing ? app.alter(0, 0, STRIDE.size) : app.paced(1)),
   }],
-  ["R", "start again on the same obstacles", { r: (app) => app.again() }],
-  ["N P", "next layout, the layout before", { n: (app) => app.setOf(1), p: (app) => app.setOf(-1) }],
-  ["1 … 4", "the drone in focus", Object.fromEntries([1, 2, 3, 4].map((n) => [n, (app) => app.focusOn(n - 1)]))],
+  ["R Enter", "start again on the same obstacles", { r: (app) => app.again(), enter: (app) => app.again() }],
+  ["N P", "next layout, the layout before", { n: (app) => app.next(1), p: (app) => app.next(-1) }],
+  ["1 … 4", "the drone in focus", Object.fromEntries([1, 2, 3, 4].map((n) => [n, (app) => app.focusOn(n)]))],
   ["T", "take the drone in focus, hand it back", { t: (app) => app.take() }],
   ["C", "hand it to the next policy", { c: (app) => app.nextPolicy() }],
-  ["E", "draw obstacles; again: fly", { e: (app) => app.draw(!app.stage.drawing) }],
+  ["E", "draw obstacles; again: fly", { e: (app) => app.draw() }],
   ["O", "while drawing: a new circle", { o: (app) => app.stage.drawing && app.addFree() }],
   ["[ ]", "while drawing: select another circle, which the arrow keys move", {
     "[": (app) => app.select(-1),
     "]": (app) => app.select(1),
   }],
   ["Del", "while drawing: delete the circle", { delete: (app) => app.remove(), backspace: (app) => app.remove() }],
+  ["B", "save these obstacles as a layout file", { b: (app) => app.saveLayout() }],
+  ["K", "keep your finished episodes on the test layouts, as rows for a report", { k: (app) => app.keep() }],
 ];
 const BY_KEY = Object.assign({}, ...KEYS.map(([, , acts]) => acts ?? {}));
 
@@ -44,12 +46,12 @@ class Keyboard {
     addEventListener("blur", () => this.held.clear());
   }
 
-  /** Keys work where nothing else uses them: on the arena, or where nothing has the focus. */
+  /** Keys work where nothing else uses them: a button has Space and Enter, a field or a list has all. */
   press(event) {
     const { stage } = this.app;
-    const mine = event.target === document.body || stage.element.contains(event.target);
-    if (!mine || event.altKey || event.ctrlKey || event.metaKey) return;
     const key = event.key.toLowerCase();
+    const taken = event.target.closest("select, input") || (event.target.closest("button, summary") && [" ", "enter"].includes(key));
+    if (taken || event.altKey || event.ctrlKey || event.metaKey) return;
     const arrow = ARROWS[event.key] ?? ARROWS[key];
     const act = BY_KEY[key];
     if (!arrow && !act) return;
@@ -65,6 +67,7 @@ class Keyboard {
     const { race, world } = this.app;
     const faster = WAYS[arrow][1];
     this.fine = shiftKey;
+    this.app.begin();
     if (faster) race.hand = [0, clamp(race.hand[1] + faster, 0, world.n_distances - 1)];
     else if (!repeat) [this.held, this.tapped].forEach((keys) => keys.add(arrow));
   }

@@ -2,19 +2,19 @@
  * A scene as the fragment of a link, and back. What a fragment says is data of strangers: each part is checked, and what
  * does not pass is named and left out.
  *
- * A scene is { world, set, k, circles, pilots, focus, speed, greedy, seed } and the world's settings: the name of the world,
- * the number of the layout, how many circles it has, circles [x, y, radius] px if they were drawn by hand (else
- * null), who flies each drone, which drone is in focus, the speed, whether policies take the best action always, and the
- * seed of all random numbers. The settings are those of `data.settings`: gap, pace, noise, lost, late, sticky.
+ * A scene is { world, layouts, layout, k, circles, pilots, focus, speed, greedy, seed } and the settings of the world
+ * (`data.settings`: gap, pace, noise, lost, late, sticky). `layouts` names a split of the page, whose layout number `layout`
+ * is that of Python, or is RANDOM: then the number is a seed, and k says how many circles there are. `circles`
+ * [x, y, radius] px are drawn by hand, or null. `pilots` fly in the next race; `seed` is of all random numbers.
  */
 
 const YOU = "you";
-const RULE = "rule";
 const NOBODY = "nobody";
+const RANDOM = "random";
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const MOST_DRONES = 4;
 const MOST_CIRCLES = 48;
-const LAST_NUMBER = 2 ** 32 - 1; // of sets and of seeds
+const LAST_NUMBER = 2 ** 32 - 1; // of random layouts and of seeds
 
 /** A number from low to high in whole steps, as a slider has it. */
 function readNumber(text, { low = 0, high, step = 1 }) {
@@ -44,27 +44,33 @@ function readPilots(known, text) {
   return right && pilots.filter((pilot) => pilot === YOU).length <= 1 ? pilots : undefined;
 }
 
-/** How each part of a fragment is read: undefined where it is not right. known: names of those who can fly. */
-const READ = {
-  world: (text) => (Object.hasOwn(TASKS, text) ? text : undefined),
-  set: (text) => readNumber(text, { high: LAST_NUMBER }),
-  k: (text) => readNumber(text, { high: MOST_CIRCLES }),
-  circles: (text, world) => readCircles(world, text),
-  pilots: (text, world, known) => readPilots(known, text),
-  focus: (text) => readNumber(text, { low: 1, high: MOST_DRONES }),
-  speed: (text) => SPEEDS.find((speed) => String(speed) === text),
-  greedy: (text) => ({ yes: true, no: false })[text],
-  seed: (text) => readNumber(text, { high: LAST_NUMBER }),
-};
+/**
+ * How each part of a scene is read from a text: undefined where it is not right. settings: the page's; known: names of
+ * those who can fly; splits: names of layouts; world: whose circles they are.
+ */
+function readers(settings, { known, splits, world }) {
+  const parts = {
+    world: (text) => (Object.hasOwn(TASKS, text) ? text : undefined),
+    layouts: (text) => (splits.includes(text) ? text : undefined),
+    layout: (text) => readNumber(text, { high: LAST_NUMBER }),
+    k: (text) => readNumber(text, { high: MOST_CIRCLES }),
+    circles: (text) => readCircles(world, text),
+    pilots: (text) => readPilots(known, text),
+    focus: (text) => readNumber(text, { low: 1, high: MOST_DRONES }),
+    speed: (text) => SPEEDS.find((speed) => String(speed) === text),
+    greedy: (text) => ({ yes: true, no: false })[text],
+    seed: (text) => readNumber(text, { high: LAST_NUMBER }),
+  };
+  for (const [name, slider] of Object.entries(settings)) parts[name] = (text) => readNumber(text, slider);
+  return parts;
+}
 
 /** The parts of a scene that a fragment gives, and the names of those that are wrong: [scene, wrong]. */
-function readLink(fragment, world, known, settings) {
+function readLink(fragment, read) {
   const [scene, wrong] = [{}, []];
-  const sliders = Object.entries(settings).map(([name, slider]) => [name, (text) => readNumber(text, slider)]);
-  const read = { ...READ, ...Object.fromEntries(sliders) };
   for (const part of fragment.replace(/^#/, "").split("&").filter(Boolean)) {
     const [name, text] = [part.split("=", 1)[0], part.slice(part.indexOf("=") + 1)];
-    const value = Object.hasOwn(read, name) && part.includes("=") ? read[name](text, world, known) : undefined;
+    const value = Object.hasOwn(read, name) && part.includes("=") ? read[name](text) : undefined;
     if (value === undefined) wrong.push(name.slice(0, 20));
     else scene[name] = value;
   }
@@ -78,10 +84,11 @@ function writeLink(scene, settings) {
   );
   const circles = scene.circles?.map((circle) => circle.map((number) => Number(number.toFixed(1))).join("_")).join("~");
   const parts = {
-    ...(scene.world === "drone" ? {} : { world: scene.world }),
+    world: scene.world,
     ...Object.fromEntries(own.map(([name]) => [name, scene[name]])),
-    set: scene.set,
-    k: scene.k,
+    layouts: scene.layouts,
+    layout: scene.layout,
+    ...(scene.layouts === RANDOM ? { k: scene.k } : {}),
     ...(scene.circles ? { circles: circles || "none" } : {}),
     pilots: scene.pilots.join("~"),
     focus: scene.focus,

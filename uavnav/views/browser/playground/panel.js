@@ -2,11 +2,7 @@
  * The instruments: the table of the race, and of the drone in focus its values, its slots and its hidden units.
  */
 
-const BOUNDS = {
-  tanh: [-1, 1], sigmoid: [0, 1], softsign: [-1, 1], hardtanh: [-1, 1], relu6: [0, 6], sigmoid_centred: [-1, 1],
-}; // of activations that have some
-
-const ENDS = { "": "flying", collision: "crashed", goal: "arrived", "time-out": "too late" };
+const ENDS = { "": "flying", collision: "crashed", goal: "arrived", "time-out": "time limit" };
 
 /** A text of an element, written only where it is another. */
 function say(element, text) {
@@ -16,22 +12,31 @@ function say(element, text) {
 /** A drone's pilot in a word, and more of it in another: ["PPO", "tanh"]. */
 function nameOf(pilot, policies) {
   const policy = policies.find(({ key }) => key === pilot);
-  if (policy) return [policy.algorithm.toUpperCase(), policy.activation.replace("_", " ")];
-  return { [YOU]: ["You", "keys"], [RULE]: ["Rule", "scripted"], [NOBODY]: ["–", "out"] }[pilot];
+  if (policy) return [policy.algorithm.toUpperCase(), policy.name];
+  return { [YOU]: ["You", "keys"], [NOBODY]: ["–", "out"] }[pilot] ?? ["Scripted", pilot];
 }
 
-/** The way to the goal, from the drone at (x, y): a line, and a diamond at its end so many px away. */
+/**
+ * A colour for each pilot, the same for the same one: the rule of uavnav/colours.py, whose tables are `known` and `others`.
+ * Black is the page's ink, which is bright in the dark.
+ */
+function coloursOf(pilots, policies, { known, others }, ink) {
+  const found = new Map();
+  let further = 0;
+  for (const pilot of pilots) {
+    const mine = known[policies.find(({ key }) => key === pilot)?.algorithm ?? pilot];
+    const free = mine && ![...found.values()].includes(mine);
+    if (!found.has(pilot)) found.set(pilot, free ? mine : others[further++ % others.length]);
+  }
+  return pilots.map((pilot) => found.get(pilot).replace("#000000", ink));
+}
+
+/** The way to the goal, from the drone at (x, y): a line, and a ring at its end so many px away. */
 function drawWay(context, [x, y], [right, forward], away, colours) {
   line(context, [[x, y], [x + away * right, y - away * forward]], 1, colours.muted);
-  context.save();
-  context.translate(x + away * right, y - away * forward);
-  context.rotate(Math.PI / 4);
-  context.fillStyle = colours.bg;
   context.strokeStyle = colours.fg;
   context.lineWidth = 2;
-  context.fillRect(-5, -5, 10, 10);
-  context.strokeRect(-5, -5, 10, 10);
-  context.restore();
+  ring(context, x + away * right, y - away * forward, 5);
 }
 
 /**
@@ -79,7 +84,7 @@ function drawSlots(canvas, { world, slots, way, mine, colours, font }) {
 }
 
 /** The hidden layers side by side, a square a unit. */
-function drawUnits(canvas, { layers, ranges, colours, font }) {
+function drawUnits(canvas, { layers, colours, font }) {
   const { context, width, height } = fit(canvas);
   context.font = font;
   const gap = 0.06 * width;
@@ -87,7 +92,7 @@ function drawUnits(canvas, { layers, ranges, colours, font }) {
   layers.forEach((units, layer) => {
     const columns = Math.ceil(Math.sqrt(units.length));
     const side = Math.min(share, height) / columns;
-    const [low, high] = ranges[layer];
+    const [low, high] = [Math.min(0, ...units), Math.max(...units)];
     units.forEach((unit, place) => {
       context.fillStyle = colourOf((unit - low) / (high - low || 1));
       const [column, row] = [place % columns, Math.floor(place / columns)];
@@ -117,14 +122,16 @@ class Panel {
     this.states = [...document.querySelectorAll(".state td")];
   }
 
-  /** Who flies which drone, and which is in focus. */
-  showSeats(race, focus) {
+  /** Who flies which drone, and which is in focus; colours: of each pilot. */
+  showSeats(race, focus, colours) {
     race.drones.forEach(({ pilot }, place) => {
       const [who, more] = nameOf(pilot, this.data.policies);
       const seat = this.seats[place];
       say(seat.querySelector(".who"), who);
       say(seat.querySelector("small"), more);
       seat.setAttribute("aria-pressed", String(place === focus));
+      seat.style.setProperty("--mine", colours[place]);
+      seat.style.setProperty("--ink", inkOn(colours[place]));
     });
   }
 
@@ -133,7 +140,8 @@ class Panel {
     const most = Math.max(...inRace.map(({ state }) => state.reward));
     race.drones.forEach(({ pilot, state, ended }, place) => {
       const away = !race.canFly(pilot);
-      say(this.states[place], pilot === NOBODY ? "" : away ? "cannot fly" : ENDS[ended]);
+      const waits = pilot === YOU && !race.begun && !ended;
+      say(this.states[place], pilot === NOBODY ? "" : away ? "cannot fly" : waits ? "waiting" : ENDS[ended]);
       for (const [metric, cells] of this.rows) {
         const value = metricOf(metric, state);
         const decimals = metric.scale === null && metric.column !== "reward" ? 0 : metric.scale === 100 ? 0 : 1;
@@ -144,7 +152,7 @@ class Panel {
   }
 
   /** The instruments of one drone of a race. */
-  showDrone(race, place, colours, font) {
+  showDrone(race, place, mine, colours, font) {
     const drone = race.drones[place];
     const policy = this.data.policies.find(({ key }) => key === drone.pilot);
     const { action, shown, low, high, hidden = [] } = drone.thought;
@@ -161,23 +169,14 @@ class Panel {
     const way = right === undefined ? undefined : [right, forward, away * race.task.rules.scale];
     const filled = slots.filter(([right, forward]) => right !== 0 || forward !== 0).length;
     const sensor = this.find("sensor");
-    drawSlots(sensor, { world: this.world, slots, way, mine: colours[`drone-${place + 1}`], colours, font });
+    drawSlots(sensor, { world: this.world, slots, way, mine, colours, font });
     const goal = way ? `; the goal at ${fixed(way[2], 0)} px` : "";
     const edge = `; the nearest edge at ${fixed(drone.clearance, 0)} px${goal}`;
     sensor.setAttribute("aria-label", `${filled} of ${slots.length} slots filled${edge}`);
     say(this.find("sensor-title"), way ? "the ten slots it senses, and the way to the goal" : "the ten slots it senses");
-    this.showUnits(policy, hidden, colours, font);
-  }
-
-  showUnits(policy, hidden, colours, font) {
-    const bounds = policy && BOUNDS[policy.activation];
-    const ranges = hidden.map((units) => bounds ?? [Math.min(0, ...units), Math.max(...units)]);
-    const high = ranges.map((range) => short(range[1])).join(" and ");
-    const units = this.find("units");
-    drawUnits(units, { layers: hidden, ranges, colours, font });
-    const words = bounds ? `from ${short(bounds[0])} to ${short(bounds[1])}` : `up to ${high}`;
-    const said = hidden.length ? `its hidden units, ${words}` : "hidden units: none";
+    const said = hidden.length ? "its hidden units, the greater the brighter" : "hidden units: none";
     say(this.find("units-title"), said);
-    units.setAttribute("aria-label", said);
+    this.find("units").setAttribute("aria-label", said);
+    drawUnits(this.find("units"), { layers: hidden, colours, font });
   }
 }

@@ -1,32 +1,35 @@
 /*
  * The page: startPlayground(data) brings the race, the arena, the instruments and the controls together.
  *
- * `data` is what __init__.py writes: constants of the worlds, their settings, metrics and policies.
+ * `data` is what __init__.py writes: constants of the worlds, their layouts and settings, metrics, colours and policies.
+ * In the page, an element with `data-scene` shows a part of the scene and changes it; one with `data-act` calls a method
+ * of Playground, with the numbers of its `data-by`.
  */
 
 const MOST_AT_ONCE = 8; // steps from one picture to the next
 const ADDRESS = 200; // [ms] from a change of the scene to the address that holds it
-const INSTRUMENTS = 0.066; // [s] from one picture of the instruments to the next
+const WAYS_TO_END = { collision: "crashed", goal: "arrived", "time-out": "flew to the time limit" };
+const OTHER_LAYOUT = { circles: null };
+const RANDOM_LAYOUT = { layouts: RANDOM, circles: null };
+const ALSO = { k: RANDOM_LAYOUT, gap: RANDOM_LAYOUT, pace: { layouts: RANDOM }, layouts: OTHER_LAYOUT, layout: OTHER_LAYOUT };
 
 class Playground {
   constructor(data) {
     this.data = data;
     this.find = (id) => document.getElementById(id);
-    this.known = [YOU, RULE, NOBODY, ...data.policies.map(({ key }) => key)];
-    this.race = new Race(data.tasks, data.policies, this.first());
+    const known = [YOU, NOBODY, ...Object.keys(SCRIPTED), ...data.policies.map(({ key }) => key)];
+    const splits = [...new Set(Object.values(data.layouts).flatMap((own) => Object.keys(own))), RANDOM];
+    this.read = readers(data.settings, { known, splits, world: data.tasks.drone.world });
+    this.race = new Race(data, data.scene);
     this.stage = new Stage(this, this.find("stage"));
     this.panel = new Panel(data, this.find);
+    this.rows = []; // of a person's finished episodes that are not kept yet
     this.playing = false;
     this.share = 1; // of the way from the last poses to these
     this.keyboard = new Keyboard(this);
-    this.build();
+    this.build(splits);
     this.listen();
     this.open();
-    if (!matchMedia("(prefers-reduced-motion: reduce)").matches && this.race.flying().length) this.start();
-  }
-
-  first() {
-    return firstScene(this.data);
   }
 
   get world() {
@@ -41,14 +44,12 @@ class Playground {
     return this.scene.focus - 1;
   }
 
-  // -------------------------------------------------------------------------------------------- links
-
   /** The scene that the address names; what is wrong in it is told. */
   open() {
     clearTimeout(this.later);
-    const [parts, wrong] = readLink(location.hash, this.world, this.known, this.data.settings);
-    const first = location.hash.length > 1 ? { ...this.first(), world: "drone" } : this.first(); // unless a link says it
-    this.race.load({ ...first, ...parts });
+    this.playing = false;
+    const [parts, wrong] = readLink(location.hash, this.read);
+    this.race.load({ ...this.data.scene, ...parts });
     if (parts.circles && !this.race.circlesFit()) {
       wrong.push("circles");
       this.race.load({ ...this.scene, circles: null });
@@ -60,12 +61,7 @@ class Playground {
     this.show();
   }
 
-  /** Keep the scene in the address, soon: browsers slow down pages that change it at every move of a slider. */
-  keep() {
-    clearTimeout(this.later);
-    this.later = setTimeout(() => this.write(), ADDRESS);
-  }
-
+  /** The scene into the address. */
   write() {
     const circles = this.scene.circles ? this.race.circles : null;
     const address = `#${writeLink({ ...this.scene, circles }, this.data.settings)}`;
@@ -83,73 +79,68 @@ class Playground {
   }
 
   tell(words) {
-    const notice = this.find("notice");
-    notice.textContent = words;
-    notice.hidden = !words;
+    say(this.find("notice"), words);
+    this.find("notice").hidden = !words;
   }
 
-  // -------------------------------------------------------------------------------------------- controls
-
-  build() {
+  build(splits) {
     const { policies } = this.data;
-    const speeds = SPEEDS.map((speed) => new Option(`${speed}×`, speed));
-    this.find("speed").replaceChildren(...speeds);
-    const groups = [...new Set(policies.map(({ algorithm }) => algorithm))].map((algorithm) => {
-      const group = document.createElement("optgroup");
-      group.label = algorithm.toUpperCase();
+    const group = (label, options) => {
+      const made = Object.assign(document.createElement("optgroup"), { label });
+      made.append(...options);
+      return made;
+    };
+    const algorithms = [...new Set(policies.map(({ algorithm }) => algorithm))].map((algorithm) => {
       const mine = policies.filter((policy) => policy.algorithm === algorithm);
-      group.append(...mine.map(({ key, title }) => new Option(title, key)));
-      return group;
+      return group(algorithm.toUpperCase(), mine.map(({ key, title }) => new Option(title, key)));
     });
-    this.find("pilot").append(new Option("you", YOU), new Option("the rule", RULE), new Option("nobody", NOBODY), ...groups);
-    this.find("keys").append(
-      ...KEYS.map(([keys, does]) => {
-        const row = document.createElement("tr");
-        const head = row.appendChild(document.createElement("th"));
-        head.scope = "row";
-        head.textContent = keys;
-        row.appendChild(document.createElement("td")).textContent = does;
-        return row;
-      }),
-    );
+    const scripted = Object.keys(SCRIPTED).map((name) => new Option(name, name));
+    const people = [new Option("you", YOU), new Option("nobody", NOBODY)];
+    this.find("pilot").append(...people, group("scripted policies", scripted), ...algorithms);
+    this.find("speed").append(...SPEEDS.map((speed) => new Option(`${speed}×`, speed)));
+    this.find("layouts").append(...splits.map((name) => new Option(name, name)));
+    for (const [keys, does] of KEYS) {
+      const row = this.find("keys").insertRow();
+      row.innerHTML = "<th scope=row></th><td></td>";
+      [keys, does].forEach((words, place) => say(row.cells[place], words));
+    }
   }
 
   listen() {
-    const on = (id, name, act) => this.find(id).addEventListener(name, (event) => act(event.target));
-    const clicks = {
-      play: () => this.toggle(), "one-step": () => this.oneStep(), again: () => this.again(), take: () => this.take(),
-      next: () => this.setOf(1), draw: () => this.draw(!this.stage.drawing), copy: () => this.copy(),
-      add: () => this.addFree(), smaller: () => this.alter(0, 0, -STRIDE.size), larger: () => this.alter(0, 0, STRIDE.size),
-      remove: () => this.remove(), clear: () => this.clear(),
-    };
-    for (const [id, act] of Object.entries(clicks)) on(id, "click", act);
-    on("speed", "change", ({ value }) => this.change({ speed: Number(value) }));
-    on("k", "input", ({ value }) => this.change({ k: Number(value), circles: null }, true));
-    on("world", "change", ({ value }) => this.enter(value));
-    for (const name of Object.keys(this.data.settings)) {
-      on(name, "input", ({ value }) => this.change({ [name]: Number(value), ...(name === "gap" ? { circles: null } : {}) }, true));
+    for (const button of document.querySelectorAll("[data-act]")) {
+      const { act, by = "" } = button.dataset;
+      button.addEventListener("click", () => this[act](...by.split(" ").filter(Boolean).map(Number)));
     }
-    on("seed", "change", ({ value }) => this.change({ seed: READ.seed(value) ?? this.scene.seed }, true));
-    on("pilot", "change", ({ value }) => this.handTo(this.focus, value));
-    on("greedy", "change", ({ checked }) => {
-      this.race.greedy(checked);
-      this.changed();
-    });
-    this.panel.seats.forEach((seat, place) => seat.addEventListener("click", () => this.focusOn(place)));
+    this.controls = [...document.querySelectorAll("[data-scene]")];
+    for (const control of this.controls) {
+      const text = () => (control.type === "checkbox" ? { true: "yes", false: "no" }[control.checked] : control.value);
+      control.addEventListener(control.type === "range" ? "input" : "change", () => this.set(control.id, text()));
+    }
+    this.find("pilot").addEventListener("change", ({ target }) => this.handTo(this.focus, target.value));
     addEventListener("hashchange", () => this.open());
     watchLooks(document.body, () => this.show(), () => this.recolour());
   }
 
   /** What the pointer or the keys steer in the next step. */
   steer() {
-    const yours = this.race.drones.find(({ pilot }) => pilot === YOU);
+    const yours = this.race.drones[this.race.yours];
     const { target } = this.stage;
     this.race.hand = target && yours ? towards(this.world, yours.state, target) : this.keyboard.hand();
+  }
+
+  /** The person steers: the first key or touch begins the race, and brings that drone into focus. */
+  begin() {
+    const { race } = this;
+    if (race.yours < 0 || race.drones[race.yours].ended) return;
+    if (!race.begun) this.focusOn(race.yours + 1);
+    race.begin();
+    if (race.steps === 0 && !this.playing) this.start();
   }
 
   /** Change parts of the scene; from the start: everyone begins again. */
   change(parts, fromTheStart = false) {
     if (fromTheStart) {
+      if (this.race.begun) this.playing = false; // who flies begins with a key
       const drawn = this.scene.circles ? this.race.circles : null;
       this.race.load({ ...this.scene, circles: drawn, ...parts });
       this.share = 1;
@@ -158,32 +149,51 @@ class Playground {
     this.changed();
   }
 
+  /** Show the scene, and keep it in the address soon: browsers slow down pages that change it at every move of a slider. */
   changed() {
-    this.keep();
+    clearTimeout(this.later);
+    this.later = setTimeout(() => this.write(), ADDRESS);
+    this.tell("");
     this.showControls();
     this.show();
   }
 
+  /** Change one part of the scene to what a control says. */
+  set(name, text) {
+    const value = this.read[name](text);
+    if (value === undefined) return this.changed();
+    if (name === "greedy") this.race.greedy(value);
+    if (name === "world") return this.enter(value);
+    return this.change({ [name]: value, ...ALSO[name] }, name !== "speed" && name !== "greedy");
+  }
+
   /** Another world, its obstacles its own; whoever cannot fly there waits. */
   enter(world) {
-    if (this.stage.drawing) this.draw(false);
-    this.change({ world, circles: null }, true);
+    if (this.stage.drawing) this.draw();
+    this.change({ world, layouts: Object.keys(this.data.layouts[world] ?? {})[0] ?? RANDOM, circles: null }, true);
     this.focusOnFlyer();
     this.changed();
   }
 
-  /** Where the drone in focus cannot fly, the first that can is in focus. */
-  focusOnFlyer() {
-    const first = this.race.drones.findIndex(({ pilot }) => this.race.canFly(pilot));
-    if (!this.race.canFly(this.race.drones[this.focus].pilot) && first >= 0) this.scene.focus = first + 1;
+  /** Where the drone in focus is none of those that can fly, or of those given, the first of them is in focus. */
+  focusOnFlyer(drones = this.race.drones.filter(({ pilot }) => this.race.canFly(pilot))) {
+    if (!drones.length || drones.includes(this.race.drones[this.focus])) return;
+    this.scene.focus = this.race.drones.indexOf(drones[0]) + 1;
   }
 
   again() {
     this.change({}, true);
   }
 
-  setOf(more) {
-    this.change({ set: Math.max(0, this.scene.set + more), circles: null }, true);
+  /** How many layouts there are of the kind that is shown. */
+  get count() {
+    const { world, layouts } = this.scene;
+    return this.data.layouts[world]?.[layouts]?.shape[0] ?? LAST_NUMBER + 1;
+  }
+
+  /** Another layout, so many further on, counted round and round. */
+  next(more) {
+    this.set("layout", String((this.scene.layout + more + this.count) % this.count));
   }
 
   paced(by) {
@@ -191,8 +201,8 @@ class Playground {
     this.change({ speed: SPEEDS[place] });
   }
 
-  focusOn(place) {
-    this.change({ focus: place + 1 });
+  focusOn(focus) {
+    this.change({ focus });
   }
 
   handTo(place, pilot) {
@@ -206,53 +216,52 @@ class Playground {
 
   /** Fly the drone in focus by hand, or hand it back. */
   take() {
-    const drone = this.race.drones[this.focus];
-    this.handTo(this.focus, drone.pilot === YOU ? drone.before : YOU);
+    const mine = this.scene.pilots[this.focus] === YOU;
+    this.handTo(this.focus, mine ? this.race.drones[this.focus].before : YOU);
     this.find("stage").focus({ preventScroll: true });
   }
 
   nextPolicy() {
     const keys = this.data.policies.map(({ key }) => key).filter((key) => this.race.canFly(key));
-    if (keys.length) this.handTo(this.focus, keys[(keys.indexOf(this.race.drones[this.focus].pilot) + 1) % keys.length]);
+    if (keys.length) this.handTo(this.focus, keys[(keys.indexOf(this.scene.pilots[this.focus]) + 1) % keys.length]);
   }
 
-  // -------------------------------------------------------------------------------------------- drawn obstacles
-
-  draw(on) {
-    if (on && this.race.task.moves) {
+  /** Begin to draw obstacles, or fly again. */
+  draw() {
+    const { stage, race } = this;
+    stage.drawing = !stage.drawing;
+    if (stage.drawing && race.task.moves) {
       this.pause(); // what is drawn is where circles start
       this.again();
     }
-    this.stage.drawing = on;
-    this.stage.selected = on && this.race.circles.length ? 0 : -1;
-    document.body.classList.toggle("drawing", on);
+    stage.selected = stage.drawing && race.circles.length ? 0 : -1;
+    document.body.classList.toggle("drawing", stage.drawing);
     this.showControls();
     this.show();
   }
 
-  /** Other circles, while everyone flies on. */
-  edit(circles) {
+  /** Other circles, while everyone flies on. selected: one of them. */
+  edit(circles, selected) {
     this.race.replaceCircles(circles);
     this.scene.circles = circles;
+    this.stage.selected = selected;
     this.show();
   }
 
-  /** A new circle, selected; false where there are too many. */
+  /** A new circle, selected; false where it cannot be. */
   add(circle) {
-    const { circles } = this.race;
-    if (circles.length >= MOST_CIRCLES) {
-      this.tell(`${MOST_CIRCLES} obstacles are the most.`);
-      return false;
-    }
-    this.edit([...circles, allowed(this.world, circle, this.race.free)]);
-    this.stage.selected = circles.length;
-    return true;
+    const { circles, free } = this.race;
+    const there = circle && allowed(this.world, circle, free);
+    if (circles.length < MOST_CIRCLES && there) this.edit([...circles, there], circles.length);
+    else this.tell(there ? `${MOST_CIRCLES} obstacles are the most.` : "Not there: the start and the goal stay free.");
+    return this.race.circles.length > circles.length;
   }
 
   /** A new circle somewhere, for those who do not point. */
   addFree() {
-    const [circle] = generate(this.world, 1, this.scene.set + 1000 * (this.race.circles.length + 1));
-    if (this.add(circle)) this.changed();
+    const { circles, free } = this.race;
+    const some = generate(this.world, 100, this.scene.layout + 1000 * (circles.length + 1));
+    if (this.add(some.find((circle) => allowed(this.world, circle, free)))) this.changed();
   }
 
   select(by) {
@@ -273,18 +282,32 @@ class Playground {
   remove() {
     const { selected } = this.stage;
     if (!this.stage.drawing || !this.race.circles[selected]) return;
-    this.edit(this.race.circles.toSpliced(selected, 1));
-    this.stage.selected = Math.min(selected, this.race.circles.length - 1);
+    const circles = this.race.circles.toSpliced(selected, 1);
+    this.edit(circles, Math.min(selected, circles.length - 1));
     this.changed();
   }
 
   clear() {
-    this.edit([]);
-    this.stage.selected = -1;
+    this.edit([], -1);
     this.changed();
   }
 
-  // -------------------------------------------------------------------------------------------- time
+  /** Save the episodes that a person flew, with those that this browser kept before. */
+  keep() {
+    const count = this.rows.length && keepRows(this.data.columns, this.rows);
+    const none = "There is no new episode to keep: fly one on a test layout of the paper's world to its end.";
+    this.rows = [];
+    this.tell(count ? `human.csv has your episodes: ${count}. For a report: uavnav play --keep human.csv` : none);
+    this.showControls();
+  }
+
+  /** Save the obstacles as a layout file. */
+  async saveLayout() {
+    const { set, scene } = this.race;
+    if (set.goal || !set.circles.length) return this.tell("Only layouts with obstacles and without a goal can be saved.");
+    await saveRows(set.circles, this.data.headers[scene.world]);
+    return this.tell("own.safetensors has these obstacles: uavnav play --layouts own.safetensors");
+  }
 
   toggle() {
     if (this.playing) this.pause();
@@ -293,8 +316,10 @@ class Playground {
 
   start() {
     this.fly();
-    if (!this.race.flying().length) this.again();
-    if (!this.race.flying().length) return; // nobody is in the race
+    if (!this.race.flying().length && this.race.steps) this.again();
+    if (!this.race.flying().length) this.race.begin(); // nobody else is in the race
+    if (!this.race.flying().length) return;
+    if (!this.race.begun) this.focusOnFlyer(this.race.flying());
     this.playing = true;
     this.showControls();
     everyPicture(this, (seconds) => this.frame(seconds));
@@ -302,11 +327,12 @@ class Playground {
 
   /** Among circles that move nobody draws while time goes. */
   fly() {
-    if (this.stage.drawing && this.race.task.moves) this.draw(false);
+    if (this.stage.drawing && this.race.task.moves) this.draw();
   }
 
   pause() {
     this.playing = false;
+    this.share = 1;
     this.showControls();
     this.show();
   }
@@ -315,9 +341,7 @@ class Playground {
     this.playing = false;
     this.fly();
     if (this.race.flying().length) this.advance();
-    this.share = 1;
-    this.showControls();
-    this.show();
+    this.pause();
     this.describe();
   }
 
@@ -328,82 +352,117 @@ class Playground {
       this.share = steps < MOST_AT_ONCE ? this.share - 1 : 1;
       if (steps < MOST_AT_ONCE) this.advance();
     }
-    this.stage.draw(this.share, this.focus, this.colours);
-    this.unseen = (this.unseen ?? 0) + seconds;
-    if (this.playing && this.unseen > INSTRUMENTS) {
-      this.unseen = 0;
-      this.showInstruments();
-    }
+    this.show();
   }
 
   advance() {
     this.steer();
     const ended = this.race.step();
-    if (ended.length) this.describe();
-    if (this.race.flying().length) return;
-    this.playing = false;
-    this.share = 1;
+    this.rows.push(...ended.map((drone) => rowOf(this.race, drone)).filter(Boolean));
+    if (ended.length) {
+      this.describe();
+      this.showControls();
+    }
+    if (!this.race.flying().length) this.pause();
+  }
+
+  /** The page's colours as they are now: those of its ground, and those of its cards. */
+  recolour() {
+    this.colours = readColours(this.stage.element);
+    this.cardColours = readColours(document.querySelector("aside > section"));
+    this.font = `12px ${getComputedStyle(document.body).fontFamily}`;
     this.showControls();
     this.show();
   }
 
-  // -------------------------------------------------------------------------------------------- what is shown
-
-  /** The page's colours as they are now: those of its ground, and those of its cards. */
-  recolour() {
-    const names = [...COLOURS, ...this.race.drones.map((_, place) => `drone-${place + 1}`)];
-    this.colours = readColours(this.stage.element, names);
-    this.cardColours = readColours(document.querySelector("aside > section"), names);
-    this.font = `12px ${getComputedStyle(document.body).fontFamily}`;
-    this.show();
+  /** The colour of each drone's pilot. */
+  get pilots() {
+    const { policies, colours } = this.data;
+    return coloursOf(this.race.drones.map(({ pilot }) => pilot), policies, colours, this.colours.fg);
   }
 
   /** Everything that moves. */
   show() {
     this.stage.draw(this.share, this.focus, this.colours);
-    this.showInstruments();
-  }
-
-  showInstruments() {
     this.panel.showRace(this.race);
-    this.panel.showDrone(this.race, this.focus, this.cardColours, this.font);
+    this.panel.showDrone(this.race, this.focus, this.pilots[this.focus], this.cardColours, this.font);
   }
 
   showControls() {
     const { race, scene, stage, find } = this;
-    const drone = race.drones[this.focus];
-    const over = !race.flying().length;
+    for (const control of this.controls) {
+      if (control.type === "checkbox") control.checked = scene[control.id];
+      else control.value = scene[control.id];
+    }
     say(find("play"), this.playing ? "Pause" : "Play");
-    find("speed").value = scene.speed;
-    find("k").value = race.circles.length;
-    find("k").disabled = stage.drawing;
-    say(find("k-now"), String(race.circles.length));
-    showWorld(this.data, race, find);
     find("draw").setAttribute("aria-pressed", String(stage.drawing));
     find("drawing").hidden = !stage.drawing;
-    say(find("take"), drone.pilot === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
-    say(find("focus-number"), String(scene.focus));
-    find("pilot").value = drone.pilot;
-    find("greedy").checked = scene.greedy;
-    find("seed").value = scene.seed;
-    say(find("acts"), this.data.policies.find(({ key }) => key === drone.pilot)?.told ?? "");
-    const yours = race.drones.findIndex(({ pilot }) => pilot === YOU) + 1;
+    const yours = race.yours + 1;
     const steering = yours
       ? `Drone ${yours} is yours: arrow keys, or hold the mouse or a finger where it shall fly.`
       : "To fly by hand, choose a drone and take it.";
     const where = race.task.moves ? " They move when you play." : "";
     const drawing = `Drag on free ground for a new circle, inside one to move it, at its edge to size it.${where}`;
     say(find("hint"), stage.drawing ? drawing : `${steering} Space pauses.`);
-    const banner = find("banner");
-    const waiting = !this.playing && !stage.drawing;
-    banner.hidden = !waiting || !(over || race.drones.every(({ state }) => state.steps === 0));
-    const down = race.drones.every(({ pilot, ended }) => !race.canFly(pilot) || ended === "collision");
-    const end = down ? "All are down." : "The race is over.";
-    say(banner, over ? `${end} Again, or the next set?` : "Press Play, or Space.");
-    this.panel.showSeats(race, this.focus);
+    this.showPilot();
+    this.showWorld();
+    this.showBanner();
+    this.panel.showSeats(race, this.focus, this.pilots);
   }
 
-  /** Words for those who do not see the arena: after a step, and when a drone crashes. */
+  /** Who flies the drone in focus, or will from the next start. */
+  showPilot() {
+    const { race, scene, find } = this;
+    const next = scene.pilots[this.focus];
+    const ended = next === race.drones[this.focus].pilot ? "" : "This drone's episode has ended: the next start hands it over. ";
+    say(find("take"), next === YOU ? `Hand drone ${scene.focus} back` : `Fly drone ${scene.focus}`);
+    say(find("focus-number"), String(scene.focus));
+    say(find("acts"), `${ended}${this.data.policies.find(({ key }) => key === next)?.told ?? ""}`);
+    find("pilot").value = next;
+    for (const option of find("pilot").options) option.disabled = option.value !== NOBODY && !race.canFly(option.value);
+  }
+
+  /** The world with its layouts, sliders and faults. */
+  showWorld() {
+    const { race, scene, find } = this;
+    const { settings, policies, worlds, layouts } = this.data;
+    for (const option of find("layouts").options) option.disabled = option.value !== RANDOM && !layouts[scene.world]?.[option.value];
+    find("layout").max = this.count - 1;
+    find("k").value = race.circles.length;
+    find("k").disabled = this.stage.drawing;
+    find("k").closest("label").hidden = scene.world === "slalom";
+    say(find("k-now"), String(race.circles.length));
+    for (const [name, { worlds: where, unit }] of Object.entries(settings)) {
+      find(name).closest("label").hidden = where.length > 0 && !where.includes(scene.world);
+      say(find(`${name}-now`), `${short(scene[name])}${unit && ` ${unit}`}`);
+    }
+    const faults = Object.entries(settings).filter(([name, { worlds: where }]) => !where.length && scene[name] > 0);
+    say(find("faults-now"), faults.map(([name]) => `${name} ${short(scene[name])}`).join(", ") || "none");
+    const able = !policies.length || policies.some(({ key }) => race.canFly(key));
+    const told = able ? "" : " No network here has learned that: you and the scripted policy fly.";
+    say(find("told"), `${worlds[scene.world].told}${told}`);
+    find("told").hidden = !find("told").textContent;
+  }
+
+  /** Over the arena: how to begin, or how it ended and what one can do next. */
+  showBanner() {
+    const { race, find } = this;
+    const mine = race.drones[race.yours];
+    const inRace = race.drones.filter(({ pilot }) => race.canFly(pilot));
+    const atStart = !this.playing && race.steps === 0;
+    const over = race.steps > 0 && !race.flying().length;
+    let words = "";
+    if (atStart) words = mine ? "Press an arrow key to fly, Space to watch." : "Press Space to watch.";
+    else if (mine?.ended) words = `You ${WAYS_TO_END[mine.ended]}: step ${mine.state.steps}, reward ${fixed(mine.state.reward, 1)}.`;
+    else if (over) words = inRace.every(({ ended }) => ended === "collision") ? "All have crashed." : "The race is over.";
+    find("banner").hidden = !words || this.stage.drawing || !inRace.length;
+    say(find("banner-words"), words);
+    find("banner-touch").hidden = !atStart || !mine;
+    find("banner-next").parentElement.hidden = atStart;
+    find("banner-keep").hidden = !this.rows.length;
+  }
+
+  /** Words for those who do not see the arena: after a step, and when an episode ends. */
   describe() {
     const words = this.race.drones.map(({ pilot, state, ended }, place) => {
       const [who, more] = nameOf(pilot, this.data.policies);

@@ -1,15 +1,15 @@
 /*
- * The race: up to four drones on the same obstacles, each flown by a person, a policy or the rule. It holds the state and
- * draws nothing; what happens is asked of a task of world.js.
+ * The race: up to four drones on the same obstacles, each flown by a person, a policy or a scripted policy. It holds the
+ * state and draws nothing; what happens is asked of a task of world.js.
  */
 
 const TRAIL = 1500; // points of a trail that are kept, up to the pose before the last
 const ROUNDED = 0.15; // [px] that a link, which has one decimal, may bring a circle nearer
 
 class Race {
-  /** tasks: constants of each world; policies: of the page, each with its key; scene: as link.js has it. */
-  constructor(tasks, policies, scene) {
-    Object.assign(this, { tasks, policies });
+  /** data: the page's, with constants of each world, layouts and policies; scene: as link.js has it. */
+  constructor({ tasks, layouts, policies }, scene) {
+    Object.assign(this, { tasks, layouts, policies });
     this.thinkers = Object.fromEntries(policies.map((policy) => [policy.key, thinker(policy)]));
     this.hand = [0, 0]; // what a person steers: a turn [degrees] and a distance [px]
     this.load(scene);
@@ -17,13 +17,14 @@ class Race {
 
   /** Begin a scene from its start. */
   load(scene) {
-    this.scene = { ...scene };
     const { noise, lost, late, sticky } = scene;
     const given = this.tasks[scene.world];
     const world = scene.world === "moving" ? { ...given.world, speed_max: scene.pace } : given.world;
     this.task = new TASKS[scene.world]({ ...given, world }, { noise, lost, late, sticky });
-    this.set = this.task.generate(scene);
-    if (scene.circles) this.set = this.task.arrange(this.set, scene.circles, scene.set);
+    const split = this.layouts[scene.world]?.[scene.layouts];
+    this.scene = split ? { ...scene, layout: scene.layout % split.shape[0] } : { ...scene, layouts: RANDOM };
+    this.set = split ? this.task.read(rowsOf(split, this.scene.layout)) : this.task.generate(scene);
+    if (scene.circles) this.set = this.task.arrange(this.set, scene.circles, scene.layout);
     this.again();
   }
 
@@ -49,38 +50,53 @@ class Race {
   /** Every drone back at the start, on the same obstacles and with the same random numbers. */
   again() {
     this.steps = 0;
+    this.hand = [0, 0];
+    this.begun = false; // whether the person steers; before, that drone waits at the start
     this.drones = this.scene.pilots.map((pilot, place) => {
       const seed = this.scene.seed + place * 0x9e3779b1;
       const [draw, chance] = [randomNumbers(seed), randomNumbers(seed ^ 0x3c6ef372)]; // of the policy, and of faults
       const state = this.task.start(this.set, this.task.draw(chance));
       const before = this.drones?.[place].before ?? pilot; // who had it, if someone else has it now
-      const other = before === pilot ? (pilot === YOU ? RULE : YOU) : before;
-      return { pilot, before: other, state, last: state, trail: [], draw, chance, ended: "" };
+      const other = before === pilot ? (pilot === YOU ? REACTIVE : YOU) : before;
+      return { pilot, before: other, state, last: state, trail: [], draw, chance, ended: "", handed: false };
     });
     this.drones.forEach((drone) => this.look(drone));
   }
 
   /** Other obstacles, while everyone flies on. */
   replaceCircles(circles) {
-    this.set = this.task.arrange(this.set, circles, this.scene.set);
+    this.set = this.task.arrange(this.set, circles, this.scene.layout);
     for (const drone of this.drones) {
       if (!drone.ended) this.wake(drone);
     }
   }
 
-  /** Hand a drone to someone else, where it is. A person flies one drone alone: another one goes back to who had it. */
+  /**
+   * Hand a drone to someone else, where it is. One that has ended stays with the pilot who ended it: the other one has it
+   * from the next start. A person flies one drone only: another one goes back to who had it.
+   */
   handTo(place, pilot) {
-    const other = this.drones.findIndex((drone) => drone.pilot === YOU);
-    if (pilot === YOU && other >= 0 && other !== place) this.handTo(other, this.drones[other].before);
-    const drone = this.drones[place];
-    if (drone.pilot === pilot) return;
-    const waited = this.steps > 0 && !this.canFly(drone.pilot);
-    if (drone.pilot !== NOBODY) drone.before = drone.pilot;
-    drone.pilot = pilot;
-    this.scene.pilots[place] = pilot;
+    const { pilots } = this.scene;
+    const [drone, had, other] = [this.drones[place], pilots[place], pilots.indexOf(YOU)];
+    if (had === pilot) return;
+    if (pilot === YOU && other >= 0) this.handTo(other, this.drones[other].before);
+    if (had !== NOBODY) drone.before = had;
+    this.scene.pilots = this.scene.pilots.with(place, pilot);
     if (drone.ended) return;
+    const waited = this.steps > 0 && !this.flying().includes(drone);
+    drone.pilot = pilot;
+    drone.handed = drone.handed || this.steps > 0;
+    if (pilot === YOU) this.begun = this.steps > 0;
     if (waited) this.wake(drone);
     else this.decide(drone);
+  }
+
+  /** The person begins to steer: the drone that waited takes off. */
+  begin() {
+    const drone = this.drones[this.yours];
+    if (this.begun || !drone || drone.ended) return;
+    this.begun = true;
+    if (this.steps) this.wake(drone);
   }
 
   greedy(greedy) {
@@ -107,15 +123,21 @@ class Race {
 
   /** What the drone will do from here, and why: `thought` holds an action, and of a policy the numbers behind it. */
   decide(drone) {
-    if (drone.pilot === YOU || !this.canFly(drone.pilot)) drone.thought = {};
-    else if (drone.pilot === RULE) {
-      drone.thought = { action: RULES[this.scene.world](this.world, drone.observation, this.task.rules) };
-    } else drone.thought = this.thinkers[drone.pilot](drone.observation, drone.draw, this.scene.greedy);
+    const { pilot, observation, draw } = drone;
+    if (pilot === YOU || !this.canFly(pilot)) drone.thought = {};
+    else if (SCRIPTED[pilot]) drone.thought = { action: SCRIPTED[pilot](this.scene.world, this.task, observation, draw) };
+    else drone.thought = this.thinkers[pilot](observation, draw, this.scene.greedy);
+  }
+
+  /** The place of the person's drone, rather one that flies than one that has ended; -1 where there is none. */
+  get yours() {
+    const flying = this.drones.findIndex(({ pilot, ended }) => pilot === YOU && !ended);
+    return flying >= 0 ? flying : this.drones.findIndex(({ pilot }) => pilot === YOU);
   }
 
   /** Those that are in the race and have not ended. */
   flying() {
-    return this.drones.filter((drone) => this.canFly(drone.pilot) && !drone.ended);
+    return this.drones.filter(({ pilot, ended }) => this.canFly(pilot) && !ended && (pilot !== YOU || this.begun));
   }
 
   /** One step of everyone; who is not flown waits where it is. -> the drones that ended in it */
@@ -148,4 +170,14 @@ class Race {
     const between = (name) => from[name] + share * (to[name] - from[name]);
     return { x: between("x"), y: between("y"), angle: radians(from.heading + share * turn) };
   }
+}
+
+/** The rows of one layout of a split { shape: [layouts, rows, columns], numbers: base64 of float32 }. */
+function rowsOf(split, layout) {
+  const [, rows, columns] = split.shape;
+  split.read ??= floats(split.numbers); // unpacked when it is first asked
+  return Array.from({ length: rows }, (_, row) => {
+    const first = (layout * rows + row) * columns;
+    return [...split.read.subarray(first, first + columns)];
+  });
 }

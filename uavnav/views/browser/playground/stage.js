@@ -18,31 +18,16 @@ function towards(world, { x, y, heading }, [toX, toY]) {
   return [clamp(turn, left + 1 - world.n_turns, left), pixels];
 }
 
-const BEARINGS_TRIED = 72; // around a place that must stay free
-
-/** The nearest circle to a drawn one that the world allows: of its sizes, within it, and clear of places [x, y, room]. */
+/** A drawn circle of the world's sizes and within it; undefined where it covers a place [x, y, room] that must stay free. */
 function allowed(world, [x, y, radius], free) {
-  const rounded = (number) => f32(Math.round(10 * number) / 10);
-  const size = rounded(clamp(radius, world.obstacle_radius_min, world.obstacle_radius_max));
-  const inside = [clamp(x, 0, world.width), clamp(y, 0, world.height)];
-  const away = ([toX, toY]) => Math.hypot(toX - inside[0], toY - inside[1]);
-  const around = free.flatMap(([atX, atY, room]) => {
-    const [least, way] = [room + size + 0.2, Math.atan2(inside[1] - atY, inside[0] - atX)];
-    return Array.from({ length: BEARINGS_TRIED }, (_, nth) => {
-      const bearing = way + (2 * Math.PI * nth) / BEARINGS_TRIED;
-      return [atX + least * Math.cos(bearing), atY + least * Math.sin(bearing)];
-    });
-  });
-  const fits = ([toX, toY]) => {
-    const within = toX >= 0 && toX <= world.width && toY >= 0 && toY <= world.height;
-    return within && free.every((place) => isClear(place, [toX, toY, size + 0.1])); // rounding brings it no nearer
-  };
-  const nearest = [inside, ...around].filter(fits).reduce((one, other) => (away(other) < away(one) ? other : one));
-  return [...nearest.map(rounded), size];
+  const size = clamp(radius, world.obstacle_radius_min, world.obstacle_radius_max);
+  const inside = [clamp(x, 0, world.width), clamp(y, 0, world.height), size];
+  const circle = inside.map((number) => f32(Math.round(10 * number) / 10));
+  return free.every((place) => isClear(place, circle)) ? circle : undefined;
 }
 
 class Stage {
-  /** app: has `race`, `world`, `circles`, `edit(circles)`, `focusOn(place)`; element: with the canvas inside. */
+  /** app: has `race`, `world`, `circles`, `edit(circles, selected)`, `focusOn(number)`; element: with the canvas inside. */
   constructor(app, element) {
     Object.assign(this, { app, element, canvas: element.querySelector("canvas") });
     this.drawing = false; // whether the pointer draws obstacles
@@ -73,8 +58,10 @@ class Stage {
       const near = drones.findIndex(
         ({ pilot, state }) => this.app.race.canFly(pilot) && Math.hypot(state.x - point[0], state.y - point[1]) < 30,
       );
-      if (near >= 0) this.app.focusOn(near);
+      if (near >= 0) this.app.focusOn(near + 1);
+      if (near >= 0 && drones[near].pilot !== YOU) return;
       this.target = point;
+      this.app.begin();
     }
   }
 
@@ -88,8 +75,6 @@ class Stage {
     if (this.held) this.app.changed();
     this.target = this.held = null;
   }
-
-  // -- obstacles by pointer
 
   /** Take hold of a circle by its inside or its edge, or begin a new one. */
   grasp([x, y]) {
@@ -113,7 +98,8 @@ class Stage {
   }
 
   change(circle) {
-    this.app.edit(this.app.race.circles.with(this.selected, allowed(this.app.world, circle, this.app.race.free)));
+    const there = allowed(this.app.world, circle, this.app.race.free);
+    if (there) this.app.edit(this.app.race.circles.with(this.selected, there), this.selected);
   }
 
   erase(event, [x, y]) {
@@ -123,25 +109,24 @@ class Stage {
     this.app.remove();
   }
 
-  // -- the picture
-
   /** Draw the moment so much of the way [0 to 1] from each drone's last pose to its pose. focus: place of a drone. */
   draw(share, focus, colours) {
-    const { race, world } = this.app;
+    const { race, world, pilots } = this.app;
     const shown = race.drones.map((drone, place) => ({ drone, place })).filter(({ drone }) => race.canFly(drone.pilot));
     shown.sort((one, other) => (one.place === focus) - (other.place === focus)); // the one in focus above all
     const drones = shown.map(({ drone, place }) => {
       const pose = race.poseAt(drone, drone.ended ? 1 : share);
-      const mine = place === focus;
+      const seen = !drone.ended && (place === focus || (drone.pilot === YOU && race.begun));
       const here = { ...drone.state, angle: radians(drone.state.heading) };
       return {
         pose,
         trail: [...drone.trail, [pose.x, pose.y]],
-        sensed: mine && !drone.ended ? sensedPoints(world, here, slotsOf(world, drone.observation)) : [],
+        sensed: seen ? sensedPoints(world, here, slotsOf(world, drone.observation)) : [],
         crashed: drone.ended === "collision",
         sign: String(place + 1),
-        accent: colours[`drone-${place + 1}`],
-        faint: !mine || Boolean(drone.ended),
+        accent: pilots[place],
+        ink: inkOn(pilots[place]),
+        faint: !seen,
       };
     });
     const there = { circles: race.obstaclesAt(share), goal: race.set.goal };

@@ -1,5 +1,5 @@
 /*
- * The scripted policies of uavnav/tasks/baselines.py, one for each world: functions of what is sensed alone.
+ * The scripted policies of uavnav/tasks/baselines.py: functions of what is sensed.
  */
 
 const MARGIN = 0.01; // [px] against rounding
@@ -21,8 +21,6 @@ function reactive(world, observation) {
   );
   return encode(world, safe ? [0, full] : [Math.floor(world.n_turns / 2), 0]);
 }
-
-// ---------------------------------------------------------------------------------------------- a goal
 
 /** Turn to the free direction that is nearest to the goal's, and fly as far as is certainly safe. */
 function towardsGoal(world, observation, { scale, bearings, look, spare }) {
@@ -49,8 +47,6 @@ function towardsGoal(world, observation, { scale, bearings, look, spare }) {
   return encode(world, [angle, Math.abs(wanted) >= 45 ? 0 : safe]);
 }
 
-// ---------------------------------------------------------------------------------------------- obstacles that move
-
 /** The first action of the way that keeps most clear of what is in view, also if that comes nearer by itself. */
 function dodge(world, observation, { ways, body, drift, enough }) {
   const echoes = echoesIn(world, observation).filter(hasDirection);
@@ -69,5 +65,13 @@ function dodge(world, observation, { ways, body, drift, enough }) {
   return chosen;
 }
 
-/** Each of a world, an observation, and the `rules` of that world. */
-const RULES = { drone: reactive, slalom: reactive, moving: dodge, goal: towardsGoal };
+/** What `reactive` does in each world: of its constants, an observation, and the `rules` of that world. */
+const REACTIONS = { drone: reactive, slalom: reactive, moving: dodge, goal: towardsGoal };
+const REACTIVE = "reactive";
+
+/** Every scripted policy: of a world's name, its task, an observation and uniform random numbers, an action. */
+const SCRIPTED = {
+  [REACTIVE]: (name, { world, rules }, observation) => REACTIONS[name](world, observation, rules),
+  straight: (name, { world }) => encode(world, [0, world.n_distances - 1]),
+  random: (name, { world }, observation, draw) => Math.floor(world.n_turns * world.n_distances * draw()),
+};

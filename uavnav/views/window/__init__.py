@@ -1,1 +1,0 @@
-"""The live window of `uavnav play`."""

@@ -27,7 +27,8 @@ def shipped() -> dict[str, Path]:
 
 def chosen() -> dict[str, dict[str, Any]]:
     """What is known of each policy, by its name: see `CHOSEN`."""
-    return files.read_json(CHOSEN)
+    found: dict[str, dict[str, Any]] = files.read_json(CHOSEN)
+    return found
 
 
 def rows() -> list[dict[str, Any]]:

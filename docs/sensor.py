@@ -1,4 +1,4 @@
-"""Draw docs/sensor.png: what the drone senses, and the ten slots of its observation (`python docs/sensor.py`)."""
+"""Draw docs/sensor.png: what the drone senses, and the slots of its observation (`python docs/sensor.py`)."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def test_the_estimate_gives_the_measured_rates_back(algorithm, n_seeds):
 def test_estimate_of_fast_gives_eight_seconds_for_the_first_command_of_the_docs_and_the_rate_of_five_seeds():
     found = display.seconds(PPOConfig(preset="fast"), 200_000, processes=1, compiled=True)
     assert found == pytest.approx(8, rel=0.01)
-    text = (PACKAGE.parent / "docs" / "performance.md").read_text()
+    text = (PACKAGE.parent / "docs" / "archive" / "speed.md").read_text()
     assert re.search(r"200,000 frames of PPO\b[^.]*\b15 s\b", text)
     run = uavnav.Run(PACKAGE.parent / "results" / "algorithms" / "fast" / "ppo" / "tanh")
     rate = run.frames / run.meta["wall_seconds"]

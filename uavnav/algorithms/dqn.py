@@ -111,7 +111,7 @@ class DQNConfig(QConfig):
         "vectorised": {},
         "paper": {"n_envs": 1},  # as SB3 runs by default
         "vectorised-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
-        "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/performance.md
+        "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/archive/speed.md
             "total_frames": 400_000,
             "n_envs": 128,
             "learning_starts": 10_000,

@@ -128,7 +128,7 @@ def test_no_page_loads_anything_from_the_network(site):
 
 def test_every_equation_is_mathml(site):
     for name, least in {
-        "world.html": 30,
+        "environment.html": 30,
         "ppo.html": 10,
         "dqn.html": 8,
         "a2c.html": 6,
@@ -142,7 +142,7 @@ def test_every_equation_is_mathml(site):
 
 
 def test_links_to_files_that_are_no_pages_are_their_paths(site):
-    assert "uavnav/tasks/world.py</code>" in site["world.html"]
+    assert "uavnav/tasks/world.py</code>" in site["environment.html"]
     assert not [
         name
         for name, page in site.items()
@@ -296,7 +296,7 @@ def test_the_commands_of_a_page_run_one_after_the_other(page, carry_out, tmp_pat
 # -- snippets ------------------------------------------------------------------------------------------------
 
 
-ADDED = ("hardswish", "gentle", "full_stops_per_episode", "slow")
+ADDED = ("cube", "gentle", "slow")
 """What the snippets add to the tables of the package."""
 
 

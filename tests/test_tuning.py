@@ -19,7 +19,6 @@ from uavnav import studies
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli import commands, study, worker
 from uavnav.errors import ConfigError
-from uavnav.report.tables import markdown
 from uavnav.runs import trials
 from uavnav.runs.policies import Diverged, PolicyError
 from uavnav.runs.tables import RunError, lock
@@ -293,11 +292,6 @@ def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_s
     ]
     assert defaults[0].config.seeds == [*range(100, 110)]
     assert defaults[0].config.total_frames == 1_000_000
-
-
-def test_the_page_shows_the_search_space_of_the_file():
-    page = (Path(__file__).parent.parent / "docs" / "scale.md").read_text()
-    assert f"<!-- space -->\n{markdown(search.space(studies.read('tuning')))}\n<!-- end -->" in page
 
 
 @pytest.mark.parametrize(

@@ -216,22 +216,3 @@ def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
         (configuration or found.configuration(name, {}, TUNED, usual), None)
         for name, configuration in configurations.items()
     ]
-
-
-def space(study: Study) -> list[list[str]]:
-    """The search space as a table, its header first: a row a range, with the settings that it is for."""
-    rows, said = [["range", "settings", "values"]], study.tune or {}
-    for name, values in said["ranges"].items():
-        of: dict[str, list[str]] = {}
-        for algorithm, own in said["space"].items():
-            for setting in (setting for setting, its in own.items() if its == name):
-                of.setdefault(setting, []).append(algorithm.upper())
-        settings = "; ".join(f"`{setting}` of {', '.join(found)}" for setting, found in of.items())
-        rows.append([name, settings, _shown(values)])
-    return rows
-
-
-def _shown(values: Any) -> str:
-    if isinstance(values, list):
-        return ", ".join(f"{value:g}" for value in values)
-    return f"{values['low']:g} to {values['high']:g}{', by its logarithm' if values.get('log') else ''}"

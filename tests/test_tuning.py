@@ -361,7 +361,7 @@ def test_more_seeds_than_lie_between_trials_and_winners_are_refused(tmp_path):
 def test_a_folder_of_another_search_and_one_that_is_in_use_are_refused(tmp_path):
     tuned(tmp_path, trials=1)
     with pytest.raises(
-        ConfigError, match=r"journal\.jsonl: holds the trials of another search; give another out="
+        ConfigError, match=r"journal\.jsonl: contains the trials of another search; give another out="
     ):
         tuned(tmp_path, trials=1, frames=3000)
     found = planned(tmp_path, trials=1)

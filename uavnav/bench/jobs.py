@@ -154,7 +154,7 @@ def memory(session: int) -> float:
 
 
 def _end_with_parent() -> None:
-    """End at once when the process that started this one is gone, and no longer holds the standard input."""
+    """End at once when the process that started this one has closed the standard input."""
     while os.read(sys.stdin.fileno(), 1):
         pass
     os._exit(1)

@@ -1,6 +1,6 @@
 """The page of benchmarks: a section each, every one with the date and the commit of its measurement.
 
-`page.md` holds the titles and texts.
+`page.md` contains the titles and texts.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def read_sections(path: Path) -> dict[str, str]:
 def write_sections(path: Path, tables: Mapping[str, Sequence[str]], seconds: float, mark: str = "") -> None:
     """Put sections into the file in place of the old ones; the file is whole or as it was. Raises OSError.
 
-    tables: the lines below each section's text; seconds: the time of measuring; mark: said beside the date.
+    tables: the lines below each section's text; seconds: the time of measuring; mark: said with the date.
     """
     texts, old = read_sections(TEXTS), read_sections(path)
     today = datetime.datetime.now(datetime.UTC).date()

@@ -100,7 +100,7 @@ class Plan(NamedTuple):
 
 
 def _short(name: str, value: Any) -> Any:
-    """The width alone of hidden layers that have the same."""
+    """The width of hidden layers that all have the same, as one number."""
     return value[0] if name == "hidden" and value else value
 
 
@@ -111,7 +111,7 @@ def plan(
     nothing.
 
     Raises:
-        ConfigError: a key, a range or a setting is not right, a default lies outside of its range, or trials
+        ConfigError: a key, a range or a setting is not right, a default is outside its range, or trials
             share seeds with the configurations that are compared in the end.
     """
     if (said := study.tune) is None:
@@ -204,7 +204,7 @@ def winners(found: Plan) -> list[Configuration]:
 
 
 def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
-    """All configurations of a tuning beside the study's own, a told trial's with its state; settings not
+    """All configurations of a tuning besides the study's own, a told trial's with its state; settings not
     known are defaults.
     """
     there = trials(found).set_index(["algorithm", "trial"])["state"].to_dict()

@@ -44,16 +44,17 @@ report: .venv/.installed # the report, docs/results.md and the findings in the R
 docs: .venv/.installed-dev # the site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-help: .venv/.installed # the help of each algorithm, from its configuration
+help: .venv/.installed # the help of each algorithm, and the tables of commands and settings in the docs
 	$(BIN)/python -m uavnav.cli.help
 
 layouts: .venv/.installed # the layouts that ship with the package, again
 	$(BIN)/uavnav layouts --out uavnav/tasks/splits
 	$(BIN)/uavnav layouts --task goal --out uavnav/tasks/splits
 
-picture: .venv/.installed # the episodes in the README, and the window in docs/start.md
+picture: .venv/.installed # the episodes in the README, the sensor and the learning curves of the docs
 	$(BIN)/python docs/film.py $(RESULTS)/vectorised/ppo/sigmoid $(RESULTS)/vectorised/dqn/sigmoid reactive
-	$(BIN)/python docs/window.py $(RESULTS)/vectorised/ppo/relu $(RESULTS)/vectorised/dqn/relu
+	$(BIN)/python docs/sensor.py
+	$(BIN)/python docs/curves.py ppo dqn a2c c51 sac
 
 clean:
 	rm -rf .venv build *.egg-info

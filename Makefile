@@ -4,7 +4,7 @@ BIN := .venv/bin
 RESULTS ?= results
 ENGINE ?= engine=local
 
-.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds tuning baselines policies report docs help layouts picture clean
+.PHONY: train test study vectorised initial tuned sensitivity wide why algorithms worlds tuning baselines report docs help layouts picture clean
 
 train: .venv/.installed
 	$(BIN)/uavnav train ppo activation=relu
@@ -37,9 +37,6 @@ tuning: .venv/.installed-dev # Optuna comes with what tests need
 baselines: .venv/.installed # what needs no learning, on the test layouts
 	$(BIN)/uavnav evaluate random straight reactive --out $(RESULTS)/baselines
 
-policies: .venv/.installed # those that ship, chosen on the validation split among the committed runs
-	$(BIN)/python -m uavnav.evaluation.choose $(RESULTS)
-
 report: .venv/.installed # the report, docs/results.md and the findings in the README
 	$(BIN)/uavnav report $(RESULTS)
 	$(BIN)/python -m uavnav.report.docs $(RESULTS)
@@ -47,15 +44,17 @@ report: .venv/.installed # the report, docs/results.md and the findings in the R
 docs: .venv/.installed-dev # the site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-help: .venv/.installed # the help of each algorithm, from its configuration
+help: .venv/.installed # the help of each algorithm, and the tables of commands and settings in the docs
 	$(BIN)/python -m uavnav.cli.help
 
 layouts: .venv/.installed # the layouts that ship with the package, again
 	$(BIN)/uavnav layouts --out uavnav/tasks/splits
 	$(BIN)/uavnav layouts --task goal --out uavnav/tasks/splits
 
-picture: .venv/.installed # the episodes in the README
+picture: .venv/.installed # the episodes in the README, the sensor and the learning curves of the docs
 	$(BIN)/python docs/film.py $(RESULTS)/vectorised/ppo/sigmoid $(RESULTS)/vectorised/dqn/sigmoid reactive
+	$(BIN)/python docs/sensor.py
+	$(BIN)/python docs/curves.py ppo dqn a2c c51 sac
 
 clean:
 	rm -rf .venv build *.egg-info

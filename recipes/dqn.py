@@ -6,7 +6,7 @@ to change.
     out=runs/mine python recipes/dqn.py -m activation=relu,leaky_relu,tanh,sigmoid
 
 `python recipes/dqn.py --help` says what each key means. All seeds learn side by side in this process, where
-`uavnav train dqn` spreads those of a long run over the cores. Letters: A seeds, W environments a seed, T
+`uavnav train dqn` spreads those of a long run over the cores. Letters: A seeds, W environments per seed, T
 steps.
 """
 

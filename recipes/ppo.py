@@ -6,7 +6,7 @@ to change.
     out=runs/mine python recipes/ppo.py -m activation=relu,leaky_relu,tanh,sigmoid
 
 `python recipes/ppo.py --help` says what each key means. All seeds learn side by side in this process, where
-`uavnav train ppo` spreads those of a long run over the cores. Letters: A seeds, W environments a seed, T
+`uavnav train ppo` spreads those of a long run over the cores. Letters: A seeds, W environments per seed, T
 steps.
 """
 

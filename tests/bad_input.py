@@ -578,11 +578,9 @@ CASES = [
     all_layouts(
         "other tensors", tensors(lambda kept: kept.update(a=kept.pop("obstacles"))), "no tensor `obstacles`"
     ),
+    all_layouts("float64", obstacles(lambda b: b.double()), "not float64", "{}/layouts: layouts are float32"),
     all_layouts(
-        "float64", obstacles(lambda b: b.double()), "not float64", "{}/layouts: layouts hold float32"
-    ),
-    all_layouts(
-        "whole numbers", obstacles(lambda b: b.long()), "not int64", "{}/layouts: layouts hold float32"
+        "whole numbers", obstacles(lambda b: b.long()), "not int64", "{}/layouts: layouts are float32"
     ),
     all_layouts("two axes", obstacles(lambda b: b[0]), "not [4, 3]", SHAPE),
     all_layouts("two columns", obstacles(lambda b: b[..., :2]), "not [20, 4, 2]", SHAPE),

@@ -1,4 +1,4 @@
-"""The world once more, slowly: docs/world.md in scalar float64 and plain Python. It imports nothing of
+"""The world once more, slowly: docs/environment.md in scalar float64 and plain Python. It imports nothing of
 uavnav.
 
 Candidates are (d, x, y): distance in px of the nearest point, its direction's components to the right and

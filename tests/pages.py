@@ -11,7 +11,7 @@ ALL = {
     str(path.relative_to(ROOT)): path.read_text()
     for path in [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 }
-MINE = ("start", "world", "faults", *ALGORITHMS, "extending")
+MINE = ("start", "environment", "tasks", *ALGORITHMS, "extending")
 PAGES = {name: ALL[f"docs/{name}.md"] for name in MINE}
 CONFIGS = {name: one.config for name, one in ALGORITHMS.items()}
 """Of each algorithm: every one of the table has its page."""
@@ -22,7 +22,7 @@ def blocks(page, language):
 
 
 def table(page, header):
-    """The rows of the first table with this header, as lists of configurations."""
+    """The rows of the first table with this header, as lists of cells."""
     rest = page.split(f"\n{header}\n", 1)[1]
     lines = rest.split("\n\n", 1)[0].splitlines()[1:]
     return [[cell.strip() for cell in line.strip("|").split(" |")] for line in lines]

@@ -1,4 +1,4 @@
-"""What the benchmarks make of measurements: rates, whole runs, ratios, what must be reached, and the file."""
+"""What the benchmarks make of measurements: rates, whole runs, ratios, and the file."""
 
 import itertools
 import os
@@ -49,7 +49,7 @@ def test_the_clock_stops_after_2_steady_seconds_but_never_before_3_steady_marks_
 
 
 PEER = Measurement("training/PPO, SB3", "", {"algorithm": "ppo"}, base="training/PPO, SB3")
-TEN = replace(PEER, name="training/PPO, uavnav, 10 seeds", arguments={"n_seeds": 10}, must=25)
+TEN = replace(PEER, name="training/PPO, uavnav, 10 seeds", arguments={"n_seeds": 10})
 
 
 def rows(*measured, missing=()):
@@ -78,22 +78,17 @@ def run(whole, rate=1e3):
 
 
 def test_ten_seeds_in_100_s_are_40_times_faster_each_than_one_of_400_s():
-    lines = rows((PEER, [run(400.0)] * 3), (TEN, [run(100.0) | {"how": "2 × 1"}] * 3))["training"]
+    lines = rows((PEER, [run(400.0)] * 3), (TEN, [run(100.0)] * 3))["training"]
     assert configurations(lines, "PPO, uavnav, 10 seeds") == {
         "": "PPO, uavnav, 10 seeds",
-        "processes × threads": "2 × 1",
-        "rounds": "3",
-        "frames": "60,000",
         "start-up [s]": "10",
         "frames/s": "10,000",
         "1 M frames": "0:01:40",
         "per seed": "0:00:10",
         "times": "40",
-        "must be": "25: reached",
         "peak [GB]": "0.5",
     }
     assert configurations(lines, "PPO, SB3")["times"] == "1"
-    assert configurations(lines, "PPO, SB3")["must be"] == "-"
 
 
 def test_two_processes_side_by_side_share_the_time_of_a_run():
@@ -106,28 +101,20 @@ def test_two_processes_side_by_side_share_the_time_of_a_run():
 
 def test_a_ratio_is_the_median_over_the_rounds_that_both_have():
     base = Measurement("gymnasium/numpy", "", {}, base="gymnasium/numpy")
-    one = replace(base, name="gymnasium/uavnav", must=1)
+    one = replace(base, name="gymnasium/uavnav")
     found = [{"rate": float(rate)} for rate in (10, 40, 30)]
     numpy = [{"rate": float(rate)} for rate in (10, 10, 15)]
     assert configurations(rows((base, numpy), (one, found))["gymnasium"], "uavnav")["times"] == "2"
     assert configurations(rows((base, numpy[:2]), (one, found))["gymnasium"], "uavnav")["times"] == "2.5"
-    assert configurations(rows((base, numpy[:2]), (one, found))["gymnasium"], "uavnav")["rounds"] == "3"
 
 
-@pytest.mark.parametrize(("rate", "verdict"), [(80.0, "80: reached"), (79.9, "80: **not reached**")])
-def test_the_world_must_be_80_times_the_numpy_world_at_its_best_batch_size(rate, verdict):
+def test_the_world_is_compared_at_its_best_batch_size_with_the_numpy_world():
     base = Measurement("gymnasium/numpy", "", {})
-    one = Measurement("world/compiled", "", {}, must=80, base="gymnasium/numpy")
-    found = {"rate": rate, "16": rate, "256": 40.0}
+    one = Measurement("world/compiled", "", {}, base="gymnasium/numpy")
+    found = {"rate": 80.0, "16": 80.0, "256": 40.0}
     shown = configurations(rows((base, [{"rate": 1.0}]), (one, [found]))["world"], "compiled")
-    assert (shown["16"], shown["256"], shown["must be"]) == (f"{rate:.3g}", "40", verdict)
-    assert "must be" not in rows((one, [found]))["world"][0]  # nothing to compare it with
-
-
-@pytest.mark.parametrize(("peak", "verdict"), [(4.0, "4: reached"), (4.01, "4: **not reached**")])
-def test_memory_must_be_at_most_4_gb(peak, verdict):
-    one = Measurement("memory/DQN", "", {}, must=4)
-    assert configurations(rows((one, [{"frames": 1e6, "peak": peak}]))["memory"], "DQN")["must be"] == verdict
+    assert (shown["16"], shown["256"], shown["times"]) == ("80", "40", "80")
+    assert "times" not in rows((one, [found]))["world"][0]  # nothing to compare it with
 
 
 def test_what_was_not_measured_is_named_below_the_table_or_alone():

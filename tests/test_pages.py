@@ -9,12 +9,13 @@ import pytest
 from pages import ALL, CONFIGS, MINE, PAGES, ROOT, blocks, code, table
 
 import uavnav
-from uavnav import runs, settings, studies
-from uavnav.cli.train import Command
+from uavnav import runs, studies
+from uavnav.cli.help import pages
 from uavnav.report.page import DECISIONS
 from uavnav.runs import metrics
 from uavnav.tasks.faults import Faults
 from uavnav.tasks.layouts import SPLITS
+from uavnav.tasks.protocol import LADDER_NAMES
 from uavnav.tasks.rewards import Step
 from uavnav.tasks.state import State
 from uavnav.tasks.task import Outcome, Task
@@ -26,52 +27,40 @@ CLASSES = {
 }
 
 
-def said(line):
-    """A key as the tables write it: the text of --help."""
-    return [f"`{line.name}`", f"`{line.default}`", line.unit, line.meaning]
-
-
 # -- tables --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("algorithm", CONFIGS)
-def test_the_table_of_settings_is_the_configuration_field_by_field(algorithm):
-    rows = table(PAGES[algorithm], "| key | default | unit | meaning |")
-    assert rows == [said(line) for line in settings.lines(CONFIGS[algorithm])]
-    assert all(row[3] for row in rows)
+@pytest.mark.parametrize(
+    ("page", "block", "text"),
+    [
+        ("algorithms", "settings", pages.settings_table(CONFIGS)),
+        ("algorithms", "presets", pages.preset_table(CONFIGS)),
+        ("commands", "commands", pages.command_table()),
+    ],
+)
+def test_a_generated_table_is_what_the_code_says(page, block, text):
+    assert f"<!-- {block} -->\n{text}\n<!-- end" in ALL[f"docs/{page}.md"], "make help writes it"
 
 
-@pytest.mark.parametrize("algorithm", CONFIGS)
-def test_the_table_of_presets_is_that_of_the_configuration(algorithm):
-    rows = table(PAGES[algorithm], "| preset | sets |")
-    presets = CONFIGS[algorithm].PRESETS
-    shown = {code(name)[0]: dict(word.split("=") for word in code(sets)) for name, sets in rows}
-    words = {name: {key: typed(value) for key, value in sets.items()} for name, sets in presets.items()}
-    assert shown == words
-
-
-def typed(value):
-    """A setting as a command line has it."""
-    return str(list(value)).replace(" ", "") if isinstance(value, tuple) else str(value)
-
-
-BESIDE_SB3 = "| here | | there | | |"
+def test_a_setting_shows_each_algorithms_default_and_what_fast_sets_instead():
+    rows = {
+        row[0]: row[1:] for row in table(ALL["docs/algorithms.md"], "| key | PPO | DQN | A2C | C51 | SAC |")
+    }
+    assert rows["`lr`"] == ["0.0003→0.001", "0.0001→0.00025", "0.0007→0.00086", "0.00025", "0.0003→0.0023"]
+    assert rows["`tau`"] == ["", "", "", "", "0.005→0.0037"]
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "dqn", "a2c"])
-def test_the_table_beside_sb3_holds_both_defaults(algorithm):
+def test_the_table_of_names_in_sb3_has_the_defaults_of_both(algorithm):
     sb3 = pytest.importorskip("stable_baselines3")
     theirs = inspect.signature(getattr(sb3, algorithm.upper())).parameters
-    ours = {name: field.default for name, field in CONFIGS[algorithm].model_fields.items()}
-    rows = table(PAGES[algorithm], BESIDE_SB3)
-    assert len(rows) >= 12
-    for row in rows:
-        for name, value, defaults in (
-            (*row[:2], ours),
-            (*row[2:4], {k: v.default for k, v in theirs.items()}),
-        ):
-            if name:
-                assert ast.literal_eval(code(value)[0]) == defaults[code(name)[0]], name
+    ours = CONFIGS[algorithm].model_fields
+    (head,) = [line for line in PAGES[algorithm].splitlines() if line.startswith("| here | there |")]
+    rows = table(PAGES[algorithm], head)
+    assert len(rows) >= 8
+    for here, there, *defaults in rows:
+        assert ast.literal_eval(code(defaults[0])[0]) == ours[code(here)[0]].default, here
+        assert ast.literal_eval(code(defaults[-1])[0]) == theirs[code(there)[0]].default, there
 
 
 SHORT = {
@@ -85,19 +74,17 @@ SHORT = {
 
 @pytest.mark.parametrize("algorithm", CONFIGS)
 def test_every_logged_column_has_its_line(algorithm, tmp_path):
-    first = blocks(PAGES[algorithm], "console")[0].splitlines()[0].partition("#")[0].split()[3:]
-    config = CONFIGS[algorithm].from_mapping({**dict(word.split("=") for word in first), **SHORT[algorithm]})
+    config = CONFIGS[algorithm].from_mapping(SHORT[algorithm])
     run = getattr(uavnav, algorithm).train(config, out=tmp_path / "run", quiet=True)
-    rows = table(PAGES[algorithm], "| column | meaning |")
+    shared = table(ALL["docs/algorithms.md"], "| column | meaning |")
+    rows = shared + table(PAGES[algorithm], "| column | meaning |")
     assert sorted(code(row[0])[0] for row in rows) == sorted(run.progress.columns)
     assert all(row[1] for row in rows)
 
 
-def test_the_tables_of_the_start_are_the_keys_of_the_command_the_runs_files_and_the_episodes_columns():
+def test_the_tables_of_the_start_are_the_runs_files_and_the_episodes_columns():
     page = PAGES["start"]
-    keys = settings.lines(Command)
-    assert table(page, "| key | default | meaning |") == [[*said(key)[:2], key.meaning] for key in keys]
-    files = [code(row[0])[0] for row in table(page, "| file | holds |")]
+    files = [code(row[0])[0] for row in table(page, "| file | contains |")]
     of_evaluations = {runs.EVALUATION, runs.BEHAVIOUR, runs.ARENA, runs.VALUES}
     assert {*files} == {*runs.FILES, *of_evaluations, "checkpoint/", "workers/"}
     assert [code(row[0])[0] for row in table(page, "| column | meaning |")] == list(metrics.EPISODE_COLUMNS)
@@ -141,7 +128,7 @@ def test_every_name_in_code_exists(name):
     known = {one for one in dotted if one.split(".")[0] in {*MODULES, *CLASSES}}
     assert not [one for one in known if resolved(one) is MISSING]
     assert len(known) >= {
-        "world": 35,
+        "environment": 35,
         "ppo": 15,
         "dqn": 15,
         "a2c": 12,
@@ -166,7 +153,7 @@ def symbols(tex):
 
 
 @pytest.mark.parametrize(
-    ("name", "least"), [("world", 14), ("ppo", 18), ("dqn", 11), ("a2c", 12), ("c51", 14), ("sac", 14)]
+    ("name", "least"), [("environment", 14), ("ppo", 18), ("dqn", 11), ("a2c", 12), ("c51", 14), ("sac", 14)]
 )
 def test_every_symbol_of_an_equation_is_in_a_table_of_its_page(name, least):
     equations = re.findall(r"\$\$(.*?)\$\$", PAGES[name], flags=re.DOTALL)
@@ -185,7 +172,7 @@ def test_every_symbol_of_an_equation_is_in_a_table_of_its_page(name, least):
 
 def test_every_symbol_of_the_world_is_a_variable_of_the_function_that_it_is_said_to_be():
     count = 0
-    for names, function in re.findall(r"((?:`\w+`(?:, )?)+) of `(\w+(?:\.\w+)+)`", PAGES["world"]):
+    for names, function in re.findall(r"((?:`\w+`(?:, )?)+) of `(\w+(?:\.\w+)+)`", PAGES["environment"]):
         body = resolved(function)
         for name in code(names):
             there = name in body.__code__.co_varnames or f'"{name}"' in inspect.getsource(body)
@@ -194,27 +181,31 @@ def test_every_symbol_of_the_world_is_a_variable_of_the_function_that_it_is_said
     assert count >= 15
 
 
-def test_every_field_of_the_world_is_in_the_table_of_its_settings_and_beside_its_symbol():
-    fields = World.names()
-    assert table(PAGES["world"], "| field | default | unit | meaning |") == [
-        said(line) for line in settings.lines(World)
-    ]
+def test_every_field_of_the_world_is_beside_its_symbol():
     in_words = {"width", "height"}  # 800 x 600 px
-    assert {one for one in fields if f"World.{one}`" not in PAGES["world"]} == in_words
-    assert "800 × 600 px" in PAGES["world"]
+    assert {one for one in World.names() if f"World.{one}`" not in PAGES["environment"]} == in_words
+    assert "800 × 600 px" in PAGES["environment"]
 
 
-def test_every_fault_is_in_the_table_of_its_page():
-    assert table(PAGES["faults"], "| field | default | unit | meaning |") == [
-        said(line) for line in settings.lines(Faults)
+def test_the_table_of_splits_has_each_with_its_layouts_and_seed():
+    rows = table(PAGES["environment"], "| split | layouts | seed | for |")
+    assert [tuple(row[:3]) for row in rows] == [
+        (f"`{name}`", f"{split.n:,}", str(split.seed)) for name, split in SPLITS.items()
     ]
 
 
-def test_the_tables_of_the_world_hold_every_split_and_every_field_of_a_step():
-    splits = [(row[0], row[1], row[2]) for row in table(PAGES["world"], "| split | layouts | seed | for |")]
-    assert splits == [(f"`{name}`", f"{split.n:,}", str(split.seed)) for name, split in SPLITS.items()]
-    held = [name for row in table(PAGES["world"], "| field | holds |") for name in code(row[0])]
-    assert held == [f"Step.{name}" for name in Step._fields]
+def test_the_tables_of_tasks_faults_and_ladders_have_each_of_them():
+    page = PAGES["tasks"]
+    assert {code(row[0])[0] for row in table(page, "| fault | what happens |")} == {*Faults.names()}
+    assert {code(row[0])[0] for row in table(page, "| ladder | rungs | one rung |")} == {*LADDER_NAMES}
+    (head,) = [line for line in page.splitlines() if line.startswith("| task | what is different")]
+    assert [code(row[0])[0] for row in table(page, head)] == [
+        "drone",
+        "goal",
+        "moving",
+        "space",
+        "space-moving",
+    ]
 
 
 def test_whoever_chooses_an_algorithm_finds_each_in_the_table():

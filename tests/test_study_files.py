@@ -417,7 +417,7 @@ def test_progress_that_cannot_be_read_counts_as_not_there(said, tmp_path):
 
 def test_every_study_has_a_target_of_make_and_a_name_on_the_page():
     (targets,) = re.findall(r"^\.PHONY: (.*)", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    page = (ROOT / "docs" / "scale.md").read_text()
+    page = (ROOT / "docs" / "studies.md").read_text()
     for name in studies.names():
         assert name in [*targets.split(), "paper"]
         assert f"`{name}`" in page
@@ -428,7 +428,7 @@ def test_makespans_of_known_jobs_and_the_table_of_the_page():
     assert makespan["makespan"]([3.0, 3.0, 2.0], 2) == 5.0
     assert makespan["makespan"]([1.0] * 8, 4) == 2.0
     (shown,) = re.findall(
-        r"<!-- makespan -->\n(.*?)\n<!-- end -->", (ROOT / "docs" / "scale.md").read_text(), re.DOTALL
+        r"<!-- makespan -->\n(.*?)\n<!-- end -->", (ROOT / "docs" / "studies.md").read_text(), re.DOTALL
     )
     assert shown == makespan["table"](ROOT / "results")
 

@@ -19,7 +19,6 @@ from uavnav import studies
 from uavnav.algorithms.ppo import PPOConfig
 from uavnav.cli import commands, study, worker
 from uavnav.errors import ConfigError
-from uavnav.report.tables import markdown
 from uavnav.runs import trials
 from uavnav.runs.policies import Diverged, PolicyError
 from uavnav.runs.tables import RunError, lock
@@ -295,11 +294,6 @@ def test_the_packages_search_gives_all_algorithms_the_same_budget_and_a_shared_s
     assert defaults[0].config.total_frames == 1_000_000
 
 
-def test_the_page_shows_the_search_space_of_the_file():
-    page = (Path(__file__).parent.parent / "docs" / "scale.md").read_text()
-    assert f"<!-- space -->\n{markdown(search.space(studies.read('tuning')))}\n<!-- end -->" in page
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -370,7 +364,7 @@ def test_more_seeds_than_lie_between_trials_and_winners_are_refused(tmp_path):
 def test_a_folder_of_another_search_and_one_that_is_in_use_are_refused(tmp_path):
     tuned(tmp_path, trials=1)
     with pytest.raises(
-        ConfigError, match=r"journal\.jsonl: holds the trials of another search; give another out="
+        ConfigError, match=r"journal\.jsonl: contains the trials of another search; give another out="
     ):
         tuned(tmp_path, trials=1, frames=3000)
     found = planned(tmp_path, trials=1)

@@ -7,7 +7,7 @@ return.
 
 [x] is x within v_min and v_max, and a* has the largest expected return sum_i z_i p_i(s', .). Buffer,
 exploration and learning are DQN's.
-Letters: A agents, one a seed; B the rest of a batch.
+Letters: A agents, one per seed; B the rest of a batch.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ PRESETS = {name: C51Config(preset=name) for name in C51Config.PRESETS}
 def project(probabilities: Tensor, places: Tensor, atoms: Tensor) -> Tensor:
     """Move probabilities to evenly spaced atoms, each shared by its two neighbours. Eq. (7).
 
-    probabilities and the places where they lie [B, n], atoms [n] -> [B, n].
+    probabilities and the places where they are [B, n], atoms [n] -> [B, n].
     """
     inside = places.clamp(atoms[0], atoms[-1])
     distance = (inside[..., None, :] - atoms[:, None]).abs() / (atoms[1] - atoms[0])
@@ -171,7 +171,7 @@ class C51Loss(LossModule):  # type: ignore[misc]
         return (features[..., None] * weight.transpose(1, 2)).sum(-2) + bias[:, 0]
 
     def _logits(self, outputs: Tensor) -> Tensor:
-        """Of each action and atom: [..., outputs] -> [..., actions, n]. It is linear, so it holds for
+        """Of each action and atom: [..., outputs] -> [..., actions, n]. It is linear, so it is true for
         weights too.
         """
         outputs = dueling(outputs, len(self.atoms)) if self.config.dueling else outputs

@@ -6,7 +6,7 @@ over transitions (s, a, R, s') drawn uniformly from the buffer, with SB3's Huber
 by default. theta- is a copy of theta, renewed every so many frames; where an episode terminated at s' the
 target is R alone.
 
-Letters: A agents, one a seed, that learn side by side and independently of each other; W environments an
+Letters: A agents, one per seed, that learn side by side and independently of each other; W environments an
 agent.
 """
 
@@ -43,7 +43,7 @@ class QConfig(ReplayConfig):
     lr: AtLeast0 = key(1e-4, "Adam's learning rate")
     max_grad_norm: AtLeast0 | None = key(10.0)
     target_update_frames: Count = key(
-        10_000, "between two copies of the network into the target", "frames a seed"
+        10_000, "between two copies of the network into the target", "frames per seed"
     )
     epsilon_start: Share = key(1.0, "of random actions at frame 0", "share")
     epsilon_end: Share = key(0.05, "of random actions at the end of the fall", "share")
@@ -79,7 +79,7 @@ class QConfig(ReplayConfig):
 
     @property
     def head(self) -> str:
-        """How the network's outputs are read: a line of `acting.HEADS` with its numbers."""
+        """How the network's outputs are read: an entry in `acting.HEADS` with its numbers."""
         return "dueling" if self.dueling else "direct"
 
     @property
@@ -111,7 +111,7 @@ class DQNConfig(QConfig):
         "vectorised": {},
         "paper": {"n_envs": 1},  # as SB3 runs by default
         "vectorised-2.3": {"learning_starts": 100},  # SB3's default since its version 2.3
-        "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/performance.md
+        "fast": {  # targets of five steps and double Q-learning; what it reaches: docs/archive/speed.md
             "total_frames": 400_000,
             "n_envs": 128,
             "learning_starts": 10_000,

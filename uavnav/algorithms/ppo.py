@@ -4,7 +4,7 @@
     A       = generalised advantage estimate of R + gamma V(s') - V(s), lambda = 0                 eq. (3)
     L_value = (V(s) - V_target)^2                                                                  eq. (4)
 
-Everything has a leading axis of agents A, one a seed, that learn side by side and independently of each
+Everything has a leading axis of agents A, one per seed, that learn side by side and independently of each
 other.
 Letters: A agents, W environments an agent, T steps of a rollout.
 """
@@ -57,7 +57,7 @@ class PPOConfig(TrainConfig):
     }
 
     lr: AtLeast0 = key(3e-4, "Adam's learning rate")
-    frames_per_batch: Count = key(2048, "collected in an iteration, from all environments", "frames a seed")
+    frames_per_batch: Count = key(2048, "collected in an iteration, from all environments", "frames per seed")
     minibatch_size: Whole = key(64, "in a gradient step", "frames", ge=2)
     epochs: Whole = key(10, "passes over an iteration's frames", ge=1, le=1_000)
     adam_eps: AtLeast0 = key(1e-5, "Adam's ε")

@@ -3,7 +3,7 @@
 Every agent draws rows of its own, from its own generator. TorchRL's own samplers draw from one global stream,
 which would tie the agents of a population together.
 
-Letters: A agents, one a seed; W environments an agent; T steps; M minibatches of N transitions.
+Letters: A agents, one per seed; W environments an agent; T steps; M minibatches of N transitions.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from uavnav.training.config import TrainConfig
 LOG_FRAMES = 5_000
 """Frames per seed between two rows of progress."""
 FRAME_BYTES = 14
-"""Of a transition beside its observations: action, reward and two flags."""
+"""Of a transition besides its observations: action, reward and two flags."""
 
 
 class ReplayConfig(TrainConfig):
     """What learning from replay needs, whatever its loss."""
 
     n_envs: Count = key(64)
-    buffer_size: Count = key(1_000_000, "the newest so many are kept", "frames a seed")
+    buffer_size: Count = key(1_000_000, "the newest so many are kept", "frames per seed")
     learning_starts: Whole = key(
-        50_000, "of uniformly random actions, without updates", "frames a seed", ge=0
+        50_000, "of uniformly random actions, without updates", "frames per seed", ge=0
     )
     batch_size: Count = key(32, "in a gradient step", "transitions")
-    frames_per_update: Count = key(4, "for each gradient step", "frames a seed")
+    frames_per_update: Count = key(4, "for each gradient step", "frames per seed")
 
     def check(self) -> None:
         super().check()
@@ -122,7 +122,7 @@ class Replay:
         n_envs: that an agent steps at once.
         keeps_next: store s' with each step; else it is read from the same environment's later row.
         n_steps, gamma: the n steps of a target, and their discount.
-        device: where the ring lies.
+        device: where the ring is.
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class Replay:
 class AgentStorage(LazyTensorStorage):  # type: ignore[misc]
     """TorchRL's storage of rows [A, ...], read as an `AgentSampler` draws them: by (row, agent).
 
-    A large buffer's rows lie all over the memory. `index_select` waits for them a third as long as an index
+    A large buffer's rows are all over the memory. `index_select` waits for them a third as long as an index
     of two tensors does, and copies the same numbers.
     """
 

@@ -10,7 +10,7 @@ over transitions (s, a, R, s') drawn uniformly from DQN's buffer. Both Q- follow
 step; where an episode terminated at s', y is R alone. The temperature alpha keeps the policy's entropy H near
 its target.
 
-Letters: A agents, one a seed, that learn side by side and independently of each other; W environments an
+Letters: A agents, one per seed, that learn side by side and independently of each other; W environments an
 agent; N rows.
 """
 
@@ -63,7 +63,7 @@ class SACConfig(ReplayConfig):
 
     lr: AtLeast0 = key(3e-4, "Adam's learning rate, of policy, Q networks and temperature")
     max_grad_norm: AtLeast0 | None = key(None)  # neither CleanRL nor SB3 clips
-    learning_starts: Whole = key(20_000, "of the untrained policy, without updates", "frames a seed", ge=0)
+    learning_starts: Whole = key(20_000, "of the untrained policy, without updates", "frames per seed", ge=0)
     batch_size: Count = key(64, "in a gradient step", "transitions")
     # SB3
     tau: Share = key(0.005, "of the way to the Q networks that the targets go after each step", "share")

@@ -51,7 +51,6 @@ class Measurement:
     rounds: int = 3
     needs: str = ""  # a library that may not be installed
     base: str = ""  # the measurement that it is compared with
-    must: float | None = None  # at least so many times as fast as that; of memory, at most so many GB
     warm: Result = field(default_factory=dict)  # changed arguments of a first run, only to warm the caches
     quick: Result | None = None  # changed arguments of a quick run; None: a quick run leaves this out
 
@@ -155,7 +154,7 @@ def memory(session: int) -> float:
 
 
 def _end_with_parent() -> None:
-    """End at once when the process that started this one is gone, and no longer holds the standard input."""
+    """End at once when the process that started this one has closed the standard input."""
     while os.read(sys.stdin.fileno(), 1):
         pass
     os._exit(1)

@@ -1,7 +1,7 @@
 """The world once more, in plain NumPy: what one would write for Stable-Baselines3 without our core.
 
 It is the yardstick of `uavnav.bench` and of other people's trainers: one drone, vectorised over the circles
-and the 136 squares of the border. `tests/test_numpy_world.py` holds it against the oracle and `DroneGymEnv`.
+and the 136 squares of the border. `tests/test_numpy_world.py` compares it with the oracle and `DroneGymEnv`.
 """
 
 from __future__ import annotations

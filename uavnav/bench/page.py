@@ -1,6 +1,6 @@
 """The page of benchmarks: a section each, every one with the date and the commit of its measurement.
 
-`page.md` holds the titles and texts.
+`page.md` contains the titles and texts.
 """
 
 from __future__ import annotations
@@ -21,13 +21,11 @@ from uavnav import files
 from uavnav.bench import Result
 from uavnav.bench.jobs import Results
 from uavnav.bench.plan import BATCHES, CORES
-from uavnav.tasks.world import VERSION
 from uavnav.training.provenance import git_commit, processor
 
 TEXTS = Path(__file__).with_name("page.md")
 MARK = re.compile(r"^<!-- bench: (\w+) -->\n", flags=re.MULTILINE)
-PACKAGES = ("uavnav", "torch", "torchrl", "tensordict", "numpy", "gymnasium")
-PEERS = ("stable-baselines3", "sbx-rl", "jax")
+PACKAGES = ("torch", "torchrl", "stable-baselines3", "sbx-rl")
 
 
 # -- the tables -----------------------------------------------------------------------------
@@ -35,15 +33,11 @@ PEERS = ("stable-baselines3", "sbx-rl", "jax")
 
 HEADS = {
     **{str(batch): f"{batch:,}" for batch in BATCHES},
-    "how": "processes × threads",
-    "rounds": "rounds",
-    "frames": "frames",
     "startup": "start-up [s]",
     "rate": "frames/s",
     "whole": "1 M frames",
     "per_seed": "per seed",
     "times": "times",
-    "reached": "must be",
     "peak": "peak [GB]",
 }
 """The columns of all tables in their order; a table has those of which something was found."""
@@ -53,28 +47,18 @@ def frame(results: Results) -> pd.DataFrame:
     """A row for each measurement that found something: medians over rounds, and what is known of it."""
     records = []
     for one, turn, found in results.rows:
-        row: Result = {"name": one.name, "turn": turn, "base": one.base, "must": one.must, "rounds": 1}
-        row |= {"how": f"{one.copies} × {one.threads}"} | found
+        row: Result = {"name": one.name, "turn": turn, "base": one.base} | found
         if "whole" in found:
             seeds = one.arguments.get("n_seeds", 1)
             row |= {"rate": found["rate"] * seeds, "per_seed": found["whole"] / seeds / one.copies}
         records.append(row | {"speed": 1 / row["per_seed"] if "per_seed" in row else row.get("rate")})
     rows = pd.DataFrame(records)
-    rows[["must", "speed"]] = rows[["must", "speed"]].astype(float)
+    rows["speed"] = rows["speed"].astype(float)
     speed = rows.set_index(["name", "turn"])["speed"]
     rows["times"] = rows["speed"] / speed.reindex(pd.MultiIndex.from_frame(rows[["base", "turn"]])).to_numpy()
     numbers = rows.select_dtypes("number").columns
-    ways = {name: "median" if name in numbers else "first" for name in rows} | {"rounds": "sum"}
-    rows = rows.groupby("name", sort=False).agg(ways)
-    return rows.assign(reached=[reached(row) for row in rows.to_dict("records")])
-
-
-def reached(row: Mapping[Any, Any]) -> str:
-    """What must be, times at least or GB of memory at most, and whether it is."""
-    found, least = (row["times"], row["must"]) if row["base"] else (-row["peak"], -row["must"])
-    if pd.isna(found) or pd.isna(least):
-        return "-"
-    return f"{row['must']:g}: {'reached' if found >= least else '**not reached**'}"
+    ways = {name: "median" if name in numbers else "first" for name in rows}
+    return rows.groupby("name", sort=False).agg(ways)
 
 
 def show(key: str, value: Any) -> str:
@@ -115,8 +99,8 @@ def _table(rows: pd.DataFrame) -> list[str]:
 
 def machine() -> str:
     """The machine and the versions, in a sentence."""
-    versions = [f"python {platform.python_version()}", f"world {VERSION}"]
-    for name in PACKAGES + PEERS:
+    versions = [f"python {platform.python_version()}"]
+    for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):
             versions.append(f"{name} {importlib.metadata.version(name)}")
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
@@ -134,7 +118,7 @@ def read_sections(path: Path) -> dict[str, str]:
 def write_sections(path: Path, tables: Mapping[str, Sequence[str]], seconds: float, mark: str = "") -> None:
     """Put sections into the file in place of the old ones; the file is whole or as it was. Raises OSError.
 
-    tables: the lines below each section's text; seconds: the time of measuring; mark: said beside the date.
+    tables: the lines below each section's text; seconds: the time of measuring; mark: said with the date.
     """
     texts, old = read_sections(TEXTS), read_sections(path)
     today = datetime.datetime.now(datetime.UTC).date()

@@ -16,8 +16,8 @@ CORES = min(2, machine.cores())
 NUMPY = "gymnasium/numpy"
 BATCHES = (1, 16, 256, 512, 1024, 2048, 4096, 16_384, 32_768)
 WORLD_BATCH = 4096
-MUST = {"ppo": (8, 25), "dqn": (6, 20), "a2c": (6, 20)}
-"""How many times less than SB3's a whole run of ours must take, per seed: with one seed, with ten."""
+IN_SB3 = ("ppo", "dqn", "a2c")
+"""The algorithms that Stable-Baselines3 has too."""
 FAULTS = {"noise": 5.0, "lost": 0.1, "late": 2, "sticky": 0.1}
 WORLDS: dict[str, Result] = {
     "drone": {},
@@ -36,7 +36,7 @@ def world() -> Iterator[Measurement]:
     """One process a core is the fastest way, and all that a quick run measures."""
     beside: Result = {"batches": BATCHES[2:7], "meeting": "", "copies": CORES}
     one = Measurement(f"world/compiled, {CORES} processes of 1 thread", "worlds.batched", beside, base=NUMPY)
-    yield replace(one, copies=CORES, must=80, quick={"batches": [WORLD_BATCH]})
+    yield replace(one, copies=CORES, quick={"batches": [WORLD_BATCH]})
     for kind in ("compiled", "eager"):
         for threads in dict.fromkeys((CORES, 1)):
             how = {"batches": BATCHES, "compiled": kind == "compiled", "seconds": 0.7}
@@ -47,7 +47,7 @@ def gymnasium() -> Iterator[Measurement]:
     one = Measurement(NUMPY, "worlds.single", {"which": "numpy"}, rounds=5, base=NUMPY)
     one = replace(one, quick={"seconds": 0.5})
     yield one
-    yield replace(one, name="gymnasium/uavnav", arguments={"which": "uavnav"}, must=1)
+    yield replace(one, name="gymnasium/uavnav", arguments={"which": "uavnav"})
     for n in (16, 256):
         yield Measurement(f"gymnasium/uavnav, vector of {n}", "worlds.vector", {"n_envs": n}, base=NUMPY)
 
@@ -56,14 +56,13 @@ def training(algorithm: str) -> Iterator[Measurement]:
     """Ours with one seed and with ten, and the peers that have the algorithm."""
     name, quick = f"training/{algorithm.upper()}", {"seconds": 5.0}
     run: Result = {"algorithm": algorithm, "seconds": 15.0}
-    base = f"{name}, SB3" if algorithm in MUST else ""
+    base = f"{name}, SB3" if algorithm in IN_SB3 else ""
     mine = Measurement("", "training.ours", run, CORES, base=base, warm={"seconds": 0.0}, quick=quick)
-    least = MUST.get(algorithm, (None, None))
-    yield replace(mine, name=f"{name}, uavnav, 1 seed", must=least[0])
-    yield replace(mine, name=f"{name}, uavnav, 10 seeds", must=least[1], arguments=run | {"n_seeds": 10})
+    yield replace(mine, name=f"{name}, uavnav, 1 seed")
+    yield replace(mine, name=f"{name}, uavnav, 10 seeds", arguments=run | {"n_seeds": 10})
     run |= {"seconds": 30.0}
     peer = Measurement(base, "training.peer", run, base=base, rounds=2, needs=SB3)
-    if algorithm in MUST:
+    if algorithm in IN_SB3:
         yield replace(peer, rounds=3, quick=quick)
         yield replace(peer, name=f"{base}, two side by side", copies=2)
         yield replace(peer, name=f"{base}, our Gymnasium", arguments=run | {"which": "uavnav"})
@@ -78,7 +77,7 @@ def memory() -> Iterator[Measurement]:
     run |= {"frames_per_update": n_envs, "learning_starts": 4 * n_envs}
     for algorithm in (name for name in ALGORITHMS if hasattr(settings(name), "buffer_size")):
         arguments = run | {"algorithm": algorithm}
-        yield Measurement(f"memory/{algorithm.upper()}", "training.whole", arguments, CORES, rounds=1, must=4)
+        yield Measurement(f"memory/{algorithm.upper()}", "training.whole", arguments, CORES, rounds=1)
 
 
 def worlds() -> Iterator[Measurement]:

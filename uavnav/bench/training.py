@@ -6,11 +6,9 @@ Frames are per seed, times in seconds since the process was launched.
 from __future__ import annotations
 
 import importlib
-import json
 import tempfile
 import time
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 from uavnav.algorithms import ALGORITHMS
@@ -68,7 +66,7 @@ class _Enough(Exception):
 
 
 def ours(launched: float, algorithm: str, seconds: float, **changed: Any) -> Result:
-    """A run of ours, watched for a while: what `Clock.result` gives, its processes and their threads."""
+    """A run of ours, watched for a while: what `Clock.result` gives."""
     config = settings(algorithm, **changed)
     clock = Clock(launched, config, seconds)
 
@@ -79,19 +77,14 @@ def ours(launched: float, algorithm: str, seconds: float, **changed: Any) -> Res
     with tempfile.TemporaryDirectory() as scratch:
         with suppress(_Enough):
             train(config, f"{scratch}/run", quiet=True, tell=tell)
-        return clock.result() | {"how": _how(scratch)}
+        return clock.result()
 
 
 def whole(launched: float, algorithm: str, **changed: Any) -> Result:
-    """A run of ours to its end: its frames, its processes and their threads."""
+    """A run of ours to its end: its frames."""
     with tempfile.TemporaryDirectory() as scratch:
         run = train(settings(algorithm, **changed), f"{scratch}/run", quiet=True, checkpoint_seconds=5.0)
-        return {"frames": run.frames, "how": _how(scratch)}
-
-
-def _how(scratch: str) -> str:
-    meta = json.loads(Path(scratch, "run", "meta.json").read_text())
-    return f"{meta.get('processes', 1)} × {meta['threads']}"
+        return {"frames": run.frames}
 
 
 def make_model(library: str, algorithm: str, env: Any, **beyond: Any) -> Any:

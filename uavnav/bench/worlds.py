@@ -1,4 +1,4 @@
-"""Jobs that measure frames/s of worlds alone, with random actions; `launched` is not used."""
+"""Jobs that measure only frames/s of environments, with random actions; `launched` is not used."""
 
 from __future__ import annotations
 

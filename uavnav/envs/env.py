@@ -82,7 +82,7 @@ class DroneEnv(EnvBase):  # type: ignore[misc]
         `terminated`: the drone touched an obstacle or the border, or reached its goal. `truncated`:
         `max_steps` was reached (never both).
     Episode:
-        `("next", "episode", ...)` holds the counts since the episode began (steps, stops, full_stops, turns,
+        `("next", "episode", ...)` has the counts since the episode began (steps, stops, full_stops, turns,
         distance [px], reward) and its layout: on the last step of an episode they describe all of it.
     Version:
         `uavnav.world.VERSION`.

@@ -83,7 +83,7 @@ class Episode:
 
     @property
     def state(self) -> State:
-        """Where it is, as a row without a batch; of the counts the steps alone."""
+        """Where it is, as a row without a batch; of the counts only the steps."""
         start = self.task.start(torch.tensor(self.layout), torch.tensor(self.heading))
         return start._replace(x=torch.tensor(self.x), y=torch.tensor(self.y), steps=torch.tensor(self.steps))
 
@@ -100,7 +100,7 @@ class Episode:
         return np.array(slots + self._ahead(), dtype=np.float32)
 
     def _ahead(self) -> list[float]:
-        """What is sensed beside the slots."""
+        """What is sensed besides the slots."""
         return []
 
     def _judge(self, action: int, collided: bool) -> tuple[float, bool]:
@@ -154,7 +154,7 @@ class ToGoal(Episode):
 
     def _judge(self, action: int, collided: bool) -> tuple[float, bool]:
         reward, there = self._rewards[collided][action], self.to_goal <= self.world.goal_radius
-        if REWARDS[self.task.reward] is goal and not collided:  # beside what follows from the action
+        if REWARDS[self.task.reward] is goal and not collided:  # besides what follows from the action
             reward += self.world.goal_reward * there + self.world.reward_per_pixel * (
                 self._before - self.to_goal
             )
@@ -272,6 +272,6 @@ def _to_interval(place: float, start: float, length: float) -> float:
 
 
 def _within(place: float, reach: float, side: int, lowest: int, highest: int) -> range:
-    """Starts [px] of the squares along a wall that lie within reach of a place."""
+    """Starts [px] of the squares along a wall that are within reach of a place."""
     first = int((place - reach) // side) * side - side
     return range(max(first, lowest), min(int(place + reach) + side, highest + 1), side)

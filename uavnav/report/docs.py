@@ -59,17 +59,18 @@ def costs(benchmarks: str) -> dict[str, tuple[str, str]]:
     return {name: (time, memory[name]) for name, time in times.items()}
 
 
-def between_marks(text: str, new: str, where: str = "README.md") -> str:
-    """A text with what lies between its marks replaced.
+def between_marks(text: str, new: str, where: str = "README.md", block: str = "results") -> str:
+    """A text with what is between its marks replaced.
 
     Raises:
         RunError: it has no marks.
     """
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
+    first, last = f"<!-- {block} -->", f"<!-- end of {block} -->"
+    before, begin, rest = text.partition(first)
+    _, end, after = rest.partition(last)
     if not begin or not end:
-        raise RunError(f"{where}: has no lines {BEGIN} and {END}; put them where the results go")
-    return f"{before}{BEGIN}\n{new}\n{END}{after}"
+        raise RunError(f"{where}: has no lines {first} and {last}; put them where the {block} go")
+    return f"{before}{first}\n{new}\n{last}{after}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

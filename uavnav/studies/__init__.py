@@ -264,7 +264,7 @@ def configurations(
 
 
 def _of(algorithm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings that hold for an algorithm: those of all, and those below its own name."""
+    """The settings that apply to an algorithm: those of all, and those below its own name."""
     own: dict[str, Any] = settings.get(algorithm, {})
     return {key: value for key, value in settings.items() if key not in ALGORITHMS} | own
 
@@ -278,7 +278,7 @@ def _is_list(key: str, value: Any) -> bool:
 
 def _combinations(several: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """One configuration for each combination of the values that are lists; `hidden` is one by itself,
-    unless it holds some.
+    unless it has some.
     """
     values = {key: value if _is_list(key, value) else [value] for key, value in several.items()}
     for key, value in values.items():
@@ -322,7 +322,7 @@ def _configuration(said: Mapping[str, Any], out: Path) -> Configuration:
 
 
 def _filled(key: str, pattern: Any, names: Mapping[str, Any]) -> str:
-    """A pattern whose names in braces are filled in, with short formats alone: a long one may ask for
+    """A pattern whose names in braces are filled in, only with short formats: a long one may ask for
     gigabytes.
     """
     filled = ""

@@ -1,6 +1,6 @@
 """Carry a study out: workers as jobs of an engine, configurations put together and evaluated as they finish.
 
-Everything lies in files below the study's folder, so that the same command goes on after whatever has ended
+Everything is in files below the study's folder, so that the same command goes on after whatever has ended
 it. An engine's word that a job runs is a hint: whether a job lives is what its own heartbeat says, and how it
 ended is in the files. A worker whose job has died is given again, under its folder's next name, and goes on
 from its last snapshot.
@@ -241,14 +241,14 @@ class Runner:
         configurations: of the study; what is finished of them is left as it is.
         engine: where its jobs run.
         seeds_per_worker: how many seeds a worker trains; by default the engine's own.
-        policies: train a configuration again of which a repository has kept the rows alone.
+        policies: train a configuration again of which a repository has kept only the rows.
         checkpoint_seconds: the least time between two snapshots of a worker.
         tell: is told the configurations under way, now and then.
         say: is told what happens, a line each.
 
     Raises:
-        ConfigError, LayoutError, RunError: before any work: a configuration's folder holds something else, or
-            cannot be written.
+        ConfigError, LayoutError, RunError: before any work: a configuration's folder contains something else
+            or cannot be written.
     """
 
     def __init__(
@@ -278,12 +278,12 @@ class Runner:
             if not (self._trained(configuration) and evaluated(configuration))
         ]
         for configuration in configurations:
-            # the folder of a finished one, too, may hold another run
+            # the folder of a finished one, too, may contain another run
             Recorder(configuration.out, configuration.config)
         for work in self.works:
             if own := machine.own_parts(work.configuration.config):
                 raise ConfigError(
-                    f"{work.configuration.out}: {own} is known to this process alone; give it as a plugin"
+                    f"{work.configuration.out}: {own} is known only to this process; give it as a plugin"
                 )
         # for a place; without a worker to be evaluated
         self._waiting: deque[tuple[Work, Worker | None]] = deque()

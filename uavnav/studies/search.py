@@ -100,7 +100,7 @@ class Plan(NamedTuple):
 
 
 def _short(name: str, value: Any) -> Any:
-    """The width alone of hidden layers that have the same."""
+    """The width of hidden layers that all have the same, as one number."""
     return value[0] if name == "hidden" and value else value
 
 
@@ -111,7 +111,7 @@ def plan(
     nothing.
 
     Raises:
-        ConfigError: a key, a range or a setting is not right, a default lies outside of its range, or trials
+        ConfigError: a key, a range or a setting is not right, a default is outside its range, or trials
             share seeds with the configurations that are compared in the end.
     """
     if (said := study.tune) is None:
@@ -204,7 +204,7 @@ def winners(found: Plan) -> list[Configuration]:
 
 
 def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
-    """All configurations of a tuning beside the study's own, a told trial's with its state; settings not
+    """All configurations of a tuning besides the study's own, a told trial's with its state; settings not
     known are defaults.
     """
     there = trials(found).set_index(["algorithm", "trial"])["state"].to_dict()
@@ -216,22 +216,3 @@ def planned(found: Plan) -> list[tuple[Configuration, str | None]]:
         (configuration or found.configuration(name, {}, TUNED, usual), None)
         for name, configuration in configurations.items()
     ]
-
-
-def space(study: Study) -> list[list[str]]:
-    """The search space as a table, its header first: a row a range, with the settings that it is for."""
-    rows, said = [["range", "settings", "values"]], study.tune or {}
-    for name, values in said["ranges"].items():
-        of: dict[str, list[str]] = {}
-        for algorithm, own in said["space"].items():
-            for setting in (setting for setting, its in own.items() if its == name):
-                of.setdefault(setting, []).append(algorithm.upper())
-        settings = "; ".join(f"`{setting}` of {', '.join(found)}" for setting, found in of.items())
-        rows.append([name, settings, _shown(values)])
-    return rows
-
-
-def _shown(values: Any) -> str:
-    if isinstance(values, list):
-        return ", ".join(f"{value:g}" for value in values)
-    return f"{values['low']:g} to {values['high']:g}{', by its logarithm' if values.get('log') else ''}"

@@ -6,7 +6,7 @@ like any other, so that a killed one goes on from its last snapshot. They are as
 `at_once`, each with a sampler whose seed is its number: whatever kills the study, the same command ends with
 the same trials.
 
-`trials.csv` and `importance.csv` hold what a report says of them, without Optuna.
+`trials.csv` and `importance.csv` contain what a report says of them, without Optuna.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def tune(found: Plan, train: Train, say: Callable[[str], None] = print) -> list[
         The trials that failed for another reason than that they diverged; the same call repeats them.
 
     Raises:
-        ConfigError: Optuna is not installed, or the folder holds the trials of another plan.
+        ConfigError: Optuna is not installed, or the folder contains the trials of another plan.
         RunError: another process tunes there.
     """
     optuna = _optuna()
@@ -128,7 +128,7 @@ def _storage(optuna: Any, journal: Path) -> Any:
 
 
 def _search(optuna: Any, storage: Any, found: Plan, algorithm: str) -> Any:
-    """The study of Optuna's that holds an algorithm's trials, new or as it was left."""
+    """The study of Optuna's with an algorithm's trials, new or as it was left."""
     search = optuna.create_study(
         storage=storage, study_name=algorithm, direction="maximize", load_if_exists=True
     )
@@ -138,7 +138,9 @@ def _search(optuna: Any, storage: Any, found: Plan, algorithm: str) -> Any:
     if PLAN not in search.user_attrs:
         search.set_user_attr(PLAN, same)
     if search.user_attrs[PLAN] != same:
-        raise ConfigError(f"{found.folder / JOURNAL}: holds the trials of another search; give another out=")
+        raise ConfigError(
+            f"{found.folder / JOURNAL}: contains the trials of another search; give another out="
+        )
     return search
 
 

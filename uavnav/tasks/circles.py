@@ -82,7 +82,7 @@ def validate(layouts: Tensor, world: World | None = None, more: int = 0) -> None
     if layouts.ndim != 3 or layouts.shape[-1] != columns or layouts.shape[0] == 0:
         raise LayoutError(f"layouts have the shape [n > 0, k, {columns}], not {list(layouts.shape)}")
     if layouts.dtype != torch.float32:
-        raise LayoutError(f"layouts hold float32, not {str(layouts.dtype).removeprefix('torch.')}")
+        raise LayoutError(f"layouts are float32, not {str(layouts.dtype).removeprefix('torch.')}")
     numbers = layouts.cpu().numpy()
     radius = numbers[..., len(world.size)]
     edge = edge_to_start(np.nan_to_num(numbers), world)

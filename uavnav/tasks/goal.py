@@ -1,5 +1,5 @@
 """A goal to fly to among circles that stand still: where goals are, how far the shortest way is, what a
-layout file holds.
+layout file contains.
 
 A layout has its circles, and as its last row (x, y, shortest): the goal, and how long the shortest way there
 is.
@@ -34,7 +34,7 @@ FAR = 200.0  # [px] from the start to a goal, at least
 GRID = 5  # [px] between the places of which shortest ways consist
 TRIES = 100  # goals of a layout, before another one is drawn
 GOALS = 2
-"""The stream of a layout file's goals, beside that of its circles."""
+"""The stream of a layout file's goals; its circles have another."""
 SCALE = 1000.0
 """[px] A goal so far away, or farther, is seen at distance 1."""
 

@@ -1,6 +1,6 @@
 """Ladders: one difficulty in steps, and the task of each step. The same policy flies all rungs.
 
-To add a ladder, write a function that gives the task of a rung, and a line of `LADDERS`.
+To add a ladder, write a function that gives the task of a rung, and an entry in `LADDERS`.
 """
 
 from __future__ import annotations
@@ -118,6 +118,6 @@ LADDERS = {
 
 
 def measure_of(all_layouts: str | Path | Tensor) -> Measure | None:
-    """What an evaluation on a layout file counts beside the metrics, by its name or by its file's header."""
+    """What an evaluation on a layout file counts besides the metrics, by its name or by its file's header."""
     named = "" if isinstance(all_layouts, Tensor) else layouts.split_of(all_layouts)
     return LADDERS["slalom"].measure if named.startswith("slalom-") else None

@@ -45,7 +45,7 @@ class Kind(NamedTuple):
     world: type[World]
     generate: Callable[[int, int, int, World], Tensor]  # n, k, seed, world -> layouts
     validate: Callable[[Tensor, World], None]
-    reads: tuple[str, ...] = ()  # fields of the world that layouts are drawn by, beside those of the paper's
+    reads: tuple[str, ...] = ()  # fields of the world that layouts are drawn by, besides those of the paper's
     ships: bool = False  # the splits of the world's defaults are files of the package
     beside: int = 0  # rows of a layout that are no obstacles
     k: int = DEFAULT_K  # obstacles of a layout where nothing else is said
@@ -107,7 +107,7 @@ def kind_of(world: World) -> str:
 
 def _ships(world: World) -> bool:
     """Whether its splits are files of the package: the paper's are for every `World`, those of goals, whose
-    files hold lengths of ways, for worlds that are drawn by the defaults.
+    files contain lengths of ways, for worlds that are drawn by the defaults.
     """
     kind = KINDS[kind_of(world)]
     fields = (*kind.reads, *(DRAWN_BY if kind.beside else ()))
@@ -280,7 +280,7 @@ def _generate(split: str, n: int, k: int, seed: int, world: World) -> Tensor:
 
 
 def _open(path: Path) -> tuple[Tensor, dict[str, str]]:
-    """What a file holds, if it is a layout file of this version."""
+    """The contents of a file, if it is a layout file of this version."""
     try:
         found, header = tensors.read(path)
     except (OSError, ValueError) as error:
@@ -288,7 +288,7 @@ def _open(path: Path) -> tuple[Tensor, dict[str, str]]:
             f"{path}: not a readable layout file ({error}); make one with uavnav layouts"
         ) from error
     if (layouts := found.get("obstacles")) is None:
-        raise LayoutError(f"{path}: holds no tensor `obstacles`; make one with uavnav layouts")
+        raise LayoutError(f"{path}: contains no tensor `obstacles`; make one with uavnav layouts")
     if header.get("world_version") != VERSION:
         raise LayoutError(
             f"{path}: made for world version {header.get('world_version')}, this is {VERSION}; generate it "

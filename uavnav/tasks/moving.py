@@ -21,7 +21,7 @@ from uavnav.tasks.task import Task
 from uavnav.tasks.world import Number, World
 
 VELOCITIES = 1
-"""The stream of a layout file's velocities, beside that of its circles."""
+"""The stream of a layout file's velocities; its circles have another."""
 
 
 class MovingWorld(World):
@@ -72,7 +72,7 @@ def generate(n: int, k: int = DEFAULT_K, seed: int = 0, world: World | None = No
 
 
 def validate(layouts: Tensor, world: World | None = None) -> None:
-    """As `circles.validate`; and every centre lies in the window or the box, for there is no bouncing in from
+    """As `circles.validate`; and every centre is in the window or the box, for there is no bouncing in from
     outside.
 
     Raises:

@@ -36,11 +36,11 @@ DRAWS = "random"
 """The one of them that draws its actions, so that its seeds differ."""
 
 TASK_NAMES = ("drone", "moving", "goal", "space", "space-moving")
-"""What `table.TASKS` holds, in its order."""
+"""The names in `table.TASKS`, in its order."""
 
 OF_FAULTS = ("noise", "lost", "late", "sticky")
 LADDER_NAMES = ("density", "slalom", "arc", "reach", "speed", *OF_FAULTS)
-"""What `ladders` holds, in its order."""
+"""The names in `ladders`, in its order."""
 GROUPS = {"faults": OF_FAULTS, "all": LADDER_NAMES}
 """Several ladders by one name."""
 ACROSS_STEPS = 2_000

@@ -152,11 +152,11 @@ BOUNDS: dict[str, Callable[[World], Bounds]] = {
     "initial": lambda world: _among(_progress(world, 0), world),
     "goal": _to_goal,
 }
-"""What the rewards of `REWARDS` that have bounds lie between; one without a line declares none."""
+"""What the rewards of `REWARDS` that have bounds are between; one without an entry declares none."""
 
 
 def bounds_of_returns(reward: str, world: World, gamma: float) -> tuple[float, float] | None:
-    """Between which two numbers all discounted returns of a reward lie; None if it declares no bounds, or
+    """Between which two numbers all discounted returns of a reward are; None if it declares no bounds, or
     gamma = 1.
 
     A return is (1 - gamma^n) times a mean of the flying steps over 1 - gamma, and gamma^n times the last one.
@@ -169,9 +169,8 @@ def bounds_of_returns(reward: str, world: World, gamma: float) -> tuple[float, f
 
 
 BY_ACTION = (eq14, additive, initial)
-"""Those that follow from the action and the collision alone, whatever else a step holds: evaluation counts a
-drone that goes round without flying it on, and Gymnasium steps it in plain numbers. Another reward is right,
-and slower.
+"""Those that follow only from the action and the collision: evaluation counts a drone that repeats a round
+without stepping it on, and Gymnasium steps it in plain numbers. Another reward is right, and slower.
 """
 
 KNOWN = dict(REWARDS)

@@ -1,6 +1,6 @@
 """Streams of random numbers: one independent generator for each seed and purpose, and none of them global.
 
-`Chance` holds all that is random in the episodes of a batch: start headings, and what faults need.
+`Chance` contains all that is random in the episodes of a batch: start headings, and what faults need.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def stream(seed: int, purpose: str) -> torch.Generator:
-    """A CPU generator that depends on `seed` and `purpose` alone, so that no stream shifts another."""
+    """A CPU generator that depends only on `seed` and `purpose`, so that no stream shifts another."""
     digest = hashlib.sha256(f"uavnav/{purpose}/{seed}".encode()).digest()
     return torch.Generator().manual_seed(int.from_bytes(digest[:4], "little"))
 
@@ -64,7 +64,7 @@ FIRST, LATER = "first_faults", "faults"
 
 
 class Chance:
-    """The streams of each seed, for so many rows a seed. A step draws for every row what an episode would
+    """The streams of each seed, for so many rows per seed. A step draws for every row what an episode would
     begin with, whether one ended or not: what a row gets does not depend on others, if none is reset twice
     between two steps.
     """

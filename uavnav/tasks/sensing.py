@@ -86,7 +86,7 @@ def encode(found: Scan, world: World) -> Tensor:
 
 
 def clearance(x: Tensor, y: Tensor, obstacles: Tensor, world: World) -> Tensor:
-    """The clearance that `sense` gives, alone: [...] px."""
+    """Only the clearance that `sense` gives: [...] px."""
     return _candidates(x, y, obstacles, world)[2].amin(0)
 
 
@@ -128,7 +128,7 @@ def _offsets_to_squares(x: Tensor, y: Tensor, world: World) -> tuple[Tensor, Ten
     """Offsets to the nearest points of the border squares that can be in view or nearest: dx, dy [S, ...] px.
 
     Only the nearer of two opposite walls can be in view, and only its squares within the sensor's radius of
-    the drone: 14 and 14 stand for all 136 (13 would do, but for a drone whose centre lies on a line between
+    the drone: 14 and 14 stand for all 136 (13 would do, but for a drone whose centre is on a line between
     two squares and in the wall itself). They come in index order: the bottom or top row from left to right
     with its corners, then the left or right column from bottom to top without them.
     """

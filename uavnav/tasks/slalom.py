@@ -1,7 +1,7 @@
 """Four columns of circles across the window, each with one gap: a layout file for the paper's world, without
 new physics.
 
-A layout holds 48 places, twelve a column from the bottom up. A place without a circle is `NOWHERE`, far out
+A layout has 48 places, twelve a column from the bottom up. A place without a circle is `NOWHERE`, far out
 of reach.
 """
 
@@ -26,7 +26,7 @@ WIDEST = 480
 
 def generate(n: int, gap: int, seed: int = 0) -> Tensor:
     """Draw n layouts: the middle of each column's gap is uniform in [60 + gap / 2, 540 - gap / 2] px. Circles
-    that reach into the gap are taken away, and the two beside it are moved to its ends.
+    that reach into the gap are taken away, and the two next to it are moved to its ends.
 
     gap: from edge to edge [px].
 

@@ -53,7 +53,7 @@ def name_of(task: Task | WrappedTask) -> str:
 
 
 def header(task: WrappedTask) -> dict[str, Any]:
-    """All of a task, as the header of a policy's file holds it; of the split its SHA-256.
+    """All of a task, as the header of a policy's file has it; of the split its SHA-256.
 
     Raises:
         ValueError: its class has no name in `TASKS`.

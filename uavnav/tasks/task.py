@@ -1,7 +1,7 @@
 """A task: where episodes start and obstacles are, what is sensed, how an action moves the drone, what a step
 earns.
 
-A `Task` holds no state. Its functions are pure and work on a batch of independent rows. `wrapper.WrappedTask`
+A `Task` has no state. Its functions are pure and work on a batch of independent rows. `wrapper.WrappedTask`
 adds faults and memory, and the shells around that (TorchRL in `env`, Gymnasium in `gym`, evaluations,
 pictures) do not know which task it is. Nothing here knows of TensorDicts, specs or agents. Letters: B the
 batch shape (any, also none), L layouts of a layout file, K obstacles of a layout, S slots of an observation.
@@ -41,7 +41,7 @@ class Outcome(NamedTuple):
 class Task:
     """The paper's task: a drone among circles in a window, whose observation is eq. (13).
 
-    Another task is another class: a subclass that says what is different, and a line of `table.TASKS`.
+    Another task is another class: a subclass that says what is different, and an entry in `table.TASKS`.
 
     Raises:
         ValueError: an unknown reward, or a time limit that is no whole number from 1.
@@ -95,7 +95,7 @@ class Task:
         return torch.zeros_like(self.obstacles(state)[..., :-1])
 
     def info(self, state: State) -> dict[str, Tensor]:
-        """What an environment tells of each row beside its observation: names and values [*B]."""
+        """What an environment tells of each row besides its observation: names and values [*B]."""
         return {"layout": state.layout, "x": state.x, "y": state.y, "heading": state.heading}
 
     def marks(self, state: State) -> Tensor:
@@ -167,7 +167,7 @@ class Task:
         return step.collided, REWARDS[self.reward](step)
 
     def measure(self, before: State, after: State) -> dict[str, Tensor]:
-        """What an evaluation counts of each step, beside `COUNTS`: names and numbers [*B], added up over
+        """What an evaluation counts of each step, besides `COUNTS`: names and numbers [*B], added up over
         an episode.
         """
         return {}

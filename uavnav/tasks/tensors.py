@@ -24,7 +24,7 @@ def read(path: str | Path, most: int = files.MEMORY_BYTES) -> tuple[dict[str, Te
 
 
 def parsed(content: bytes) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """The same of what a file holds; raises a ValueError where it is no safetensors."""
+    """The same of what a file contains; raises a ValueError where it is no safetensors."""
     try:
         found = load(content)
     except (

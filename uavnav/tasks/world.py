@@ -113,12 +113,12 @@ class World(Settings):
 
     @property
     def sensed_squares_each_way(self) -> int:
-        """How many squares of a wall, left and right of the one beside the drone, its sensor can reach."""
+        """How many squares of a wall, left and right of the one next to the drone, its sensor can reach."""
         return math.ceil(self.sensor_radius / self.border)
 
     @property
     def sensed_squares_of_a_wall(self) -> int:
-        """How many neighbouring squares of a wall hold all that its sensor can reach, wherever the drone
+        """How many neighbouring squares of a wall contain all that its sensor can reach, wherever the drone
         is.
         """
         return 2 * self.sensed_squares_each_way + 2

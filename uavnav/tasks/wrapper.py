@@ -1,7 +1,7 @@
-"""What lies between a task and a policy: a faulty sensor, a stack of observations, lateness, an actuator that
+"""What is between a task and a policy: a faulty sensor, a stack of observations, lateness, an actuator that
 sticks.
 
-A `WrappedTask` is what shells, evaluations and pictures hold: with nothing set it is its task, bit for bit.
+A `WrappedTask` is what shells, evaluations and pictures have: with nothing set it is its task, bit for bit.
 All random numbers come in as tensors. Letters: B the batch shape (any, also none), L layouts of a layout
 file, M observations that are kept, N numbers of one.
 """
@@ -145,7 +145,7 @@ class WrappedTask:
     def observe(self, state: State) -> tuple[Tensor, Tensor]:
         """What a policy sees, as one vector a row: observation [*B, observation_size], clearance [*B] px.
 
-        A drone that remembers does not sense again: it sees what its state holds.
+        A drone that remembers does not sense again: it sees what its state contains.
         """
         found, clearance = self.task.sense(state)
         return self.recall(state) if self.remembers else self._encode(state, found), clearance

@@ -1,8 +1,8 @@
 """Where the jobs of a study run: on the cores of this machine, on a Ray cluster, or on a SLURM cluster.
 
-A job is a command line, and what it needs lies in files below a folder that all machines see. An engine
+A job is a command line, and what it needs is in files below a folder that all machines see. An engine
 starts jobs, and may know that one has ended; whether a job lives, and how it ended, is in the files. An
-engine is a file here and a line of `ENGINES`.
+engine is a file here and an entry in `ENGINES`.
 """
 
 from __future__ import annotations

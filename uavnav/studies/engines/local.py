@@ -36,7 +36,7 @@ class Local:
         """This machine sees its folders."""
 
     def start(self, jobs: Sequence[list[str]]) -> list[subprocess.Popen[bytes]]:
-        # signals of the terminal come to the study alone
+        # signals of the terminal come only to the study
         started = [
             subprocess.Popen(words, stdin=subprocess.DEVNULL, start_new_session=True) for words in jobs
         ]

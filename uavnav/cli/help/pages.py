@@ -1,0 +1,63 @@
+"""The generated parts of two pages: the commands in docs/commands.md, the settings in docs/algorithms.md."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from uavnav.cli import commands
+from uavnav.errors import Parser
+from uavnav.settings import lines, shown
+from uavnav.training.config import TrainConfig
+
+Configs = Mapping[str, type[TrainConfig]]
+"""By the algorithm's name."""
+
+
+def command_table() -> str:
+    """A row for each command: its name, what it does, its example."""
+    rows = ["| command | what it does | example |", "|---|---|---|"]
+    for name, add in commands.COMMANDS.items():
+        parser = Parser(prog=f"uavnav {name}")
+        add(parser)
+        found = re.search(r"^example: (.*)$", parser.epilog or "", re.MULTILINE)
+        example = found[1] if found else "uavnav train ppo preset=fast activation=relu"
+        rows.append(f"| `{name}` | {add.__doc__} | `{example}` |")
+    return "\n".join(rows)
+
+
+def settings_table(kinds: Configs) -> str:
+    """The settings in which algorithms or their preset `fast` differ, a column an algorithm; then the
+    others.
+    """
+    defaults = {name: {line.name: line.default for line in lines(kind)} for name, kind in kinds.items()}
+    every = dict.fromkeys(key for own in defaults.values() for key in own)
+    rows, same = [f"| key | {' | '.join(map(str.upper, kinds))} |", f"|---|{'---|' * len(kinds)}"], []
+    for key in every:
+        cells = [_cell(defaults[name].get(key), kind, key) for name, kind in kinds.items()]
+        if len(set(cells)) > 1:
+            rows.append(f"| `{key}` | {' | '.join(cells)} |")
+        else:
+            same.append(f"`{key}={defaults[next(iter(kinds))][key]}`")
+    return "\n".join([*rows, "", f"The same in all: {', '.join(same)}."])
+
+
+def preset_table(kinds: Configs) -> str:
+    """The presets beside the default and `fast`, and what each sets."""
+    rows = ["| preset | of | sets |", "|---|---|---|"]
+    sets: dict[tuple[str, str], list[str]] = {}
+    for name, kind in kinds.items():
+        for preset, given in kind.PRESETS.items():
+            if given and preset != "fast":
+                words = ", ".join(f"`{key}={shown(value)}`" for key, value in given.items())
+                sets.setdefault((preset, words), []).append(name.upper())
+    rows += [f"| `{preset}` | {', '.join(names)} | {words} |" for (preset, words), names in sets.items()]
+    return "\n".join(rows)
+
+
+def _cell(default: str | None, kind: type[TrainConfig], key: str) -> str:
+    """A default, and what the preset `fast` sets instead."""
+    if default is None:
+        return ""
+    fast = shown(kind.PRESETS.get("fast", {}).get(key, kind.model_fields[key].default))
+    return default if fast == default else f"{default}→{fast}"

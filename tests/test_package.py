@@ -38,9 +38,7 @@ def test_two_dozen_names_are_shown_at_the_top_and_a_type_checker_knows_each():
 
 
 def test_a_name_that_is_not_there_is_answered_with_those_that_are():
-    with pytest.raises(
-        AttributeError, match=r"no attribute 'DroneEnvironment' .did you mean DroneEnv.*; it has .*DroneEnv"
-    ):
+    with pytest.raises(AttributeError, match=r"no attribute 'DroneEnvironment' \(did you mean .*DroneEnv"):
         uavnav.DroneEnvironment  # noqa: B018
 
 

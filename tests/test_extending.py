@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text()
-RUN = "runs/reinforce/hardswish"
+RUN = "runs/mine"
 FEWER = {
     "train": ["total_frames=20480", "compile=off", "evaluate=false", "checkpoint_seconds=0"],
     "evaluate": ["--episodes", "3", "--max-steps", "50"],

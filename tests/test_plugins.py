@@ -28,6 +28,7 @@ from uavnav.tasks.table import TASKS
 pytestmark = pytest.mark.usefixtures("warm_module")
 
 ROOT = Path(uavnav.__file__).parent.parent
+RUN = "runs/reinforce/hardswish"
 PARTS = {"activation": "hardswish", "reward": "roomy", "task": "narrow"}
 SHORT = {"n_seeds": 2, "total_frames": 1024, "frames_per_batch": 512, "hidden": [8], "compile": "off"}
 WORDS = [f"{key}={value}".replace(" ", "") for key, value in (PARTS | SHORT).items()]
@@ -48,7 +49,7 @@ def folder(tmp_path_factory):
     text = (ROOT / "docs" / "extending.md").read_text()
     (code,) = re.findall(r'```python title="my_study.py"\n(.*?)```', text, re.DOTALL)
     (folder / "my_study.py").write_text(code)
-    words = ["reinforce", "plugins=my_study", *WORDS, "evaluate=false"]
+    words = ["reinforce", "plugins=my_study", *WORDS, "evaluate=false", f"out={RUN}"]
     said = python(folder, "-m", "uavnav", "train", *words)
     assert "reinforce hardswish, preset vectorised: 2 seeds (0 to 1), 1,024 frames each" in said
     return folder
@@ -56,7 +57,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(folder):
-    return Run(folder / "runs" / "reinforce" / "hardswish")
+    return Run(folder / RUN)
 
 
 def header_of(path):
@@ -387,7 +388,16 @@ def test_a_policy_that_could_not_be_read_again_is_refused_before_training(
 def test_a_plugin_that_has_changed_since_is_told_of_also_by_the_command_that_finds_its_run_finished(folder):
     file = folder / "my_study.py"
     code = file.read_text()
-    words = ["-m", "uavnav", "train", "reinforce", "+plugins=my_study", *WORDS, "evaluate=false"]
+    words = [
+        "-m",
+        "uavnav",
+        "train",
+        "reinforce",
+        "+plugins=my_study",
+        *WORDS,
+        "evaluate=false",
+        f"out={RUN}",
+    ]
     assert "this run is already finished" in python(folder, *words)
     try:
         file.write_text(f"{code}\n# another line\n")

@@ -256,7 +256,7 @@ def test_runs_go_to_a_folder_of_their_algorithm_preset_activation_and_what_diffe
     assert ppo.PPOConfig(activation="relu").folder == Path("runs/ppo-vectorised/relu")
     assert dqn.PRESETS["vectorised-2.3"].folder == Path("runs/dqn-vectorised-2.3/tanh")
     fast = ppo.PPOConfig(preset="fast", lr=0.002, n_seeds=4, hidden=(32, 32), task="goal")
-    assert fast.folder == Path("runs/ppo-fast/tanh-n_seeds=4-hidden=32,32-lr=0.002-task=goal")
+    assert fast.folder == Path("runs/ppo-fast/tanh-hidden=32,32-lr=0.002-n_seeds=4-task=goal")
     assert fast.replace(lr=1e-3, world={"sensor_arc": 90}).folder.name.endswith(
         "-task=goal-world.sensor_arc=90"
     )

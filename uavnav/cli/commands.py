@@ -8,6 +8,7 @@ a command, add its function to `KINDS`, and write the module with a `main`.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import re
 import sys
@@ -199,18 +200,15 @@ def needs(algorithm: str, settings: Sequence[str]) -> str:
     from uavnav.runs.tables import RunError
 
     given = {key: next(iter(names_in(settings, key)), usual) for key, usual in USUAL.items()}
-    changes = dict(word.lstrip("+").split("=", 1) for word in settings)
-    changes = {key: value for key, value in changes.items() if key not in (*USUAL, "plugins", "out")}
-    folder = next(iter(names_in(settings, "out")), "") or default_folder(algorithm, **given, changes=changes)
-    try:
-        noted = read_settings(Path(folder) / "meta.json").get("plugins")
-    except RunError:
-        return ""
-    if not noted:
-        return ""
-    from uavnav import plugins
+    usual = default_folder(algorithm, **given, changes={})
+    names = names_in(settings, "out") or sorted(map(str, usual.parent.glob(f"{usual.name}*")))
+    for name in names:
+        with contextlib.suppress(RunError):
+            if noted := read_settings(Path(name) / "meta.json").get("plugins"):
+                from uavnav import plugins
 
-    return plugins.missing(noted)
+                return plugins.missing(noted)
+    return ""
 
 
 def _no_flag(word: str, algorithm: str, settings: Sequence[str], parser: Parser) -> str:

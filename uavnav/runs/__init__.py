@@ -214,7 +214,7 @@ def default_folder(algorithm: str, preset: str, activation: str, changes: Mappin
     changes: what else differs from the preset, as a command line gives it; a hash stands for it where it is
         long, or no file's name.
     """
-    told = "-".join(f"{name}={value.strip('[]')}" for name, value in changes.items())
+    told = "-".join(f"{name}={value.strip('[]')}" for name, value in sorted(changes.items()))
     if not re.fullmatch(rf"[\w.,=+-]{{0,{LONGEST_NAME}}}", told, re.ASCII):
         told = hashlib.sha256(told.encode()).hexdigest()[:8]
     return Path("runs") / f"{algorithm}-{preset}" / "-".join(filter(None, (activation, told)))

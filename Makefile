@@ -46,6 +46,7 @@ docs: .venv/.installed-dev # the site, in build/site
 
 help: .venv/.installed # the help of each algorithm, and the tables of commands and settings in the docs
 	$(BIN)/python -m uavnav.cli.help
+	$(BIN)/python docs/tables.py
 
 layouts: .venv/.installed # the layouts that ship with the package, again
 	$(BIN)/uavnav layouts --out uavnav/tasks/splits

@@ -1,12 +1,15 @@
-"""The generated parts of two pages: the commands in docs/commands.md, the settings in docs/algorithms.md."""
+"""Write the tables of docs/commands.md and docs/algorithms.md, from the code (`python docs/tables.py`)."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 
+from uavnav.algorithms import ALGORITHMS
 from uavnav.cli import commands
 from uavnav.errors import Parser
+from uavnav.report.docs import between_marks
 from uavnav.settings import lines, shown
 from uavnav.training.config import TrainConfig
 
@@ -61,3 +64,21 @@ def _cell(default: str | None, kind: type[TrainConfig], key: str) -> str:
         return ""
     fast = shown(kind.PRESETS.get("fast", {}).get(key, kind.model_fields[key].default))
     return default if fast == default else f"{default}→{fast}"
+
+
+def main() -> None:
+    """Replace each table between its marks."""
+    kinds = {name: algorithm.config for name, algorithm in ALGORITHMS.items()}
+    for name, block, table in (
+        ("commands", "commands", command_table()),
+        ("algorithms", "settings", settings_table(kinds)),
+        ("algorithms", "presets", preset_table(kinds)),
+    ):
+        page = Path(__file__).parent / f"{name}.md"
+        page.write_text(
+            between_marks(page.read_text(encoding="utf-8"), table, page.name, block), encoding="utf-8"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -206,9 +206,14 @@ def row_of_seeds(axes: Axes, row: int, seeds: Array, colour: str, known: Interva
     return found
 
 
+def wrapped(name: str) -> str:
+    """A row's name in lines of at most 34 characters."""
+    return "\n".join(textwrap.fill(line, 34) for line in name.splitlines())
+
+
 def name_rows(axes: Axes, names: Sequence[str], **look: Any) -> None:
     """Name a chart's rows, from the top."""
-    axes.set_yticks(range(len(names)), [textwrap.fill(name, 34) for name in names], **look)
+    axes.set_yticks(range(len(names)), list(map(wrapped, names)), **look)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")

@@ -99,11 +99,13 @@ def episodes(
     values |= {style.RULE: rule} if np.isfinite(rule) else {}
     order = sorted(values, key=lambda name: -values[name])
     small = max(map(abs, values.values())) < 100
-    figure = Figure(figsize=(width, 0.24 * (len(rows) + 1) + 0.55), layout="constrained")
-    axes, named, said = figure.subplots(), [], []
+    numbers = [style.number(values[name]) if small else f"{values[name]:,.0f}" for name in order]
+    shown = [name.replace("leaky_relu", "leaky relu") for name in order]
+    named = [style.wrapped(f"{name}  {number}") for name, number in zip(shown, numbers, strict=True)]
+    lines = 1 + max(name.count("\n") for name in named)
+    figure = Figure(figsize=(width, 0.24 * lines * len(order) + 0.55), layout="constrained")
+    axes, said = figure.subplots(), []
     for row, name in enumerate(order):
-        shown = style.number(values[name]) if small else f"{values[name]:,.0f}"
-        named.append(f"{name.replace('_', ' ')}  {shown}")
         if name == style.RULE:
             axes.axvline(rule, **style.DASHED | {"color": style.SCRIPTED})
             axes.plot(rule, row, "D", color=style.SCRIPTED, markersize=8)

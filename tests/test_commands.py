@@ -222,3 +222,12 @@ def test_the_help_of_a_study_has_its_keys_those_of_its_engines_and_its_files(cap
         )
     ]
     assert all(word in text for word in [*engines.ENGINES, *own, *studies.names()])
+
+
+@pytest.mark.parametrize(
+    ("flag", "said"), [("", True), ("--quiet", False), ("--json", False), ("--cfg=job", False)]
+)
+def test_training_says_a_line_before_torch_is_loaded(flag, said, capsys):
+    words = ["ppo", "-m", "activation=relu,elu", "preset=fast", *([flag] if flag else [])]
+    commands._say_at_once(commands.parse("train", words))
+    assert capsys.readouterr().out == "ppo relu, elu, preset fast: loading torch …\n" * said

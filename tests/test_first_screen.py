@@ -112,7 +112,11 @@ def test_the_palette_of_a_site_recolours_the_drones(chrome):
 def test_the_sentence_is_short_and_its_number_leads_to_its_row_and_the_drones_have_names(chrome):
     visit(chrome)
     assert 5 < len(words(one(chrome, "h1").text)) <= MOST_WORDS
-    assert one(chrome, "h1 a").get_dom_attribute("href").startswith("tables/gaps.csv#L")
+    link = one(chrome, "h1 a")
+    assert link.get_dom_attribute("href").startswith("#row-gaps-")
+    chrome.execute_script("arguments[0].click()", link)
+    wait(chrome, lambda: one(chrome, "tr:target").is_displayed())
+    assert one(chrome, "h1 a").text.split()[0] in one(chrome, "tr:target").text.replace("−", "")
     names = [
         canvas.get_dom_attribute("aria-label").split(",")[0] for canvas in find(chrome, ".together canvas")
     ]

@@ -109,7 +109,8 @@ def _shown(row: Mapping[Any, Any], column: str) -> str:
         return tables.NOTHING
     if isinstance(value, float):
         inside = "" if any(pd.isna(one) for one in ends) else " [{:.4g}, {:.4g}]".format(*ends)
-        return f"{value:.4g}{inside}".replace("-", "−")
+        shown = f"{value:,.0f}" if value.is_integer() else f"{value:.4g}"
+        return f"{shown}{inside}".replace("-", "−")
     return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
 
 

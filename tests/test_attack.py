@@ -14,7 +14,7 @@ import pytest
 
 ATTACK = Path(__file__).parent / "attack.py"
 CLASSES = ("settings", "command-lines", "library", "study-files", "files")
-EACH = 24
+EACH = 12
 """Cases of a class."""
 
 pytestmark = [
@@ -72,12 +72,12 @@ def test_the_judge_sees_each_fault_that_is_planted(verdict, planted):
     assert counts["planted"]["refused in one line"] == counts["planted"]["accepted"] == 0
 
 
-def test_a_seed_stands_for_the_same_300_cases_in_every_process():
-    words = [sys.executable, ATTACK, "--list", "--n", "300", "--seed", "0"]
+def test_a_seed_stands_for_the_same_100_cases_in_every_process():
+    words = [sys.executable, ATTACK, "--list", "--n", "100", "--seed", "0"]
     first, again = (
         subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
         for _ in range(2)
     )
     assert first == again
-    assert len(first) == 300
-    assert len({line.partition(" ")[2] for line in first}) > 250
+    assert len(first) == 100
+    assert len({line.partition(" ")[2] for line in first}) > 80

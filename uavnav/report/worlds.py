@@ -16,7 +16,17 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats, style
-from uavnav.report.claims import ALL_WORLDS, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
+from uavnav.report.claims import (
+    ALL_WORLDS,
+    CRASHED,
+    EXPLAINS,
+    RANKED,
+    SCATTER,
+    SLOPE,
+    VARIATION,
+    at,
+    slopes,
+)
 from uavnav.report.configurations import of_worlds, one_line, order, settings_of
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
@@ -209,7 +219,8 @@ def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
         )
         for seed, one in flown.groupby("seed")
     }
-    return of_episodes(flown).drop(columns="survive").assign(survival=pd.Series(survival))
+    crashed = {CRASHED: ended.groupby(flown["seed"]).mean()}
+    return of_episodes(flown).drop(columns="survive").assign(survival=pd.Series(survival), **crashed)
 
 
 @dataclass(eq=False)
@@ -233,7 +244,7 @@ class Evidence:
 
     def __call__(self, algorithm: str, activation: str, metric: str, study: str = ALL_WORLDS) -> Array:
         if algorithm == RANKED:
-            found = self._explains(metric)
+            found = self._explains(metric, () if study == ALL_WORLDS else ("sac",))
             return found if activation == RANKED else np.zeros(len(found))
         if study != ALL_WORLDS:
             table = self._seeds.get((study, algorithm, activation))
@@ -248,16 +259,17 @@ class Evidence:
         found = [self._seeds.get((world, algorithm, activation), pd.DataFrame()) for world in self._worlds]
         return found if all(map(len, found)) else []
 
-    def _explains(self, metric: str) -> Array:
+    def _explains(self, metric: str, without: Sequence[str] = ()) -> Array:
         """The rank correlation of a measure with the reward across the configurations of a world, mean over
-        worlds: [S].
+        worlds: [S]; without: some algorithms.
 
         Seeds of the same number are taken together: as if each were a study of its own.
         """
         measure = next(name for name, explains in EXPLAINS.items() if explains == metric)
         parts = []
         for world in self._worlds:
-            configurations = (key for key in self._seeds if key[0] == world and self._everywhere(*key[1:]))
+            own = (key for key in self._seeds if key[0] == world and key[1] not in without)
+            configurations = (key for key in own if self._everywhere(*key[1:]))
             mine = [
                 table for configuration in configurations if measure in (table := self._seeds[configuration])
             ]

@@ -325,12 +325,12 @@ def joint(seeds: Array, number: Array) -> tuple[float, float]:
     are nearer: each seed's distance is from the others. NaN unless S > M + 2, or where metrics vary as one.
     """
     n, count = seeds.shape
-    if n <= count + 2 or np.linalg.matrix_rank(np.cov(seeds.T)) < count:
+    if n <= count + 2 or np.linalg.matrix_rank(np.atleast_2d(np.cov(seeds.T))) < count:
         return np.nan, np.nan
 
     def distance(of: Array, one: Array) -> float:
         apart = one - of.mean(0)
-        return float(apart @ np.linalg.pinv(np.cov(of.T), hermitian=True) @ apart)
+        return float(apart @ np.linalg.pinv(np.atleast_2d(np.cov(of.T)), hermitian=True) @ apart)
 
     own = distance(seeds, number)
     p = stats.f.sf((n - count) / (count * (n - 1)) * n / (n + 1) * own, count, n - count)

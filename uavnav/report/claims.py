@@ -506,6 +506,7 @@ CLAIMS = (
                 -1,
             ),
         ],
+        shown=1,
     ),
     Claim(
         8,

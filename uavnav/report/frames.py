@@ -373,7 +373,7 @@ def by_default(studies: Studies, winners: Configurations) -> pd.DataFrame:
     words = ", ".join(shared)
     rows = [[f"preset {claims.FAST}", words, *_first_minus_second(fast)]]
     rows.append(["main study", words, *_first_minus_second(main)])
-    if len(searched) == len(claims.ALGORITHMS) and len(shared):
+    if shared and len(searched) == 2 and min(map(len, [*fast, *searched])) > 1:
         rows.append([claims.TUNED, "tanh", *_first_minus_second(searched)])
         weights = np.concatenate([[1, -1], [-1, 1]]).repeat([len(shared), len(shared), 1, 1])
         found = stats.welch([*fast, *searched], (weights / [*[len(shared)] * len(fast), 1, 1])[None])

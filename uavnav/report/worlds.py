@@ -6,6 +6,7 @@ Letters: S seeds of a configuration.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -223,6 +224,9 @@ def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
     return of_episodes(flown).drop(columns="survive").assign(survival=pd.Series(survival), **crashed)
 
 
+_NONE = pd.DataFrame()
+
+
 @dataclass(eq=False)
 class Evidence:
     """What the claims of the discussion ask (an `Evidence` of `claims`); means over worlds are of
@@ -233,6 +237,7 @@ class Evidence:
 
     def __post_init__(self) -> None:
         self._seeds = dict(self.seeds)
+        self._ranks = functools.cache(self._explains)
         self._worlds = [*dict.fromkeys(world for world, _, _ in self.seeds if world == _place(world))]
         for world in dict.fromkeys(world for world, _, _ in self._seeds):
             mine = {key: table for key, table in self._seeds.items() if key[0] == world}
@@ -244,7 +249,7 @@ class Evidence:
 
     def __call__(self, algorithm: str, activation: str, metric: str, study: str = ALL_WORLDS) -> Array:
         if algorithm == RANKED:
-            found = self._explains(metric, () if study == ALL_WORLDS else ("sac",))
+            found = self._ranks(metric, () if study == ALL_WORLDS else ("sac",))
             return found if activation == RANKED else np.zeros(len(found))
         if study != ALL_WORLDS:
             table = self._seeds.get((study, algorithm, activation))
@@ -256,7 +261,7 @@ class Evidence:
 
     def _everywhere(self, algorithm: str, activation: str) -> list[pd.DataFrame]:
         """A configuration's seeds in each world, with the default preset; nothing where it lacks a world."""
-        found = [self._seeds.get((world, algorithm, activation), pd.DataFrame()) for world in self._worlds]
+        found = [self._seeds.get((world, algorithm, activation), _NONE) for world in self._worlds]
         return found if all(map(len, found)) else []
 
     def _explains(self, metric: str, without: Sequence[str] = ()) -> Array:

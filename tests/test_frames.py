@@ -345,7 +345,7 @@ def test_one_run_a_configuration_names_the_best_and_gives_the_papers_order_as_of
         assert found[f"{one} is best"] == pytest.approx(
             np.mean([max(own, key=own.get) == one for own in draws])
         )
-    order = ["tanh", "relu", "sigmoid", "leaky_relu"]  # of its rewards per frame, by hand
+    order = ["tanh", "relu", "leaky_relu", "sigmoid"]  # 0.0325, 0.0252, 0.0234 and 0.0202 a frame
     in_order = [all(own[a] > own[b] for a, b in itertools.pairwise(order)) for own in draws]
     assert 0 < found["the paper's order"] == pytest.approx(np.mean(in_order))
     assert frames.one_run(values[values["activation"] != "relu"]).empty

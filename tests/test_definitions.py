@@ -20,6 +20,7 @@ from uavnav.runs.definitions import (
     LOG_CURVE,
     PER_FRAME,
     decimals,
+    last_hundred,
     log_curve,
     per_frame,
     within,
@@ -374,3 +375,21 @@ def test_the_log_curve_is_the_mean_of_what_stable_baselines3s_logger_holds(algor
     for name, values in logged.items():
         np.testing.assert_allclose([one[name] for one in entries], values, rtol=1e-9)
         assert found[name] == pytest.approx(np.mean(values), rel=1e-9)
+
+
+def test_the_log_in_a_window_is_what_it_holds_at_each_frame_by_a_slow_loop():
+    """Two seeds, 130 and 3 episodes of 1 to 9 frames; before the first has ended there is nothing to log."""
+    rng, rows, windows = np.random.default_rng(0), [], [(0, 60), (60, 300), (500, 640)]
+    for seed, count in enumerate((130, 3)):
+        end = 0
+        for _ in range(count):
+            end += (steps := int(rng.integers(1, 10)))
+            rows.append((seed, end, 0, steps, 0, float(rng.normal()), True, False))
+    found = last_hundred(own_episodes(*rows), "reward", windows)
+    for seed, (low, high) in itertools.product((0, 1), windows):
+        held = []
+        for frame in range(low, high):
+            ended = [row[5] for row in rows if row[0] == seed and row[1] <= frame]
+            held += [np.mean(ended[-100:])] if ended else []
+        value = found.loc[seed, windows.index((low, high))]
+        assert value == pytest.approx(np.mean(held)) if held else np.isnan(value)

@@ -2,6 +2,7 @@
 known by hand.
 """
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -241,21 +242,26 @@ def evaluated(**means):
 def test_ppo_minus_dqn_tuned_is_of_the_activations_that_both_have_and_of_the_same_in_the_main_study():
     tuned = evaluated(ppo_tanh=30, ppo_relu=50, dqn_relu=10, dqn_sigmoid=99)
     main = evaluated(ppo_tanh=1, ppo_relu=5, dqn_tanh=99, dqn_relu=25)
-    found = frames.by_default(NO_STUDIES._replace(main=main, tuned=tuned))
+    winners = evaluated(ppo_tanh=7, dqn_tanh=4, sac_tanh=99)
+    found = frames.by_default(NO_STUDIES._replace(main=main, tuned=tuned), winners)
     assert found[["settings", "activations", "value", "n"]].to_numpy().tolist() == [
         ["preset fast", "relu", 40, 3],
         ["main study", "relu", -20, 3],
+        ["tuned", "tanh", 3, 3],
+        ["preset fast − tuned", "relu", 37, 3],
     ]
+    one, other, both = (found["high"] - found["value"])[[0, 2, 3]]
+    assert max(one, other) < both < one + other  # errors of independent seeds add in squares
     assert (found["low"] <= found["value"]).all()
     shown = tables.listed(found, tables.BY_DEFAULT)
-    assert [row[-1].partition(" [")[0] for row in shown[1:]] == ["40.0", "−20.0"]
+    assert [row[-1].partition(" [")[0] for row in shown[1:]] == ["40.0", "−20.0", "3.0", "37.0"]
 
 
 def test_without_an_activation_of_both_nothing_is_said_of_tuned():
-    found = frames.by_default(NO_STUDIES._replace(tuned=evaluated(ppo_tanh=30, dqn_relu=10)))
+    found = frames.by_default(NO_STUDIES._replace(tuned=evaluated(ppo_tanh=30, dqn_relu=10)), {})
     assert found["n"].tolist() == [0, 0]
     assert all(row[1:] == ["", "0", "–"] for row in tables.listed(found, tables.BY_DEFAULT)[1:])
-    unevaluated = frames.by_default(NO_STUDIES._replace(tuned=configurations(ppo_tanh=1, dqn_tanh=2)))
+    unevaluated = frames.by_default(NO_STUDIES._replace(tuned=configurations(ppo_tanh=1, dqn_tanh=2)), {})
     assert unevaluated["value"].isna().all()
 
 
@@ -310,16 +316,51 @@ def test_baselines_are_read_and_a_foreign_file_is_named(tmp_path):
     assert foreign.startswith(f"{folder / 'foreign.parquet'}: its columns are not a run's")
 
 
-def test_a_claims_grade_stands_beside_each_of_its_parts_in_every_reading():
+def test_a_claims_grade_in_a_column_counts_its_parts_and_says_how_many_seeds_are_behind_it():
     finding = audit(lambda *_, **__: np.empty(0), of_paper)[0]
-    one = finding._replace(claim=1, verdict="replicates", standing="counts")
-    audits = {
-        "first": [one, one, one._replace(claim=2, verdict="open")],
-        "second": [one, one._replace(verdict="reverses")],
+    one = finding._replace(claim=1, verdict="replicates", standing="counts", n=40)
+    unflown = one._replace(claim=2, verdict="open", standing="no runs", n=0)
+    audits = {"first": [one, one, unflown], "second": [one, one._replace(verdict="reverses", n=5)]}
+    found = frames.grades(audits)
+    assert found.to_numpy().tolist() == [
+        [1, "first", "replicates", 2, 2, 40, 40],
+        [1, "second", "in part", 1, 2, 5, 40],
+    ]
+    assert frames.verdicts(audits)["column"].tolist() == ["first"] * 3 + ["second"] * 2
+
+
+def test_one_run_a_configuration_names_the_best_and_gives_the_papers_order_as_often_as_all_draws_do():
+    rng = np.random.default_rng(0)
+    four = {
+        one: rng.normal(place, 1.5, 7) for place, one in enumerate(("sigmoid", "leaky_relu", "relu", "tanh"))
     }
-    found = frames.verdicts(audits)
-    assert found["grade_of_claim"].tolist() == ["replicates", "replicates", "open", *["in part (1 of 2)"] * 2]
-    assert found["definition"].tolist() == ["first"] * 3 + ["second"] * 2
+    rows = [("ppo", one, PER_FRAME, "reward", own) for one, own in four.items()]
+    values = pd.DataFrame(
+        [(*key, seed, value) for *key, own in rows for seed, value in enumerate(own)],
+        columns=["algorithm", "activation", "definition", "metric", "seed", "value"],
+    )
+    found = frames.one_run(values).set_index("what")["share"]
+    draws = [dict(zip(four, drawn, strict=True)) for drawn in itertools.product(*four.values())]
+    for one in four:
+        assert found[f"{one} is best"] == pytest.approx(
+            np.mean([max(own, key=own.get) == one for own in draws])
+        )
+    order = ["tanh", "relu", "leaky_relu", "sigmoid"]  # 0.0325, 0.0252, 0.0234 and 0.0202 a frame
+    in_order = [all(own[a] > own[b] for a, b in itertools.pairwise(order)) for own in draws]
+    assert 0 < found["the paper's order"] == pytest.approx(np.mean(in_order))
+    assert frames.one_run(values[values["activation"] != "relu"]).empty
+
+
+def test_seeds_that_pass_the_scripted_policy_are_counted_by_algorithm_and_mode():
+    gaps = pd.DataFrame(
+        [
+            ("reactive", "", "scripted", 1, np.nan),
+            ("a", "ppo", "sampled", 40, 0.05),
+            ("b", "ppo", "sampled", 40, 0.025),
+        ],
+        columns=["who", "algorithm", "mode", "n", "above"],
+    )
+    assert frames.passing(gaps).to_numpy().tolist() == [["ppo", "sampled", 3, 80]]
 
 
 def test_each_of_the_papers_numbers_is_held_against_one_more_seed_in_its_own_reading():
@@ -336,16 +377,6 @@ def test_each_of_the_papers_numbers_is_held_against_one_more_seed_in_its_own_rea
     assert known["paper"].to_dict() == pytest.approx({PER_FRAME: 88.527 / 2727.577, ALL: 88.527})
     assert known["within"].to_dict() == {PER_FRAME: True, ALL: False}
     assert known["percentile"].to_dict() == pytest.approx({PER_FRAME: 200 / 3, ALL: 100})
-
-
-def test_the_first_rules_verdicts_are_read_where_they_were_kept(tmp_path):
-    assert frames.first_rule(tmp_path).empty
-    (tmp_path / "tables").mkdir()
-    (tmp_path / "tables" / "first_rule.csv").write_text(
-        "claim,text,paper,value,low,high,p_holm,n,verdict,verdict_of_claim\n"
-        "1,a part,1664,813.1,748.8,877.8,0.005,20,supported,contradicted\n"
-    )
-    assert frames.first_rule(tmp_path)["text"].tolist() == ["a part"]
 
 
 @pytest.mark.parametrize(
@@ -471,15 +502,23 @@ def test_a_configuration_that_rises_by_100_and_falls_by_75_loses_three_quarters_
     times it.
     """
     seed = np.array([0, 0, 0, 100, 100, 101, 25, 25, 25, 25.0])
-    found = frames.peaks({KEY: in_stretches(*(seed * times for times in (1, 1.1, 1.2, 1.3, 1.4)))}).set_index(
-        "measure"
-    )
+    times = (1, 1.1, 1.2, 1.3, 1.4)
+    logged = {"reward_before": -5.0, "reward_surge": 15.0, "reward_after": 3.0}
+
+    def log(algorithm, activation, metric):
+        """By the log the first four lose 60 % of the rise, the last one loses 45 %."""
+        return np.array([logged[metric]] * 4 + [6.0 if metric == "reward_after" else logged[metric]])
+
+    found = frames.peaks({KEY: in_stretches(*(seed * one for one in times))}, log).set_index("measure")
+    assert found.loc["surge, SB3's log", "value"] == 15
+    assert found.loc["lost, SB3's log", "value"] == pytest.approx((15 - 3.6) / 20)
+    assert found.loc["seeds that lose half, SB3's log", ["value", "n"]].tolist() == [4, 5]
     assert found.loc["lost", "value"] == pytest.approx((301 / 3 - 25) / (301 / 3))
     # the share is the same in both
     assert found.loc["lost", "low"] == pytest.approx(found.loc["lost", "high"])
     # the first of the stretches of 40,000 frames within
     assert found.loc["peak", "value"] == pytest.approx(540_000)
-    assert frames.peaks({KEY: in_stretches(seed, frames=600_000)}).empty
+    assert frames.peaks({KEY: in_stretches(seed, frames=600_000)}, log).empty
 
 
 def test_numbers_within_are_counted_for_all_configurations_and_for_and_those_without_seeds_are_left_out():
@@ -493,8 +532,9 @@ def test_numbers_within_are_counted_for_all_configurations_and_for_and_those_wit
         ("dqn", "tanh", 10.0, np.nan, np.nan, False, 0),
     ]
     columns = ["algorithm", "activation", "paper", "low", "high", "within", "n"]
-    table = pd.DataFrame(rows, columns=columns).assign(definition="per frame")
-    found = frames.fits(table).set_index("configuration")
+    table = pd.DataFrame(rows, columns=columns).assign(definition="per frame", metric="reward")
+    no_seeds = {"per frame": lambda *term: np.empty(0)}
+    found = frames.fits(table, no_seeds).set_index("configuration")
     assert found[["within", "numbers"]].T.to_dict("list") == {
         "all configurations": [2, 3],
         "DQN relu": [1, 1],
@@ -505,7 +545,8 @@ def test_numbers_within_are_counted_for_all_configurations_and_for_and_those_wit
         "DQN relu": 0.6,
         "PPO tanh": 6.5,
     }
-    assert frames.fits(table[:0]).empty
+    assert found[["p", "farther"]].isna().all(axis=None)
+    assert frames.fits(table[:0], no_seeds).empty
 
 
 def test_each_study_has_a_row_a_configuration_and_the_main_one_those_of_the_papers_activations():

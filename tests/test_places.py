@@ -44,7 +44,7 @@ def test_the_40_steps_before_a_crash_do_not_count_and_those_before_the_cap_do():
     steps = steps_of(crash, capped, short)
     assert BEFORE_CRASH == 40
     assert steps.groupby("seed")["late"].sum().tolist() == [40, 0, 40]
-    found = early(steps).loc["sampled"]
+    found = early(steps).loc["sampled"].dropna()
     assert found.index.tolist() == [0, 1]  # of seed 2 nothing is left
     assert found["corridor_early"].tolist() == [0.0, 0.8]
     assert found["clearance_early"].tolist() == [100.0, 68.0]
@@ -66,19 +66,25 @@ def test_episodes_on_test_sets_agree_with_a_slow_loop():
     n, all_layouts = 6, layouts.load("test")
     flown = fly({3: BASELINES["random"], 4: BASELINES["straight"]}, on(make_task(), "test", n, 150))
     table = retrace(flown.behaviour.assign(mode="sampled"), all_layouts[:n], torch.full((n,), 90), WORLD)
-    kept, means = [], {}
+    kept, first, means = [], [], {}
     for (_, layout), one in table.groupby(["seed", "layout"]):
         crashed = one["clearance"].iloc[-1] <= WORLD.drone_radius
         assert crashed == (len(one) < 150)
+        first.append(one[:50])
         kept.append(one[: max(len(one) - 40, 0)] if crashed else one)
         means.setdefault(layout, []).append(
             measures(one, all_layouts, WORLD)[["corridor", "clearance"]].iloc[0]
         )
-    slow = measures(pd.concat(kept), all_layouts, WORLD).set_index("seed")
+    slow, of_first = (
+        measures(pd.concat(own), all_layouts, WORLD).set_index("seed")[["corridor", "clearance"]]
+        for own in (kept, first)
+    )
     steps = of_steps(table, all_layouts, WORLD)
     assert 0 < steps["late"].sum() < len(steps)
     fast = early(steps).loc["sampled"]
-    assert fast.to_numpy() == pytest.approx(slow.loc[fast.index, ["corridor", "clearance"]].to_numpy())
+    assert fast["corridor_early"].notna().sum() == len(slow)  # of the others all steps are late
+    assert fast.filter(like="_early").dropna().to_numpy() == pytest.approx(slow.to_numpy())
+    assert fast.filter(like="_first").to_numpy() == pytest.approx(of_first.loc[fast.index].to_numpy())
     slow_by_layout = np.array([np.mean(own, axis=0) for own in means.values()])
     assert by_layout(steps).iloc[:, 2:].to_numpy() == pytest.approx(slow_by_layout)
 

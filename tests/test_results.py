@@ -258,14 +258,6 @@ def test_the_rule_finds_the_papers_tables_if_they_are_true_and_nothing_where_not
     assert shares[5, TABLES, "open"] == shares[5, EQUAL, "open"] == 1
 
 
-def test_the_first_rules_verdicts_are_kept_as_they_were():
-    kept = pd.read_csv(RESULTS / "tables" / "first_rule.csv")
-    decided = kept.groupby("claim")["verdict_of_claim"].first()
-    assert len(kept) == 50
-    assert [*decided[decided == "contradicted"].index] == [1, 2, 6, 10, 11]
-    assert set(decided) == {"contradicted", "undecided"}
-
-
 @pytest.fixture(scope="module")
 def content():
     with pytest.MonkeyPatch.context() as patch:

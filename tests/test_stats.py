@@ -2,6 +2,8 @@
 censoring.
 """
 
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -9,6 +11,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import stdtrit
 from scipy.stats import bootstrap, trim_mean, ttest_ind, ttest_rel
 from statsmodels.stats.power import TTestIndPower
 
@@ -428,3 +431,24 @@ def test_a_ratio_to_what_may_be_zero_and_of_one_seed_has_no_interval():
     assert stats.ratio(np.array([1.0]), np.array([2.0])).value == 0.5
     assert np.isnan(stats.ratio(np.array([1.0]), np.array([2.0])).low)
     assert np.isnan(stats.ratio(np.array([]), np.array([])).value)
+
+
+def test_numbers_taken_together_are_one_more_seed_as_hotelling_has_it():
+    """Of one number it is Student's prediction interval; two that vary as one are no two."""
+    rng = np.random.default_rng(0)
+    seeds = rng.normal(size=(40, 1))
+    edge = seeds.mean() + stdtrit(39, 0.975) * seeds.std(ddof=1) * np.sqrt(1 + 1 / 40)
+    assert stats.joint(seeds, np.array([edge]))[0] == pytest.approx(0.05)
+    assert np.isnan(stats.joint(np.hstack([seeds, 2 * seeds]), np.zeros(2))).all()
+    assert np.isnan(stats.joint(seeds[:3], np.zeros(1))).all()
+    six = rng.normal(size=(40, 6)) @ rng.normal(size=(6, 6))
+    again = [stats.joint(draw[:40], draw[40])[0] for draw in rng.normal(size=(400, 41, 6))]
+    assert np.mean(np.array(again) < 0.05) == pytest.approx(0.05, abs=0.025)
+    assert stats.joint(six, six.mean(0))[1] == 0
+    assert stats.joint(six, six.mean(0) + 1e3) == (pytest.approx(0, abs=1e-9), 1)
+
+
+def test_the_statistics_are_importable_alone():
+    code = "import sys, uavnav.stats; print({'torch', 'uavnav.report', 'uavnav.runs'} & {*sys.modules})"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout == "set()\n"

@@ -80,10 +80,10 @@ def test_the_table_of_trials_has_the_default_and_the_best_with_its_settings():
 
 
 def test_a_folder_without_tuning_has_no_tables_and_a_damaged_one_a_line(tmp_path):
-    assert tuning.read([tmp_path], {}) == ({}, [])
+    assert tuning.read([tmp_path], {}) == ({}, {}, [])
     (tmp_path / "tuning").mkdir()
     (tmp_path / "tuning" / "trials.csv").write_text("")
-    tables, (line,) = tuning.read([tmp_path], {})
+    tables, _, (line,) = tuning.read([tmp_path], {})
     assert tables == {}
     assert line.startswith(f"{tmp_path}/tuning/trials.csv: cannot be read (")
 
@@ -98,7 +98,7 @@ def test_a_study_is_found_beside_others_and_in_a_folder_of_its_own_and_its_runs_
     TRIALS.to_csv(tmp_path / where / "trials.csv", index=False)
     put(tmp_path / "ppo" / "relu" / "config.yaml", "")
     assert [*_beside_tuning([tmp_path], paths(tmp_path)).values()] == [tmp_path / "ppo" / "relu"]
-    tables, left_out = tuning.read([tmp_path], {})
+    tables, _, left_out = tuning.read([tmp_path], {})
     assert tables["tuning_trials"]["best"].tolist() == tuning.so_far(TRIALS).tolist()
     read = {line.partition(": no run")[0] for line in left_out}
     # not the winner before
@@ -108,7 +108,7 @@ def test_a_study_is_found_beside_others_and_in_a_folder_of_its_own_and_its_runs_
 def test_a_second_study_that_tuned_is_named(tmp_path):
     for name in ("one", "two"):
         put(tmp_path / name / "tuning" / "trials.csv", TRIALS.to_csv(index=False))
-    _, lines = tuning.read([tmp_path / "one", tmp_path / "two"], {})
+    *_, lines = tuning.read([tmp_path / "one", tmp_path / "two"], {})
     assert lines == [f"{tmp_path}/two/tuning: tuned too; the report shows {tmp_path}/one/tuning"]
 
 

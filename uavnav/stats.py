@@ -317,6 +317,43 @@ def prediction(seeds: Array, number: float) -> Prediction:
     return Prediction(percentile, low, high, low <= number <= high, n)
 
 
+def joint(seeds: Array, number: Array) -> tuple[float, float]:
+    """Whether numbers [M] together may be one more seed; seeds [S, M].
+
+    First the p value of Hotelling's T^2 for a new observation, (S - M) / (M (S - 1)) S / (S + 1) D^2 by F
+    with M and S - M degrees of freedom, D Mahalanobis' distance from the mean. Then the share of seeds that
+    are nearer: each seed's distance is from the others. NaN unless S > M + 2, or where metrics vary as one.
+    """
+    n, count = seeds.shape
+    if n <= count + 2 or np.linalg.matrix_rank(np.atleast_2d(np.cov(seeds.T))) < count:
+        return np.nan, np.nan
+
+    def distance(of: Array, one: Array) -> float:
+        apart = one - of.mean(0)
+        return float(apart @ np.linalg.pinv(np.atleast_2d(np.cov(of.T)), hermitian=True) @ apart)
+
+    own = distance(seeds, number)
+    p = stats.f.sf((n - count) / (count * (n - 1)) * n / (n + 1) * own, count, n - count)
+    others = [distance(np.delete(seeds, place, 0), seeds[place]) for place in range(n)]
+    return float(p), float(np.mean(np.array(others) < own))
+
+
+def chance_of_best(samples: Mapping[str, Array], name: str) -> float:
+    """How often one seed of this configuration would be above one of each other; samples: [S] each."""
+    others = [own for other, own in samples.items() if other != name]
+    return float(np.prod([(samples[name][:, None] > own).mean(1) for own in others], 0).mean())
+
+
+def chance_of_order(samples: Sequence[Array]) -> float:
+    """How often one seed of each configuration would stand in this order, the largest first; [S] each."""
+    *before, last = samples
+    chance = np.ones(len(last))  # that what follows a seed is in order
+    for own in reversed(before):
+        chance = ((own[:, None] > last) * chance).mean(1)
+        last = own
+    return float(chance.mean())
+
+
 def nested_intervals(episodes: Sequence[Array], seed: int = 0) -> list[Interval]:
     """Means over seeds of each seed's mean over episodes: seeds are resampled, then episodes within each
     seed.

@@ -42,6 +42,8 @@ CHUNK = 8192
 """Poses at a time: their pairs of bodies stay in a processor's cache."""
 BEFORE_CRASH = 40
 """So many steps before a crash say how an episode ended, and not where the policy flies."""
+FIRST = 50
+"""So many steps at the start of episodes are alike in length, whoever crashes sooner."""
 PLACES = ("corridor", "clearance")
 """Measures of where a drone is, which are also taken without the steps before a crash, and by layout."""
 AGAIN = "evaluate the run again"
@@ -147,9 +149,10 @@ def measures(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame
 
 
 def of_steps(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame:
-    """What `measures` are means of: columns mode, seed, layout, the sums of each measure, and `late`.
+    """What `measures` are means of: columns mode, seed, layout, the sums of each measure, `late` and `first`.
 
-    late: whether a step is one of the last `BEFORE_CRASH` of an episode that ended in a collision.
+    late: whether a step is one of the last `BEFORE_CRASH` of an episode that ended in a collision; first: one
+    of its first `FIRST`.
     """
     table = table.sort_values([*EPISODE, "step"], ignore_index=True)
     angle, distance = (part.numpy() for part in decode(_tensor(table["action"], torch.int64), world))
@@ -165,6 +168,7 @@ def of_steps(table: pd.DataFrame, layouts: Tensor, world: World) -> pd.DataFrame
         straight_speed=np.where(angle == 0, distance, np.nan),
         turning_speed=np.where(angle != 0, distance, np.nan),
         late=crashed & (ends["step"] - table["step"] < BEFORE_CRASH),
+        first=table["step"] <= FIRST,
     )
     return steps.astype(dict.fromkeys(MEASURES, "float64"))
 
@@ -177,11 +181,16 @@ def of_seeds(steps: pd.DataFrame) -> pd.DataFrame:
 
 
 def early(steps: pd.DataFrame) -> pd.DataFrame:
-    """Measures of `PLACES` without the late steps, `corridor_early` and so on, by mode and seed.
+    """Measures of `PLACES` without the late steps, `corridor_early` and so on, and of the first ones,
+    `corridor_first` and so on, by mode and seed.
 
-    A seed whose episodes all crash within `BEFORE_CRASH` steps has no row.
+    A seed whose episodes all crash within `BEFORE_CRASH` steps has no early ones.
     """
-    return steps[~steps["late"]].groupby(["mode", "seed"])[[*PLACES]].mean().add_suffix("_early")
+    found = {
+        kind: steps[chosen].groupby(["mode", "seed"])[[*PLACES]].mean().add_suffix(f"_{kind}")
+        for kind, chosen in {"first": steps["first"], "early": ~steps["late"]}.items()
+    }
+    return found["first"].join(found["early"])
 
 
 def by_layout(steps: pd.DataFrame) -> pd.DataFrame:

@@ -118,6 +118,54 @@ def episodes(
     return style.Drawn(figure, f"{axis}: {'; '.join(said)}.")
 
 
+FARTHEST = 2.0
+"""A forest plot ends at so many times the paper's effect, on both sides."""
+
+
+@matplotlib.rc_context(style.STYLE)
+def forest(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
+    """Our effects ÷ the paper's: a row each, in it a mark for each column of evidence, the first one filled.
+
+    table: columns row, column, ratio, low, high, counts; what lies beyond `FARTHEST` is an arrow, and grey
+    does not count; width: of the figure [inches].
+    """
+    title = "Our effect ÷ the paper's"
+    if not table["ratio"].notna().any():
+        return style.nothing(title)
+    names, columns = list(dict.fromkeys(table["row"])), list(dict.fromkeys(table["column"]))
+    figure = Figure(figsize=(width, 0.55 * len(names) + 1.5), layout="constrained")
+    axes, said = figure.subplots(), []
+    axes.axvline(0, color=style.INK, linewidth=1.2)
+    axes.axvline(1, **style.DASHED)
+    for name, column, ratio, low, high, counts in table.itertuples(index=False):
+        place = columns.index(column)
+        row = names.index(name) + 0.36 * (place - (len(columns) - 1) / 2)
+        look: dict[str, Any] = {"color": style.CLEAR if counts else style.PALE}
+        ends = np.clip([low, high], -FARTHEST, FARTHEST)
+        axes.plot(ends, [row, row], linewidth=2.2, solid_capstyle="butt", **look)
+        for side, end, marker in ((-1, low, "<"), (1, high, ">")):
+            if side * end > FARTHEST:
+                axes.plot(side * FARTHEST, row, marker, markersize=8, clip_on=False, **look)
+        if abs(ratio) <= FARTHEST:
+            inside = {"markerfacecolor": "white"} if place else {}
+            axes.plot(ratio, row, "o", markersize=8, markeredgewidth=1.8, zorder=4, **look, **inside)
+        said.append(f"{name}, {column}: {style.said(Interval(ratio, low, high, 1)).replace('; n = 1', '')}")
+    axes.set_xlim(-FARTHEST, FARTHEST)
+    style.name_rows(axes, names)
+    if width < style.WIDTH:
+        axes.set_yticks(range(len(names)), [textwrap.fill(name, 17) for name in names])
+    axes.set_xlabel("our effect ÷ the paper's")
+    handles = [
+        style.mark(
+            "o", column, markersize=8, markeredgewidth=1.8, **({"markerfacecolor": "white"} if place else {})
+        )
+        for place, column in enumerate(columns)
+    ]
+    handles.append(Line2D([], [], color=style.PALE, linewidth=2.2, label="does not count"))
+    style.legend(figure, handles, 3)
+    return style.Drawn(figure, f"{title}: {'; '.join(said)}.")
+
+
 @matplotlib.rc_context(style.STYLE)
 def behaviours(table: pd.DataFrame, width: float = style.WIDTH) -> style.Drawn:
     """How the configurations fly: a panel a measure, in it a row a configuration: mean, 95 % interval and

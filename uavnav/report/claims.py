@@ -3,8 +3,8 @@
 A part asks whether linear contrasts of configurations' means over training seeds are above zero. To add a
 claim, add a line to `CLAIMS`. The paper's own effect is the same function of its printed tables. Claims 12 to
 16, of the paper's discussion, are asked of the study `worlds`; the paper prints no number for them. They were
-fixed before that study was run; the parts of `fast` of claims 13 and 15 came later, when its runs had been
-read.
+fixed before that study was run. What other settings are asked (`Claim.elsewhere`), which of the parts of
+claims 9, 10 and 13 count, and claim 4 by SB3's log came later, when the runs had been read.
 Letters: S seeds of a configuration, C terms of a part, J its contrasts.
 """
 
@@ -19,12 +19,20 @@ import numpy as np
 import pandas as pd
 
 from uavnav.runs import paper
-from uavnav.runs.definitions import PER_FRAME, SAMPLED
+from uavnav.runs.definitions import LOG_CURVE, PER_FRAME, SAMPLED
 from uavnav.runs.metrics import METRICS
 from uavnav.stats import Array
 
 PRIMARY = PER_FRAME
-"""The metric definition that decides a verdict."""
+"""The metric definition of all that is not said of a claim."""
+TRAINING, LOG, FINAL, OTHER = (
+    "training, per frame",
+    "training, SB3's log",
+    "final policies",
+    "other settings",
+)
+COLUMNS = {TRAINING: PER_FRAME, LOG: LOG_CURVE, FINAL: SAMPLED, OTHER: SAMPLED}
+"""What a claim is graded on, none of which is the answer alone, and the metric definition of each."""
 ALGORITHMS = ("ppo", "dqn")
 """Those that the claims compare: the first is said to be better."""
 BOUNDED, UNBOUNDED = ("tanh", "sigmoid"), ("relu", "leaky_relu")
@@ -53,6 +61,8 @@ PASSAGES = {
     "passages_per_1000_steps": "passages per 1,000 steps",
     "passages_per_episode": "passages per episode",
 }
+CRASHED = "crashed"
+"""The share of episodes that end in a collision."""
 SLOPE = "reward_by_density"
 """The slope of a policy's reward over the rungs of the density ladder, a number a seed [reward an
 obstacle].
@@ -63,8 +73,16 @@ from its configuration's median, to the mean of that in its world.
 """
 EXPLAINS = {VARIATION: "gradient_variation_explains", SCATTER: "scatter_explains"}
 """A rank correlation with the reward across the configurations of a world, a number a seed."""
+NO_SAC = "all worlds, without SAC"
+"""The mean over worlds of such correlations among the configurations of other algorithms."""
+FAST, TUNED = "fast", "tuned"
+"""Studies of other settings: the preset, and what 40 trials found."""
 RANKED, NONE = "ranked", "none"
 """The term of such a correlation, and that of no correlation."""
+
+
+OF_FLIGHT = ("corridor", "clearance", "empty_", "reversals")
+"""How the names of metrics begin that are known of final policies alone."""
 
 
 class Evidence(Protocol):
@@ -76,13 +94,14 @@ class Evidence(Protocol):
     - `reward_before`, `reward_surge`, `reward_after`: reward in 0-300,000, 300,000-600,000 and the last
       100,000 frames, in the same order of seeds;
     - what `behaviour.measures` gives; the same in the empty arena as `empty_clearance` and so on;
-    - `corridor_early` and `clearance_early`: the same without the last 40 steps before a crash
-      (`behaviour.early`);
+    - `corridor_early` and `clearance_early`: the same without the last 40 steps before a crash, and
+      `corridor_first`: the same in the first 50 steps (`behaviour.early`);
     - `corridor_by_layout` and `clearance_by_layout`: one number a layout, the mean over seeds, in the same
       order of layouts in every configuration (`behaviour.by_layout`).
 
-    study: `main`, `initial` (the first reward) or `baseline` (the same frames without it); of claims 12 to 16
-    a world by its name, with the preset where it is not the default (`drone, fast`), or `ALL_WORLDS`.
+    study: `main`, `initial` (the first reward), `baseline` (the same frames without it), `FAST` or `TUNED`;
+    of claims 12 to 16 a world by its name, with the preset where it is not the default (`drone, fast`), or
+    `ALL_WORLDS`.
     """
 
     def __call__(self, algorithm: str, activation: str, metric: str, study: str = "main") -> Array: ...
@@ -130,13 +149,26 @@ class Claim(NamedTuple):
     number: int
     sentence: str
     parts: Sequence[Part]
-    shown: int = 0  # the part that the claim's sentence is about (templates/study.md)
+    shown: int | None = 0  # the part that its sentence (templates/study.md) is about, where one counts
     equal: tuple[str, ...] = ("algorithm", "metric")
     """If nothing that the claim compares differed, terms that agree in these fields would have the same
     mean.
     """
     note: str = ""  # what else its own tables say
-    decides: str = PRIMARY  # the metric definition that decides its grade
+    column: str = TRAINING  # of `COLUMNS`: the one that its sentence is about
+    elsewhere: Sequence[Part] = ()  # what it asks of other settings
+
+    def asks(self, column: str) -> Sequence[Part]:
+        """Its parts in a column: training does not say how final policies fly."""
+        if column == OTHER:
+            return self.elsewhere
+        trains = column in (TRAINING, LOG)
+        return [one for one in self.parts if not (trains and one.terms[0].metric.startswith(OF_FLIGHT))]
+
+
+def asked(claims: Sequence[Claim], column: str) -> list[Claim]:
+    """The claims that a column is asked, with their parts there."""
+    return [claim._replace(parts=parts) for claim in claims if (parts := claim.asks(column))]
 
 
 def _configurations(algorithm: str, activations: Sequence[str] = ACTIVATIONS) -> list[tuple[str, str]]:
@@ -248,24 +280,31 @@ def _dqn_takes_corridors() -> list[Part]:
     steps, space = "share of steps between two close obstacles", "distance to the nearest obstacle or wall"
     more, wider = "DQN above PPO", "PPO above DQN"
     early, layouts = ", without the last 40 steps before a crash", ", layouts resampled"
+    asked = ("corridor", "clearance", "empty_clearance")
     questions = {
         "corridor": (f"{steps}: {more}", -1),
-        "corridor_flown": (f"share of the distance flown between two close obstacles: {more}", -1),
         "clearance": (f"{space}: {wider}", 1),
         "empty_clearance": (f"distance to the nearest wall in the empty arena: {wider}", 1),
+        "corridor_flown": (f"share of the distance flown between two close obstacles: {more}", -1),
+        "corridor_first": (f"{steps}, the first 50 of an episode: {more}", -1),
         "corridor_early": (f"{steps}{early}: {more}", -1),
         "clearance_early": (f"{space}{early}: {wider}", 1),
         "corridor_by_layout": (f"{steps}{layouts}: {more}", -1),
         "clearance_by_layout": (f"{space}{layouts}: {wider}", 1),
     }
     return [
-        _means(text, metric, PPO, DQN, sign, paired=metric.endswith("_by_layout"))
+        _means(text, metric, PPO, DQN, sign, paired="_by_layout" in metric, beside=metric not in asked)
         for metric, (text, sign) in questions.items()
     ]
 
 
 def _penalties_cure() -> list[Part]:
-    questions = {"full_stops": "full stops", "turns": "turning", "reversals": "reversals of turning per step"}
+    questions = {
+        "stops": "stops",
+        "full_stops": "full stops",
+        "turns": "turning",
+        "reversals": "reversals of turning per step",
+    }
     parts = []
     for algorithm, (metric, words) in itertools.product(ALGORITHMS, questions.items()):
         first, second = ([(algorithm, one, study) for one in PAIR] for study in ("initial", "baseline"))
@@ -286,14 +325,21 @@ def _above(text: str, metric: str, first: str, second: str, world: str, beside: 
     return _means(text, metric, up, down, beside=beside)
 
 
-def _and_tuned(*parts: Part) -> tuple[Part, ...]:
-    """Some parts, and beside them the same questions to the preset `fast`."""
-    return (*parts, *map(_tuned, parts))
+def _fast(parts: Sequence[Part]) -> list[Part]:
+    """The same questions to policies of the preset `fast`."""
+    return [
+        replace(one, terms=tuple(term._replace(study=f"{term.study}, {FAST}") for term in one.terms))
+        for one in parts
+    ]
 
 
-def _tuned(part: Part) -> Part:
-    terms = tuple(term._replace(study=f"{term.study}, fast") for term in part.terms)
-    return replace(part, text=f"{part.text}, preset fast", terms=terms, beside=True)
+def _other_settings() -> list[Part]:
+    """PPO against DQN with the preset `fast` and after tuning, of the activations that were flown."""
+    parts = []
+    for study, activations in {FAST: BOUNDED, TUNED: ("tanh",)}.items():
+        up, down = ([(algorithm, one, study) for one in activations] for algorithm in ALGORITHMS)
+        parts += _six(f"PPO better than DQN, {study}", up, down, make=_means)
+    return parts
 
 
 def _density() -> list[Part]:
@@ -307,7 +353,7 @@ def _density() -> list[Part]:
     for rung in (16, 20):
         text = f"reward: DQN above PPO where both were trained at {rung} obstacles"
         beside.append(_above(text, "reward", "dqn", "ppo", RUNGS[rung], beside=True))
-    return [*parts, *beside, *map(_tuned, parts)]
+    return [*parts, *beside]
 
 
 def _own_rungs() -> Part:
@@ -330,13 +376,17 @@ def slopes(rungs: Sequence[float]) -> Array:
     return np.asarray(apart / (apart**2).sum())
 
 
-def _slalom() -> tuple[Part, ...]:
+def _slalom() -> list[Part]:
+    """Two independent tests, at the widest narrow gap; what else the same policies do stands beside."""
     worlds = {"drone": "the paper's layouts", "slalom-100": "the slalom"}
     parts = []
-    for (world, words), (metric, label), gap in itertools.product(worlds.items(), PASSAGES.items(), NARROW):
+    for (metric, label), gap, (world, words) in itertools.product(PASSAGES.items(), NARROW, worlds.items()):
         text = f"{label}: DQN above PPO at gaps of {gap} px, trained on {words}"
-        parts.append(_above(text, at(metric, "slalom", gap), "dqn", "ppo", world))
-    return _and_tuned(*parts)
+        parts.append(_above(text, at(metric, "slalom", gap), "dqn", "ppo", world, beside=len(parts) > 1))
+    for world, words in worlds.items():
+        text = f"share of episodes that end in a crash: DQN below PPO at gaps of 100 px, trained on {words}"
+        parts.append(_above(text, at(CRASHED, "slalom", 100), "ppo", "dqn", world, beside=True))
+    return parts
 
 
 def _order(world: str, *names: str) -> tuple[Part, ...]:
@@ -363,8 +413,10 @@ def _gradients() -> list[Part]:
             f"{words[metric]}, the more reward: rank correlation across the configurations of a world, "
             "mean over worlds"
         )
-        up, down = [(RANKED, NONE, ALL_WORLDS)], [(RANKED, RANKED, ALL_WORLDS)]
-        parts.append(_means(text, name, up, down, paired=True))
+        for worlds in (ALL_WORLDS, NO_SAC):
+            up, down = [(RANKED, NONE, worlds)], [(RANKED, RANKED, worlds)]
+            without = ", without SAC" * (worlds == NO_SAC)
+            parts.append(_means(text + without, name, up, down, paired=True, beside=worlds == NO_SAC))
     return parts
 
 
@@ -378,6 +430,7 @@ CLAIMS = (
         ],
         shown=5,
         equal=("metric",),
+        elsewhere=_other_settings(),
     ),
     Claim(
         2,
@@ -401,8 +454,10 @@ CLAIMS = (
         4,
         "DQN with sigmoid surges between 300,000 and 600,000 steps and then falls steeply.",
         _dqn_sigmoid_surges(),
-        shown=1,
+        shown=2,
         equal=("algorithm", "activation"),
+        column=LOG,
+        note="The surge is one of reward per episode (the paper's Figure 4), which SB3's log has.",
     ),
     Claim(
         5,
@@ -416,6 +471,7 @@ CLAIMS = (
                 -1,
             )
         ],
+        shown=None,
     ),
     Claim(
         6,
@@ -429,7 +485,7 @@ CLAIMS = (
                 every=False,
             ),
         ],
-        shown=4,
+        shown=1,
     ),
     Claim(
         7,
@@ -450,6 +506,7 @@ CLAIMS = (
                 -1,
             ),
         ],
+        shown=1,
     ),
     Claim(
         8,
@@ -475,8 +532,10 @@ CLAIMS = (
         "DQN steers through corridors between obstacles; PPO keeps to open space.",
         _dqn_takes_corridors(),
         equal=("metric",),
-        note="Two parts leave out the last 40 steps before a crash. In two, the unit is the layout and not"
-        " the seed, so that the answer holds for other layouts; their n counts layouts.",
+        column=FINAL,
+        note="It is three questions: corridors, clearance and the empty arena. Beside them, two parts leave"
+        " out the last 40 steps before a crash, and one takes the first 50 alone. In two, the unit is the"
+        " layout and not the seed, so that the answer holds for other layouts; their n counts layouts.",
     ),
     Claim(
         10,
@@ -484,9 +543,8 @@ CLAIMS = (
         _penalties_cure(),
         shown=2,
         equal=("algorithm", "activation", "metric"),
-        note="The runs are the shorter ones of the studies initial and baseline, tanh and ReLU; the "
-        "reversals are of"
-        " the watched episodes on test layouts.",
+        note="Its design is its own: 10 seeds of 300,000 frames in parallel environments, tanh and ReLU. By"
+        " the paper's words a step without movement is a stop; a full stop has no turn either.",
     ),
     Claim(
         11,
@@ -506,23 +564,43 @@ CLAIMS = (
 
 DISCUSSION = (
     Claim(
-        12, "DQN suits dense places and PPO open ones.", _density(), 3, ("metric", "study"), decides=SAMPLED
+        12,
+        "DQN suits dense places and PPO open ones.",
+        _density(),
+        3,
+        ("metric", "study"),
+        column=FINAL,
+        elsewhere=_fast(_density()[:4]),
     ),
-    Claim(13, "DQN is the more agile in narrow places.", _slalom(), 0, ("metric", "study"), decides=SAMPLED),
+    Claim(
+        13,
+        "DQN is the more agile in narrow places.",
+        _slalom(),
+        0,
+        ("metric", "study"),
+        "Its tests are two, one for each set of policies. The other gaps are flown by the same policies.",
+        FINAL,
+        _fast(_slalom()),
+    ),
     Claim(
         14,
         "The order of algorithms depends on dimensionality: in 3D DQN is above PPO.",
-        _and_tuned(*_order("space", "dqn", "ppo")),
-        equal=("metric", "study"),
-        decides=SAMPLED,
+        _order("space", "dqn", "ppo"),
+        0,
+        ("metric", "study"),
+        "With its defaults, DQN learns nothing in 3D.",
+        OTHER,
+        _fast(_order("space", "dqn", "ppo")),
     ),
     Claim(
         15,
         "With moving obstacles in 3D SAC is above DQN, and DQN above PPO.",
-        (*_order("space-moving", "sac", "dqn", "ppo"), *map(_tuned, _order("space-moving", "dqn", "ppo"))),
+        _order("space-moving", "sac", "dqn", "ppo"),
         1,
         ("metric", "study"),
-        decides=SAMPLED,
+        "With its defaults, SAC is no better there than random flight.",
+        OTHER,
+        _fast(_order("space-moving", "sac", "dqn", "ppo")),
     ),
     Claim(
         16,
@@ -531,11 +609,22 @@ DISCUSSION = (
         _gradients(),
         10,
         ("algorithm", "metric"),
-        decides=SAMPLED,
+        column=FINAL,
     ),
 )
 EVERY = (*CLAIMS, *DISCUSSION)
 """All claims of the paper, 1 to 16."""
+PRINTED = {
+    "PPO − DQN": (1, 5),
+    "worst PPO − best DQN": (1, 11),
+    "DQN: sigmoid − best other": (3, 5),
+    "DQN: sigmoid − mean of others": (8, 0),
+    "PPO: tanh − best other": (2, 5),
+    "PPO: sigmoid − mean of others": (8, 1),
+    "PPO: bounded − unbounded": (7, 0),
+    "DQN: bounded − unbounded": (7, 3),
+}
+"""The differences of reward that the paper prints: the number of a claim and the place of its part."""
 
 
 def long(samples: Mapping[tuple[str, str], Array]) -> pd.DataFrame:

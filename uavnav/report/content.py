@@ -14,7 +14,7 @@ import pandas as pd
 from uavnav import style
 from uavnav.evaluation import EMPTY_ARENA
 from uavnav.report import behaviour, figures, frames, studies, tables, tuning, whys, worlds
-from uavnav.report.claims import CLAIMS, DISCUSSION, PRIMARY
+from uavnav.report.claims import CLAIMS, COLUMNS, DISCUSSION, FINAL, OTHER, PRIMARY, asked
 from uavnav.report.configurations import Configuration, algorithms, collect, one_line, read_as
 from uavnav.report.figures import Figure
 from uavnav.report.operating import characteristics
@@ -22,7 +22,7 @@ from uavnav.report.studies import Rows, Studies
 from uavnav.report.verdicts import Finding, audit
 from uavnav.report.worlds import Worlds
 from uavnav.runs import VALUES, Run, paper
-from uavnav.runs.definitions import DEFINITIONS, SAMPLED
+from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, SAMPLED
 from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks import layouts
 from uavnav.tasks.world import World
@@ -42,13 +42,12 @@ class Content:
 
     configurations: list[Configuration]
     studies: Studies
-    audits: dict[str, list[Finding]]  # by metric definition
+    audits: dict[str, list[Finding]]  # by column of `claims.COLUMNS`
     tables: dict[str, pd.DataFrame]  # by the name of their CSV
     figures: list[Figure]
     narrow: list[Figure]  # the same, for a phone
     replays: dict[str, Any] | None
     baselines: dict[str, pd.DataFrame]
-    first_rule: pd.DataFrame  # its verdicts, as history
     left_out: list[str]
     worlds: Worlds | None  # the study of that name, where there is one
 
@@ -135,18 +134,19 @@ def gather(
         replayed = beside.submit(fly, flying)
         tell("measuring episodes")
         episodes, by_layout, watched, problems = watch(sorted_configurations)
-        evidence = {
-            definition: Rows(sorted_configurations, definition, episodes, by_layout)
-            for definition in DEFINITIONS
-        }
-        printed = {
-            definition: functools.partial(studies.of_paper, definition=definition)
-            for definition in DEFINITIONS
-        }
-        tell("judging the claims")
-        audits = {definition: audit(evidence[definition], printed[definition]) for definition in DEFINITIONS}
         baselines, unread = frames.baselines(folders)
-        tuned, untuned = tuning.read(folders, baselines)
+        tuned, winners, untuned = tuning.read(folders, baselines)
+        tell("judging the claims")
+        evidence = {
+            definition: Rows(sorted_configurations, definition, episodes, by_layout, winners)
+            for definition in DEFINITIONS
+        }
+        audits, errs = {}, []
+        for column, definition in COLUMNS.items():
+            printed = functools.partial(studies.of_paper, definition=definition)
+            audits[column] = audit(evidence[definition], printed, asked(CLAIMS, column))
+            shares = characteristics(evidence[definition], printed, asked(CLAIMS, column))
+            errs.append(shares.assign(column=column))
         survival, survived = frames.survival(sorted_configurations.main, baselines)
         overestimated, unvalued = _overestimation(of_paper)
         predictions = frames.predictions(evidence)
@@ -157,9 +157,11 @@ def gather(
             "overestimation": overestimated,
             "survival": survived,
             "predictions": predictions,
-            "operating": characteristics(evidence[PRIMARY], printed[PRIMARY]),
-            "gaps": frames.gaps(of_paper, baselines),
-            "fits": frames.fits(predictions),
+            "gaps": (gaps := frames.gaps(of_paper, baselines)),
+            "passing": frames.passing(gaps),
+            "by_default": frames.by_default(sorted_configurations, winners),
+            "fits": frames.fits(predictions, evidence),
+            "peaks": frames.peaks(of_paper, evidence[LOG_CURVE]),
             **tuned,
         }
         if sorted_configurations.tuned:
@@ -171,13 +173,16 @@ def gather(
             }
         if of_worlds := worlds.gather(folders):
             elsewhere = worlds.Evidence(of_worlds.seeds)
-            audits[SAMPLED] += audit(elsewhere, studies.of_paper, DISCUSSION)
-            errs = numbers["operating"], characteristics(elsewhere, studies.of_paper, DISCUSSION)
+            for column in (FINAL, OTHER):
+                claims = asked(DISCUSSION, column)
+                audits[column] += audit(elsewhere, studies.of_paper, claims)
+                shares = characteristics(elsewhere, studies.of_paper, claims)
+                errs.append(shares.assign(column=column))
             places = worlds.summary(of_worlds)
             numbers |= {"places": places, "leaders": worlds.leaders(places), "places_runs": of_worlds.runs}
-            numbers["operating"] = pd.concat(errs, ignore_index=True)
             left_out += of_worlds.left_out
-        numbers["verdicts"] = frames.verdicts(audits)
+        numbers |= {"verdicts": frames.verdicts(audits), "grades": frames.grades(audits)}
+        numbers["operating"] = pd.concat(errs, ignore_index=True)
         tell("drawing figures")
         drawn, narrow = (
             figures.draw(of_paper, numbers, watched, survival, of_worlds, width)
@@ -194,7 +199,6 @@ def gather(
         narrow,
         flown if flown["configurations"] else None,
         baselines,
-        frames.first_rule(folders[0]),
         list(dict.fromkeys([*left_out, *problems, *unvalued, *unread, *untuned, *flown["left_out"]])),
         of_worlds,
     )
@@ -273,6 +277,7 @@ def _tables(all_configurations: Studies, episodes: Episodes) -> dict[str, pd.Dat
     return {
         "seeds": values,
         "metrics": frames.estimates(values),
+        "one_run": frames.one_run(values),
         "tuned": frames.estimates(frames.per_seed_values(all_configurations.tuned)),
         "improvement": frames.improvement(of_paper),
         "interaction": frames.interactions(all_configurations.main),
@@ -283,8 +288,6 @@ def _tables(all_configurations: Studies, episodes: Episodes) -> dict[str, pd.Dat
         "configurations": frames.sizes(all_configurations),
         "effects": frames.effects(all_configurations),
         "worlds": frames.one_against_many(all_configurations),
-        "peaks": frames.peaks(of_paper),
-        "by_default": frames.by_default(all_configurations),
         "vectorised": frames.estimates(
             frames.per_seed_values(studies.paper_configurations(all_configurations.vectorised))
         ),

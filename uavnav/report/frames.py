@@ -31,18 +31,17 @@ from uavnav.report.configurations import (
 )
 from uavnav.report.studies import (
     AFTER,
-    TUNED,
     Configurations,
     Studies,
     hours,
     paper_configurations,
     timed,
 )
-from uavnav.report.verdicts import Finding, grade, of_claim
+from uavnav.report.verdicts import COUNTS, Finding, grade, of_claim
 from uavnav.runs import paper
 from uavnav.runs.definitions import DEFINITIONS, EVALUATIONS, PER_FRAME, SAMPLED
 from uavnav.runs.metrics import EVALUATED, finished
-from uavnav.runs.tables import RunError, read_csv, read_table
+from uavnav.runs.tables import RunError, read_table
 from uavnav.tasks.protocol import MAX_STEPS
 
 LIMIT = MAX_STEPS
@@ -76,6 +75,7 @@ RULE = "reactive"
 VECTORISED = "many environments"
 """The setting in which the study in many environments differs from that in one."""
 EVERY = "all configurations"
+SB3 = "SB3's log"
 CONCLUSIONS = {
     "tanh − relu": (("tanh",), ("relu",)),
     "bounded − unbounded": (BOUNDED, UNBOUNDED),
@@ -144,13 +144,27 @@ def _intervals(rows: tuple[bytes, ...]) -> list[list[stats.Interval]]:
 
 
 def verdicts(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
-    """Every part of every claim in every metric definition; of a claim as a whole, its grade."""
-    parts = []
-    for definition, findings in audits.items():
-        table = pd.DataFrame([finding._asdict() for finding in findings])
-        grades = {number: str(grade(of_claim(findings, number))) for number in table["claim"].unique()}
-        parts.append(table.assign(definition=definition, grade_of_claim=table["claim"].map(grades)))
+    """Every part of every claim in every column of `claims.COLUMNS`."""
+    parts = [
+        pd.DataFrame(findings, columns=Finding._fields).assign(column=column)
+        for column, findings in audits.items()
+    ]
     return pd.concat(parts, ignore_index=True)
+
+
+def grades(audits: Mapping[str, Sequence[Finding]]) -> pd.DataFrame:
+    """The grade of each claim in each column that has runs for it: columns claim, column, grade, how many
+    parts replicate of those that count, and the least and the most seeds of a part.
+    """
+    rows = []
+    for column, findings in audits.items():
+        for number in dict.fromkeys(one.claim for one in findings):
+            mine = of_claim(findings, number)
+            judged = [one for one in mine if one.standing == COUNTS and one.n] or mine
+            if seeds := [one.n for one in judged if one.n]:
+                rows.append([number, column, *grade(mine), min(seeds), max(seeds)])
+    columns = ["claim", "column", "grade", "replicating", "counting", "least", "most"]
+    return pd.DataFrame(rows, columns=columns).sort_values("claim", kind="stable", ignore_index=True)
 
 
 def predictions(evidence: Mapping[str, Evidence]) -> pd.DataFrame:
@@ -166,24 +180,6 @@ def predictions(evidence: Mapping[str, Evidence]) -> pd.DataFrame:
         rows.append([*configuration, metric, definition, number, *found])
     columns = ["algorithm", "activation", "metric", "definition", "paper", *stats.Prediction._fields]
     return pd.DataFrame(rows, columns=columns)
-
-
-FIRST_RULE = (
-    {"claim": "int64", "text": "object"}
-    | dict.fromkeys(("paper", "value", "low", "high", "p_holm"), "float64")
-    | {"n": "int64", "verdict": "object", "verdict_of_claim": "object"}
-)
-"""Columns of its verdicts."""
-
-
-def first_rule(folder: Path) -> pd.DataFrame:
-    """The verdicts of the first rule, which the report keeps as history; no rows where the folder has
-    none.
-    """
-    path = folder / "tables" / "first_rule.csv"
-    return (
-        read_csv(path, FIRST_RULE, "delete it") if path.exists() else pd.DataFrame(columns=["claim", "text"])
-    )
 
 
 def improvement(configurations: Configurations) -> pd.DataFrame:
@@ -330,24 +326,61 @@ def _flips(row: Mapping[str, Any], decided: Mapping[str, Any] | None) -> str:
     return "yes" if clear else "sign"
 
 
-def by_default(studies: Studies) -> pd.DataFrame:
-    """PPO's reward minus DQN's, tuned and in the main study: columns settings, activations, value, low, high,
-    n.
+def one_run(values: pd.DataFrame) -> pd.DataFrame:
+    """What one run a configuration, as the paper has, would say of reward: how often an activation would be
+    the best of its algorithm, and how often all would stand in the paper's order.
 
-    Both rows are of the activations that both algorithms have in the study `tuned`.
+    Columns algorithm, definition, what, share, n; values: as `per_seed_values` gives them.
+    """
+    rows = []
+    chosen = values[(values["metric"] == "reward") & values["activation"].isin(paper.ACTIVATIONS)]
+    chosen = chosen[chosen["definition"].isin(claims.COLUMNS.values())]
+    for (algorithm, definition), part in chosen.groupby(["algorithm", "definition"], sort=False):
+        seeds = {str(key): own.dropna().to_numpy() for key, own in part.groupby("activation")["value"]}
+        printed = {
+            one: paper.printed(str(algorithm), one, "reward", definition == PER_FRAME) for one in seeds
+        }
+        n = min(map(len, seeds.values()))
+        if len(seeds) < len(paper.ACTIVATIONS) or not n or not all(np.isfinite([*printed.values()])):
+            continue
+        in_order = sorted(seeds, key=lambda one: -printed[one])
+        shares = {f"{one} is best": stats.chance_of_best(seeds, one) for one in in_order}
+        shares["the paper's order"] = stats.chance_of_order([seeds[one] for one in in_order])
+        rows += [[algorithm, definition, what, share, n] for what, share in shares.items()]
+    return pd.DataFrame(rows, columns=["algorithm", "definition", "what", "share", "n"])
+
+
+def by_default(studies: Studies, winners: Configurations) -> pd.DataFrame:
+    """PPO's reward minus DQN's with other settings and in the main study: columns settings, activations,
+    value, low, high, n.
+
+    The first two rows are of the activations that both algorithms have with the preset `fast`. winners: of
+    trials; a row each for them, and for the lead with the preset minus theirs.
     """
     first, second = (
         [activation for which, activation in studies.tuned if which == one] for one in claims.ALGORITHMS
     )
     shared = [activation for activation in first if activation in second]
-    keys, rows = list(itertools.product(claims.ALGORITHMS, shared)), []
-    for settings, configurations in {f"preset {TUNED}": studies.tuned, "main study": studies.main}.items():
-        samples = [
-            of_seeds(configurations[key], SAMPLED) if key in configurations else np.empty(0) for key in keys
+    fast, searched = (
+        [of_seeds(own[key], SAMPLED) for key in itertools.product(claims.ALGORITHMS, names) if key in own]
+        for own, names in ((studies.tuned, shared), (winners, ["tanh"]))
+    )
+    main = [
+        of_seeds(studies.main[key], SAMPLED) if key in studies.main else np.empty(0)
+        for key in itertools.product(claims.ALGORITHMS, shared)
+    ]
+    words = ", ".join(shared)
+    rows = [[f"preset {claims.FAST}", words, *_first_minus_second(fast)]]
+    rows.append(["main study", words, *_first_minus_second(main)])
+    if shared and len(searched) == 2 and min(map(len, [*fast, *searched])) > 1:
+        rows.append([claims.TUNED, "tanh", *_first_minus_second(searched)])
+        weights = np.concatenate([[1, -1], [-1, 1]]).repeat([len(shared), len(shared), 1, 1])
+        found = stats.welch([*fast, *searched], (weights / [*[len(shared)] * len(fast), 1, 1])[None])
+        ends = [
+            float(one[0]) for one in (found.value, found.lower(stats.TAILS[0]), found.upper(stats.TAILS[0]))
         ]
-        found = _first_minus_second(samples)
-        rows.append({"settings": settings, "activations": ", ".join(shared), **found._asdict()})
-    return pd.DataFrame(rows)
+        rows.append([f"preset {claims.FAST} − {claims.TUNED}", words, *ends, min(map(len, fast))])
+    return pd.DataFrame(rows, columns=["settings", "activations", *NUMBERS])
 
 
 def speed(configurations: Configurations) -> pd.DataFrame:
@@ -427,6 +460,16 @@ def gaps(configurations: Configurations, scripted: Mapping[str, pd.DataFrame]) -
         "per_frame",
     ]
     return pd.DataFrame(rows, columns=[*columns, "gap", "gap_low", "gap_high", "above"])
+
+
+def passing(gaps: pd.DataFrame) -> pd.DataFrame:
+    """How many seeds of an algorithm pass the scripted policy: columns algorithm, mode, passing, n; gaps: as
+    `gaps` gives them.
+    """
+    learned = gaps[gaps["algorithm"] != ""]
+    counted = learned.assign(passing=(learned["above"] * learned["n"]).round())
+    found = counted.groupby(["algorithm", "mode"], sort=False)[["passing", "n"]].sum()
+    return found.astype("int64").reset_index()
 
 
 def best(gaps: pd.DataFrame, mode: str, algorithm: str) -> Any:
@@ -551,13 +594,14 @@ def carried(studies: Studies, evidence: Evidence) -> pd.DataFrame:
     return found if {*found["algorithm"]} - {*paper.TABLE_OF} else found[:0]
 
 
-def peaks(configurations: Configurations) -> pd.DataFrame:
+def peaks(configurations: Configurations, log: Evidence) -> pd.DataFrame:
     """When a configuration earns most per frame, and what it loses after 600,000 frames: columns
     configuration, measure, and `NUMBERS`.
 
     `peak` is the middle of each seed's best stretch of training [frames]; `lost` the share of the rise in
     reward per frame, from the first 300,000 frames to the next, that is gone in the last 100,000 (Fieller's
-    interval).
+    interval). The same by SB3's log (reward per episode), its means in these stretches, and how many seeds
+    lose more than half. log: the evidence of that definition.
     """
     rows = []
     for key, configuration in configurations.items():
@@ -573,18 +617,26 @@ def peaks(configurations: Configurations) -> pd.DataFrame:
             [name(*key), "peak", *stats.difference([best], [])],
             [name(*key), "lost", *stats.ratio(surge - after, surge - before)],
         ]
+        logged = {when: log(*key, f"reward_{when}") for when in ("before", "surge", "after")}
+        rows += [[name(*key), f"{when}, {SB3}", *stats.difference([one], [])] for when, one in logged.items()]
+        before, surge, after = logged.values()
+        halved = int((surge - after > (surge - before) / 2).sum())
+        rows.append([name(*key), f"lost, {SB3}", *stats.ratio(surge - after, surge - before)])
+        rows.append([name(*key), f"seeds that lose half, {SB3}", halved, np.nan, np.nan, len(after)])
     return pd.DataFrame(rows, columns=["configuration", "measure", *NUMBERS])
 
 
-def fits(predictions: pd.DataFrame) -> pd.DataFrame:
+def fits(predictions: pd.DataFrame, evidence: Mapping[str, Evidence]) -> pd.DataFrame:
     """How well the paper's numbers fit our prediction intervals: columns definition, configuration, within,
-    numbers, score.
+    numbers, score, p, farther.
 
     Of so many numbers, so many lie within. A wide interval holds any number, so the score of a 95 % interval
     (Gneiting and Raftery 2007, eq. 43) is its width plus 2 / 0.05 times how far it misses the number; the
     mean over numbers, each score in units of the paper's number. Less is better.
 
-    predictions: as `frames.predictions` gives it; numbers without seeds are left out.
+    p, farther: of a configuration's six numbers as one seed (`stats.joint`): its p value, and the share of
+    our seeds that the paper's run lies farther out than. predictions: as `frames.predictions` gives it;
+    numbers without seeds are left out; evidence: by metric definition.
     """
     known = predictions[predictions["n"] > 1]
     low, high, number = (known[name] for name in ("low", "high", "paper"))
@@ -593,12 +645,20 @@ def fits(predictions: pd.DataFrame) -> pd.DataFrame:
     named = known.assign(
         configuration=known["algorithm"].str.upper() + " " + known["activation"], score=score
     )
-    counted = [
-        (definition, configuration, int(part["within"].sum()), len(part), part["score"].mean())
-        for definition, own in named.groupby("definition", sort=False)
-        for configuration, part in [(EVERY, own), *own.groupby("configuration", sort=False)]
-    ]
-    return pd.DataFrame(counted, columns=["definition", "configuration", "within", "numbers", "score"])
+    counted = []
+    for definition, own in named.groupby("definition", sort=False):
+        for configuration, part in [(EVERY, own), *own.groupby("configuration", sort=False)]:
+            joint: tuple[float, ...] = (np.nan, np.nan)
+            if configuration != EVERY:
+                one = part.iloc[0]
+                key = one["algorithm"], one["activation"]
+                seeds = [evidence[str(definition)](*key, metric) for metric in part["metric"]]
+                if len({*map(len, seeds)}) == 1:
+                    joint = stats.joint(np.stack(seeds, 1), part["paper"].to_numpy())
+            facts = int(part["within"].sum()), len(part), part["score"].mean()
+            counted.append((definition, configuration, *facts, *joint))
+    columns = ["definition", "configuration", "within", "numbers", "score", "p", "farther"]
+    return pd.DataFrame(counted, columns=columns)
 
 
 def baselines(folders: Sequence[Path]) -> tuple[dict[str, pd.DataFrame], list[str]]:

@@ -14,8 +14,9 @@ from typing import Any
 import jinja2
 import pandas as pd
 
-from uavnav.report.claims import EVERY
+from uavnav.report.claims import COLUMNS, EVERY
 from uavnav.report.tables import in_brackets
+from uavnav.report.verdicts import BESIDE, COUNTS
 from uavnav.stats import Interval
 
 
@@ -39,7 +40,7 @@ class Quotes:
         self,
         name: str,
         sign: str,
-        column: str = "value",
+        of: str = "value",
         times: float = 1,
         unit: str = "",
         places: int | None = None,
@@ -58,37 +59,36 @@ class Quotes:
         if chosen.sum() != 1:
             raise Untrue(f"{name} has {chosen.sum()} rows of {where}")
         place = int(chosen.to_numpy().argmax())
-        ends = ("low", "high") if column in ("value", "reward") else (f"{column}_low", f"{column}_high")
-        values = [float(table.iloc[place].get(one, float("nan"))) for one in (column, *ends)]
+        ends = ("low", "high") if of in ("value", "reward", "mean") else (f"{of}_low", f"{of}_high")
+        values = [float(table.iloc[place].get(one, float("nan"))) for one in (of, *ends)]
         low, high = values[1:]
         if sign and sign != ("+" if low > 0 else "−" if high < 0 else "0" if low <= high else None):
-            raise Untrue(f"{name}, {where}: {column} {low} to {high} is not {sign}")
+            raise Untrue(f"{name}, {where}: {of} {low} to {high} is not {sign}")
         times = -times if sign == "−" else times
         value, low, high = (times * one for one in values)
         found = Interval(value, min(low, high), max(low, high), 0)
         return self.link(in_brackets(found, unit, places), name, place)
 
-    def claim(self, number: int, sign: str, column: str = "value", times: float = 1, unit: str = "") -> str:
-        """The effect, or its ratio to the paper's, of the part of a claim that its sentence is about."""
+    def claim(
+        self, number: int, sign: str, of: str = "value", times: float = 1, unit: str = "", **more: Any
+    ) -> str:
+        """The effect, or its ratio to the paper's, of a part of a claim that counts: the one that its
+        sentence is about, or another `column` and `text`.
+        """
         claim = EVERY[number - 1]
-        text = claim.parts[claim.shown].text
-        return self.quote(
-            "verdicts", sign, column, times, unit, definition=claim.decides, claim=number, text=text
-        )
+        if claim.shown is None:
+            raise Untrue(f"no part of claim {number} counts")
+        row = {"column": claim.column, "text": claim.asks(claim.column)[claim.shown].text, **more}
+        part = self.table("verdicts").query("claim == @number and column == @row['column']")
+        if part.set_index("text").standing.get(row["text"]) not in (COUNTS, BESIDE):
+            raise Untrue(f"claim {number}: {row['text']} does not count")
+        return self.quote("verdicts", sign, of, times, unit, claim=number, **row)
 
-    def graded(self, grade: str, *claims: int) -> str:
-        """How many claims have a grade: these and no others."""
-        table = self.table("verdicts")
-        decides = table["claim"].map({one.number: one.decides for one in EVERY})
-        grades = (
-            table[table["definition"] == decides]
-            .groupby("claim")["grade_of_claim"]
-            .first()
-            .str.partition(" (")[0]
-        )
-        if (found := grades[grades == grade].index.tolist()) != [*claims]:
-            raise Untrue(f"claims {found} have the grade {grade}")
-        return str(len(found))
+    def grade(self, number: int, *grades: str) -> str:
+        """Nothing, if a claim has these grades in the columns of `COLUMNS`; a dash where it has none."""
+        table = self.table("grades").query("claim == @number").set_index("column")["grade"]
+        found = [table.get(column, "–") for column in COLUMNS]
+        return self.check(found == [*grades])
 
     def check(self, holds: bool) -> str:
         """Nothing, if something holds."""
@@ -113,7 +113,8 @@ def block(name: str, quotes: Quotes) -> str:
     Raises:
         Untrue: it does not hold, or asks for a row that is not there.
     """
-    methods = {one: getattr(quotes, one) for one in ("table", "quote", "claim", "graded", "check", "link")}
+    names = ("table", "quote", "claim", "grade", "check", "link")
+    methods = {one: getattr(quotes, one) for one in names}
     return "".join(STUDY.blocks[name](STUDY.new_context(methods))).strip()
 
 

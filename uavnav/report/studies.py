@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavnav.report.claims import PRIMARY, SURGE
-from uavnav.report.configurations import Configuration, Key, order, read_as, show, windowed
+from uavnav.report.claims import FAST, PRIMARY, SURGE, TUNED
+from uavnav.report.configurations import Configuration, Key, episodes_of, order, read_as, show, windowed
 from uavnav.runs import POLICY, Run, paper
-from uavnav.runs.definitions import ALL, PER_FRAME
+from uavnav.runs.definitions import ALL, LOG_CURVE, PER_FRAME, last_hundred
 from uavnav.settings import flat
 from uavnav.stats import Array
 from uavnav.tasks.faults import NO_FAULTS
@@ -41,8 +41,6 @@ PLACES = {
 """What a study of the package answers: a field of `Studies`."""
 FOLLOWING = {"preset", "frames", "total_frames", "exploration_fraction", "layouts", "compile"}
 """Settings that a shorter study or another layout file changes along with what it is about."""
-TUNED = "fast"
-"""The preset of the study `tuned`."""
 AFTER = 100_000
 """Frames at the end of training, which tell what is left of a surge."""
 
@@ -66,6 +64,7 @@ class Studies(NamedTuple):
         """One of those that claims and questions ask, by its name; none where there is no such."""
         many = self.vectorised or self.main
         named = {"main": self.main, "vectorised": many, "baseline": self.baseline, "initial": self.initial}
+        named |= {FAST: self.tuned}
         return named.get(name) or self.why.get(name, {})
 
 
@@ -203,25 +202,33 @@ class Rows:
     definition: str  # one of `definitions.DEFINITIONS`
     episodes: Mapping[tuple[str, str, str], pd.DataFrame]
     by_layout: Mapping[tuple[str, str, str], pd.DataFrame] = field(default_factory=dict)
+    searched: Configurations = field(default_factory=dict)  # what the trials of `tuning` found
 
     def __post_init__(self) -> None:
         self._table = functools.cache(self._per_seed)
 
+    def _of(self, study: str) -> Configurations:
+        return self.searched if study == TUNED else self.studies.of(study)
+
     def _per_seed(self, study: str, algorithm: str, activation: str) -> pd.DataFrame:
-        configuration = self.studies.of(study)[algorithm, activation]
+        configuration = self._of(study)[algorithm, activation]
         table, frames = read_as(configuration, self.definition), configuration.settings["frames"]
-        if self.definition == PRIMARY and frames >= SURGE[1] + AFTER:
+        if self.definition in (PRIMARY, LOG_CURVE) and frames >= SURGE[1] + AFTER:
             windows = [(0, SURGE[0]), SURGE, (frames - AFTER, frames)]
+            if self.definition == LOG_CURVE:
+                rewards = last_hundred(episodes_of(configuration, LOG_CURVE), "reward", windows)
+            else:
+                rewards = windowed(configuration, "reward", windows)
             times = [f"reward_{when}" for when in ("before", "surge", "after")]
-            table = table.join(windowed(configuration, "reward", windows).set_axis(times, axis=1))
+            table = table.join(rewards.set_axis(times, axis=1))
         return table
 
     def __call__(self, algorithm: str, activation: str, metric: str, study: str = "main") -> Array:
-        configuration = self.studies.of(study).get((algorithm, activation))
+        configuration = self._of(study).get((algorithm, activation))
         if configuration is None:
             return np.empty(0)
         if metric == "hours":
-            return hours(configuration)
+            return hours(configuration) if self.definition == PRIMARY else np.empty(0)
         of_episodes = self.by_layout if metric.endswith("_by_layout") else self.episodes
         flown = of_episodes.get((study, algorithm, activation))
         if flown is not None and metric in flown:

@@ -14,9 +14,10 @@ import pandas as pd
 
 from uavnav import stats, style
 from uavnav.algorithms import ALGORITHMS
+from uavnav.report.claims import ALGORITHMS as OF_PAPER
 from uavnav.report.claims import NAMES
 from uavnav.report.configurations import Configuration, episodes_of, one_line, show
-from uavnav.report.frames import RULE, best, estimates, name, per_seed_values
+from uavnav.report.frames import RULE, estimates, name, per_seed_values
 from uavnav.report.studies import Configurations
 from uavnav.report.verdicts import (
     BESIDE,
@@ -32,7 +33,7 @@ from uavnav.report.verdicts import (
     p_shown,
 )
 from uavnav.runs import paper, trials
-from uavnav.runs.definitions import DEFINITIONS, PER_FRAME, SAMPLED, decimals, words
+from uavnav.runs.definitions import DEFINITIONS, LOG_CURVE, PER_FRAME, SAMPLED, decimals, words
 from uavnav.runs.metrics import METRICS, MODES, finished, per_seed
 from uavnav.runs.trials import DEFAULT, DIFFERENCE, TUNED
 
@@ -260,7 +261,7 @@ def audit_rows(findings: Sequence[Finding]) -> Rows:
     return rows
 
 
-def digits(finding: Finding | stats.Interval) -> int:
+def digits(finding: Any) -> int:
     """Decimals that show an effect's interval with two significant digits; without one, the effect with
     two.
     """
@@ -287,8 +288,8 @@ def said(finding: Finding) -> str:
         answer += f" ({_about(finding.to_equal)} would show absence)"
     if finding.standing in (COUNTS, DEGENERATE):
         return answer
-    needed = f" ({_about(finding.to_detect)} needed)" if finding.standing == TOO_SMALL else ""
-    return f"{finding.standing}{needed}; ours: {answer}"
+    needed = f" for n = {finding.n} ({_about(finding.to_detect)} needed)"
+    return f"{finding.standing}{needed * (finding.standing == TOO_SMALL)}; ours: {answer}"
 
 
 def _about(seeds: float) -> str:
@@ -315,10 +316,11 @@ def operating(shares: pd.DataFrame) -> Rows:
     """How often each claim would be graded what, if we knew the truth. shares: as
     `operating.characteristics` gives.
     """
-    rows = [["", "if the truth were", *GRADES[:-1]]]
-    for (claim, truth), part in shares.groupby(["claim", "truth"], sort=False):
+    rows = [["", "column", "if the truth were", *GRADES[:-1]]]
+    in_order = shares.sort_values("claim", kind="stable")
+    for (claim, column, truth), part in in_order.groupby(["claim", "column", "truth"], sort=False):
         shown = _across(part, "grade", GRADES[:-1], lambda one: f"{one['share']:.1%}")
-        rows.append([str(claim), str(truth), *shown])
+        rows.append([str(claim), str(column), str(truth), *shown])
     return rows
 
 
@@ -452,25 +454,32 @@ def baselines(found: Mapping[str, pd.DataFrame], main: Configurations) -> Rows:
     return rows if found else rows[:1]
 
 
-def episodes(frame: pd.DataFrame, root: str = "") -> Rows:
-    """Test episodes of the rule and of each of the paper's algorithms' best configurations: reward, its gap
-    to the rule, share still up. frame: of `frames.gaps`; root: of links.
+def rewards(numbers: Mapping[str, pd.DataFrame], root: str = "") -> Rows:
+    """Reward per episode of the paper's configurations: as printed, in training by SB3's log, and of final
+    policies on unseen layouts; then the scripted policy's. root: of links.
     """
-    rows = [["test episodes", "reward", "gap to the rule", "still flying at the limit"]]
-    best_ = [best(frame, mode, algorithm) for algorithm in paper.TABLE_OF for mode in MODES]
-    known = [*frame.index[frame["who"] == RULE], *(place for place in best_ if place is not None)]
-    for place in sorted(known, key=lambda place: -frame["reward"][place]):
-        one = frame.loc[place]
-        who = (
-            f"{in_words(one['who'])}, {one['mode']}"
-            if one["algorithm"]
-            else f"a scripted policy (`{one['who']}`)"
-        )
-        value, low, high, gap, *ends = map(float, one[[*REWARD, *GAP]])
-        reward = in_brackets(stats.Interval(value, low, high, one["n"]))
-        behind = in_brackets(stats.Interval(gap, ends[0], ends[1], one["n"]))
-        rows.append([who, f"[{reward}]({root}tables/gaps.csv#L{place + 2})", behind, f"{one['up']:.0%}"])
-    return rows
+    metrics, gaps = numbers["metrics"], numbers["gaps"]
+    logged = metrics[(metrics["metric"] == "reward") & (metrics["definition"] == LOG_CURVE)]
+    flown = gaps[gaps["mode"].isin((MODES[1], "scripted"))]
+    rows = [["reward an episode", "the paper, 1 run", "training, SB3's log", "unseen layouts, sampled"]]
+    for algorithm, activation in sorted(paper.TABLES, key=lambda key: OF_PAPER.index(key[0])):
+        of = logged[(logged["algorithm"] == algorithm) & (logged["activation"] == activation)]
+        own = flown[flown["who"] == name(algorithm, activation)]
+        printed = number(paper.printed(algorithm, activation, "reward"), 1)
+        ours = _cited(of, MEAN, "metrics", root), _cited(own, REWARD, "gaps", root)
+        rows.append([f"{algorithm.upper()} {NAMES[activation]}", printed, *ours])
+    rule = _cited(flown[flown["who"] == RULE], REWARD, "gaps", root)
+    return [*rows, ["scripted policy, exact sensing", NOTHING, NOTHING, rule]]
+
+
+def _cited(rows: pd.DataFrame, columns: Sequence[str], table: str, root: str) -> str:
+    """The number of a table's one row with its interval, and a link to it; a dash where there is none."""
+    if rows.empty:
+        return NOTHING
+    shown, bracket, interval = _interval(
+        rows.iloc[0], columns, digits(stats.Interval(*rows.iloc[0][list(columns)], 0))
+    ).partition(" [")
+    return f"[{shown}]({root}tables/{table}.csv#L{rows.index[0] + 2}){bracket}{interval}"
 
 
 def tuned(found: pd.DataFrame) -> Rows:

@@ -26,8 +26,11 @@ from uavnav.runs.trials import COLUMNS, DEFAULT, DIFFERENCE, IMPORTANCE, OF_IMPO
 Table = pd.DataFrame
 
 
-def read(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str, Table], list[str]]:
-    """The tables of the first study that tuned in some folders, by name, and a line for what is of no use.
+def read(
+    of: Sequence[Path], baselines: Mapping[str, Table]
+) -> tuple[dict[str, Table], Configurations, list[str]]:
+    """The tables of the first study that tuned in some folders, by name, the winners' configurations, and a
+    line for what is of no use.
 
     tuning: columns algorithm, settings (default, tuned, their difference), value, low, high, n, and the gap
     to the scripted policy; tuning_pairs: differences of two algorithms; tuning_trials: what was tried, with
@@ -35,7 +38,7 @@ def read(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str, 
     """
     found = trials.folders(of)
     if not found:
-        return {}, []
+        return {}, {}, []
     folder, *others = found
     left_out = [f"{other}: tuned too; the report shows {folder}" for other in others]
     try:
@@ -45,7 +48,7 @@ def read(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str, 
         algorithms = list(dict.fromkeys(tried["algorithm"]))
         won = {name: row["trial"] for name in algorithms if (row := trials.best(tried, name))}
     except RunError as error:
-        return {}, [str(error), *left_out]
+        return {}, {}, [str(error), *left_out]
     configurations: dict[str, Configurations] = {DEFAULT: {}, TUNED: {}}
     places = [(DEFAULT, folder / DEFAULT)]
     places += [(TUNED, folder / trials.winner(trial) / name) for name, trial in won.items()]
@@ -55,7 +58,8 @@ def read(of: Sequence[Path], baselines: Mapping[str, Table]) -> tuple[dict[str, 
         left_out += lines
     compared = _compared(configurations, baselines, algorithms)
     tables = {"tuning": compared, "tuning_pairs": _pairs(configurations, algorithms)}
-    return tables | {"tuning_trials": tried, "tuning_importance": importance}, left_out
+    tables |= {"tuning_trials": tried, "tuning_importance": importance}
+    return tables, configurations[TUNED], left_out
 
 
 def so_far(trials: Table) -> pd.Series[float]:

@@ -27,19 +27,22 @@ ALPHA = 0.05
 POWER = 0.8
 """A part counts if the paper's own effect would be found with this probability."""
 HALF = 0.5
-"""An effect is absent if it lies within plus and minus this share of the paper's."""
-VERDICTS = REPLICATES, REVERSES, ABSENT, OPEN, DEGENERATE = (
+"""An effect is absent if it lies within plus and minus this share of the paper's, and smaller if below it."""
+REPLICATES, REVERSES, ABSENT, SMALLER, OPEN, DEGENERATE = (
     "replicates",
     "reverses",
     "absent",
+    "smaller",
     "open",
     "degenerate",
 )
 COUNTS, NO_RUNS, TOO_FEW = "counts", "no runs", "too few seeds"
-AGAINST_ITSELF, TOO_SMALL, BESIDE = "the paper contradicts itself", "too small to see", "beside the claim"
+AGAINST_ITSELF, BESIDE = "the paper contradicts itself", "beside the claim"
+TOO_SMALL = "the paper's effect is too small"
+"""For as many seeds as there are."""
 """Whether a part counts for its claim's grade, and why not (`DEGENERATE` is a reason too)."""
-GRADES = (REPLICATES, "in part", "does not", OPEN, "context")
-_, IN_PART, DOES_NOT, _, CONTEXT = GRADES
+GRADES = (REPLICATES, "in part", SMALLER, "does not", OPEN, "context")
+_, IN_PART, _, DOES_NOT, _, CONTEXT = GRADES
 
 
 class Finding(NamedTuple):
@@ -116,8 +119,8 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
     """
     found = [_contrasts(part, of) for part, of in zip(parts, samples, strict=True)]
     shape = np.broadcast_shapes(*(one.value.shape[:-1] for one in found if one is not None), ())
-    standings = np.full((*shape, len(parts)), COUNTS, dtype="<U28")
-    p, power = np.full((2, *standings.shape), np.nan)
+    standings = np.full((*shape, len(parts)), COUNTS, dtype="<U31")
+    p, power, smaller = np.full((3, *standings.shape), np.nan)
     toward, within = np.zeros((2, *standings.shape), dtype=bool)
     for place, (part, one, own) in enumerate(zip(parts, found, printed, strict=True)):
         if part.beside:
@@ -145,7 +148,13 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
     standings[(standings == COUNTS) & (power < POWER)] = TOO_SMALL
     counting = standings == COUNTS
     p_holm = np.where(counting, stats.holm(np.where(counting, p, np.nan)), p)
-    verdicts = np.select([p_holm >= ALPHA, toward], [np.where(within, ABSENT, OPEN), REPLICATES], REVERSES)
+    last = counting.sum(-1) - (counting & (p_holm < ALPHA)).sum(-1)  # parts that Holm's steps do not reach
+    for place, (part, one, own) in enumerate(zip(parts, found, printed, strict=True)):
+        if one is not None and (effect := _extreme(part, own)) > 0:
+            level = ALPHA / np.where(counting[..., place], np.maximum(last, 1), 1)
+            smaller[..., place] = _interval(part, one, level[..., None])[1] < HALF * effect
+    unclear = np.select([within, smaller == 1], [ABSENT, SMALLER], OPEN)
+    verdicts = np.select([p_holm >= ALPHA, toward], [unclear, REPLICATES], REVERSES)
     verdicts = np.where(np.isnan(p), [OPEN if one is None else DEGENERATE for one in found], verdicts)
     return Judgement(verdicts, standings, within, p, p_holm, power, _grades(verdicts, standings))
 
@@ -153,16 +162,17 @@ def judge(parts: Sequence[Part], samples: Sequence[Sequence[Array]], printed: Se
 def _grades(verdicts: Names, standings: Names) -> Names:
     """The grades [...] of claims from their parts' verdicts and standings, each [..., P].
 
-    Of the parts that count: all replicate -> replicates; some -> in part; none, and one reverses or is absent
-    -> does not; none, and nothing is shown -> open. A claim all of whose parts stand beside it is context.
+    Of the parts that count: all replicate -> replicates (in part while others wait for their runs); some ->
+    in part; none, and one reverses or is absent -> does not; none, and one is smaller -> smaller; none, and
+    nothing is shown -> open. A claim all of whose parts stand beside it is context.
     """
-    counting = standings == COUNTS
-    do, against = (
-        (np.isin(verdicts, kinds) & counting).sum(-1) for kinds in ((REPLICATES,), (REVERSES, ABSENT))
+    counting, waits = standings == COUNTS, (standings == NO_RUNS).any(-1)
+    do, against, less = (
+        (np.isin(verdicts, kinds) & counting).sum(-1)
+        for kinds in ((REPLICATES,), (REVERSES, ABSENT), (SMALLER,))
     )
-    grades = np.select(
-        [do == 0, do < counting.sum(-1)], [np.where(against > 0, DOES_NOT, OPEN), IN_PART], REPLICATES
-    )
+    none = np.select([against > 0, less > 0], [DOES_NOT, SMALLER], OPEN)
+    grades = np.select([do == 0, waits | (do < counting.sum(-1))], [none, IN_PART], REPLICATES)
     return np.where((standings == BESIDE).all(-1), CONTEXT, grades)
 
 
@@ -172,7 +182,7 @@ def of_claim(findings: Sequence[Finding], number: int) -> list[Finding]:
 
 
 class Grade(NamedTuple):
-    """What a claim comes to: so many of the parts that count replicate."""
+    """What a claim comes to: so many replicate of the parts that count, or would with runs."""
 
     name: str
     replicating: int
@@ -187,9 +197,9 @@ def grade(findings: Sequence[Finding]) -> Grade:
     verdicts, standings = (
         np.array([getattr(one, field) for one in findings]) for field in ("verdict", "standing")
     )
-    counting = standings == COUNTS
-    replicating = int((counting & (verdicts == REPLICATES)).sum())
-    return Grade(str(_grades(verdicts, standings)), replicating, int(counting.sum()))
+    replicating = int(((standings == COUNTS) & (verdicts == REPLICATES)).sum())
+    counting = int(np.isin(standings, (COUNTS, NO_RUNS)).sum())
+    return Grade(str(_grades(verdicts, standings)), replicating, counting)
 
 
 def _size(sample: Array) -> int:
@@ -223,8 +233,8 @@ def _p_values(part: Part, found: Contrasts) -> tuple[Array, Array]:
     return np.minimum(1.0, count * above.min(-1)), (1 - above).max(-1)
 
 
-def _interval(part: Part, found: Contrasts, level: float) -> tuple[Array, Array]:
-    """The interval of 1 - level of a part's effect: it excludes 0 exactly where `_p_values` say so.
+def _interval(part: Part, found: Contrasts, level: float | Array) -> tuple[Array, Array]:
+    """The interval of 1 - level [..., 1] of a part's effect: it excludes 0 exactly where `_p_values` say so.
 
     The smallest of J contrasts is above the smallest of their lower ends, each at level / 2, and below the
     smallest of their upper ends, each at level / 2J.

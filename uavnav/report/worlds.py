@@ -6,6 +6,7 @@ Letters: S seeds of a configuration.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,17 @@ import numpy as np
 import pandas as pd
 
 from uavnav import stats, style
-from uavnav.report.claims import ALL_WORLDS, EXPLAINS, RANKED, SCATTER, SLOPE, VARIATION, at, slopes
+from uavnav.report.claims import (
+    ALL_WORLDS,
+    CRASHED,
+    EXPLAINS,
+    RANKED,
+    SCATTER,
+    SLOPE,
+    VARIATION,
+    at,
+    slopes,
+)
 from uavnav.report.configurations import of_worlds, one_line, order, settings_of
 from uavnav.runs import Run, run_folders
 from uavnav.runs.metrics import EVALUATED, OWN, PER_EPISODE, collided, of_episodes
@@ -210,7 +221,11 @@ def measured(flown: pd.DataFrame, limit: int) -> pd.DataFrame:
         )
         for seed, one in flown.groupby("seed")
     }
-    return of_episodes(flown).drop(columns="survive").assign(survival=pd.Series(survival))
+    crashed = {CRASHED: ended.groupby(flown["seed"]).mean()}
+    return of_episodes(flown).drop(columns="survive").assign(survival=pd.Series(survival), **crashed)
+
+
+_NONE = pd.DataFrame()
 
 
 @dataclass(eq=False)
@@ -223,6 +238,7 @@ class Evidence:
 
     def __post_init__(self) -> None:
         self._seeds = dict(self.seeds)
+        self._ranks = functools.cache(self._explains)
         self._worlds = [*dict.fromkeys(world for world, _, _ in self.seeds if world == _place(world))]
         for world in dict.fromkeys(world for world, _, _ in self._seeds):
             mine = {key: table for key, table in self._seeds.items() if key[0] == world}
@@ -234,7 +250,7 @@ class Evidence:
 
     def __call__(self, algorithm: str, activation: str, metric: str, study: str = ALL_WORLDS) -> Array:
         if algorithm == RANKED:
-            found = self._explains(metric)
+            found = self._ranks(metric, () if study == ALL_WORLDS else ("sac",))
             return found if activation == RANKED else np.zeros(len(found))
         if study != ALL_WORLDS:
             table = self._seeds.get((study, algorithm, activation))
@@ -246,19 +262,20 @@ class Evidence:
 
     def _everywhere(self, algorithm: str, activation: str) -> list[pd.DataFrame]:
         """A configuration's seeds in each world, with the default preset; nothing where it lacks a world."""
-        found = [self._seeds.get((world, algorithm, activation), pd.DataFrame()) for world in self._worlds]
+        found = [self._seeds.get((world, algorithm, activation), _NONE) for world in self._worlds]
         return found if all(map(len, found)) else []
 
-    def _explains(self, metric: str) -> Array:
+    def _explains(self, metric: str, without: Sequence[str] = ()) -> Array:
         """The rank correlation of a measure with the reward across the configurations of a world, mean over
-        worlds: [S].
+        worlds: [S]; without: some algorithms.
 
         Seeds of the same number are taken together: as if each were a study of its own.
         """
         measure = next(name for name, explains in EXPLAINS.items() if explains == metric)
         parts = []
         for world in self._worlds:
-            configurations = (key for key in self._seeds if key[0] == world and self._everywhere(*key[1:]))
+            own = (key for key in self._seeds if key[0] == world and key[1] not in without)
+            configurations = (key for key in own if self._everywhere(*key[1:]))
             mine = [
                 table for configuration in configurations if measure in (table := self._seeds[configuration])
             ]

@@ -84,6 +84,24 @@ def log_curve(episodes: pd.DataFrame, frames: int, unit: str, every: int) -> pd.
     return pd.DataFrame(means, pd.Index(seeds, name="seed"), list(METRICS))
 
 
+def last_hundred(episodes: pd.DataFrame, column: str, windows: Sequence[tuple[float, float]]) -> pd.DataFrame:
+    """The mean over the frames of windows of what Stable-Baselines3 would log there: the mean of a column
+    over the last 100 episodes that have ended (`rollout/ep_rew_mean`); a row a seed, a column a window.
+
+    Frames before the first episode's end count for nothing.
+    """
+    rows = {}
+    for seed, own in in_order(episodes).groupby("seed"):
+        sums = np.concatenate([[0.0], own[column].to_numpy(np.float64).cumsum()])
+        ended = np.arange(1, len(sums))
+        since = np.maximum(ended - LAST, 0)
+        logged, ends = (sums[ended] - sums[since]) / (ended - since), own["frame"].to_numpy(np.float64)
+        frames = [np.diff(np.clip([*ends, math.inf], *window)) for window in windows]
+        rows[seed] = [logged @ one / one.sum() if one.sum() else math.nan for one in frames]
+    index = pd.Index([*rows], name="seed")
+    return pd.DataFrame([*rows.values()], index, range(len(windows)), dtype=np.float64)
+
+
 def within(
     episodes: pd.DataFrame,
     column: str,

@@ -1,0 +1,157 @@
+"""The first screen of the committed report in a real browser: a sentence, drones that fly by themselves,
+one figure.
+"""
+
+import time
+
+import pytest
+from browsing import (
+    NARROW,
+    RESULTS,
+    WIDE,
+    complaints,
+    find,
+    forget,
+    one,
+    press,
+    requested,
+    resize,
+    theme,
+    unfold,
+    violations,
+    wait,
+)
+from selenium.webdriver.common.keys import Keys
+from tied import MOST_WORDS, words
+
+pytestmark = pytest.mark.slow
+
+REPORT = RESULTS / "report.html"
+SCREENS = [(WIDE, 800), (NARROW, 844)]
+HEIGHT_BEFORE = {WIDE: 42_118, NARROW: 52_843}
+"""Of the page before sections were folded [px], by width."""
+PICTURES = "return [...document.querySelectorAll('.together canvas')].map((one) => one.toDataURL())"
+
+
+def visit(browser, width=WIDE, height=800, motion="reduce", colours="light"):
+    forget(browser)
+    resize(browser, width, height)
+    theme(browser, colours, motion)
+    browser.get("about:blank")
+    browser.get(REPORT.as_uri())
+    wait(browser, lambda: one(browser, ".together output").text)
+    return browser
+
+
+@pytest.mark.parametrize(("width", "height"), SCREENS)
+def test_sentence_three_drones_and_figure_lie_within_the_first_screen(chrome, width, height):
+    visit(chrome, width, height)
+    seen = find(
+        chrome,
+        "h1, .together canvas, .together figcaption, .together button, #figure-configurations-episodes img",
+    )
+    assert len(seen) == 1 + 3 + 3 + 1 + 1
+    for element in seen:
+        box = element.rect
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= width
+        assert box["y"] >= 0
+        assert box["y"] + box["height"] <= height
+        assert min(box["width"], box["height"]) > 15
+    assert complaints(chrome) == []
+
+
+def test_the_drones_fly_without_a_click_and_a_button_stops_them(chrome):
+    visit(chrome, motion="no-preference")
+    before = chrome.execute_script(PICTURES)
+    assert len(set(before)) == 3
+    wait(chrome, lambda: all(a != b for a, b in zip(chrome.execute_script(PICTURES), before, strict=True)))
+    chrome.execute_script("arguments[0].focus()", one(chrome, ".together button"))
+    press(chrome, Keys.SPACE)
+    assert one(chrome, ".together button").text == "Play"
+    still = chrome.execute_script(PICTURES)
+    time.sleep(0.3)
+    assert chrome.execute_script(PICTURES) == still
+    assert [url for url in requested(chrome) if not url.startswith(("data:", "about:"))] == [REPORT.as_uri()]
+    assert complaints(chrome) == []
+
+
+def test_under_reduced_motion_the_drones_wait_in_mid_episode_until_they_are_asked(chrome):
+    visit(chrome)
+    before = chrome.execute_script(PICTURES)
+    time.sleep(0.5)
+    assert chrome.execute_script(PICTURES) == before
+    assert "step 240" in find(chrome, ".together output")[-1].text  # of the rule, which flies on
+    one(chrome, ".together button").click()
+    wait(chrome, lambda: chrome.execute_script(PICTURES) != before)
+
+
+def test_an_episode_that_ends_says_how_and_when(chrome):
+    visit(chrome)
+    words = "const page = document.getElementById('together').cloneNode(true);"
+    words += "const data = JSON.parse(document.getElementById('together-data').textContent);"
+    words += (
+        "const one = startTogether(page, data); return one.load(0).then(() => { one.step = 1e9; one.draw();"
+    )
+    words += "return one.drones.map(({ output, episode }) =>"
+    words += " [output.textContent, episode.ended, episode.steps]); })"
+    for said, ended, n in chrome.execute_script(words):
+        assert said.endswith(f", {'collided' if ended == 'collision' else 'stopped'} at step {n:,}")
+
+
+def test_the_palette_of_a_site_recolours_the_drones(chrome):
+    visit(chrome)
+    before = chrome.execute_script(PICTURES)
+    chrome.execute_script(
+        "document.querySelector('.first').style.cssText = '--drone-1: red; --drone-2: red; --drone-3: red';"
+        "document.body.setAttribute('data-md-color-scheme', 'slate')"
+    )
+    wait(chrome, lambda: all(a != b for a, b in zip(chrome.execute_script(PICTURES), before, strict=True)))
+
+
+def test_the_sentence_is_short_and_its_number_leads_to_its_row_and_the_drones_have_names(chrome):
+    visit(chrome)
+    assert 5 < len(words(one(chrome, "h1").text)) <= MOST_WORDS
+    link = one(chrome, "h1 a")
+    assert link.get_dom_attribute("href").startswith("#row-gaps-")
+    chrome.execute_script("arguments[0].click()", link)
+    wait(chrome, lambda: one(chrome, "tr:target").is_displayed())
+    assert one(chrome, "h1 a").text.split()[0] in one(chrome, "tr:target").text.replace("−", "")
+    names = [
+        canvas.get_dom_attribute("aria-label").split(",")[0] for canvas in find(chrome, ".together canvas")
+    ]
+    assert [name.split()[0] for name in names] == ["PPO", "DQN", "scripted"]
+    shown = "return [...document.querySelectorAll('.together strong')].map((one) => one.textContent)"
+    assert chrome.execute_script(shown) == names
+
+
+@pytest.mark.parametrize(("width", "height"), SCREENS)
+def test_the_page_as_it_opens_is_at_most_half_as_tall_as_it_was(chrome, width, height):
+    visit(chrome, width, height)
+    assert chrome.execute_script("return document.documentElement.scrollHeight") < HEIGHT_BEFORE[width] / 2
+
+
+def test_at_390_px_every_figure_is_whole_and_drawn_for_it_with_words_that_can_be_read(chrome):
+    visit(chrome, NARROW, 844)
+    unfold(chrome)
+    pictures = find(chrome, ".plot img")
+    assert len(pictures) == len([*(RESULTS / "figures").glob("*.svg")])
+    for picture in pictures:
+        wait(chrome, lambda picture=picture: picture.get_property("naturalWidth"))
+        shown, drawn = picture.rect["width"], picture.get_property("naturalWidth")
+        assert picture.rect["x"] >= 0
+        assert picture.rect["x"] + shown <= NARROW
+        assert shown / drawn * 16 > 11  # [px] of letters that are drawn with 12 pt
+
+
+def test_the_page_takes_less_than_6_mb():
+    assert REPORT.stat().st_size < 6e6
+
+
+@pytest.mark.parametrize(("width", "colours"), [(WIDE, "light"), (NARROW, "dark")])
+def test_axe_finds_nothing_on_the_page_as_it_opens(chrome, width, colours):
+    visit(chrome, width, colours=colours)
+    chrome.execute_script(
+        "document.querySelectorAll('details > :not(summary)').forEach((one) => one.remove())"
+    )
+    assert violations(chrome) == []

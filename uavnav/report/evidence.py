@@ -54,7 +54,7 @@ def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quote
 def graded(row: pd.Series) -> str:
     """A claim's grade and the seeds behind it, of a row of `frames.grades`."""
     seeds = " to ".join(map(str, dict.fromkeys([row["least"], row["most"]])))
-    counts = f" {row['replicating']}/{row['counting']}" * (row["counting"] > 0)
+    counts = f" {row['replicating']}/{row['counting']}" * bool(row["counting"] > 0)
     return f"{row['grade']}{counts}, n = {seeds}"
 
 

@@ -79,7 +79,7 @@ def test_straight_ahead_collides_in_step_28_and_its_trail_is_drawn():
     assert flown.ended == "collided"
     frames = Film([flown], obstacles, 800, every=10)
     assert len(frames) == 4
-    assert frames.colours == [(86, 180, 233)]  # the first of others
+    assert frames.colours == [(204, 121, 167)]  # the first of others
     assert colour(frames[-1][:600], 400, 350) == frames.colours[0]
     assert colour(frames[0][:600], 400, 350) != frames.colours[0]
 

@@ -781,7 +781,7 @@ CASES = [
         nothing,
         lambda f: Run(LONG),
         RunError,
-        LONG[:50] + "x…x",
+        "xxx…xxx",
         RUN,
         f"evaluate {LONG}",
     ),

@@ -352,7 +352,11 @@ def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_f
 @pytest.mark.parametrize(
     ("arguments", "error", "says"),
     [
-        ({"reward": "eq41"}, ValueError, "reward='eq41'; choose from eq14, additive, initial, goal"),
+        (
+            {"reward": "eq41"},
+            ValueError,
+            "reward='eq41'; did you mean eq14? choose from additive, eq14, goal, initial",
+        ),
         ({"max_steps": 0}, ValueError, "max_steps=0; choose None or a whole number from 1"),
         (
             {"batch_size": [3, 2], "seeds": [1, 2]},
@@ -363,7 +367,7 @@ def test_a_uniform_policy_turns_in_90_stops_in_10_fully_stops_in_1_percent_and_f
         (
             {"layouts": "trian"},
             uavnav.LayoutError,
-            "layouts='trian': no such layout file; choose from train, validation, test",
+            "layouts='trian': no such layout file (did you mean train?); choose from train, validation, test",
         ),
         ({"layouts": torch.zeros(2, 8, 3)}, uavnav.LayoutError, "radius outside 30 ... 100 px"),
     ],

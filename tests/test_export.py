@@ -224,7 +224,8 @@ def test_the_command_writes_the_named_seed(run, tmp_path):
 def test_what_cannot_be_written_is_one_line_and_no_file(run, tmp_path, monkeypatch):
     policy = load_policy(run.path)
     with pytest.raises(
-        PolicyError, match=r"policy\.pt: its suffix says what to write; choose from \.onnx, \.pt2"
+        PolicyError,
+        match=r"policy\.pt: its suffix says .*; did you mean \.pt2\? choose from \.onnx, \.pt2",
     ):
         export_policy(policy, tmp_path / "policy.pt")
     with pytest.raises(RunError, match=r"policy\.pt2: cannot be written"):

@@ -208,7 +208,7 @@ def test_only_policies_of_one_stack_and_the_same_faults_fly_as_one_batch():
 
 def test_a_replay_shows_the_newest_ten_slots_of_a_stack():
     own = make_task(EMPTY, stack=3, faults={"noise": 2.0})
-    ((episode,),) = replays.fly([(0, untrained(own))], layouts.load("test")[:4], 1, 12)
+    ((episode,),) = replays.fly([replays.Flyer(0, untrained(own), [0])], layouts.load("test")[:4], 12)
     assert episode.poses["slots"].shape[1:] == (10, 3)
 
 

@@ -903,7 +903,13 @@ CASES = [
     ),
     run("meta.json", "compiled in words", meta(compiled="yes"), "not a run's, its compiled=yes", RUN),
     run("meta.json", "a number of 1,000 digits", meta(frames=10**999), DAMAGED, RUN),
-    run("", "under way", status("running"), "the run is not finished", "give the same command again"),
+    run(
+        "",
+        "under way",
+        status("running"),
+        "the run is not finished",
+        "give the command that trained it again",
+    ),
     *(
         run(f"{name}.parquet", how, spoil, wrong, OVERWRITE)
         for name in ("episodes", "progress")

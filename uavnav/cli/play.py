@@ -45,7 +45,7 @@ def main(arguments: Namespace) -> int:
     )
     out = write_page("play", arguments.out or where(), flyers, opening)
     shown = has_screen() and webbrowser.open(out.absolute().as_uri())
-    says = "it opens in your browser" if shown else "no browser can be opened here: open the file in one"
+    says = "it opens in your browser" if shown else f"open {out.absolute().as_uri()} in a browser"
     print(f"{out}: policies: {len(flyers.policies)}; {says}")
     return 0
 

@@ -123,7 +123,7 @@ def _rewards(path: Path, task: str) -> dict[str, float | None]:
 def words(one: Mapping[str, Any]) -> list[str]:
     """A run as the table shows it, by `COLUMNS`."""
     first, last = one["seeds"]
-    done = one["status"] in ("finished", "shipped")
+    done = one["frames"] == one["total"]
     return [
         one["run"],
         f"{one['algorithm']} {one['activation']}",

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 MODE = "sampled"
 """As a policy acts at the end of training."""
 MARKS = (100, 1_000, 10_000)
-"""Steps after which the episodes that are still up are counted."""
+"""Steps after which the episodes that go on are counted."""
 SENSES = ("sensor_radius", "sensor_arc", "n_slots", "slots", "padding", "sense_velocity")
 """Fields of a world that are the drone's own: neither layouts nor rewards depend on them."""
 BARS = "▁▂▃▄▅▆▇█"
@@ -242,8 +242,16 @@ def pairs(contenders: Sequence[Contender]) -> tables.Rows:
     return rows
 
 
+def caution(contenders: Sequence[Contender]) -> str:
+    """What runs of one seed do not show; empty where every run has several."""
+    trained = [one for one in contenders if one.configuration is not None]
+    if all(one.episodes["seed"].nunique() != 1 for one in trained):
+        return ""
+    return "One seed shows a run, not its settings: other seeds may earn far more or less. Try n_seeds=5."
+
+
 def survival(contenders: Sequence[Contender]) -> dict[str, pd.Series[float]]:
-    """The share of episodes that are still up, by steps."""
+    """The share of episodes that last longer, by steps."""
     return {
         one.name: stats.survival(one.episodes["steps"].to_numpy(), one.episodes["terminated"].to_numpy())
         for one in contenders
@@ -290,7 +298,7 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
     for row in rows[1:]:
         table.add_row(*row)
     console.print(table)
-    up = Table(title="Episodes still up [%] after so many steps", title_justify="left", box=None)
+    up = Table(title="Episodes that last longer than so many steps [%]", title_justify="left", box=None)
     up.add_column("")
     marks = [mark for mark in MARKS if mark <= contenders[0].protocol["max_steps"]]
     for mark in marks:
@@ -301,6 +309,8 @@ def text(contenders: Sequence[Contender], console: Console) -> None:
     for a, b, more, over, probability, p in pairs(contenders)[1:]:
         beats = f"; a seed of it has more with probability {probability}, p = {p} (Holm)"
         console.print(f"{a} minus {b}: {more} of reward, over {over}{beats * (p != tables.NOTHING)}")
+    if told := caution(contenders):
+        console.print(told)
     for one in contenders:
         if one.configuration is not None:
             line = curves.learning(one.configuration, "reward")["mean"]
@@ -333,6 +343,7 @@ def page(contenders: Sequence[Contender]) -> bytes:
         names=[one.name for one in contenders],
         flown=flown(contenders),
         apart=apart(contenders),
+        caution=caution(contenders),
         tables={
             "Means over seeds, with their 95 % intervals": [
                 list(row) for row in zip(*tables.side_by_side(seeds_of(contenders)), strict=True)

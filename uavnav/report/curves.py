@@ -1,4 +1,4 @@
-"""Figures of lines: learning curves, diagnostics of networks over training, episodes still up over steps.
+"""Figures of lines: learning curves, diagnostics of networks over training, how many episodes last longer.
 
 Every function takes plain data and returns a figure with its words. Letters: S seeds of a configuration, B
 bins of frames.
@@ -67,7 +67,9 @@ def curves(
     axes.set_xlabel("frames per seed")
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.xaxis.set_major_locator(MaxNLocator(6 if width >= style.WIDTH else 3))
-    handles = [Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")]
+    several = any(one.n_seeds > 1 for one in configurations.values())
+    band = Line2D([], [], color=style.PALE, linewidth=8, alpha=0.4, label="95 % interval over seeds")
+    handles = [band] * several
     handles += [Line2D([], [], color=style.PALE, linestyle="--", label="the paper's mean")] * bool(printed)
     style.legend(figure, [*axes.get_legend_handles_labels()[0], *handles], 3)
     return style.Drawn(figure, f"{title} against frames per seed; in the last bin: {'; '.join(ends)}.")

@@ -36,7 +36,7 @@ import pandas as pd
 from pydantic import Field
 
 from uavnav import files
-from uavnav.errors import LONG
+from uavnav.errors import LONG, did_you_mean
 from uavnav.files import Facts
 from uavnav.runs.evaluations import usual
 from uavnav.runs.lately import NOTHING, Lately
@@ -142,7 +142,7 @@ class Run:
         self.config: dict[str, Any] = read_settings(self.path / "config.yaml")
         self.meta: dict[str, Any] = read_settings(self.path / "meta.json")
         if self.meta.get("status") != FINISHED:
-            raise RunError(f"{path}: the run is not finished; give the same command again to complete it")
+            raise RunError(f"{path}: the run is not finished; give the command that trained it again")
         if self.meta.get("frames") is None:
             raise RunError(f"{self.path / 'meta.json'}: not a run's, its frames=None; give a run's folder")
         self.algorithm: str = self.config.pop("algorithm")
@@ -298,8 +298,9 @@ def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
         RunError: it is missing, a file, or holds no run.
     """
     if not os.path.isdir(folder):  # Path.is_dir would raise for a name that is too long
+        beside = [name for name in ("runs", "results") if os.path.isdir(name)]
         problem = "is a file" if os.path.exists(folder) else "there is no such folder"
-        raise RunError(f"{folder}: {problem}; give a folder that holds runs")
+        raise RunError(f"{folder}: {problem}{did_you_mean(folder, beside)}; give a folder that holds runs")
     found, strays = [], []
     for path, names, there in os.walk(folder):
         none = (*NO_RUNS, TRIALS) if Path(path).name == TUNING else NO_RUNS
@@ -313,7 +314,5 @@ def run_folders(folder: Path) -> tuple[list[Path], list[str]]:
                 f"{path}/{name}: lies where no run is" for name in sorted(there) if name.endswith(".parquet")
             ]
     if not found:
-        raise RunError(
-            f"{folder}: holds no run; give a folder that does, or train one with out={folder}/ppo/tanh"
-        )
+        raise RunError(f"{folder}: holds no run; give a folder that does, or train one: uavnav train ppo")
     return found, strays

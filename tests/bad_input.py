@@ -908,7 +908,7 @@ CASES = [
         "under way",
         status("running"),
         "the run is not finished",
-        "give the command that trained it again",
+        "that trained it again",
     ),
     *(
         run(f"{name}.parquet", how, spoil, wrong, OVERWRITE)

@@ -248,7 +248,7 @@ def carry_out(tmp_path, monkeypatch, undrawn):
     def run(command):
         if command == "make train":
             (command,) = re.findall(
-                r"^train:.*\n\t\$\(BIN\)/(.*)", (ROOT / "Makefile").read_text(), re.MULTILINE
+                r"^train:.*\n\t@.*\n\t\$\(BIN\)/(.*)", (ROOT / "Makefile").read_text(), re.MULTILINE
             )
         program, *words = as_uavnav(shlex.split(command))
         assert program == "uavnav"

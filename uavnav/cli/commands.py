@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
+import os
 import re
 import sys
 import warnings
@@ -97,7 +98,10 @@ def _say_at_once(given: argparse.Namespace) -> None:
     if not (given.quiet or given.json or given.help or given.cfg):
         preset, activation = (names_in(given.settings, key) or [USUAL[key]] for key in USUAL)
         who = f"{given.algorithm} {', '.join(activation)}, preset {', '.join(preset)}"
-        print(f"{who}: loading torch …", flush=True)
+        try:
+            print(f"{who}: loading torch …", flush=True)
+        except BrokenPipeError:  # nobody reads on, and the run is trained all the same
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _as_option(error: Exception) -> str:

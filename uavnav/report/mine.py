@@ -285,7 +285,8 @@ def _best(first: Group, paths: Mapping[str, Path]) -> str:
     if not len(best.episodes):
         return f"No run has been evaluated yet: `uavnav evaluate {paths[best.name]}`."
     mean, over = _reward(best)
-    said = f"Of your runs, **{best.name}** earns most: {_number(mean)} of reward an episode (95 % interval over {over})."
+    said = f"Of your runs, **{best.name}** earns most: {_number(mean)} of reward an episode"
+    said += f" (95 % interval over {over})."
     if first.scripted is not None:
         said += f" The scripted policy earns {_number(_reward(first.scripted)[0])}."
     return f"{said} {compare.caution([one for one in first.contenders if len(one.episodes)])}".strip()

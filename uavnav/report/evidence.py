@@ -39,23 +39,27 @@ def rows(content: Content, prose: Mapping[str, str], root: str = "") -> list[Row
 def _row(claim: Claim, content: Content, prose: Mapping[str, str], quotes: Quotes) -> Row:
     found = {column: of_claim(content.audits[column], claim.number) for column in COLUMNS}
     grades = content.tables["grades"]
-    own = grades[grades["claim"] == claim.number].set_index("column")
+    own = grades[grades["claim"] == claim.number]
     return Row(
         claim.number,
         claim.sentence,
         claim.note,
         claim.column,
-        {column: graded(own.loc[column]) if column in own.index else tables.NOTHING for column in COLUMNS},
+        {column: _graded(own[own["column"] == column], quotes) for column in COLUMNS},
         prose[f"claim_{claim.number}"] or _generic(claim, content, quotes),
-        {column: tables.audit_rows(parts) for column, parts in found.items() if column in own.index},
+        {column: tables.audit_rows(found[column]) for column in COLUMNS if column in [*own["column"]]},
     )
 
 
-def graded(row: pd.Series) -> str:
-    """A claim's grade and the seeds behind it, of a row of `frames.grades`."""
-    seeds = " to ".join(map(str, dict.fromkeys([row["least"], row["most"]])))
-    counts = f" {row['replicating']}/{row['counting']}" * (row["counting"] > 0)
-    return f"{row['grade']}{counts}, n = {seeds}"
+def _graded(own: pd.DataFrame, quotes: Quotes) -> str:
+    """A claim's grade in a column, how many of its parts replicate, and the seeds behind it; a dash without a
+    row of `frames.grades`.
+    """
+    for place, one in own.iterrows():
+        seeds = " to ".join(map(str, dict.fromkeys([one["least"], one["most"]])))
+        counts = f" {one['replicating']}/{one['counting']}" * (one["counting"] > 0)
+        return f"{quotes.link(one['grade'], 'grades', int(str(place)))}{counts}, n = {seeds}"
+    return tables.NOTHING
 
 
 def _generic(claim: Claim, content: Content, quotes: Quotes) -> str:
